@@ -1,0 +1,85 @@
+"""One controller as a process: `python -m agents direct --node c1/inv07 --plan RUN/plan.json`."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import signal
+import sys
+from pathlib import Path
+
+from agents.lifeline import Failed, Lifeline, Ready, die_with_parent
+from agents.plan import RunPlan, load_plan
+from agents.runtime import DropLog, Runtime, open_bus
+from agents.team import (
+    Controller,
+    central_controller,
+    check_node,
+    direct_controller,
+    supervisor,
+)
+from bus_schemas.errors import InputError
+from bus_schemas.tree import CENTRAL
+
+log = logging.getLogger("agents")
+
+
+def main() -> int:
+    """Run the controller that the command line names. Returns the exit status."""
+    options = _parser().parse_args()
+    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
+    # Ctrl-C in a terminal reaches every process of the group: the launcher decides, not we.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if options.attached:
+        die_with_parent(signal.SIGKILL)
+    try:
+        plan = load_plan(options.plan)
+        check_node(plan, options.kind, options.node)
+        controller = _controller(plan, options.kind, options.node)
+    except InputError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    return run_controller(controller, plan, Lifeline(options.attached))
+
+
+def run_controller(controller: Controller, plan: RunPlan, lifeline: Lifeline) -> int:
+    """Join the bus and take the controller through the run. Returns the exit status."""
+    drop_log = DropLog()
+    try:
+        with open_bus(plan, controller.name, drop_log) as bus:
+            runtime = Runtime(controller, plan, bus, lifeline, drop_log)
+            lifeline.tell(Ready())
+            log.info("%s is on the bus", controller.name)
+            runtime.run()
+    except Exception as error:
+        log.exception("%s gives up", controller.name)
+        lifeline.tell(Failed(f"{type(error).__name__}: {error}"))
+        return 1
+    return 0
+
+
+def _controller(plan: RunPlan, kind: str, node: str) -> Controller:
+    match kind:
+        case "direct":
+            return direct_controller(plan, node)
+        case "supervisor":
+            return supervisor(plan, node)
+        case _:
+            return central_controller(plan)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m agents", description=__doc__)
+    parser.add_argument("kind", choices=["direct", "supervisor", "central"])
+    parser.add_argument("--node", default=CENTRAL, help="path in the control tree, e.g. c1/inv07")
+    parser.add_argument("--plan", type=Path, required=True, help="plan.json of the run")
+    parser.add_argument(
+        "--attached",
+        action="store_true",
+        help="a launcher holds standard input: end when it ends",
+    )
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,98 @@
+"""Step 4: give each child the power it must produce, and find help for those that lack some."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import fsum
+
+from agents.control.neighbours import HelpOrder
+from agents.control.request import split_by_capacity
+
+
+@dataclass(frozen=True, slots=True)
+class HelpLine:
+    """`donor` gives `power_kw` more than its share because `needy` lacks it. Both are positions."""
+
+    donor: int
+    needy: int
+    power_kw: float
+
+
+@dataclass(frozen=True, slots=True)
+class Allocation:
+    """A node's target, divided among its children.
+
+    Attributes
+    ----------
+    power_kw
+        Power that each child must produce, shape (n,): between 0 and its IMPP, together
+        min(target, sum of IMPP).
+    share_kw
+        Each child's share of the target by capacity, before any help, shape (n,).
+    help_lines
+        Who helps whom.
+    shortfall_kw
+        What the children together cannot meet.
+    """
+
+    power_kw: tuple[float, ...]
+    share_kw: tuple[float, ...]
+    help_lines: tuple[HelpLine, ...]
+    shortfall_kw: float
+
+
+def allocate(
+    target_kw: float,
+    capacities_kw: Sequence[float],
+    impp_kw: Sequence[float],
+    order: HelpOrder,
+) -> Allocation:
+    """Divide a target among children (paper, section II-D).
+
+    Each child's share is by capacity. A child that cannot meet it gives its IMPP, and asks its
+    siblings for the rest, the least correlated first; none is raised above its IMPP.
+
+    Parameters
+    ----------
+    target_kw
+        Power that the children must give together, not negative.
+    capacities_kw, impp_kw
+        AC rating and estimated maximum power of each child, shape (n,).
+    order
+        The children's virtual neighbours, from `help_order`.
+
+    Returns
+    -------
+    Allocation
+        With sum(power_kw) = min(target_kw, sum(impp_kw)).
+    """
+    share_kw = split_by_capacity(target_kw, capacities_kw)
+    lines = _help_lines(share_kw, impp_kw, order)
+    shortfall_kw = target_kw - fsum(impp_kw)
+    if shortfall_kw >= 0.0:
+        return Allocation(tuple(impp_kw), share_kw, lines, shortfall_kw)
+    power_kw = [min(share, impp) for share, impp in zip(share_kw, impp_kw, strict=True)]
+    for line in lines:
+        power_kw[line.donor] = min(power_kw[line.donor] + line.power_kw, impp_kw[line.donor])
+    return Allocation(tuple(power_kw), share_kw, lines, 0.0)
+
+
+def _help_lines(
+    share_kw: Sequence[float], impp_kw: Sequence[float], order: HelpOrder
+) -> tuple[HelpLine, ...]:
+    headroom_kw = [impp - share for share, impp in zip(share_kw, impp_kw, strict=True)]
+    lines: list[HelpLine] = []
+    for needy, own_kw in enumerate(tuple(headroom_kw)):
+        missing_kw = -own_kw
+        if missing_kw <= 0.0:
+            continue
+        for donor in order[needy]:
+            given_kw = min(missing_kw, headroom_kw[donor])
+            if given_kw > 0.0:
+                lines.append(HelpLine(donor, needy, given_kw))
+                headroom_kw[donor] -= given_kw
+                missing_kw -= given_kw
+            if missing_kw <= 0.0:
+                break
+    return tuple(lines)

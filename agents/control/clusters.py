@@ -1,0 +1,170 @@
+"""Which inverters share a supervisor: clusters whose members fluctuate least alike.
+
+The paper selects clusters "such that the correlation between inverters within a cluster is at a
+minimum, so the probability of available headroom within a cluster is maximized" and gives no
+method. Here the sum over all pairs inside the clusters is made least by swapping members between
+clusters for as long as a swap helps (steepest descent), from several random starts.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Clusters = tuple[tuple[int, ...], ...]
+
+# Gains below this are rounding: without it two equal partitions could be swapped for ever.
+_LEAST_GAIN = 1e-12
+
+
+def choose_clusters(
+    correlation: NDArray[np.float64], sizes: Sequence[int], seed: int = 0, restarts: int = 20
+) -> Clusters:
+    """Partition the inverters so that the correlation inside the clusters is least.
+
+    Parameters
+    ----------
+    correlation : numpy.ndarray, shape (N, N)
+        Symmetric correlation of the inverters, e.g. of one hour (paper, eq. 5). The diagonal is
+        not used.
+    sizes : sequence of int
+        How many inverters each cluster takes; the sum must be N.
+    seed : int, default 0
+        Seed of the random starts. The same arguments give the same clusters.
+    restarts : int, default 20
+        Number of random starts, of which the best result is kept.
+
+    Returns
+    -------
+    tuple of tuple of int
+        The members of each cluster, ascending, in the order of `sizes`. Clusters of the same size
+        are in the order of their first members.
+
+    Raises
+    ------
+    ValueError
+        The matrix is not symmetric and finite, the sizes do not add up to N, or there is no start.
+    """
+    _check_symmetric(correlation)
+    _check_sizes(sizes, len(correlation))
+    if restarts < 1:
+        raise ValueError(f"at least one restart is needed, not {restarts}")
+    cost = np.array(correlation, dtype=np.float64)
+    np.fill_diagonal(cost, 0.0)
+    return _least_cost_partition(cost, sizes, np.random.default_rng(seed), restarts)
+
+
+def geographic_clusters(
+    x_m: NDArray[np.float64], y_m: NDArray[np.float64], sizes: Sequence[int]
+) -> Clusters:
+    """Partition the inverters into compact neighbourhoods, to compare `choose_clusters` with.
+
+    The sum of the squared distances of all pairs inside the clusters is made least, with the same
+    descent and a fixed seed, so that the result depends on the positions alone.
+
+    Parameters
+    ----------
+    x_m, y_m : numpy.ndarray, shape (N,)
+        Position of each inverter, east and north of any point [m].
+    sizes : sequence of int
+        How many inverters each cluster takes; the sum must be N.
+
+    Returns
+    -------
+    tuple of tuple of int
+        As `choose_clusters` returns them.
+
+    Raises
+    ------
+    ValueError
+        The positions are not two finite series of one length, or the sizes do not add up to N.
+    """
+    if x_m.ndim != 1 or x_m.shape != y_m.shape or not np.isfinite([x_m, y_m]).all():
+        raise ValueError("positions must be two finite series of one length")
+    position = np.column_stack([x_m, y_m])
+    difference = position[:, None, :] - position[None, :, :]
+    squared = np.sum(difference**2, axis=2)
+    # In units of the largest distance, so that the least gain means the same as for correlations.
+    largest = float(squared.max(initial=0.0))
+    return choose_clusters(squared / largest if largest > 0.0 else squared, sizes)
+
+
+def within_cluster_correlation(
+    correlation: NDArray[np.float64], clusters: Sequence[Sequence[int]]
+) -> float:
+    """Mean correlation over all pairs of inverters that share a cluster.
+
+    Parameters
+    ----------
+    correlation : numpy.ndarray, shape (N, N)
+        Symmetric correlation of the inverters.
+    clusters : sequence of sequence of int
+        The members of each cluster, as indices into `correlation`.
+
+    Returns
+    -------
+    float
+        The mean, each pair counted once; NaN if no cluster has two members.
+
+    Raises
+    ------
+    IndexError
+        A member is not an index of `correlation`.
+    """
+    pairs = [
+        correlation[np.ix_(list(cluster), list(cluster))][np.triu_indices(len(cluster), k=1)]
+        for cluster in clusters
+        if len(cluster) > 1
+    ]
+    return float(np.mean(np.concatenate(pairs))) if pairs else float("nan")
+
+
+def _least_cost_partition(
+    cost: NDArray[np.float64], sizes: Sequence[int], rng: np.random.Generator, restarts: int
+) -> Clusters:
+    start = np.repeat(np.arange(len(sizes)), sizes)
+    best, best_cost = start, np.inf
+    for _ in range(restarts):
+        label = _descend(cost, rng.permutation(start), len(sizes))
+        label_cost = float(cost[label[:, None] == label[None, :]].sum())
+        if label_cost < best_cost - _LEAST_GAIN:
+            best, best_cost = label, label_cost
+    return _ordered(best, sizes)
+
+
+def _descend(cost: NDArray[np.float64], label: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+    """Make the best swap of two members of different clusters until none lowers the cost."""
+    label = label.copy()
+    index = np.arange(len(label))
+    while True:
+        # joined[i, c]: cost of i with all members of cluster c
+        joined = cost @ np.eye(count)[label]
+        move = joined - joined[index, label][:, None]
+        # Each of the two leaves its cluster for the other's, where its partner no longer is.
+        change = move[:, label] + move[:, label].T - 2.0 * cost
+        change[label[:, None] == label[None, :]] = 0.0
+        first, second = np.unravel_index(np.argmin(change), change.shape)
+        if change[first, second] >= -_LEAST_GAIN:
+            return label
+        label[first], label[second] = label[second], label[first]
+
+
+def _ordered(label: NDArray[np.intp], sizes: Sequence[int]) -> Clusters:
+    members = [tuple(np.flatnonzero(label == c).tolist()) for c in range(len(sizes))]
+    by_size = {size: sorted(m for m in members if len(m) == size) for size in set(sizes)}
+    return tuple(by_size[size].pop(0) for size in sizes)
+
+
+def _check_symmetric(matrix: NDArray[np.float64]) -> None:
+    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
+        raise ValueError(f"the correlation must be square, not of shape {matrix.shape}")
+    if not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T, rtol=0.0, atol=1e-9):
+        raise ValueError("the correlation must be finite and symmetric")
+
+
+def _check_sizes(sizes: Sequence[int], count: int) -> None:
+    if not sizes or min(sizes) < 1 or sum(sizes) != count:
+        raise ValueError(
+            f"cluster sizes {tuple(sizes)} are given for {count} inverters;"
+            f" accepted: sizes of at least 1 that add up to {count}"
+        )

@@ -1,0 +1,23 @@
+"""The last step of a cycle: from the power an inverter must give to its curtailment level alpha."""
+
+from __future__ import annotations
+
+
+def curtailment_level(setpoint_kw: float, impp_kw: float, alpha_min: float) -> float:
+    """Return alpha = setpoint / IMPP (eq. 6), within [alpha_min, 1].
+
+    Alpha never reaches zero because the next IMPP is measured through it: P / alpha. An inverter
+    without power (IMPP = 0) is let free, alpha = 1, so that its first kilowatt is seen.
+
+    Parameters
+    ----------
+    setpoint_kw
+        Power that the inverter must give, not negative.
+    impp_kw
+        Its estimated maximum power, not negative.
+    alpha_min
+        Lowest alpha that keeps the IMPP observable, in (0, 1].
+    """
+    if impp_kw <= 0.0:
+        return 1.0
+    return min(max(setpoint_kw / impp_kw, alpha_min), 1.0)

@@ -1,0 +1,123 @@
+"""The direct controller: one at each inverter.
+
+estimate  telemetry, request -> impp, residual, help if the residual is negative
+actuate   setpoint           -> command (alpha)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from agents.agent import Stage, Turn, parents_word_kw
+from agents.control.curtailment import curtailment_level
+from agents.control.impp import ImppEstimate, estimate_impp
+from agents.control.request import residual_kw
+from agents.periods import Periods
+from bus_schemas.bus import Delivery
+from bus_schemas.messages import Command, Help, Impp, Message, Residual
+from bus_schemas.signals import (
+    COMMAND,
+    HELP,
+    IMPP,
+    REQUEST,
+    RESIDUAL,
+    SETPOINT,
+    TELEMETRY,
+    Port,
+)
+from bus_schemas.tree import parent_of
+
+
+@dataclass(frozen=True, slots=True)
+class DirectState:
+    """What a direct controller remembers: its estimate, and its parent's last words [kW].
+
+    Before the first setpoint there is nothing to hold back: it is the rating.
+    """
+
+    impp: ImppEstimate
+    request_kw: float
+    setpoint_kw: float
+
+
+class DirectController:
+    """Estimates its inverter's maximum power, says what it lacks, turns a setpoint into alpha.
+
+    Parameters
+    ----------
+    node
+        Path of the inverter in the control tree.
+    rating_kw
+        AC rating of the inverter.
+    alpha_min
+        Lowest alpha it commands.
+    periods
+        In which cycles its parent speaks.
+    """
+
+    def __init__(self, node: str, rating_kw: float, alpha_min: float, periods: Periods) -> None:
+        self.name = node
+        self.rating_kw = rating_kw
+        self.alpha_min = alpha_min
+        self._periods = periods
+        self._telemetry = TELEMETRY.of(node)
+        self._request = REQUEST.of(node)
+        self._setpoint = SETPOINT.of(node)
+        self._impp = IMPP.of(node)
+        self._residual = RESIDUAL.of(node)
+        self._help = HELP.of(node)
+        self._command = COMMAND.of(node)
+        self._full_cycle = (
+            Stage("estimate", frozenset({self._telemetry, self._request})),
+            Stage("actuate", frozenset({self._setpoint})),
+        )
+        self._own_cycle = (
+            Stage("estimate", frozenset({self._telemetry})),
+            Stage("actuate", frozenset()),
+        )
+
+    def initial_state(self) -> DirectState:
+        """Nothing measured, nothing asked."""
+        return DirectState(ImppEstimate(0.0, 0), 0.0, self.rating_kw)
+
+    def stages(self, cycle: int) -> tuple[Stage, ...]:
+        """Return the stages; between its parent's turns it waits for its inverter alone."""
+        parent_acts = self._periods.is_turn(parent_of(self.name), cycle)
+        return self._full_cycle if parent_acts else self._own_cycle
+
+    def follow_up(self, port: Port[Message], message: Message) -> None:
+        """Nothing that it hears announces anything else."""
+
+    def step(self, state: DirectState, turn: Turn) -> tuple[DirectState, list[Delivery]]:
+        """Close a stage."""
+        if turn.stage == "estimate":
+            return self._estimate(state, turn)
+        return self._actuate(state, turn)
+
+    def _estimate(self, state: DirectState, turn: Turn) -> tuple[DirectState, list[Delivery]]:
+        telemetry = turn.get(self._telemetry)
+        impp = estimate_impp(
+            telemetry.power_kw if telemetry else None,
+            telemetry.alpha if telemetry else None,
+            self.rating_kw,
+            state.impp,
+        )
+        request_kw = parents_word_kw(turn.get(self._request), state.request_kw)
+        residual = residual_kw(impp.power_kw, request_kw)
+        outputs: list[Delivery] = [
+            (
+                self._impp,
+                Impp(*turn.stamp, power_kw=impp.power_kw, stale_cycles=impp.stale_cycles),
+            ),
+            (self._residual, Residual(*turn.stamp, power_kw=residual)),
+        ]
+        if residual < 0.0:
+            outputs.append((self._help, Help(*turn.stamp, missing_kw=-residual)))
+        return replace(state, impp=impp, request_kw=request_kw), outputs
+
+    def _actuate(self, state: DirectState, turn: Turn) -> tuple[DirectState, list[Delivery]]:
+        setpoint_kw = parents_word_kw(turn.get(self._setpoint), state.setpoint_kw)
+        impp_kw = state.impp.power_kw
+        alpha = curtailment_level(setpoint_kw, impp_kw, self.alpha_min)
+        command = Command(*turn.stamp, alpha=alpha, power_kw=alpha * impp_kw)
+        return replace(state, setpoint_kw=setpoint_kw), [(self._command, command)]

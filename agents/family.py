@@ -1,0 +1,200 @@
+"""What every parent does with its children, whatever its tier: ask, listen, divide.
+
+The central controller and the supervisors differ only in where their target comes from. Both keep
+a `Family`, which holds the parent's side of the paper's steps 2 to 4.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from math import fsum, isfinite
+
+from agents.agent import Turn
+from agents.control.allocation import Allocation, allocate
+from agents.control.neighbours import HelpOrder, help_order
+from agents.control.request import split_by_capacity
+from bus_schemas.bus import Delivery
+from bus_schemas.messages import (
+    Help,
+    HelpGiven,
+    Impp,
+    Message,
+    Request,
+    Residual,
+    Setpoint,
+)
+from bus_schemas.signals import HELP, IMPP, REQUEST, RESIDUAL, SETPOINT, Port
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a child last said of itself, and for how many cycles it has been silent since."""
+
+    impp_kw: float
+    residual_kw: float
+    stale_cycles: int
+    silent_cycles: int
+
+
+NO_REPORT = Report(0.0, 0.0, 0, 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Neighbourhood:
+    """The order of help among a parent's children from a time on.
+
+    Attributes
+    ----------
+    from_time_ns
+        Simulated time from which it holds.
+    correlation
+        Pearson correlation between the children's power, shape (n, n).
+    """
+
+    from_time_ns: int
+    correlation: tuple[tuple[float, ...], ...]
+
+
+class Family:
+    """A parent's children.
+
+    Parameters
+    ----------
+    node
+        Path of the parent.
+    children
+        Paths of the children.
+    capacities_kw
+        Their AC ratings, shape (n,).
+    neighbourhoods
+        Correlation of the children, hour by hour, in the order of time. None at all: they are
+        asked for help in their own order.
+    hold_cycles
+        For how many cycles a silent child's last report holds. Then it counts as zero, and its
+        share is given to the others.
+    """
+
+    def __init__(
+        self,
+        node: str,
+        children: tuple[str, ...],
+        capacities_kw: tuple[float, ...],
+        neighbourhoods: tuple[Neighbourhood, ...],
+        hold_cycles: int,
+    ) -> None:
+        self.node = node
+        self.children = children
+        self.capacities_kw = capacities_kw
+        self.rating_kw = fsum(capacities_kw)
+        self.hold_cycles = hold_cycles
+        self._from_times_ns = [hood.from_time_ns for hood in neighbourhoods]
+        self._orders = [help_order(hood.correlation) for hood in neighbourhoods]
+        self._default_order = help_order([[0.0] * len(children)] * len(children))
+        self._request_ports = tuple(REQUEST.of(child) for child in children)
+        self._setpoint_ports = tuple(SETPOINT.of(child) for child in children)
+        self._child_ports = tuple((IMPP.of(child), RESIDUAL.of(child)) for child in children)
+        self._help_of: dict[Port[Message], Port[Message]] = {
+            RESIDUAL.of(child): HELP.of(child) for child in children
+        }
+        self._own_ports = (IMPP.of(node), RESIDUAL.of(node), HELP.of(node))
+
+    @property
+    def report_ports(self) -> frozenset[Port[Message]]:
+        """Ports on which the children report in each cycle."""
+        return frozenset(port for pair in self._child_ports for port in pair)
+
+    @property
+    def help_ports(self) -> frozenset[Port[Message]]:
+        """Ports on which the children call for help when they need it."""
+        return frozenset(self._help_of.values())
+
+    def follow_up(self, port: Port[Message], message: Message) -> Port[Message] | None:
+        """Return the port of a child's call for help, which a negative residual announces."""
+        if isinstance(message, Residual) and message.power_kw < 0.0:
+            return self._help_of.get(port)
+        return None
+
+    def no_reports(self) -> tuple[Report, ...]:
+        """Return the reports before the first cycle."""
+        return (NO_REPORT,) * len(self.children)
+
+    def requests(self, turn: Turn, power_kw: float) -> list[Delivery]:
+        """Ask each child for its share by capacity (eq. 3)."""
+        shares_kw = split_by_capacity(power_kw, self.capacities_kw)
+        return [
+            (port, Request(*turn.stamp, power_kw=share_kw))
+            for port, share_kw in zip(self._request_ports, shares_kw, strict=True)
+        ]
+
+    def listen(self, turn: Turn, last: tuple[Report, ...]) -> tuple[Report, ...]:
+        """Take up what the children report in this cycle; a silent one's last report holds."""
+        return tuple(self._report(turn, place, report) for place, report in enumerate(last))
+
+    def _report(self, turn: Turn, place: int, last: Report) -> Report:
+        impp_port, residual_port = self._child_ports[place]
+        impp, residual = turn.get(impp_port), turn.get(residual_port)
+        if impp and residual and _plausible(impp, residual, self.capacities_kw[place]):
+            return Report(impp.power_kw, residual.power_kw, impp.stale_cycles, 0)
+        silent_cycles = last.silent_cycles + 1
+        if silent_cycles > self.hold_cycles:
+            return Report(0.0, 0.0, last.stale_cycles, silent_cycles)
+        return Report(last.impp_kw, last.residual_kw, last.stale_cycles, silent_cycles)
+
+    def report_up(self, turn: Turn, reports: tuple[Report, ...]) -> list[Delivery]:
+        """Say of the node what its children say of themselves: the sums (eq. 2).
+
+        A negative sum of residuals is what the children cannot settle among themselves: the node
+        asks its own parent for help.
+        """
+        impp_port, residual_port, help_port = self._own_ports
+        impp_kw = fsum(report.impp_kw for report in reports)
+        residual_kw = fsum(report.residual_kw for report in reports)
+        stale_cycles = max(report.stale_cycles for report in reports)
+        outputs: list[Delivery] = [
+            (impp_port, Impp(*turn.stamp, power_kw=impp_kw, stale_cycles=stale_cycles)),
+            (residual_port, Residual(*turn.stamp, power_kw=residual_kw)),
+        ]
+        if residual_kw < 0.0:
+            outputs.append((help_port, Help(*turn.stamp, missing_kw=-residual_kw)))
+        return outputs
+
+    def divide(self, turn: Turn, target_kw: float, reports: tuple[Report, ...]) -> list[Delivery]:
+        """Give each child its setpoint out of the node's target (step 4)."""
+        allocation = allocate(
+            target_kw,
+            self.capacities_kw,
+            [report.impp_kw for report in reports],
+            self._order_at(turn.sim_time_ns),
+        )
+        help_given = self._help_given(allocation)
+        return [
+            (
+                port,
+                Setpoint(*turn.stamp, power_kw=power_kw, share_kw=share_kw, help_given=given),
+            )
+            for port, power_kw, share_kw, given in zip(
+                self._setpoint_ports,
+                allocation.power_kw,
+                allocation.share_kw,
+                help_given,
+                strict=True,
+            )
+        ]
+
+    def _help_given(self, allocation: Allocation) -> list[tuple[HelpGiven, ...]]:
+        given: list[tuple[HelpGiven, ...]] = [()] * len(self.children)
+        for line in allocation.help_lines:
+            given[line.donor] += (HelpGiven(self.children[line.needy], line.power_kw),)
+        return given
+
+    def _order_at(self, sim_time_ns: int) -> HelpOrder:
+        place = bisect_right(self._from_times_ns, sim_time_ns) - 1
+        return self._orders[max(place, 0)] if self._orders else self._default_order
+
+
+def _plausible(impp: Impp, residual: Residual, capacity_kw: float) -> bool:
+    # A child that claims a NaN, a negative or more than its rating counts as silent. The sum of
+    # a cluster's IMPP may exceed the sum of its ratings by a rounding error.
+    within_rating = 0.0 <= impp.power_kw <= capacity_kw * (1.0 + 1e-9)
+    return within_rating and isfinite(residual.power_kw)

@@ -1,0 +1,164 @@
+"""The line between a process of a run and the launcher that started it.
+
+Events go out as lines of JSON on standard output; words come in on standard input. The line needs
+no bus, so it works while the bus does not. When the launcher is gone, however it died, standard
+input ends, and the process ends with it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from typing import TypeAlias
+
+import msgspec
+
+log = logging.getLogger(__name__)
+
+
+class Event(msgspec.Struct, frozen=True, tag_field="event", tag=str.lower):
+    """Something that a process tells its launcher."""
+
+
+class Ready(Event, frozen=True):
+    """The process is on the bus."""
+
+
+class Armed(Event, frozen=True):
+    """The plant has seen everybody, and a whole round has closed: cycle 0 begins."""
+
+    rounds: int
+
+
+class Waiting(Event, frozen=True):
+    """The process cannot go on: it needs these messages, each `[key, publisher]`.
+
+    `blocked_on` is the key that it cannot publish, because a listener takes nothing any more.
+    """
+
+    cycle: int
+    stage: str
+    needs: list[tuple[str, str]]
+    blocked_on: str = ""
+
+
+class Status(Event, frozen=True):
+    """What the recorder has seen so far: the run's state for a live view. Powers in kW."""
+
+    cycle: int
+    sim_time_ns: int
+    desired_kw: float
+    possible_kw: float
+    delivered_kw: float
+    needy: list[str]
+    recorded: int
+
+
+class Finished(Event, frozen=True):
+    """The process has come to its end.
+
+    Attributes
+    ----------
+    published
+        Messages of the run that it published, by signal.
+    dropped
+        Messages that it could not use, by cause.
+    missing_inputs
+        Inputs that a deadline found missing.
+    """
+
+    published: dict[str, int]
+    dropped: dict[str, int]
+    missing_inputs: int
+
+
+class Recorded(Event, frozen=True):
+    """The recorder has closed its file.
+
+    Attributes
+    ----------
+    recorded
+        Messages in the file, by signal.
+    gaps
+        Messages that sequence numbers show to be missing, by signal.
+    foreign
+        Payloads on the run's keys that are no messages of the run.
+    desired_kw, possible_kw, delivered_kw
+        The plant, cycle by cycle.
+    """
+
+    recorded: dict[str, int]
+    gaps: dict[str, int]
+    foreign: int
+    desired_kw: list[float]
+    possible_kw: list[float]
+    delivered_kw: list[float]
+
+
+class Failed(Event, frozen=True):
+    """The process gives up, and why, in one line."""
+
+    text: str
+
+
+AnyEvent: TypeAlias = Ready | Armed | Waiting | Status | Finished | Recorded | Failed
+
+
+class Lifeline:
+    """A process's end of the line.
+
+    Parameters
+    ----------
+    attached
+        Whether a launcher holds the other end. Without one, events are printed all the same, and
+        standard input is left alone: an agent can be run by hand.
+    on_word
+        Called, on a thread of its own, with each word that comes in.
+    on_orphaned
+        Called likewise when the launcher is gone.
+    """
+
+    def __init__(
+        self,
+        attached: bool,
+        on_word: Callable[[str], None] = lambda word: None,
+        on_orphaned: Callable[[], None] = lambda: os._exit(1),
+    ) -> None:
+        self._encoder = msgspec.json.Encoder()
+        self._lock = threading.Lock()
+        self._on_word = on_word
+        self._on_orphaned = on_orphaned
+        if attached:
+            threading.Thread(target=self._listen, name="lifeline", daemon=True).start()
+
+    def tell(self, event: Event) -> None:
+        """Send an event."""
+        line = self._encoder.encode(event) + b"\n"
+        with self._lock:
+            try:
+                sys.stdout.buffer.write(line)
+                sys.stdout.buffer.flush()
+            except BrokenPipeError:
+                log.warning("nobody reads events any more")
+
+    def _listen(self) -> None:
+        for line in sys.stdin:
+            self._on_word(line.strip())
+        log.warning("the launcher is gone")
+        self._on_orphaned()
+
+
+def die_with_parent(death_signal: signal.Signals) -> None:
+    """Ask the kernel to signal this process when its parent dies, where the kernel can (Linux).
+
+    Standard input ends then too; but a process that is blocked deep in a library, or stopped,
+    would not see it.
+    """
+    if sys.platform == "linux":
+        set_parent_death_signal = 1  # PR_SET_PDEATHSIG of prctl(2)
+        ctypes.CDLL(None).prctl(set_parent_death_signal, int(death_signal))

@@ -1,0 +1,52 @@
+"""How often each tier acts: every m-th cycle, the tiers above more rarely than those below."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from bus_schemas.errors import InputError
+from bus_schemas.tree import depth
+
+
+@dataclass(frozen=True)
+class Periods:
+    """Cycles between two turns of the parents of each tier.
+
+    A parent gives requests and setpoints in its turns only. Between them the tiers below go on
+    rebalancing against its last target. Everybody reports upwards in every cycle.
+
+    Parameters
+    ----------
+    cycles
+        Period of each tier that has children, the central controller's first. Each must be a
+        multiple of the next.
+
+    Raises
+    ------
+    InputError
+        A period below 1, or one that is no multiple of the next tier's.
+    """
+
+    cycles: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        for tier, period in enumerate(self.cycles):
+            if period < 1:
+                raise InputError(
+                    f"control.period_cycles[{tier}] is {period}, accepted is 1 or more"
+                )
+        for tier, (upper, lower) in enumerate(zip(self.cycles, self.cycles[1:], strict=False)):
+            if upper % lower:
+                raise InputError(
+                    f"control.period_cycles[{tier}] is {upper}, accepted are multiples of the tier "
+                    f"below it ({lower})"
+                )
+
+    def is_turn(self, parent: str, cycle: int) -> bool:
+        """Whether a parent acts in a cycle. In arming rounds (below 0) everybody does."""
+        return cycle < 0 or cycle % self.cycles[depth(parent)] == 0
+
+    @property
+    def longest(self) -> int:
+        """The longest period in cycles: how far one agent can run ahead of another in lockstep."""
+        return max(self.cycles)

@@ -1,0 +1,117 @@
+"""The plan of a run: all that its processes must agree on, in one file that each of them reads.
+
+The launcher writes it from a scenario. An agent needs no scenario, and none of the libraries that
+reading one takes.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+
+import msgspec
+
+from agents.family import Neighbourhood
+from agents.periods import Periods
+from bus_schemas.errors import InputError
+from bus_schemas.keys import KeyTable
+from bus_schemas.tree import ControlTree
+
+
+class NodeNeighbourhoods(msgspec.Struct, frozen=True):
+    """Correlation between one parent's children, hour by hour."""
+
+    node: str
+    hours: tuple[Neighbourhood, ...]
+
+
+class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
+    """What the agents of a run share.
+
+    Attributes
+    ----------
+    run_id
+        Name of the run, and its namespace on the bus.
+    plant
+        Name of the plant: the first part of every key.
+    inverters
+        Path and AC rating [kW] of each inverter.
+    start_time_ns, cycle_ns, cycles
+        Simulated time of cycle 0 [ns since 1970-01-01 UTC], length and number of the cycles.
+    cycle_wall_ns
+        Length of a cycle on the wall clock; 0 is lockstep, without deadlines.
+    period_cycles
+        Period of each tier that has children, the central controller's first.
+    alpha_min
+        Lowest curtailment level that is commanded.
+    hold_cycles
+        For how many cycles a silent child's last report holds.
+    stall_timeout_s
+        In lockstep: how long an agent waits before it says for what.
+    neighbourhoods
+        Order of help among each parent's children.
+    tcp_ports
+        Port on 127.0.0.1 of each agent that listens. Empty in memory.
+    """
+
+    run_id: str
+    plant: str
+    inverters: tuple[tuple[str, float], ...]
+    start_time_ns: int
+    cycle_ns: int
+    cycles: int
+    cycle_wall_ns: int
+    period_cycles: tuple[int, ...]
+    alpha_min: float
+    hold_cycles: int
+    stall_timeout_s: float
+    neighbourhoods: tuple[NodeNeighbourhoods, ...]
+    tcp_ports: dict[str, int]
+
+    @cached_property
+    def tree(self) -> ControlTree:
+        """The control tree."""
+        return ControlTree(self.inverters)
+
+    @cached_property
+    def keys(self) -> KeyTable:
+        """The keys of the run."""
+        return KeyTable(self.plant, self.tree)
+
+    @cached_property
+    def periods(self) -> Periods:
+        """The periods of the tiers."""
+        return Periods(self.period_cycles)
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether cycles close on completeness alone."""
+        return self.cycle_wall_ns == 0
+
+    def sim_time_ns(self, cycle: int) -> int:
+        """Return the simulated time at the beginning of a cycle, ns since 1970-01-01 UTC."""
+        return self.start_time_ns + cycle * self.cycle_ns
+
+    def neighbourhoods_of(self, node: str) -> tuple[Neighbourhood, ...]:
+        """Return the correlation between a parent's children, in the order of time."""
+        return next((entry.hours for entry in self.neighbourhoods if entry.node == node), ())
+
+    def as_json(self) -> bytes:
+        """Return the plan as JSON."""
+        return msgspec.json.format(msgspec.json.encode(self), indent=1)
+
+
+def load_plan(path: Path) -> RunPlan:
+    """Read a plan.
+
+    Raises
+    ------
+    InputError
+        There is no such file, or it is no plan.
+    """
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=RunPlan)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file, accepted is the plan.json of a run") from None
+    except msgspec.DecodeError as error:
+        raise InputError(f"{path}: {error}, accepted is the plan.json of a run") from None

@@ -1,0 +1,1 @@
+"""What travels on the bus: message types, the one table of signals, keys, codec, and the bus."""

@@ -1,0 +1,52 @@
+"""The bus, as agents see it, and what every kind of bus does with a message on its way out."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Protocol, TypeAlias
+
+from msgspec.structs import replace
+
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port
+
+Delivery: TypeAlias = tuple[Port[Message], Message]
+"""A message and the port that it is for: what an agent publishes, and what it receives."""
+
+
+class Bus(Protocol):
+    """Takes an agent's messages and brings it those of others."""
+
+    def publish(self, port: Port[Message], message: Message) -> None:
+        """Send a message to all who listen to its port."""
+
+    def receive(self, wanted: int, timeout_s: float | None) -> list[Delivery]:
+        """Return what has arrived: as soon as `wanted` messages are there, or at the time-out.
+
+        Messages that no listed port takes are dropped, counted and named in the log.
+        """
+
+
+@dataclass
+class Outbox:
+    """Stamps messages with their publish time and number, and counts those of the run.
+
+    Attributes
+    ----------
+    published
+        Messages published in the cycles of the run, by signal name. Arming rounds and signals that
+        are not logged are left out: this is what a recording must hold.
+    """
+
+    published: Counter[str] = field(default_factory=Counter)
+    _next_sequence: dict[Port[Message], int] = field(default_factory=dict)
+
+    def stamp(self, port: Port[Message], message: Message) -> Message:
+        """Return the message as it goes out."""
+        sequence = self._next_sequence.get(port, 0)
+        self._next_sequence[port] = sequence + 1
+        if message.cycle >= 0 and port.signal.logged:
+            self.published[port.signal.name] += 1
+        return replace(message, publish_time_ns=time.monotonic_ns(), sequence=sequence)

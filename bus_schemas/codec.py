@@ -1,0 +1,68 @@
+"""Messages to bytes and back. The wire format is plain msgpack: one map for each message."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import msgspec
+
+from bus_schemas.messages import Message
+from bus_schemas.signals import Signal
+
+M = TypeVar("M", bound=Message)
+
+_encoder = msgspec.msgpack.Encoder()
+_decoders: dict[type[Message], msgspec.msgpack.Decoder[Message]] = {}
+
+
+class Head(msgspec.Struct, gc=False):
+    """The part of a message that a reader needs who does not care what it says."""
+
+    cycle: int
+    source: str
+    publish_time_ns: int
+    sequence: int
+
+
+_head_decoder = msgspec.msgpack.Decoder(Head)
+
+
+def encode(message: Message) -> bytes:
+    """Return a message as a msgpack map."""
+    return _encoder.encode(message)
+
+
+def decode(signal: Signal[M], payload: bytes) -> M:
+    """Return the message that a payload of a signal holds.
+
+    Raises
+    ------
+    msgspec.DecodeError
+        The payload is no msgpack, or not of the signal's type.
+    """
+    decoder = _decoders.get(signal.type)
+    if decoder is None:
+        decoder = _decoders[signal.type] = msgspec.msgpack.Decoder(signal.type)
+    return decoder.decode(payload)  # type: ignore[return-value]
+
+
+def decode_head(payload: bytes) -> Head:
+    """Return the head of a payload, whatever its type.
+
+    Raises
+    ------
+    msgspec.DecodeError
+        The payload is no msgpack map with these fields.
+    """
+    return _head_decoder.decode(payload)
+
+
+def json_schema(signal: Signal[Message]) -> dict[str, object]:
+    """JSON Schema of a signal's messages, with `"type": "object"` at its root.
+
+    Viewers and PlotJuggler look at the root for the type, where msgspec puts a reference.
+    """
+    schema = msgspec.json.schema(signal.type)
+    definitions = schema.pop("$defs")
+    root = definitions.pop(schema.pop("$ref").rsplit("/", 1)[-1])
+    return {**root, **({"$defs": definitions} if definitions else {})}

@@ -1,0 +1,56 @@
+"""Who must be linked with whom: derived from the table of signals.
+
+Zenoh peers do not relay, so each pair that talks needs a link of its own (see
+docs/decisions/0002-explicit-links.md for the alternatives, measured).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from bus_schemas.signals import listeners, ports, publisher
+from bus_schemas.tree import RECORDER, ControlTree
+
+
+@dataclass(frozen=True)
+class Links:
+    """The TCP links of a run.
+
+    Attributes
+    ----------
+    pairs
+        (listening agent, connecting agent), each pair of agents that talk once. The one nearer to
+        the top of the list of agents listens, so that few ports are needed and no inverter
+        needs one.
+    """
+
+    pairs: tuple[tuple[str, str], ...]
+
+    @property
+    def listening(self) -> tuple[str, ...]:
+        """Agents that need a port."""
+        return tuple(dict.fromkeys(listener for listener, _ in self.pairs))
+
+    def endpoints(self, agent: str, tcp_ports: Mapping[str, int]) -> tuple[list[str], list[str]]:
+        """Endpoints that an agent listens on, and those it connects to."""
+        listens = [_endpoint(tcp_ports[agent])] if agent in self.listening else []
+        connects = [_endpoint(tcp_ports[top]) for top, below in self.pairs if below == agent]
+        return listens, connects
+
+
+def explicit_links(tree: ControlTree) -> Links:
+    """Return one link for each pair of agents of which one publishes what the other listens to."""
+    agents = tree.agents()
+    rank = {agent: place for place, agent in enumerate(agents)}
+    pairs: set[tuple[str, str]] = {(RECORDER, agent) for agent in agents if agent != RECORDER}
+    for port in ports(tree):
+        source = publisher(port)
+        for sink in listeners(port, tree):
+            top, below = sorted((source, sink), key=rank.__getitem__)
+            pairs.add((top, below))
+    return Links(tuple(sorted(pairs, key=lambda pair: (rank[pair[0]], rank[pair[1]]))))
+
+
+def _endpoint(tcp_port: int) -> str:
+    return f"tcp/127.0.0.1:{tcp_port}"

@@ -1,0 +1,157 @@
+"""The message types: one frozen struct for each kind of thing that travels on the bus.
+
+Every message begins with the same head (which cycle, what simulated time, who says it, which
+inputs it had to do without, when it was published, its number on its key) and goes on with the
+fields of its own kind. Units stand in the field names. On the wire a message is one flat msgpack
+map from field name to value, so a reader without this package can still take it apart.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, TypeAlias
+
+import msgspec
+
+Stamp: TypeAlias = tuple[int, int, str, tuple[str, ...]]
+"""The first fields of a message, known before an agent decides: cycle, time, source, missing."""
+
+
+class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
+    """The head that every message carries.
+
+    Attributes
+    ----------
+    cycle
+        The control cycle that the message belongs to. Negative in arming rounds.
+    sim_time_ns
+        Simulated time at the beginning of the cycle, nanoseconds since 1970-01-01 UTC.
+    source
+        Name of the agent that decided it: `plant`, `central`, `recorder` or a node's path.
+    missing
+        Keys of the inputs that the sender expected in this cycle and had to do without, so that a
+        recording tells which inputs an output used. Always empty in lockstep.
+    publish_time_ns
+        Monotonic clock of the sending host when the message went out. Set by the bus.
+    sequence
+        Number of the message on its key, from 0, arming rounds included. Set by the bus.
+    """
+
+    cycle: int
+    sim_time_ns: int
+    source: str
+    missing: tuple[str, ...]
+    publish_time_ns: int = 0
+    sequence: int = 0
+
+
+class Telemetry(Message, kw_only=True, frozen=True):
+    """What an inverter measured in the interval that just ended, and the alpha applied in it."""
+
+    power_kw: float
+    alpha: float
+
+
+class Dispatch(Message, kw_only=True, frozen=True):
+    """The power that the operator wants from the plant in the coming interval.
+
+    `power_kw` is the paper's P_desired: the commitment plus the regulation asked for.
+    """
+
+    power_kw: float
+    commitment_kw: float
+    regulation_kw: float
+
+
+class Request(Message, kw_only=True, frozen=True):
+    """The power that a parent asks of a child before it knows who can give it (eq. 3)."""
+
+    power_kw: float
+
+
+class Impp(Message, kw_only=True, frozen=True):
+    """Estimated maximum power of a node: of an inverter (eq. 1), or summed over children (eq. 2).
+
+    `stale_cycles` counts the cycles since the last usable measurement; at a parent it is the
+    largest of its children's.
+    """
+
+    power_kw: float
+    stale_cycles: int
+
+
+class Residual(Message, kw_only=True, frozen=True):
+    """IMPP less request (eq. 4). Negative: the node needs help."""
+
+    power_kw: float
+
+
+class Help(Message, kw_only=True, frozen=True):
+    """Sent when, and only when, the residual is negative: the power that the node lacks."""
+
+    missing_kw: float
+
+
+class HelpGiven(msgspec.Struct, frozen=True, array_like=True, gc=False):
+    """One line of a setpoint's account: `power_kw` more than its share, for the node `needy`."""
+
+    needy: str
+    power_kw: float
+
+
+class Setpoint(Message, kw_only=True, frozen=True):
+    """The power that a child must produce (step 4).
+
+    `share_kw` is the child's share of its parent's target by capacity. The setpoint is below it
+    where the child cannot meet it, and above it by the sum of `help_given`.
+    """
+
+    power_kw: float
+    share_kw: float
+    help_given: tuple[HelpGiven, ...]
+
+
+class Command(Message, kw_only=True, frozen=True):
+    """What a direct controller tells its inverter: the curtailment level alpha (eq. 6).
+
+    `power_kw` is the power that this alpha aims at, IMPP x alpha.
+    """
+
+    alpha: float
+    power_kw: float
+
+
+class Production(Message, kw_only=True, frozen=True):
+    """What really happened in the interval of this cycle. No controller may listen to it.
+
+    `inverter_mpp_kw` and `inverter_power_kw` list the inverters in the order of the control tree.
+    """
+
+    desired_kw: float
+    possible_kw: float
+    delivered_kw: float
+    inverter_mpp_kw: tuple[float, ...]
+    inverter_power_kw: tuple[float, ...]
+
+
+class Run(Message, kw_only=True, frozen=True):
+    """Beginning and end of a run, for everybody.
+
+    At `start`, cycle 0 begins at `start_time_ns` of the host's monotonic clock and a cycle lasts
+    `cycle_wall_ns` (0: lockstep, no deadlines). At `stop`, `cycle` is the first cycle that does
+    not take place.
+    """
+
+    state: Literal["start", "stop"]
+    start_time_ns: int
+    cycle_wall_ns: int
+
+
+class Ready(Message, kw_only=True, frozen=True):
+    """The recorder has seen every message of this arming round."""
+
+
+class Notice(Message, kw_only=True, frozen=True):
+    """Something that an agent had to refuse or to mend, in words, with how often it did so far."""
+
+    text: str
+    count: int

@@ -1,0 +1,175 @@
+"""The one table of signals. Keys, subscriptions, links, channels and schemas are derived from it.
+
+A signal is always *about* one node of the control tree, and that node's path stands in its key:
+`oahu/c1/inv07/request` is the request made OF `c1/inv07` (by its parent), `oahu/c1/inv07/impp` is
+the IMPP that `c1/inv07` states itself. The table says for each signal about which nodes it exists,
+who publishes it and who listens, both as seen from that node.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import cache
+from typing import Final, Generic, TypeVar
+
+from bus_schemas import messages
+from bus_schemas.messages import Message
+from bus_schemas.tree import CENTRAL, PLANT, RECORDER, ROOT, ControlTree, agent_name, parent_of
+
+M_co = TypeVar("M_co", bound=Message, covariant=True)
+
+
+class About(Enum):
+    """The nodes that a signal exists for."""
+
+    LEAVES = "each inverter"
+    CHILDREN = "each node but the root"
+    NODES = "each node"
+    PLANT = "the plant as a whole"
+
+
+class Role(Enum):
+    """An agent, as seen from the node that a signal is about."""
+
+    NODE = "the node itself"
+    PARENT = "its parent"
+    PLANT = "the plant"
+    CENTRAL = "the central controller"
+    RECORDER = "the recorder"
+    ALL = "every agent"
+
+
+class Occurrence(Enum):
+    """How often a signal comes."""
+
+    CYCLE = "once in each cycle"
+    TURN = "once in each cycle that is its publisher's turn"
+    NEED = "in cycles with a need for it"
+    EVENT = "rarely"
+
+
+@dataclass(frozen=True, eq=False)
+class Signal(Generic[M_co]):
+    """One row of the table.
+
+    Attributes
+    ----------
+    name
+        Last part of its key.
+    type
+        Message type; the payload is that type as a msgpack map.
+    about, publisher, listeners, occurrence
+        See the enumerations.
+    logged
+        Whether the recorder keeps it.
+    """
+
+    name: str
+    type: type[M_co]
+    about: About
+    publisher: Role
+    listeners: tuple[Role, ...]
+    occurrence: Occurrence
+    logged: bool = True
+    _ports: dict[str, Port[M_co]] = field(default_factory=dict, init=False, repr=False)
+
+    def of(self, node: str) -> Port[M_co]:
+        """Return the port of this signal about a node."""
+        port = self._ports.get(node)
+        if port is None:
+            port = self._ports[node] = Port(self, node)
+        return port
+
+    def nodes(self, tree: ControlTree) -> tuple[str, ...]:
+        """Return the nodes of a tree that this signal is about."""
+        match self.about:
+            case About.LEAVES:
+                return tree.leaves
+            case About.CHILDREN:
+                return tuple(node for node in tree.nodes if node != ROOT)
+            case About.NODES:
+                return tree.nodes
+            case About.PLANT:
+                return (ROOT,)
+
+
+@dataclass(frozen=True, eq=False)
+class Port(Generic[M_co]):
+    """One signal about one node: what a key names. Get it from `Signal.of`.
+
+    There is one object for each, so ports compare and hash by identity.
+    """
+
+    signal: Signal[M_co]
+    node: str
+
+    def __str__(self) -> str:
+        return f"{self.node}/{self.signal.name}" if self.node else self.signal.name
+
+
+# fmt: off
+TELEMETRY: Final  = Signal("telemetry",  messages.Telemetry,  About.LEAVES,   Role.PLANT,    (Role.NODE,),    Occurrence.CYCLE)
+DISPATCH: Final   = Signal("dispatch",   messages.Dispatch,   About.PLANT,    Role.PLANT,    (Role.CENTRAL,), Occurrence.CYCLE)
+REQUEST: Final    = Signal("request",    messages.Request,    About.CHILDREN, Role.PARENT,   (Role.NODE,),    Occurrence.TURN)
+IMPP: Final       = Signal("impp",       messages.Impp,       About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE)
+RESIDUAL: Final   = Signal("residual",   messages.Residual,   About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE)
+HELP: Final       = Signal("help",       messages.Help,       About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.NEED)
+SETPOINT: Final   = Signal("setpoint",   messages.Setpoint,   About.CHILDREN, Role.PARENT,   (Role.NODE,),    Occurrence.TURN)
+COMMAND: Final    = Signal("command",    messages.Command,    About.LEAVES,   Role.NODE,     (Role.PLANT,),   Occurrence.CYCLE)
+PRODUCTION: Final = Signal("production", messages.Production, About.PLANT,    Role.PLANT,    (),              Occurrence.CYCLE)
+NOTICE: Final     = Signal("notice",     messages.Notice,     About.NODES,    Role.NODE,     (),              Occurrence.EVENT)
+RUN: Final        = Signal("run",        messages.Run,        About.PLANT,    Role.PLANT,    (Role.ALL,),     Occurrence.EVENT)
+READY: Final      = Signal("ready",      messages.Ready,      About.PLANT,    Role.RECORDER, (Role.PLANT,),   Occurrence.EVENT, logged=False)
+# fmt: on
+
+SIGNALS: Final[tuple[Signal[Message], ...]] = (
+    TELEMETRY,
+    DISPATCH,
+    REQUEST,
+    IMPP,
+    RESIDUAL,
+    HELP,
+    SETPOINT,
+    COMMAND,
+    PRODUCTION,
+    NOTICE,
+    RUN,
+    READY,
+)
+"""The table itself, in the order of one cycle. A new signal is one row more."""
+
+
+@cache
+def publisher(port: Port[Message]) -> str:
+    """Name of the one agent that may publish on a port."""
+    (name,) = _agents(port.signal.publisher, port.node)
+    return name
+
+
+def listeners(port: Port[Message], tree: ControlTree) -> tuple[str, ...]:
+    """Names of the agents that act on a port's messages. The recorder hears all of them besides."""
+    names = [name for role in port.signal.listeners for name in _agents(role, port.node, tree)]
+    return tuple(name for name in names if name != publisher(port))
+
+
+def ports(tree: ControlTree) -> tuple[Port[Message], ...]:
+    """Every port of a run, in the order of the table."""
+    return tuple(signal.of(node) for signal in SIGNALS for node in signal.nodes(tree))
+
+
+def _agents(role: Role, node: str, tree: ControlTree | None = None) -> tuple[str, ...]:
+    match role:
+        case Role.NODE:
+            return (agent_name(node),)
+        case Role.PARENT:
+            # Above the root stands the operator, who is no process: nobody listens there.
+            return (agent_name(parent_of(node)),) if node != ROOT else ()
+        case Role.PLANT:
+            return (PLANT,)
+        case Role.CENTRAL:
+            return (CENTRAL,)
+        case Role.RECORDER:
+            return (RECORDER,)
+        case Role.ALL:
+            return tree.agents() if tree is not None else ()

@@ -1,0 +1,177 @@
+"""The control tree: who is whose parent. It is given by the paths and ratings of its inverters."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+from bus_schemas.errors import InputError
+
+CENTRAL: Final = "central"
+PLANT: Final = "plant"
+RECORDER: Final = "recorder"
+ROOT: Final = ""
+"""The central controller's path: its keys have no node part."""
+
+RESERVED_NAMES: Final = frozenset({CENTRAL, PLANT, RECORDER, "alive"})
+_NAME = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def agent_name(path: str) -> str:
+    """Name of the agent at a node: its path, or `central` for the root."""
+    return path or CENTRAL
+
+
+@dataclass(frozen=True)
+class ControlTree:
+    """Inverters as leaves, clusters above them, the central controller at the root.
+
+    Nothing here knows how many tiers there are: `c1/inv07` has two above it, `z1/c2/inv07` three.
+
+    Parameters
+    ----------
+    inverters
+        Path and AC rating [kW] of each inverter, in the plant's order.
+
+    Raises
+    ------
+    InputError
+        A name that is reserved, malformed or used twice, a rating that is not above zero, or a
+        path that is an inverter and a cluster at once.
+    """
+
+    inverters: tuple[tuple[str, float], ...]
+
+    def __post_init__(self) -> None:
+        if not self.inverters:
+            raise InputError("control tree: it has no inverter, accepted is one or more")
+        seen: set[str] = set()
+        for path, rating_kw in self.inverters:
+            _check_leaf(path, rating_kw)
+            if path in seen:
+                raise InputError(f"control tree: two nodes are named {path}, names must differ")
+            seen.add(path)
+        for path in seen & set(self._children_of):
+            raise InputError(f"control tree: {path} is an inverter and a cluster, it must be one")
+
+    @cached_property
+    def _children_of(self) -> dict[str, tuple[str, ...]]:
+        children: dict[str, dict[str, None]] = {ROOT: {}}
+        for leaf, _ in self.inverters:
+            parent = ROOT
+            parts = leaf.split("/")
+            for end in range(1, len(parts) + 1):
+                path = "/".join(parts[:end])
+                children.setdefault(parent, {})[path] = None
+                parent = path
+        return {path: tuple(kids) for path, kids in children.items()}
+
+    @cached_property
+    def _ratings_kw(self) -> dict[str, float]:
+        ratings: dict[str, float] = {}
+        for leaf, rating_kw in self.inverters:
+            for path in (leaf, *ancestors(leaf)):
+                ratings[path] = ratings.get(path, 0.0) + rating_kw
+        return ratings
+
+    @cached_property
+    def leaves(self) -> tuple[str, ...]:
+        """Paths of the inverters, in the plant's order."""
+        return tuple(path for path, _ in self.inverters)
+
+    @cached_property
+    def parents(self) -> tuple[str, ...]:
+        """Paths of all nodes that have children, the root first, each before its descendants."""
+        return tuple(sorted(self._children_of, key=lambda path: (depth(path), path)))
+
+    @cached_property
+    def nodes(self) -> tuple[str, ...]:
+        """Paths of all nodes: parents from the top, then the inverters."""
+        return self.parents + self.leaves
+
+    @cached_property
+    def height(self) -> int:
+        """Number of tiers below the central controller."""
+        return max(depth(leaf) for leaf in self.leaves)
+
+    def children(self, path: str) -> tuple[str, ...]:
+        """Paths of a node's children, empty for an inverter."""
+        return self._children_of.get(path, ())
+
+    def is_leaf(self, path: str) -> bool:
+        """Whether the node is an inverter."""
+        return path not in self._children_of
+
+    def rating_kw(self, path: str) -> float:
+        """AC rating of an inverter, or the sum over a cluster's inverters."""
+        return self._ratings_kw[path]
+
+    def leaves_below(self, path: str) -> tuple[int, ...]:
+        """Positions, in the plant's order, of the inverters at or below a node."""
+        if path == ROOT:
+            return tuple(range(len(self.leaves)))
+        return tuple(
+            index
+            for index, leaf in enumerate(self.leaves)
+            if leaf == path or leaf.startswith(path + "/")
+        )
+
+    def agents(self) -> tuple[str, ...]:
+        """Names of all agents that a run has, the recorder and the plant first."""
+        return (RECORDER, PLANT, *(agent_name(path) for path in self.nodes))
+
+
+def ancestors(path: str) -> tuple[str, ...]:
+    """Paths above a node, from its parent up to the root."""
+    parts = path.split("/") if path else []
+    return tuple("/".join(parts[:end]) for end in range(len(parts) - 1, -1, -1))
+
+
+def depth(path: str) -> int:
+    """Tiers between the root and the node: 0 for the root, 1 for its children."""
+    return path.count("/") + 1 if path else 0
+
+
+def parent_of(path: str) -> str:
+    """Path of a node's parent. The root has none.
+
+    Raises
+    ------
+    ValueError
+        For the root.
+    """
+    if path == ROOT:
+        raise ValueError("the central controller has no parent")
+    return path.rpartition("/")[0]
+
+
+def check_name(name: str, where: str) -> None:
+    """Refuse a node name that could not stand in a key.
+
+    Raises
+    ------
+    InputError
+        With `where` as the place of the name.
+    """
+    if not _NAME.fullmatch(name):
+        raise InputError(f"{where}: name {name!r}, accepted are letters, digits, '_' and '-'")
+    if name in RESERVED_NAMES:
+        reserved = ", ".join(sorted(RESERVED_NAMES))
+        raise InputError(f"{where}: name {name!r} is reserved ({reserved}), take another")
+
+
+def _check_leaf(path: str, rating_kw: float) -> None:
+    for part in path.split("/"):
+        check_name(part, f"control tree, node {path!r}")
+    if not 0.0 < rating_kw < float("inf"):
+        raise InputError(
+            f"control tree, node {path}: rating_kw is {rating_kw:g}, accepted is a number above 0"
+        )
+
+
+def as_ratings(leaves: Sequence[str], ratings_kw: Sequence[float]) -> ControlTree:
+    """Make a tree from parallel sequences of paths and ratings [kW]."""
+    return ControlTree(tuple(zip(leaves, map(float, ratings_kw), strict=True)))

@@ -1,0 +1,273 @@
+"""The bus between processes: one Zenoh session for each agent, over TCP on the loopback address.
+
+No multicast, no gossip: the endpoints are given. See docs/decisions for what was measured.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Final
+
+import msgspec
+import zenoh
+
+from bus_schemas.bus import Delivery, Outbox
+from bus_schemas.codec import decode, encode
+from bus_schemas.keys import KeyTable
+from bus_schemas.messages import Message
+from bus_schemas.signals import Occurrence, Port, listeners, ports, publisher
+from bus_schemas.tree import ControlTree
+
+ENCODING: Final = "application/msgpack"
+_NEVER: Final = 1 << 60
+_TAP_CAPACITY: Final = 65536
+
+
+@dataclass(frozen=True)
+class SessionSettings:
+    """How an agent's session joins the others.
+
+    Attributes
+    ----------
+    namespace
+        Prefix of every key of the run.
+    listen, connect
+        Endpoints, for instance `tcp/127.0.0.1:7447`.
+    mode
+        `peer`, or `router` and `client` where a router is in between.
+    gossip
+        Whether peers tell each other of peers, and connect to those they hear of.
+    lockstep
+        In lockstep nothing may be lost: a publisher waits for a listener who falls behind. In real
+        time a message that cannot go out at once is dropped instead, and goes out unbatched.
+    """
+
+    namespace: str
+    listen: list[str]
+    connect: list[str]
+    mode: str = "peer"
+    gossip: bool = False
+    lockstep: bool = True
+
+    def config(self) -> zenoh.Config:
+        """Return these settings as Zenoh wants them."""
+        config = zenoh.Config()
+        settings: Mapping[str, object] = {
+            "mode": self.mode,
+            "namespace": self.namespace,
+            "listen/endpoints": self.listen,
+            "connect/endpoints": self.connect,
+            # The others may come up later: try for as long as the launcher lets us live.
+            "connect/timeout_ms": -1,
+            "connect/exit_on_failure": False,
+            "connect/retry": {
+                "period_init_ms": 20,
+                "period_max_ms": 200,
+                "period_increase_factor": 1.5,
+            },
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": self.gossip,
+        }
+        for key, value in settings.items():
+            config.insert_json5(key, json.dumps(value))
+        return config
+
+
+class Inbox:
+    """A queue between Zenoh's threads and the agent's: wakes the agent once enough has arrived.
+
+    An agent that needs seventeen messages to go on is woken once, not seventeen times: each waking
+    is a switch between threads that fight for the interpreter's lock.
+    """
+
+    def __init__(self) -> None:
+        self._items: deque[zenoh.Sample] = deque()
+        self._wanted = _NEVER
+        self._gate = threading.Lock()
+        self._gate.acquire()
+
+    def put(self, sample: zenoh.Sample) -> None:
+        """Take in a sample. Called by Zenoh, so it does nothing else."""
+        self._items.append(sample)
+        if len(self._items) >= self._wanted:
+            self._wanted = _NEVER
+            self._open()
+
+    def take(self, wanted: int, timeout_s: float | None) -> list[zenoh.Sample]:
+        """Return all samples, once `wanted` of them are there or at the time-out."""
+        if len(self._items) < wanted:
+            self._gate.acquire(blocking=False)  # an opening that came after the last waiting
+            self._wanted = wanted
+            if len(self._items) < wanted:
+                self._gate.acquire(timeout=-1 if timeout_s is None else max(timeout_s, 0.0))
+            self._wanted = _NEVER
+        return [self._items.popleft() for _ in range(len(self._items))]
+
+    def _open(self) -> None:
+        with suppress(RuntimeError):  # Two samples at once: it is open already.
+            self._gate.release()
+
+
+class ZenohBus:
+    """One agent's place on the bus.
+
+    Parameters
+    ----------
+    agent
+        Name of the agent.
+    keys, tree
+        The run's keys and control tree.
+    settings
+        Of the session.
+    on_drop
+        Called with a line of text for each message that cannot be used.
+    """
+
+    def __init__(
+        self,
+        agent: str,
+        keys: KeyTable,
+        tree: ControlTree,
+        settings: SessionSettings,
+        on_drop: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self.outbox = Outbox()
+        self.undecodable = 0
+        self.unknown = 0
+        self.publishing: str = ""
+        self._keys = keys
+        self._on_drop = on_drop
+        self._inbox = Inbox()
+        self._session = zenoh.open(settings.config())
+        self._publishers = {
+            port: self._declare_publisher(port, settings.lockstep)
+            for port in ports(tree)
+            if publisher(port) == agent
+        }
+        heard = [port for port in ports(tree) if agent in listeners(port, tree)]
+        self._subscribers = [
+            self._session.declare_subscriber(
+                # Without `indirect` a second Python thread would stand between Zenoh and the inbox.
+                key,
+                zenoh.handlers.Callback(self._inbox.put, indirect=False),
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+            for key in _subscriptions(agent, heard, keys)
+        ]
+        self._token = self._session.liveliness().declare_token(keys.alive_key(agent))
+
+    def __enter__(self) -> ZenohBus:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        # An open session can hang the interpreter's exit.
+        self._session.close()
+
+    @property
+    def published(self) -> Counter[str]:
+        """Messages of the run published so far, by signal."""
+        return self.outbox.published
+
+    def publish(self, port: Port[Message], message: Message) -> None:
+        """Send a message. In lockstep this waits for a listener who has fallen behind."""
+        payload = encode(self.outbox.stamp(port, message))
+        self.publishing = str(port)
+        self._publishers[port].put(payload)
+        self.publishing = ""
+
+    def receive(self, wanted: int, timeout_s: float | None) -> list[Delivery]:
+        """Return what has arrived, see `Bus.receive`."""
+        deliveries = []
+        for sample in self._inbox.take(wanted, timeout_s):
+            delivery = self._unpack(str(sample.key_expr), sample.payload.to_bytes())
+            if delivery is not None:
+                deliveries.append(delivery)
+        return deliveries
+
+    def agents_alive(self, agents: Iterable[str]) -> set[str]:
+        """Those of the agents whose liveliness token is seen."""
+        pattern = f"{self._keys.plant}/**/alive"
+        replies = self._session.liveliness().get(pattern, timeout=1.0)
+        seen = {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
+        return {agent for agent in agents if self._keys.alive_key(agent) in seen}
+
+    def _declare_publisher(self, port: Port[Message], lockstep: bool) -> zenoh.Publisher:
+        must_arrive = lockstep or port.signal.occurrence is Occurrence.EVENT
+        return self._session.declare_publisher(
+            self._keys.key(port),
+            encoding=ENCODING,
+            congestion_control=(
+                zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
+            ),
+            reliability=zenoh.Reliability.RELIABLE,
+            express=not lockstep,
+        )
+
+    def _unpack(self, key: str, payload: bytes) -> Delivery | None:
+        port = self._keys.port(key)
+        if port is None:
+            self.unknown += 1
+            self._on_drop(f"{key} is of a node or signal that this run does not have")
+            return None
+        try:
+            return port, decode(port.signal, payload)
+        except msgspec.DecodeError as error:
+            self.undecodable += 1
+            self._on_drop(f"{key} does not decode: {error}")
+            return None
+
+
+class ZenohTap:
+    """A listener's place on the bus: hears every message of the run, and can answer.
+
+    Samples wait in a queue of Zenoh's own, without any Python in between, until they are drained
+    in one go. When it is full, publishers that may not lose anything wait.
+    """
+
+    def __init__(self, agent: str, keys: KeyTable, settings: SessionSettings) -> None:
+        self.outbox = Outbox()
+        self._keys = keys
+        self._session = zenoh.open(settings.config())
+        self._subscriber = self._session.declare_subscriber(
+            f"{keys.plant}/**",
+            zenoh.handlers.FifoChannel(_TAP_CAPACITY),
+            allowed_origin=zenoh.Locality.REMOTE,
+        )
+        self._token = self._session.liveliness().declare_token(keys.alive_key(agent))
+
+    def __enter__(self) -> ZenohTap:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._session.close()
+
+    def publish(self, port: Port[Message], message: Message) -> None:
+        """Send a message."""
+        payload = encode(self.outbox.stamp(port, message))
+        self._session.put(self._keys.key(port), payload, encoding=ENCODING)
+
+    def drain(self) -> Iterator[tuple[str, bytes]]:
+        """Yield key and payload of all that has arrived."""
+        while (sample := self._subscriber.try_recv()) is not None:
+            yield str(sample.key_expr), sample.payload.to_bytes()
+
+
+def _subscriptions(agent: str, heard: list[Port[Message]], keys: KeyTable) -> list[str]:
+    """Key expressions for the ports that an agent hears.
+
+    It names its own node in full, and takes siblings together: `oahu/c1/*/impp`. So it also hears
+    a node that this run does not know, and can say so.
+    """
+    expressions: dict[str, None] = {}
+    for port in heard:
+        key = keys.key(port)
+        if port.node and port.node != agent:
+            head, _, signal = key.rpartition("/")
+            key = f"{head.rpartition('/')[0]}/*/{signal}"
+        expressions[key] = None
+    return list(expressions)

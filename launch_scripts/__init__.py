@@ -1,0 +1,1 @@
+"""How it starts: the command line, scenarios, the launcher of processes, the run in memory."""

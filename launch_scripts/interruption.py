@@ -1,0 +1,37 @@
+"""Ctrl-C and SIGTERM during a run."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+
+class Interruption:
+    """How often the user has asked for an end."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def __bool__(self) -> bool:
+        return self.count > 0
+
+
+@contextmanager
+def interruptible() -> Iterator[Interruption]:
+    """Count Ctrl-C instead of being thrown out by it; let SIGTERM leave through every `finally`."""
+    interruption = Interruption()
+
+    def interrupt(signum: int, frame: FrameType | None) -> None:
+        interruption.count += 1
+
+    def terminate(signum: int, frame: FrameType | None) -> None:
+        raise SystemExit(128 + signum)
+
+    before = signal.signal(signal.SIGINT, interrupt), signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield interruption
+    finally:
+        signal.signal(signal.SIGINT, before[0])
+        signal.signal(signal.SIGTERM, before[1])

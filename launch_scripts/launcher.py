@@ -1,0 +1,158 @@
+"""`heliarch launch`: a plant as a team of processes, from start to summary."""
+
+from __future__ import annotations
+
+import time
+from typing import Final
+
+from agents.lifeline import Armed, Recorded, Status, Waiting
+from agents.plan import RunPlan
+from bus_schemas.links import explicit_links
+from bus_schemas.tree import PLANT, RECORDER
+from launch_scripts.interruption import Interruption, interruptible
+from launch_scripts.live_view import View
+from launch_scripts.preparation import Preparation
+from launch_scripts.processes import processes
+from launch_scripts.run_folder import RunFolder
+from launch_scripts.summary import RunSummary, count_messages, memory_use, merge_counts
+from launch_scripts.supervision import Children, RunFailure, explain_stall
+from launch_scripts.tcp_ports import reserved_ports
+from recordings.metrics import commitment_metrics
+
+_GATHER_S: Final = 0.5
+"""After the first word of a stall: time for the others to say what they wait for."""
+
+_PATIENCE_S: Final = 5.0
+"""How long processes may take to end once the run is over."""
+
+
+class Launch:
+    """One run over processes.
+
+    Parameters
+    ----------
+    preparation
+        The run.
+    folder
+        Where it goes.
+    began_at
+        Monotonic time at which the user asked for it [s]: start-up counts from there.
+    """
+
+    def __init__(self, preparation: Preparation, folder: RunFolder, began_at: float) -> None:
+        self._preparation = preparation
+        self._folder = folder
+        self._began_at = began_at
+        self._armed_at = began_at
+        self._rounds = 0
+        self._interruption = Interruption()
+
+    def run(self, plan: RunPlan, view: View) -> RunSummary:
+        """Start the processes, see them through the run, compare what they say at its end.
+
+        Raises
+        ------
+        RunFailure
+            A process died or gave up, a cycle stalled, or messages got lost.
+        """
+        specs = processes(plan.tree, self._folder.plan)
+        view.say(f"starting {len(specs)} processes, logs in {self._folder.logs}")
+        with (
+            interruptible() as self._interruption,
+            Children(specs, self._folder.logs) as children,
+        ):
+            self._follow(children, plan, view)
+            ended_at = time.monotonic()
+            recorded = self._finish(children)
+            return self._summarise(children, plan, recorded, ended_at)
+
+    def _follow(self, children: Children, plan: RunPlan, view: View) -> None:
+        """Show the run until the plant says that it is over."""
+        stalled_at: float | None = None
+        asked_at: float | None = None
+        while children[PLANT].finished is None:
+            for _, event in children.events(0.1):
+                match event:
+                    case Armed():
+                        self._armed_at, self._rounds = time.monotonic(), event.rounds
+                        startup_s = self._armed_at - self._began_at
+                        view.say(f"armed: cycle 0 began {startup_s:.1f} s after the start")
+                    case Status():
+                        view.show(event)
+                    case Waiting():
+                        stalled_at = stalled_at or time.monotonic()
+            if stalled_at is not None and time.monotonic() > stalled_at + _GATHER_S:
+                raise RunFailure(explain_stall(children))
+            if self._interruption and asked_at is None:
+                view.say("interrupted: ending after this cycle")
+                children[PLANT].tell("stop")
+                asked_at = time.monotonic()
+            if asked_at is not None and self._out_of_patience(asked_at, plan):
+                raise KeyboardInterrupt
+
+    def _out_of_patience(self, asked_at: float, plan: RunPlan) -> bool:
+        longest_s = _PATIENCE_S + 2.0 * plan.cycle_wall_ns / 1e9
+        return self._interruption.count > 1 or time.monotonic() > asked_at + longest_s
+
+    def _finish(self, children: Children) -> Recorded:
+        """Let everybody end; then let the recorder close its file with all that was published."""
+        late = children.await_exit(children.controllers(), _PATIENCE_S)
+        if late:
+            names = ", ".join(child.spec.agent for child in late)
+            raise RunFailure(f"{names} did not end with the run")
+        published = merge_counts(
+            [child.finished.published for child in children if child.finished is not None]
+        )
+        recorder = children[RECORDER]
+        recorder.tell(f"expect {sum(published.values())}")
+        if children.await_exit([recorder], 2.0 * _PATIENCE_S) or recorder.recorded is None:
+            raise RunFailure("the recorder did not close its file")
+        return recorder.recorded
+
+    def _summarise(
+        self, children: Children, plan: RunPlan, recorded: Recorded, ended_at: float
+    ) -> RunSummary:
+        accounts = [child.finished for child in children if child.finished is not None]
+        samples: dict[str, list[float]] = {}
+        for child in children:
+            samples.setdefault(child.spec.kind, []).append(child.memory_mb)
+        return RunSummary(
+            run_id=plan.run_id,
+            scenario=plan.plant,
+            driver="launch",
+            folder=str(self._folder.path),
+            sim_start=self._preparation.local_start(),
+            cycles=len(recorded.desired_kw),
+            cycle_s=plan.cycle_ns / 1e9,
+            wall_s=ended_at - self._armed_at,
+            startup_s=self._armed_at - self._began_at,
+            arming_rounds=self._rounds,
+            energy=commitment_metrics(
+                recorded.desired_kw,
+                recorded.possible_kw,
+                recorded.delivered_kw,
+                plan.cycle_ns / 1e9,
+            ),
+            messages=count_messages(
+                merge_counts([account.published for account in accounts]), recorded.recorded
+            ),
+            dropped=merge_counts([account.dropped for account in accounts]),
+            missing_inputs=sum(account.missing_inputs for account in accounts),
+            memory=memory_use(samples),
+            hindsight_neighbours=self._preparation.hindsight,
+            interrupted=bool(self._interruption),
+        )
+
+
+def launch(preparation: Preparation, folder: RunFolder, view: View, began_at: float) -> RunSummary:
+    """Run a plant as processes over Zenoh, recorded.
+
+    Raises
+    ------
+    RunFailure
+        See `Launch.run`.
+    """
+    agents = explicit_links(preparation.plan.tree).listening
+    with reserved_ports(agents) as tcp_ports:
+        plan = folder.fill(preparation, tcp_ports)
+        return Launch(preparation, folder, began_at).run(plan, view)

@@ -1,0 +1,147 @@
+"""What one sees while a run goes on: a live panel in a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import time
+from datetime import datetime
+from typing import Final, Protocol
+from zoneinfo import ZoneInfo
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.panel import Panel
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
+
+from agents.lifeline import Status
+from agents.plan import RunPlan
+
+_PLAIN_S: Final = 2.0
+"""Time between plain lines."""
+
+_BAR_WIDTH: Final = 50
+_NAMED: Final = 6
+"""How many nodes in need are named before the rest is counted."""
+
+
+class View(Protocol):
+    """Shows a run."""
+
+    def __enter__(self) -> View:
+        """Begin to show."""
+
+    def __exit__(self, *error: object) -> None:
+        """End."""
+
+    def say(self, text: str) -> None:
+        """Show a line that stays."""
+
+    def show(self, status: Status) -> None:
+        """Show where the run stands."""
+
+
+def view_for(console: Console, plan: RunPlan, timezone: str) -> View:
+    """Choose the live panel for a terminal, plain lines for anything else."""
+    if console.is_terminal:
+        return LivePanel(console, plan, timezone)
+    return PlainLines(console, plan, timezone)
+
+
+def local_time(sim_time_ns: int, timezone: str) -> str:
+    """Local time of day of a simulated time."""
+    return f"{datetime.fromtimestamp(sim_time_ns / 1e9, ZoneInfo(timezone)):%H:%M:%S}"
+
+
+class PlainLines:
+    """A line every now and then."""
+
+    def __init__(self, console: Console, plan: RunPlan, timezone: str) -> None:
+        self._console = console
+        self._plan = plan
+        self._timezone = timezone
+        self._next_at = 0.0
+
+    def __enter__(self) -> PlainLines:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def say(self, text: str) -> None:
+        """Print a line."""
+        self._console.print(text, highlight=False, soft_wrap=True, markup=False)
+
+    def show(self, status: Status) -> None:
+        """Print a line if the last one is old enough."""
+        if time.monotonic() < self._next_at:
+            return
+        self._next_at = time.monotonic() + _PLAIN_S
+        self.say(
+            f"{local_time(status.sim_time_ns, self._timezone)} "
+            f"cycle {status.cycle + 1}/{self._plan.cycles} "
+            f"desired {status.desired_kw:.0f} kW, delivered {status.delivered_kw:.0f} kW, "
+            f"possible {status.possible_kw:.0f} kW; help: {_needy(status)}"
+        )
+
+
+class LivePanel:
+    """A panel that is drawn anew a few times a second."""
+
+    def __init__(self, console: Console, plan: RunPlan, timezone: str) -> None:
+        self._console = console
+        self._plan = plan
+        self._timezone = timezone
+        self._rating_kw = sum(rating_kw for _, rating_kw in plan.inverters)
+        self._progress = Progress(
+            TextColumn("cycle"),
+            MofNCompleteColumn(),
+            BarColumn(bar_width=None),
+            TextColumn("{task.percentage:>3.0f} %"),
+            TimeRemainingColumn(),
+            console=console,
+        )
+        self._task = self._progress.add_task("run", total=plan.cycles)
+        self._live = Live(console=console, refresh_per_second=8, transient=True)
+
+    def __enter__(self) -> LivePanel:
+        self._live.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._live.stop()
+
+    def say(self, text: str) -> None:
+        """Print a line above the panel."""
+        self._console.print(text, highlight=False, markup=False)
+
+    def show(self, status: Status) -> None:
+        """Draw the panel anew."""
+        self._progress.update(self._task, completed=status.cycle + 1)
+        powers = Table.grid(padding=(0, 1))
+        powers.add_column(width=10)
+        powers.add_column(justify="right", width=11)
+        powers.add_column()
+        for name, power_kw, style in (
+            ("desired", status.desired_kw, "yellow"),
+            ("delivered", status.delivered_kw, "green"),
+            ("possible", status.possible_kw, "cyan"),
+        ):
+            powers.add_row(name, f"{power_kw:,.0f} kW", self._bar(power_kw, style))
+        needy = Text(f"needs help: {_needy(status)}", style="red" if status.needy else "dim")
+        title = f"{self._plan.plant} {local_time(status.sim_time_ns, self._timezone)}"
+        subtitle = f"{status.recorded:,} messages recorded"
+        body = Group(powers, needy, self._progress)
+        self._live.update(Panel(body, title=title, subtitle=subtitle, width=90))
+
+    def _bar(self, power_kw: float, style: str) -> Text:
+        filled = round(_BAR_WIDTH * min(power_kw / self._rating_kw, 1.0))
+        return Text("█" * filled, style=style) + Text("·" * (_BAR_WIDTH - filled), style="dim")
+
+
+def _needy(status: Status) -> str:
+    # A cluster that lacks power contains inverters that do: the clusters come first.
+    nodes = sorted(status.needy, key=lambda node: (node.count("/"), node))
+    named = ", ".join(node or "the whole plant" for node in nodes[:_NAMED])
+    rest = len(nodes) - _NAMED
+    return f"{named} and {rest} more" if rest > 0 else named or "nobody"

@@ -1,0 +1,62 @@
+"""The processes of a run, as a flat list: what is started, and how."""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from bus_schemas.tree import CENTRAL, PLANT, RECORDER, ControlTree
+
+ZENOH_RUNTIME: Final = (
+    "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app), "
+    "app: (worker_threads: 1))"
+)
+"""One Zenoh thread for each process instead of seven: see docs/decisions/0003-zenoh-tuning.md."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessSpec:
+    """One process of a run.
+
+    Attributes
+    ----------
+    agent
+        Name of the agent that it runs.
+    kind
+        `recorder`, `plant`, `central`, `supervisor` or `direct`.
+    command
+        Program and arguments.
+    """
+
+    agent: str
+    kind: str
+    command: tuple[str, ...]
+
+    @property
+    def log_name(self) -> str:
+        """Name of its log file."""
+        return f"{self.agent.replace('/', '-')}.log"
+
+
+def processes(tree: ControlTree, plan: Path) -> tuple[ProcessSpec, ...]:
+    """List the processes of a run, those first that the others connect to."""
+    return tuple(_process(agent, tree, plan) for agent in tree.agents())
+
+
+def environment() -> dict[str, str]:
+    """Return the environment of the processes."""
+    return {**os.environ, "ZENOH_RUNTIME": ZENOH_RUNTIME, "PYTHONUNBUFFERED": "1"}
+
+
+def _process(agent: str, tree: ControlTree, plan: Path) -> ProcessSpec:
+    common = ("--plan", str(plan), "--attached")
+    if agent == RECORDER:
+        return ProcessSpec(agent, "recorder", (sys.executable, "-m", "recordings", *common))
+    if agent == PLANT:
+        return ProcessSpec(agent, "plant", (sys.executable, "-m", "sim_plant", *common))
+    kind = "central" if agent == CENTRAL else "direct" if tree.is_leaf(agent) else "supervisor"
+    command = (sys.executable, "-m", "agents", kind, "--node", agent, *common)
+    return ProcessSpec(agent, kind, command)

@@ -1,0 +1,123 @@
+"""What `launch` and `simulate` have in common: from the command line's words to an exit status."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal, TypeAlias
+
+from rich.console import Console
+
+from bus_schemas.errors import InputError
+from launch_scripts.launcher import launch
+from launch_scripts.live_view import View, view_for
+from launch_scripts.preparation import Preparation, RunOptions, prepare
+from launch_scripts.run_folder import RunFolder, new_run_id, run_folder
+from launch_scripts.scenario import load_scenario
+from launch_scripts.simulation import simulate
+from launch_scripts.summary import RunSummary, print_summary
+from launch_scripts.supervision import RunFailure
+
+OK: Final = 0
+FAILED: Final = 1
+BAD_INPUT: Final = 2
+INTERRUPTED: Final = 130
+
+Driver: TypeAlias = Callable[[Preparation, RunFolder, View, float], RunSummary]
+
+_DRIVERS: Final[dict[str, Driver]] = {"launch": launch, "simulate": simulate}
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """The words of the command line, None where the user said nothing."""
+
+    driver: Literal["launch", "simulate"]
+    scenario: str
+    start: str | None
+    duration: str | None
+    pace: str | None
+    seed: int | None
+    out: Path | None
+    data: Path | None
+    json: str | None
+
+
+def run(request: RunRequest, began_at: float) -> int:
+    """Prepare and run what was asked for; print what it came to. Returns the exit status.
+
+    Parameters
+    ----------
+    request
+        What the user wants.
+    began_at
+        Monotonic time at which the command began [s].
+    """
+    # With the JSON on standard output, nothing else may go there.
+    console = Console(stderr=request.json == "-")
+    try:
+        preparation, folder = _prepare(request)
+    except InputError as error:
+        return _complain(error, BAD_INPUT)
+    timezone = preparation.scenario.scenario.time.timezone
+    try:
+        with view_for(console, preparation.plan, timezone) as view:
+            view.say(preparation.scenario.scenario.title)
+            summary = _DRIVERS[request.driver](preparation, folder, view, began_at)
+    except RunFailure as error:
+        kept = f"recording up to there: {folder.recording}" if folder.recording.exists() else ""
+        return _complain(f"{error}\n{kept}".strip(), FAILED)
+    except KeyboardInterrupt:
+        return _complain("interrupted; the processes were ended by force", INTERRUPTED)
+    _write_summary(summary, folder, request.json)
+    print_summary(summary, console)
+    console.print(f"recording: {folder.recording}", highlight=False, soft_wrap=True)
+    if summary.lost:
+        return _complain(_lost_text(summary), FAILED)
+    return INTERRUPTED if summary.interrupted else OK
+
+
+def _prepare(request: RunRequest) -> tuple[Preparation, RunFolder]:
+    scenario = load_scenario(request.scenario, request.data)
+    run_id = new_run_id(scenario.scenario.name)
+    folder = run_folder(run_id, request.out)
+    options = RunOptions(request.start, request.duration, _pace(request.pace), request.seed)
+    return prepare(scenario, options, run_id), folder
+
+
+def _pace(text: str | None) -> float | Literal["max"] | None:
+    if text is None or text == "max":
+        return "max" if text else None
+    try:
+        pace = float(text)
+    except ValueError:
+        pace = 0.0
+    if not 0.0 < pace < float("inf"):
+        raise InputError(f"--pace {text}: accepted is a number above 0, or max")
+    return pace
+
+
+def _write_summary(summary: RunSummary, folder: RunFolder, json: str | None) -> None:
+    document = summary.as_json()
+    folder.summary.write_bytes(document + b"\n")
+    if json == "-":
+        sys.stdout.write(document.decode() + "\n")
+    elif json is not None:
+        shutil.copyfile(folder.summary, json)
+
+
+def _lost_text(summary: RunSummary) -> str:
+    lines = [
+        f"{count.signal}: {count.published:,} published, {count.recorded:,} recorded"
+        for count in summary.messages
+        if count.lost
+    ]
+    return "messages were lost: " + "; ".join(lines)
+
+
+def _complain(text: object, status: int) -> int:
+    sys.stderr.write(f"heliarch: {text}\n")
+    return status

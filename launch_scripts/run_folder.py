@@ -1,0 +1,70 @@
+"""The folder that a run leaves behind."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import msgspec
+
+from agents.plan import RunPlan
+from bus_schemas.errors import InputError
+from launch_scripts.preparation import Preparation
+from recordings.writer import RECORDING_NAME
+
+
+@dataclass(frozen=True, slots=True)
+class RunFolder:
+    """Plan, profile, scenario, logs, recording and summary of one run."""
+
+    path: Path
+
+    @property
+    def plan(self) -> Path:
+        """What the processes agree on."""
+        return self.path / "plan.json"
+
+    @property
+    def logs(self) -> Path:
+        """Folder of the processes' logs."""
+        return self.path / "logs"
+
+    @property
+    def recording(self) -> Path:
+        """The MCAP file."""
+        return self.path / RECORDING_NAME
+
+    @property
+    def summary(self) -> Path:
+        """The summary as JSON."""
+        return self.path / "summary.json"
+
+    def fill(self, preparation: Preparation, tcp_ports: dict[str, int]) -> RunPlan:
+        """Write what the processes need; return the plan with its ports."""
+        self.logs.mkdir(parents=True)
+        plan = msgspec.structs.replace(preparation.plan, tcp_ports=tcp_ports)
+        self.plan.write_bytes(plan.as_json())
+        preparation.profile.save(self.path / "profile.npz")
+        (self.path / "scenario.toml").write_text(preparation.scenario.text, encoding="utf-8")
+        return plan
+
+
+def new_run_id(scenario: str) -> str:
+    """Return a name that no other run has: scenario, time, process."""
+    return f"{scenario}-{datetime.now():%Y%m%d-%H%M%S}-{os.getpid()}"
+
+
+def run_folder(run_id: str, out: Path | None) -> RunFolder:
+    """Choose the folder of a run; it is not made yet.
+
+    Raises
+    ------
+    InputError
+        It holds something already.
+    """
+    path = out or Path("recordings") / "runs" / run_id
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise InputError(f"--out {path}: it exists already, accepted is a new or empty folder")
+    return RunFolder(path)

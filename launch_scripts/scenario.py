@@ -1,0 +1,230 @@
+"""Scenario files: what a run is about, in TOML, checked field by field before anything starts."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from datetime import datetime
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Final, Literal, TypeAlias
+from zoneinfo import ZoneInfo, available_timezones
+
+import msgspec
+
+from bus_schemas.errors import InputError
+from sim_plant.clouds import CloudSettings
+from sim_plant.commitment import CommitmentSettings
+from sim_plant.pv import PvSettings
+
+Positive: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0)]
+
+
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A table of a scenario file: a field that it does not know is an error."""
+
+
+class TimeTable(_Table, frozen=True):
+    """When the run takes place.
+
+    Attributes
+    ----------
+    start
+        Local time of the first cycle.
+    timezone
+        IANA name, for instance `Pacific/Honolulu`.
+    duration_s, cycle_s
+        Length of the run and of one cycle [s].
+    """
+
+    start: datetime
+    timezone: str
+    duration_s: Positive
+    cycle_s: Positive = 1.0
+
+
+class PlantTable(_Table, frozen=True):
+    """The inverters.
+
+    Attributes
+    ----------
+    inverters
+        CSV with the columns `inverter, lat, lon` and, if ratings differ, `rating_kw`. Measured
+        irradiance needs none: there is one inverter at each station.
+    rating_kw
+        AC rating of the whole plant, in equal parts, where the CSV gives none.
+    altitude_m
+        Height above the sea.
+    """
+
+    inverters: str | None = None
+    rating_kw: Positive | None = None
+    altitude_m: float = 0.0
+
+
+class CloudIrradiance(_Table, frozen=True, tag="clouds", tag_field="kind"):
+    """Synthetic irradiance: a cloud field that drifts over the plant."""
+
+    seed: int = 0
+    clouds: CloudSettings = CloudSettings()
+
+
+class MeasuredIrradiance(_Table, frozen=True, tag="measured", tag_field="kind"):
+    """Measured irradiance: a CSV of GHI with one column for each station, and their positions."""
+
+    ghi: str
+    positions: str
+    stations: tuple[str, ...] | None = None
+
+
+class ControlTable(_Table, frozen=True):
+    """The control tree and the rules of its controllers.
+
+    Attributes
+    ----------
+    cluster_sizes
+        Sizes of the clusters of each tier, the lowest first: `[[6, 6, 5]]` is three supervisors,
+        `[[5, 5, 5, 5], [2, 2]]` puts two more above four.
+    clusters
+        How their members are chosen: `correlation` (least alike, the paper's virtual
+        neighbours), `geographic` (nearest) or `listed` (as the inverters are listed).
+    period_cycles
+        Every how many cycles each tier acts, the central controller's first. Default: each cycle.
+    alpha_min
+        Lowest curtailment level.
+    hold_cycles
+        For how many cycles the last report of a silent child holds.
+    stall_timeout_s
+        How long a stalled cycle is waited for in lockstep [s].
+    """
+
+    cluster_sizes: tuple[tuple[Annotated[int, msgspec.Meta(ge=1)], ...], ...]
+    clusters: Literal["correlation", "geographic", "listed"] = "correlation"
+    period_cycles: tuple[int, ...] | None = None
+    alpha_min: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.05
+    hold_cycles: Annotated[int, msgspec.Meta(ge=0)] = 3
+    stall_timeout_s: Positive = 3.0
+
+
+class NeighboursTable(_Table, frozen=True):
+    """Where the correlation between inverters comes from.
+
+    `earlier-day` is the same hours of a synthetic day with another seed: what a plant knows.
+    `hindsight` is the run's own irradiance: better than a plant could know, said in the summary.
+    """
+
+    history: Literal["earlier-day", "hindsight"]
+
+
+class Scenario(_Table, frozen=True):
+    """A run, as its file describes it."""
+
+    name: str
+    title: str
+    time: TimeTable
+    plant: PlantTable
+    irradiance: CloudIrradiance | MeasuredIrradiance
+    control: ControlTable
+    neighbours: NeighboursTable
+    commitment: CommitmentSettings
+    pv: PvSettings = PvSettings()
+    pace: Positive | Literal["max"] = "max"
+
+
+class ScenarioFile(msgspec.Struct, frozen=True):
+    """A scenario, its text, and the folder that its relative paths start from."""
+
+    scenario: Scenario
+    text: str
+    path: Path
+    data_folder: Path
+
+    def data_path(self, name: str) -> Path:
+        """Path of a file that the scenario names."""
+        beside = self.path.parent / name
+        return beside if beside.exists() else self.data_folder / name
+
+
+_SHIPPED: Final = Path(str(files("launch_scripts.scenarios")))
+
+
+def shipped_scenarios() -> tuple[str, ...]:
+    """Names of the scenarios that come with Heliarch."""
+    return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
+
+
+def load_scenario(name_or_path: str, data_folder: Path | None = None) -> ScenarioFile:
+    """Read a scenario and check it.
+
+    Parameters
+    ----------
+    name_or_path
+        Name of a shipped scenario, or path of a TOML file.
+    data_folder
+        Where data files are looked for that are not beside the scenario. Default: the folder of
+        the scenario.
+
+    Raises
+    ------
+    InputError
+        There is no such scenario, or it does not say what it must.
+    """
+    path = _find(name_or_path)
+    text = path.read_text(encoding="utf-8")
+    try:
+        scenario = msgspec.toml.decode(text, type=Scenario)
+    except msgspec.ValidationError as error:
+        raise InputError(f"{path}: {_readable(str(error))}") from None
+    except msgspec.DecodeError as error:
+        raise InputError(f"{path}: not TOML: {error}") from None
+    if scenario.time.timezone not in available_timezones():
+        raise InputError(
+            f"{path}: time.timezone is {scenario.time.timezone!r}, accepted is an IANA name "
+            "such as Pacific/Honolulu"
+        )
+    return ScenarioFile(scenario, text, path, data_folder or path.parent)
+
+
+def local_start(time: TimeTable) -> datetime:
+    """Return the first cycle's time with its zone."""
+    zone = ZoneInfo(time.timezone)
+    return time.start.astimezone(zone) if time.start.tzinfo else time.start.replace(tzinfo=zone)
+
+
+def _find(name_or_path: str) -> Path:
+    path = Path(name_or_path)
+    if path.suffix == ".toml":
+        if not path.is_file():
+            raise InputError(f"{path}: no such scenario file")
+        return path
+    if name_or_path not in shipped_scenarios():
+        raise InputError(
+            f"scenario {name_or_path!r} is not known, accepted: "
+            f"{', '.join(shipped_scenarios())} or the path of a .toml file"
+        )
+    return _SHIPPED / f"{name_or_path}.toml"
+
+
+def _readable(error: str) -> str:
+    """Turn msgspec's `... - at `$.a.b`` around: the field first."""
+    found = re.fullmatch(r"(.*) - at `\$\.?(.*)`", error)
+    return f"{found[2]}: {found[1]}" if found else error
+
+
+def parse_duration_s(text: str, where: str) -> float:
+    """Read a duration: seconds, or numbers with units such as `90s`, `15m`, `1h30m`.
+
+    Raises
+    ------
+    InputError
+        It is not one, or not above zero.
+    """
+    seconds = sum(_duration_parts(text)) if re.fullmatch(r"([\d.]+[hms]?)+", text) else 0.0
+    if seconds <= 0.0:
+        raise InputError(f"{where} {text}: accepted are seconds above 0, or 90s, 15m, 1h30m")
+    return seconds
+
+
+def _duration_parts(text: str) -> Iterator[float]:
+    for number, unit in re.findall(r"(\d+(?:\.\d+)?)([hms]?)", text):
+        yield float(number) * {"h": 3600.0, "m": 60.0}.get(unit, 1.0)

@@ -1,0 +1,182 @@
+"""`heliarch simulate`: the same agents as in `launch`, in one process, in lockstep."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+import psutil
+
+from agents.agent import Agent
+from agents.plan import RunPlan
+from agents.sequencer import Sequencer
+from agents.team import controllers
+from bus_schemas.codec import encode
+from bus_schemas.memory_bus import MemoryBus
+from bus_schemas.messages import Message, Run
+from bus_schemas.signals import RUN, Port
+from bus_schemas.tree import PLANT, ROOT
+from launch_scripts.interruption import interruptible
+from launch_scripts.live_view import View
+from launch_scripts.preparation import Preparation
+from launch_scripts.run_folder import RunFolder
+from launch_scripts.summary import RunSummary, count_messages, memory_use
+from launch_scripts.supervision import RunFailure
+from recordings.metrics import commitment_metrics
+from recordings.monitor import RunMonitor
+from recordings.writer import RunWriter
+from sim_plant.plant import Plant
+from sim_plant.profile import Profile
+
+_STATUS_S = 0.25
+
+
+class MemoryRun:
+    """A run in memory.
+
+    Parameters
+    ----------
+    plan, profile
+        The run.
+    tap
+        Called with every message, with its port.
+    """
+
+    def __init__(self, plan: RunPlan, profile: Profile, tap: Any = None) -> None:
+        self.plan = plan
+        self.bus = MemoryBus(plan.tree, tap)
+        team: list[Agent[Any]] = [Plant(plan.tree, profile), *controllers(plan)]
+        self.sequencers = {
+            agent.name: Sequencer(
+                agent, plan.sim_time_ns, lockstep=True, horizon=plan.periods.longest
+            )
+            for agent in team
+        }
+
+    def cycles(self) -> Iterator[int]:
+        """Run cycle after cycle; yield the number of each once the plant has finished it.
+
+        Raises
+        ------
+        RunFailure
+            The agents wait for each other.
+        """
+        plant = self.sequencers[PLANT]
+        plant.end_before(self.plan.cycles)
+        self._say("start", 0)
+        self._send(plant.enter(0))
+        done = 0
+        while (delivery := self.bus.next()) is not None:
+            agent, port, message = delivery
+            sequencer = self.sequencers.get(agent)
+            if sequencer is not None and port.signal is not RUN:
+                self._send(sequencer.accept(port, message))
+            while done < plant.cycle:
+                yield done
+                done += 1
+        if not plant.finished:
+            raise RunFailure(f"stalled in cycle {plant.cycle}: {self._who_waits()}")
+
+    def stop(self) -> None:
+        """End the run after the cycle under way."""
+        plant = self.sequencers[PLANT]
+        plant.end_before(min(plant.cycle + 1, self.plan.cycles))
+
+    def close(self) -> None:
+        """Say that the run is over."""
+        self._say("stop", self.sequencers[PLANT].cycle)
+
+    def _send(self, outputs: list[tuple[Port[Message], Message]]) -> None:
+        for port, message in outputs:
+            self.bus.publish(port, message)
+
+    def _say(self, state: str, cycle: int) -> None:
+        message = Run(
+            cycle,
+            self.plan.sim_time_ns(cycle),
+            PLANT,
+            (),
+            state="start" if state == "start" else "stop",
+            start_time_ns=time.monotonic_ns(),
+            cycle_wall_ns=0,
+        )
+        self.bus.publish(RUN.of(ROOT), message)
+
+    def _who_waits(self) -> str:
+        return "; ".join(
+            f"{name} waits for {', '.join(sorted(map(str, sequencer.waiting_for)))}"
+            for name, sequencer in self.sequencers.items()
+            if sequencer.waiting_for
+        )
+
+
+def simulate(
+    preparation: Preparation, folder: RunFolder, view: View, began_at: float
+) -> RunSummary:
+    """Run a plant in this process, recorded like a launched one.
+
+    Raises
+    ------
+    RunFailure
+        The agents wait for each other.
+    """
+    plan = folder.fill(preparation, tcp_ports={})
+    monitor = RunMonitor()
+    writer = RunWriter(folder.recording, plan, preparation.scenario.text, driver="simulate")
+
+    def record(port: Port[Message], message: Message) -> None:
+        if port.signal.logged:
+            writer.add(port, message, encode(message), time.monotonic_ns())
+            monitor.see(port, message)
+
+    run = MemoryRun(plan, preparation.profile, record)
+    started_at = time.monotonic()
+    try:
+        interrupted = _follow(run, monitor, writer, view)
+        run.close()
+    finally:
+        writer.close()
+    wall_s = time.monotonic() - started_at
+    memory_mb = psutil.Process(os.getpid()).memory_info().rss / 1e6
+    drops: Counter[str] = Counter()
+    for sequencer in run.sequencers.values():
+        drops.update(vars(sequencer.drops))
+    return RunSummary(
+        run_id=plan.run_id,
+        scenario=plan.plant,
+        driver="simulate",
+        folder=str(folder.path),
+        sim_start=preparation.local_start(),
+        cycles=len(monitor.desired_kw),
+        cycle_s=plan.cycle_ns / 1e9,
+        wall_s=wall_s,
+        startup_s=started_at - began_at,
+        arming_rounds=0,
+        energy=commitment_metrics(
+            monitor.desired_kw, monitor.possible_kw, monitor.delivered_kw, plan.cycle_ns / 1e9
+        ),
+        messages=count_messages(run.bus.published, writer.recorded),
+        dropped={cause: count for cause, count in drops.items() if count},
+        missing_inputs=0,
+        memory=memory_use({"simulation": [memory_mb]}),
+        hindsight_neighbours=preparation.hindsight,
+        interrupted=interrupted,
+    )
+
+
+def _follow(run: MemoryRun, monitor: RunMonitor, writer: RunWriter, view: View) -> bool:
+    """Run to the end, or to Ctrl-C. Return whether it was interrupted."""
+    status_at = time.monotonic()
+    with interruptible() as interruption:
+        for _ in run.cycles():
+            if interruption:
+                run.stop()
+            if time.monotonic() >= status_at:
+                status_at = time.monotonic() + _STATUS_S
+                status = monitor.status(writer.recorded.total())
+                if status is not None:
+                    view.show(status)
+        return bool(interruption)

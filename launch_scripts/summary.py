@@ -1,0 +1,176 @@
+"""What a run came to: the table at its end, and the same as JSON."""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter
+from collections.abc import Mapping
+
+import msgspec
+from rich.console import Console
+from rich.table import Table
+
+from recordings.metrics import CommitmentMetrics
+
+
+class MessageCount(msgspec.Struct, frozen=True):
+    """Messages of one signal: published by the agents, found in the recording, and the rest."""
+
+    signal: str
+    published: int
+    recorded: int
+
+    @property
+    def lost(self) -> int:
+        """Published and not recorded; negative: recorded and not published."""
+        return self.published - self.recorded
+
+
+class MemoryUse(msgspec.Struct, frozen=True):
+    """Resident memory of the processes of one kind [MB of 1,000,000 bytes]."""
+
+    kind: str
+    processes: int
+    median_mb: float
+    largest_mb: float
+
+
+class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
+    """The figures of a run."""
+
+    run_id: str
+    scenario: str
+    driver: str
+    folder: str
+    sim_start: str
+    cycles: int
+    cycle_s: float
+    wall_s: float
+    startup_s: float
+    arming_rounds: int
+    energy: CommitmentMetrics
+    messages: tuple[MessageCount, ...]
+    dropped: dict[str, int]
+    missing_inputs: int
+    memory: tuple[MemoryUse, ...]
+    hindsight_neighbours: bool
+    interrupted: bool
+
+    @property
+    def cycles_per_s(self) -> float:
+        """Cycles per second of wall time, arming left out."""
+        return self.cycles / self.wall_s if self.wall_s > 0.0 else 0.0
+
+    @property
+    def lost(self) -> int:
+        """Messages that differ between what was published and what was recorded."""
+        return sum(abs(count.lost) for count in self.messages)
+
+    def as_json(self) -> bytes:
+        """Return the summary as JSON, with the figures that follow from others."""
+        document = msgspec.to_builtins(self)
+        document["cycles_per_s"] = self.cycles_per_s
+        document["energy"]["satisfied_percent"] = self.energy.satisfied_percent
+        document["messages_lost"] = self.lost
+        return msgspec.json.format(msgspec.json.encode(document), indent=2)
+
+
+def count_messages(
+    published: Mapping[str, int], recorded: Mapping[str, int]
+) -> tuple[MessageCount, ...]:
+    """Set what was published beside what was recorded, signal by signal."""
+    signals = dict.fromkeys([*published, *recorded])
+    return tuple(
+        MessageCount(signal, published.get(signal, 0), recorded.get(signal, 0))
+        for signal in signals
+    )
+
+
+def memory_use(samples: Mapping[str, list[float]]) -> tuple[MemoryUse, ...]:
+    """Summarise the largest resident memory seen of each process [MB], kind by kind."""
+    return tuple(
+        MemoryUse(kind, len(values), statistics.median(values), max(values))
+        for kind, values in samples.items()
+        if values
+    )
+
+
+def print_summary(summary: RunSummary, console: Console) -> None:
+    """Print the table."""
+    table = Table(title=f"{summary.scenario}: {summary.run_id}", show_header=False, min_width=78)
+    table.add_column(no_wrap=True)
+    table.add_column(justify="right", no_wrap=True)
+    table.add_column(style="dim")
+    for name, value, note in (*_pace_rows(summary), *_energy_rows(summary.energy)):
+        table.add_row(name, value, note)
+    table.add_section()
+    for name, value, note in (*_message_rows(summary), *_memory_rows(summary)):
+        table.add_row(name, value, note)
+    console.print(table)
+    if summary.hindsight_neighbours:
+        console.print("Clusters and neighbours were chosen from the run's own data: hindsight.")
+
+
+def _pace_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
+    simulated_s = summary.cycles * summary.cycle_s
+    speed = simulated_s / summary.wall_s if summary.wall_s > 0.0 else 0.0
+    return [
+        ("cycles", f"{summary.cycles:,}", f"of {summary.cycle_s:g} s, from {summary.sim_start}"),
+        ("cycle rate", f"{summary.cycles_per_s:,.1f} /s", f"{speed:,.0f} x real time"),
+        ("wall time", f"{summary.wall_s:,.1f} s", f"after {summary.startup_s:.1f} s to start up"),
+    ]
+
+
+def _energy_rows(energy: CommitmentMetrics) -> list[tuple[str, str, str]]:
+    def percent(value_kwh: float) -> str:
+        return f"{energy.percent(value_kwh):.3f} % of desired"
+
+    return [
+        ("desired energy", f"{energy.desired_kwh:,.1f} kWh", ""),
+        ("possible energy", f"{energy.possible_kwh:,.1f} kWh", "all inverters at their maximum"),
+        ("delivered energy", f"{energy.delivered_kwh:,.1f} kWh", ""),
+        ("satisfied commitment", f"{energy.satisfied_percent:.3f} %", ""),
+        ("unsatisfied", f"{energy.unsatisfied_kwh:,.2f} kWh", percent(energy.unsatisfied_kwh)),
+        ("  unavoidable", f"{energy.unavoidable_kwh:,.2f} kWh", percent(energy.unavoidable_kwh)),
+        (
+            "  control-caused",
+            f"{energy.control_caused_kwh:,.2f} kWh",
+            percent(energy.control_caused_kwh),
+        ),
+        ("over-delivered", f"{energy.over_delivered_kwh:,.2f} kWh", ""),
+    ]
+
+
+def _message_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
+    published = sum(count.published for count in summary.messages)
+    recorded = sum(count.recorded for count in summary.messages)
+    help_calls = sum(count.recorded for count in summary.messages if count.signal == "help")
+    dropped = ", ".join(f"{count:,} {cause}" for cause, count in summary.dropped.items())
+    return [
+        ("messages published", f"{published:,}", f"{help_calls:,} of them calls for help"),
+        ("messages recorded", f"{recorded:,}", ""),
+        ("messages lost", f"{summary.lost:,}", ""),
+        ("messages dropped", f"{sum(summary.dropped.values()):,}", dropped),
+        ("inputs missed at deadlines", f"{summary.missing_inputs:,}", ""),
+    ]
+
+
+def _memory_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
+    return [
+        (
+            f"memory, {use.kind}",
+            f"{use.median_mb:.1f} MB",
+            f"{use.processes} processes, largest {use.largest_mb:.1f} MB"
+            if use.processes > 1
+            else "1 process",
+        )
+        for use in summary.memory
+    ]
+
+
+def merge_counts(counts: list[dict[str, int]]) -> dict[str, int]:
+    """Add up counts by name."""
+    total: Counter[str] = Counter()
+    for count in counts:
+        total.update(count)
+    return dict(total)

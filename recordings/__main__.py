@@ -1,0 +1,71 @@
+"""The recorder as a process: `python -m recordings --plan RUN/plan.json`."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import signal
+import sys
+from pathlib import Path
+
+from agents.lifeline import Failed, Lifeline, Ready, die_with_parent
+from agents.plan import RunPlan, load_plan
+from agents.runtime import DropLog, session_settings
+from bus_schemas.errors import InputError
+from bus_schemas.tree import RECORDER
+from bus_schemas.zenoh_bus import ZenohTap
+from recordings.recorder import Recorder
+from recordings.writer import RECORDING_NAME, RunWriter
+
+log = logging.getLogger("recordings")
+
+
+def main() -> int:
+    """Record the run of a plan. Returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m recordings", description=__doc__)
+    parser.add_argument("--plan", type=Path, required=True, help="plan.json of the run")
+    parser.add_argument("--attached", action="store_true", help="a launcher holds standard input")
+    options = parser.parse_args()
+    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        plan = load_plan(options.plan)
+    except InputError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    return record(plan, options.plan.parent, options.attached)
+
+
+def record(plan: RunPlan, folder: Path, attached: bool) -> int:
+    """Record a run into its folder, until the launcher says so or is gone."""
+    recorders: list[Recorder] = []
+
+    def end() -> None:
+        for recorder in recorders:
+            recorder.end()
+
+    def hear(word: str) -> None:
+        for recorder in recorders:
+            recorder.expect(int(word.removeprefix("expect ")))
+
+    # Whatever ends the run, the file must be closed in order: SIGTERM, not SIGKILL.
+    signal.signal(signal.SIGTERM, lambda *_: end())
+    if attached:
+        die_with_parent(signal.SIGTERM)
+    scenario = (folder / "scenario.toml").read_text(encoding="utf-8")
+    lifeline = Lifeline(attached, on_word=hear, on_orphaned=end)
+    try:
+        writer = RunWriter(folder / RECORDING_NAME, plan, scenario, driver="launch")
+        with ZenohTap(RECORDER, plan.keys, session_settings(plan, RECORDER)) as tap:
+            recorders.append(Recorder(plan, tap, writer, lifeline, DropLog()))
+            lifeline.tell(Ready())
+            recorders[0].run()
+    except Exception as error:
+        log.exception("the recorder gives up")
+        lifeline.tell(Failed(f"{type(error).__name__}: {error}"))
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,89 @@
+"""Figures of merit of a run, from the plant's power cycle by cycle.
+
+Symbols: desired P_d, possible P_MPP (sum of the inverters' true maxima), delivered P, all in kW;
+dt, the length of a cycle in hours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class CommitmentMetrics:
+    """How well a plant kept its commitment. Energies in kWh.
+
+    Attributes
+    ----------
+    desired_kwh
+        sum P_d dt.
+    possible_kwh
+        sum P_MPP dt.
+    delivered_kwh
+        sum P dt.
+    unsatisfied_kwh
+        sum max(0, P_d - P) dt: the energy that support from elsewhere would have had to give.
+    unavoidable_kwh
+        sum max(0, P_d - P_MPP) dt: the part of it that no controller could have met.
+    control_caused_kwh
+        The rest of it.
+    over_delivered_kwh
+        sum max(0, P - P_d) dt.
+    """
+
+    desired_kwh: float
+    possible_kwh: float
+    delivered_kwh: float
+    unsatisfied_kwh: float
+    unavoidable_kwh: float
+    control_caused_kwh: float
+    over_delivered_kwh: float
+
+    @property
+    def satisfied_percent(self) -> float:
+        """100 (1 - unsatisfied / desired); 100 where nothing was desired."""
+        return 100.0 - self.percent(self.unsatisfied_kwh)
+
+    def percent(self, energy_kwh: float) -> float:
+        """Return an energy in % of the desired energy; 0 where nothing was desired."""
+        return 100.0 * energy_kwh / self.desired_kwh if self.desired_kwh > 0.0 else 0.0
+
+
+def commitment_metrics(
+    desired_kw: Sequence[float],
+    possible_kw: Sequence[float],
+    delivered_kw: Sequence[float],
+    cycle_s: float,
+) -> CommitmentMetrics:
+    """Work out how well a plant kept its commitment.
+
+    Parameters
+    ----------
+    desired_kw, possible_kw, delivered_kw
+        The plant cycle by cycle, shape (cycles,).
+    cycle_s
+        Length of a cycle [s].
+
+    Raises
+    ------
+    ValueError
+        The series differ in length.
+    """
+    if not len(desired_kw) == len(possible_kw) == len(delivered_kw):
+        raise ValueError("desired, possible and delivered power differ in length")
+    desired, possible, delivered = map(np.asarray, (desired_kw, possible_kw, delivered_kw))
+    hours = cycle_s / 3600.0
+    unsatisfied = np.maximum(desired - delivered, 0.0)
+    unavoidable = np.maximum(desired - possible, 0.0)
+    return CommitmentMetrics(
+        desired_kwh=float(desired.sum()) * hours,
+        possible_kwh=float(possible.sum()) * hours,
+        delivered_kwh=float(delivered.sum()) * hours,
+        unsatisfied_kwh=float(unsatisfied.sum()) * hours,
+        unavoidable_kwh=float(unavoidable.sum()) * hours,
+        control_caused_kwh=float((unsatisfied - unavoidable).sum()) * hours,
+        over_delivered_kwh=float(np.maximum(delivered - desired, 0.0).sum()) * hours,
+    )

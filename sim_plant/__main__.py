@@ -1,0 +1,71 @@
+"""The plant simulator as a process: `python -m sim_plant --plan RUN/plan.json`."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import signal
+import sys
+from pathlib import Path
+
+from agents.lifeline import Failed, Lifeline, Ready, die_with_parent
+from agents.plan import RunPlan, load_plan
+from agents.runtime import DropLog, Runtime, open_bus
+from bus_schemas.errors import InputError
+from sim_plant.conductor import ArmingError, Conductor
+from sim_plant.plant import Plant, PlantState
+from sim_plant.profile import Profile, load_profile
+
+log = logging.getLogger("sim_plant")
+
+
+def main() -> int:
+    """Run the plant of a plan. Returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m sim_plant", description=__doc__)
+    parser.add_argument("--plan", type=Path, required=True, help="plan.json of the run")
+    parser.add_argument("--profile", type=Path, help="default: profile.npz beside the plan")
+    parser.add_argument("--attached", action="store_true", help="a launcher holds standard input")
+    options = parser.parse_args()
+    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if options.attached:
+        die_with_parent(signal.SIGKILL)
+    try:
+        plan = load_plan(options.plan)
+        profile = load_profile(options.profile or options.plan.with_name("profile.npz"))
+    except InputError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    return run_plant(plan, profile, options.attached)
+
+
+def run_plant(plan: RunPlan, profile: Profile, attached: bool) -> int:
+    """Join the bus and conduct the run. Returns the exit status."""
+    drop_log = DropLog()
+    conductors: list[Conductor] = []
+
+    def hear(word: str) -> None:
+        if word == "stop":
+            for conductor in conductors:
+                conductor.ask_stop()
+
+    lifeline = Lifeline(attached, on_word=hear)
+    plant = Plant(plan.tree, profile)
+    try:
+        with open_bus(plan, plant.name, drop_log) as bus:
+            runtime: Runtime[PlantState] = Runtime(plant, plan, bus, lifeline, drop_log)
+            conductors.append(Conductor(runtime))
+            lifeline.tell(Ready())
+            conductors[0].conduct()
+    except ArmingError as error:
+        lifeline.tell(Failed(str(error)))
+        return 1
+    except Exception as error:
+        log.exception("the plant gives up")
+        lifeline.tell(Failed(f"{type(error).__name__}: {error}"))
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,137 @@
+"""Begins and ends a run: the barrier before cycle 0, the start, the stop.
+
+Messages that are put on the bus right after a session opens can get lost before all declarations
+have travelled. So nothing counts until everybody's liveliness token is seen and one arming round,
+a whole cycle with a number below 0, has come back to the plant and past the recorder.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from typing import Final, TypeVar
+
+from agents.lifeline import Armed
+from agents.runtime import Runtime, StallWatch
+from bus_schemas.messages import Message, Run
+from bus_schemas.signals import READY, RUN
+from bus_schemas.tree import PLANT, RECORDER, ROOT
+
+S = TypeVar("S")
+
+log = logging.getLogger(__name__)
+
+FIRST_ROUND: Final = -1_000_000
+"""Cycle of the first arming round; the next ones count upwards."""
+
+_ROUND_S: Final = 0.3
+"""How long an arming round may take before the next one is tried."""
+
+_LEAD_S: Final = 0.2
+"""In real time: how long before cycle 0 everybody is told when it begins."""
+
+
+class ArmingError(Exception):
+    """The loop did not close."""
+
+
+class Conductor:
+    """Takes the plant, and with it everybody, through a run.
+
+    Parameters
+    ----------
+    runtime
+        The plant's.
+    patience_s
+        How long to wait for everybody before giving up.
+    """
+
+    def __init__(self, runtime: Runtime[S], patience_s: float = 30.0) -> None:
+        self._runtime = runtime
+        self._patience_s = patience_s
+        self._round_recorded = FIRST_ROUND - 1
+        self._stop_asked = False
+        self._run_port = RUN.of(ROOT)
+        runtime.listen(READY.of(ROOT), self._hear_recorder)
+
+    def ask_stop(self) -> None:
+        """Let the run end after the cycle under way. May be called from another thread."""
+        self._stop_asked = True
+
+    def conduct(self) -> None:
+        """Arm, start, run, stop.
+
+        Raises
+        ------
+        ArmingError
+            Somebody did not appear, or no arming round came back; the message names who.
+        """
+        give_up_at = time.monotonic() + self._patience_s
+        self._await_everybody(give_up_at)
+        rounds = self._arm(give_up_at)
+        sequencer = self._runtime.sequencer
+        sequencer.end_before(self._runtime.plan.cycles)
+        start_time_ns = time.monotonic_ns() + round(_LEAD_S * 1e9)
+        self._say("start", 0, start_time_ns)
+        self._runtime.lifeline.tell(Armed(rounds))
+        log.info("armed after %d rounds", rounds)
+        watch = StallWatch(self._runtime)
+        self._runtime.begin(start_time_ns)
+        while not sequencer.finished:
+            self._runtime.turn()
+            if self._stop_asked and sequencer.end_cycle != sequencer.cycle + 1:
+                sequencer.end_before(sequencer.cycle + 1)
+        watch.stop()
+        self._say("stop", sequencer.cycle, start_time_ns)
+        self._runtime.report()
+
+    def _await_everybody(self, give_up_at: float) -> None:
+        others = [agent for agent in self._runtime.plan.tree.agents() if agent != PLANT]
+        while True:
+            absent = [agent for agent in others if agent not in self._alive(others)]
+            if not absent:
+                return
+            if time.monotonic() > give_up_at:
+                raise ArmingError(f"no sign of life from {', '.join(absent)}")
+            time.sleep(0.02)
+
+    def _alive(self, agents: list[str]) -> set[str]:
+        return self._runtime.bus.agents_alive(agents)
+
+    def _arm(self, give_up_at: float) -> int:
+        """Send rounds through the loop until one closes and is recorded. Return their number."""
+        sequencer = self._runtime.sequencer
+        for round_number in range(1, -FIRST_ROUND):
+            cycle = FIRST_ROUND + round_number
+            self._runtime.send(sequencer.enter(cycle))
+            if self._round_closes(cycle, time.monotonic() + _ROUND_S):
+                return round_number
+            if time.monotonic() > give_up_at:
+                break
+        needs = ", ".join(sorted(str(port) for port in sequencer.waiting_for))
+        raise ArmingError(f"no arming round closed; the plant waits for {needs or 'the recorder'}")
+
+    def _round_closes(self, cycle: int, until: float) -> bool:
+        sequencer = self._runtime.sequencer
+        while time.monotonic() < until:
+            if not sequencer.stage and self._round_recorded == cycle:
+                return True
+            self._runtime.turn(longest_s=0.02)
+        return False
+
+    def _hear_recorder(self, message: Message) -> None:
+        if message.source == RECORDER:
+            self._round_recorded = message.cycle
+
+    def _say(self, state: str, cycle: int, start_time_ns: int) -> None:
+        plan = self._runtime.plan
+        message = Run(
+            cycle,
+            plan.sim_time_ns(cycle),
+            PLANT,
+            (),
+            state="start" if state == "start" else "stop",
+            start_time_ns=start_time_ns,
+            cycle_wall_ns=plan.cycle_wall_ns,
+        )
+        self._runtime.bus.publish(self._run_port, message)

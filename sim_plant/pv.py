@@ -1,0 +1,178 @@
+"""From irradiance to the AC power that each inverter could deliver.
+
+The paper converts measured irradiance with pvlib and leaves air temperature and wind "in their
+default state". Those defaults are pvlib's: where the weather has no such columns,
+`pvlib.modelchain.ModelChain` takes 20 degrees Celsius and 0 m/s. The rest of the chain is that of
+`ModelChain.with_pvwatts`, without its loss terms (incidence angle, spectrum, 14 % of system
+losses): the rating of an inverter stands for its array after losses.
+"""
+
+from typing import Annotated
+
+import msgspec
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from pvlib import inverter, irradiance, pvsystem, solarposition, temperature
+
+from bus_schemas.errors import InputError
+
+_SAPM = temperature.TEMPERATURE_MODEL_PARAMETERS["sapm"]["open_rack_glass_polymer"]
+
+# Daylight is over when the sun is 6 degrees below the horizon (civil twilight): what is brighter
+# than this then is not the sun, but a time stamp in another time zone.
+_TWILIGHT_ZENITH_DEG = 96.0
+_TWILIGHT_MAX_WM2 = 50.0
+
+
+class PvSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The arrays and inverters of the plant, all alike but for their rating.
+
+    Attributes
+    ----------
+    tilt_deg : float, default 0
+        Tilt of the modules from the horizontal [degree]. At 0 the POA irradiance is the measured
+        GHI itself, with no model between: the paper's sensors lie flat.
+    azimuth_deg : float, default 180
+        Where the modules face, clockwise from north [degree].
+    dc_ac_ratio : float, default 1
+        DC rating of an array at standard test conditions over the AC rating of its inverter.
+    temp_air_c : float, default 20
+        Air temperature [degree Celsius], pvlib's default.
+    wind_speed_ms : float, default 0
+        Wind speed at 10 m height [m/s], pvlib's default.
+    gamma_pdc_per_c : float, default -0.0035
+        Temperature coefficient of DC power [1/degree Celsius]. pvlib has no default; this is the
+        "premium" crystalline module of PVWatts version 5 (doi:10.2172/1158421).
+    inverter_efficiency : float, default 0.96
+        Nominal efficiency of the inverter, pvlib's default.
+    albedo : float, default 0.25
+        Reflectance of the ground, pvlib's default; of no effect at tilt 0.
+    """
+
+    tilt_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 0.0
+    azimuth_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] = 180.0
+    dc_ac_ratio: Annotated[float, msgspec.Meta(gt=0.0, le=3.0)] = 1.0
+    temp_air_c: Annotated[float, msgspec.Meta(ge=-60.0, le=60.0)] = 20.0
+    wind_speed_ms: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.0
+    gamma_pdc_per_c: Annotated[float, msgspec.Meta(ge=-0.01, le=0.0)] = -0.0035
+    inverter_efficiency: Annotated[float, msgspec.Meta(gt=0.5, le=1.0)] = 0.96
+    albedo: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.25
+
+
+def ac_power_kw(
+    ghi_wm2: NDArray[np.float64],
+    times: pd.DatetimeIndex,
+    lat_deg: NDArray[np.float64],
+    lon_deg: NDArray[np.float64],
+    rating_kw: NDArray[np.float64],
+    settings: PvSettings,
+) -> NDArray[np.float64]:
+    """Return the maximum AC power of each inverter at every time step.
+
+    GHI is split into its beam and diffuse parts (Erbs, doi:10.1016/0038-092X(82)90302-4) and
+    transposed to the plane of the array (Hay and Davies, the default of pvlib's ModelChain); the
+    cell temperature follows the Sandia model for an open rack of glass-polymer modules, DC and AC
+    power are those of PVWatts version 5 (doi:10.2172/1158421). The sun stands at one place for
+    the whole plant: its position is computed once, at the centroid.
+
+    Parameters
+    ----------
+    ghi_wm2 : numpy.ndarray, shape (T, N)
+        Global horizontal irradiance at each inverter [W/m^2].
+    times : pandas.DatetimeIndex, length T
+        Time stamps with a time zone.
+    lat_deg, lon_deg : numpy.ndarray, shape (N,)
+        Coordinates of the inverters [degree], north and east positive.
+    rating_kw : numpy.ndarray, shape (N,)
+        AC rating of each inverter [kW], above 0.
+    settings : PvSettings
+        The arrays and inverters.
+
+    Returns
+    -------
+    numpy.ndarray, shape (T, N)
+        AC power [kW], from 0 to the rating; 0 while the sun is below the horizon.
+
+    Raises
+    ------
+    InputError
+        The irradiance is high in the middle of the night: the time stamps are not UTC, or the
+        coordinates are not those of the sensors.
+    ValueError
+        The shapes do not fit, an irradiance is not finite, or a rating is not above 0.
+    """
+    _check_shapes(ghi_wm2, times, lat_deg, lon_deg, rating_kw)
+    sun = solarposition.get_solarposition(times, float(lat_deg.mean()), float(lon_deg.mean()))
+    _check_night_is_dark(ghi_wm2, times, sun)
+    is_up = sun["apparent_zenith"].to_numpy()[:, None] < 90.0
+    poa_wm2 = np.where(is_up, np.maximum(_poa_wm2(ghi_wm2, times, sun, settings), 0.0), 0.0)
+    return _inverter_ac_kw(poa_wm2, rating_kw, settings)
+
+
+def _poa_wm2(
+    ghi_wm2: NDArray[np.float64], times: pd.DatetimeIndex, sun: pd.DataFrame, settings: PvSettings
+) -> NDArray[np.float64]:
+    if settings.tilt_deg == 0.0:
+        return ghi_wm2
+    day = np.asarray(times.tz_convert("UTC").day_of_year)[:, None]
+    part = irradiance.erbs(ghi_wm2, sun["zenith"].to_numpy()[:, None], day)
+    total = irradiance.get_total_irradiance(
+        settings.tilt_deg,
+        settings.azimuth_deg,
+        sun["apparent_zenith"].to_numpy()[:, None],
+        sun["azimuth"].to_numpy()[:, None],
+        dni=part["dni"],
+        ghi=ghi_wm2,
+        dhi=part["dhi"],
+        dni_extra=irradiance.get_extra_radiation(day),
+        albedo=settings.albedo,
+        model="haydavies",
+    )
+    return np.asarray(total["poa_global"], dtype=np.float64)
+
+
+def _inverter_ac_kw(
+    poa_wm2: NDArray[np.float64], rating_kw: NDArray[np.float64], settings: PvSettings
+) -> NDArray[np.float64]:
+    cell_c = temperature.sapm_cell(poa_wm2, settings.temp_air_c, settings.wind_speed_ms, **_SAPM)
+    dc_rating_kw = rating_kw * settings.dc_ac_ratio
+    dc_kw = pvsystem.pvwatts_dc(poa_wm2, cell_c, dc_rating_kw, settings.gamma_pdc_per_c)
+    # The AC rating of pvlib's inverter is its DC limit times its nominal efficiency.
+    dc_limit_kw = rating_kw / settings.inverter_efficiency
+    ac_kw = inverter.pvwatts(dc_kw, dc_limit_kw, eta_inv_nom=settings.inverter_efficiency)
+    return np.clip(np.asarray(ac_kw, dtype=np.float64), 0.0, rating_kw)
+
+
+def _check_night_is_dark(
+    ghi_wm2: NDArray[np.float64], times: pd.DatetimeIndex, sun: pd.DataFrame
+) -> None:
+    zenith_deg = sun["zenith"].to_numpy()
+    row_max_wm2 = ghi_wm2.max(axis=1)
+    bad = np.flatnonzero((zenith_deg > _TWILIGHT_ZENITH_DEG) & (row_max_wm2 > _TWILIGHT_MAX_WM2))
+    if bad.size:
+        row = bad[0]
+        raise InputError(
+            f"irradiance: {row_max_wm2[row]:.1f} W/m2 at {times[row].isoformat()}, when the sun is"
+            f" {zenith_deg[row] - 90.0:.1f} degrees below the horizon of the plant; accepted: time"
+            " stamps whose offset from UTC is right, and the coordinates of the sensors"
+        )
+
+
+def _check_shapes(
+    ghi_wm2: NDArray[np.float64],
+    times: pd.DatetimeIndex,
+    lat_deg: NDArray[np.float64],
+    lon_deg: NDArray[np.float64],
+    rating_kw: NDArray[np.float64],
+) -> None:
+    count = len(rating_kw)
+    if ghi_wm2.shape != (len(times), count) or not len(lat_deg) == len(lon_deg) == count:
+        raise ValueError(
+            f"irradiance of shape {ghi_wm2.shape} does not fit {len(times)} time stamps,"
+            f" {len(lat_deg)} latitudes, {len(lon_deg)} longitudes and {count} ratings"
+        )
+    if not np.isfinite(ghi_wm2).all():
+        raise ValueError("an irradiance is not finite")
+    if not (rating_kw > 0.0).all():
+        raise ValueError("a rating is not above 0 kW")

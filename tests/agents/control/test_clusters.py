@@ -1,0 +1,159 @@
+"""Clusters whose members fluctuate least alike."""
+
+import time
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from agents.control.clusters import (
+    choose_clusters,
+    geographic_clusters,
+    within_cluster_correlation,
+)
+
+
+def random_correlation(count: int, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    common = rng.standard_normal((300, 3)) @ rng.standard_normal((3, count))
+    return np.asarray(np.corrcoef((common + rng.standard_normal((300, count))).T))
+
+
+def cost(correlation: np.ndarray, clusters: Sequence[Sequence[int]]) -> float:
+    return float(sum(correlation[i, j] for c in clusters for i, j in combinations(c, 2)))
+
+
+def least_cost_by_enumeration(correlation: np.ndarray, size: int) -> float:
+    everyone = set(range(len(correlation)))
+    return min(
+        cost(correlation, [first, sorted(everyone - set(first))])
+        for first in combinations(sorted(everyone), size)
+    )
+
+
+def test_twins_are_parted() -> None:
+    # Inverters 0 and 1 see the same clouds, so do 2 and 3.
+    correlation = np.array(
+        [[1.0, 0.9, 0.1, 0.1], [0.9, 1.0, 0.1, 0.1], [0.1, 0.1, 1.0, 0.9], [0.1, 0.1, 0.9, 1.0]]
+    )
+    clusters = choose_clusters(correlation, (2, 2))
+    assert clusters in {((0, 2), (1, 3)), ((0, 3), (1, 2))}
+    assert within_cluster_correlation(correlation, clusters) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("size", [3, 5])
+def test_the_best_of_all_partitions_is_found(seed: int, size: int) -> None:
+    correlation = random_correlation(10, seed)
+    found = cost(correlation, choose_clusters(correlation, (size, 10 - size)))
+    assert found == pytest.approx(least_cost_by_enumeration(correlation, size), abs=1e-12)
+
+
+@given(
+    sizes=st.lists(st.integers(1, 5), min_size=1, max_size=5),
+    seed=st.integers(0, 1000),
+)
+@settings(max_examples=40, deadline=None)
+def test_every_inverter_is_in_one_cluster_of_the_size_asked_for(
+    sizes: list[int], seed: int
+) -> None:
+    clusters = choose_clusters(np.atleast_2d(random_correlation(sum(sizes), seed)), sizes)
+    assert [len(c) for c in clusters] == sizes
+    assert sorted(i for c in clusters for i in c) == list(range(sum(sizes)))
+    assert all(list(c) == sorted(c) for c in clusters)
+
+
+def test_clusters_of_one_size_are_in_the_order_of_their_first_members() -> None:
+    clusters = choose_clusters(random_correlation(17, 1), (6, 5, 6))
+    assert [len(c) for c in clusters] == [6, 5, 6]
+    assert clusters[0][0] < clusters[2][0]
+
+
+def test_no_swap_of_two_members_lowers_the_cost() -> None:
+    correlation = random_correlation(17, 2)
+    clusters = choose_clusters(correlation, (6, 6, 5))
+    least = cost(correlation, clusters)
+    for a, b in combinations(range(3), 2):
+        for i in clusters[a]:
+            for j in clusters[b]:
+                swapped = [list(c) for c in clusters]
+                swapped[a][swapped[a].index(i)] = j
+                swapped[b][swapped[b].index(j)] = i
+                assert cost(correlation, swapped) >= least - 1e-9
+
+
+def test_the_same_arguments_give_the_same_clusters() -> None:
+    correlation = random_correlation(30, 3)
+    assert choose_clusters(correlation, (10, 10, 10), seed=7) == choose_clusters(
+        correlation, (10, 10, 10), seed=7
+    )
+
+
+def test_equal_correlations_come_to_an_end() -> None:
+    assert choose_clusters(np.ones((6, 6)), (3, 3))[0][0] == 0
+
+
+def test_the_diagonal_is_not_used_and_the_argument_not_changed() -> None:
+    correlation = random_correlation(8, 1)
+    other = correlation.copy()
+    np.fill_diagonal(other, 55.0)
+    before = other.copy()
+    assert choose_clusters(correlation, (4, 4)) == choose_clusters(other, (4, 4))
+    assert np.array_equal(other, before)
+
+
+def test_sixty_inverters_take_less_than_half_a_second() -> None:
+    correlation = random_correlation(60, 1)
+    best = min(_seconds(correlation) for _ in range(3))
+    assert best < 0.5
+
+
+def _seconds(correlation: np.ndarray) -> float:
+    begin = time.perf_counter()
+    choose_clusters(correlation, (10,) * 6)
+    return time.perf_counter() - begin
+
+
+def test_geographic_clusters_are_the_three_villages() -> None:
+    x_m = np.array([0.0, 5000.0, 10.0, 5010.0, 20.0, 0.0, 5000.0, 10.0])
+    y_m = np.array([0.0, 0.0, 10.0, 10.0, 0.0, 4000.0, 20.0, 4010.0])
+    assert geographic_clusters(x_m, y_m, (3, 3, 2)) == ((0, 2, 4), (1, 3, 6), (5, 7))
+
+
+def test_geographic_clusters_of_sensors_at_one_place_are_still_a_partition() -> None:
+    clusters = geographic_clusters(np.zeros(4), np.zeros(4), (2, 2))
+    assert sorted(i for c in clusters for i in c) == [0, 1, 2, 3]
+
+
+def test_mean_correlation_counts_each_pair_once() -> None:
+    correlation = np.array([[1.0, 0.2, 0.4], [0.2, 1.0, 0.9], [0.4, 0.9, 1.0]])
+    assert within_cluster_correlation(correlation, [(0, 1, 2)]) == pytest.approx(0.5)
+    assert within_cluster_correlation(correlation, [(0, 2), (1,)]) == pytest.approx(0.4)
+    assert np.isnan(within_cluster_correlation(correlation, [(0,), (1,), (2,)]))
+
+
+@pytest.mark.parametrize(
+    ("correlation", "sizes", "restarts", "message"),
+    [
+        (np.ones((2, 3)), (2,), 1, r"must be square, not of shape \(2, 3\)"),
+        (np.array([[1.0, 0.2], [0.3, 1.0]]), (2,), 1, "must be finite and symmetric"),
+        (np.full((2, 2), np.nan), (2,), 1, "must be finite and symmetric"),
+        (np.eye(4), (2, 1), 1, r"cluster sizes \(2, 1\) are given for 4 inverters"),
+        (np.eye(4), (4, 0), 1, "accepted: sizes of at least 1 that add up to 4"),
+        (np.eye(4), (2, 2), 0, "at least one restart is needed, not 0"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(
+    correlation: np.ndarray, sizes: tuple[int, ...], restarts: int, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        choose_clusters(correlation, sizes, restarts=restarts)
+
+
+@pytest.mark.parametrize("y_m", [np.zeros(3), np.array([0.0, np.nan])])
+def test_positions_that_do_not_fit_are_refused(y_m: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="two finite series of one length"):
+        geographic_clusters(np.zeros(2), y_m, (1, 1))

@@ -1,0 +1,153 @@
+"""From irradiance to AC power."""
+
+import msgspec
+import numpy as np
+import pandas as pd
+import pytest
+from pvlib import modelchain
+from pvlib.location import Location
+from pvlib.pvsystem import Array, FixedMount, PVSystem
+from pvlib.temperature import TEMPERATURE_MODEL_PARAMETERS
+
+from bus_schemas.errors import InputError
+from sim_plant.pv import PvSettings, ac_power_kw
+
+LAT_DEG = np.array([21.31, 21.312])
+LON_DEG = np.array([-158.08, -158.085])
+RATING_KW = np.array([400.0, 500.0])
+DAY = pd.date_range("2010-04-01 10:00", periods=24 * 60, freq="60s", tz="UTC")
+
+
+def bell_wm2(peak_wm2: float) -> np.ndarray:
+    """Irradiance of a made-up day at the site: light from 16:30 to 04:30 UTC."""
+    hours = np.asarray((DAY - pd.Timestamp("2010-04-01 16:30", tz="UTC")).total_seconds()) / 3600
+    one = peak_wm2 * np.clip(np.sin(np.pi * hours / 12.0), 0.0, None)
+    return np.column_stack([one, 0.5 * one])
+
+
+def power_kw(ghi_wm2: np.ndarray, settings: PvSettings) -> np.ndarray:
+    return ac_power_kw(ghi_wm2, DAY, LAT_DEG, LON_DEG, RATING_KW, settings)
+
+
+def test_a_flat_array_by_hand() -> None:
+    # 1000 W/m2 at 20 degrees and no wind: Sandia's cell is at 20 + 1000 exp(-3.56) + 3 = 51.44
+    # degrees, 26.44 above reference, so DC is 1 - 0.0035 * 26.44 of its rating.
+    noon = pd.DatetimeIndex(["2010-04-01 22:30"], tz="UTC")
+    found = ac_power_kw(
+        np.array([[1000.0, 500.0]]), noon, LAT_DEG, LON_DEG, np.array([100.0, 100.0]), PvSettings()
+    )
+    dc_kw = 100.0 * (1.0 - 0.0035 * (20.0 + 1000.0 * np.exp(-3.56) + 3.0 - 25.0))
+    load = dc_kw / (100.0 / 0.96)
+    efficiency = 0.96 / 0.9637 * (-0.0162 * load - 0.0059 / load + 0.9858)
+    assert found[0, 0] == pytest.approx(efficiency * dc_kw, rel=1e-12)
+    assert found[0, 0] == pytest.approx(87.23, abs=0.005)
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 25.0])
+def test_the_chain_is_that_of_pvlibs_model_chain_with_the_weather_left_in_its_defaults(
+    tilt_deg: float,
+) -> None:
+    ghi_wm2 = bell_wm2(1000.0)
+    settings = PvSettings(tilt_deg=tilt_deg, dc_ac_ratio=1.1)
+    site = Location(float(LAT_DEG.mean()), float(LON_DEG.mean()))
+    array = Array(
+        FixedMount(tilt_deg, 180.0),
+        module_parameters={"pdc0": 1.1 * 400.0, "gamma_pdc": -0.0035},
+        temperature_model_parameters=TEMPERATURE_MODEL_PARAMETERS["sapm"][
+            "open_rack_glass_polymer"
+        ],
+    )
+    system = PVSystem([array], inverter_parameters={"pdc0": 400.0 / 0.96, "eta_inv_nom": 0.96})
+    chain = modelchain.ModelChain(
+        system, site, aoi_model="no_loss", spectral_model="no_loss", losses_model="no_loss"
+    )
+    sun = site.get_solarposition(DAY)
+    sky = modelchain.pvlib.irradiance.erbs(ghi_wm2[:, 0], sun["zenith"], DAY)
+    weather = pd.DataFrame({"ghi": ghi_wm2[:, 0], "dni": sky["dni"], "dhi": sky["dhi"]}, index=DAY)
+    chain.run_model(weather)
+    # The chain lifts the sun by refraction after GHI is split, which lets the beam on a flat array
+    # differ a little from the GHI it came from when the sun is low.
+    high = (sun["zenith"] < 80.0).to_numpy()
+    expected_kw = chain.results.ac.to_numpy()[high]
+    np.testing.assert_allclose(power_kw(ghi_wm2, settings)[high, 0], expected_kw, rtol=1e-2)
+
+
+def test_power_is_between_zero_and_the_rating() -> None:
+    found = power_kw(bell_wm2(1400.0), PvSettings(tilt_deg=30.0, dc_ac_ratio=1.5))
+    assert np.isfinite(found).all()
+    assert found.min() == 0.0
+    assert (found <= RATING_KW).all()
+    assert found[:, 0].max() == 400.0
+
+
+def test_power_scales_with_the_rating() -> None:
+    same_wm2 = np.repeat(bell_wm2(900.0)[:, :1], 2, axis=1)
+    found = power_kw(same_wm2, PvSettings())
+    np.testing.assert_allclose(found[:, 1], found[:, 0] * 500.0 / 400.0, rtol=1e-12, atol=1e-12)
+
+
+def test_no_power_while_the_sun_is_below_the_horizon() -> None:
+    stray_light_wm2 = np.full((len(DAY), 2), 40.0)
+    found = power_kw(stray_light_wm2, PvSettings())
+    sun = Location(float(LAT_DEG.mean()), float(LON_DEG.mean())).get_solarposition(DAY)
+    up = (sun["apparent_zenith"] < 90.0).to_numpy()
+    assert (found[~up] == 0.0).all()
+    assert (found[up] > 0.0).all()
+
+
+def test_a_tilted_array_faces_the_sun_when_it_is_told_to() -> None:
+    morning = slice(8 * 60, 9 * 60)
+    east = power_kw(bell_wm2(800.0), PvSettings(tilt_deg=30.0, azimuth_deg=90.0))[morning]
+    west = power_kw(bell_wm2(800.0), PvSettings(tilt_deg=30.0, azimuth_deg=270.0))[morning]
+    assert (east > west).all()
+
+
+def test_heat_costs_power_and_wind_gives_it_back() -> None:
+    noon = slice(12 * 60, 13 * 60)
+    mild = power_kw(bell_wm2(900.0), PvSettings())[noon]
+    hot = power_kw(bell_wm2(900.0), PvSettings(temp_air_c=40.0))[noon]
+    windy = power_kw(bell_wm2(900.0), PvSettings(temp_air_c=40.0, wind_speed_ms=8.0))[noon]
+    assert (hot < windy).all()
+    assert (windy < mild).all()
+
+
+def test_daylight_at_midnight_is_refused() -> None:
+    ghi_wm2 = np.zeros((len(DAY), 2))
+    ghi_wm2[0, 1] = 700.0
+    with pytest.raises(InputError) as caught:
+        power_kw(ghi_wm2, PvSettings())
+    assert str(caught.value) == (
+        "irradiance: 700.0 W/m2 at 2010-04-01T10:00:00+00:00, when the sun is 62.6 degrees below"
+        " the horizon of the plant; accepted: time stamps whose offset from UTC is right, and the"
+        " coordinates of the sensors"
+    )
+
+
+@pytest.mark.parametrize(
+    ("ghi_wm2", "rating_kw", "message"),
+    [
+        (np.zeros((3, 2)), RATING_KW, r"shape \(3, 2\) does not fit 1440 time stamps"),
+        (np.zeros((len(DAY), 3)), np.ones(3), "2 latitudes, 2 longitudes and 3 ratings"),
+        (np.full((len(DAY), 2), np.nan), RATING_KW, "an irradiance is not finite"),
+        (np.zeros((len(DAY), 2)), np.array([1.0, 0.0]), "a rating is not above 0 kW"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(
+    ghi_wm2: np.ndarray, rating_kw: np.ndarray, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        ac_power_kw(ghi_wm2, DAY, LAT_DEG, LON_DEG, rating_kw, PvSettings())
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("tilt_deg", -1.0), ("tilt_deg", float("nan")), ("albedo", 1.5), ("dc_ac_ratio", 0.0)],
+)
+def test_settings_out_of_range_are_refused(field: str, value: float) -> None:
+    with pytest.raises(msgspec.ValidationError, match=rf"at `\$\.{field}`"):
+        msgspec.convert({field: value}, PvSettings)
+
+
+def test_an_unknown_setting_is_refused() -> None:
+    with pytest.raises(msgspec.ValidationError, match="unknown field `tilt`"):
+        msgspec.convert({"tilt": 20.0}, PvSettings)
