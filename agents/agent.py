@@ -8,10 +8,11 @@ give the same outputs, to the last bit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 from typing import Protocol, TypeVar, cast
+
+import msgspec
 
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Request, Setpoint, Stamp
@@ -21,7 +22,7 @@ M = TypeVar("M", bound=Message)
 S = TypeVar("S")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Stage:
     """A part of a cycle that an agent does in one go.
 
@@ -44,8 +45,7 @@ class Stage:
     timed: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Turn:
+class Turn(msgspec.Struct, frozen=True, gc=False):
     """What an agent sees when a stage closes, and all it sees.
 
     Attributes
@@ -64,11 +64,11 @@ class Turn:
     cycle: int
     sim_time_ns: int
     stamp: Stamp
-    inputs: Mapping[Port[Message], Message]
+    inputs: dict[Port[Message], Message]
 
     def get(self, port: Port[M]) -> M | None:
         """Return the message of a port, None if it was silent."""
-        return cast(M | None, self.inputs.get(port))
+        return cast("M | None", self.inputs.get(port))
 
 
 class Agent(Protocol[S]):

@@ -7,8 +7,10 @@ solve    impp, residual, help of children   -> the plant's own impp, residual, h
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from math import isfinite
+
+import msgspec
+from msgspec.structs import replace
 
 from agents.agent import Stage, Turn
 from agents.family import Family, Report
@@ -19,8 +21,7 @@ from bus_schemas.signals import DISPATCH, NOTICE, Port
 from bus_schemas.tree import CENTRAL, ROOT
 
 
-@dataclass(frozen=True, slots=True)
-class CentralState:
+class CentralState(msgspec.Struct, frozen=True, gc=False):
     """The last dispatch that could be used [kW], how many could not, the children's reports."""
 
     dispatch_kw: float

@@ -6,7 +6,7 @@ actuate   setpoint           -> command (alpha)
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import msgspec
 
 from agents.agent import Stage, Turn, parents_word_kw
 from agents.control.curtailment import curtailment_level
@@ -28,8 +28,7 @@ from bus_schemas.signals import (
 from bus_schemas.tree import parent_of
 
 
-@dataclass(frozen=True, slots=True)
-class DirectState:
+class DirectState(msgspec.Struct, frozen=True, gc=False):
     """What a direct controller remembers: its estimate, and its parent's last words [kW].
 
     Before the first setpoint there is nothing to hold back: it is the rating.
@@ -113,11 +112,11 @@ class DirectController:
         ]
         if residual < 0.0:
             outputs.append((self._help, Help(*turn.stamp, missing_kw=-residual)))
-        return replace(state, impp=impp, request_kw=request_kw), outputs
+        return DirectState(impp, request_kw, state.setpoint_kw), outputs
 
     def _actuate(self, state: DirectState, turn: Turn) -> tuple[DirectState, list[Delivery]]:
         setpoint_kw = parents_word_kw(turn.get(self._setpoint), state.setpoint_kw)
         impp_kw = state.impp.power_kw
         alpha = curtailment_level(setpoint_kw, impp_kw, self.alpha_min)
         command = Command(*turn.stamp, alpha=alpha, power_kw=alpha * impp_kw)
-        return replace(state, setpoint_kw=setpoint_kw), [(self._command, command)]
+        return DirectState(state.impp, state.request_kw, setpoint_kw), [(self._command, command)]

@@ -10,6 +10,8 @@ from bisect import bisect_right
 from dataclasses import dataclass
 from math import fsum, isfinite
 
+import msgspec
+
 from agents.agent import Turn
 from agents.control.allocation import Allocation, allocate
 from agents.control.neighbours import HelpOrder, help_order
@@ -27,8 +29,7 @@ from bus_schemas.messages import (
 from bus_schemas.signals import HELP, IMPP, REQUEST, RESIDUAL, SETPOINT, Port
 
 
-@dataclass(frozen=True, slots=True)
-class Report:
+class Report(msgspec.Struct, frozen=True, gc=False):
     """What a child last said of itself, and for how many cycles it has been silent since."""
 
     impp_kw: float

@@ -173,15 +173,14 @@ class Sequencer(Generic[S]):
         return [] if self._waiting else self._close_complete_stages()
 
     def _is_of_use(self, port: Port[Message]) -> bool:
-        return any(
-            port in stage.awaits or port in stage.on_need for stage in self._stages[self._place :]
-        )
+        for stage in self._stages[self._place :]:
+            if port in stage.awaits or port in stage.on_need:
+                return True
+        return False
 
     def _open_stage(self) -> None:
         if self._place < len(self._stages):
-            self._waiting = {
-                port for port in self._stages[self._place].awaits if port not in self._inputs
-            }
+            self._waiting = set(self._stages[self._place].awaits.difference(self._inputs))
 
     def _close_complete_stages(self) -> list[Delivery]:
         """Step the agent through the stages that have all they await, up to one that has not."""

@@ -7,7 +7,8 @@ solve    setpoint from its parent           -> setpoint to each child
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import msgspec
+from msgspec.structs import replace
 
 from agents.agent import Stage, Turn, parents_word_kw
 from agents.family import Family, Report
@@ -18,8 +19,7 @@ from bus_schemas.signals import REQUEST, SETPOINT, Port
 from bus_schemas.tree import parent_of
 
 
-@dataclass(frozen=True, slots=True)
-class SupervisorState:
+class SupervisorState(msgspec.Struct, frozen=True, gc=False):
     """Its parent's last words [kW] and its children's last reports."""
 
     request_kw: float

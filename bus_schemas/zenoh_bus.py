@@ -139,7 +139,7 @@ class ZenohBus:
         self.outbox = Outbox()
         self.undecodable = 0
         self.unknown = 0
-        self.publishing: str = ""
+        self.publishing: Port[Message] | None = None
         self._keys = keys
         self._on_drop = on_drop
         self._inbox = Inbox()
@@ -176,9 +176,9 @@ class ZenohBus:
     def publish(self, port: Port[Message], message: Message) -> None:
         """Send a message. In lockstep this waits for a listener who has fallen behind."""
         payload = encode(self.outbox.stamp(port, message))
-        self.publishing = str(port)
+        self.publishing = port
         self._publishers[port].put(payload)
-        self.publishing = ""
+        self.publishing = None
 
     def receive(self, wanted: int, timeout_s: float | None) -> list[Delivery]:
         """Return what has arrived, see `Bus.receive`."""

@@ -12,7 +12,7 @@ import time
 from typing import Final, TypeVar
 
 from agents.lifeline import Armed
-from agents.runtime import Runtime, StallWatch
+from agents.runtime import Runtime, StallWatch, spare_the_collector
 from bus_schemas.messages import Message, Run
 from bus_schemas.signals import READY, RUN
 from bus_schemas.tree import PLANT, RECORDER, ROOT
@@ -71,11 +71,13 @@ class Conductor:
         rounds = self._arm(give_up_at)
         sequencer = self._runtime.sequencer
         sequencer.end_before(self._runtime.plan.cycles)
-        start_time_ns = time.monotonic_ns() + round(_LEAD_S * 1e9)
+        lead_s = 0.0 if self._runtime.plan.lockstep else _LEAD_S
+        start_time_ns = time.monotonic_ns() + round(lead_s * 1e9)
         self._say("start", 0, start_time_ns)
         self._runtime.lifeline.tell(Armed(rounds))
         log.info("armed after %d rounds", rounds)
         watch = StallWatch(self._runtime)
+        spare_the_collector()
         self._runtime.begin(start_time_ns)
         while not sequencer.finished:
             self._runtime.turn()

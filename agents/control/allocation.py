@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import fsum
+from typing import NamedTuple
 
 from agents.control.neighbours import HelpOrder
 from agents.control.request import split_by_capacity
 
 
-@dataclass(frozen=True, slots=True)
-class HelpLine:
+class HelpLine(NamedTuple):
     """`donor` gives `power_kw` more than its share because `needy` lacks it. Both are positions."""
 
     donor: int
@@ -19,8 +18,7 @@ class HelpLine:
     power_kw: float
 
 
-@dataclass(frozen=True, slots=True)
-class Allocation:
+class Allocation(NamedTuple):
     """A node's target, divided among its children.
 
     Attributes

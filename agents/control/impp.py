@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import isfinite
+from typing import NamedTuple
 
 
-@dataclass(frozen=True, slots=True)
-class ImppEstimate:
+class ImppEstimate(NamedTuple):
     """An inverter's estimated maximum power [kW], and how many cycles ago it was measured."""
 
     power_kw: float
