@@ -22,6 +22,9 @@ from recordings.metrics import commitment_metrics
 _GATHER_S: Final = 0.5
 """After the first word of a stall: time for the others to say what they wait for."""
 
+_HEARTBEAT_S: Final = 2.0
+"""The recorder tells where the run stands a few times a second: silence for this long is a fault."""
+
 _PATIENCE_S: Final = 5.0
 """How long processes may take to end once the run is over."""
 
@@ -70,6 +73,7 @@ class Launch:
         """Show the run until the plant says that it is over."""
         stalled_at: float | None = None
         asked_at: float | None = None
+        heard_at: float | None = None
         while children[PLANT].finished is None:
             for _, event in children.events(0.1):
                 match event:
@@ -79,10 +83,15 @@ class Launch:
                         view.say(f"armed: cycle 0 began {startup_s:.1f} s after the start")
                     case Status():
                         view.show(event)
+                        heard_at = time.monotonic()
                     case Waiting():
                         stalled_at = stalled_at or time.monotonic()
             if stalled_at is not None and time.monotonic() > stalled_at + _GATHER_S:
                 raise RunFailure(explain_stall(children))
+            if heard_at is not None and time.monotonic() > heard_at + _HEARTBEAT_S:
+                raise RunFailure(f"recorder has not been heard of for {_HEARTBEAT_S:g} s")
+            if self._interruption and self._rounds == 0:
+                raise KeyboardInterrupt  # There is no cycle yet that could be completed.
             if self._interruption and asked_at is None:
                 view.say("interrupted: ending after this cycle")
                 children[PLANT].tell("stop")

@@ -26,7 +26,7 @@ _LOG_LINES: Final = 5
 _decoder = msgspec.json.Decoder(AnyEvent)
 
 
-class RunFailure(Exception):
+class RunFailure(Exception):  # noqa: N818 - what failed is the run, not the program
     """A run that could not go on. The text names the process, who waited for what, and its log."""
 
 
@@ -255,6 +255,7 @@ def _end_recorder(recorder: Child) -> None:
     if recorder.process.stdin is not None:
         with suppress(BrokenPipeError):
             recorder.process.stdin.close()
+        recorder.process.stdin = None
     try:
         # It drains what is still on its way and writes its index.
         recorder.process.communicate(timeout=2.0)

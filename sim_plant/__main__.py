@@ -6,6 +6,7 @@ import argparse
 import logging
 import signal
 import sys
+import threading
 from pathlib import Path
 
 from agents.lifeline import Failed, Lifeline, Ready, die_with_parent
@@ -42,21 +43,15 @@ def main() -> int:
 def run_plant(plan: RunPlan, profile: Profile, attached: bool) -> int:
     """Join the bus and conduct the run. Returns the exit status."""
     drop_log = DropLog()
-    conductors: list[Conductor] = []
-
-    def hear(word: str) -> None:
-        if word == "stop":
-            for conductor in conductors:
-                conductor.ask_stop()
-
-    lifeline = Lifeline(attached, on_word=hear)
+    stop_asked = threading.Event()
+    # The launcher knows one word for the plant: stop.
+    lifeline = Lifeline(attached, on_word=lambda word: stop_asked.set())
     plant = Plant(plan.tree, profile)
     try:
         with open_bus(plan, plant.name, drop_log) as bus:
             runtime: Runtime[PlantState] = Runtime(plant, plan, bus, lifeline, drop_log)
-            conductors.append(Conductor(runtime))
             lifeline.tell(Ready())
-            conductors[0].conduct()
+            Conductor(runtime, stop_asked).conduct()
     except ArmingError as error:
         lifeline.tell(Failed(str(error)))
         return 1

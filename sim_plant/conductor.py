@@ -8,6 +8,7 @@ a whole cycle with a number below 0, has come back to the plant and past the rec
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from typing import Final, TypeVar
 
@@ -42,21 +43,21 @@ class Conductor:
     ----------
     runtime
         The plant's.
+    stop_asked
+        Set, from any thread, to end the run after the cycle under way.
     patience_s
         How long to wait for everybody before giving up.
     """
 
-    def __init__(self, runtime: Runtime[S], patience_s: float = 30.0) -> None:
+    def __init__(
+        self, runtime: Runtime[S], stop_asked: threading.Event, patience_s: float = 30.0
+    ) -> None:
         self._runtime = runtime
+        self._stop_asked = stop_asked
         self._patience_s = patience_s
         self._round_recorded = FIRST_ROUND - 1
-        self._stop_asked = False
         self._run_port = RUN.of(ROOT)
         runtime.listen(READY.of(ROOT), self._hear_recorder)
-
-    def ask_stop(self) -> None:
-        """Let the run end after the cycle under way. May be called from another thread."""
-        self._stop_asked = True
 
     def conduct(self) -> None:
         """Arm, start, run, stop.
@@ -80,9 +81,9 @@ class Conductor:
         spare_the_collector()
         self._runtime.begin(start_time_ns)
         while not sequencer.finished:
-            self._runtime.turn()
-            if self._stop_asked and sequencer.end_cycle != sequencer.cycle + 1:
+            if self._stop_asked.is_set() and sequencer.end_cycle == self._runtime.plan.cycles:
                 sequencer.end_before(sequencer.cycle + 1)
+            self._runtime.turn()
         watch.stop()
         self._say("stop", sequencer.cycle, start_time_ns)
         self._runtime.report()

@@ -1,0 +1,91 @@
+"""Step 4: a target is divided among children, and those that lack power are helped."""
+
+import pytest
+
+from agents.control.allocation import Allocation, HelpLine, allocate
+
+FOUR = (100.0, 100.0, 100.0, 100.0)
+IN_ORDER = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
+
+
+def test_children_that_can_meet_their_share_give_just_that() -> None:
+    # 200 kW / 4 = 50 kW each.
+    assert allocate(200.0, FOUR, (60.0, 70.0, 80.0, 90.0), IN_ORDER) == Allocation(
+        power_kw=(50.0, 50.0, 50.0, 50.0),
+        share_kw=(50.0, 50.0, 50.0, 50.0),
+        help_lines=(),
+        shortfall_kw=0.0,
+    )
+
+
+def test_the_first_in_the_order_helps_alone_if_it_can() -> None:
+    # Child 0 has 30 of its 50 kW: 20 kW are missing. Child 2 has 90 - 50 = 40 kW to spare.
+    order = ((2, 3, 1), *IN_ORDER[1:])
+    found = allocate(200.0, FOUR, (30.0, 90.0, 90.0, 90.0), order)
+    assert found.power_kw == (30.0, 50.0, 70.0, 50.0)
+    assert found.help_lines == (HelpLine(donor=2, needy=0, power_kw=20.0),)
+    assert found.shortfall_kw == 0.0
+
+
+def test_the_next_is_asked_once_the_first_is_exhausted() -> None:
+    # 50 kW are missing: 15 from child 3 (65 - 50), 30 from child 1 (80 - 50), 5 from child 2.
+    order = ((3, 1, 2), *IN_ORDER[1:])
+    found = allocate(200.0, FOUR, (0.0, 80.0, 90.0, 65.0), order)
+    assert found.help_lines == (HelpLine(3, 0, 15.0), HelpLine(1, 0, 30.0), HelpLine(2, 0, 5.0))
+    assert found.power_kw == (0.0, 80.0, 55.0, 65.0)
+
+
+def test_two_in_need_are_served_in_the_order_of_the_children() -> None:
+    # Both lack 20 kW. Child 2 has 30 kW to spare: 20 for child 0, 10 for child 1, whose other
+    # 10 kW come from child 3.
+    found = allocate(200.0, FOUR, (30.0, 30.0, 80.0, 90.0), IN_ORDER)
+    assert found.help_lines == (HelpLine(2, 0, 20.0), HelpLine(2, 1, 10.0), HelpLine(3, 1, 10.0))
+    assert found.power_kw == (30.0, 30.0, 80.0, 60.0)
+
+
+def test_one_in_need_itself_is_no_donor() -> None:
+    # Child 1 comes first in the order of child 0, but has less than its own share.
+    found = allocate(200.0, FOUR, (40.0, 45.0, 90.0, 90.0), IN_ORDER)
+    assert found.help_lines == (HelpLine(2, 0, 10.0), HelpLine(2, 1, 5.0))
+    assert found.power_kw == (40.0, 45.0, 65.0, 50.0)
+
+
+def test_a_target_beyond_reach_takes_all_and_names_the_shortfall() -> None:
+    # 200 kW wanted, 10 + 60 + 20 + 70 = 160 kW there.
+    found = allocate(200.0, FOUR, (10.0, 60.0, 20.0, 70.0), IN_ORDER)
+    assert found.power_kw == (10.0, 60.0, 20.0, 70.0)
+    assert found.shortfall_kw == 40.0
+    # Child 0 lacks 40 and gets the 10 of child 1 and the 20 of child 3; child 2 comes too late.
+    assert found.help_lines == (HelpLine(1, 0, 10.0), HelpLine(3, 0, 20.0))
+
+
+def test_a_target_of_exactly_all_there_is_leaves_no_shortfall() -> None:
+    found = allocate(200.0, FOUR, (20.0, 80.0, 30.0, 70.0), IN_ORDER)
+    assert found.power_kw == (20.0, 80.0, 30.0, 70.0)
+    assert found.shortfall_kw == 0.0
+
+
+def test_a_target_of_zero_asks_nothing_of_anybody() -> None:
+    found = allocate(0.0, FOUR, (0.0, 50.0, 60.0, 70.0), IN_ORDER)
+    assert found == Allocation((0.0,) * 4, (0.0,) * 4, (), 0.0)
+
+
+def test_a_plant_in_the_dark_gives_nothing() -> None:
+    found = allocate(200.0, FOUR, (0.0,) * 4, IN_ORDER)
+    assert found.power_kw == (0.0,) * 4
+    assert found.shortfall_kw == 200.0
+    assert found.help_lines == ()
+
+
+def test_shares_follow_the_ratings() -> None:
+    # 120 kW over 50 + 100 + 150 = 300 kW: 40 % of each. Child 0 has 5 of its 20 kW; child 2, asked
+    # first, has 64 - 60 = 4 kW, child 1 the other 11.
+    found = allocate(120.0, (50.0, 100.0, 150.0), (5.0, 90.0, 64.0), ((2, 1), (0, 2), (0, 1)))
+    assert found.share_kw == pytest.approx((20.0, 40.0, 60.0))
+    assert found.power_kw == pytest.approx((5.0, 51.0, 64.0))
+    assert [(line.donor, line.needy) for line in found.help_lines] == [(2, 0), (1, 0)]
+    assert [line.power_kw for line in found.help_lines] == pytest.approx([4.0, 11.0])
+
+
+def test_an_only_child_gives_what_it_can() -> None:
+    assert allocate(80.0, (100.0,), (60.0,), ((),)) == Allocation((60.0,), (80.0,), (), 20.0)

@@ -1,0 +1,43 @@
+"""The end of step 4, equation 6: from a setpoint to the curtailment level alpha."""
+
+import pytest
+
+from agents.control.curtailment import curtailment_level
+from agents.control.impp import ImppEstimate, estimate_impp
+
+
+@pytest.mark.parametrize(
+    ("setpoint_kw", "impp_kw", "alpha"),
+    [
+        (30.0, 50.0, 0.6),  # 30 / 50
+        (50.0, 50.0, 1.0),
+        (4.0, 50.0, 0.08),  # 4 / 50, above alpha_min
+    ],
+)
+def test_equation_6_is_setpoint_over_impp(setpoint_kw: float, impp_kw: float, alpha: float) -> None:
+    assert curtailment_level(setpoint_kw, impp_kw, alpha_min=0.05) == alpha
+
+
+@pytest.mark.parametrize("setpoint_kw", [0.0, 1.0, 2.499])
+def test_alpha_stays_at_its_minimum_so_that_the_impp_can_be_measured(setpoint_kw: float) -> None:
+    # 0.05 x 50 kW = 2.5 kW is the least that is commanded.
+    alpha = curtailment_level(setpoint_kw, 50.0, alpha_min=0.05)
+    assert alpha == 0.05
+    assert estimate_impp(alpha * 50.0, alpha, 100.0, ImppEstimate(0.0, 9)) == (50.0, 0)
+
+
+def test_a_setpoint_above_the_impp_lets_the_inverter_free() -> None:
+    assert curtailment_level(80.0, 50.0, alpha_min=0.05) == 1.0
+
+
+@pytest.mark.parametrize("setpoint_kw", [0.0, 10.0])
+def test_an_inverter_without_power_is_let_free(setpoint_kw: float) -> None:
+    assert curtailment_level(setpoint_kw, 0.0, alpha_min=0.05) == 1.0
+
+
+def test_a_minimum_of_one_never_curtails() -> None:
+    assert curtailment_level(10.0, 50.0, alpha_min=1.0) == 1.0
+
+
+def test_the_faintest_light_does_not_overflow() -> None:
+    assert curtailment_level(10.0, 5e-324, alpha_min=0.05) == 1.0

@@ -1,0 +1,184 @@
+"""What holds at every node of any control tree, in every cycle, under any sky and any operator."""
+
+from __future__ import annotations
+
+from math import fsum, inf, isfinite, nan
+from typing import NamedTuple
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plants_by_hand import Heard, hear, plan_of
+
+from agents.family import Neighbourhood
+from agents.plan import NodeNeighbourhoods, RunPlan
+from bus_schemas.signals import DISPATCH, HELP, IMPP, NOTICE, REQUEST, RESIDUAL, SETPOINT
+from bus_schemas.tree import ROOT, ControlTree
+
+TOLERANCE_KW = 1e-6
+
+
+class Weather(NamedTuple):
+    """A plant, and what sun and operator do to it in each cycle."""
+
+    plan: RunPlan
+    mpp_kw: list[list[float]]
+    dispatch_kw: list[float]
+
+    def hear(self) -> Heard:
+        return hear(self.plan, self.mpp_kw, self.dispatch_kw)
+
+
+@st.composite
+def ratings(draw: st.DrawFn) -> dict[str, float]:
+    """Inverters at random places below 0 to 4 tiers of clusters, not all at the same depth."""
+    deepest = draw(st.integers(0, 4))
+    places = st.lists(st.integers(1, 3), max_size=deepest)
+    rating = st.one_of(st.just(470.0), st.floats(0.5, 5000.0))
+    inverters = draw(st.lists(st.tuples(places, rating), min_size=1, max_size=30))
+    return {
+        "/".join([*(f"c{place}" for place in clusters), f"inv{number:02}"]): rating_kw
+        for number, (clusters, rating_kw) in enumerate(inverters, start=1)
+    }
+
+
+@st.composite
+def neighbourhoods(draw: st.DrawFn, tree: ControlTree) -> tuple[NodeNeighbourhoods, ...]:
+    """Random correlations at the root, none at the other parents."""
+    count = len(tree.children(ROOT))
+    row = st.lists(st.floats(-1.0, 1.0), min_size=count, max_size=count).map(tuple)
+    rows = tuple(draw(st.lists(row, min_size=count, max_size=count)))
+    return (NodeNeighbourhoods(ROOT, (Neighbourhood(0, rows),)),)
+
+
+@st.composite
+def weathers(draw: st.DrawFn) -> Weather:
+    ratings_kw = draw(ratings())
+    tree = ControlTree(tuple(ratings_kw.items()))
+    cycles = draw(st.integers(1, 3))
+    plant_kw = tree.rating_kw(ROOT)
+    light = st.one_of(st.sampled_from([0.0, 1.0, 1.01, nan]), st.floats(0.0, 1.0))
+    wish = st.one_of(
+        st.floats(0.0, 1.0).map(lambda share: share * plant_kw),
+        st.sampled_from([0.0, plant_kw, -1.0, nan, inf, -inf, 1e12]),
+    )
+    count = len(ratings_kw)
+    lights = draw(
+        st.lists(
+            st.lists(light, min_size=count, max_size=count), min_size=cycles, max_size=cycles
+        )
+    )
+    return Weather(
+        plan_of(ratings_kw, cycles=cycles, neighbourhoods=draw(neighbourhoods(tree))),
+        [
+            [share * rating for share, rating in zip(row, ratings_kw.values(), strict=True)]
+            for row in lights
+        ],
+        draw(st.lists(wish, min_size=cycles, max_size=cycles)),
+    )
+
+
+def usable_kw(wished_kw: float, last_kw: float, rating_kw: float) -> float:
+    """The dispatch that a controller can use."""
+    return min(wished_kw, rating_kw) if isfinite(wished_kw) and wished_kw >= 0.0 else last_kw
+
+
+def targets_kw(weather: Weather, heard: Heard) -> dict[tuple[int, str], float]:
+    """Each parent's target in each cycle: the dispatch for the root, its setpoint for the rest."""
+    tree = weather.plan.tree
+    targets: dict[tuple[int, str], float] = {}
+    last_kw = 0.0
+    for cycle in range(weather.plan.cycles):
+        wished_kw = heard.get(cycle, DISPATCH.of(ROOT)).power_kw
+        last_kw = targets[cycle, ROOT] = usable_kw(wished_kw, last_kw, tree.rating_kw(ROOT))
+        for node in tree.parents[1:]:
+            targets[cycle, node] = heard.get(cycle, SETPOINT.of(node)).power_kw
+    return targets
+
+
+@given(weathers())
+@settings(max_examples=60, deadline=None)
+def test_setpoints_add_up_to_the_target_or_to_all_there_is(weather: Weather) -> None:
+    heard = weather.hear()
+    for (cycle, node), target_kw in targets_kw(weather, heard).items():
+        children = weather.plan.tree.children(node)
+        setpoints_kw = [heard.get(cycle, SETPOINT.of(child)).power_kw for child in children]
+        impp_kw = [heard.get(cycle, IMPP.of(child)).power_kw for child in children]
+        expected_kw = min(target_kw, fsum(impp_kw))
+        assert fsum(setpoints_kw) == pytest.approx(expected_kw, rel=0.0, abs=TOLERANCE_KW)
+        for setpoint_kw, most_kw in zip(setpoints_kw, impp_kw, strict=True):
+            assert 0.0 <= setpoint_kw <= most_kw
+
+
+@given(weathers())
+@settings(max_examples=60, deadline=None)
+def test_what_a_parent_reports_is_the_sum_of_what_its_children_report(weather: Weather) -> None:
+    heard = weather.hear()
+    tree = weather.plan.tree
+    for cycle in range(weather.plan.cycles):
+        for node in tree.parents:
+            impps = [heard.get(cycle, IMPP.of(child)) for child in tree.children(node)]
+            residuals = [heard.get(cycle, RESIDUAL.of(child)) for child in tree.children(node)]
+            own = heard.get(cycle, IMPP.of(node))
+            assert own.power_kw == fsum(impp.power_kw for impp in impps)
+            assert own.stale_cycles == max(impp.stale_cycles for impp in impps)
+            assert heard.get(cycle, RESIDUAL.of(node)).power_kw == fsum(
+                residual.power_kw for residual in residuals
+            )
+
+
+@given(weathers())
+@settings(max_examples=60, deadline=None)
+def test_help_is_called_for_exactly_when_and_as_much_as_power_is_missing(
+    weather: Weather,
+) -> None:
+    heard = weather.hear()
+    for cycle in range(weather.plan.cycles):
+        for node in weather.plan.tree.nodes:
+            residual_kw = heard.get(cycle, RESIDUAL.of(node)).power_kw
+            call = heard.find(cycle, HELP.of(node))
+            assert (call.missing_kw if call else None) == (
+                -residual_kw if residual_kw < 0.0 else None
+            )
+
+
+@given(weathers())
+@settings(max_examples=60, deadline=None)
+def test_what_the_plant_cannot_meet_is_missing_at_the_root(weather: Weather) -> None:
+    heard = weather.hear()
+    for (cycle, node), target_kw in targets_kw(weather, heard).items():
+        if node != ROOT:
+            continue
+        missing_kw = target_kw - heard.get(cycle, IMPP.of(ROOT)).power_kw
+        call = heard.find(cycle, HELP.of(ROOT))
+        called_kw = call.missing_kw if call else 0.0
+        assert called_kw == pytest.approx(max(missing_kw, 0.0), rel=0.0, abs=TOLERANCE_KW)
+
+
+@given(weathers())
+@settings(max_examples=60, deadline=None)
+def test_requests_of_the_children_add_up_to_that_of_their_parent(weather: Weather) -> None:
+    heard = weather.hear()
+    tree = weather.plan.tree
+    targets = targets_kw(weather, heard)
+    for cycle in range(weather.plan.cycles):
+        for node in tree.parents:
+            asked_kw = (
+                heard.get(cycle, REQUEST.of(node)).power_kw if node else targets[cycle, ROOT]
+            )
+            requests_kw = [
+                heard.get(cycle, REQUEST.of(child)).power_kw for child in tree.children(node)
+            ]
+            assert fsum(requests_kw) == pytest.approx(asked_kw, rel=0.0, abs=TOLERANCE_KW)
+
+
+@given(weathers())
+@settings(max_examples=60, deadline=None)
+def test_a_dispatch_that_cannot_be_used_is_noticed_and_no_other(weather: Weather) -> None:
+    heard = weather.hear()
+    refused = 0
+    for cycle, wished_kw in enumerate(weather.dispatch_kw):
+        usable = 0.0 <= wished_kw <= weather.plan.tree.rating_kw(ROOT)
+        notice = heard.find(cycle, NOTICE.of(ROOT))
+        refused += not usable
+        assert (notice.count if notice else None) == (None if usable else refused)
