@@ -118,7 +118,7 @@ class Runtime(Generic[S]):
                 bystander(message)
             else:
                 self.send(self.sequencer.accept(port, message))
-        if self._until_deadline_s() == 0.0:
+        if not self.sequencer.finished and self._until_deadline_s() == 0.0:
             self.send(self.sequencer.close_stage())
 
     def send(self, outputs: list[Delivery]) -> None:

@@ -178,6 +178,10 @@ class Sequencer(Generic[S]):
                 return True
         return False
 
+    @property
+    def _on_the_clock(self) -> bool:
+        return not self._lockstep and self.cycle >= 0
+
     def _open_stage(self) -> None:
         if self._place < len(self._stages):
             self._waiting = set(self._stages[self._place].awaits.difference(self._inputs))
@@ -187,7 +191,7 @@ class Sequencer(Generic[S]):
         outputs: list[Delivery] = []
         while self._place < len(self._stages) and not self._waiting:
             stage = self._stages[self._place]
-            if stage.timed and not self._lockstep and not self._deadline_passed:
+            if stage.timed and self._on_the_clock and not self._deadline_passed:
                 return outputs
             self._deadline_passed = False
             outputs += self._step(stage)

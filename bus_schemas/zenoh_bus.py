@@ -44,7 +44,7 @@ class SessionSettings:
         Whether peers tell each other of peers, and connect to those they hear of.
     lockstep
         In lockstep nothing may be lost: a publisher waits for a listener who falls behind. In real
-        time a message that cannot go out at once is dropped instead, and goes out unbatched.
+        time a message that cannot go out within 20 ms is dropped instead.
     """
 
     namespace: str
@@ -72,6 +72,7 @@ class SessionSettings:
             },
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": self.gossip,
+            "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 20000,
         }
         for key, value in settings.items():
             config.insert_json5(key, json.dumps(value))
@@ -98,8 +99,14 @@ class Inbox:
             self._wanted = _NEVER
             self._open()
 
+    def put_urgent(self, sample: zenoh.Sample) -> None:
+        """Take in a sample that the agent must see at once, whatever else it waits for."""
+        self._items.append(sample)
+        self._wanted = _NEVER
+        self._open()
+
     def take(self, wanted: int, timeout_s: float | None) -> list[zenoh.Sample]:
-        """Return all samples, once `wanted` of them are there or at the time-out."""
+        """Return all samples: once `wanted` of them or an urgent one are there, or at the time-out."""
         if len(self._items) < wanted:
             self._gate.acquire(blocking=False)  # an opening that came after the last waiting
             self._wanted = wanted
@@ -151,13 +158,8 @@ class ZenohBus:
         }
         heard = [port for port in ports(tree) if agent in listeners(port, tree)]
         self._subscribers = [
-            self._session.declare_subscriber(
-                # Without `indirect` a second Python thread would stand between Zenoh and the inbox.
-                key,
-                zenoh.handlers.Callback(self._inbox.put, indirect=False),
-                allowed_origin=zenoh.Locality.REMOTE,
-            )
-            for key in _subscriptions(agent, heard, keys)
+            self._subscribe(key, urgent)
+            for key, urgent in _subscriptions(agent, heard, keys).items()
         ]
         self._token = self._session.liveliness().declare_token(keys.alive_key(agent))
 
@@ -196,6 +198,15 @@ class ZenohBus:
         seen = {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
         return {agent for agent in agents if self._keys.alive_key(agent) in seen}
 
+    def _subscribe(self, key: str, urgent: bool) -> zenoh.Subscriber[None]:
+        put = self._inbox.put_urgent if urgent else self._inbox.put
+        return self._session.declare_subscriber(
+            key,
+            # Without `indirect` a second Python thread would stand between Zenoh and the inbox.
+            zenoh.handlers.Callback(put, indirect=False),
+            allowed_origin=zenoh.Locality.REMOTE,
+        )
+
     def _declare_publisher(self, port: Port[Message], lockstep: bool) -> zenoh.Publisher:
         must_arrive = lockstep or port.signal.occurrence is Occurrence.EVENT
         return self._session.declare_publisher(
@@ -205,7 +216,6 @@ class ZenohBus:
                 zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
             ),
             reliability=zenoh.Reliability.RELIABLE,
-            express=not lockstep,
         )
 
     def _unpack(self, key: str, payload: bytes) -> Delivery | None:
@@ -257,17 +267,17 @@ class ZenohTap:
             yield str(sample.key_expr), sample.payload.to_bytes()
 
 
-def _subscriptions(agent: str, heard: list[Port[Message]], keys: KeyTable) -> list[str]:
-    """Key expressions for the ports that an agent hears.
+def _subscriptions(agent: str, heard: list[Port[Message]], keys: KeyTable) -> dict[str, bool]:
+    """Key expressions for the ports that an agent hears, and whether they are urgent.
 
     It names its own node in full, and takes siblings together: `oahu/c1/*/impp`. So it also hears
     a node that this run does not know, and can say so.
     """
-    expressions: dict[str, None] = {}
+    expressions: dict[str, bool] = {}
     for port in heard:
         key = keys.key(port)
         if port.node and port.node != agent:
             head, _, signal = key.rpartition("/")
             key = f"{head.rpartition('/')[0]}/*/{signal}"
-        expressions[key] = None
-    return list(expressions)
+        expressions[key] = port.signal.occurrence is Occurrence.EVENT
+    return expressions

@@ -78,9 +78,7 @@ class Heard:
                 yield port.node, message
 
 
-def hear(
-    plan: RunPlan, mpp_kw: Sequence[Sequence[float]], dispatch_kw: Sequence[float]
-) -> Heard:
+def hear(plan: RunPlan, mpp_kw: Sequence[Sequence[float]], dispatch_kw: Sequence[float]) -> Heard:
     """Run a plan in memory under what sun and operator do, and listen."""
     heard = Heard()
     run = MemoryRun(plan, Profile(np.array(mpp_kw), np.array(dispatch_kw)), heard)

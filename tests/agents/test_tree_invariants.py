@@ -64,9 +64,7 @@ def weathers(draw: st.DrawFn) -> Weather:
     )
     count = len(ratings_kw)
     lights = draw(
-        st.lists(
-            st.lists(light, min_size=count, max_size=count), min_size=cycles, max_size=cycles
-        )
+        st.lists(st.lists(light, min_size=count, max_size=count), min_size=cycles, max_size=cycles)
     )
     return Weather(
         plan_of(ratings_kw, cycles=cycles, neighbourhoods=draw(neighbourhoods(tree))),
@@ -97,7 +95,7 @@ def targets_kw(weather: Weather, heard: Heard) -> dict[tuple[int, str], float]:
 
 
 @given(weathers())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=120, deadline=None)
 def test_setpoints_add_up_to_the_target_or_to_all_there_is(weather: Weather) -> None:
     heard = weather.hear()
     for (cycle, node), target_kw in targets_kw(weather, heard).items():
@@ -111,7 +109,7 @@ def test_setpoints_add_up_to_the_target_or_to_all_there_is(weather: Weather) -> 
 
 
 @given(weathers())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=120, deadline=None)
 def test_what_a_parent_reports_is_the_sum_of_what_its_children_report(weather: Weather) -> None:
     heard = weather.hear()
     tree = weather.plan.tree
@@ -128,7 +126,7 @@ def test_what_a_parent_reports_is_the_sum_of_what_its_children_report(weather: W
 
 
 @given(weathers())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=120, deadline=None)
 def test_help_is_called_for_exactly_when_and_as_much_as_power_is_missing(
     weather: Weather,
 ) -> None:
@@ -143,7 +141,7 @@ def test_help_is_called_for_exactly_when_and_as_much_as_power_is_missing(
 
 
 @given(weathers())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=120, deadline=None)
 def test_what_the_plant_cannot_meet_is_missing_at_the_root(weather: Weather) -> None:
     heard = weather.hear()
     for (cycle, node), target_kw in targets_kw(weather, heard).items():
@@ -156,16 +154,14 @@ def test_what_the_plant_cannot_meet_is_missing_at_the_root(weather: Weather) -> 
 
 
 @given(weathers())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=120, deadline=None)
 def test_requests_of_the_children_add_up_to_that_of_their_parent(weather: Weather) -> None:
     heard = weather.hear()
     tree = weather.plan.tree
     targets = targets_kw(weather, heard)
     for cycle in range(weather.plan.cycles):
         for node in tree.parents:
-            asked_kw = (
-                heard.get(cycle, REQUEST.of(node)).power_kw if node else targets[cycle, ROOT]
-            )
+            asked_kw = heard.get(cycle, REQUEST.of(node)).power_kw if node else targets[cycle, ROOT]
             requests_kw = [
                 heard.get(cycle, REQUEST.of(child)).power_kw for child in tree.children(node)
             ]
@@ -173,7 +169,7 @@ def test_requests_of_the_children_add_up_to_that_of_their_parent(weather: Weathe
 
 
 @given(weathers())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=120, deadline=None)
 def test_a_dispatch_that_cannot_be_used_is_noticed_and_no_other(weather: Weather) -> None:
     heard = weather.hear()
     refused = 0

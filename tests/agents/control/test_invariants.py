@@ -63,7 +63,9 @@ def cases_with_one_in_need(draw: st.DrawFn) -> tuple[Case, int]:
     count = len(capacities_kw)
     target_kw = fsum(capacities_kw) * draw(st.floats(1e-3, 1.0))
     share_kw = split_by_capacity(target_kw, capacities_kw)
-    impp_kw = [share * (1.0 + more) for share, more in zip(share_kw, draw(fractions(count)), strict=True)]
+    impp_kw = [
+        share * (1.0 + more) for share, more in zip(share_kw, draw(fractions(count)), strict=True)
+    ]
     needy = draw(st.integers(0, count - 1))
     impp_kw[needy] = share_kw[needy] * draw(st.floats(0.0, 0.999))
     return Case(target_kw, capacities_kw, tuple(impp_kw), draw(help_orders(count))), needy
@@ -125,9 +127,7 @@ def test_a_later_donor_is_asked_only_when_the_earlier_ones_have_nothing_left(
     case, needy = problem
     found = allocate(*case)
     donors = [line.donor for line in found.help_lines]
-    willing = [
-        child for child in case.order[needy] if case.impp_kw[child] > found.share_kw[child]
-    ]
+    willing = [child for child in case.order[needy] if case.impp_kw[child] > found.share_kw[child]]
     assert donors == willing[: len(donors)]
     for donor in donors[:-1]:
         assert found.power_kw[donor] == pytest.approx(case.impp_kw[donor], abs=TOLERANCE_KW)

@@ -1,0 +1,140 @@
+"""Tiers that act every m-th cycle: between their turns those below rebalance on their own."""
+
+from __future__ import annotations
+
+import pytest
+from plants_by_hand import Heard, hear, plan_of
+
+from agents.periods import Periods
+from bus_schemas.errors import InputError
+from bus_schemas.messages import HelpGiven
+from bus_schemas.signals import HELP, IMPP, REQUEST, RESIDUAL, SETPOINT
+
+FOUR = {"c1/a": 100.0, "c1/b": 100.0, "c2/a": 100.0, "c2/b": 100.0}
+CYCLES = 12
+
+
+@pytest.fixture(scope="module")
+def heard() -> Heard:
+    """The central controller acts every 10th cycle, the supervisors in each.
+
+    200 kW are dispatched, 120 kW from cycle 5 on. All inverters could give 80 kW, but a cloud
+    stands over c1/a from cycle 3 (20 kW) and over c1/b from cycle 6 (40 kW). What happens in a
+    cycle is measured in the next.
+    """
+    mpp_kw = [
+        [20.0 if cycle >= 3 else 80.0, 40.0 if cycle >= 6 else 80.0, 80.0, 80.0]
+        for cycle in range(CYCLES)
+    ]
+    dispatch_kw = [200.0 if cycle < 5 else 120.0 for cycle in range(CYCLES)]
+    plan = plan_of(FOUR, cycles=CYCLES, period_cycles=(10, 1))
+    return hear(plan, mpp_kw, dispatch_kw)
+
+
+def setpoints_kw(heard: Heard, cycle: int) -> list[float]:
+    found = [heard.get(cycle, SETPOINT.of(leaf)).power_kw for leaf in FOUR]
+    assert found == pytest.approx([round(power_kw, 9) for power_kw in found], abs=1e-9)
+    return [round(power_kw, 9) for power_kw in found]
+
+
+def test_the_central_controller_speaks_in_its_turns_only(heard: Heard) -> None:
+    for signal in (REQUEST, SETPOINT):
+        spoken = [message.cycle for node, message in heard.of(signal) if node == "c1"]
+        assert spoken == [0, 10]
+
+
+def test_the_supervisors_speak_in_every_cycle(heard: Heard) -> None:
+    for signal in (REQUEST, SETPOINT):
+        spoken = [message.cycle for node, message in heard.of(signal) if node == "c1/a"]
+        assert spoken == list(range(CYCLES))
+
+
+def test_everybody_reports_in_every_cycle(heard: Heard) -> None:
+    for signal in (IMPP, RESIDUAL):
+        for reporter in ("", "c1", "c2", *FOUR):
+            spoken = [message.cycle for node, message in heard.of(signal) if node == reporter]
+            assert spoken == list(range(CYCLES))
+
+
+def test_between_turns_a_cluster_rebalances_against_its_last_target(heard: Heard) -> None:
+    # 200 kW / 4 = 50 kW each, so 100 kW for each cluster.
+    assert setpoints_kw(heard, 3) == [50.0, 50.0, 50.0, 50.0]
+    # The cloud over c1/a is measured in cycle 4: c1/b gives the 30 kW that it lacks.
+    assert setpoints_kw(heard, 4) == [20.0, 80.0, 50.0, 50.0]
+    assert heard.get(4, SETPOINT.of("c1/b")).help_given == (
+        HelpGiven("c1/a", pytest.approx(30.0)),  # type: ignore[arg-type]
+    )
+
+
+def test_between_turns_a_new_dispatch_waits(heard: Heard) -> None:
+    assert setpoints_kw(heard, 5) == [20.0, 80.0, 50.0, 50.0]
+    assert heard.get(9, REQUEST.of("c1/a")).power_kw == pytest.approx(50.0)
+
+
+def test_between_turns_no_other_cluster_helps_but_the_need_is_told(heard: Heard) -> None:
+    # From cycle 7 on c1 has 20 + 40 kW for a target of 100 kW.
+    assert setpoints_kw(heard, 7) == [20.0, 40.0, 50.0, 50.0]
+    assert heard.get(7, HELP.of("c1")).missing_kw == pytest.approx(40.0)
+    assert heard.find(6, HELP.of("c1")) is None
+
+
+def test_in_its_turn_the_central_controller_divides_anew(heard: Heard) -> None:
+    # 120 kW / 4 = 30 kW each, 60 kW for each cluster: c1 has 20 + 40 kW.
+    assert setpoints_kw(heard, 10) == [20.0, 40.0, 30.0, 30.0]
+    assert heard.get(10, RESIDUAL.of("c1")).power_kw == pytest.approx(0.0, abs=1e-9)
+    assert setpoints_kw(heard, 11) == [20.0, 40.0, 30.0, 30.0]
+
+
+def test_two_slow_tiers_leave_the_inverters_their_last_setpoints() -> None:
+    plan = plan_of({"c1/a": 100.0, "c1/b": 100.0}, cycles=5, period_cycles=(4, 2))
+    found = hear(plan, [[80.0, 80.0]] * 5, [100.0, 60.0, 60.0, 60.0, 60.0])
+    spoken = {
+        node: [message.cycle for about, message in found.of(SETPOINT) if about == node]
+        for node in ("c1", "c1/a")
+    }
+    assert spoken == {"c1": [0, 4], "c1/a": [0, 2, 4]}
+    assert [found.get(cycle, SETPOINT.of("c1/a")).power_kw for cycle in (0, 2, 4)] == [50, 50, 30]
+
+
+@pytest.mark.parametrize(
+    ("periods", "parent", "turns"),
+    [
+        ((1, 1), "", [0, 1, 2, 3, 4, 5, 6]),
+        ((6, 2, 1), "", [0, 6]),
+        ((6, 2, 1), "z1", [0, 2, 4, 6]),
+        ((6, 2, 1), "z1/c1", [0, 1, 2, 3, 4, 5, 6]),
+    ],
+)
+def test_a_parents_turns_follow_from_its_tier(
+    periods: tuple[int, ...], parent: str, turns: list[int]
+) -> None:
+    assert [cycle for cycle in range(7) if Periods(periods).is_turn(parent, cycle)] == turns
+
+
+def test_in_arming_rounds_everybody_acts() -> None:
+    assert all(Periods((10, 5)).is_turn("", cycle) for cycle in range(-20, 0))
+
+
+def test_the_longest_period_is_how_far_agents_may_part() -> None:
+    assert Periods((60, 10, 1)).longest == 60
+
+
+@pytest.mark.parametrize(
+    ("periods", "message"),
+    [
+        ((0,), "control.period_cycles[0] is 0, accepted is 1 or more"),
+        ((10, -1), "control.period_cycles[1] is -1, accepted is 1 or more"),
+        (
+            (10, 3),
+            "control.period_cycles[0] is 10, accepted are multiples of the tier below it (3)",
+        ),
+        (
+            (12, 4, 8),
+            "control.period_cycles[1] is 4, accepted are multiples of the tier below it (8)",
+        ),
+    ],
+)
+def test_periods_that_do_not_fit_are_refused(periods: tuple[int, ...], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        Periods(periods)
+    assert str(caught.value) == message

@@ -1,0 +1,482 @@
+"""How an agent is taken through its cycles: what closes a stage, and what becomes of messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import pytest
+from plants_by_hand import CYCLE_NS, plan_of, report
+
+from agents.agent import Stage, Turn
+from agents.sequencer import BEFORE_ARMING, Drops, Sequencer
+from agents.team import central_controller, direct_controller
+from bus_schemas.bus import Delivery
+from bus_schemas.messages import (
+    Dispatch,
+    Help,
+    Message,
+    Notice,
+    Request,
+    Residual,
+    Setpoint,
+    Telemetry,
+)
+from bus_schemas.signals import (
+    DISPATCH,
+    HELP,
+    NOTICE,
+    REQUEST,
+    RESIDUAL,
+    SETPOINT,
+    TELEMETRY,
+    Port,
+)
+from bus_schemas.tree import CENTRAL, ROOT
+
+ORDER = DISPATCH.of(ROOT)
+A, B = RESIDUAL.of("a"), RESIDUAL.of("b")
+HELP_A, HELP_B = HELP.of("a"), HELP.of("b")
+SAID = NOTICE.of(ROOT)
+
+LISTEN_TO_BOTH = (Stage("listen", frozenset({A, B}), frozenset({HELP_A, HELP_B})),)
+ORDER_THEN_LISTEN = (
+    Stage("order", frozenset({ORDER})),
+    Stage("listen", frozenset({A, B}), frozenset({HELP_A, HELP_B})),
+)
+TICK_THEN_LISTEN = (Stage("tick", frozenset(), timed=True), Stage("listen", frozenset({A})))
+
+
+@dataclass(frozen=True)
+class Clerk:
+    """Says at the end of each stage what it heard, and remembers how often it spoke."""
+
+    all_stages: tuple[Stage, ...]
+    name: str = CENTRAL
+
+    def initial_state(self) -> int:
+        return 0
+
+    def stages(self, cycle: int) -> tuple[Stage, ...]:
+        return self.all_stages
+
+    def follow_up(self, port: Port[Message], message: Message) -> Port[Message] | None:
+        if isinstance(message, Residual) and message.power_kw < 0.0:
+            return HELP.of(port.node)
+        return None
+
+    def step(self, state: int, turn: Turn) -> tuple[int, list[Delivery]]:
+        heard = " ".join(sorted(str(port) for port in turn.inputs)) or "nothing"
+        text = f"{turn.cycle} {turn.stage}: {heard}"
+        return state + 1, [(SAID, Notice(*turn.stamp, text=text, count=state + 1))]
+
+
+class Desk:
+    """A clerk in a sequencer, and the messages that reach it."""
+
+    def __init__(
+        self, stages: tuple[Stage, ...], *, lockstep: bool = True, horizon: int = 2
+    ) -> None:
+        self.dropped: list[str] = []
+        self.sequencer = Sequencer(
+            Clerk(stages),
+            lambda cycle: cycle * CYCLE_NS,
+            lockstep=lockstep,
+            horizon=horizon,
+            on_drop=self.dropped.append,
+        )
+
+    def enter(self, cycle: int) -> list[str]:
+        return texts(self.sequencer.enter(cycle))
+
+    def hear(self, port: Port[Message], cycle: int, power_kw: float = 1.0) -> list[str]:
+        return texts(self.sequencer.accept(port, a_message(port, cycle, power_kw)))
+
+
+def a_message(port: Port[Message], cycle: int, power_kw: float = 1.0) -> Message:
+    time_ns = cycle * CYCLE_NS
+    if port is ORDER:
+        return Dispatch(
+            cycle, time_ns, "plant", (), power_kw=1.0, commitment_kw=1.0, regulation_kw=0.0
+        )
+    if port.signal is HELP:
+        return Help(cycle, time_ns, port.node, (), missing_kw=1.0)
+    return Residual(cycle, time_ns, port.node, (), power_kw=power_kw)
+
+
+def notices(outputs: Iterable[Delivery]) -> list[Notice]:
+    found = [message for _, message in outputs if isinstance(message, Notice)]
+    assert all(notice.sim_time_ns == notice.cycle * CYCLE_NS for notice in found)
+    return found
+
+
+def texts(outputs: Iterable[Delivery]) -> list[str]:
+    return [notice.text for notice in notices(outputs)]
+
+
+# What closes a stage ------------------------------------------------------------------------------
+
+
+def test_a_stage_closes_with_the_last_message_that_it_awaits() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    assert desk.enter(0) == []
+    assert desk.sequencer.waiting_for == {A, B}
+    assert desk.sequencer.wanted == 2
+    assert desk.hear(B, 0) == []
+    assert desk.sequencer.waiting_for == {A}
+    assert desk.sequencer.wanted == 1
+    assert desk.hear(A, 0) == ["0 listen: a/residual b/residual"]
+
+
+def test_the_next_cycle_opens_as_the_last_stage_closes() -> None:
+    desk = Desk(ORDER_THEN_LISTEN)
+    desk.enter(0)
+    assert (desk.sequencer.cycle, desk.sequencer.stage) == (0, "order")
+    desk.hear(ORDER, 0)
+    assert (desk.sequencer.cycle, desk.sequencer.stage) == (0, "listen")
+    desk.hear(A, 0)
+    desk.hear(B, 0)
+    assert (desk.sequencer.cycle, desk.sequencer.stage) == (1, "order")
+
+
+def test_messages_of_a_later_stage_wait_for_it() -> None:
+    desk = Desk(ORDER_THEN_LISTEN)
+    desk.enter(0)
+    assert desk.hear(A, 0) == []
+    assert desk.hear(B, 0) == []
+    assert desk.hear(ORDER, 0) == [
+        "0 order: a/residual b/residual dispatch",
+        "0 listen: a/residual b/residual dispatch",
+    ]
+
+
+def test_a_call_for_help_is_awaited_once_it_is_announced() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.enter(0)
+    desk.hear(A, 0, power_kw=-5.0)
+    assert desk.sequencer.waiting_for == {B, HELP_A}
+    assert desk.hear(B, 0) == []
+    assert desk.hear(HELP_A, 0) == ["0 listen: a/help a/residual b/residual"]
+
+
+def test_a_call_for_help_may_come_before_its_announcement() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.enter(0)
+    assert desk.hear(HELP_A, 0) == []
+    desk.hear(B, 0)
+    assert desk.hear(A, 0, power_kw=-5.0) == ["0 listen: a/help a/residual b/residual"]
+
+
+def test_nobody_waits_for_help_where_power_is_left() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.enter(0)
+    desk.hear(A, 0, power_kw=0.0)
+    assert desk.sequencer.waiting_for == {B}
+
+
+def test_a_central_controller_waits_for_the_call_that_a_childs_residual_announces() -> None:
+    plan = plan_of({"a": 100.0, "b": 100.0})
+    central = Sequencer(central_controller(plan), plan.sim_time_ns, lockstep=True, horizon=1)
+    central.enter(0)
+    central.accept(ORDER, a_message(ORDER, 0))
+    for port, message in [*report("a", 0, 0.0, -50.0), *report("b", 0, 80.0, 30.0)]:
+        assert central.accept(port, message) == []
+    assert central.waiting_for == {HELP_A}
+    assert central.accept(HELP_A, a_message(HELP_A, 0)) != []
+    assert central.cycle == 1
+
+
+def test_a_direct_controller_waits_for_inverter_and_parent_then_for_its_setpoint() -> None:
+    plan = plan_of({"a": 100.0})
+    direct = Sequencer(direct_controller(plan, "a"), plan.sim_time_ns, lockstep=True, horizon=1)
+    direct.enter(0)
+    telemetry = Telemetry(0, 0, "plant", (), power_kw=40.0, alpha=0.5)
+    request = Request(0, 0, CENTRAL, (), power_kw=60.0)
+    setpoint = Setpoint(0, 0, CENTRAL, (), power_kw=60.0, share_kw=60.0, help_given=())
+    assert direct.accept(TELEMETRY.of("a"), telemetry) == []
+    assert direct.waiting_for == {REQUEST.of("a")}
+    said = [str(port) for port, _ in direct.accept(REQUEST.of("a"), request)]
+    assert said == ["a/impp", "a/residual"]
+    assert direct.waiting_for == {SETPOINT.of("a")}
+    said = [str(port) for port, _ in direct.accept(SETPOINT.of("a"), setpoint)]
+    assert said == ["a/command"]
+
+
+# Messages ahead -----------------------------------------------------------------------------------
+
+
+def test_messages_ahead_are_kept_and_used_in_their_cycle() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.enter(0)
+    assert desk.hear(A, 2) == []
+    assert desk.hear(A, 1) == []
+    assert desk.hear(B, 1) == []
+    assert desk.hear(A, 0) == []
+    assert desk.hear(B, 0) == [
+        "0 listen: a/residual b/residual",
+        "1 listen: a/residual b/residual",
+    ]
+    assert desk.sequencer.waiting_for == {B}
+    assert desk.hear(B, 2) == ["2 listen: a/residual b/residual"]
+    assert desk.sequencer.drops == Drops()
+
+
+def test_a_message_beyond_the_horizon_is_dropped_and_named() -> None:
+    desk = Desk(LISTEN_TO_BOTH, horizon=2)
+    desk.enter(0)
+    desk.hear(A, 2)
+    desk.hear(A, 3)
+    assert desk.sequencer.drops == Drops(other_cycle=1)
+    assert desk.dropped == ["a/residual is of cycle 3, this is 0"]
+
+
+# Messages that are of no use ----------------------------------------------------------------------
+
+
+def test_a_message_of_an_earlier_cycle_is_late() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.enter(0)
+    desk.hear(A, 0)
+    desk.hear(B, 0)
+    assert desk.hear(A, 0) == []
+    assert desk.sequencer.drops == Drops(late=1)
+    assert desk.dropped == ["a/residual is of cycle 0, this is 1"]
+
+
+def test_a_message_of_a_stage_that_is_over_is_late() -> None:
+    desk = Desk(ORDER_THEN_LISTEN, lockstep=False)
+    desk.enter(0)
+    desk.sequencer.close_stage()
+    assert desk.hear(ORDER, 0) == []
+    assert desk.sequencer.drops == Drops(late=1)
+    assert desk.dropped == ["dispatch of cycle 0 came after its deadline"]
+
+
+def test_of_two_messages_the_first_counts() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.enter(0)
+    desk.hear(A, 0, power_kw=1.0)
+    desk.hear(A, 0, power_kw=-1.0)
+    assert desk.sequencer.waiting_for == {B}
+    assert desk.sequencer.drops == Drops(duplicate=1)
+    assert desk.dropped == ["a/residual of cycle 0 came twice"]
+
+
+def test_a_message_of_somebody_elses_making_is_foreign() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.enter(0)
+    assert desk.sequencer.accept(A, Residual(0, 0, "b", (), power_kw=1.0)) == []
+    assert desk.sequencer.waiting_for == {A, B}
+    assert desk.sequencer.drops == Drops(foreign=1)
+    assert desk.dropped == ["a/residual of cycle 0 is from 'b'"]
+
+
+def test_a_message_that_no_stage_awaits_is_unexpected() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.enter(0)
+    desk.hear(RESIDUAL.of("c"), 0)
+    assert desk.sequencer.drops == Drops(unexpected=1)
+    assert desk.dropped == ["c/residual is not expected in cycle 0"]
+
+
+def test_drops_of_all_causes_add_up() -> None:
+    assert Drops(late=1, other_cycle=2, unexpected=4, duplicate=8, foreign=16).total() == 31
+
+
+# Arming rounds ------------------------------------------------------------------------------------
+
+
+def test_the_first_message_takes_an_agent_into_its_round() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    assert desk.sequencer.cycle == BEFORE_ARMING
+    desk.hear(A, -7)
+    assert desk.sequencer.cycle == -7
+    assert desk.sequencer.waiting_for == {B}
+
+
+def test_a_round_ends_where_its_last_stage_closes() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.hear(A, -7)
+    assert desk.hear(B, -7) == ["-7 listen: a/residual b/residual"]
+    assert (desk.sequencer.cycle, desk.sequencer.stage) == (-7, "")
+    assert desk.sequencer.waiting_for == frozenset()
+
+
+def test_a_later_round_supersedes_an_open_one() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.hear(A, -7)
+    assert desk.hear(B, -6) == []
+    assert (desk.sequencer.cycle, desk.sequencer.waiting_for) == (-6, {A})
+    assert desk.hear(A, -6) == ["-6 listen: a/residual b/residual"]
+
+
+def test_what_is_left_of_an_earlier_round_is_dropped_without_a_word() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.hear(A, -6)
+    desk.hear(B, -7)
+    desk.hear(A, -6)
+    assert desk.sequencer.waiting_for == {B}
+    assert desk.sequencer.drops == Drops()
+    assert desk.dropped == []
+
+
+def test_a_foreign_message_is_counted_in_a_round_too() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.sequencer.accept(A, Residual(-7, 0, "b", (), power_kw=1.0))
+    assert desk.sequencer.cycle == BEFORE_ARMING
+    assert desk.sequencer.drops == Drops(foreign=1)
+
+
+def test_rounds_leave_no_trace_in_the_state() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    counts = []
+    for cycle in (-7, -6, 0, 1):
+        if cycle <= 0:
+            desk.enter(cycle)
+        for port in (A, B):
+            outputs = desk.sequencer.accept(port, a_message(port, cycle))
+            counts += [notice.count for notice in notices(outputs)]
+    # The clerk counts how often it has spoken: anew in each round and in the run, then onwards.
+    assert counts == [1, 1, 1, 2]
+
+
+def test_a_central_controller_forgets_the_dispatch_of_a_round() -> None:
+    plan = plan_of({"a": 100.0, "b": 100.0})
+    central = Sequencer(central_controller(plan), plan.sim_time_ns, lockstep=False, horizon=1)
+    order = Dispatch(-1, 0, "plant", (), power_kw=120.0, commitment_kw=120.0, regulation_kw=0.0)
+    asked = dict(central.accept(ORDER, order))
+    assert asked[REQUEST.of("a")] == Request(-1, -CYCLE_NS, CENTRAL, (), power_kw=60.0)
+    central.enter(0)
+    asked = dict(central.close_stage())
+    assert asked[REQUEST.of("a")] == Request(0, 0, CENTRAL, ("dispatch",), power_kw=0.0)
+
+
+def test_messages_of_the_run_that_come_before_its_beginning_is_told_are_not_lost() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.hear(A, -7)
+    desk.hear(B, -7)
+    desk.hear(A, 0)
+    assert desk.sequencer.cycle == 0
+    assert desk.hear(B, 0) == ["0 listen: a/residual b/residual"]
+
+
+# Deadlines ----------------------------------------------------------------------------------------
+
+
+def test_a_deadline_closes_the_stage_with_what_is_there_and_names_what_is_not() -> None:
+    desk = Desk(LISTEN_TO_BOTH, lockstep=False)
+    desk.enter(0)
+    desk.hear(A, 0)
+    (said,) = notices(desk.sequencer.close_stage())
+    assert said.text == "0 listen: a/residual"
+    assert said.missing == ("b/residual",)
+    assert desk.sequencer.missing_inputs == 1
+    assert desk.sequencer.cycle == 1
+
+
+def test_an_announced_call_for_help_that_does_not_come_is_named_as_missing() -> None:
+    desk = Desk(LISTEN_TO_BOTH, lockstep=False)
+    desk.enter(0)
+    desk.hear(A, 0, power_kw=-1.0)
+    desk.hear(B, 0)
+    (said,) = notices(desk.sequencer.close_stage())
+    assert said.missing == ("a/help",)
+
+
+def test_what_a_cycle_lacked_is_named_up_to_its_end_and_no_longer() -> None:
+    desk = Desk(ORDER_THEN_LISTEN, lockstep=False)
+    desk.enter(0)
+    missing = []
+    for _ in range(2):
+        missing += [notice.missing for notice in notices(desk.sequencer.close_stage())]
+    desk.hear(ORDER, 1)
+    desk.hear(A, 1)
+    outputs = desk.sequencer.accept(B, a_message(B, 1))
+    missing += [notice.missing for notice in notices(outputs)]
+    assert missing == [("dispatch",), ("dispatch", "a/residual", "b/residual"), ()]
+    assert desk.sequencer.missing_inputs == 3
+
+
+def test_a_complete_cycle_names_nothing_as_missing() -> None:
+    desk = Desk(LISTEN_TO_BOTH, lockstep=False)
+    desk.enter(0)
+    desk.hear(A, 0)
+    (said,) = notices(desk.sequencer.accept(B, a_message(B, 0)))
+    assert said.missing == ()
+    assert desk.sequencer.missing_inputs == 0
+
+
+def test_a_deadline_between_rounds_closes_nothing() -> None:
+    desk = Desk(LISTEN_TO_BOTH, lockstep=False)
+    desk.hear(A, -7)
+    desk.hear(B, -7)
+    assert desk.sequencer.close_stage() == []
+    assert desk.sequencer.cycle == -7
+
+
+# Timed stages -------------------------------------------------------------------------------------
+
+
+def test_a_timed_stage_closes_at_once_in_lockstep() -> None:
+    desk = Desk(TICK_THEN_LISTEN, lockstep=True)
+    assert desk.enter(0) == ["0 tick: nothing"]
+    assert desk.hear(A, 0) == ["0 listen: a/residual", "1 tick: nothing"]
+
+
+def test_a_timed_stage_waits_for_the_clock_in_real_time() -> None:
+    desk = Desk(TICK_THEN_LISTEN, lockstep=False)
+    assert desk.enter(0) == []
+    assert desk.sequencer.stage == "tick"
+    assert texts(desk.sequencer.close_stage()) == ["0 tick: nothing"]
+    assert desk.sequencer.missing_inputs == 0
+    assert desk.hear(A, 0) == ["0 listen: a/residual"]
+    assert (desk.sequencer.cycle, desk.sequencer.stage) == (1, "tick")
+
+
+def test_one_deadline_opens_one_timed_stage() -> None:
+    desk = Desk(TICK_THEN_LISTEN, lockstep=False)
+    desk.enter(0)
+    desk.sequencer.close_stage()
+    assert texts(desk.sequencer.close_stage()) == ["0 listen: nothing"]
+    assert (desk.sequencer.cycle, desk.sequencer.stage) == (1, "tick")
+
+
+def test_messages_do_not_open_a_timed_stage_before_its_time() -> None:
+    desk = Desk(TICK_THEN_LISTEN, lockstep=False)
+    desk.enter(0)
+    assert desk.hear(A, 0) == []
+    assert texts(desk.sequencer.close_stage()) == ["0 tick: a/residual", "0 listen: a/residual"]
+
+
+# The end ------------------------------------------------------------------------------------------
+
+
+def test_a_run_ends_before_the_cycle_that_does_not_take_place() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.sequencer.end_before(2)
+    desk.enter(0)
+    for cycle in (0, 1):
+        assert not desk.sequencer.finished
+        desk.hear(A, cycle)
+        desk.hear(B, cycle)
+    assert desk.sequencer.finished
+    assert (desk.sequencer.stage, desk.sequencer.waiting_for) == ("", frozenset())
+    assert desk.sequencer.close_stage() == []
+
+
+def test_an_end_that_is_told_late_lets_the_open_cycle_be_the_last() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.enter(0)
+    desk.hear(A, 0)
+    desk.sequencer.end_before(1)
+    assert not desk.sequencer.finished
+    assert desk.hear(B, 0) == ["0 listen: a/residual b/residual"]
+    assert desk.sequencer.finished
+
+
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_a_run_of_no_cycles_is_over_at_once(lockstep: bool) -> None:
+    desk = Desk(TICK_THEN_LISTEN, lockstep=lockstep)
+    desk.sequencer.end_before(0)
+    assert desk.enter(0) == []
+    assert desk.sequencer.finished
