@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, time
 from typing import Final, Literal
@@ -11,32 +11,27 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from agents.control.clusters import choose_clusters, geographic_clusters
-from agents.control.correlation import HourlyMatrices, group_correlation, hourly_covariance
-from agents.family import Neighbourhood
+from agents.control.correlation import HourlyMatrices, hourly_covariance
 from agents.periods import Periods
-from agents.plan import NodeNeighbourhoods, RunPlan
+from agents.plan import RunPlan
 from bus_schemas.errors import InputError
-from bus_schemas.tree import ControlTree, as_ratings, depth
+from bus_schemas.tree import ControlTree, depth
+from launch_scripts.clustering import control_tree, in_order, neighbourhoods
 from launch_scripts.scenario import (
     CloudIrradiance,
     MeasuredIrradiance,
+    Scenario,
     ScenarioFile,
     local_start,
     parse_duration_s,
 )
-from sim_plant.clouds import clear_sky_ghi, synthetic_ghi
 from sim_plant.commitment import commitment_kw
-from sim_plant.irradiance import read_measured_ghi, window
+from sim_plant.irradiance import read_measured_ghi
 from sim_plant.profile import Profile
-from sim_plant.pv import ac_power_kw
 from sim_plant.sites import Sites, equal_ratings_kw, read_sites
+from sim_plant.sources import CloudySky, MeasuredSky, PowerSource
 
-_TIER_LETTERS: Final = "czar"
-"""Clusters are c1, c2, ...; zones of clusters z1, ...; then areas and regions."""
-
-_ANOTHER_DAY: Final = 1_000_003
-"""Added to a seed: the same climate on another day."""
+_HOUR_NS: Final = 3_600_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,17 +68,24 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         Scenario, options and data do not go together.
     """
     scenario = scenario_file.scenario
-    cycle_s = scenario.time.cycle_s
-    times = _times(scenario_file, options)
-    sites, mpp_kw = _possible_power(scenario_file, times, options)
-    history_kw = _history_power(scenario_file, times, options, sites, mpp_kw)
-    hours = _local_hours(times, scenario.time.timezone)
-    covariance = hourly_covariance(history_kw, hours)
-    tree = _control_tree(scenario_file, sites, covariance)
+    times = _times(scenario, options)
+    try:
+        source = _power_source(scenario_file, options)
+        possible_kw = source.possible_kw(times)
+        covariance = _covariance(scenario, source, times)
+        tree = control_tree(
+            scenario.control,
+            source.sites,
+            covariance,
+            _hours_of(_times(scenario, RunOptions()), covariance, scenario),
+        )
+        periods = _periods(scenario, tree)
+    except InputError as error:
+        raise InputError(_with_file(scenario_file, str(error))) from None
     # The plant's order is the tree's: clusters may have mixed the inverters up.
-    order = [sites.names.index(leaf.rpartition("/")[2]) for leaf in tree.leaves]
+    order = [source.sites.names.index(leaf.rpartition("/")[2]) for leaf in tree.leaves]
     commitment = commitment_kw(
-        scenario.commitment, mpp_kw.sum(axis=1), _clear_sky_power_kw(scenario_file, times, sites)
+        scenario.commitment, possible_kw.sum(axis=1), source.clear_sky_kw(times)
     )
     pace = options.pace or scenario.pace
     plan = RunPlan(
@@ -91,22 +93,24 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         plant=scenario.name,
         inverters=tree.inverters,
         start_time_ns=times[0].value,
-        cycle_ns=round(cycle_s * 1e9),
+        cycle_ns=round(scenario.time.cycle_s * 1e9),
         cycles=len(times),
-        cycle_wall_ns=0 if pace == "max" else round(cycle_s / pace * 1e9),
-        period_cycles=_period_cycles(scenario_file, tree),
+        cycle_wall_ns=0 if pace == "max" else round(scenario.time.cycle_s / pace * 1e9),
+        period_cycles=periods.cycles,
         alpha_min=scenario.control.alpha_min,
         hold_cycles=scenario.control.hold_cycles,
         stall_timeout_s=scenario.control.stall_timeout_s,
-        neighbourhoods=_neighbourhoods(tree, covariance, order, times, hours),
+        neighbourhoods=neighbourhoods(
+            tree, in_order(covariance, order), _beginnings_ns(times, scenario)
+        ),
         tcp_ports={},
     )
-    profile = Profile(np.ascontiguousarray(mpp_kw[:, order]), commitment)
+    profile = Profile(np.ascontiguousarray(possible_kw[:, order]), commitment)
     return Preparation(plan, profile, scenario_file, scenario.neighbours.history == "hindsight")
 
 
-def _times(scenario_file: ScenarioFile, options: RunOptions) -> pd.DatetimeIndex:
-    table = scenario_file.scenario.time
+def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
+    table = scenario.time
     start = _start(local_start(table), options.start)
     duration_s = (
         parse_duration_s(options.duration, "--duration") if options.duration else table.duration_s
@@ -125,10 +129,8 @@ def _times(scenario_file: ScenarioFile, options: RunOptions) -> pd.DatetimeIndex
 def _start(scheduled: datetime, option: str | None) -> datetime:
     if option is None:
         return scheduled
-    try:
+    with suppress(ValueError):
         return datetime.combine(scheduled.date(), time.fromisoformat(option), scheduled.tzinfo)
-    except ValueError:
-        pass
     try:
         moment = datetime.fromisoformat(option)
     except ValueError:
@@ -138,225 +140,106 @@ def _start(scheduled: datetime, option: str | None) -> datetime:
     return moment if moment.tzinfo else moment.replace(tzinfo=scheduled.tzinfo)
 
 
-def _possible_power(
-    scenario_file: ScenarioFile, times: pd.DatetimeIndex, options: RunOptions
-) -> tuple[Sites, NDArray[np.float64]]:
-    """Return the inverters, and the AC power that the irradiance allows each, shape (T, n)."""
+def _power_source(scenario_file: ScenarioFile, options: RunOptions) -> PowerSource:
     scenario = scenario_file.scenario
     match scenario.irradiance:
-        case CloudIrradiance(seed=seed):
-            sites = _listed_sites(scenario_file)
-            used_seed = seed if options.seed is None else options.seed
-            return sites, _synthetic_power(scenario_file, times, sites, used_seed)
+        case CloudIrradiance(seed=seed, clouds=clouds):
+            return CloudySky(
+                sites=_listed_sites(scenario_file),
+                altitude_m=scenario.plant.altitude_m,
+                pv=scenario.pv,
+                clouds=clouds,
+                seed=seed if options.seed is None else options.seed,
+                history_seed=seed,
+            )
         case MeasuredIrradiance() as measured:
             if options.seed is not None:
                 raise InputError("--seed: the scenario's irradiance is measured, it has no seed")
-            return _measured_power(scenario_file, measured, times)
+            return _measured_sky(scenario_file, measured)
 
 
 def _listed_sites(scenario_file: ScenarioFile) -> Sites:
     plant = scenario_file.scenario.plant
     if plant.inverters is None:
         raise InputError(
-            f"{scenario_file.path}: plant.inverters is missing, accepted is a CSV with the "
-            "columns inverter, lat, lon"
+            "plant.inverters is missing, accepted is a CSV with the columns inverter, lat, lon"
         )
     return read_sites(scenario_file.data_path(plant.inverters), plant.rating_kw)
 
 
-def _synthetic_power(
-    scenario_file: ScenarioFile, times: pd.DatetimeIndex, sites: Sites, seed: int
-) -> NDArray[np.float64]:
-    scenario = scenario_file.scenario
-    assert isinstance(scenario.irradiance, CloudIrradiance)
-    ghi_wm2 = synthetic_ghi(
-        times,
-        sites.lat_deg,
-        sites.lon_deg,
-        scenario.plant.altitude_m,
-        scenario.irradiance.clouds,
-        seed,
-    )
-    return ac_power_kw(ghi_wm2, times, sites.lat_deg, sites.lon_deg, sites.rating_kw, scenario.pv)
-
-
-def _measured_power(
-    scenario_file: ScenarioFile, measured: MeasuredIrradiance, times: pd.DatetimeIndex
-) -> tuple[Sites, NDArray[np.float64]]:
-    scenario = scenario_file.scenario
+def _measured_sky(scenario_file: ScenarioFile, measured: MeasuredIrradiance) -> MeasuredSky:
+    """Put one inverter of equal rating at each station."""
+    plant = scenario_file.scenario.plant
     path = scenario_file.data_path(measured.ghi)
     irradiance = read_measured_ghi(
         path, scenario_file.data_path(measured.positions), measured.stations
     )
-    cut = window(irradiance, times[0], len(times) * scenario.time.cycle_s, str(path))
-    if len(cut.times) != len(times):
-        step_s = (irradiance.times[1] - irradiance.times[0]).total_seconds()
-        raise InputError(
-            f"{path}: a value every {step_s:g} s, accepted is the scenario's cycle, "
-            f"{scenario.time.cycle_s:g} s"
-        )
     sites = Sites(
-        tuple(f"inv{station}" for station in cut.sensors),
-        cut.lat_deg,
-        cut.lon_deg,
-        equal_ratings_kw(scenario.plant.rating_kw, len(cut.sensors), str(scenario_file.path)),
+        tuple(f"inv{station}" for station in irradiance.sensors),
+        irradiance.lat_deg,
+        irradiance.lon_deg,
+        equal_ratings_kw(plant.rating_kw, len(irradiance.sensors), "plant"),
     )
-    power_kw = ac_power_kw(
-        cut.ghi_wm2, times, sites.lat_deg, sites.lon_deg, sites.rating_kw, scenario.pv
-    )
-    return sites, power_kw
+    pv = scenario_file.scenario.pv
+    return MeasuredSky(sites, plant.altitude_m, pv, irradiance, str(path))
 
 
-def _history_power(
-    scenario_file: ScenarioFile,
-    times: pd.DatetimeIndex,
-    options: RunOptions,
-    sites: Sites,
-    mpp_kw: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Power of the inverters in the same hours of the past, from which neighbours are chosen."""
-    scenario = scenario_file.scenario
+def _covariance(scenario: Scenario, source: PowerSource, times: pd.DatetimeIndex) -> HourlyMatrices:
+    """Covariance of the inverters' power in the past, for the hours of scenario and run.
+
+    The past does not depend on which part of the scenario is run: the same plant keeps its
+    clusters and neighbours.
+    """
     if scenario.neighbours.history == "hindsight":
-        return mpp_kw
-    if not isinstance(scenario.irradiance, CloudIrradiance):
-        raise InputError(
-            f"{scenario_file.path}: neighbours.history is 'earlier-day', accepted with measured "
-            "irradiance is 'hindsight'"
-        )
-    seed = scenario.irradiance.seed if options.seed is None else options.seed
-    return _synthetic_power(scenario_file, times, sites, seed + _ANOTHER_DAY)
+        past = source.irradiance.times if isinstance(source, MeasuredSky) else times
+        history_kw = source.possible_kw(past)
+    else:
+        past = _whole_hours(_times(scenario, RunOptions())).union(_whole_hours(times))
+        history_kw = source.earlier_day_kw(past)
+    return hourly_covariance(history_kw, _local_hours(past, scenario.time.timezone))
 
 
-def _clear_sky_power_kw(
-    scenario_file: ScenarioFile, times: pd.DatetimeIndex, sites: Sites
-) -> NDArray[np.float64]:
-    """Power of the whole plant under a cloudless sky, shape (T,)."""
-    scenario = scenario_file.scenario
-    irradiance = scenario.irradiance
-    turbidity = (
-        irradiance.clouds.linke_turbidity if isinstance(irradiance, CloudIrradiance) else 3.0
+def _whole_hours(times: pd.DatetimeIndex) -> pd.DatetimeIndex:
+    """Extend times, in their own step, over the whole of the hours that they touch."""
+    return pd.date_range(
+        times[0].floor("h"),
+        times[-1].floor("h") + pd.Timedelta(hours=1),
+        freq=times.freq,
+        inclusive="left",
+        unit="ns",
     )
-    ghi_wm2 = clear_sky_ghi(
-        times, sites.lat_deg, sites.lon_deg, scenario.plant.altitude_m, turbidity
-    )
-    power_kw = ac_power_kw(
-        np.repeat(ghi_wm2[:, None], len(sites.names), axis=1),
-        times,
-        sites.lat_deg,
-        sites.lon_deg,
-        sites.rating_kw,
-        scenario.pv,
-    )
-    total_kw: NDArray[np.float64] = power_kw.sum(axis=1)
-    return total_kw
-
-
-def _control_tree(
-    scenario_file: ScenarioFile, sites: Sites, covariance: HourlyMatrices
-) -> ControlTree:
-    """Cluster the inverters, the clusters, and so on up to the central controller."""
-    groups: list[tuple[int, ...]] = [(index,) for index in range(len(sites.names))]
-    paths = list(sites.names)
-    control = scenario_file.scenario.control
-    for tier, sizes in enumerate(control.cluster_sizes):
-        if sum(sizes) != len(groups):
-            raise InputError(
-                f"{scenario_file.path}: control.cluster_sizes[{tier}] adds up to {sum(sizes)}, "
-                f"accepted are sizes that add up to {len(groups)}"
-            )
-        members = _choose(control.clusters, sizes, groups, sites, covariance)
-        paths = _prefixed(paths, groups, members, tier)
-        groups = [tuple(leaf for place in cluster for leaf in groups[place]) for cluster in members]
-    order = [leaf for group in groups for leaf in group]
-    return as_ratings([paths[leaf] for leaf in order], [sites.rating_kw[leaf] for leaf in order])
-
-
-def _choose(
-    method: str,
-    sizes: Sequence[int],
-    groups: list[tuple[int, ...]],
-    sites: Sites,
-    covariance: HourlyMatrices,
-) -> Sequence[Sequence[int]]:
-    match method:
-        case "correlation":
-            mean = np.mean([group_correlation(hour, groups) for hour in covariance.values], axis=0)
-            return choose_clusters(mean, sizes)
-        case "geographic":
-            east_m, north_m = _group_positions_m(groups, sites)
-            return geographic_clusters(east_m, north_m, sizes)
-        case _:
-            bounds = np.cumsum([0, *sizes])
-            return [range(low, high) for low, high in zip(bounds, bounds[1:], strict=False)]
-
-
-def _group_positions_m(
-    groups: list[tuple[int, ...]], sites: Sites
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    metres_per_degree = 111_200.0
-    east_m = sites.lon_deg * metres_per_degree * np.cos(np.radians(sites.lat_deg.mean()))
-    north_m = sites.lat_deg * metres_per_degree
-    return (
-        np.array([east_m[list(group)].mean() for group in groups]),
-        np.array([north_m[list(group)].mean() for group in groups]),
-    )
-
-
-def _prefixed(
-    paths: list[str], groups: list[tuple[int, ...]], members: Sequence[Sequence[int]], tier: int
-) -> list[str]:
-    letter = _TIER_LETTERS[tier] if tier < len(_TIER_LETTERS) else f"t{tier}_"
-    prefixed = list(paths)
-    for number, cluster in enumerate(members, start=1):
-        for place in cluster:
-            for leaf in groups[place]:
-                prefixed[leaf] = f"{letter}{number}/{paths[leaf]}"
-    return prefixed
-
-
-def _period_cycles(scenario_file: ScenarioFile, tree: ControlTree) -> tuple[int, ...]:
-    tiers = 1 + max(depth(parent) for parent in tree.parents)
-    periods = scenario_file.scenario.control.period_cycles or (1,) * tiers
-    if len(periods) != tiers:
-        raise InputError(
-            f"{scenario_file.path}: control.period_cycles has {len(periods)} entries, accepted is "
-            f"one for each of the {tiers} tiers that have children"
-        )
-    return Periods(tuple(periods)).cycles
 
 
 def _local_hours(times: pd.DatetimeIndex, timezone: str) -> NDArray[np.int64]:
-    """Hours of local time since 1970, so that each hour of a run is one of its own."""
+    """Return hours of local time since 1970, so that each hour of a run is one of its own."""
     local = times.tz_convert(timezone).tz_localize(None)
-    return (local.as_unit("ns").asi8 // 3_600_000_000_000).astype(np.int64)
+    return (local.as_unit("ns").asi8 // _HOUR_NS).astype(np.int64)
 
 
-def _neighbourhoods(
-    tree: ControlTree,
-    covariance: HourlyMatrices,
-    order: list[int],
-    times: pd.DatetimeIndex,
-    hours: NDArray[np.int64],
-) -> tuple[NodeNeighbourhoods, ...]:
-    """Correlation between each parent's children, for each hour of the run."""
-    began = {int(hour): times[int(np.argmax(hours == hour))].value for hour in np.unique(hours)}
-    return tuple(
-        NodeNeighbourhoods(
-            parent,
-            tuple(
-                Neighbourhood(
-                    began[hour],
-                    _child_correlation(tree, parent, covariance.at(hour)[np.ix_(order, order)]),
-                )
-                for hour in covariance.hours
-            ),
+def _hours_of(times: pd.DatetimeIndex, covariance: HourlyMatrices, scenario: Scenario) -> list[int]:
+    """Hours of these times of which there is a past; all there are if there is none."""
+    hours = {int(hour) for hour in _local_hours(times, scenario.time.timezone)}
+    return sorted(hours.intersection(covariance.hours)) or list(covariance.hours)
+
+
+def _beginnings_ns(times: pd.DatetimeIndex, scenario: Scenario) -> dict[int, int]:
+    """For each hour of the run the simulated time at which it begins [ns]."""
+    hours, first = np.unique(_local_hours(times, scenario.time.timezone), return_index=True)
+    return {int(hour): times[int(row)].value for hour, row in zip(hours, first, strict=True)}
+
+
+def _periods(scenario: Scenario, tree: ControlTree) -> Periods:
+    tiers = 1 + max(depth(parent) for parent in tree.parents)
+    cycles = scenario.control.period_cycles or (1,) * tiers
+    if len(cycles) != tiers:
+        raise InputError(
+            f"control.period_cycles has {len(cycles)} entries, accepted is one for each of the "
+            f"{tiers} tiers that have children"
         )
-        for parent in tree.parents
-    )
+    return Periods(tuple(cycles))
 
 
-def _child_correlation(
-    tree: ControlTree, parent: str, covariance: NDArray[np.float64]
-) -> tuple[tuple[float, ...], ...]:
-    groups = [tree.leaves_below(child) for child in tree.children(parent)]
-    return tuple(tuple(row) for row in group_correlation(covariance, groups).tolist())
+def _with_file(scenario_file: ScenarioFile, text: str) -> str:
+    """Name the scenario where the text speaks of one of its fields."""
+    of_a_field = text.split(".", 1)[0] in {"control", "plant", "neighbours", "time"}
+    return f"{scenario_file.path}: {text}" if of_a_field or text.startswith("plant:") else text

@@ -81,9 +81,9 @@ def test_a_plan_that_is_not_there_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_no_json_is_refused(path: Path) -> None:
-    path.write_text("name = 'oahu'\n", encoding="utf-8")
+    path.write_text("# a scenario\n", encoding="utf-8")
     assert complaint(path) == (
-        f"{path}: JSON is malformed: invalid character (byte 1), accepted is the plan.json of a run"
+        f"{path}: JSON is malformed: invalid character (byte 0), accepted is the plan.json of a run"
     )
 
 

@@ -1,0 +1,143 @@
+"""From the past of a plant to its control tree and its virtual neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.control.clusters import choose_clusters, geographic_clusters
+from agents.control.correlation import HourlyMatrices, group_correlation
+from agents.family import Neighbourhood
+from agents.plan import NodeNeighbourhoods
+from bus_schemas.errors import InputError
+from bus_schemas.tree import ControlTree, as_ratings
+from launch_scripts.scenario import ControlTable
+from sim_plant.sites import Sites
+
+_TIER_LETTERS: Final = "czar"
+"""Clusters are c1, c2, ...; zones of clusters z1, ...; then areas and regions."""
+
+_METRES_PER_DEGREE: Final = 111_200.0
+
+
+def control_tree(
+    control: ControlTable, sites: Sites, covariance: HourlyMatrices, hours: Sequence[int]
+) -> ControlTree:
+    """Cluster the inverters, then the clusters, and so on up to the central controller.
+
+    Parameters
+    ----------
+    control
+        Sizes of the clusters, and how their members are chosen.
+    sites
+        The inverters.
+    covariance
+        Of the inverters' power in the past, hour by hour.
+    hours
+        The hours whose mean correlation decides.
+
+    Raises
+    ------
+    InputError
+        The sizes of a tier do not add up.
+    """
+    groups: list[tuple[int, ...]] = [(index,) for index in range(len(sites.names))]
+    paths = list(sites.names)
+    for tier, sizes in enumerate(control.cluster_sizes):
+        if sum(sizes) != len(groups):
+            raise InputError(
+                f"control.cluster_sizes[{tier}] adds up to {sum(sizes)}, accepted are sizes that "
+                f"add up to {len(groups)}"
+            )
+        clusters = _choose(control.clusters, sizes, groups, sites, covariance, hours)
+        paths = _with_prefix(paths, groups, clusters, tier)
+        groups = [
+            tuple(leaf for place in cluster for leaf in groups[place]) for cluster in clusters
+        ]
+    order = [leaf for group in groups for leaf in group]
+    return as_ratings([paths[leaf] for leaf in order], [sites.rating_kw[leaf] for leaf in order])
+
+
+def neighbourhoods(
+    tree: ControlTree, covariance: HourlyMatrices, began_ns: dict[int, int]
+) -> tuple[NodeNeighbourhoods, ...]:
+    """Return the correlation between each parent's children, for each hour of the run.
+
+    Parameters
+    ----------
+    tree
+        The control tree.
+    covariance
+        Of the inverters' power in the past, in the order of the tree's leaves.
+    began_ns
+        For each hour of the run the simulated time from which it counts.
+    """
+    return tuple(
+        NodeNeighbourhoods(
+            parent,
+            tuple(
+                Neighbourhood(time_ns, _child_correlation(tree, parent, covariance.at(hour)))
+                for hour, time_ns in sorted(began_ns.items())
+            ),
+        )
+        for parent in tree.parents
+    )
+
+
+def in_order(covariance: HourlyMatrices, order: Sequence[int]) -> HourlyMatrices:
+    """Return the matrices with rows and columns in another order."""
+    return HourlyMatrices(covariance.hours, covariance.values[:, order][:, :, order])
+
+
+def _choose(
+    method: str,
+    sizes: Sequence[int],
+    groups: list[tuple[int, ...]],
+    sites: Sites,
+    covariance: HourlyMatrices,
+    hours: Sequence[int],
+) -> Sequence[Sequence[int]]:
+    match method:
+        case "correlation":
+            hourly = [group_correlation(covariance.at(hour), groups) for hour in hours]
+            return choose_clusters(np.mean(hourly, axis=0), sizes)
+        case "geographic":
+            return geographic_clusters(*_positions_m(groups, sites), sizes)
+        case _:
+            return [range(low, high) for low, high in pairwise(np.cumsum([0, *sizes]).tolist())]
+
+
+def _positions_m(
+    groups: list[tuple[int, ...]], sites: Sites
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the middle of each group, east and north [m]."""
+    shrink = np.cos(np.radians(sites.lat_deg.mean()))
+    east_m = sites.lon_deg * _METRES_PER_DEGREE * shrink
+    north_m = sites.lat_deg * _METRES_PER_DEGREE
+    return (
+        np.array([east_m[list(group)].mean() for group in groups]),
+        np.array([north_m[list(group)].mean() for group in groups]),
+    )
+
+
+def _with_prefix(
+    paths: list[str], groups: list[tuple[int, ...]], clusters: Sequence[Sequence[int]], tier: int
+) -> list[str]:
+    letter = _TIER_LETTERS[tier] if tier < len(_TIER_LETTERS) else f"t{tier}_"
+    prefixed = list(paths)
+    for number, cluster in enumerate(clusters, start=1):
+        for place in cluster:
+            for leaf in groups[place]:
+                prefixed[leaf] = f"{letter}{number}/{paths[leaf]}"
+    return prefixed
+
+
+def _child_correlation(
+    tree: ControlTree, parent: str, covariance: NDArray[np.float64]
+) -> tuple[tuple[float, ...], ...]:
+    groups = [tree.leaves_below(child) for child in tree.children(parent)]
+    return tuple(tuple(row) for row in group_correlation(covariance, groups).tolist())

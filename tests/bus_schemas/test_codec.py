@@ -1,0 +1,240 @@
+"""Messages to bytes and back: the wire is plain msgpack, and bad payloads are refused."""
+
+from __future__ import annotations
+
+import math
+
+import msgpack
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bus_schemas.codec import decode, decode_head, encode, json_schema
+from bus_schemas.messages import (
+    Command,
+    Dispatch,
+    Help,
+    HelpGiven,
+    Impp,
+    Message,
+    Notice,
+    Production,
+    Ready,
+    Request,
+    Residual,
+    Run,
+    Setpoint,
+    Telemetry,
+)
+from bus_schemas.signals import IMPP, SETPOINT, SIGNALS, Signal
+
+HEAD_FIELDS = ["cycle", "sim_time_ns", "source", "missing", "publish_time_ns", "sequence"]
+
+OWN_FIELDS = {
+    Telemetry: ["power_kw", "alpha"],
+    Dispatch: ["power_kw", "commitment_kw", "regulation_kw"],
+    Request: ["power_kw"],
+    Impp: ["power_kw", "stale_cycles"],
+    Residual: ["power_kw"],
+    Help: ["missing_kw"],
+    Setpoint: ["power_kw", "share_kw", "help_given"],
+    Command: ["alpha", "power_kw"],
+    Production: [
+        "desired_kw",
+        "possible_kw",
+        "delivered_kw",
+        "inverter_mpp_kw",
+        "inverter_power_kw",
+    ],
+    Run: ["state", "start_time_ns", "cycle_wall_ns"],
+    Ready: [],
+    Notice: ["text", "count"],
+}
+
+KW = st.floats(allow_nan=False)
+INT64 = st.integers(-(2**63), 2**63 - 1)
+KWS = st.lists(KW, max_size=5).map(tuple)
+
+FIELDS: dict[str, st.SearchStrategy[object]] = {
+    "cycle": INT64,
+    "sim_time_ns": INT64,
+    "source": st.text(),
+    "missing": st.lists(st.text(), max_size=3).map(tuple),
+    "publish_time_ns": INT64,
+    "sequence": INT64,
+    "stale_cycles": INT64,
+    "start_time_ns": INT64,
+    "cycle_wall_ns": INT64,
+    "count": INT64,
+    "state": st.sampled_from(["start", "stop"]),
+    "text": st.text(),
+    "inverter_mpp_kw": KWS,
+    "inverter_power_kw": KWS,
+    "help_given": st.lists(st.builds(HelpGiven, st.text(), KW), max_size=4).map(tuple),
+}
+
+each_signal = pytest.mark.parametrize("signal", SIGNALS, ids=lambda signal: signal.name)
+
+
+def messages(signal: Signal[Message]) -> st.SearchStrategy[Message]:
+    """Any message of a signal."""
+    fields = {name: FIELDS.get(name, KW) for name in signal.type.__struct_fields__}
+    return st.fixed_dictionaries(fields).map(lambda values: signal.type(**values))
+
+
+def one(signal: Signal[Message]) -> Message:
+    """A plain message of a signal."""
+    plain = {
+        **dict.fromkeys(HEAD_FIELDS, 1),
+        **{"source": "c1", "missing": ("c1/inv07/impp",), "stale_cycles": 0, "count": 1},
+        **{"state": "start", "start_time_ns": 5, "cycle_wall_ns": 0, "text": "words"},
+        **{"inverter_mpp_kw": (1.0, 2.0), "inverter_power_kw": (0.5, 2.0)},
+        "help_given": (HelpGiven("c1/inv08", 12.5),),
+    }
+    names = signal.type.__struct_fields__
+    return signal.type(**{name: plain.get(name, 1.5) for name in names})
+
+
+def test_the_table_of_fields_is_that_of_the_signals() -> None:
+    assert set(OWN_FIELDS) == {signal.type for signal in SIGNALS}
+
+
+@each_signal
+@given(data=st.data())
+def test_what_is_sent_is_what_arrives(signal: Signal[Message], data: st.DataObject) -> None:
+    message = data.draw(messages(signal))
+    assert decode(signal, encode(message)) == message
+
+
+def test_a_power_that_is_no_number_arrives_as_it_is() -> None:
+    sent = Residual(1, 2, "c1", (), power_kw=math.nan)
+    arrived = decode(IMPP_LIKE, encode(sent))
+    assert math.isnan(arrived.power_kw)
+
+
+IMPP_LIKE: Signal[Residual] = next(s for s in SIGNALS if s.type is Residual)  # type: ignore[assignment]
+
+
+@each_signal
+def test_the_wire_is_one_plain_msgpack_map_from_field_name_to_value(
+    signal: Signal[Message],
+) -> None:
+    message = one(signal)
+    found = msgpack.unpackb(encode(message))
+    assert list(found) == [*HEAD_FIELDS, *OWN_FIELDS[signal.type]]
+    assert found == msgspec.to_builtins(message)
+
+
+@each_signal
+def test_a_reader_that_packs_msgpack_by_hand_is_understood(signal: Signal[Message]) -> None:
+    message = one(signal)
+    assert decode(signal, msgpack.packb(msgspec.to_builtins(message))) == message
+
+
+def test_a_line_of_help_is_a_pair_on_the_wire() -> None:
+    setpoint = Setpoint(
+        0, 0, "c1", (), power_kw=60.0, share_kw=50.0, help_given=(HelpGiven("c1/inv08", 10.0),)
+    )
+    assert msgpack.unpackb(encode(setpoint))["help_given"] == [["c1/inv08", 10.0]]
+
+
+@each_signal
+def test_a_field_too_many_is_refused(signal: Signal[Message]) -> None:
+    fields = {**msgpack.unpackb(encode(one(signal))), "voltage_v": 1.0}
+    with pytest.raises(msgspec.DecodeError, match="unknown field `voltage_v`"):
+        decode(signal, msgpack.packb(fields))
+
+
+@each_signal
+def test_a_field_too_few_is_refused(signal: Signal[Message]) -> None:
+    whole = msgpack.unpackb(encode(one(signal)))
+    for name in set(whole) - {"publish_time_ns", "sequence"}:
+        fields = {key: value for key, value in whole.items() if key != name}
+        with pytest.raises(msgspec.DecodeError, match=f"missing required field `{name}`"):
+            decode(signal, msgpack.packb(fields))
+
+
+@each_signal
+def test_a_field_of_the_wrong_type_is_refused(signal: Signal[Message]) -> None:
+    whole = msgpack.unpackb(encode(one(signal)))
+    for name in whole:
+        with pytest.raises(msgspec.DecodeError, match=rf"at `\$\.{name}`"):
+            decode(signal, msgpack.packb({**whole, name: None}))
+
+
+def test_a_message_of_another_signal_is_refused() -> None:
+    with pytest.raises(msgspec.DecodeError, match="unknown field `power_kw`|required field"):
+        decode(SETPOINT, encode(Impp(0, 0, "c1", (), power_kw=1.0, stale_cycles=0)))
+
+
+@pytest.mark.parametrize("payload", [b"", b"\xc1", b"power", b"\x81", msgpack.packb([1, 2, 3])])
+def test_garbage_is_refused(payload: bytes) -> None:
+    with pytest.raises(msgspec.DecodeError):
+        decode(IMPP, payload)
+
+
+@given(st.binary(max_size=64))
+def test_no_payload_raises_anything_else(payload: bytes) -> None:
+    try:
+        decode(IMPP, payload)
+    except msgspec.DecodeError:
+        return
+    raise AssertionError("64 random bytes are no IMPP")
+
+
+@each_signal
+def test_the_head_can_be_read_without_the_rest(signal: Signal[Message]) -> None:
+    message = one(signal)
+    head = decode_head(encode(message))
+    assert (head.cycle, head.source, head.publish_time_ns, head.sequence) == (
+        message.cycle,
+        message.source,
+        message.publish_time_ns,
+        message.sequence,
+    )
+
+
+def test_a_payload_without_a_head_has_none() -> None:
+    with pytest.raises(msgspec.DecodeError, match="missing required field `cycle`"):
+        decode_head(msgpack.packb({"power_kw": 1.0}))
+
+
+# JSON Schema --------------------------------------------------------------------------------------
+
+JSON_TYPES = {int: "integer", float: "number", str: "string", list: "array"}
+
+
+@each_signal
+def test_the_schema_says_at_its_root_that_a_message_is_an_object(signal: Signal[Message]) -> None:
+    schema = json_schema(signal)
+    assert schema["type"] == "object"
+    assert "$ref" not in schema
+
+
+@each_signal
+def test_the_schema_describes_what_msgpack_reads(signal: Signal[Message]) -> None:
+    schema = msgspec.convert(json_schema(signal), dict[str, object])
+    properties = msgspec.convert(schema["properties"], dict[str, dict[str, object]])
+    found = msgpack.unpackb(encode(one(signal)))
+    assert list(properties) == list(found)
+    for name, value in found.items():
+        described = properties[name]
+        if "enum" in described:
+            assert value in msgspec.convert(described["enum"], list[str])
+        else:
+            assert described["type"] == JSON_TYPES[type(value)], name
+
+
+@each_signal
+def test_the_schema_requires_all_but_what_the_bus_stamps(signal: Signal[Message]) -> None:
+    required = msgspec.convert(json_schema(signal)["required"], list[str])
+    assert required == [*HEAD_FIELDS[:4], *OWN_FIELDS[signal.type]]
+    assert json_schema(signal)["additionalProperties"] is False
+
+
+def test_the_schema_of_a_setpoint_describes_its_lines_of_help() -> None:
+    definitions = msgspec.convert(json_schema(SETPOINT)["$defs"], dict[str, dict[str, object]])
+    line = definitions["HelpGiven"]
+    assert line["type"] == "array"
+    assert line["prefixItems"] == [{"type": "string"}, {"type": "number"}]

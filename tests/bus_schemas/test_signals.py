@@ -1,0 +1,159 @@
+"""The one table of signals: who publishes, who listens, and what the keys are."""
+
+from __future__ import annotations
+
+import pytest
+
+from bus_schemas.keys import KeyTable
+from bus_schemas.links import explicit_links
+from bus_schemas.signals import (
+    COMMAND,
+    DISPATCH,
+    HELP,
+    IMPP,
+    NOTICE,
+    PRODUCTION,
+    READY,
+    REQUEST,
+    RESIDUAL,
+    RUN,
+    SETPOINT,
+    SIGNALS,
+    TELEMETRY,
+    listeners,
+    ports,
+    publisher,
+)
+from bus_schemas.tree import ROOT, ControlTree
+
+OAHU = ControlTree((("c1/inv07", 470.0), ("c1/inv08", 470.0), ("c2/inv09", 470.0)))
+RAGGED = ControlTree((("inv01", 1.0), ("c1/inv02", 1.0), ("z1/c1/inv03", 1.0)))
+FLAT = ControlTree((("inv01", 1.0),))
+TREES = [OAHU, RAGGED, FLAT]
+
+KEYS = KeyTable("oahu", OAHU)
+
+
+@pytest.mark.parametrize(
+    ("key", "published_by", "heard_by"),
+    [
+        ("oahu/c1/inv07/telemetry", "plant", ("c1/inv07",)),
+        ("oahu/dispatch", "plant", ("central",)),
+        ("oahu/c1/request", "central", ("c1",)),
+        ("oahu/c1/inv07/request", "c1", ("c1/inv07",)),
+        ("oahu/c1/inv07/impp", "c1/inv07", ("c1",)),
+        ("oahu/c1/inv07/residual", "c1/inv07", ("c1",)),
+        ("oahu/c1/inv07/help", "c1/inv07", ("c1",)),
+        ("oahu/c1/impp", "c1", ("central",)),
+        ("oahu/impp", "central", ()),
+        ("oahu/help", "central", ()),
+        ("oahu/c1/setpoint", "central", ("c1",)),
+        ("oahu/c1/inv07/setpoint", "c1", ("c1/inv07",)),
+        ("oahu/c1/inv07/command", "c1/inv07", ("plant",)),
+        ("oahu/production", "plant", ()),
+        ("oahu/c1/notice", "c1", ()),
+        ("oahu/ready", "recorder", ("plant",)),
+    ],
+)
+def test_who_speaks_and_who_listens(key: str, published_by: str, heard_by: tuple[str, ...]) -> None:
+    port = KEYS.port(key)
+    assert port is not None
+    assert KEYS.key(port) == key
+    assert publisher(port) == published_by
+    assert listeners(port, OAHU) == heard_by
+
+
+def test_everybody_but_the_plant_itself_hears_when_the_run_begins_and_ends() -> None:
+    assert set(listeners(RUN.of(ROOT), OAHU)) == set(OAHU.agents()) - {"plant"}
+
+
+def test_no_controller_hears_what_really_happened() -> None:
+    assert listeners(PRODUCTION.of(ROOT), OAHU) == ()
+
+
+@pytest.mark.parametrize("tree", TREES)
+def test_every_port_has_one_publisher_that_the_run_has(tree: ControlTree) -> None:
+    assert {publisher(port) for port in ports(tree)} <= set(tree.agents())
+
+
+@pytest.mark.parametrize("tree", TREES)
+def test_nobody_listens_to_itself_or_is_unknown(tree: ControlTree) -> None:
+    for port in ports(tree):
+        heard_by = listeners(port, tree)
+        assert set(heard_by) <= set(tree.agents()) - {publisher(port)}
+        assert len(set(heard_by)) == len(heard_by)
+
+
+@pytest.mark.parametrize("tree", TREES)
+def test_every_listener_is_linked_with_whom_it_hears(tree: ControlTree) -> None:
+    linked = {frozenset(pair) for pair in explicit_links(tree).pairs}
+    for port in ports(tree):
+        for listener in listeners(port, tree):
+            assert frozenset({publisher(port), listener}) in linked
+
+
+@pytest.mark.parametrize("tree", TREES)
+def test_keys_name_one_port_each_and_lead_back_to_it(tree: ControlTree) -> None:
+    keys = KeyTable("oahu", tree)
+    assert keys.ports == ports(tree)
+    assert all(keys.port(keys.key(port)) is port for port in ports(tree))
+    assert len({keys.key(port) for port in ports(tree)}) == len(ports(tree))
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "oahu/c1/inv99/impp",
+        "oahu/c1/inv07/speed",
+        "oahu/request",
+        "oahu/c1/telemetry",
+        "lanai/c1/inv07/impp",
+        "oahu/c1/inv07/alive",
+        "",
+    ],
+)
+def test_a_key_of_no_port_is_known_as_such(key: str) -> None:
+    assert KEYS.port(key) is None
+
+
+def test_signs_of_life_have_keys_of_their_own() -> None:
+    assert KEYS.alive_key("c1/inv07") == "oahu/c1/inv07/alive"
+    assert KEYS.alive_key("central") == "oahu/central/alive"
+
+
+def test_each_signal_is_about_the_nodes_that_it_makes_sense_for() -> None:
+    nodes = {signal.name: signal.nodes(OAHU) for signal in SIGNALS}
+    leaves = ("c1/inv07", "c1/inv08", "c2/inv09")
+    assert nodes == {
+        "telemetry": leaves,
+        "dispatch": (ROOT,),
+        "request": ("c1", "c2", *leaves),
+        "impp": (ROOT, "c1", "c2", *leaves),
+        "residual": (ROOT, "c1", "c2", *leaves),
+        "help": (ROOT, "c1", "c2", *leaves),
+        "setpoint": ("c1", "c2", *leaves),
+        "command": leaves,
+        "production": (ROOT,),
+        "notice": (ROOT, "c1", "c2", *leaves),
+        "run": (ROOT,),
+        "ready": (ROOT,),
+    }
+
+
+def test_a_port_is_one_object() -> None:
+    assert IMPP.of("c1") is IMPP.of("c1")
+    assert IMPP.of("c1") is not IMPP.of("c2")
+    assert IMPP.of("c1") is not RESIDUAL.of("c1")
+
+
+def test_all_is_logged_but_the_recorders_own_word() -> None:
+    assert {signal for signal in SIGNALS if not signal.logged} == {READY}
+    assert set(SIGNALS) == {
+        *(TELEMETRY, DISPATCH, REQUEST, IMPP, RESIDUAL, HELP),
+        *(SETPOINT, COMMAND, PRODUCTION, NOTICE, RUN, READY),
+    }
+
+
+def test_signal_names_and_types_differ() -> None:
+    assert len({signal.name for signal in SIGNALS}) == len(SIGNALS)
+    assert len({signal.type for signal in SIGNALS}) == len(SIGNALS)

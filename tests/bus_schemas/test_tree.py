@@ -1,0 +1,145 @@
+"""The control tree: who is whose parent, and which trees are refused."""
+
+from __future__ import annotations
+
+import pytest
+
+from bus_schemas.errors import InputError
+from bus_schemas.tree import (
+    ROOT,
+    ControlTree,
+    agent_name,
+    ancestors,
+    as_ratings,
+    depth,
+    parent_of,
+)
+
+TREE = ControlTree(
+    (("c2/inv03", 100.0), ("c1/inv01", 250.0), ("inv09", 30.0), ("z1/c1/inv02", 70.0))
+)
+
+
+def test_inverters_keep_the_order_of_the_plant() -> None:
+    assert TREE.leaves == ("c2/inv03", "c1/inv01", "inv09", "z1/c1/inv02")
+
+
+def test_parents_come_before_their_descendants() -> None:
+    assert TREE.parents == (ROOT, "c1", "c2", "z1", "z1/c1")
+    assert TREE.nodes == TREE.parents + TREE.leaves
+
+
+def test_children_are_one_tier_below() -> None:
+    assert TREE.children(ROOT) == ("c2", "c1", "inv09", "z1")
+    assert TREE.children("z1") == ("z1/c1",)
+    assert TREE.children("z1/c1") == ("z1/c1/inv02",)
+    assert TREE.children("inv09") == ()
+
+
+def test_leaves_are_the_inverters() -> None:
+    assert [node for node in TREE.nodes if TREE.is_leaf(node)] == list(TREE.leaves)
+
+
+def test_a_cluster_is_rated_as_its_inverters_together() -> None:
+    tree = ControlTree((("c1/a", 100.0), ("c1/b", 50.0), ("c2/a", 25.0)))
+    assert [tree.rating_kw(node) for node in ("c1/a", "c1", "c2", ROOT)] == [100, 150, 25, 175]
+
+
+def test_leaves_below_are_places_in_the_plants_order() -> None:
+    tree = ControlTree((("c1/a", 1.0), ("c10/a", 1.0), ("c1/b", 1.0)))
+    assert tree.leaves_below("c1") == (0, 2)
+    assert tree.leaves_below("c10") == (1,)
+    assert tree.leaves_below("c1/b") == (2,)
+    assert tree.leaves_below(ROOT) == (0, 1, 2)
+
+
+def test_the_height_is_that_of_the_deepest_branch() -> None:
+    assert TREE.height == 3
+    assert ControlTree((("inv01", 1.0),)).height == 1
+
+
+def test_everybody_has_a_name_on_the_bus() -> None:
+    tree = ControlTree((("c1/a", 1.0), ("c2/a", 1.0)))
+    assert tree.agents() == ("recorder", "plant", "central", "c1", "c2", "c1/a", "c2/a")
+    assert (agent_name(ROOT), agent_name("c1")) == ("central", "c1")
+
+
+def test_the_way_up_from_a_node() -> None:
+    assert ancestors("z1/c2/inv07") == ("z1/c2", "z1", ROOT)
+    assert ancestors("inv07") == (ROOT,)
+    assert ancestors(ROOT) == ()
+    assert (parent_of("z1/c2"), parent_of("z1")) == ("z1", ROOT)
+    assert [depth(path) for path in (ROOT, "z1", "z1/c2/inv07")] == [0, 1, 3]
+
+
+def test_the_central_controller_has_no_parent() -> None:
+    with pytest.raises(ValueError, match="the central controller has no parent"):
+        parent_of(ROOT)
+
+
+def test_a_tree_is_made_of_paths_and_ratings() -> None:
+    assert as_ratings(["c1/a", "c1/b"], [1, 2]) == ControlTree((("c1/a", 1.0), ("c1/b", 2.0)))
+
+
+def test_paths_and_ratings_must_be_equally_many() -> None:
+    with pytest.raises(ValueError, match="zip"):
+        as_ratings(["c1/a", "c1/b"], [1.0])
+
+
+@pytest.mark.parametrize(
+    ("inverters", "message"),
+    [
+        ((), "control tree: it has no inverter, accepted is one or more"),
+        (
+            (("c1/a", 1.0), ("c1/a", 1.0)),
+            "control tree: two nodes are named c1/a, names must differ",
+        ),
+        (
+            (("c1", 1.0), ("c1/a", 1.0)),
+            "control tree: c1 is an inverter and a cluster, it must be one",
+        ),
+        (
+            (("c1/a", 0.0),),
+            "control tree, node c1/a: rating_kw is 0, accepted is a number above 0",
+        ),
+        (
+            (("c1/a", -5.0),),
+            "control tree, node c1/a: rating_kw is -5, accepted is a number above 0",
+        ),
+        (
+            (("c1/a", float("nan")),),
+            "control tree, node c1/a: rating_kw is nan, accepted is a number above 0",
+        ),
+        (
+            (("c1/a", float("inf")),),
+            "control tree, node c1/a: rating_kw is inf, accepted is a number above 0",
+        ),
+        (
+            (("", 1.0),),
+            "control tree, node '': name '', accepted are letters, digits, '_' and '-'",
+        ),
+        (
+            (("c1//a", 1.0),),
+            "control tree, node 'c1//a': name '', accepted are letters, digits, '_' and '-'",
+        ),
+        (
+            (("c1/*", 1.0),),
+            "control tree, node 'c1/*': name '*', accepted are letters, digits, '_' and '-'",
+        ),
+        (
+            (("c1/a\n", 1.0),),
+            "control tree, node 'c1/a\\n': name 'a\\n', accepted are letters, digits, '_' and '-'",
+        ),
+        (
+            (("plant/a", 1.0),),
+            "control tree, node 'plant/a': name 'plant' is reserved "
+            "(alive, central, plant, recorder), take another",
+        ),
+    ],
+)
+def test_trees_that_cannot_be_are_refused(
+    inverters: tuple[tuple[str, float], ...], message: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        ControlTree(inverters)
+    assert str(caught.value) == message
