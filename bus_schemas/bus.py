@@ -45,8 +45,10 @@ class Outbox:
 
     def stamp(self, port: Port[Message], message: Message) -> Message:
         """Return the message as it goes out."""
+        if message.cycle < 0:
+            return replace(message, publish_time_ns=time.monotonic_ns())
         sequence = self._next_sequence.get(port, 0)
         self._next_sequence[port] = sequence + 1
-        if message.cycle >= 0 and port.signal.logged:
+        if port.signal.logged:
             self.published[port.signal.name] += 1
         return replace(message, publish_time_ns=time.monotonic_ns(), sequence=sequence)

@@ -33,7 +33,7 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False)
     publish_time_ns
         Monotonic clock of the sending host when the message went out. Set by the bus.
     sequence
-        Number of the message on its key, from 0, arming rounds included. Set by the bus.
+        Number of the message on its key, from 0 in cycle 0 on; 0 in arming rounds. Set by the bus.
     """
 
     cycle: int

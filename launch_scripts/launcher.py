@@ -81,6 +81,7 @@ class Launch:
                         self._armed_at, self._rounds = time.monotonic(), event.rounds
                         startup_s = self._armed_at - self._began_at
                         view.say(f"armed: cycle 0 began {startup_s:.1f} s after the start")
+                        heard_at = time.monotonic()
                     case Status():
                         view.show(event)
                         heard_at = time.monotonic()

@@ -74,7 +74,7 @@ class PlainLines:
 
     def show(self, status: Status) -> None:
         """Print a line if the last one is old enough."""
-        if time.monotonic() < self._next_at:
+        if status.cycle < 0 or time.monotonic() < self._next_at:
             return
         self._next_at = time.monotonic() + _PLAIN_S
         self.say(
@@ -117,6 +117,8 @@ class LivePanel:
 
     def show(self, status: Status) -> None:
         """Draw the panel anew."""
+        if status.cycle < 0:
+            return
         self._progress.update(self._task, completed=status.cycle + 1)
         powers = Table.grid(padding=(0, 1))
         powers.add_column(width=10)

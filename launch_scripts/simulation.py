@@ -176,7 +176,5 @@ def _follow(run: MemoryRun, monitor: RunMonitor, writer: RunWriter, view: View) 
                 run.stop()
             if time.monotonic() >= status_at:
                 status_at = time.monotonic() + _STATUS_S
-                status = monitor.status(writer.recorded.total())
-                if status is not None:
-                    view.show(status)
+                view.show(monitor.status(writer.recorded.total()))
         return bool(interruption)

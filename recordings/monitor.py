@@ -35,11 +35,11 @@ class RunMonitor:
         elif port.signal is HELP:
             self._needy[port.node] = message.cycle
 
-    def status(self, recorded: int) -> Status | None:
-        """Return where the run stands, None before its first cycle is over."""
+    def status(self, recorded: int) -> Status:
+        """Return where the run stands; its cycle is -1 before the first one is over."""
         last = self._last
         if last is None:
-            return None
+            return Status(-1, 0, 0.0, 0.0, 0.0, [], recorded)
         return Status(
             cycle=last.cycle,
             sim_time_ns=last.sim_time_ns,

@@ -123,11 +123,11 @@ class Recorder:
         message = self._understand(port, key, payload)
         if port is None or message is None:
             return
-        self._count_gap(port, message)
         if message.cycle < 0:
             if self._round.sees(port, message.cycle):
                 self._answer_round(message)
         elif port.signal.logged:
+            self._count_gap(port, message)
             self._writer.add(port, message, payload, time.monotonic_ns())
             self.monitor.see(port, message)
 
@@ -145,8 +145,8 @@ class Recorder:
         return message
 
     def _count_gap(self, port: Port[Message], message: Message) -> None:
-        expected = self._next_sequence.get(port)
-        if expected is not None and message.sequence > expected and message.cycle >= 0:
+        expected = self._next_sequence.get(port, 0)
+        if message.sequence > expected:
             self.gaps[port.signal.name] += message.sequence - expected
         self._next_sequence[port] = message.sequence + 1
 
@@ -155,9 +155,7 @@ class Recorder:
         self._tap.publish(self._ready_port, ready)
 
     def _tell_status(self) -> None:
-        status = self.monitor.status(self._writer.recorded.total())
-        if status is not None:
-            self._lifeline.tell(status)
+        self._lifeline.tell(self.monitor.status(self._writer.recorded.total()))
 
     def _report(self) -> None:
         monitor = self.monitor

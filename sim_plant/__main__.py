@@ -25,6 +25,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m sim_plant", description=__doc__)
     parser.add_argument("--plan", type=Path, required=True, help="plan.json of the run")
     parser.add_argument("--profile", type=Path, help="default: profile.npz beside the plan")
+    parser.add_argument(
+        "--patience", type=float, default=30.0, help="seconds to wait for everybody to appear"
+    )
     parser.add_argument("--attached", action="store_true", help="a launcher holds standard input")
     options = parser.parse_args()
     logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
@@ -37,10 +40,10 @@ def main() -> int:
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    return run_plant(plan, profile, options.attached)
+    return run_plant(plan, profile, options.attached, options.patience)
 
 
-def run_plant(plan: RunPlan, profile: Profile, attached: bool) -> int:
+def run_plant(plan: RunPlan, profile: Profile, attached: bool, patience_s: float) -> int:
     """Join the bus and conduct the run. Returns the exit status."""
     drop_log = DropLog()
     stop_asked = threading.Event()
@@ -51,7 +54,7 @@ def run_plant(plan: RunPlan, profile: Profile, attached: bool) -> int:
         with open_bus(plan, plant.name, drop_log) as bus:
             runtime: Runtime[PlantState] = Runtime(plant, plan, bus, lifeline, drop_log)
             lifeline.tell(Ready())
-            Conductor(runtime, stop_asked).conduct()
+            Conductor(runtime, stop_asked, patience_s).conduct()
     except ArmingError as error:
         lifeline.tell(Failed(str(error)))
         return 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-import msgpack
+import msgpack  # type: ignore[import-untyped]
 import msgspec
 import pytest
 from hypothesis import given
@@ -27,7 +27,7 @@ from bus_schemas.messages import (
     Setpoint,
     Telemetry,
 )
-from bus_schemas.signals import IMPP, SETPOINT, SIGNALS, Signal
+from bus_schemas.signals import IMPP, RESIDUAL, SETPOINT, SIGNALS, Signal
 
 HEAD_FIELDS = ["cycle", "sim_time_ns", "source", "missing", "publish_time_ns", "sequence"]
 
@@ -80,12 +80,12 @@ each_signal = pytest.mark.parametrize("signal", SIGNALS, ids=lambda signal: sign
 def messages(signal: Signal[Message]) -> st.SearchStrategy[Message]:
     """Any message of a signal."""
     fields = {name: FIELDS.get(name, KW) for name in signal.type.__struct_fields__}
-    return st.fixed_dictionaries(fields).map(lambda values: signal.type(**values))
+    return st.fixed_dictionaries(fields).map(lambda values: msgspec.convert(values, signal.type))
 
 
 def one(signal: Signal[Message]) -> Message:
     """A plain message of a signal."""
-    plain = {
+    plain: dict[str, object] = {
         **dict.fromkeys(HEAD_FIELDS, 1),
         **{"source": "c1", "missing": ("c1/inv07/impp",), "stale_cycles": 0, "count": 1},
         **{"state": "start", "start_time_ns": 5, "cycle_wall_ns": 0, "text": "words"},
@@ -93,7 +93,7 @@ def one(signal: Signal[Message]) -> Message:
         "help_given": (HelpGiven("c1/inv08", 12.5),),
     }
     names = signal.type.__struct_fields__
-    return signal.type(**{name: plain.get(name, 1.5) for name in names})
+    return msgspec.convert({name: plain.get(name, 1.5) for name in names}, signal.type)
 
 
 def test_the_table_of_fields_is_that_of_the_signals() -> None:
@@ -108,12 +108,8 @@ def test_what_is_sent_is_what_arrives(signal: Signal[Message], data: st.DataObje
 
 
 def test_a_power_that_is_no_number_arrives_as_it_is() -> None:
-    sent = Residual(1, 2, "c1", (), power_kw=math.nan)
-    arrived = decode(IMPP_LIKE, encode(sent))
+    arrived = decode(RESIDUAL, encode(Residual(1, 2, "c1", (), power_kw=math.nan)))
     assert math.isnan(arrived.power_kw)
-
-
-IMPP_LIKE: Signal[Residual] = next(s for s in SIGNALS if s.type is Residual)  # type: ignore[assignment]
 
 
 @each_signal
@@ -123,7 +119,7 @@ def test_the_wire_is_one_plain_msgpack_map_from_field_name_to_value(
     message = one(signal)
     found = msgpack.unpackb(encode(message))
     assert list(found) == [*HEAD_FIELDS, *OWN_FIELDS[signal.type]]
-    assert found == msgspec.to_builtins(message)
+    assert found == msgspec.json.decode(msgspec.json.encode(message))
 
 
 @each_signal
@@ -164,7 +160,7 @@ def test_a_field_of_the_wrong_type_is_refused(signal: Signal[Message]) -> None:
 
 
 def test_a_message_of_another_signal_is_refused() -> None:
-    with pytest.raises(msgspec.DecodeError, match="unknown field `power_kw`|required field"):
+    with pytest.raises(msgspec.DecodeError, match="unknown field `stale_cycles`"):
         decode(SETPOINT, encode(Impp(0, 0, "c1", (), power_kw=1.0, stale_cycles=0)))
 
 
@@ -172,15 +168,6 @@ def test_a_message_of_another_signal_is_refused() -> None:
 def test_garbage_is_refused(payload: bytes) -> None:
     with pytest.raises(msgspec.DecodeError):
         decode(IMPP, payload)
-
-
-@given(st.binary(max_size=64))
-def test_no_payload_raises_anything_else(payload: bytes) -> None:
-    try:
-        decode(IMPP, payload)
-    except msgspec.DecodeError:
-        return
-    raise AssertionError("64 random bytes are no IMPP")
 
 
 @each_signal

@@ -1,0 +1,80 @@
+"""The agents together do what an independent calculation of the paper's rule gives."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from agents.plan import RunPlan
+from launch_scripts.preparation import RunOptions, prepare
+from launch_scripts.scenario import load_scenario
+from launch_scripts.simulation import MemoryRun
+from recordings.metrics import CommitmentMetrics, commitment_metrics
+from recordings.monitor import RunMonitor
+from sim_plant.profile import Profile
+
+
+def run_agents(plan: RunPlan, profile: Profile) -> RunMonitor:
+    """Run a plan's agents in memory on a profile."""
+    monitor = RunMonitor()
+    for _ in MemoryRun(plan, profile, monitor.see).cycles():
+        pass
+    return monitor
+
+
+def metrics_of(monitor: RunMonitor) -> CommitmentMetrics:
+    """Figures of a run of 1 s cycles."""
+    return commitment_metrics(monitor.desired_kw, monitor.possible_kw, monitor.delivered_kw, 1.0)
+
+
+def shortfall_free_delivery_kw(profile: Profile) -> NDArray[np.float64]:
+    """Delivered power where every estimate is exact: the least of what is asked and possible."""
+    return np.minimum(profile.mpp_kw.sum(axis=1), profile.commitment_kw)
+
+
+def test_under_a_steady_sky_the_plant_delivers_the_least_of_asked_and_possible() -> None:
+    plan = prepare(load_scenario("oahu"), RunOptions(duration="40"), "steady").plan
+    rng = np.random.default_rng(5)
+    steady_kw = np.repeat(rng.uniform(0.0, 470.0, (1, 17)), 40, axis=0)
+    commitment_kw = np.linspace(400.0, 1.2 * steady_kw[0].sum(), 40)
+    profile = Profile(steady_kw, commitment_kw)
+    delivered_kw = run_agents(plan, profile).delivered_kw
+    # The smallest alpha is 0.05: no commitment here is small enough to be held up by it.
+    np.testing.assert_allclose(delivered_kw, shortfall_free_delivery_kw(profile), rtol=0, atol=1e-6)
+
+
+def test_a_shortfall_caused_by_control_is_the_change_of_the_sky_within_a_cycle() -> None:
+    """With one inverter the rule is P(k) = MPP(k) min(1, T / MPP(k-1)): worked out by hand."""
+    scenario = load_scenario("oahu")
+    plan = prepare(scenario, RunOptions(duration="4"), "one").plan
+    sky_kw = np.array([400.0, 200.0, 300.0, 300.0])
+    profile = Profile(np.repeat(sky_kw[:, None], 17, axis=1), np.full(4, 17 * 250.0))
+    delivered_kw = np.array(run_agents(plan, profile).delivered_kw) / 17
+    by_hand_kw = [400 * 250 / 400, 200 * 250 / 400, 300 * 1.0, 300 * 250 / 300]
+    np.testing.assert_allclose(delivered_kw, by_hand_kw, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("share", "unavoidable_percent", "control_caused_percent"),
+    [(0.5, 0.0, 0.228), (0.7, 0.916, 0.222), (0.8, 2.736, 0.213), (0.9, 5.063, 0.192)],
+)
+def test_the_hope_hour_gives_what_an_independent_calculation_gave(
+    data_folder: Path, share: float, unavoidable_percent: float, control_caused_percent: float
+) -> None:
+    """With P = GHI / 1000 x 470 kW x 0.96 in place of the PV model, as that calculation had it."""
+    folder = data_folder / "hope-melpitz-1s"
+    plan = prepare(load_scenario("hope-melpitz", folder), RunOptions(), "hope").plan
+    stations = [leaf.rpartition("/inv")[2] for leaf in plan.tree.leaves]
+    with (folder / "ghi_20130908_0915_0955.csv").open(newline="") as file:
+        ghi_wm2 = np.array([[float(row[s]) for s in stations] for row in csv.DictReader(file)])
+    mpp_kw = np.minimum(ghi_wm2 / 1000.0 * 470.0 * 0.96, 8000.0 / 17.0)
+    commitment_kw = np.full(len(mpp_kw), share * np.median(mpp_kw.sum(axis=1)))
+    energy = metrics_of(run_agents(plan, Profile(mpp_kw, commitment_kw)))
+    assert energy.percent(energy.unavoidable_kwh) == pytest.approx(unavoidable_percent, abs=6e-4)
+    assert energy.percent(energy.control_caused_kwh) == pytest.approx(
+        control_caused_percent, abs=6e-4
+    )
