@@ -33,7 +33,8 @@ def metrics_of(monitor: RunMonitor) -> CommitmentMetrics:
 
 def shortfall_free_delivery_kw(profile: Profile) -> NDArray[np.float64]:
     """Delivered power where every estimate is exact: the least of what is asked and possible."""
-    return np.minimum(profile.mpp_kw.sum(axis=1), profile.commitment_kw)
+    possible_kw: NDArray[np.float64] = profile.mpp_kw.sum(axis=1)
+    return np.minimum(possible_kw, profile.commitment_kw)
 
 
 def test_under_a_steady_sky_the_plant_delivers_the_least_of_asked_and_possible() -> None:

@@ -95,7 +95,7 @@ def targets_kw(weather: Weather, heard: Heard) -> dict[tuple[int, str], float]:
 
 
 @given(weathers())
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_setpoints_add_up_to_the_target_or_to_all_there_is(weather: Weather) -> None:
     heard = weather.hear()
     for (cycle, node), target_kw in targets_kw(weather, heard).items():
@@ -109,7 +109,7 @@ def test_setpoints_add_up_to_the_target_or_to_all_there_is(weather: Weather) -> 
 
 
 @given(weathers())
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_what_a_parent_reports_is_the_sum_of_what_its_children_report(weather: Weather) -> None:
     heard = weather.hear()
     tree = weather.plan.tree
@@ -126,7 +126,7 @@ def test_what_a_parent_reports_is_the_sum_of_what_its_children_report(weather: W
 
 
 @given(weathers())
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_help_is_called_for_exactly_when_and_as_much_as_power_is_missing(
     weather: Weather,
 ) -> None:
@@ -141,7 +141,7 @@ def test_help_is_called_for_exactly_when_and_as_much_as_power_is_missing(
 
 
 @given(weathers())
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_what_the_plant_cannot_meet_is_missing_at_the_root(weather: Weather) -> None:
     heard = weather.hear()
     for (cycle, node), target_kw in targets_kw(weather, heard).items():
@@ -154,7 +154,7 @@ def test_what_the_plant_cannot_meet_is_missing_at_the_root(weather: Weather) -> 
 
 
 @given(weathers())
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_requests_of_the_children_add_up_to_that_of_their_parent(weather: Weather) -> None:
     heard = weather.hear()
     tree = weather.plan.tree
@@ -169,7 +169,7 @@ def test_requests_of_the_children_add_up_to_that_of_their_parent(weather: Weathe
 
 
 @given(weathers())
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_a_dispatch_that_cannot_be_used_is_noticed_and_no_other(weather: Weather) -> None:
     heard = weather.hear()
     refused = 0

@@ -86,12 +86,20 @@ def test_messages_are_numbered_on_each_key_and_stamped_with_the_time() -> None:
     before_ns = time.monotonic_ns()
     stamped = [
         outbox.stamp(*delivery)
-        for delivery in (residual("c1/a", -1), residual("c1/a", 0), residual("c1/b", 0))
+        for delivery in (residual("c1/a", 0), residual("c1/a", 1), residual("c1/b", 1))
     ]
     assert [message.sequence for message in stamped] == [0, 1, 0]
     times_ns = [before_ns, *(message.publish_time_ns for message in stamped)]
     assert times_ns == sorted(times_ns)
     assert times_ns[-1] <= time.monotonic_ns()
+
+
+def test_arming_rounds_are_stamped_but_not_numbered() -> None:
+    outbox = Outbox()
+    before_ns = time.monotonic_ns()
+    stamped = [outbox.stamp(*residual("c1/a", cycle)) for cycle in (-8, -7, 0, 1)]
+    assert [message.sequence for message in stamped] == [0, 0, 0, 1]
+    assert stamped[0].publish_time_ns >= before_ns
 
 
 def test_a_stamp_changes_nothing_else() -> None:

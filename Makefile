@@ -1,0 +1,47 @@
+# Heliarch's tasks. `make help` lists them.
+# Each one sets up what it needs: a virtual environment in .venv with the versions of
+# constraints.txt. Nothing else on the machine is touched.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.DEFAULT_GOAL := help
+.PHONY: help setup run test check format bench soak clean
+
+help: ## list the tasks
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup: $(READY) ## make the virtual environment
+
+$(READY): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or later is needed, $(PYTHON) is " + sys.version.split()[0])'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+run: $(READY) ## the main job: one simulated hour of broken clouds over 17 inverters, as 23 processes
+	$(BIN)/heliarch launch oahu
+
+test: $(READY) ## all tests but the soak tests, under 8 minutes on 2 cores
+	$(BIN)/pytest -m 'not soak'
+
+check: $(READY) ## format, lint, types, directions of imports
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(READY) ## bring the code into its format
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: $(READY) ## cycle rate beside a bare Zenoh graph, start-up time, memory
+	$(BIN)/python tests/benchmarks/cycle_rate.py
+
+soak: $(READY) ## slow endurance tests
+	$(BIN)/pytest -m soak
+
+clean: ## remove what the tasks made, recordings of runs excepted
+	rm -rf $(VENV) *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
