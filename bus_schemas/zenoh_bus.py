@@ -106,7 +106,7 @@ class Inbox:
         self._open()
 
     def take(self, wanted: int, timeout_s: float | None) -> list[zenoh.Sample]:
-        """Return all samples: once `wanted` of them or an urgent one are there, or at the time-out."""
+        """Return all samples, once `wanted` or an urgent one are there, or at the time-out."""
         if len(self._items) < wanted:
             self._gate.acquire(blocking=False)  # an opening that came after the last waiting
             self._wanted = wanted

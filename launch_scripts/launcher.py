@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Final
 
-from agents.lifeline import Armed, Recorded, Status, Waiting
+from agents.lifeline import AnyEvent, Armed, Recorded, Status, Waiting
 from agents.plan import RunPlan
 from bus_schemas.links import explicit_links
 from bus_schemas.tree import PLANT, RECORDER
@@ -15,7 +15,7 @@ from launch_scripts.preparation import Preparation
 from launch_scripts.processes import processes
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.summary import RunSummary, count_messages, memory_use, merge_counts
-from launch_scripts.supervision import Children, RunFailure, explain_stall
+from launch_scripts.supervision import Children, Memory, RunFailure, explain_stall
 from launch_scripts.tcp_ports import reserved_ports
 from recordings.metrics import commitment_metrics
 
@@ -23,7 +23,7 @@ _GATHER_S: Final = 0.5
 """After the first word of a stall: time for the others to say what they wait for."""
 
 _HEARTBEAT_S: Final = 2.0
-"""The recorder tells where the run stands a few times a second: silence for this long is a fault."""
+"""The recorder speaks a few times a second: silence for this long is a fault."""
 
 _PATIENCE_S: Final = 5.0
 """How long processes may take to end once the run is over."""
@@ -47,6 +47,9 @@ class Launch:
         self._folder = folder
         self._began_at = began_at
         self._armed_at = began_at
+        self._heartbeat_at = began_at
+        self._stalled_at: float | None = None
+        self._asked_at: float | None = None
         self._rounds = 0
         self._interruption = Interruption()
 
@@ -71,38 +74,44 @@ class Launch:
 
     def _follow(self, children: Children, plan: RunPlan, view: View) -> None:
         """Show the run until the plant says that it is over."""
-        stalled_at: float | None = None
-        asked_at: float | None = None
-        heard_at: float | None = None
         while children[PLANT].finished is None:
             for _, event in children.events(0.1):
-                match event:
-                    case Armed():
-                        self._armed_at, self._rounds = time.monotonic(), event.rounds
-                        startup_s = self._armed_at - self._began_at
-                        view.say(f"armed: cycle 0 began {startup_s:.1f} s after the start")
-                        heard_at = time.monotonic()
-                    case Status():
-                        view.show(event)
-                        heard_at = time.monotonic()
-                    case Waiting():
-                        stalled_at = stalled_at or time.monotonic()
-            if stalled_at is not None and time.monotonic() > stalled_at + _GATHER_S:
-                raise RunFailure(explain_stall(children))
-            if heard_at is not None and time.monotonic() > heard_at + _HEARTBEAT_S:
-                raise RunFailure(f"recorder has not been heard of for {_HEARTBEAT_S:g} s")
-            if self._interruption and self._rounds == 0:
-                raise KeyboardInterrupt  # There is no cycle yet that could be completed.
-            if self._interruption and asked_at is None:
-                view.say("interrupted: ending after this cycle")
-                children[PLANT].tell("stop")
-                asked_at = time.monotonic()
-            if asked_at is not None and self._out_of_patience(asked_at, plan):
-                raise KeyboardInterrupt
+                self._hear(event, view)
+            self._check_progress(children)
+            if self._interruption:
+                self._ask_stop(children, plan, view)
 
-    def _out_of_patience(self, asked_at: float, plan: RunPlan) -> bool:
+    def _hear(self, event: AnyEvent, view: View) -> None:
+        now = time.monotonic()
+        match event:
+            case Armed():
+                self._armed_at = self._heartbeat_at = now
+                self._rounds = event.rounds
+                view.say(f"armed: cycle 0 began {now - self._began_at:.1f} s after the start")
+            case Status():
+                self._heartbeat_at = now
+                view.show(event)
+            case Waiting():
+                self._stalled_at = self._stalled_at or now
+
+    def _check_progress(self, children: Children) -> None:
+        now = time.monotonic()
+        if self._stalled_at is not None and now > self._stalled_at + _GATHER_S:
+            raise RunFailure(explain_stall(children))
+        if self._rounds and now > self._heartbeat_at + _HEARTBEAT_S:
+            raise RunFailure(f"recorder has not been heard of for {_HEARTBEAT_S:g} s")
+
+    def _ask_stop(self, children: Children, plan: RunPlan, view: View) -> None:
+        """Let the plant end the run; lose patience after a while, or at the second Ctrl-C."""
+        if not self._rounds:
+            raise KeyboardInterrupt  # There is no cycle yet that could be completed.
+        if self._asked_at is None:
+            view.say("interrupted: ending after this cycle")
+            children[PLANT].tell("stop")
+            self._asked_at = time.monotonic()
         longest_s = _PATIENCE_S + 2.0 * plan.cycle_wall_ns / 1e9
-        return self._interruption.count > 1 or time.monotonic() > asked_at + longest_s
+        if self._interruption.count > 1 or time.monotonic() > self._asked_at + longest_s:
+            raise KeyboardInterrupt
 
     def _finish(self, children: Children) -> Recorded:
         """Let everybody end; then let the recorder close its file with all that was published."""
@@ -123,9 +132,9 @@ class Launch:
         self, children: Children, plan: RunPlan, recorded: Recorded, ended_at: float
     ) -> RunSummary:
         accounts = [child.finished for child in children if child.finished is not None]
-        samples: dict[str, list[float]] = {}
+        samples: dict[str, list[Memory]] = {}
         for child in children:
-            samples.setdefault(child.spec.kind, []).append(child.memory_mb)
+            samples.setdefault(child.spec.kind, []).append(child.memory)
         return RunSummary(
             run_id=plan.run_id,
             scenario=plan.plant,

@@ -5,10 +5,8 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
-
-import psutil
 
 from agents.agent import Agent
 from agents.plan import RunPlan
@@ -24,7 +22,7 @@ from launch_scripts.live_view import View
 from launch_scripts.preparation import Preparation
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.summary import RunSummary, count_messages, memory_use
-from launch_scripts.supervision import RunFailure
+from launch_scripts.supervision import RunFailure, memory_of
 from recordings.metrics import commitment_metrics
 from recordings.monitor import RunMonitor
 from recordings.writer import RunWriter
@@ -45,7 +43,12 @@ class MemoryRun:
         Called with every message, with its port.
     """
 
-    def __init__(self, plan: RunPlan, profile: Profile, tap: Any = None) -> None:
+    def __init__(
+        self,
+        plan: RunPlan,
+        profile: Profile,
+        tap: Callable[[Port[Message], Message], None] | None = None,
+    ) -> None:
         self.plan = plan
         self.bus = MemoryBus(plan.tree, tap)
         team: list[Agent[Any]] = [Plant(plan.tree, profile), *controllers(plan)]
@@ -140,7 +143,6 @@ def simulate(
     finally:
         writer.close()
     wall_s = time.monotonic() - started_at
-    memory_mb = psutil.Process(os.getpid()).memory_info().rss / 1e6
     drops: Counter[str] = Counter()
     for sequencer in run.sequencers.values():
         drops.update(vars(sequencer.drops))
@@ -161,7 +163,7 @@ def simulate(
         messages=count_messages(run.bus.published, writer.recorded),
         dropped={cause: count for cause, count in drops.items() if count},
         missing_inputs=0,
-        memory=memory_use({"simulation": [memory_mb]}),
+        memory=memory_use({"simulation": [memory_of(os.getpid())]}),
         hindsight_neighbours=preparation.hindsight,
         interrupted=interrupted,
     )

@@ -10,6 +10,7 @@ import msgspec
 from rich.console import Console
 from rich.table import Table
 
+from launch_scripts.supervision import Memory
 from recordings.metrics import CommitmentMetrics
 
 
@@ -27,12 +28,13 @@ class MessageCount(msgspec.Struct, frozen=True):
 
 
 class MemoryUse(msgspec.Struct, frozen=True):
-    """Resident memory of the processes of one kind [MB of 1,000,000 bytes]."""
+    """Memory of the processes of one kind, the median process and the largest [MB]."""
 
     kind: str
     processes: int
-    median_mb: float
-    largest_mb: float
+    resident_median_mb: float
+    resident_largest_mb: float
+    own_median_mb: float
 
 
 class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -86,18 +88,24 @@ def count_messages(
     )
 
 
-def memory_use(samples: Mapping[str, list[float]]) -> tuple[MemoryUse, ...]:
-    """Summarise the largest resident memory seen of each process [MB], kind by kind."""
+def memory_use(samples: Mapping[str, list[Memory]]) -> tuple[MemoryUse, ...]:
+    """Summarise the largest memory seen of each process, kind by kind."""
     return tuple(
-        MemoryUse(kind, len(values), statistics.median(values), max(values))
+        MemoryUse(
+            kind,
+            len(values),
+            statistics.median(value.resident_mb for value in values),
+            max(value.resident_mb for value in values),
+            statistics.median(value.own_mb for value in values),
+        )
         for kind, values in samples.items()
-        if values
     )
 
 
 def print_summary(summary: RunSummary, console: Console) -> None:
     """Print the table."""
-    table = Table(title=f"{summary.scenario}: {summary.run_id}", show_header=False, min_width=78)
+    title = f"{summary.scenario} from {summary.sim_start}, {summary.driver}"
+    table = Table(title=title, show_header=False)
     table.add_column(no_wrap=True)
     table.add_column(justify="right", no_wrap=True)
     table.add_column(style="dim")
@@ -115,7 +123,7 @@ def _pace_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
     simulated_s = summary.cycles * summary.cycle_s
     speed = simulated_s / summary.wall_s if summary.wall_s > 0.0 else 0.0
     return [
-        ("cycles", f"{summary.cycles:,}", f"of {summary.cycle_s:g} s, from {summary.sim_start}"),
+        ("cycles", f"{summary.cycles:,}", f"of {summary.cycle_s:g} s"),
         ("cycle rate", f"{summary.cycles_per_s:,.1f} /s", f"{speed:,.0f} x real time"),
         ("wall time", f"{summary.wall_s:,.1f} s", f"after {summary.startup_s:.1f} s to start up"),
     ]
@@ -158,11 +166,9 @@ def _message_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
 def _memory_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
     return [
         (
-            f"memory, {use.kind}",
-            f"{use.median_mb:.1f} MB",
-            f"{use.processes} processes, largest {use.largest_mb:.1f} MB"
-            if use.processes > 1
-            else "1 process",
+            f"memory of {use.processes} {use.kind}",
+            f"{use.resident_median_mb:.1f} MB",
+            f"resident in each, {use.own_median_mb:.1f} MB its own",
         )
         for use in summary.memory
     ]

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import msgspec
 import psutil
@@ -24,6 +24,28 @@ _LOG_LINES: Final = 5
 """Lines of a log that are shown when its process is to blame."""
 
 _decoder = msgspec.json.Decoder(AnyEvent)
+
+
+class Memory(NamedTuple):
+    """Memory of a process [MB of 1,000,000 bytes]: resident in all, and its own.
+
+    The difference is shared with the other processes: the pages of Python and of its libraries.
+    """
+
+    resident_mb: float
+    own_mb: float
+
+
+def memory_of(pid: int) -> Memory:
+    """Return the memory of a process.
+
+    Raises
+    ------
+    psutil.Error
+        It has ended.
+    """
+    info = psutil.Process(pid).memory_full_info()
+    return Memory(info.rss / 1e6, info.uss / 1e6)
 
 
 class RunFailure(Exception):  # noqa: N818 - what failed is the run, not the program
@@ -50,7 +72,7 @@ class Child:
     waiting: Waiting | None = None
     failed: Failed | None = None
     closed: bool = False
-    memory_mb: float = 0.0
+    memory: Memory = Memory(0.0, 0.0)
     _pending: bytes = field(default=b"", repr=False)
 
     def feed(self, chunk: bytes) -> list[AnyEvent]:
@@ -201,8 +223,7 @@ class Children:
         self._sampled_at = time.monotonic()
         for child in self:
             with suppress(psutil.Error):
-                used = psutil.Process(child.process.pid).memory_info().rss / 1e6
-                child.memory_mb = max(child.memory_mb, used)
+                child.memory = max(child.memory, memory_of(child.process.pid))
 
     def _check(self) -> None:
         for child in self:

@@ -434,6 +434,13 @@ def test_a_timed_stage_waits_for_the_clock_in_real_time() -> None:
     assert (desk.sequencer.cycle, desk.sequencer.stage) == (1, "tick")
 
 
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_a_round_has_no_clock(lockstep: bool) -> None:
+    desk = Desk(TICK_THEN_LISTEN, lockstep=lockstep)
+    assert desk.enter(-7) == ["-7 tick: nothing"]
+    assert desk.hear(A, -7) == ["-7 listen: a/residual"]
+
+
 def test_one_deadline_opens_one_timed_stage() -> None:
     desk = Desk(TICK_THEN_LISTEN, lockstep=False)
     desk.enter(0)

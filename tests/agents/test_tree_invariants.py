@@ -51,12 +51,17 @@ def neighbourhoods(draw: st.DrawFn, tree: ControlTree) -> tuple[NodeNeighbourhoo
     return (NodeNeighbourhoods(ROOT, (Neighbourhood(0, rows),)),)
 
 
+def plant_rating_kw(tree: ControlTree) -> float:
+    """The most that can be dispatched."""
+    return fsum(tree.rating_kw(child) for child in tree.children(ROOT))
+
+
 @st.composite
 def weathers(draw: st.DrawFn) -> Weather:
     ratings_kw = draw(ratings())
     tree = ControlTree(tuple(ratings_kw.items()))
     cycles = draw(st.integers(1, 3))
-    plant_kw = tree.rating_kw(ROOT)
+    plant_kw = plant_rating_kw(tree)
     light = st.one_of(st.sampled_from([0.0, 1.0, 1.01, nan]), st.floats(0.0, 1.0))
     wish = st.one_of(
         st.floats(0.0, 1.0).map(lambda share: share * plant_kw),
@@ -88,7 +93,7 @@ def targets_kw(weather: Weather, heard: Heard) -> dict[tuple[int, str], float]:
     last_kw = 0.0
     for cycle in range(weather.plan.cycles):
         wished_kw = heard.get(cycle, DISPATCH.of(ROOT)).power_kw
-        last_kw = targets[cycle, ROOT] = usable_kw(wished_kw, last_kw, tree.rating_kw(ROOT))
+        last_kw = targets[cycle, ROOT] = usable_kw(wished_kw, last_kw, plant_rating_kw(tree))
         for node in tree.parents[1:]:
             targets[cycle, node] = heard.get(cycle, SETPOINT.of(node)).power_kw
     return targets
@@ -174,7 +179,7 @@ def test_a_dispatch_that_cannot_be_used_is_noticed_and_no_other(weather: Weather
     heard = weather.hear()
     refused = 0
     for cycle, wished_kw in enumerate(weather.dispatch_kw):
-        usable = 0.0 <= wished_kw <= weather.plan.tree.rating_kw(ROOT)
+        usable = 0.0 <= wished_kw <= plant_rating_kw(weather.plan.tree)
         notice = heard.find(cycle, NOTICE.of(ROOT))
         refused += not usable
         assert (notice.count if notice else None) == (None if usable else refused)
