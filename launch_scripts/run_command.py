@@ -67,6 +67,8 @@ def run(request: RunRequest, began_at: float) -> int:
         with view_for(console, preparation.plan, timezone) as view:
             view.say(preparation.scenario.scenario.title)
             summary = _DRIVERS[request.driver](preparation, folder, view, began_at)
+    except OSError as error:
+        return _complain(f"{error.filename or folder.path}: {error.strerror}", FAILED)
     except RunFailure as error:
         kept = f"recording up to there: {folder.recording}" if folder.recording.exists() else ""
         return _complain(f"{error}\n{kept}".strip(), FAILED)
@@ -81,6 +83,8 @@ def run(request: RunRequest, began_at: float) -> int:
 
 
 def _prepare(request: RunRequest) -> tuple[Preparation, RunFolder]:
+    if request.json not in (None, "-") and not Path(request.json).parent.is_dir():
+        raise InputError(f"--json {request.json}: no such folder, accepted is an existing one")
     scenario = load_scenario(request.scenario, request.data)
     run_id = new_run_id(scenario.scenario.name)
     folder = run_folder(run_id, request.out)

@@ -170,9 +170,11 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
         There is no such scenario, or it does not say what it must.
     """
     path = _find(name_or_path)
-    text = path.read_text(encoding="utf-8")
     try:
+        text = path.read_text(encoding="utf-8")
         scenario = msgspec.toml.decode(text, type=Scenario)
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not UTF-8 at byte {error.start}, accepted is TOML") from None
     except msgspec.ValidationError as error:
         raise InputError(f"{path}: {_readable(str(error))}") from None
     except msgspec.DecodeError as error:
@@ -219,7 +221,7 @@ def parse_duration_s(text: str, where: str) -> float:
     InputError
         It is not one, or not above zero.
     """
-    seconds = sum(_duration_parts(text)) if re.fullmatch(r"([\d.]+[hms]?)+", text) else 0.0
+    seconds = sum(_duration_parts(text)) if re.fullmatch(r"(\d+(\.\d+)?[hms]?)+", text) else 0.0
     if seconds <= 0.0:
         raise InputError(f"{where} {text}: accepted are seconds above 0, or 90s, 15m, 1h30m")
     return seconds

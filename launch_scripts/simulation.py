@@ -171,11 +171,15 @@ def simulate(
 
 def _follow(run: MemoryRun, monitor: RunMonitor, writer: RunWriter, view: View) -> bool:
     """Run to the end, or to Ctrl-C. Return whether it was interrupted."""
-    status_at = time.monotonic()
+    began_at = status_at = time.monotonic()
+    cycle_s = run.plan.cycle_wall_ns / 1e9
     with interruptible() as interruption:
-        for _ in run.cycles():
+        for cycle in run.cycles():
             if interruption:
                 run.stop()
+            elif cycle_s:
+                # A pace, but no deadlines: within one process nobody can be late.
+                time.sleep(max(began_at + (cycle + 1) * cycle_s - time.monotonic(), 0.0))
             if time.monotonic() >= status_at:
                 status_at = time.monotonic() + _STATUS_S
                 view.show(monitor.status(writer.recorded.total()))

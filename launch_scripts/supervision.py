@@ -72,7 +72,7 @@ class Child:
     waiting: Waiting | None = None
     failed: Failed | None = None
     closed: bool = False
-    memory: Memory = Memory(0.0, 0.0)
+    memory: Memory = field(default_factory=lambda: Memory(0.0, 0.0))
     _pending: bytes = field(default=b"", repr=False)
 
     def feed(self, chunk: bytes) -> list[AnyEvent]:
