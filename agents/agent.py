@@ -9,7 +9,6 @@ give the same outputs, to the last bit.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
 from typing import Protocol, TypeVar, cast
 
 import msgspec
@@ -91,8 +90,12 @@ class Agent(Protocol[S]):
         """Close one stage: from state and inputs to the next state and the messages to send."""
 
 
-def parents_word_kw(message: Request | Setpoint | None, last_kw: float) -> float:
-    """Return the power that a parent names; where it is silent or makes no sense, the last one."""
-    if message is None or not isfinite(message.power_kw) or message.power_kw < 0.0:
+def parents_word_kw(message: Request | Setpoint | None, last_kw: float, rating_kw: float) -> float:
+    """Return the power that a parent names; where it is silent or makes no sense, the last one.
+
+    NaN, a negative and more than the node's rating make no sense. (Shares that were worked out
+    tier by tier may exceed a rating by a rounding error.)
+    """
+    if message is None or not 0.0 <= message.power_kw <= rating_kw * (1.0 + 1e-9):
         return last_kw
     return message.power_kw

@@ -97,11 +97,14 @@ class CentralController:
             text = f"dispatch of {power_kw:g} kW refused, accepted is 0 to {rating_kw:g} kW: "
             return last_kw, text + f"{last_kw:g} kW still holds"
         if power_kw > rating_kw:
-            return rating_kw, f"dispatch of {power_kw:g} kW clamped to the rating, {rating_kw:g} kW"
+            return (
+                rating_kw,
+                f"dispatch of {power_kw:.10g} kW clamped to the rating, {rating_kw:.10g} kW",
+            )
         return power_kw, ""
 
     def _solve(self, state: CentralState, turn: Turn) -> tuple[CentralState, list[Delivery]]:
-        reports = self._family.listen(turn, state.reports)
+        reports = self._family.listen(turn, state.reports, state.dispatch_kw)
         outputs = self._family.report_up(turn, reports)
         if self._periods.is_turn(ROOT, turn.cycle):
             outputs += self._family.divide(turn, state.dispatch_kw, reports)

@@ -101,7 +101,7 @@ class DirectController:
             self.rating_kw,
             state.impp,
         )
-        request_kw = parents_word_kw(turn.get(self._request), state.request_kw)
+        request_kw = parents_word_kw(turn.get(self._request), state.request_kw, self.rating_kw)
         residual = residual_kw(impp.power_kw, request_kw)
         outputs: list[Delivery] = [
             (
@@ -115,7 +115,7 @@ class DirectController:
         return DirectState(impp, request_kw, state.setpoint_kw), outputs
 
     def _actuate(self, state: DirectState, turn: Turn) -> tuple[DirectState, list[Delivery]]:
-        setpoint_kw = parents_word_kw(turn.get(self._setpoint), state.setpoint_kw)
+        setpoint_kw = parents_word_kw(turn.get(self._setpoint), state.setpoint_kw, self.rating_kw)
         impp_kw = state.impp.power_kw
         alpha = curtailment_level(setpoint_kw, impp_kw, self.alpha_min)
         command = Command(*turn.stamp, alpha=alpha, power_kw=alpha * impp_kw)

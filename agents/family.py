@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass
-from math import fsum, isfinite
+from math import fsum
+from typing import Final
 
 import msgspec
 
@@ -38,7 +39,8 @@ class Report(msgspec.Struct, frozen=True, gc=False):
     silent_cycles: int
 
 
-NO_REPORT = Report(0.0, 0.0, 0, 0)
+NO_REPORT: Final = Report(0.0, 0.0, 0, 1 << 30)
+"""Of a child that never spoke: silent for longer than anything holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,18 +130,25 @@ class Family:
             for port, share_kw in zip(self._request_ports, shares_kw, strict=True)
         ]
 
-    def listen(self, turn: Turn, last: tuple[Report, ...]) -> tuple[Report, ...]:
-        """Take up what the children report in this cycle; a silent one's last report holds."""
-        return tuple(self._report(turn, place, report) for place, report in enumerate(last))
+    def listen(self, turn: Turn, last: tuple[Report, ...], request_kw: float) -> tuple[Report, ...]:
+        """Take up what the children report in this cycle.
 
-    def _report(self, turn: Turn, place: int, last: Report) -> Report:
+        A silent one's last report holds for a while. Then it has nothing, and so lacks all that
+        is asked of it: its share of the node's request.
+        """
+        return tuple(
+            self._report(turn, place, report, request_kw) for place, report in enumerate(last)
+        )
+
+    def _report(self, turn: Turn, place: int, last: Report, request_kw: float) -> Report:
         impp_port, residual_port = self._child_ports[place]
         impp, residual = turn.get(impp_port), turn.get(residual_port)
         if impp and residual and _plausible(impp, residual, self.capacities_kw[place]):
             return Report(impp.power_kw, residual.power_kw, impp.stale_cycles, 0)
         silent_cycles = last.silent_cycles + 1
         if silent_cycles > self.hold_cycles:
-            return Report(0.0, 0.0, last.stale_cycles, silent_cycles)
+            share_kw = split_by_capacity(request_kw, self.capacities_kw)[place]
+            return Report(0.0, -share_kw, last.stale_cycles, silent_cycles)
         return Report(last.impp_kw, last.residual_kw, last.stale_cycles, silent_cycles)
 
     def report_up(self, turn: Turn, reports: tuple[Report, ...]) -> list[Delivery]:
@@ -196,6 +205,8 @@ class Family:
 
 def _plausible(impp: Impp, residual: Residual, capacity_kw: float) -> bool:
     # A child that claims a NaN, a negative or more than its rating counts as silent. The sum of
-    # a cluster's IMPP may exceed the sum of its ratings by a rounding error.
-    within_rating = 0.0 <= impp.power_kw <= capacity_kw * (1.0 + 1e-9)
-    return within_rating and isfinite(residual.power_kw)
+    # a cluster's IMPP may exceed the sum of its ratings by a rounding error. The residual is the
+    # IMPP less a request between 0 and the rating.
+    rating_kw = capacity_kw * (1.0 + 1e-9)
+    possible = 0.0 <= impp.power_kw <= rating_kw
+    return possible and -rating_kw <= residual.power_kw <= impp.power_kw

@@ -15,7 +15,7 @@ from agents.family import Neighbourhood
 from agents.periods import Periods
 from bus_schemas.errors import InputError
 from bus_schemas.keys import KeyTable
-from bus_schemas.tree import ControlTree
+from bus_schemas.tree import ControlTree, depth
 
 
 class NodeNeighbourhoods(msgspec.Struct, frozen=True):
@@ -110,8 +110,17 @@ def load_plan(path: Path) -> RunPlan:
         There is no such file, or it is no plan.
     """
     try:
-        return msgspec.json.decode(path.read_bytes(), type=RunPlan)
+        plan = msgspec.json.decode(path.read_bytes(), type=RunPlan)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file, accepted is the plan.json of a run") from None
-    except msgspec.DecodeError as error:
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}, accepted is the plan.json of a run") from None
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: {error}, accepted is the plan.json of a run") from None
+    tiers = 1 + max(depth(parent) for parent in plan.tree.parents)
+    if len(plan.periods.cycles) != tiers:
+        raise InputError(
+            f"{path}: period_cycles has {len(plan.period_cycles)} entries, accepted is one for "
+            f"each of the {tiers} tiers that have children"
+        )
+    return plan

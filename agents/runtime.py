@@ -77,6 +77,8 @@ class Runtime(Generic[S]):
             horizon=plan.periods.longest,
             on_drop=drop_log,
         )
+        self.sequencer.end_before(plan.cycles)
+        self._stop_heard = False
         self._bystanders: dict[Port[Message], Callable[[Message], None]] = {}
         self.listen(RUN.of(ROOT), self._heed)
         self._start_time_ns: int | None = None
@@ -86,7 +88,7 @@ class Runtime(Generic[S]):
         """Take the agent through the run, from arming to the plant's word that it is over."""
         watch = StallWatch(self)
         spare_the_collector()
-        while not self.sequencer.finished:
+        while not (self.sequencer.finished and self._stop_heard):
             self.turn()
         watch.stop()
         self.report()
@@ -139,6 +141,7 @@ class Runtime(Generic[S]):
             return
         if message.state == "stop":
             self.sequencer.end_before(message.cycle)
+            self._stop_heard = True
         else:
             self.begin(message.start_time_ns)
 

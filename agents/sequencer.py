@@ -115,7 +115,9 @@ class Sequencer(Generic[S]):
             self._drop("late", f"{port} is of cycle {message.cycle}, this is {self.cycle}")
             return []
         if self.cycle < 0:
-            return [*self.enter(message.cycle), *self.accept(port, message)]
+            # A later arming round ends the one under way; any message of the run begins cycle 0.
+            outputs = self.enter(min(message.cycle, 0))
+            return outputs + self.accept(port, message)
         if message.cycle > self.cycle + self._horizon:
             self._drop("other_cycle", f"{port} is of cycle {message.cycle}, this is {self.cycle}")
             return []
@@ -123,23 +125,11 @@ class Sequencer(Generic[S]):
         return []
 
     def enter(self, cycle: int) -> list[Delivery]:
-        """Begin a cycle; done by hand for arming rounds and cycle 0, and by itself from there."""
-        if cycle <= 0:
-            self._state = self.agent.initial_state()
-            self._ahead = {ahead: held for ahead, held in self._ahead.items() if ahead >= cycle}
-        self.cycle = cycle
-        if self.finished:
-            self._stages, self._waiting = (), set()
-            return []
-        self._stages = self.agent.stages(cycle)
-        self._place = 0
-        self._inputs = {}
-        self._absent = ()
-        self._open_stage()
-        outputs = self._close_complete_stages()
-        for port, message in self._ahead.pop(cycle, ()):
-            outputs += self.accept(port, message)
-        return outputs
+        """Begin an arming round or cycle 0, from the initial state. The next cycles follow."""
+        self._state = self.agent.initial_state()
+        self._ahead = {ahead: held for ahead, held in self._ahead.items() if ahead >= cycle}
+        self._begin(cycle)
+        return self._advance()
 
     def end_before(self, cycle: int) -> None:
         """Let the run end before a cycle: those up to it are still completed."""
@@ -154,23 +144,25 @@ class Sequencer(Generic[S]):
         self.missing_inputs += len(absent)
         self._waiting = set()
         self._deadline_passed = True
-        return self._close_complete_stages()
+        return self._advance()
 
     def _take(self, port: Port[Message], message: Message) -> list[Delivery]:
-        if port in self._inputs:
-            self._drop("duplicate", f"{port} of cycle {message.cycle} came twice")
-            return []
-        if not self._is_of_use(port):
-            self._drop_out_of_turn(port, message)
-            return []
-        self._inputs[port] = message
-        if port not in self._waiting:
+        if not self._keep(port, message) or port not in self._waiting:
             return []
         self._waiting.discard(port)
-        announced = self.agent.follow_up(port, message)
-        if announced is not None and announced not in self._inputs:
-            self._waiting.add(announced)
-        return [] if self._waiting else self._close_complete_stages()
+        self._await_announced(port, message)
+        return [] if self._waiting else self._advance()
+
+    def _keep(self, port: Port[Message], message: Message) -> bool:
+        """Keep a message of this cycle for its stage, if there is one still to come."""
+        if port in self._inputs:
+            self._drop("duplicate", f"{port} of cycle {message.cycle} came twice")
+        elif self._is_of_use(port):
+            self._inputs[port] = message
+            return True
+        else:
+            self._drop_out_of_turn(port, message)
+        return False
 
     def _is_of_use(self, port: Port[Message]) -> bool:
         for stage in self._stages[self._place :]:
@@ -178,28 +170,54 @@ class Sequencer(Generic[S]):
                 return True
         return False
 
+    def _begin(self, cycle: int) -> None:
+        """Set up a cycle, with the messages that came ahead of it."""
+        self.cycle = cycle
+        self._stages = () if self.finished else self.agent.stages(cycle)
+        self._place = 0
+        self._inputs = {}
+        self._absent = ()
+        for port, message in self._ahead.pop(cycle, ()):
+            self._keep(port, message)
+        self._open_stage()
+
+    def _open_stage(self) -> None:
+        """See what the stage still needs; what came early may announce more."""
+        self._waiting = set()
+        if self._place == len(self._stages):
+            return
+        awaits = self._stages[self._place].awaits
+        self._waiting = set(awaits.difference(self._inputs))
+        if len(self._waiting) < len(awaits):
+            for port in awaits.intersection(self._inputs):
+                self._await_announced(port, self._inputs[port])
+
+    def _await_announced(self, port: Port[Message], message: Message) -> None:
+        announced = self.agent.follow_up(port, message)
+        if announced is not None and announced not in self._inputs:
+            self._waiting.add(announced)
+
+    def _advance(self) -> list[Delivery]:
+        """Step the agent on, through stages and cycles, up to a stage that lacks something."""
+        outputs: list[Delivery] = []
+        while not self._waiting:
+            if self._place < len(self._stages):
+                stage = self._stages[self._place]
+                if stage.timed and self._on_the_clock and not self._deadline_passed:
+                    break
+                self._deadline_passed = False
+                outputs += self._step(stage)
+                self._place += 1
+                self._open_stage()
+            elif self.cycle >= 0 and not self.finished:
+                self._begin(self.cycle + 1)
+            else:
+                break
+        return outputs
+
     @property
     def _on_the_clock(self) -> bool:
         return not self._lockstep and self.cycle >= 0
-
-    def _open_stage(self) -> None:
-        if self._place < len(self._stages):
-            self._waiting = set(self._stages[self._place].awaits.difference(self._inputs))
-
-    def _close_complete_stages(self) -> list[Delivery]:
-        """Step the agent through the stages that have all they await, up to one that has not."""
-        outputs: list[Delivery] = []
-        while self._place < len(self._stages) and not self._waiting:
-            stage = self._stages[self._place]
-            if stage.timed and self._on_the_clock and not self._deadline_passed:
-                return outputs
-            self._deadline_passed = False
-            outputs += self._step(stage)
-            self._place += 1
-            self._open_stage()
-        if self._place == len(self._stages) and self.cycle >= 0:
-            outputs += self.enter(self.cycle + 1)
-        return outputs
 
     def _step(self, stage: Stage) -> list[Delivery]:
         sim_time_ns = self._sim_time_ns(self.cycle)

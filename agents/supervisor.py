@@ -71,7 +71,7 @@ class Supervisor:
             case "request":
                 return self._pass_request_down(state, turn)
             case "report":
-                reports = self._family.listen(turn, state.reports)
+                reports = self._family.listen(turn, state.reports, state.request_kw)
                 return replace(state, reports=reports), self._family.report_up(turn, reports)
             case _:
                 return self._solve(state, turn)
@@ -79,12 +79,16 @@ class Supervisor:
     def _pass_request_down(
         self, state: SupervisorState, turn: Turn
     ) -> tuple[SupervisorState, list[Delivery]]:
-        request_kw = parents_word_kw(turn.get(self._request), state.request_kw)
+        request_kw = parents_word_kw(
+            turn.get(self._request), state.request_kw, self._family.rating_kw
+        )
         outputs = self._family.requests(turn, request_kw) if self._acts(turn) else []
         return replace(state, request_kw=request_kw), outputs
 
     def _solve(self, state: SupervisorState, turn: Turn) -> tuple[SupervisorState, list[Delivery]]:
-        target_kw = parents_word_kw(turn.get(self._setpoint), state.target_kw)
+        target_kw = parents_word_kw(
+            turn.get(self._setpoint), state.target_kw, self._family.rating_kw
+        )
         outputs = self._family.divide(turn, target_kw, state.reports) if self._acts(turn) else []
         return replace(state, target_kw=target_kw), outputs
 

@@ -15,18 +15,6 @@ _encoder = msgspec.msgpack.Encoder()
 _decoders: dict[type[Message], msgspec.msgpack.Decoder[Message]] = {}
 
 
-class Head(msgspec.Struct, gc=False):
-    """The part of a message that a reader needs who does not care what it says."""
-
-    cycle: int
-    source: str
-    publish_time_ns: int
-    sequence: int
-
-
-_head_decoder = msgspec.msgpack.Decoder(Head)
-
-
 def encode(message: Message) -> bytes:
     """Return a message as a msgpack map."""
     return _encoder.encode(message)
@@ -43,18 +31,10 @@ def decode(signal: Signal[M], payload: bytes) -> M:
     decoder = _decoders.get(signal.type)
     if decoder is None:
         decoder = _decoders[signal.type] = msgspec.msgpack.Decoder(signal.type)
-    return decoder.decode(payload)  # type: ignore[return-value]
-
-
-def decode_head(payload: bytes) -> Head:
-    """Return the head of a payload, whatever its type.
-
-    Raises
-    ------
-    msgspec.DecodeError
-        The payload is no msgpack map with these fields.
-    """
-    return _head_decoder.decode(payload)
+    try:
+        return decoder.decode(payload)  # type: ignore[return-value]
+    except UnicodeDecodeError as error:
+        raise msgspec.DecodeError(f"invalid UTF-8 in a string: {error.reason}") from None
 
 
 def json_schema(signal: Signal[Message]) -> dict[str, object]:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import fsum
 from typing import Final
 
 from bus_schemas.errors import InputError
@@ -71,11 +72,11 @@ class ControlTree:
 
     @cached_property
     def _ratings_kw(self) -> dict[str, float]:
-        ratings: dict[str, float] = {}
+        parts: dict[str, list[float]] = {}
         for leaf, rating_kw in self.inverters:
             for path in (leaf, *ancestors(leaf)):
-                ratings[path] = ratings.get(path, 0.0) + rating_kw
-        return ratings
+                parts.setdefault(path, []).append(rating_kw)
+        return {path: fsum(ratings_kw) for path, ratings_kw in parts.items()}
 
     @cached_property
     def leaves(self) -> tuple[str, ...]:

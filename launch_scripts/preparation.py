@@ -32,6 +32,8 @@ from sim_plant.sites import Sites, equal_ratings_kw, read_sites
 from sim_plant.sources import CloudySky, MeasuredSky, PowerSource
 
 _HOUR_NS: Final = 3_600_000_000_000
+_FIRST_YEAR: Final = 1900
+_LAST_YEAR: Final = 2200
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +70,10 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         Scenario, options and data do not go together.
     """
     scenario = scenario_file.scenario
-    times = _times(scenario, options)
+    if options.seed is not None and options.seed < 0:
+        raise InputError(f"--seed {options.seed}: accepted is 0 or more")
     try:
+        times = _times(scenario, options)
         source = _power_source(scenario_file, options)
         possible_kw = source.possible_kw(times)
         covariance = _covariance(scenario, source, times)
@@ -118,7 +122,7 @@ def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
     cycles = round(duration_s / table.cycle_s)
     if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:
         raise InputError(
-            f"duration of {duration_s:g} s: accepted are multiples of the cycle, "
+            f"time.duration_s: {duration_s:g} s, accepted are multiples of the cycle, "
             f"{table.cycle_s:g} s"
         )
     step = pd.Timedelta(seconds=table.cycle_s)
@@ -130,14 +134,17 @@ def _start(scheduled: datetime, option: str | None) -> datetime:
     if option is None:
         return scheduled
     with suppress(ValueError):
-        return datetime.combine(scheduled.date(), time.fromisoformat(option), scheduled.tzinfo)
-    try:
+        clock = time.fromisoformat(option)
+        if clock.tzinfo is None:
+            return datetime.combine(scheduled.date(), clock, scheduled.tzinfo)
+    with suppress(ValueError):
         moment = datetime.fromisoformat(option)
-    except ValueError:
-        raise InputError(
-            f"--start {option}: accepted is a local time such as 12:30 or 2010-04-01T12:30:00"
-        ) from None
-    return moment if moment.tzinfo else moment.replace(tzinfo=scheduled.tzinfo)
+        if _FIRST_YEAR <= moment.year <= _LAST_YEAR:
+            return moment if moment.tzinfo else moment.replace(tzinfo=scheduled.tzinfo)
+    raise InputError(
+        f"--start {option}: accepted is a local time such as 12:30 or 2010-04-01T12:30:00, "
+        f"{_FIRST_YEAR} to {_LAST_YEAR}"
+    )
 
 
 def _power_source(scenario_file: ScenarioFile, options: RunOptions) -> PowerSource:

@@ -38,7 +38,7 @@ class ProcessSpec:
     @property
     def log_name(self) -> str:
         """Name of its log file."""
-        return f"{self.agent.replace('/', '-')}.log"
+        return f"{self.agent.replace('/', '.')}.log"
 
 
 def processes(tree: ControlTree, plan: Path) -> tuple[ProcessSpec, ...]:

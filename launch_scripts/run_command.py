@@ -16,7 +16,7 @@ from launch_scripts.launcher import launch
 from launch_scripts.live_view import View, view_for
 from launch_scripts.preparation import Preparation, RunOptions, prepare
 from launch_scripts.run_folder import RunFolder, new_run_id, run_folder
-from launch_scripts.scenario import load_scenario
+from launch_scripts.scenario import FASTEST_PACE, SLOWEST_PACE, load_scenario
 from launch_scripts.simulation import simulate
 from launch_scripts.summary import RunSummary, print_summary
 from launch_scripts.supervision import RunFailure
@@ -99,8 +99,10 @@ def _pace(text: str | None) -> float | Literal["max"] | None:
         pace = float(text)
     except ValueError:
         pace = 0.0
-    if not 0.0 < pace < float("inf"):
-        raise InputError(f"--pace {text}: accepted is a number above 0, or max")
+    if not SLOWEST_PACE <= pace <= FASTEST_PACE:
+        raise InputError(
+            f"--pace {text}: accepted is a number from {SLOWEST_PACE:g} to {FASTEST_PACE:g}, or max"
+        )
     return pace
 
 

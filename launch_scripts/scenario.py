@@ -7,17 +7,29 @@ from collections.abc import Iterator
 from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
+from textwrap import shorten
 from typing import Annotated, Final, Literal, TypeAlias
 from zoneinfo import ZoneInfo, available_timezones
 
 import msgspec
 
 from bus_schemas.errors import InputError
+from bus_schemas.tree import check_name
 from sim_plant.clouds import CloudSettings
 from sim_plant.commitment import CommitmentSettings
 from sim_plant.pv import PvSettings
 
-Positive: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0)]
+LONGEST_S: Final = 31 * 86400.0
+SLOWEST_PACE: Final = 1e-3
+FASTEST_PACE: Final = 1e6
+
+Rating: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0, le=1e7)]
+Altitude: TypeAlias = Annotated[float, msgspec.Meta(ge=-500.0, le=9000.0)]
+Duration: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0, le=LONGEST_S)]
+Cycle: TypeAlias = Annotated[float, msgspec.Meta(ge=0.001, le=3600.0)]
+Pace: TypeAlias = Annotated[float, msgspec.Meta(ge=SLOWEST_PACE, le=FASTEST_PACE)]
+Patience: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0, le=600.0)]
+Seed: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**32)]
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -39,8 +51,8 @@ class TimeTable(_Table, frozen=True):
 
     start: datetime
     timezone: str
-    duration_s: Positive
-    cycle_s: Positive = 1.0
+    duration_s: Duration
+    cycle_s: Cycle = 1.0
 
 
 class PlantTable(_Table, frozen=True):
@@ -58,14 +70,14 @@ class PlantTable(_Table, frozen=True):
     """
 
     inverters: str | None = None
-    rating_kw: Positive | None = None
-    altitude_m: float = 0.0
+    rating_kw: Rating | None = None
+    altitude_m: Altitude = 0.0
 
 
 class CloudIrradiance(_Table, frozen=True, tag="clouds", tag_field="kind"):
     """Synthetic irradiance: a cloud field that drifts over the plant."""
 
-    seed: int = 0
+    seed: Seed = 0
     clouds: CloudSettings = CloudSettings()
 
 
@@ -103,7 +115,7 @@ class ControlTable(_Table, frozen=True):
     period_cycles: tuple[int, ...] | None = None
     alpha_min: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.05
     hold_cycles: Annotated[int, msgspec.Meta(ge=0)] = 3
-    stall_timeout_s: Positive = 3.0
+    stall_timeout_s: Patience = 3.0
 
 
 class NeighboursTable(_Table, frozen=True):
@@ -128,7 +140,7 @@ class Scenario(_Table, frozen=True):
     neighbours: NeighboursTable
     commitment: CommitmentSettings
     pv: PvSettings = PvSettings()
-    pace: Positive | Literal["max"] = "max"
+    pace: Pace | Literal["max"] = "max"
 
 
 class ScenarioFile(msgspec.Struct, frozen=True):
@@ -179,6 +191,7 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
         raise InputError(f"{path}: {_readable(str(error))}") from None
     except msgspec.DecodeError as error:
         raise InputError(f"{path}: not TOML: {error}") from None
+    check_name(scenario.name, f"{path}: name")
     if scenario.time.timezone not in available_timezones():
         raise InputError(
             f"{path}: time.timezone is {scenario.time.timezone!r}, accepted is an IANA name "
@@ -222,8 +235,11 @@ def parse_duration_s(text: str, where: str) -> float:
         It is not one, or not above zero.
     """
     seconds = sum(_duration_parts(text)) if re.fullmatch(r"(\d+(\.\d+)?[hms]?)+", text) else 0.0
-    if seconds <= 0.0:
-        raise InputError(f"{where} {text}: accepted are seconds above 0, or 90s, 15m, 1h30m")
+    if not 0.0 < seconds <= LONGEST_S:
+        raise InputError(
+            f"{where} {shorten(text, 40)}: accepted are seconds above 0, or 90s, 15m, 1h30m, "
+            f"at most {LONGEST_S / 86400:g} days"
+        )
     return seconds
 
 

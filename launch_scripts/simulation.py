@@ -58,6 +58,8 @@ class MemoryRun:
             )
             for agent in team
         }
+        for sequencer in self.sequencers.values():
+            sequencer.end_before(plan.cycles)
 
     def cycles(self) -> Iterator[int]:
         """Run cycle after cycle; yield the number of each once the plant has finished it.
@@ -68,7 +70,6 @@ class MemoryRun:
             The agents wait for each other.
         """
         plant = self.sequencers[PLANT]
-        plant.end_before(self.plan.cycles)
         self._say("start", 0)
         self._send(plant.enter(0))
         done = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -40,14 +41,10 @@ class RunReader:
                 f"{self.path}: no such file, accepted is a run's folder or its {RECORDING_NAME}"
             ) from None
         try:
-            self._reader = make_reader(self._file)
-            self.metadata = {entry.name: entry.metadata for entry in self._reader.iter_metadata()}
-            attachments = {entry.name: entry.data for entry in self._reader.iter_attachments()}
-        except McapError as error:
-            raise InputError(f"{self.path}: not a readable MCAP file ({error})") from None
-        self._check_origin()
-        self.scenario = attachments["scenario.toml"].decode()
-        self.plan = msgspec.json.decode(attachments["plan.json"], type=RunPlan)
+            self._read_origin()
+        except BaseException:
+            self._file.close()
+            raise
 
     def messages(self, *signals: Signal[object]) -> Iterator[Delivery]:  # type: ignore[type-var]
         """Yield the messages in the order of their log time; of all signals, or of these."""
@@ -73,7 +70,24 @@ class RunReader:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _check_origin(self) -> None:
+    def _read_origin(self) -> None:
+        try:
+            self._reader = make_reader(self._file)
+            self.metadata = {entry.name: entry.metadata for entry in self._reader.iter_metadata()}
+            attachments = {entry.name: entry.data for entry in self._reader.iter_attachments()}
+        except (McapError, OSError, struct.error, ValueError) as error:
+            reason = str(error) or type(error).__name__
+            raise InputError(f"{self.path}: not a readable MCAP file ({reason})") from None
+        self._check_version()
+        try:
+            self.scenario = attachments["scenario.toml"].decode()
+            self.plan = msgspec.json.decode(attachments["plan.json"], type=RunPlan)
+        except KeyError as error:
+            raise InputError(f"{self.path}: recording without its attachment {error}") from None
+        except msgspec.DecodeError as error:
+            raise InputError(f"{self.path}: its attached plan.json: {error}") from None
+
+    def _check_version(self) -> None:
         found = self.metadata.get("run", {}).get("schema_version")
         if found is None:
             raise InputError(f"{self.path}: an MCAP file, but no recording of a heliarch run")

@@ -22,7 +22,7 @@ class ConstantCommitment(
         The committed power [kW], at least 0.
     """
 
-    power_kw: Annotated[float, msgspec.Meta(ge=0.0)]
+    power_kw: Annotated[float, msgspec.Meta(ge=0.0, le=1e8)]
 
 
 class ShareOfMedian(

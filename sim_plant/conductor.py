@@ -71,7 +71,6 @@ class Conductor:
         self._await_everybody(give_up_at)
         rounds = self._arm(give_up_at)
         sequencer = self._runtime.sequencer
-        sequencer.end_before(self._runtime.plan.cycles)
         lead_s = 0.0 if self._runtime.plan.lockstep else _LEAD_S
         start_time_ns = time.monotonic_ns() + round(lead_s * 1e9)
         self._say("start", 0, start_time_ns)

@@ -50,12 +50,16 @@ def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:
         With file, line and column of what cannot be used.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
             columns = set(reader.fieldnames or ())
-            rows = [(line, row) for line, row in enumerate(reader, start=2)]
+            rows = [(reader.line_num, row) for row in reader]
     except FileNotFoundError:
         raise InputError(f"{path}: no such file, accepted is a CSV of inverters") from None
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}, accepted is a CSV of inverters") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not UTF-8 at byte {error.start}, accepted is a CSV") from None
     for column in ("inverter", "lat", "lon"):
         if column not in columns:
             raise InputError(

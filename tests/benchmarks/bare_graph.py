@@ -618,11 +618,13 @@ class Processes:
             until = time.monotonic() + 1.0
             while time.monotonic() < until:
                 self._listen(0.2)
-            raise BareFailure("stalled: " + "; ".join(self._failures()))
+            silent = [p.agent for p in self.players() if not p.heard(_is_account)]
+            culprits = f"nothing came from {', '.join(silent)}; " if silent else ""
+            raise BareFailure(f"stalled: {culprits}" + "; ".join(self._failures()[:5]))
         for process in self.all.values():
             if process.closed and not process.heard(_is_account):
                 last = process.log.read_text(errors="replace").splitlines()[-3:]
-                raise BareFailure(f"{process.agent} ended: " + " | ".join(last))
+                raise BareFailure(f"{process.agent} ended before its time: {' | '.join(last)}")
 
     def _failures(self) -> list[str]:
         return [

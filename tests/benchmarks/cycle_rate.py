@@ -30,6 +30,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from launch_scripts.summary import RunSummary
+
 RECORDED: Final = Variant("bare graph")
 UNRECORDED: Final = Variant("bare graph, no recorder", recorder=False)
 _LAUNCH_LIMIT_S: Final = 300.0
@@ -39,44 +41,22 @@ class LaunchFailure(Exception):  # noqa: N818 - what failed is the run, not the 
     """A launch that did not end as it should, with what it said."""
 
 
-class Memory(msgspec.Struct, frozen=True):
-    """The part of a summary's memory that is of interest here."""
-
-    kind: str
-    median_mb: float
-
-
-class Launched(msgspec.Struct, frozen=True):
-    """The part of a launch's summary that is of interest here."""
-
-    cycles: int
-    cycles_per_s: float
-    startup_s: float
-    messages_lost: int
-    messages: list[dict[str, str | int]]
-    memory: list[Memory]
-
-    @property
-    def messages_per_cycle(self) -> float:
-        """Messages in a cycle, on average; beginning and end of the run included."""
-        return sum(int(count["published"]) for count in self.messages) / self.cycles
-
-    def memory_mb(self, kind: str) -> float:
-        """Resident memory of the median process of a kind."""
-        return next(memory.median_mb for memory in self.memory if memory.kind == kind)
-
-
 class Round(msgspec.Struct, frozen=True):
-    """One launch, and the two bare runs that came right after it."""
+    """One launch, and the two bare runs that came right after it.
 
-    launch: Launched
-    bare: BareResult
-    unrecorded: BareResult
+    Memory is that of the median direct controller: what is resident, and what is its own, without
+    the libraries that processes share.
+    """
 
-    @property
-    def lost(self) -> int:
-        """Messages lost in any of them."""
-        return self.launch.messages_lost + self.bare.lost
+    launch_cycles_per_s: float
+    bare_cycles_per_s: float
+    unrecorded_cycles_per_s: float
+    launch_startup_s: float
+    bare_startup_s: float
+    messages_per_cycle: float
+    direct_resident_mb: float
+    direct_own_mb: float
+    lost: int
 
 
 class Report(msgspec.Struct, frozen=True):
@@ -84,8 +64,8 @@ class Report(msgspec.Struct, frozen=True):
 
     machine: str
     scenario: str
+    cycles: int
     messages_per_cycle: int
-    payload_bytes_per_cycle: int
     rounds: list[Round]
 
 
@@ -98,7 +78,7 @@ def machine_line() -> str:
     )
 
 
-def launch(scenario: str, cycles: int) -> Launched:
+def launch(scenario: str, cycles: int) -> RunSummary:
     """Launch a scenario in lockstep, in a folder that is thrown away.
 
     Raises
@@ -114,7 +94,7 @@ def launch(scenario: str, cycles: int) -> Launched:
         status, said = _run(command)
         if not summary.exists():
             raise LaunchFailure(f"heliarch launch ended with status {status}:\n{said}")
-        return msgspec.json.decode(summary.read_bytes(), type=Launched)
+        return msgspec.json.decode(summary.read_bytes(), type=RunSummary)
 
 
 def _run(command: Sequence[str]) -> tuple[int, str]:
@@ -143,7 +123,7 @@ def spread(values: Sequence[float], digits: int = 0) -> tuple[str, str, str]:
 def measure(scenario: str, graph: Graph, rounds: int, cycles: int, console: Console) -> list[Round]:
     """Run launch and bare graph in turn."""
     return [
-        Round(
+        _round(
             launch(scenario, cycles),
             run_bare(graph, RECORDED, cycles),
             run_bare(graph, UNRECORDED, cycles),
@@ -152,64 +132,57 @@ def measure(scenario: str, graph: Graph, rounds: int, cycles: int, console: Cons
     ]
 
 
+def _round(launched: RunSummary, bare: BareResult, unrecorded: BareResult) -> Round:
+    (memory,) = (use for use in launched.memory if use.kind == "direct")
+    return Round(
+        launch_cycles_per_s=launched.cycles_per_s,
+        bare_cycles_per_s=bare.cycles_per_s,
+        unrecorded_cycles_per_s=unrecorded.cycles_per_s,
+        launch_startup_s=launched.startup_s,
+        bare_startup_s=bare.startup_s,
+        messages_per_cycle=sum(count.published for count in launched.messages) / launched.cycles,
+        direct_resident_mb=memory.resident_median_mb,
+        direct_own_mb=memory.own_median_mb,
+        lost=launched.lost + bare.lost,
+    )
+
+
 def print_report(report: Report, console: Console) -> None:
     """Print the table."""
     rounds = report.rounds
-    launches = [each.launch for each in rounds]
-    bare = [each.bare for each in rounds]
-    unrecorded = [each.unrecorded for each in rounds]
-    cycles = launches[0].cycles
-    table = Table(title=f"{report.scenario}: {len(rounds)} rounds of {cycles:,} cycles")
+    table = Table(title=f"{report.scenario}: {len(rounds)} rounds of {report.cycles:,} cycles")
     table.add_column("", no_wrap=True)
     for heading in ("min", "median", "max"):
         table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("", style="dim")
-    mean = statistics.mean(each.messages_per_cycle for each in launches)
-    table.add_row(
-        "launch, cycles/s",
-        *spread([each.cycles_per_s for each in launches]),
-        f"recorded, {mean:.1f} messages a cycle",
-    )
-    size = f"{report.messages_per_cycle} messages a cycle"
-    table.add_row(
-        "bare graph, cycles/s",
-        *spread([each.cycles_per_s for each in bare]),
-        f"recorded, {size}",
-    )
-    table.add_row(
-        "  without its recorder, cycles/s",
-        *spread([each.cycles_per_s for each in unrecorded]),
-        "not recorded",
-    )
-    table.add_row(
-        "launch / bare graph",
-        *spread([each.launch.cycles_per_s / each.bare.cycles_per_s for each in rounds], 2),
-        "pair by pair",
-    )
-    table.add_row(
-        "launch / bare without recorder",
-        *spread([each.launch.cycles_per_s / each.unrecorded.cycles_per_s for each in rounds], 2),
-        "pair by pair",
-    )
+    table.add_column("", style="dim", no_wrap=True)
+
+    def row(name: str, values: list[float], digits: int, note: str) -> None:
+        table.add_row(name, *spread(values, digits), note)
+
+    mean = statistics.mean(each.messages_per_cycle for each in rounds)
+    launched = [each.launch_cycles_per_s for each in rounds]
+    bare = [each.bare_cycles_per_s for each in rounds]
+    unrecorded = [each.unrecorded_cycles_per_s for each in rounds]
+    row("launch, cycles/s", launched, 0, f"recorded, {mean:.1f} messages a cycle")
+    row("bare graph, cycles/s", bare, 0, f"recorded, {report.messages_per_cycle} messages a cycle")
+    row("  without its recorder, cycles/s", unrecorded, 0, "")
+    row("launch / bare graph", _ratios(launched, bare), 2, "round by round")
+    row("launch / bare without recorder", _ratios(launched, unrecorded), 2, "round by round")
     table.add_section()
-    table.add_row(
-        "launch, start-up in s",
-        *spread([each.startup_s for each in launches], 1),
-        "from the command to cycle 0",
-    )
-    table.add_row(
-        "bare graph, start-up in s",
-        *spread([each.startup_s for each in bare], 1),
-        "from its first process to cycle 0",
-    )
-    table.add_row(
-        "direct controller, memory in MB",
-        *spread([each.memory_mb("direct") for each in launches], 1),
-        "resident, the median process",
-    )
-    table.add_row("messages lost", "", f"{sum(each.lost for each in rounds):,}", "", "of all runs")
+    startups = [each.launch_startup_s for each in rounds]
+    row("launch, start-up in s", startups, 1, "from the command to cycle 0")
+    startups = [each.bare_startup_s for each in rounds]
+    row("bare graph, start-up in s", startups, 1, "from its first process to cycle 0")
+    resident = [each.direct_resident_mb for each in rounds]
+    row("direct controller, memory in MB", resident, 1, "resident")
+    row("", [each.direct_own_mb for each in rounds], 1, "its own, without shared libraries")
+    table.add_row("messages lost", "", f"{sum(each.lost for each in rounds):,}", "", "in all runs")
     console.print(table)
     console.print(report.machine, highlight=False)
+
+
+def _ratios(values: list[float], others: list[float]) -> list[float]:
+    return [value / other for value, other in zip(values, others, strict=True)]
 
 
 def main() -> int:
@@ -228,7 +201,7 @@ def main() -> int:
     except (LaunchFailure, BareFailure) as failure:
         sys.stderr.write(f"cycle rate: {failure}\n")
         return 1
-    report = Report(machine, options.scenario, graph.messages, graph.payload_bytes, rounds)
+    report = Report(machine, options.scenario, options.cycles, graph.messages, rounds)
     print_report(report, console)
     if options.json is not None:
         options.json.write_bytes(msgspec.json.format(msgspec.json.encode(report), indent=1))

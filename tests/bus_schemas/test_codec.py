@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus_schemas.codec import decode, decode_head, encode, json_schema
+from bus_schemas.codec import decode, encode, json_schema
 from bus_schemas.messages import (
     Command,
     Dispatch,
@@ -164,27 +164,12 @@ def test_a_message_of_another_signal_is_refused() -> None:
         decode(SETPOINT, encode(Impp(0, 0, "c1", (), power_kw=1.0, stale_cycles=0)))
 
 
-@pytest.mark.parametrize("payload", [b"", b"\xc1", b"power", b"\x81", msgpack.packb([1, 2, 3])])
+@pytest.mark.parametrize(
+    "payload", [b"", b"\xc1", b"power", b"\x81", msgpack.packb([1, 2, 3]), b"\x81\xa1\xff\x00"]
+)
 def test_garbage_is_refused(payload: bytes) -> None:
     with pytest.raises(msgspec.DecodeError):
         decode(IMPP, payload)
-
-
-@each_signal
-def test_the_head_can_be_read_without_the_rest(signal: Signal[Message]) -> None:
-    message = one(signal)
-    head = decode_head(encode(message))
-    assert (head.cycle, head.source, head.publish_time_ns, head.sequence) == (
-        message.cycle,
-        message.source,
-        message.publish_time_ns,
-        message.sequence,
-    )
-
-
-def test_a_payload_without_a_head_has_none() -> None:
-    with pytest.raises(msgspec.DecodeError, match="missing required field `cycle`"):
-        decode_head(msgpack.packb({"power_kw": 1.0}))
 
 
 # JSON Schema --------------------------------------------------------------------------------------
