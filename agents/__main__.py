@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 import logging
-import signal
 import sys
 from pathlib import Path
 
-from agents.lifeline import Failed, Lifeline, Ready, die_with_parent
+from agents.lifeline import Failed, Lifeline, Ready, join_run
 from agents.plan import RunPlan, load_plan
 from agents.runtime import DropLog, Runtime, open_bus
 from agents.team import (
@@ -27,11 +26,7 @@ log = logging.getLogger("agents")
 def main() -> int:
     """Run the controller that the command line names. Returns the exit status."""
     options = _parser().parse_args()
-    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
-    # Ctrl-C in a terminal reaches every process of the group: the launcher decides, not we.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if options.attached:
-        die_with_parent(signal.SIGKILL)
+    join_run(options.attached)
     try:
         plan = load_plan(options.plan)
         check_node(plan, options.kind, options.node)

@@ -153,12 +153,22 @@ class Lifeline:
         self._on_orphaned()
 
 
-def die_with_parent(death_signal: signal.Signals) -> None:
-    """Ask the kernel to signal this process when its parent dies, where the kernel can (Linux).
+def join_run(attached: bool, death_signal: signal.Signals = signal.SIGKILL) -> None:
+    """Set this process up as part of a run: its log, and what it does when its launcher dies.
 
-    Standard input ends then too; but a process that is blocked deep in a library, or stopped,
-    would not see it.
+    Standard input ends with the launcher; but a process that is blocked deep in a library, or
+    stopped, would not see it. So the kernel is asked for a signal too, where it can (Linux).
+
+    Parameters
+    ----------
+    attached
+        Whether a launcher started it.
+    death_signal
+        Sent when the launcher dies.
     """
-    if sys.platform == "linux":
+    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
+    # Ctrl-C in a terminal reaches every process of the group: the launcher decides, not we.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if attached and sys.platform == "linux":
         set_parent_death_signal = 1  # PR_SET_PDEATHSIG of prctl(2)
         ctypes.CDLL(None).prctl(set_parent_death_signal, int(death_signal))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
@@ -15,7 +16,8 @@ from agents.family import Neighbourhood
 from agents.periods import Periods
 from bus_schemas.errors import InputError
 from bus_schemas.keys import KeyTable
-from bus_schemas.tree import ControlTree, depth
+from bus_schemas.messages import Run
+from bus_schemas.tree import PLANT, ControlTree, depth
 
 
 class NodeNeighbourhoods(msgspec.Struct, frozen=True):
@@ -91,6 +93,18 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     def sim_time_ns(self, cycle: int) -> int:
         """Return the simulated time at the beginning of a cycle, ns since 1970-01-01 UTC."""
         return self.start_time_ns + cycle * self.cycle_ns
+
+    def run_message(self, state: Literal["start", "stop"], cycle: int, start_time_ns: int) -> Run:
+        """Return the plant's word that the run begins at, or has ended before, a cycle."""
+        return Run(
+            cycle,
+            self.sim_time_ns(cycle),
+            PLANT,
+            (),
+            state=state,
+            start_time_ns=start_time_ns,
+            cycle_wall_ns=self.cycle_wall_ns,
+        )
 
     def neighbourhoods_of(self, node: str) -> tuple[Neighbourhood, ...]:
         """Return the correlation between a parent's children, in the order of time."""

@@ -14,7 +14,7 @@ from agents.sequencer import Sequencer
 from agents.team import controllers
 from bus_schemas.codec import encode
 from bus_schemas.memory_bus import MemoryBus
-from bus_schemas.messages import Message, Run
+from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import PLANT, ROOT
 from launch_scripts.interruption import interruptible
@@ -70,7 +70,7 @@ class MemoryRun:
             The agents wait for each other.
         """
         plant = self.sequencers[PLANT]
-        self._say("start", 0)
+        self.bus.publish(RUN.of(ROOT), self.plan.run_message("start", 0, time.monotonic_ns()))
         self._send(plant.enter(0))
         done = 0
         while (delivery := self.bus.next()) is not None:
@@ -91,23 +91,12 @@ class MemoryRun:
 
     def close(self) -> None:
         """Say that the run is over."""
-        self._say("stop", self.sequencers[PLANT].cycle)
+        last = self.sequencers[PLANT].cycle
+        self.bus.publish(RUN.of(ROOT), self.plan.run_message("stop", last, time.monotonic_ns()))
 
     def _send(self, outputs: list[tuple[Port[Message], Message]]) -> None:
         for port, message in outputs:
             self.bus.publish(port, message)
-
-    def _say(self, state: str, cycle: int) -> None:
-        message = Run(
-            cycle,
-            self.plan.sim_time_ns(cycle),
-            PLANT,
-            (),
-            state="start" if state == "start" else "stop",
-            start_time_ns=time.monotonic_ns(),
-            cycle_wall_ns=0,
-        )
-        self.bus.publish(RUN.of(ROOT), message)
 
     def _who_waits(self) -> str:
         return "; ".join(

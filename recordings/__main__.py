@@ -8,7 +8,7 @@ import signal
 import sys
 from pathlib import Path
 
-from agents.lifeline import Failed, Lifeline, Ready, die_with_parent
+from agents.lifeline import Failed, Lifeline, Ready, join_run
 from agents.plan import RunPlan, load_plan
 from agents.runtime import DropLog, session_settings
 from bus_schemas.errors import InputError
@@ -26,8 +26,6 @@ def main() -> int:
     parser.add_argument("--plan", type=Path, required=True, help="plan.json of the run")
     parser.add_argument("--attached", action="store_true", help="a launcher holds standard input")
     options = parser.parse_args()
-    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         plan = load_plan(options.plan)
     except InputError as error:
@@ -50,8 +48,7 @@ def record(plan: RunPlan, folder: Path, attached: bool) -> int:
 
     # Whatever ends the run, the file must be closed in order: SIGTERM, not SIGKILL.
     signal.signal(signal.SIGTERM, lambda *_: end())
-    if attached:
-        die_with_parent(signal.SIGTERM)
+    join_run(attached, death_signal=signal.SIGTERM)
     scenario = (folder / "scenario.toml").read_text(encoding="utf-8")
     lifeline = Lifeline(attached, on_word=hear, on_orphaned=end)
     try:

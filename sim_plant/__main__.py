@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import logging
-import signal
 import sys
 import threading
 from pathlib import Path
 
-from agents.lifeline import Failed, Lifeline, Ready, die_with_parent
+from agents.lifeline import Failed, Lifeline, Ready, join_run
 from agents.plan import RunPlan, load_plan
 from agents.runtime import DropLog, Runtime, open_bus
 from bus_schemas.errors import InputError
@@ -30,10 +29,7 @@ def main() -> int:
     )
     parser.add_argument("--attached", action="store_true", help="a launcher holds standard input")
     options = parser.parse_args()
-    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if options.attached:
-        die_with_parent(signal.SIGKILL)
+    join_run(options.attached)
     try:
         plan = load_plan(options.plan)
         profile = load_profile(options.profile or options.plan.with_name("profile.npz"))

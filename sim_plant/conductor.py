@@ -10,11 +10,11 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Final, TypeVar
+from typing import Final, Literal, TypeVar
 
 from agents.lifeline import Armed
 from agents.runtime import Runtime, StallWatch, spare_the_collector
-from bus_schemas.messages import Message, Run
+from bus_schemas.messages import Message
 from bus_schemas.signals import READY, RUN
 from bus_schemas.tree import PLANT, RECORDER, ROOT
 
@@ -56,7 +56,6 @@ class Conductor:
         self._stop_asked = stop_asked
         self._patience_s = patience_s
         self._round_recorded = FIRST_ROUND - 1
-        self._run_port = RUN.of(ROOT)
         runtime.listen(READY.of(ROOT), self._hear_recorder)
 
     def conduct(self) -> None:
@@ -73,7 +72,7 @@ class Conductor:
         sequencer = self._runtime.sequencer
         lead_s = 0.0 if self._runtime.plan.lockstep else _LEAD_S
         start_time_ns = time.monotonic_ns() + round(lead_s * 1e9)
-        self._say("start", 0, start_time_ns)
+        self._publish_run("start", 0, start_time_ns)
         self._runtime.lifeline.tell(Armed(rounds))
         log.info("armed after %d rounds", rounds)
         watch = StallWatch(self._runtime)
@@ -84,7 +83,7 @@ class Conductor:
                 sequencer.end_before(sequencer.cycle + 1)
             self._runtime.turn()
         watch.stop()
-        self._say("stop", sequencer.cycle, start_time_ns)
+        self._publish_run("stop", sequencer.cycle, start_time_ns)
         self._runtime.report()
 
     def _await_everybody(self, give_up_at: float) -> None:
@@ -125,15 +124,6 @@ class Conductor:
         if message.source == RECORDER:
             self._round_recorded = message.cycle
 
-    def _say(self, state: str, cycle: int, start_time_ns: int) -> None:
-        plan = self._runtime.plan
-        message = Run(
-            cycle,
-            plan.sim_time_ns(cycle),
-            PLANT,
-            (),
-            state="start" if state == "start" else "stop",
-            start_time_ns=start_time_ns,
-            cycle_wall_ns=plan.cycle_wall_ns,
-        )
-        self._runtime.bus.publish(self._run_port, message)
+    def _publish_run(self, state: Literal["start", "stop"], cycle: int, start_time_ns: int) -> None:
+        message = self._runtime.plan.run_message(state, cycle, start_time_ns)
+        self._runtime.bus.publish(RUN.of(ROOT), message)
