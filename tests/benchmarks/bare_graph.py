@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import os
 import selectors
-import signal
 import subprocess
 import sys
 import tempfile
@@ -32,7 +31,7 @@ import msgspec
 import zenoh
 
 from agents.agent import Agent, Stage, Turn
-from agents.lifeline import Event, Failed, Lifeline, Ready, die_with_parent
+from agents.lifeline import Event, Failed, Lifeline, Ready, join_run
 from agents.plan import RunPlan
 from agents.runtime import spare_the_collector
 from bus_schemas.bus import Delivery
@@ -437,8 +436,7 @@ def _subscriptions(agent: str, plan: RunPlan) -> list[str]:
 
 def play(job_file: Path, agent: str) -> int:
     """Be one process of the graph. Returns the exit status."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    die_with_parent(signal.SIGKILL)
+    join_run(attached=True)
     job = msgspec.json.decode(job_file.read_bytes(), type=Job)
     words: list[str] = []
     spoken = threading.Semaphore(0)
@@ -638,7 +636,7 @@ class Processes:
         env = environment()
         if agent == ROUTER or not self._job.variant.one_thread:
             del env["ZENOH_RUNTIME"]
-        log = self._job_file.with_name(f"{agent.replace('/', '-')}.log")
+        log = self._job_file.with_name(f"{agent.replace('/', '.')}.log")
         with log.open("wb") as log_file:
             handle = subprocess.Popen(
                 (sys.executable, __file__, "--play", agent, "--job", str(self._job_file)),
