@@ -22,9 +22,22 @@ from bus_schemas.tree import CENTRAL, ROOT
 
 
 class CentralState(msgspec.Struct, frozen=True, gc=False):
-    """The last dispatch that could be used [kW], how many could not, the children's reports."""
+    """What a central controller remembers.
+
+    Attributes
+    ----------
+    dispatch_kw
+        The last dispatch that could be used.
+    request_kw
+        What was asked of the children in the last turn.
+    refused_dispatches
+        How many dispatches could not be used as they were.
+    reports
+        The children's last reports.
+    """
 
     dispatch_kw: float
+    request_kw: float
     refused_dispatches: int
     reports: tuple[Report, ...]
 
@@ -54,7 +67,7 @@ class CentralController:
 
     def initial_state(self) -> CentralState:
         """Nothing dispatched, nothing reported."""
-        return CentralState(0.0, 0, self._family.no_reports())
+        return CentralState(0.0, 0.0, 0, self._family.no_reports())
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages: it hears the operator and its children in every cycle."""
@@ -73,7 +86,8 @@ class CentralController:
     def _request(self, state: CentralState, turn: Turn) -> tuple[CentralState, list[Delivery]]:
         state, outputs = self._take_dispatch(state, turn)
         if self._periods.is_turn(ROOT, turn.cycle):
-            outputs += self._family.requests(turn, state.dispatch_kw)
+            state = replace(state, request_kw=state.dispatch_kw)
+            outputs += self._family.requests(turn, state.request_kw)
         return state, outputs
 
     def _take_dispatch(
@@ -104,7 +118,7 @@ class CentralController:
         return power_kw, ""
 
     def _solve(self, state: CentralState, turn: Turn) -> tuple[CentralState, list[Delivery]]:
-        reports = self._family.listen(turn, state.reports, state.dispatch_kw)
+        reports = self._family.listen(turn, state.reports, state.request_kw)
         outputs = self._family.report_up(turn, reports)
         if self._periods.is_turn(ROOT, turn.cycle):
             outputs += self._family.divide(turn, state.dispatch_kw, reports)

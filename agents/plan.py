@@ -131,10 +131,17 @@ def load_plan(path: Path) -> RunPlan:
         raise InputError(f"{path}: {error.strerror}, accepted is the plan.json of a run") from None
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: {error}, accepted is the plan.json of a run") from None
+    try:
+        _check_tiers(plan)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return plan
+
+
+def _check_tiers(plan: RunPlan) -> None:
     tiers = 1 + max(depth(parent) for parent in plan.tree.parents)
     if len(plan.periods.cycles) != tiers:
         raise InputError(
-            f"{path}: period_cycles has {len(plan.period_cycles)} entries, accepted is one for "
-            f"each of the {tiers} tiers that have children"
+            f"period_cycles has {len(plan.period_cycles)} entries, accepted is one for each of "
+            f"the {tiers} tiers that have children"
         )
-    return plan

@@ -18,10 +18,12 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree, depth
 from launch_scripts.clustering import control_tree, in_order, neighbourhoods
 from launch_scripts.scenario import (
+    LARGEST_SEED,
     CloudIrradiance,
     MeasuredIrradiance,
     Scenario,
     ScenarioFile,
+    TimeTable,
     local_start,
     parse_duration_s,
 )
@@ -70,8 +72,8 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         Scenario, options and data do not go together.
     """
     scenario = scenario_file.scenario
-    if options.seed is not None and options.seed < 0:
-        raise InputError(f"--seed {options.seed}: accepted is 0 or more")
+    if options.seed is not None and not 0 <= options.seed <= LARGEST_SEED:
+        raise InputError(f"--seed {options.seed}: accepted is 0 to {LARGEST_SEED}")
     try:
         times = _times(scenario, options)
         source = _power_source(scenario_file, options)
@@ -115,22 +117,25 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
 
 def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
     table = scenario.time
-    start = _start(local_start(table), options.start)
-    duration_s = (
-        parse_duration_s(options.duration, "--duration") if options.duration else table.duration_s
-    )
+    start = _start(table, options.start)
+    where, duration_s = f"time.duration_s: {table.duration_s:g} s,", table.duration_s
+    if options.duration is not None:
+        where = f"--duration {options.duration}:"
+        duration_s = parse_duration_s(options.duration, "--duration")
     cycles = round(duration_s / table.cycle_s)
     if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:
-        raise InputError(
-            f"time.duration_s: {duration_s:g} s, accepted are multiples of the cycle, "
-            f"{table.cycle_s:g} s"
-        )
+        raise InputError(f"{where} accepted are multiples of the cycle, {table.cycle_s:g} s")
     step = pd.Timedelta(seconds=table.cycle_s)
     first = pd.Timestamp(start).tz_convert("UTC")
     return pd.date_range(first, periods=cycles, freq=step, unit="ns")
 
 
-def _start(scheduled: datetime, option: str | None) -> datetime:
+def _start(table: TimeTable, option: str | None) -> datetime:
+    if option is None and not _FIRST_YEAR <= table.start.year <= _LAST_YEAR:
+        raise InputError(
+            f"time.start: {table.start}, accepted are the years {_FIRST_YEAR} to {_LAST_YEAR}"
+        )
+    scheduled = local_start(table)
     if option is None:
         return scheduled
     with suppress(ValueError):

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
-from textwrap import shorten
 from typing import Annotated, Final, Literal, TypeAlias
 from zoneinfo import ZoneInfo, available_timezones
 
@@ -22,6 +21,7 @@ from sim_plant.pv import PvSettings
 LONGEST_S: Final = 31 * 86400.0
 SLOWEST_PACE: Final = 1e-3
 FASTEST_PACE: Final = 1e6
+LARGEST_SEED: Final = 2**32
 
 Rating: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0, le=1e7)]
 Altitude: TypeAlias = Annotated[float, msgspec.Meta(ge=-500.0, le=9000.0)]
@@ -29,7 +29,7 @@ Duration: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0, le=LONGEST_S)]
 Cycle: TypeAlias = Annotated[float, msgspec.Meta(ge=0.001, le=3600.0)]
 Pace: TypeAlias = Annotated[float, msgspec.Meta(ge=SLOWEST_PACE, le=FASTEST_PACE)]
 Patience: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0, le=600.0)]
-Seed: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**32)]
+Seed: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=LARGEST_SEED)]
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -191,7 +191,7 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
         raise InputError(f"{path}: {_readable(str(error))}") from None
     except msgspec.DecodeError as error:
         raise InputError(f"{path}: not TOML: {error}") from None
-    check_name(scenario.name, f"{path}: name")
+    check_name(scenario.name, str(path))
     if scenario.time.timezone not in available_timezones():
         raise InputError(
             f"{path}: time.timezone is {scenario.time.timezone!r}, accepted is an IANA name "
@@ -237,7 +237,7 @@ def parse_duration_s(text: str, where: str) -> float:
     seconds = sum(_duration_parts(text)) if re.fullmatch(r"(\d+(\.\d+)?[hms]?)+", text) else 0.0
     if not 0.0 < seconds <= LONGEST_S:
         raise InputError(
-            f"{where} {shorten(text, 40)}: accepted are seconds above 0, or 90s, 15m, 1h30m, "
+            f"{where} {text[:40]}: accepted are seconds above 0, or 90s, 15m, 1h30m, "
             f"at most {LONGEST_S / 86400:g} days"
         )
     return seconds

@@ -40,6 +40,8 @@ class RunReader:
             raise InputError(
                 f"{self.path}: no such file, accepted is a run's folder or its {RECORDING_NAME}"
             ) from None
+        except OSError as error:
+            raise InputError(f"{self.path}: {error.strerror}, accepted is an MCAP file") from None
         try:
             self._read_origin()
         except BaseException:
@@ -84,8 +86,8 @@ class RunReader:
             self.plan = msgspec.json.decode(attachments["plan.json"], type=RunPlan)
         except KeyError as error:
             raise InputError(f"{self.path}: recording without its attachment {error}") from None
-        except msgspec.DecodeError as error:
-            raise InputError(f"{self.path}: its attached plan.json: {error}") from None
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            raise InputError(f"{self.path}: its attachments do not decode: {error}") from None
 
     def _check_version(self) -> None:
         found = self.metadata.get("run", {}).get("schema_version")

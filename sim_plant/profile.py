@@ -49,5 +49,8 @@ def load_profile(path: Path) -> Profile:
             return Profile(archive["mpp_kw"], archive["commitment_kw"])
     except FileNotFoundError:
         raise InputError(f"{path}: no such file, accepted is the profile.npz of a run") from None
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path}: {error}, accepted is the profile.npz of a run") from None
+    except Exception as error:  # A damaged archive can fail in numpy, zip or anywhere below.
+        reason = type(error).__name__
+        raise InputError(
+            f"{path}: not readable ({reason}), accepted is the profile.npz of a run"
+        ) from None

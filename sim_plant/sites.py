@@ -58,6 +58,8 @@ def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:
         raise InputError(f"{path}: no such file, accepted is a CSV of inverters") from None
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}, accepted is a CSV of inverters") from None
+    except csv.Error as error:
+        raise InputError(f"{path}: {error}, accepted is a CSV of inverters") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 at byte {error.start}, accepted is a CSV") from None
     for column in ("inverter", "lat", "lon"):

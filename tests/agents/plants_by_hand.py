@@ -70,6 +70,10 @@ class Heard:
         assert message is not None, f"no {port} in cycle {cycle}"
         return message
 
+    def cycles(self) -> set[int]:
+        """The cycles in which anything was said."""
+        return {cycle for cycle, _ in self._messages}
+
     def of(self, signal: Signal[M]) -> Iterator[tuple[str, M]]:
         """Node and message, of all messages of a signal."""
         for (_, port), message in self._messages.items():

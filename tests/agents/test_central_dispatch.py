@@ -74,7 +74,9 @@ def test_before_the_first_good_dispatch_nothing_is_asked() -> None:
     )
 
 
-@pytest.mark.parametrize(("power_kw", "shown"), [(500.0, "500"), (1e12, "1e+12")])
+@pytest.mark.parametrize(
+    ("power_kw", "shown"), [(400.0001, "400.0001"), (500.0, "500"), (1e12, "1e+12")]
+)
 def test_a_dispatch_above_the_rating_is_clamped_to_it(power_kw: float, shown: str) -> None:
     assert asked_and_noticed(power_kw) == (
         [300.0],

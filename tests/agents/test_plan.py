@@ -112,6 +112,31 @@ def test_a_plan_with_a_word_for_a_number_is_refused(path: Path) -> None:
     )
 
 
+def test_a_plan_that_is_not_utf8_is_refused(path: Path) -> None:
+    path.write_bytes(PLAN.as_json().replace(b'"oahu"', b'"o\xff"'))
+    assert complaint(path) == (
+        f"{path}: 'utf-8' codec can't decode byte 0xff in position 1: invalid start byte, "
+        "accepted is the plan.json of a run"
+    )
+
+
+def test_a_folder_is_no_plan(tmp_path: Path) -> None:
+    assert complaint(tmp_path) == (
+        f"{tmp_path}: Is a directory, accepted is the plan.json of a run"
+    )
+
+
+@pytest.mark.parametrize("periods", [(1,), (10, 5, 1)])
+def test_a_plan_needs_a_period_for_each_tier_that_has_children(
+    path: Path, periods: tuple[int, ...]
+) -> None:
+    path.write_bytes(msgspec.structs.replace(PLAN, period_cycles=periods).as_json())
+    assert complaint(path) == (
+        f"{path}: period_cycles has {len(periods)} entries, accepted is one for each of the "
+        "2 tiers that have children"
+    )
+
+
 @pytest.mark.parametrize(
     ("kind", "node", "accepted"),
     [

@@ -167,6 +167,29 @@ def test_a_call_for_help_may_come_before_its_announcement() -> None:
     assert desk.hear(A, 0, power_kw=-5.0) == ["0 listen: a/help a/residual b/residual"]
 
 
+def test_a_call_that_is_announced_during_an_earlier_stage_is_awaited_in_its_own() -> None:
+    desk = Desk(ORDER_THEN_LISTEN)
+    desk.enter(0)
+    desk.hear(A, 0, power_kw=-5.0)
+    desk.hear(B, 0)
+    assert desk.hear(ORDER, 0) == ["0 order: a/residual b/residual dispatch"]
+    assert desk.sequencer.waiting_for == {HELP_A}
+    assert desk.hear(HELP_A, 0) == ["0 listen: a/help a/residual b/residual dispatch"]
+    assert desk.sequencer.drops == Drops()
+
+
+def test_a_call_that_is_announced_ahead_of_its_cycle_is_awaited_in_it() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.enter(0)
+    desk.hear(A, 1, power_kw=-5.0)
+    desk.hear(B, 1)
+    desk.hear(A, 0)
+    assert desk.hear(B, 0) == ["0 listen: a/residual b/residual"]
+    assert desk.sequencer.waiting_for == {HELP_A}
+    assert desk.hear(HELP_A, 1) == ["1 listen: a/help a/residual b/residual"]
+    assert desk.sequencer.drops == Drops()
+
+
 def test_nobody_waits_for_help_where_power_is_left() -> None:
     desk = Desk(LISTEN_TO_BOTH)
     desk.enter(0)
@@ -218,6 +241,19 @@ def test_messages_ahead_are_kept_and_used_in_their_cycle() -> None:
     ]
     assert desk.sequencer.waiting_for == {B}
     assert desk.hear(B, 2) == ["2 listen: a/residual b/residual"]
+    assert desk.sequencer.drops == Drops()
+
+
+def test_one_message_may_let_thousands_of_cycles_go_by_at_once() -> None:
+    desk = Desk(LISTEN_TO_BOTH, horizon=5000)
+    desk.enter(0)
+    for cycle in range(5000):
+        desk.hear(A, cycle)
+        if cycle:
+            desk.hear(B, cycle)
+    said = desk.hear(B, 0)
+    assert said == [f"{cycle} listen: a/residual b/residual" for cycle in range(5000)]
+    assert desk.sequencer.cycle == 5000
     assert desk.sequencer.drops == Drops()
 
 
@@ -359,6 +395,47 @@ def test_messages_of_the_run_that_come_before_its_beginning_is_told_are_not_lost
     desk.hear(A, 0)
     assert desk.sequencer.cycle == 0
     assert desk.hear(B, 0) == ["0 listen: a/residual b/residual"]
+
+
+@pytest.mark.parametrize("rounds", [(), (-7,), (-7, -6)])
+def test_a_run_that_is_first_heard_of_in_a_later_cycle_begins_at_cycle_0_all_the_same(
+    rounds: tuple[int, ...],
+) -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    for cycle in rounds:
+        desk.hear(A, cycle)
+        desk.hear(B, cycle)
+    assert desk.hear(A, 1) == []
+    assert desk.sequencer.cycle == 0
+    assert desk.sequencer.waiting_for == {A, B}
+    desk.hear(A, 0)
+    outputs = desk.sequencer.accept(B, a_message(B, 0))
+    outputs += desk.sequencer.accept(B, a_message(B, 1))
+    # From the initial state, and with the message that came ahead.
+    assert [(notice.text, notice.count) for notice in notices(outputs)] == [
+        ("0 listen: a/residual b/residual", 1),
+        ("1 listen: a/residual b/residual", 2),
+    ]
+    assert desk.sequencer.drops == Drops()
+
+
+def test_an_open_round_leaves_nothing_in_a_run_first_heard_of_in_a_later_cycle() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.hear(A, -7)
+    desk.hear(B, 1)
+    assert desk.sequencer.cycle == 0
+    assert desk.sequencer.waiting_for == {A, B}
+
+
+def test_a_first_message_of_the_run_beyond_the_horizon_begins_it_but_is_dropped() -> None:
+    desk = Desk(LISTEN_TO_BOTH, horizon=2)
+    desk.hear(A, -7)
+    desk.hear(B, -7)
+    assert desk.hear(A, 3) == []
+    assert desk.sequencer.cycle == 0
+    assert desk.sequencer.waiting_for == {A, B}
+    assert desk.sequencer.drops == Drops(other_cycle=1)
+    assert desk.dropped == ["a/residual is of cycle 3, this is 0"]
 
 
 # Deadlines ----------------------------------------------------------------------------------------

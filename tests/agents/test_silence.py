@@ -13,7 +13,16 @@ from agents.plan import RunPlan
 from agents.sequencer import Sequencer
 from agents.team import Controller, central_controller, direct_controller, supervisor
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Dispatch, HelpGiven, Impp, Message, Request, Setpoint, Telemetry
+from bus_schemas.messages import (
+    Dispatch,
+    Help,
+    HelpGiven,
+    Impp,
+    Message,
+    Request,
+    Setpoint,
+    Telemetry,
+)
 from bus_schemas.signals import (
     COMMAND,
     DISPATCH,
@@ -111,6 +120,35 @@ def test_the_share_of_a_child_that_stays_silent_is_given_to_the_others() -> None
     assert at(told[2], SETPOINT.of("a")).help_given == (HelpGiven("b", 20.0),)
 
 
+def test_the_share_of_a_child_that_counts_as_zero_is_missing_in_the_residual() -> None:
+    central = central_after_one_cycle()
+    told = [cycle_without_b(central, cycle) for cycle in (1, 2, 3)]
+    # Of 120 kW, 60 are b's share: a's 80 - 60 kW and b's 30 kW, later b's 0 - 60 kW.
+    assert [at(said, RESIDUAL.of(ROOT)).power_kw for said in told] == [50.0, 50.0, -40.0]
+    assert [HELP.of(ROOT) in said for said in told] == [False, False, True]
+    assert at(told[2], HELP.of(ROOT)).missing_kw == 40.0
+
+
+def test_the_share_that_is_missing_is_that_of_the_childs_rating() -> None:
+    plan = plan_of({"a": 100.0, "b": 300.0})
+    central = in_real_time(central_controller(plan), plan)
+    tell(central, dispatch(0, 200.0), *report("a", 0, 80.0, 30.0))
+    said = dict(central.close_stage())
+    # b never spoke: of 200 kW it was asked for 150.
+    assert at(said, IMPP.of(ROOT)).power_kw == 80.0
+    assert at(said, RESIDUAL.of(ROOT)).power_kw == -120.0
+
+
+def test_a_supervisor_lacks_the_share_of_a_silent_inverter() -> None:
+    boss = in_real_time(supervisor(CLUSTER, "c1"), CLUSTER)
+    tell(boss, request("c1", 0, 100.0), *report("c1/a", 0, 90.0, 40.0))
+    said = dict(boss.close_stage())
+    # a could give 40 kW more than it is asked for, b lacks its 50 kW.
+    assert at(said, IMPP.of("c1")).power_kw == 90.0
+    assert at(said, RESIDUAL.of("c1")).power_kw == -10.0
+    assert at(said, HELP.of("c1")).missing_kw == 10.0
+
+
 def test_a_silent_child_is_named_in_what_is_decided_without_it() -> None:
     said = cycle_without_b(central_after_one_cycle(), 1)
     assert {message.missing for message in said.values()} == {("b/impp", "b/residual")}
@@ -147,6 +185,8 @@ def test_half_a_report_is_silence() -> None:
         (100.1, 0.0),
         (50.0, math.nan),
         (50.0, math.inf),
+        (50.0, 50.1),
+        (50.0, 1.7e308),
     ],
 )
 def test_an_absurd_report_is_silence(impp_kw: float, residual_kw: float) -> None:
@@ -160,6 +200,50 @@ def test_an_absurd_report_is_silence(impp_kw: float, residual_kw: float) -> None
     assert at(said, IMPP.of(ROOT)).power_kw == 170.0
     assert at(said, RESIDUAL.of(ROOT)).power_kw == 50.0
     assert setpoints_kw(said) == (60.0, 60.0)
+
+
+@pytest.mark.parametrize("residual_kw", [-math.inf, -1.7e308, -100.1])
+def test_a_child_that_claims_to_lack_more_than_its_rating_counts_as_silent(
+    residual_kw: float,
+) -> None:
+    central = central_after_one_cycle()
+    call = Help(1, CYCLE_NS, "b", (), missing_kw=-residual_kw)
+    said = tell(
+        central,
+        dispatch(1, 120.0),
+        *report("a", 1, 80.0, 20.0),
+        *report("b", 1, 50.0, residual_kw),
+        (HELP.of("b"), call),
+    )
+    assert at(said, IMPP.of(ROOT)).power_kw == 170.0
+    assert at(said, RESIDUAL.of(ROOT)).power_kw == 50.0
+
+
+@pytest.mark.parametrize("residual_kw", [50.0, 0.0, -100.0])
+def test_a_residual_from_less_the_rating_up_to_the_impp_is_taken(residual_kw: float) -> None:
+    central = central_after_one_cycle()
+    call = Help(1, CYCLE_NS, "b", (), missing_kw=-residual_kw)
+    said = tell(
+        central,
+        dispatch(1, 120.0),
+        *report("a", 1, 80.0, 20.0),
+        *([(HELP.of("b"), call)] if residual_kw < 0.0 else []),
+        *report("b", 1, 50.0, residual_kw),
+    )
+    assert at(said, IMPP.of(ROOT)).power_kw == 130.0
+    assert at(said, RESIDUAL.of(ROOT)).power_kw == 20.0 + residual_kw
+
+
+def test_residuals_whose_sum_is_beyond_any_number_do_not_end_their_parent() -> None:
+    central = in_real_time(central_controller(TWO), TWO)
+    said = tell(
+        central,
+        dispatch(0, 120.0),
+        *report("a", 0, 80.0, 1.7e308),
+        *report("b", 0, 90.0, 1.7e308),
+    )
+    assert at(said, IMPP.of(ROOT)).power_kw == 0.0
+    assert at(said, RESIDUAL.of(ROOT)).power_kw == -120.0
 
 
 def test_a_child_that_has_never_spoken_has_nothing_to_give() -> None:
@@ -207,13 +291,24 @@ def test_without_a_word_of_its_parent_a_supervisor_goes_on_with_the_last() -> No
     assert at(said, SETPOINT.of("c1/a")).missing == ("c1/request", "c1/a/help", "c1/setpoint")
 
 
-@pytest.mark.parametrize("absurd_kw", ABSURD_KW)
+@pytest.mark.parametrize("absurd_kw", [*ABSURD_KW, 200.1, 1.7e308])
 def test_a_supervisor_does_not_use_an_absurd_request_or_setpoint(absurd_kw: float) -> None:
     boss = supervisor_after_one_cycle()
     asked = tell(boss, request("c1", 1, absurd_kw))
     assert at(asked, REQUEST.of("c1/a")).power_kw == 50.0
     tell(boss, *report("c1/a", 1, 90.0, 40.0), *report("c1/b", 1, 90.0, 40.0))
     assert setpoints_kw(tell(boss, setpoint("c1", 1, absurd_kw))) == (50.0, 50.0)
+
+
+@pytest.mark.parametrize("most_kw", [200.0, 200.0 * (1.0 + 1e-12)])
+def test_a_supervisor_follows_its_parent_up_to_its_rating_and_a_rounding_error(
+    most_kw: float,
+) -> None:
+    boss = supervisor_after_one_cycle()
+    asked = tell(boss, request("c1", 1, most_kw))
+    assert at(asked, REQUEST.of("c1/a")).power_kw == most_kw / 2.0
+    tell(boss, *report("c1/a", 1, 100.0, 0.0), *report("c1/b", 1, 100.0, 0.0))
+    assert setpoints_kw(tell(boss, setpoint("c1", 1, most_kw))) == (100.0, 100.0)
 
 
 def direct_after_one_cycle() -> Sequencer[object]:
@@ -225,7 +320,7 @@ def direct_after_one_cycle() -> Sequencer[object]:
     return direct
 
 
-@pytest.mark.parametrize("absurd_kw", ABSURD_KW)
+@pytest.mark.parametrize("absurd_kw", [*ABSURD_KW, 100.1, 1.7e308])
 def test_a_direct_controller_does_not_use_an_absurd_request_or_setpoint(
     absurd_kw: float,
 ) -> None:
@@ -234,6 +329,17 @@ def test_a_direct_controller_does_not_use_an_absurd_request_or_setpoint(
     assert at(said, RESIDUAL.of("c1/a")).power_kw == 30.0
     said = tell(direct, setpoint("c1/a", 1, absurd_kw))
     assert at(said, COMMAND.of("c1/a")).alpha == 0.5
+
+
+@pytest.mark.parametrize("most_kw", [100.0, 100.0 * (1.0 + 1e-12)])
+def test_a_direct_controller_follows_its_parent_up_to_its_rating_and_a_rounding_error(
+    most_kw: float,
+) -> None:
+    direct = direct_after_one_cycle()
+    said = tell(direct, telemetry("c1/a", 1, 40.0, 0.5), request("c1/a", 1, most_kw))
+    assert at(said, RESIDUAL.of("c1/a")).power_kw == 80.0 - most_kw
+    said = tell(direct, setpoint("c1/a", 1, most_kw))
+    assert at(said, COMMAND.of("c1/a")).alpha == 1.0
 
 
 def test_without_a_word_of_its_parent_a_direct_controller_keeps_request_and_setpoint() -> None:

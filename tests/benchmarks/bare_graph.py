@@ -210,25 +210,29 @@ class Absent(Event, frozen=True):
 
 
 class Done(Event, frozen=True):
-    """An agent's account.
+    """The account of a process.
 
-    `began_ns` and `ended_ns` are the plant's, of the cycles that count; `unfinished` are cycles
-    that lost messages kept from closing.
+    Attributes
+    ----------
+    sent, written
+        Messages put, and messages that a recorder wrote down.
+    began_ns, ended_ns
+        The plant's: monotonic time of the cycles that count.
+    unfinished
+        The plant's: cycles that lost messages kept from closing.
+    cpu_s
+        Processor time, warm-up included.
     """
 
-    sent: int
+    sent: int = 0
+    written: int = 0
     began_ns: int = 0
     ended_ns: int = 0
     unfinished: int = 0
+    cpu_s: float = 0.0
 
 
-class Written(Event, frozen=True):
-    """The recorder's account."""
-
-    messages: int
-
-
-AnyEvent: TypeAlias = Ready | Failed | Absent | Done | Written
+AnyEvent: TypeAlias = Ready | Failed | Absent | Done
 
 
 class Player:
@@ -279,7 +283,7 @@ class Player:
         lead = self._lead_in_time if rate_hz else self._lead_in_lockstep
         began_ns, ended_ns = lead()
         self._declare(self._end_key).put(b"stop")
-        return Done(self.sent + 1, began_ns, ended_ns, self.unfinished)
+        return Done(self.sent + 1, began_ns=began_ns, ended_ns=ended_ns, unfinished=self.unfinished)
 
     def _lead_in_lockstep(self) -> tuple[int, int]:
         for _ in range(_WARM_UP):
@@ -381,8 +385,8 @@ class Tap:
         )
         self._token = session.liveliness().declare_token(keys.alive_key(RECORDER))
 
-    def record(self) -> int:
-        """Write until all that is expected has come, or nothing more. Return how much came."""
+    def record(self) -> Done:
+        """Write until all that the launching process says there is has come, or nothing more."""
         from mcap.writer import CompressionType, Writer
 
         with self._path.open("wb") as file:
@@ -413,7 +417,7 @@ class Tap:
                     writer.flush()
                     flush_at = now + _FLUSH_S
             writer.finish()
-        return written
+        return Done(written=written)
 
     def _complete(self, written: int, quiet_s: float) -> bool:
         if not self._words:
@@ -450,26 +454,25 @@ def play(job_file: Path, agent: str) -> int:
     patience_key = "transport/link/tx/queue/congestion_control/drop/wait_before_drop"
     config.insert_json5(patience_key, str(job.variant.patience_us))
     with zenoh.open(config) as session:
+        part: Callable[[], Done]
         if agent == ROUTER:
-            lifeline.tell(Ready())
-            spoken.acquire()
-            return 0
-        if agent == RECORDER:
-            # The launching process tells it, at the end, how many messages there must be.
-            tap = Tap(job, session, job_file.with_name("bare.mcap"), words)
-            _await_others(session, job, agent, lifeline)
-            lifeline.tell(Written(tap.record()))
-            return 0
-        player = Player(job, agent, session)
+            part = Done
+        elif agent == RECORDER:
+            part = Tap(job, session, job_file.with_name("bare.mcap"), words).record
+        else:
+            player = Player(job, agent, session)
+            part = player.lead if agent == PLANT else player.follow
         _await_others(session, job, agent, lifeline)
-        if agent == PLANT:
-            spoken.acquire()
+        cpu_began_s = time.process_time()
         spare_the_collector()
+        if agent in {PLANT, ROUTER}:
+            spoken.acquire()  # The plant is told to begin, the router to end.
         try:
-            lifeline.tell(player.lead() if agent == PLANT else player.follow())
+            done = part()
+            lifeline.tell(msgspec.structs.replace(done, cpu_s=time.process_time() - cpu_began_s))
         except BareFailure as failure:
             lifeline.tell(Failed(str(failure)))
-        return 0
+    return 0
 
 
 def _await_others(session: zenoh.Session, job: Job, agent: str, lifeline: Lifeline) -> None:
@@ -479,7 +482,7 @@ def _await_others(session: zenoh.Session, job: Job, agent: str, lifeline: Lifeli
     token knows the subscriptions.
     """
     keys = job.graph.plan.keys
-    awaited = {keys.alive_key(other): other for other in job.sees[agent]}
+    awaited = {keys.alive_key(other): other for other in job.sees.get(agent, ())}
     complain_at = time.monotonic() + 0.75 * ARM_S
     while awaited:
         for reply in session.liveliness().get(f"{keys.plant}/**/alive", timeout=1.0):
@@ -506,6 +509,8 @@ class BareResult(msgspec.Struct, frozen=True):
         Messages of all agents, and those that the recorder wrote; None without a recorder.
     unfinished
         In real time: cycles that the plant did not see the end of.
+    cpu_ms
+        Processor time of all processes in a cycle.
     """
 
     variant: str
@@ -515,6 +520,7 @@ class BareResult(msgspec.Struct, frozen=True):
     sent: int
     recorded: int | None
     unfinished: int
+    cpu_ms: float
 
     @property
     def lost(self) -> int:
@@ -541,6 +547,9 @@ class Process:
 
     def heard(self, kind: Callable[[AnyEvent], bool]) -> bool:
         return any(kind(event) for event in self.said)
+
+    def account(self) -> Done:
+        return next(event for event in self.said if isinstance(event, Done))
 
     def tell(self, word: str) -> None:
         if self.handle.stdin is not None:
@@ -661,7 +670,7 @@ def _is_ready(event: AnyEvent) -> bool:
 
 
 def _is_account(event: AnyEvent) -> bool:
-    return isinstance(event, Done | Written | Failed)
+    return isinstance(event, Done | Failed)
 
 
 def run_bare(graph: Graph, variant: Variant, cycles: int) -> BareResult:
@@ -686,48 +695,44 @@ def _conduct(processes: Processes, job: Job, started: float) -> BareResult:
     everybody = list(processes.all.values())
     late = processes.await_all(everybody, _is_ready, ARM_S)
     if late:
-        raise BareFailure(f"not armed after {ARM_S:g} s: " + "; ".join(map(_why_late, late)))
-    plant = processes.all[PLANT]
-    plant.tell("go")
+        reasons = "; ".join(filter(None, [*map(_what_it_misses, late), _says_nothing(late)]))
+        raise BareFailure(f"not armed after {ARM_S:g} s: {reasons}")
+    processes.all[PLANT].tell("go")
     # Two cycles per second is far below anything that is worth waiting for.
     limit_s = 30.0 + job.cycles / (job.variant.rate_hz or 2.0)
-    late = processes.await_all(list(processes.players()), _is_account, limit_s)
+    players = list(processes.players())
+    late = processes.await_all(players, _is_account, limit_s)
     if late:
         raise BareFailure(f"no end of {', '.join(p.agent for p in late)} within {limit_s:g} s")
-    accounts = {
-        process.agent: event
-        for process in processes.players()
-        for event in process.said
-        if isinstance(event, Done)
-    }
-    sent = sum(account.sent for account in accounts.values())
-    lead = accounts[PLANT]
+    sent = sum(player.account().sent for player in players)
+    others = [process for process in everybody if process not in players]
+    for other in others:
+        other.tell(str(sent))
+    if processes.await_all(others, _is_account, 10 * _QUIET_S):
+        raise BareFailure("the recorder did not close its file")
+    lead = processes.all[PLANT].account()
+    cpu_s = sum(process.account().cpu_s for process in everybody)
     return BareResult(
         variant=job.variant.name,
         cycles=job.cycles,
         cycles_per_s=job.cycles / ((lead.ended_ns - lead.began_ns) / 1e9),
         startup_s=lead.began_ns / 1e9 - started,
         sent=sent,
-        recorded=_recorded(processes, sent),
+        recorded=processes.all[RECORDER].account().written if job.variant.recorder else None,
         unfinished=lead.unfinished,
+        cpu_ms=1e3 * cpu_s / (job.cycles + (0 if job.variant.rate_hz else _WARM_UP)),
     )
 
 
-def _recorded(processes: Processes, sent: int) -> int | None:
-    recorder = processes.all.get(RECORDER)
-    if recorder is None:
-        return None
-    recorder.tell(str(sent))
-    if processes.await_all([recorder], _is_account, 10 * _QUIET_S):
-        raise BareFailure("the recorder did not close its file")
-    return next(event.messages for event in recorder.said if isinstance(event, Written))
-
-
-def _why_late(process: Process) -> str:
+def _what_it_misses(process: Process) -> str:
     unseen = [name for event in process.said if isinstance(event, Absent) for name in event.agents]
-    if unseen:
-        return f"{process.agent} does not see {', '.join(unseen)}"
-    return f"{process.agent} says nothing"
+    return f"{process.agent} does not see {', '.join(unseen)}" if unseen else ""
+
+
+def _says_nothing(late: list[Process]) -> str:
+    silent = [process.agent for process in late if not process.said]
+    load = os.getloadavg()[0]
+    return f"{', '.join(silent) or 'nobody'} says nothing at all; load average {load:.1f}"
 
 
 @contextmanager
@@ -794,6 +799,7 @@ def main() -> int:
         return 1
     print(f"{graph.messages} messages of {graph.payload_bytes} bytes in a cycle")
     print(f"{result.cycles_per_s:.1f} cycles/s after {result.startup_s:.1f} s to start up")
+    print(f"{result.cpu_ms:.1f} ms of processor time in a cycle, all processes together")
     print(f"{result.sent:,} messages sent, {result.lost:,} of them lost")
     return 1 if result.lost and not result.unfinished else 0
 

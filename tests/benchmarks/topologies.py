@@ -31,7 +31,7 @@ LOCKSTEP: Final = (
     Variant("router", "router"),
     Variant("explicit, Zenoh's own threads", one_thread=False),
     Variant("explicit, express", express=True),
-    Variant("explicit, callback through a thread", indirect=True),
+    Variant("explicit, callback by a thread", indirect=True),
     Variant("explicit, woken by each message", wake_per_message=True),
 )
 """The first is the project's choice."""
@@ -48,11 +48,16 @@ def real_time(rate_hz: float) -> tuple[Variant, ...]:
 
 
 class Figures(msgspec.Struct):
-    """What one variant came to, round by round; `failures` are runs that did not go through."""
+    """What one variant came to, round by round; None where the run failed."""
 
     variant: Variant
-    results: list[BareResult]
+    rounds: list[BareResult | None]
     failures: list[str]
+
+    @property
+    def results(self) -> list[BareResult]:
+        """Rounds that went through."""
+        return [result for result in self.rounds if result is not None]
 
 
 class Report(msgspec.Struct, frozen=True):
@@ -73,8 +78,9 @@ def measure(
     turns = [each for _ in range(rounds) for each in figures]
     for each in track(turns, "measuring", console=console, transient=True):
         try:
-            each.results.append(run_bare(graph, each.variant, cycles))
+            each.rounds.append(run_bare(graph, each.variant, cycles))
         except BareFailure as failure:
+            each.rounds.append(None)
             each.failures.append(str(failure))
     return figures
 
@@ -83,30 +89,35 @@ def print_lockstep(figures: Sequence[Figures], title: str, console: Console) -> 
     """Print the table of cycle rates."""
     table = Table(title=title)
     table.add_column("", no_wrap=True)
-    for heading in ("min", "median", "max", "ratio", "start-up", "lost", "failed"):
+    for heading in ("min", "median", "max", "ratio", "CPU", "start-up", "lost", "failed"):
         table.add_column(heading, justify="right", no_wrap=True)
-    chosen = figures[0].results
     for each in figures:
         if not each.results:
-            table.add_row(each.variant.name, *["-"] * 6, str(len(each.failures)))
+            table.add_row(each.variant.name, *["-"] * 7, str(len(each.failures)))
             continue
         table.add_row(
             each.variant.name,
             *spread([result.cycles_per_s for result in each.results]),
-            _ratio(each.results, chosen),
+            _ratio(each.rounds, figures[0].rounds),
+            f"{statistics.median(result.cpu_ms for result in each.results):.1f} ms",
             f"{statistics.median(result.startup_s for result in each.results):.1f} s",
             f"{sum(result.lost for result in each.results):,}",
             str(len(each.failures)),
         )
-    table.caption = "cycles/s; ratio: to the first row's, round by round, the median"
+    table.caption = (
+        "min, median, max: cycles/s; ratio: to the first row's, round by round, the median;\n"
+        "CPU: processor time of all processes in a cycle, the median"
+    )
     console.print(table)
 
 
-def _ratio(results: Sequence[BareResult], chosen: Sequence[BareResult]) -> str:
-    if len(results) != len(chosen):
-        return "-"  # A run failed: rounds do not match any more.
-    pairs = zip(results, chosen, strict=True)
-    return f"{statistics.median(one.cycles_per_s / other.cycles_per_s for one, other in pairs):.2f}"
+def _ratio(rounds: Sequence[BareResult | None], chosen: Sequence[BareResult | None]) -> str:
+    ratios = [
+        one.cycles_per_s / other.cycles_per_s
+        for one, other in zip(rounds, chosen, strict=True)
+        if one is not None and other is not None
+    ]
+    return f"{statistics.median(ratios):.2f}" if ratios else "-"
 
 
 def print_real_time(figures: Sequence[Figures], title: str, console: Console) -> None:

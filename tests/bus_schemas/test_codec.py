@@ -172,6 +172,13 @@ def test_garbage_is_refused(payload: bytes) -> None:
         decode(IMPP, payload)
 
 
+def test_a_string_that_is_not_utf8_is_refused_like_other_garbage() -> None:
+    whole = encode(Impp(0, 0, "c1/ab", (), power_kw=1.0, stale_cycles=0))
+    with pytest.raises(msgspec.DecodeError) as caught:
+        decode(IMPP, whole.replace(b"c1/ab", b"c1/\xff\xfe"))
+    assert str(caught.value) == "invalid UTF-8 in a string: invalid start byte"
+
+
 # JSON Schema --------------------------------------------------------------------------------------
 
 JSON_TYPES = {int: "integer", float: "number", str: "string", list: "array"}

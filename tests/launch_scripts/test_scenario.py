@@ -81,6 +81,9 @@ utc,16,40
 2013-09-08T09:15:03Z,503,400
 """
 
+DURATIONS = "accepted are seconds above 0, or 90s, 15m, 1h30m, at most 31 days"
+STARTS = "accepted is a local time such as 12:30 or 2010-04-01T12:30:00, 1900 to 2200"
+
 POSITIONS = "station,lat,lon\n16,51.525,12.92\n40,51.526,12.93\n"
 
 
@@ -268,6 +271,29 @@ def test_durations(text: str, seconds: float) -> None:
             "",
             "plant.inverters is missing, accepted is a CSV with the columns inverter, lat, lon",
         ),
+        ("seed = 7", "seed = -7", "irradiance.seed: Expected `int` >= 0"),
+        ("duration_s = 30", "duration_s = inf", "time.duration_s: Expected `float` <= 2678400.0"),
+        ("duration_s = 30", "duration_s = nan", "time.duration_s: Expected `float` > 0.0"),
+        (
+            "duration_s = 30",
+            "duration_s = 1e-9\ncycle_s = 1e-10",
+            "time.cycle_s: Expected `float` >= 0.001",
+        ),
+        ("rating_kw = 300", "rating_kw = inf", "plant.rating_kw: Expected `float` <= 10000000.0"),
+        ("rating_kw = 300", "rating_kw = 1e308", "plant.rating_kw: Expected `float` <= 10000000.0"),
+        (
+            "rating_kw = 300",
+            "rating_kw = 300\naltitude_m = nan",
+            "plant.altitude_m: Expected `float` >= -500.0",
+        ),
+        (
+            "power_kw = 100",
+            "power_kw = inf",
+            "commitment.power_kw: Expected `float` <= 100000000.0",
+        ),
+        ("power_kw = 100", "power_kw = nan", "commitment.power_kw: Expected `float` >= 0.0"),
+        ('title = "', 'pace = 1e-320\ntitle = "', "pace: Expected `float` >= 0.001"),
+        ('title = "', 'pace = 1e7\ntitle = "', "pace: Expected `float` <= 1000000.0"),
     ],
 )
 def test_a_bad_scenario_is_told_with_file_and_field(
@@ -275,6 +301,21 @@ def test_a_bad_scenario_is_told_with_file_and_field(
 ) -> None:
     folder.change(old, new)
     assert folder.complaint() == f"{folder.scenario}: {complaint}"
+
+
+@pytest.mark.parametrize("name", ["../x", "a/b", "a b", "*", ""])
+def test_a_name_that_cannot_stand_in_a_key_is_refused(folder: Folder, name: str) -> None:
+    folder.change('"small"', f'"{name}"')
+    assert folder.complaint() == (
+        f"{folder.scenario}: name '{name}', accepted are letters, digits, '_' and '-'"
+    )
+
+
+def test_a_scenario_that_is_not_utf8_is_told_with_the_byte(folder: Folder) -> None:
+    content = folder.scenario.read_bytes().replace(b"Three", b"Thr\xe9")
+    folder.scenario.write_bytes(content)
+    place = content.index(b"\xe9")
+    assert folder.complaint() == f"{folder.scenario}: not UTF-8 at byte {place}, accepted is TOML"
 
 
 def test_a_table_that_is_missing_is_named(folder: Folder) -> None:
@@ -300,7 +341,9 @@ def test_an_unknown_name_is_told_with_the_known_ones() -> None:
 
 def test_a_duration_that_is_no_multiple_of_the_cycle_is_refused(folder: Folder) -> None:
     folder.change("duration_s = 30", "duration_s = 30\ncycle_s = 4")
-    assert folder.complaint() == "duration of 30 s: accepted are multiples of the cycle, 4 s"
+    assert folder.complaint() == (
+        f"{folder.scenario}: time.duration_s: 30 s, accepted are multiples of the cycle, 4 s"
+    )
 
 
 # Bad inverters ------------------------------------------------------------------------------------
@@ -310,6 +353,11 @@ def test_a_missing_file_is_refused(folder: Folder) -> None:
     folder.change("plant.csv", "plants.csv")
     path = folder.path / "plants.csv"
     assert folder.complaint() == f"{path}: no such file, accepted is a CSV of inverters"
+
+
+def test_an_empty_name_of_the_inverters_file_is_refused(folder: Folder) -> None:
+    folder.change('"plant.csv"', '""')
+    assert folder.complaint() == f"{folder.path}: Is a directory, accepted is a CSV of inverters"
 
 
 def test_two_inverters_of_one_name_are_refused(folder: Folder) -> None:
@@ -385,26 +433,60 @@ def test_history_is_hindsight_under_a_measured_sky(measured: Folder) -> None:
 # Bad options --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("text", ["0", "-5", "soon", "5 s", "5d", "1e3", ".", "s"])
+@pytest.mark.parametrize(
+    "text", ["0", "-5", "soon", "5 s", "5d", "1e3", ".", "s", "1.2.3", "1..5", "1.", ".5"]
+)
 def test_a_duration_that_is_none_is_refused(folder: Folder, text: str) -> None:
-    assert folder.complaint(duration=text) == (
-        f"--duration {text}: accepted are seconds above 0, or 90s, 15m, 1h30m"
-    )
+    assert folder.complaint(duration=text) == f"--duration {text}: {DURATIONS}"
+
+
+@pytest.mark.parametrize("text", ["2678401", "745h", "10000000000"])
+def test_a_duration_of_more_than_31_days_is_refused(folder: Folder, text: str) -> None:
+    assert folder.complaint(duration=text) == f"--duration {text}: {DURATIONS}"
+
+
+def test_a_duration_of_31_days_is_accepted() -> None:
+    assert parse_duration_s("744h", "--duration") == 31 * 86400.0
+
+
+def test_a_duration_of_hundreds_of_digits_is_refused_in_a_short_line(folder: Folder) -> None:
+    complaint = folder.complaint(duration="9" * 400)
+    assert complaint.startswith("--duration ")
+    assert complaint.endswith(f": {DURATIONS}")
+    assert len(complaint) < 140
 
 
 @pytest.mark.parametrize("text", ["0.5", "1.25s"])
 def test_a_duration_of_half_a_cycle_is_refused(folder: Folder, text: str) -> None:
-    seconds = text.removesuffix("s")
     assert folder.complaint(duration=text) == (
-        f"duration of {seconds} s: accepted are multiples of the cycle, 1 s"
+        f"--duration {text}: accepted are multiples of the cycle, 1 s"
     )
 
 
 @pytest.mark.parametrize("text", ["noon", "25:00", "12:60", "2024-13-01T12:00", ""])
 def test_a_start_that_is_none_is_refused(folder: Folder, text: str) -> None:
-    assert folder.complaint(start=text) == (
-        f"--start {text}: accepted is a local time such as 12:30 or 2010-04-01T12:30:00"
-    )
+    assert folder.complaint(start=text) == f"--start {text}: {STARTS}"
+
+
+@pytest.mark.parametrize("text", ["12:30+05:00", "12:30Z"])
+def test_a_time_of_day_with_an_offset_is_refused(folder: Folder, text: str) -> None:
+    assert folder.complaint(start=text) == f"--start {text}: {STARTS}"
+
+
+@pytest.mark.parametrize(
+    "text", ["0001-01-01", "1899-12-31", "2201-01-01", "2300-01-01T00:00", "9999-01-01"]
+)
+def test_a_start_in_a_year_far_away_is_refused(folder: Folder, text: str) -> None:
+    assert folder.complaint(start=text) == f"--start {text}: {STARTS}"
+
+
+@pytest.mark.parametrize("day", ["1900-01-01", "2200-12-31"])
+def test_the_first_and_the_last_day_that_a_run_can_start_on(folder: Folder, day: str) -> None:
+    assert folder.prepare(start=f"{day}T12:00").local_start().startswith(f"{day} 12:00:00 ")
+
+
+def test_a_seed_below_0_is_refused(folder: Folder) -> None:
+    assert folder.complaint(seed=-1) == "--seed -1: accepted is 0 to 4294967296"
 
 
 def test_a_start_before_the_measurements_is_refused(measured: Folder) -> None:
@@ -466,18 +548,18 @@ def test_an_unknown_scenario_leaves_nothing_behind(complain: Complain) -> None:
     )
 
 
-@pytest.mark.parametrize("pace", ["0", "-1", "nan", "inf", "fast", ""])
+@pytest.mark.parametrize("pace", ["0", "-1", "0.0009", "1e-320", "1e7", "nan", "inf", "fast", ""])
 def test_a_pace_that_is_none_is_refused(folder: Folder, complain: Complain, pace: str) -> None:
     assert complain("simulate", str(folder.scenario), "--pace", pace) == (
-        f"heliarch: --pace {pace}: accepted is a number above 0, or max"
+        f"heliarch: --pace {pace}: accepted is a number from 0.001 to 1e+06, or max"
     )
 
 
 @pytest.mark.parametrize(
     ("option", "text", "complaint"),
     [
-        ("--start", "noon", "accepted is a local time such as 12:30 or 2010-04-01T12:30:00"),
-        ("--duration", "soon", "accepted are seconds above 0, or 90s, 15m, 1h30m"),
+        ("--start", "noon", STARTS),
+        ("--duration", "soon", DURATIONS),
     ],
 )
 def test_a_bad_time_is_refused(

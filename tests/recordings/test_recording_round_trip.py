@@ -232,12 +232,15 @@ def complaint(path: Path) -> str:
     return message
 
 
-def mcap_file(path: Path, **metadata: str) -> Path:
+def mcap_file(path: Path, *attached: str, **metadata: str) -> Path:
+    """An MCAP file without messages, with attachments that say nothing."""
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
         if metadata:
             writer.add_metadata("run", metadata)
+        for name in attached:
+            writer.add_attachment(0, 0, name, "application/octet-stream", b"{}")
         writer.finish()
     return path
 
@@ -253,6 +256,40 @@ def test_a_file_that_is_no_mcap_is_refused(tmp_path: Path, content: bytes) -> No
     path = tmp_path / "run.mcap"
     path.write_bytes(content)
     assert complaint(path).startswith(f"{path}: not a readable MCAP file (")
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"", "EndOfFile"),
+        (b"short", "unpack requires a buffer of 8 bytes"),
+        (b"\x89MCAP0\r\n", "[Errno 22] Invalid argument"),
+        (b"\x89MCAP0\r\n" + b"x" * 9, "[Errno 22] Invalid argument"),
+    ],
+)
+def test_a_file_that_is_too_short_is_refused_with_a_reason(
+    tmp_path: Path, content: bytes, reason: str
+) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content)
+    assert complaint(path) == f"{path}: not a readable MCAP file ({reason})"
+
+
+@pytest.mark.parametrize(
+    ("attached", "lacking"), [((), "scenario.toml"), (("scenario.toml",), "plan.json")]
+)
+def test_a_recording_without_its_origin_is_refused(
+    tmp_path: Path, attached: tuple[str, ...], lacking: str
+) -> None:
+    path = mcap_file(tmp_path / "run.mcap", *attached, schema_version="1")
+    assert complaint(path) == f"{path}: recording without its attachment '{lacking}'"
+
+
+def test_a_recording_of_no_plan_is_refused(tmp_path: Path) -> None:
+    path = mcap_file(tmp_path / "run.mcap", "scenario.toml", "plan.json", schema_version="1")
+    assert complaint(path) == (
+        f"{path}: its attachments do not decode: Object missing required field `run_id`"
+    )
 
 
 def test_an_mcap_file_of_somebody_elses_is_refused(tmp_path: Path) -> None:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agents.sequencer import Sequencer
-from bus_schemas.errors import InputError
 from bus_schemas.messages import Command, Dispatch, Message, Production, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, PRODUCTION, TELEMETRY, Port
 from bus_schemas.tree import ROOT, ControlTree
 from sim_plant.inverter import delivered_power_kw
 from sim_plant.plant import Plant, PlantState
-from sim_plant.profile import Profile, load_profile
+from sim_plant.profile import Profile
 
 TREE = ControlTree((("c1/a", 100.0), ("c1/b", 100.0)))
 PROFILE = Profile(
@@ -155,20 +153,3 @@ def test_an_arming_round_stands_under_the_first_sample_and_moves_nothing() -> No
 def test_an_inverter_delivers_its_fraction_of_what_is_there() -> None:
     found = delivered_power_kw(np.array([80.0, 60.0, 0.0]), np.array([0.5, 1.0, 0.3]))
     assert found.tolist() == [40.0, 60.0, 0.0]
-
-
-def test_a_profile_is_read_back_to_the_last_bit(tmp_path: Path) -> None:
-    path = tmp_path / "profile.npz"
-    profile = Profile(np.array([[1 / 3, 2e-300], [0.0, 470.1]]), np.array([0.1, 1e9]))
-    profile.save(path)
-    found = load_profile(path)
-    assert found.cycles == 2
-    np.testing.assert_array_equal(found.mpp_kw, profile.mpp_kw)
-    np.testing.assert_array_equal(found.commitment_kw, profile.commitment_kw)
-
-
-def test_a_profile_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "profile.npz"
-    with pytest.raises(InputError) as caught:
-        load_profile(path)
-    assert str(caught.value) == f"{path}: no such file, accepted is the profile.npz of a run"

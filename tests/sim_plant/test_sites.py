@@ -42,6 +42,16 @@ def test_inverters_may_have_ratings_of_their_own(path: Path) -> None:
     assert sites.rating_kw.tolist() == [2500.0, 900.5]
 
 
+def test_a_byte_order_mark_is_no_part_of_the_first_column(path: Path) -> None:
+    path.write_bytes(b"\xef\xbb\xbfinverter,lat,lon\na,1,2\n")
+    assert read_sites(path, plant_rating_kw=100.0).names == ("a",)
+
+
+def test_empty_lines_are_passed_over(path: Path) -> None:
+    write(path, "inverter,lat,lon", "", "a,1,2", "", "b,1,2", "")
+    assert read_sites(path, plant_rating_kw=100.0).names == ("a", "b")
+
+
 @pytest.mark.parametrize(
     ("lines", "complaint"),
     [
@@ -86,6 +96,10 @@ def test_inverters_may_have_ratings_of_their_own(path: Path) -> None:
             "{path}, line 2: lon is '-180.5', accepted is a number from -180 to 180",
         ),
         (
+            ["inverter,lat,lon", "a,1,2", "", "b,x,2"],
+            "{path}, line 4: lat is 'x', accepted is a number from -90 to 90",
+        ),
+        (
             ["inverter,lat,lon", "a,1,2", "b,1"],
             "{path}, line 3: lon is 'empty', accepted is a number from -180 to 180",
         ),
@@ -120,6 +134,20 @@ def test_a_file_that_is_not_there_is_refused(path: Path) -> None:
     with pytest.raises(InputError) as caught:
         read_sites(path, plant_rating_kw=100.0)
     assert str(caught.value) == f"{path}: no such file, accepted is a CSV of inverters"
+
+
+def test_a_folder_is_refused(path: Path) -> None:
+    path.mkdir()
+    with pytest.raises(InputError) as caught:
+        read_sites(path, plant_rating_kw=100.0)
+    assert str(caught.value) == f"{path}: Is a directory, accepted is a CSV of inverters"
+
+
+def test_a_file_that_is_not_utf8_is_told_with_the_byte(path: Path) -> None:
+    path.write_bytes(b"inverter,lat,lon\n\xe9,1,2\n")
+    with pytest.raises(InputError) as caught:
+        read_sites(path, plant_rating_kw=100.0)
+    assert str(caught.value) == f"{path}: not UTF-8 at byte 17, accepted is a CSV"
 
 
 def test_without_any_rating_there_is_nothing_to_split(path: Path) -> None:
