@@ -18,7 +18,7 @@ from agents.sequencer import Sequencer
 from bus_schemas.bus import Delivery
 from bus_schemas.links import explicit_links
 from bus_schemas.messages import Message, Run
-from bus_schemas.signals import RUN, Port, publisher
+from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import ROOT
 from bus_schemas.zenoh_bus import SessionSettings, ZenohBus
 
@@ -203,7 +203,7 @@ class StallWatch:
 
     def _tell(self) -> bool:
         sequencer, bus = self._runtime.sequencer, self._runtime.bus
-        needs = [(str(port), publisher(port)) for port in sorted(sequencer.waiting_for, key=str)]
+        needs = [(str(port), port.publisher) for port in sorted(sequencer.waiting_for, key=str)]
         blocked_on = str(bus.publishing or "")
         if sequencer.cycle < 0 or not (needs or blocked_on):
             return False

@@ -14,7 +14,7 @@ from typing import Final, Generic, TypeVar
 from agents.agent import Agent, Stage, Turn
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
-from bus_schemas.signals import Port, publisher
+from bus_schemas.signals import Port
 
 S = TypeVar("S")
 
@@ -78,6 +78,8 @@ class Sequencer(Generic[S]):
         self._state = agent.initial_state()
         self._stages: tuple[Stage, ...] = ()
         self._place = 0
+        self._stage_of: dict[Port[Message], int] = {}
+        self._known_places: dict[tuple[Stage, ...], dict[Port[Message], int]] = {}
         self._inputs: dict[Port[Message], Message] = {}
         self._ahead: dict[int, list[Delivery]] = {}
         self._absent: tuple[str, ...] = ()
@@ -106,7 +108,7 @@ class Sequencer(Generic[S]):
 
     def accept(self, port: Port[Message], message: Message) -> list[Delivery]:
         """Take in a message, and return what the agent sends in answer, if that closes a stage."""
-        if message.source != publisher(port):
+        if message.source != port.publisher:
             self._drop("foreign", f"{port} of cycle {message.cycle} is from {message.source!r}")
             return []
         if message.cycle == self.cycle:
@@ -157,29 +159,35 @@ class Sequencer(Generic[S]):
         """Keep a message of this cycle for its stage, if there is one still to come."""
         if port in self._inputs:
             self._drop("duplicate", f"{port} of cycle {message.cycle} came twice")
-        elif self._is_of_use(port):
+        elif self._stage_of.get(port, -1) >= self._place:
             self._inputs[port] = message
             return True
         else:
             self._drop_out_of_turn(port, message)
         return False
 
-    def _is_of_use(self, port: Port[Message]) -> bool:
-        for stage in self._stages[self._place :]:
-            if port in stage.awaits or port in stage.on_need:
-                return True
-        return False
-
     def _begin(self, cycle: int) -> None:
         """Set up a cycle, with the messages that came ahead of it."""
         self.cycle = cycle
         self._stages = () if self.finished else self.agent.stages(cycle)
+        self._stage_of = self._stage_of_port()
         self._place = 0
         self._inputs = {}
         self._absent = ()
         for port, message in self._ahead.pop(cycle, ()):
             self._keep(port, message)
         self._open_stage()
+
+    def _stage_of_port(self) -> dict[Port[Message], int]:
+        """Place of the stage that each port belongs to, worked out once for each kind of cycle."""
+        places = self._known_places.get(self._stages)
+        if places is None:
+            places = self._known_places[self._stages] = {
+                port: place
+                for place, stage in enumerate(self._stages)
+                for port in stage.awaits | stage.on_need
+            }
+        return places
 
     def _open_stage(self) -> None:
         """See what the stage still needs; what came early may announce more."""
@@ -227,7 +235,7 @@ class Sequencer(Generic[S]):
         return outputs
 
     def _drop_out_of_turn(self, port: Port[Message], message: Message) -> None:
-        if any(port in stage.awaits or port in stage.on_need for stage in self._stages):
+        if port in self._stage_of:
             self._drop("late", f"{port} of cycle {message.cycle} came after its deadline")
         else:
             self._drop("unexpected", f"{port} is not expected in cycle {message.cycle}")

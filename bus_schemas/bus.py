@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from dataclasses import dataclass, field
 from typing import Protocol, TypeAlias
 
 from msgspec.structs import replace
@@ -29,26 +28,29 @@ class Bus(Protocol):
         """
 
 
-@dataclass
 class Outbox:
-    """Stamps messages with their publish time and number, and counts those of the run.
+    """Stamps messages with their publish time and number, and counts those of the run."""
 
-    Attributes
-    ----------
-    published
-        Messages published in the cycles of the run, by signal name. Arming rounds and signals that
-        are not logged are left out: this is what a recording must hold.
-    """
-
-    published: Counter[str] = field(default_factory=Counter)
-    _next_sequence: dict[Port[Message], int] = field(default_factory=dict)
+    def __init__(self) -> None:
+        self._sent: dict[Port[Message], int] = {}
 
     def stamp(self, port: Port[Message], message: Message) -> Message:
         """Return the message as it goes out."""
         if message.cycle < 0:
             return replace(message, publish_time_ns=time.monotonic_ns())
-        sequence = self._next_sequence.get(port, 0)
-        self._next_sequence[port] = sequence + 1
-        if port.signal.logged:
-            self.published[port.signal.name] += 1
+        sequence = self._sent.get(port, 0)
+        self._sent[port] = sequence + 1
         return replace(message, publish_time_ns=time.monotonic_ns(), sequence=sequence)
+
+    @property
+    def published(self) -> Counter[str]:
+        """Messages published in the cycles of the run, by signal name.
+
+        Arming rounds and signals that are not logged are left out: this is what a recording must
+        hold.
+        """
+        counts: Counter[str] = Counter()
+        for port, sent in self._sent.items():
+            if port.signal.logged:
+                counts[port.signal.name] += sent
+        return counts

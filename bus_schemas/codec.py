@@ -7,12 +7,14 @@ from typing import TypeVar
 import msgspec
 
 from bus_schemas.messages import Message
-from bus_schemas.signals import Signal
+from bus_schemas.signals import SIGNALS, Signal
 
 M = TypeVar("M", bound=Message)
 
 _encoder = msgspec.msgpack.Encoder()
-_decoders: dict[type[Message], msgspec.msgpack.Decoder[Message]] = {}
+_decoders: dict[type[Message], msgspec.msgpack.Decoder[Message]] = {
+    signal.type: msgspec.msgpack.Decoder(signal.type) for signal in SIGNALS
+}
 
 
 def encode(message: Message) -> bytes:
@@ -28,11 +30,8 @@ def decode(signal: Signal[M], payload: bytes) -> M:
     msgspec.DecodeError
         The payload is no msgpack, or not of the signal's type.
     """
-    decoder = _decoders.get(signal.type)
-    if decoder is None:
-        decoder = _decoders[signal.type] = msgspec.msgpack.Decoder(signal.type)
     try:
-        return decoder.decode(payload)  # type: ignore[return-value]
+        return _decoders[signal.type].decode(payload)  # type: ignore[return-value]
     except UnicodeDecodeError as error:
         raise msgspec.DecodeError(f"invalid UTF-8 in a string: {error.reason}") from None
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from bus_schemas.signals import listeners, ports, publisher
+from bus_schemas.signals import listeners, ports
 from bus_schemas.tree import RECORDER, ControlTree
 
 
@@ -45,7 +45,7 @@ def explicit_links(tree: ControlTree) -> Links:
     rank = {agent: place for place, agent in enumerate(agents)}
     pairs: set[tuple[str, str]] = {(RECORDER, agent) for agent in agents if agent != RECORDER}
     for port in ports(tree):
-        source = publisher(port)
+        source = port.publisher
         for sink in listeners(port, tree):
             top, below = sorted((source, sink), key=rank.__getitem__)
             pairs.add((top, below))

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
-from functools import cache
 from typing import Final, Generic, TypeVar
 
 from bus_schemas import messages
@@ -78,7 +77,8 @@ class Signal(Generic[M_co]):
         """Return the port of this signal about a node."""
         port = self._ports.get(node)
         if port is None:
-            port = self._ports[node] = Port(self, node)
+            (publisher,) = _agents(self.publisher, node)
+            port = self._ports[node] = Port(self, node, publisher)
         return port
 
     def nodes(self, tree: ControlTree) -> tuple[str, ...]:
@@ -103,6 +103,8 @@ class Port(Generic[M_co]):
 
     signal: Signal[M_co]
     node: str
+    publisher: str
+    """Name of the one agent that may publish on it."""
 
     def __str__(self) -> str:
         return f"{self.node}/{self.signal.name}" if self.node else self.signal.name
@@ -140,17 +142,10 @@ SIGNALS: Final[tuple[Signal[Message], ...]] = (
 """The table itself, in the order of one cycle. A new signal is one row more."""
 
 
-@cache
-def publisher(port: Port[Message]) -> str:
-    """Name of the one agent that may publish on a port."""
-    (name,) = _agents(port.signal.publisher, port.node)
-    return name
-
-
 def listeners(port: Port[Message], tree: ControlTree) -> tuple[str, ...]:
     """Names of the agents that act on a port's messages. The recorder hears all of them besides."""
     names = [name for role in port.signal.listeners for name in _agents(role, port.node, tree)]
-    return tuple(name for name in names if name != publisher(port))
+    return tuple(name for name in names if name != port.publisher)
 
 
 def ports(tree: ControlTree) -> tuple[Port[Message], ...]:

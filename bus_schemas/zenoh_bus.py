@@ -20,7 +20,7 @@ from bus_schemas.bus import Delivery, Outbox
 from bus_schemas.codec import decode, encode
 from bus_schemas.keys import KeyTable
 from bus_schemas.messages import Message
-from bus_schemas.signals import Occurrence, Port, listeners, ports, publisher
+from bus_schemas.signals import Occurrence, Port, listeners, ports
 from bus_schemas.tree import ControlTree
 
 ENCODING: Final = "application/msgpack"
@@ -154,8 +154,9 @@ class ZenohBus:
         self._publishers = {
             port: self._declare_publisher(port, settings.lockstep)
             for port in ports(tree)
-            if publisher(port) == agent
+            if port.publisher == agent
         }
+        self._put = {port: publisher.put for port, publisher in self._publishers.items()}
         heard = [port for port in ports(tree) if agent in listeners(port, tree)]
         self._subscribers = [
             self._subscribe(key, urgent)
@@ -179,7 +180,7 @@ class ZenohBus:
         """Send a message. In lockstep this waits for a listener who has fallen behind."""
         payload = encode(self.outbox.stamp(port, message))
         self.publishing = port
-        self._publishers[port].put(payload)
+        self._put[port](payload)
         self.publishing = None
 
     def receive(self, wanted: int, timeout_s: float | None) -> list[Delivery]:

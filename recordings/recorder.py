@@ -20,7 +20,7 @@ from agents.plan import RunPlan
 from agents.runtime import DropLog
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message, Ready
-from bus_schemas.signals import READY, Occurrence, Port, ports, publisher
+from bus_schemas.signals import READY, Occurrence, Port, ports
 from bus_schemas.tree import RECORDER, ROOT
 from bus_schemas.zenoh_bus import ZenohTap
 from recordings.monitor import RunMonitor
@@ -136,7 +136,7 @@ class Recorder:
             if port is None:
                 raise ValueError("a node or signal that this run does not have")
             message = decode(port.signal, payload)
-            if message.source != publisher(port):
+            if message.source != port.publisher:
                 raise ValueError(f"it is from {message.source!r}")
         except (ValueError, msgspec.DecodeError) as error:
             self.foreign += 1

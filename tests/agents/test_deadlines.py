@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agents.deadlines import USED_SHARE, deadline_ns, stage_place
-from bus_schemas.signals import SIGNALS, listeners, ports, publisher
+from bus_schemas.signals import SIGNALS, listeners, ports
 from bus_schemas.tree import ControlTree
 
 THREE_LAYERS = ControlTree((("c1/a", 100.0), ("c1/b", 100.0), ("c2/a", 100.0)))
@@ -74,7 +74,7 @@ def test_whoever_listens_waits_longer_than_whoever_speaks(tree: ControlTree) -> 
         if port.signal not in of_the_loop:
             continue
         for listener in listeners(port, tree):
-            speaker = publisher(port)
+            speaker = port.publisher
             if name in {"impp", "residual", "help"}:
                 said = stage_that_reports(tree, speaker)
             elif name == "command":

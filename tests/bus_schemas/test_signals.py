@@ -24,7 +24,6 @@ from bus_schemas.signals import (
     Port,
     listeners,
     ports,
-    publisher,
 )
 from bus_schemas.tree import ROOT, ControlTree
 
@@ -61,7 +60,7 @@ def test_who_speaks_and_who_listens(key: str, published_by: str, heard_by: tuple
     port = KEYS.port(key)
     assert port is not None
     assert KEYS.key(port) == key
-    assert publisher(port) == published_by
+    assert port.publisher == published_by
     assert listeners(port, OAHU) == heard_by
 
 
@@ -75,14 +74,14 @@ def test_no_controller_hears_what_really_happened() -> None:
 
 @pytest.mark.parametrize("tree", TREES)
 def test_every_port_has_one_publisher_that_the_run_has(tree: ControlTree) -> None:
-    assert {publisher(port) for port in ports(tree)} <= set(tree.agents())
+    assert {port.publisher for port in ports(tree)} <= set(tree.agents())
 
 
 @pytest.mark.parametrize("tree", TREES)
 def test_nobody_listens_to_itself_or_is_unknown(tree: ControlTree) -> None:
     for port in ports(tree):
         heard_by = listeners(port, tree)
-        assert set(heard_by) <= set(tree.agents()) - {publisher(port)}
+        assert set(heard_by) <= set(tree.agents()) - {port.publisher}
         assert len(set(heard_by)) == len(heard_by)
 
 
@@ -91,7 +90,7 @@ def test_every_listener_is_linked_with_whom_it_hears(tree: ControlTree) -> None:
     linked = {frozenset(pair) for pair in explicit_links(tree).pairs}
     for port in ports(tree):
         for listener in listeners(port, tree):
-            assert frozenset({publisher(port), listener}) in linked
+            assert frozenset({port.publisher, listener}) in linked
 
 
 @pytest.mark.parametrize("tree", TREES)
