@@ -203,8 +203,7 @@ class ZenohBus:
         put = self._inbox.put_urgent if urgent else self._inbox.put
         return self._session.declare_subscriber(
             key,
-            # Without `indirect` a second Python thread would stand between Zenoh and the inbox.
-            zenoh.handlers.Callback(put, indirect=False),
+            put,
             allowed_origin=zenoh.Locality.REMOTE,
         )
 

@@ -29,10 +29,10 @@ LOCKSTEP: Final = (
     Variant("explicit links"),
     Variant("mesh by gossip", "mesh"),
     Variant("router", "router"),
-    Variant("explicit, Zenoh's own threads", one_thread=False),
+    Variant("explicit, Zenoh's threads", one_thread=False),
     Variant("explicit, express", express=True),
-    Variant("explicit, callback by a thread", indirect=True),
-    Variant("explicit, woken by each message", wake_per_message=True),
+    Variant("explicit, Zenoh's callbacks", indirect=False),
+    Variant("explicit, woken per message", wake_per_message=True),
 )
 """The first is the project's choice."""
 
