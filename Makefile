@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test check format bench soak clean
+.PHONY: help setup run test check format bench clean
 
 help: ## list the tasks
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -24,8 +24,8 @@ $(READY): pyproject.toml constraints.txt
 run: $(READY) ## the main job: one simulated hour of broken clouds over 17 inverters, as 23 processes
 	$(BIN)/heliarch launch oahu
 
-test: $(READY) ## all tests but the soak tests, under 8 minutes on 2 cores
-	$(BIN)/pytest -m 'not soak'
+test: $(READY) ## all tests, under 8 minutes on 2 cores
+	$(BIN)/pytest
 
 check: $(READY) ## format, lint, types, directions of imports
 	$(BIN)/ruff format --check .
@@ -39,9 +39,6 @@ format: $(READY) ## bring the code into its format
 
 bench: $(READY) ## cycle rate beside a bare Zenoh graph, start-up time, memory
 	$(BIN)/python tests/benchmarks/cycle_rate.py
-
-soak: $(READY) ## slow endurance tests
-	$(BIN)/pytest -m soak
 
 clean: ## remove what the tasks made, recordings of runs excepted
 	rm -rf $(VENV) *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -145,6 +145,7 @@ class Lifeline:
                 sys.stdout.buffer.flush()
             except BrokenPipeError:
                 log.warning("nobody reads events any more")
+                self._on_orphaned()
 
     def _listen(self) -> None:
         for line in sys.stdin:
@@ -168,7 +169,9 @@ def join_run(attached: bool, death_signal: signal.Signals = signal.SIGKILL) -> N
     """
     logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
     # Ctrl-C in a terminal reaches every process of the group: the launcher decides, not we.
+    if not attached:
+        return
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if attached and sys.platform == "linux":
+    if sys.platform == "linux":
         set_parent_death_signal = 1  # PR_SET_PDEATHSIG of prctl(2)
         ctypes.CDLL(None).prctl(set_parent_death_signal, int(death_signal))

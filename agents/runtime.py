@@ -116,8 +116,10 @@ class Runtime(Generic[S]):
         timeout_s = longest_s if remaining_s is None else min(longest_s, remaining_s)
         for port, message in self.bus.receive(self.sequencer.wanted, timeout_s):
             bystander = self._bystanders.get(port)
-            if bystander is not None:
+            if bystander is not None and self.sequencer.is_genuine(port, message):
                 bystander(message)
+            elif bystander is not None:
+                continue
             else:
                 self.send(self.sequencer.accept(port, message))
         if not self.sequencer.finished and self._until_deadline_s() == 0.0:

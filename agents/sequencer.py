@@ -108,23 +108,29 @@ class Sequencer(Generic[S]):
 
     def accept(self, port: Port[Message], message: Message) -> list[Delivery]:
         """Take in a message, and return what the agent sends in answer, if that closes a stage."""
-        if message.source != port.publisher:
-            self._drop("foreign", f"{port} of cycle {message.cycle} is from {message.source!r}")
+        if not self.is_genuine(port, message):
             return []
         if message.cycle == self.cycle:
             return self._take(port, message)
         if message.cycle < self.cycle:
             self._drop("late", f"{port} is of cycle {message.cycle}, this is {self.cycle}")
             return []
-        if self.cycle < 0:
-            # A later arming round ends the one under way; any message of the run begins cycle 0.
+        if self.cycle < 0 and message.cycle <= self._horizon:
+            # A later arming round ends the one under way; the run's first message begins cycle 0.
             outputs = self.enter(min(message.cycle, 0))
             return outputs + self.accept(port, message)
-        if message.cycle > self.cycle + self._horizon:
+        if message.cycle > max(self.cycle, 0) + self._horizon:
             self._drop("other_cycle", f"{port} is of cycle {message.cycle}, this is {self.cycle}")
             return []
         self._ahead.setdefault(message.cycle, []).append((port, message))
         return []
+
+    def is_genuine(self, port: Port[Message], message: Message) -> bool:
+        """Whether a message is from the one who may publish on its port; else it is dropped."""
+        if message.source == port.publisher:
+            return True
+        self._drop("foreign", f"{port} of cycle {message.cycle} is from {message.source!r}")
+        return False
 
     def enter(self, cycle: int) -> list[Delivery]:
         """Begin an arming round or cycle 0, from the initial state. The next cycles follow."""
@@ -241,7 +247,7 @@ class Sequencer(Generic[S]):
             self._drop("unexpected", f"{port} is not expected in cycle {message.cycle}")
 
     def _drop(self, cause: str, text: str) -> None:
-        if self.cycle < 0 and cause != "foreign":
+        if self.cycle < 0 and cause not in {"foreign", "other_cycle"}:
             return  # Rounds overlap while links come up: that is what arming is for.
         setattr(self.drops, cause, getattr(self.drops, cause) + 1)
         self._on_drop(text)

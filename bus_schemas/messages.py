@@ -8,12 +8,16 @@ map from field name to value, so a reader without this package can still take it
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 
 Stamp: TypeAlias = tuple[int, int, str, tuple[str, ...]]
 """The first fields of a message, known before an agent decides: cycle, time, source, missing."""
+
+
+Nanoseconds: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
+Sequence: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
 
 
 class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
@@ -40,8 +44,8 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False)
     sim_time_ns: int
     source: str
     missing: tuple[str, ...]
-    publish_time_ns: int = 0
-    sequence: int = 0
+    publish_time_ns: Nanoseconds = 0
+    sequence: Sequence = 0
 
 
 class Telemetry(Message, kw_only=True, frozen=True):

@@ -89,6 +89,7 @@ class Inbox:
     def __init__(self) -> None:
         self._items: deque[zenoh.Sample] = deque()
         self._wanted = _NEVER
+        self._urgent = False
         self._gate = threading.Lock()
         self._gate.acquire()
 
@@ -102,17 +103,19 @@ class Inbox:
     def put_urgent(self, sample: zenoh.Sample) -> None:
         """Take in a sample that the agent must see at once, whatever else it waits for."""
         self._items.append(sample)
+        self._urgent = True
         self._wanted = _NEVER
         self._open()
 
     def take(self, wanted: int, timeout_s: float | None) -> list[zenoh.Sample]:
         """Return all samples, once `wanted` or an urgent one are there, or at the time-out."""
-        if len(self._items) < wanted:
+        if len(self._items) < wanted and not self._urgent:
             self._gate.acquire(blocking=False)  # an opening that came after the last waiting
             self._wanted = wanted
-            if len(self._items) < wanted:
+            if len(self._items) < wanted and not self._urgent:
                 self._gate.acquire(timeout=-1 if timeout_s is None else max(timeout_s, 0.0))
             self._wanted = _NEVER
+        self._urgent = False
         return [self._items.popleft() for _ in range(len(self._items))]
 
     def _open(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -16,6 +17,12 @@ class Interruption:
 
     def __bool__(self) -> bool:
         return self.count > 0
+
+    def wait(self, seconds: float) -> None:
+        """Wait for a time, or until the user asks for an end."""
+        until = time.monotonic() + seconds
+        while not self and (left_s := until - time.monotonic()) > 0.0:
+            time.sleep(min(left_s, 0.05))
 
 
 @contextmanager

@@ -15,7 +15,13 @@ from launch_scripts.preparation import Preparation
 from launch_scripts.processes import processes
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.summary import RunSummary, count_messages, memory_use, merge_counts
-from launch_scripts.supervision import Children, Memory, RunFailure, explain_stall
+from launch_scripts.supervision import (
+    Children,
+    Memory,
+    RunFailure,
+    explain_stall,
+    with_log,
+)
 from launch_scripts.tcp_ports import reserved_ports
 from recordings.metrics import commitment_metrics
 
@@ -24,6 +30,9 @@ _GATHER_S: Final = 0.5
 
 _HEARTBEAT_S: Final = 2.0
 """The recorder speaks a few times a second: silence for this long is a fault."""
+
+_ARMING_S: Final = 60.0
+"""How long it may take from the command to cycle 0. The plant gives up before that by itself."""
 
 _PATIENCE_S: Final = 5.0
 """How long processes may take to end once the run is over."""
@@ -47,7 +56,9 @@ class Launch:
         self._folder = folder
         self._began_at = began_at
         self._armed_at = began_at
-        self._heartbeat_at = began_at
+        self._heartbeat_at = self._progress_at = began_at
+        self._shown_cycle = -1
+        self._cycle_wall_s = preparation.plan.cycle_wall_ns / 1e9
         self._stalled_at: float | None = None
         self._asked_at: float | None = None
         self._rounds = 0
@@ -85,21 +96,32 @@ class Launch:
         now = time.monotonic()
         match event:
             case Armed():
-                self._armed_at = self._heartbeat_at = now
+                self._armed_at = self._heartbeat_at = self._progress_at = now
                 self._rounds = event.rounds
                 view.say(f"armed: cycle 0 began {now - self._began_at:.1f} s after the start")
             case Status():
                 self._heartbeat_at = now
+                if event.cycle != self._shown_cycle:
+                    self._shown_cycle, self._progress_at = event.cycle, now
                 view.show(event)
             case Waiting():
                 self._stalled_at = self._stalled_at or now
 
     def _check_progress(self, children: Children) -> None:
         now = time.monotonic()
+        if not self._rounds and now > self._began_at + _ARMING_S:
+            absent = [child.spec.agent for child in children if not child.ready] or [PLANT]
+            text = f"not armed after {_ARMING_S:g} s: nothing came from {', '.join(absent)}"
+            raise RunFailure(with_log(children[absent[0]], text))
         if self._stalled_at is not None and now > self._stalled_at + _GATHER_S:
             raise RunFailure(explain_stall(children))
         if self._rounds and now > self._heartbeat_at + _HEARTBEAT_S:
-            raise RunFailure(f"recorder has not been heard of for {_HEARTBEAT_S:g} s")
+            text = f"recorder has not been heard of for {_HEARTBEAT_S:g} s"
+            raise RunFailure(with_log(children[RECORDER], text))
+        longest_s = max(_PATIENCE_S, 3.0 * self._cycle_wall_s)
+        if self._rounds and now > self._progress_at + longest_s:
+            text = f"plant has not completed a cycle for {longest_s:g} s"
+            raise RunFailure(with_log(children[PLANT], text))
 
     def _ask_stop(self, children: Children, plan: RunPlan, view: View) -> None:
         """Let the plant end the run; lose patience after a while, or at the second Ctrl-C."""
@@ -118,14 +140,14 @@ class Launch:
         late = children.await_exit(children.controllers(), _PATIENCE_S)
         if late:
             names = ", ".join(child.spec.agent for child in late)
-            raise RunFailure(f"{names} did not end with the run")
+            raise RunFailure(with_log(late[0], f"{names} did not end with the run"))
         published = merge_counts(
             [child.finished.published for child in children if child.finished is not None]
         )
         recorder = children[RECORDER]
         recorder.tell(f"expect {sum(published.values())}")
         if children.await_exit([recorder], 2.0 * _PATIENCE_S) or recorder.recorded is None:
-            raise RunFailure("the recorder did not close its file")
+            raise RunFailure(with_log(recorder, "the recorder did not close its file"))
         return recorder.recorded
 
     def _summarise(
@@ -155,7 +177,10 @@ class Launch:
             messages=count_messages(
                 merge_counts([account.published for account in accounts]), recorded.recorded
             ),
-            dropped=merge_counts([account.dropped for account in accounts]),
+            dropped=merge_counts(
+                [account.dropped for account in accounts]
+                + [{"at the recorder": recorded.foreign}] * bool(recorded.foreign)
+            ),
             missing_inputs=sum(account.missing_inputs for account in accounts),
             memory=memory_use(samples),
             hindsight_neighbours=self._preparation.hindsight,

@@ -17,6 +17,10 @@ ZENOH_RUNTIME: Final = (
 """One Zenoh thread for each process instead of seven: see docs/decisions/0003-zenoh-tuning.md."""
 
 
+_PYTHON: Final = (sys.executable, "-P")
+"""Without the current folder on the path: a user's `signal.py` there is none of ours."""
+
+
 @dataclass(frozen=True, slots=True)
 class ProcessSpec:
     """One process of a run.
@@ -54,9 +58,9 @@ def environment() -> dict[str, str]:
 def _process(agent: str, tree: ControlTree, plan: Path) -> ProcessSpec:
     common = ("--plan", str(plan), "--attached")
     if agent == RECORDER:
-        return ProcessSpec(agent, "recorder", (sys.executable, "-m", "recordings", *common))
+        return ProcessSpec(agent, "recorder", (*_PYTHON, "-m", "recordings", *common))
     if agent == PLANT:
-        return ProcessSpec(agent, "plant", (sys.executable, "-m", "sim_plant", *common))
+        return ProcessSpec(agent, "plant", (*_PYTHON, "-m", "sim_plant", *common))
     kind = "central" if agent == CENTRAL else "direct" if tree.is_leaf(agent) else "supervisor"
-    command = (sys.executable, "-m", "agents", kind, "--node", agent, *common)
+    command = (*_PYTHON, "-m", "agents", kind, "--node", agent, *common)
     return ProcessSpec(agent, kind, command)

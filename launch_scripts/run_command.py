@@ -62,11 +62,12 @@ def run(request: RunRequest, began_at: float) -> int:
         preparation, folder = _prepare(request)
     except InputError as error:
         return _complain(error, BAD_INPUT)
-    timezone = preparation.scenario.scenario.time.timezone
+    except (OSError, ValueError) as error:
+        # A file that may not be read, or a name that no file can have.
+        return _complain(error, BAD_INPUT)
     try:
-        with view_for(console, preparation.plan, timezone) as view:
-            view.say(preparation.scenario.scenario.title)
-            summary = _DRIVERS[request.driver](preparation, folder, view, began_at)
+        summary = _drive(request.driver, preparation, folder, console, began_at)
+        return _conclude(summary, folder, request.json, console)
     except OSError as error:
         return _complain(f"{error.filename or folder.path}: {error.strerror}", FAILED)
     except RunFailure as error:
@@ -74,22 +75,40 @@ def run(request: RunRequest, began_at: float) -> int:
         return _complain(f"{error}\n{kept}".strip(), FAILED)
     except KeyboardInterrupt:
         return _complain("interrupted; the processes were ended by force", INTERRUPTED)
-    _write_summary(summary, folder, request.json)
+
+
+def _drive(
+    driver: str, preparation: Preparation, folder: RunFolder, console: Console, began_at: float
+) -> RunSummary:
+    scenario = preparation.scenario.scenario
+    with view_for(console, preparation.plan, scenario.time.timezone) as view:
+        view.say(scenario.title)
+        return _DRIVERS[driver](preparation, folder, view, began_at)
+
+
+def _conclude(summary: RunSummary, folder: RunFolder, json: str | None, console: Console) -> int:
+    """Print and write what the run came to. Returns the exit status."""
     print_summary(summary, console)
-    console.print(f"recording: {folder.recording}", highlight=False, soft_wrap=True)
+    console.print(f"recording: {folder.recording}", highlight=False, soft_wrap=True, markup=False)
+    _write_summary(summary, folder, json)
     if summary.lost:
         return _complain(_lost_text(summary), FAILED)
     return INTERRUPTED if summary.interrupted else OK
 
 
 def _prepare(request: RunRequest) -> tuple[Preparation, RunFolder]:
-    if request.json not in (None, "-") and not Path(request.json).parent.is_dir():
-        raise InputError(f"--json {request.json}: no such folder, accepted is an existing one")
+    if request.json not in (None, "-"):
+        _check_json_path(Path(request.json))
     scenario = load_scenario(request.scenario, request.data)
     run_id = new_run_id(scenario.scenario.name)
     folder = run_folder(run_id, request.out)
     options = RunOptions(request.start, request.duration, _pace(request.pace), request.seed)
     return prepare(scenario, options, run_id), folder
+
+
+def _check_json_path(path: Path) -> None:
+    if path.is_dir() or not path.parent.is_dir():
+        raise InputError(f"--json {path}: accepted is a file in an existing folder, or -")
 
 
 def _pace(text: str | None) -> float | Literal["max"] | None:

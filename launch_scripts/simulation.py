@@ -87,7 +87,8 @@ class MemoryRun:
     def stop(self) -> None:
         """End the run after the cycle under way."""
         plant = self.sequencers[PLANT]
-        plant.end_before(min(plant.cycle + 1, self.plan.cycles))
+        if plant.end_cycle == self.plan.cycles:
+            plant.end_before(min(plant.cycle + 1, self.plan.cycles))
 
     def close(self) -> None:
         """Say that the run is over."""
@@ -169,7 +170,7 @@ def _follow(run: MemoryRun, monitor: RunMonitor, writer: RunWriter, view: View) 
                 run.stop()
             elif cycle_s:
                 # A pace, but no deadlines: within one process nobody can be late.
-                time.sleep(max(began_at + (cycle + 1) * cycle_s - time.monotonic(), 0.0))
+                interruption.wait(began_at + (cycle + 1) * cycle_s - time.monotonic())
             if time.monotonic() >= status_at:
                 status_at = time.monotonic() + _STATUS_S
                 view.show(monitor.status(writer.recorded.total()))

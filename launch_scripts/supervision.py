@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import msgspec
 import psutil
 
-from agents.lifeline import AnyEvent, Failed, Finished, Recorded, Waiting
+from agents.lifeline import AnyEvent, Failed, Finished, Ready, Recorded, Waiting
 from bus_schemas.tree import RECORDER
 from launch_scripts.processes import ProcessSpec, environment
 
@@ -67,6 +67,7 @@ class Child:
     spec: ProcessSpec
     process: subprocess.Popen[bytes]
     log: Path
+    ready: bool = False
     finished: Finished | None = None
     recorded: Recorded | None = None
     waiting: Waiting | None = None
@@ -208,6 +209,8 @@ class Children:
 
     def _note(self, child: Child, event: AnyEvent) -> None:
         match event:
+            case Ready():
+                child.ready = True
             case Finished():
                 child.finished = event
             case Recorded():
@@ -228,7 +231,9 @@ class Children:
     def _check(self) -> None:
         for child in self:
             if child.failed is not None:
-                raise RunFailure(f"{child.spec.agent} gave up: {child.failed.text}")
+                raise RunFailure(
+                    with_log(child, f"{child.spec.agent} gave up: {child.failed.text}")
+                )
             done = child.finished is not None or child.recorded is not None
             if child.closed and not done:
                 raise RunFailure(self._obituary(child))
@@ -240,10 +245,13 @@ class Children:
         how = (
             f"was killed by signal {-code}" if code is not None and code < 0 else f"ended ({code})"
         )
-        return (
-            f"{child.spec.agent} (process {child.process.pid}) {how} in the middle of the run; "
-            f"last lines of {child.log}:\n{child.last_log_lines()}"
-        )
+        who = f"{child.spec.agent} (process {child.process.pid})"
+        return with_log(child, f"{who} {how} in the middle of the run")
+
+
+def with_log(child: Child, text: str) -> str:
+    """Return a text with the last log lines of the process that it is about."""
+    return f"{text}; last lines of {child.log}:\n{child.last_log_lines()}"
 
 
 def explain_stall(children: Children) -> str:
@@ -266,7 +274,7 @@ def explain_stall(children: Children) -> str:
         lines += [f"  {reason}" for reason in list(reasons)[:4]]
         if agent in children.by_agent:
             child = children[agent]
-            lines.append(f"  last lines of {child.log}:\n{child.last_log_lines()}")
+            lines[-1] = with_log(child, lines[-1])
     return "\n".join(lines)
 
 

@@ -14,7 +14,7 @@ from agents.runtime import DropLog, session_settings
 from bus_schemas.errors import InputError
 from bus_schemas.tree import RECORDER
 from bus_schemas.zenoh_bus import ZenohTap
-from recordings.recorder import Recorder
+from recordings.recorder import Recorder, RecordingEnd
 from recordings.writer import RECORDING_NAME, RunWriter
 
 log = logging.getLogger("recordings")
@@ -36,27 +36,18 @@ def main() -> int:
 
 def record(plan: RunPlan, folder: Path, attached: bool) -> int:
     """Record a run into its folder, until the launcher says so or is gone."""
-    recorders: list[Recorder] = []
-
-    def end() -> None:
-        for recorder in recorders:
-            recorder.end()
-
-    def hear(word: str) -> None:
-        for recorder in recorders:
-            recorder.expect(int(word.removeprefix("expect ")))
-
+    # Made before anybody can ask for it: the launcher may die while this process starts.
+    end = RecordingEnd()
     # Whatever ends the run, the file must be closed in order: SIGTERM, not SIGKILL.
-    signal.signal(signal.SIGTERM, lambda *_: end())
+    signal.signal(signal.SIGTERM, lambda *_: end.ask())
     join_run(attached, death_signal=signal.SIGTERM)
     scenario = (folder / "scenario.toml").read_text(encoding="utf-8")
-    lifeline = Lifeline(attached, on_word=hear, on_orphaned=end)
+    lifeline = Lifeline(attached, on_word=end.hear, on_orphaned=end.ask)
     try:
         writer = RunWriter(folder / RECORDING_NAME, plan, scenario, driver="launch")
         with ZenohTap(RECORDER, plan.keys, session_settings(plan, RECORDER)) as tap:
-            recorders.append(Recorder(plan, tap, writer, lifeline, DropLog()))
             lifeline.tell(Ready())
-            recorders[0].run()
+            Recorder(plan, tap, writer, lifeline, end, DropLog(), attached).run()
     except Exception as error:
         log.exception("the recorder gives up")
         lifeline.tell(Failed(f"{type(error).__name__}: {error}"))

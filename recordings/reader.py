@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, McapRecord, Metadata
+from mcap.records import Message as McapMessage
+from mcap.stream_reader import StreamReader
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
@@ -19,12 +23,21 @@ from recordings.writer import RECORDING_NAME, SCHEMA_VERSION
 
 
 class RunReader:
-    """A recording of a run.
+    """A recording of a run; of one that was cut by a crash, all that is there up to the cut.
 
     Parameters
     ----------
     path
         The MCAP file, or the folder of a run.
+
+    Attributes
+    ----------
+    whole
+        Whether the file was closed in order and has its index.
+    metadata
+        By name: versions, host, clock anchor.
+    scenario, plan
+        What the run was.
 
     Raises
     ------
@@ -42,6 +55,9 @@ class RunReader:
             ) from None
         except OSError as error:
             raise InputError(f"{self.path}: {error.strerror}, accepted is an MCAP file") from None
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.whole = False
+        self._trouble = ""
         try:
             self._read_origin()
         except BaseException:
@@ -57,10 +73,30 @@ class RunReader:
             for port in keys.ports
             if port.signal.logged and (not wanted or port.signal.name in wanted)
         ]
-        for _, channel, record in self._reader.iter_messages(topics=topics):
-            port = keys.port(channel.topic)
+        records = self._indexed(topics) if self.whole else self._up_to_the_cut(set(topics))
+        for topic, data in records:
+            port = keys.port(topic)
             if port is not None:
-                yield port, decode(port.signal, record.data)
+                yield port, decode(port.signal, data)
+
+    def _indexed(self, topics: list[str]) -> Iterator[tuple[str, bytes]]:
+        self._file.seek(0)
+        for _, channel, record in make_reader(self._file).iter_messages(topics=topics):
+            yield channel.topic, record.data
+
+    def _up_to_the_cut(self, topics: set[str]) -> Iterator[tuple[str, bytes]]:
+        """Read a file without an index from its beginning, in the order it was written."""
+        topic_of: dict[int, str] = {}
+        for record in self._records():
+            if isinstance(record, Channel):
+                topic_of[record.id] = record.topic
+            elif isinstance(record, McapMessage) and topic_of[record.channel_id] in topics:
+                yield topic_of[record.channel_id], record.data
+
+    def _records(self) -> Iterator[McapRecord]:
+        self._file.seek(0)
+        with suppress(McapError, OSError, struct.error, ValueError):
+            yield from StreamReader(self._file).records
 
     def close(self) -> None:
         """Close the file."""
@@ -73,13 +109,7 @@ class RunReader:
         self.close()
 
     def _read_origin(self) -> None:
-        try:
-            self._reader = make_reader(self._file)
-            self.metadata = {entry.name: entry.metadata for entry in self._reader.iter_metadata()}
-            attachments = {entry.name: entry.data for entry in self._reader.iter_attachments()}
-        except (McapError, OSError, struct.error, ValueError) as error:
-            reason = str(error) or type(error).__name__
-            raise InputError(f"{self.path}: not a readable MCAP file ({reason})") from None
+        attachments = self._read_index() or self._read_beginning()
         self._check_version()
         try:
             self.scenario = attachments["scenario.toml"].decode()
@@ -88,6 +118,34 @@ class RunReader:
             raise InputError(f"{self.path}: recording without its attachment {error}") from None
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             raise InputError(f"{self.path}: its attachments do not decode: {error}") from None
+
+    def _read_index(self) -> dict[str, bytes]:
+        """Read metadata and attachments by the index; nothing if the file was cut before it."""
+        try:
+            reader = make_reader(self._file)
+            self.metadata = {entry.name: entry.metadata for entry in reader.iter_metadata()}
+            found = {entry.name: entry.data for entry in reader.iter_attachments()}
+        except (McapError, OSError, struct.error, ValueError) as error:
+            self._trouble = str(error) or type(error).__name__
+            return {}
+        self.whole = True
+        return found
+
+    def _read_beginning(self) -> dict[str, bytes]:
+        """Read metadata and attachments from the beginning of a file, where a run has them."""
+        found: dict[str, bytes] = {}
+        records = 0
+        for record in self._records():
+            records += 1
+            if isinstance(record, Metadata):
+                self.metadata[record.name] = record.metadata
+            elif isinstance(record, Attachment):
+                found[record.name] = record.data
+            elif isinstance(record, McapMessage):
+                break
+        if not records:
+            raise InputError(f"{self.path}: not a readable MCAP file ({self._trouble})")
+        return found
 
     def _check_version(self) -> None:
         found = self.metadata.get("run", {}).get("schema_version")

@@ -17,10 +17,9 @@ import msgspec
 
 from agents.lifeline import Lifeline, Recorded
 from agents.plan import RunPlan
-from agents.runtime import DropLog
 from bus_schemas.codec import decode
-from bus_schemas.messages import Message, Ready
-from bus_schemas.signals import READY, Occurrence, Port, ports
+from bus_schemas.messages import Message, Ready, Run
+from bus_schemas.signals import DISPATCH, READY, Occurrence, Port, ports
 from bus_schemas.tree import RECORDER, ROOT
 from bus_schemas.zenoh_bus import ZenohTap
 from recordings.monitor import RunMonitor
@@ -33,8 +32,38 @@ FLUSH_S: Final = 0.5
 
 _NAP_S: Final = 0.005
 _STATUS_S: Final = 0.25
+_MOST_AT_ONCE: Final = 2000
+_CYCLE_WINDOW: Final = 1000
+"""How many cycles ahead of the plant's last word a message can be on another link, generously."""
+
 _QUIET_S: Final = 2.0
 """How long nothing must have come before the recorder stops waiting for what it was told of."""
+
+
+class RecordingEnd:
+    """Whether the recording has been asked to end, by any thread or signal.
+
+    Attributes
+    ----------
+    expected
+        Messages that must be in the file first; None: whatever still comes.
+    """
+
+    def __init__(self) -> None:
+        self.expected: int | None = None
+        self._asked = threading.Event()
+
+    def __bool__(self) -> bool:
+        return self._asked.is_set()
+
+    def ask(self) -> None:
+        """Let the recording end once nothing comes any more."""
+        self._asked.set()
+
+    def hear(self, word: str) -> None:
+        """Take in the launcher's word: `expect N` messages."""
+        self.expected = int(word.removeprefix("expect "))
+        self._asked.set()
 
 
 class Recorder:
@@ -50,8 +79,12 @@ class Recorder:
         The file.
     lifeline
         The line to the launcher.
+    end
+        Asked from outside.
     drop_log
         Called with a line of text for each payload that is no message of the run.
+    attached
+        Whether a launcher says when to end. Otherwise the run's own stop does.
     """
 
     def __init__(
@@ -60,7 +93,9 @@ class Recorder:
         tap: ZenohTap,
         writer: RunWriter,
         lifeline: Lifeline,
-        drop_log: Callable[[str], None] | None = None,
+        end: RecordingEnd,
+        drop_log: Callable[[str], None],
+        attached: bool,
     ) -> None:
         self.monitor = RunMonitor()
         self.foreign = 0
@@ -69,21 +104,13 @@ class Recorder:
         self._tap = tap
         self._writer = writer
         self._lifeline = lifeline
-        self._drop_log = drop_log or DropLog()
+        self._end = end
+        self._drop_log = drop_log
+        self._attached = attached
+        self._newest_cycle = 0
         self._next_sequence: dict[Port[Message], int] = {}
-        self._expected: int | None = None
-        self._ended = threading.Event()
         self._ready_port = READY.of(ROOT)
         self._round = Round(plan)
-
-    def expect(self, messages: int) -> None:
-        """Let the recording end once this many messages are in. From any thread."""
-        self._expected = messages
-        self._ended.set()
-
-    def end(self) -> None:
-        """Let the recording end once nothing comes any more. From any thread."""
-        self._ended.set()
 
     def run(self) -> None:
         """Record until told to end, then close the file and report."""
@@ -105,17 +132,20 @@ class Recorder:
         self._report()
 
     def _may_end(self, quiet_s: float) -> bool:
-        if not self._ended.is_set():
+        if not self._end:
             return False
-        if self._expected is not None and self._writer.recorded.total() >= self._expected:
+        expected = self._end.expected
+        if expected is not None and self._writer.recorded.total() >= expected:
             return True
-        return quiet_s > (_QUIET_S if self._expected is not None else FLUSH_S)
+        return quiet_s > (_QUIET_S if expected is not None else FLUSH_S)
 
     def _drain(self) -> int:
         heard = 0
         for key, payload in self._tap.drain():
             self._hear(key, payload)
             heard += 1
+            if heard == _MOST_AT_ONCE:
+                break  # Flush and status must have their turn, however much comes.
         return heard
 
     def _hear(self, key: str, payload: bytes) -> None:
@@ -127,6 +157,10 @@ class Recorder:
             if self._round.sees(port, message.cycle):
                 self._answer_round(message)
         elif port.signal.logged:
+            if port.signal is DISPATCH:
+                self._newest_cycle = message.cycle
+            if isinstance(message, Run) and message.state == "stop" and not self._attached:
+                self._end.ask()
             self._count_gap(port, message)
             self._writer.add(port, message, payload, time.monotonic_ns())
             self.monitor.see(port, message)
@@ -138,6 +172,8 @@ class Recorder:
             message = decode(port.signal, payload)
             if message.source != port.publisher:
                 raise ValueError(f"it is from {message.source!r}")
+            if message.cycle > self._newest_cycle + _CYCLE_WINDOW:
+                raise ValueError(f"it is of cycle {message.cycle}, this is {self._newest_cycle}")
         except (ValueError, msgspec.DecodeError) as error:
             self.foreign += 1
             self._drop_log(f"{key}: {error}")

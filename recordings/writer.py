@@ -53,19 +53,24 @@ class RunWriter:
     Parameters
     ----------
     path
-        File to write. An existing one is replaced.
+        File to write.
     plan
         Of the run: gives the channels.
     scenario
         Text of the scenario file, attached whole.
     driver
         `launch` or `simulate`.
+
+    Raises
+    ------
+    FileExistsError
+        There is a recording already: it is not replaced.
     """
 
     def __init__(self, path: Path, plan: RunPlan, scenario: str, driver: str) -> None:
         self.recorded: Counter[str] = Counter()
         self._anchor = ClockAnchor.now()
-        self._file = path.open("wb")
+        self._file = path.open("xb")
         self._writer = Writer(self._file, compression=CompressionType.LZ4)
         self._writer.start(profile="heliarch", library=f"heliarch {version('heliarch')}")
         self._write_origin(plan, scenario, driver)

@@ -89,15 +89,13 @@ class Conductor:
     def _await_everybody(self, give_up_at: float) -> None:
         others = [agent for agent in self._runtime.plan.tree.agents() if agent != PLANT]
         while True:
-            absent = [agent for agent in others if agent not in self._alive(others)]
+            alive = self._runtime.bus.agents_alive(others)
+            absent = [agent for agent in others if agent not in alive]
             if not absent:
                 return
             if time.monotonic() > give_up_at:
                 raise ArmingError(f"no sign of life from {', '.join(absent)}")
             time.sleep(0.02)
-
-    def _alive(self, agents: list[str]) -> set[str]:
-        return self._runtime.bus.agents_alive(agents)
 
     def _arm(self, give_up_at: float) -> int:
         """Send rounds through the loop until one closes and is recorded. Return their number."""

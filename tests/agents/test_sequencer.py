@@ -427,15 +427,14 @@ def test_an_open_round_leaves_nothing_in_a_run_first_heard_of_in_a_later_cycle()
     assert desk.sequencer.waiting_for == {A, B}
 
 
-def test_a_first_message_of_the_run_beyond_the_horizon_begins_it_but_is_dropped() -> None:
+def test_a_message_of_the_run_beyond_the_horizon_does_not_begin_it() -> None:
     desk = Desk(LISTEN_TO_BOTH, horizon=2)
     desk.hear(A, -7)
     desk.hear(B, -7)
     assert desk.hear(A, 3) == []
-    assert desk.sequencer.cycle == 0
-    assert desk.sequencer.waiting_for == {A, B}
+    assert desk.sequencer.cycle == -7
     assert desk.sequencer.drops == Drops(other_cycle=1)
-    assert desk.dropped == ["a/residual is of cycle 3, this is 0"]
+    assert desk.dropped == ["a/residual is of cycle 3, this is -7"]
 
 
 # Deadlines ----------------------------------------------------------------------------------------
