@@ -73,9 +73,13 @@ class Report(msgspec.Struct, frozen=True):
 def measure(
     graph: Graph, variants: Sequence[Variant], rounds: int, cycles: int, console: Console
 ) -> list[Figures]:
-    """Run each variant once in each round."""
+    """Run each variant once in each round; each round begins with another one."""
     figures = [Figures(variant, [], []) for variant in variants]
-    turns = [each for _ in range(rounds) for each in figures]
+    turns = [
+        figures[(number + place) % len(figures)]
+        for number in range(rounds)
+        for place in range(len(figures))
+    ]
     for each in track(turns, "measuring", console=console, transient=True):
         try:
             each.rounds.append(run_bare(graph, each.variant, cycles))
@@ -150,6 +154,9 @@ def main() -> int:
     parser.add_argument("--cycles", type=int, default=800, help="of each run in lockstep")
     parser.add_argument("--rate", type=float, default=20.0, help="cycles per second in real time")
     parser.add_argument("--real-time-cycles", type=int, default=120, help="of each such run")
+    parser.add_argument(
+        "--only", metavar="WORD", help="in lockstep: the first variant, and those named so"
+    )
     parser.add_argument("--json", type=Path, metavar="PATH", help="write all figures as JSON")
     options = parser.parse_args()
     console = Console(width=100)
@@ -159,13 +166,16 @@ def main() -> int:
     except BareFailure as failure:
         sys.stderr.write(f"topologies: {failure}\n")
         return 1
-    lockstep = measure(graph, LOCKSTEP, options.rounds, options.cycles, console)
+    variants = [v for v in LOCKSTEP if v is LOCKSTEP[0] or (options.only or "") in v.name]
+    lockstep = measure(graph, variants, options.rounds, options.cycles, console)
     title = f"{options.scenario}, {graph.messages} messages a cycle, {options.rounds} rounds"
     print_lockstep(lockstep, f"{title} of {options.cycles:,} cycles, lockstep", console)
-    timed = measure(
-        graph, real_time(options.rate), options.rounds, options.real_time_cycles, console
-    )
-    print_real_time(timed, f"{title} at {options.rate:g} cycles/s, messages may drop", console)
+    timed = []
+    if options.only is None:
+        timed = measure(
+            graph, real_time(options.rate), options.rounds, options.real_time_cycles, console
+        )
+        print_real_time(timed, f"{title} at {options.rate:g} cycles/s, messages may drop", console)
     console.print(machine, highlight=False)
     if options.json is not None:
         report = Report(machine, options.scenario, graph.messages, lockstep, timed)

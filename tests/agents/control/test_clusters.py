@@ -1,6 +1,5 @@
 """Clusters whose members fluctuate least alike."""
 
-import time
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -103,18 +102,6 @@ def test_the_diagonal_is_not_used_and_the_argument_not_changed() -> None:
     before = other.copy()
     assert choose_clusters(correlation, (4, 4)) == choose_clusters(other, (4, 4))
     assert np.array_equal(other, before)
-
-
-def test_sixty_inverters_take_less_than_half_a_second() -> None:
-    correlation = random_correlation(60, 1)
-    best = min(_seconds(correlation) for _ in range(3))
-    assert best < 0.5
-
-
-def _seconds(correlation: np.ndarray) -> float:
-    begin = time.perf_counter()
-    choose_clusters(correlation, (10,) * 6)
-    return time.perf_counter() - begin
 
 
 def test_geographic_clusters_are_the_three_villages() -> None:
