@@ -368,7 +368,7 @@ def test_a_file_that_is_not_text_is_named(tmp_path: Path, line: int) -> None:
     assert "\n" not in message
 
 
-def test_a_day_of_17_sensors_is_read_in_less_than_two_seconds(tmp_path: Path) -> None:
+def test_a_day_of_17_sensors_is_read(tmp_path: Path) -> None:
     stations = [f"S{i}" for i in range(17)]
     seconds = pd.date_range("2010-04-01T15:00:00Z", periods=54_000, freq="1s")
     stamps = seconds.strftime("%Y-%m-%dT%H:%M:%SZ")
