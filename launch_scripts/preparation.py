@@ -183,6 +183,8 @@ def _measured_sky(scenario_file: ScenarioFile, measured: MeasuredIrradiance) -> 
     """Put one inverter of equal rating at each station."""
     plant = scenario_file.scenario.plant
     path = scenario_file.data_path(measured.ghi)
+    if not path.exists():
+        raise InputError(f"{path}: no such file, accepted is --data with the folder that holds it")
     irradiance = read_measured_ghi(
         path, scenario_file.data_path(measured.positions), measured.stations
     )

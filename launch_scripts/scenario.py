@@ -181,6 +181,8 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
     InputError
         There is no such scenario, or it does not say what it must.
     """
+    if data_folder is not None and not data_folder.is_dir():
+        raise InputError(f"--data {data_folder}: no such folder, accepted is one with data files")
     path = _find(name_or_path)
     try:
         text = path.read_text(encoding="utf-8")
