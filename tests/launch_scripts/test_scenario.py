@@ -177,8 +177,8 @@ def test_data_may_lie_in_a_folder_of_its_own(measured: Folder, tmp_path: Path) -
     for name in ("ghi.csv", "positions.csv"):
         (measured.path / name).rename(data / name)
     assert measured.complaint() == (
-        f"{measured.path / 'ghi.csv'}: cannot be read: No such file or directory; "
-        "accepted: a CSV file in UTF-8"
+        f"{measured.path / 'ghi.csv'}: no such file, accepted is --data with the folder that "
+        "holds it"
     )
     scenario = load_scenario(str(measured.scenario), data)
     assert prepare(scenario, RunOptions(), "by-hand").plan.cycles == 4
