@@ -14,7 +14,7 @@ ZENOH_RUNTIME: Final = (
     "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app), "
     "app: (worker_threads: 1))"
 )
-"""One Zenoh thread for each process instead of seven: see docs/decisions/0003-zenoh-tuning.md."""
+"""One worker thread for all of Zenoh's work: see docs/decisions/0003-zenoh-tuning.md."""
 
 
 _PYTHON: Final = (sys.executable, "-P")
