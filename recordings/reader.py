@@ -18,6 +18,7 @@ from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import decode
 from bus_schemas.errors import InputError
+from bus_schemas.messages import Message
 from bus_schemas.signals import Signal
 from recordings.writer import RECORDING_NAME, SCHEMA_VERSION
 
@@ -64,7 +65,7 @@ class RunReader:
             self._file.close()
             raise
 
-    def messages(self, *signals: Signal[object]) -> Iterator[Delivery]:  # type: ignore[type-var]
+    def messages(self, *signals: Signal[Message]) -> Iterator[Delivery]:
         """Yield the messages in the order of their log time; of all signals, or of these."""
         keys = self.plan.keys
         wanted = {signal.name for signal in signals}

@@ -20,13 +20,9 @@ def help_order(correlation: Sequence[Sequence[float]]) -> HelpOrder:
     correlation
         Pearson correlation between the children's power, shape (n, n).
     """
-    children = range(len(correlation))
-    return tuple(
-        tuple(
-            sorted(
-                (sibling for sibling in children if sibling != child),
-                key=lambda sibling, row=correlation[child]: (row[sibling], sibling),  # type: ignore[misc]
-            )
-        )
-        for child in children
-    )
+    return tuple(_siblings_of(child, row) for child, row in enumerate(correlation))
+
+
+def _siblings_of(child: int, row: Sequence[float]) -> tuple[int, ...]:
+    siblings = (sibling for sibling in range(len(row)) if sibling != child)
+    return tuple(sorted(siblings, key=lambda sibling: (row[sibling], sibling)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-import msgpack  # type: ignore[import-untyped]
+import msgpack
 import msgspec
 import pytest
 from hypothesis import given
