@@ -10,6 +10,7 @@ import pytest
 from running import Heliarch, assert_none_left
 
 from agents.plan import load_plan
+from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
 from recordings.reader import RunReader
 
@@ -20,16 +21,19 @@ Start = Callable[..., Heliarch]
 
 @pytest.fixture
 def run(heliarch: Start) -> Heliarch:
-    """A run that would go on for long, in its first cycles."""
+    """A run that would go on for long, in its first cycles, of which some are on disk."""
     command = heliarch("launch", "oahu", "--duration", "5h")
-    command.until_running()
+    command.until(lambda: recorded_cycles(command) > 0, "cycles that can be read on disk")
     return command
 
 
 def recorded_cycles(run: Heliarch) -> int:
-    """Cycles that can be read from the recording."""
-    with RunReader(run.folder) as reader:
-        return sum(1 for _ in reader.messages(PRODUCTION))
+    """Cycles that can be read from the recording: none before its first flush."""
+    try:
+        with RunReader(run.folder) as reader:
+            return sum(1 for _ in reader.messages(PRODUCTION))
+    except InputError:
+        return 0
 
 
 def a_direct_controller(run: Heliarch) -> str:
@@ -102,7 +106,7 @@ def test_a_launcher_killed_while_it_starts_processes_leaves_none(
 
 def test_ctrl_c_ends_a_simulation_with_its_table_and_130(heliarch: Start) -> None:
     run = heliarch("simulate", "oahu", "--duration", "10h")
-    run.until_running()
+    run.until(lambda: recorded_cycles(run) > 0, "cycles that can be read on disk")
     run.process.send_signal(signal.SIGINT)
     assert run.wait() == 130, run.error_text()
     assert "satisfied commitment" in run.output.read_text()
