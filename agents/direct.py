@@ -10,11 +10,13 @@ import msgspec
 
 from agents.agent import Stage, Turn, parents_word_kw
 from agents.control.curtailment import curtailment_level
+from agents.control.forecast import forecast_impp
 from agents.control.impp import ImppEstimate, estimate_impp
 from agents.control.request import residual_kw
 from agents.periods import Periods
+from agents.plan import Actuator, Scheme
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Command, Help, Impp, Message, Residual
+from bus_schemas.messages import Command, Help, Impp, Message, Residual, Telemetry
 from bus_schemas.signals import (
     COMMAND,
     HELP,
@@ -52,12 +54,26 @@ class DirectController:
         Lowest alpha it commands.
     periods
         In which cycles its parent speaks.
+    scheme
+        How it estimates the maximum.
+    actuator
+        What the inverter does with a command.
     """
 
-    def __init__(self, node: str, rating_kw: float, alpha_min: float, periods: Periods) -> None:
+    def __init__(
+        self,
+        node: str,
+        rating_kw: float,
+        alpha_min: float,
+        periods: Periods,
+        scheme: Scheme,
+        actuator: Actuator,
+    ) -> None:
         self.name = node
         self.rating_kw = rating_kw
         self.alpha_min = alpha_min
+        self.scheme = scheme
+        self.actuator = actuator
         self._periods = periods
         self._telemetry = TELEMETRY.of(node)
         self._request = REQUEST.of(node)
@@ -76,8 +92,9 @@ class DirectController:
         )
 
     def initial_state(self) -> DirectState:
-        """Nothing measured, nothing asked."""
-        return DirectState(ImppEstimate(0.0, 0), 0.0, self.rating_kw)
+        """Nothing measured, nothing asked. A forecast has no last measurement to go on from."""
+        stale_cycles = 0 if self.scheme == "paper" else 1
+        return DirectState(ImppEstimate(0.0, stale_cycles), 0.0, self.rating_kw)
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages; between its parent's turns it waits for its inverter alone."""
@@ -94,13 +111,7 @@ class DirectController:
         return self._actuate(state, turn)
 
     def _estimate(self, state: DirectState, turn: Turn) -> tuple[DirectState, list[Delivery]]:
-        telemetry = turn.get(self._telemetry)
-        impp = estimate_impp(
-            telemetry.power_kw if telemetry else None,
-            telemetry.alpha if telemetry else None,
-            self.rating_kw,
-            state.impp,
-        )
+        impp = self._impp_now(turn.get(self._telemetry), state.impp)
         request_kw = parents_word_kw(turn.get(self._request), state.request_kw, self.rating_kw)
         residual = residual_kw(impp.power_kw, request_kw)
         outputs: list[Delivery] = [
@@ -114,9 +125,20 @@ class DirectController:
             outputs.append((self._help, Help(*turn.stamp, missing_kw=-residual)))
         return DirectState(impp, request_kw, state.setpoint_kw), outputs
 
+    def _impp_now(self, telemetry: Telemetry | None, last: ImppEstimate) -> ImppEstimate:
+        power_kw = telemetry.power_kw if telemetry else None
+        alpha = telemetry.alpha if telemetry else None
+        if self.scheme == "paper":
+            return estimate_impp(power_kw, alpha, self.rating_kw, last)
+        limit_kw = telemetry.limit_kw if telemetry else self.rating_kw
+        if self.actuator == "limit":
+            alpha = 1.0  # It holds its limit, and gives all it has below it.
+        return forecast_impp(power_kw, alpha, limit_kw, self.rating_kw, last)
+
     def _actuate(self, state: DirectState, turn: Turn) -> tuple[DirectState, list[Delivery]]:
         setpoint_kw = parents_word_kw(turn.get(self._setpoint), state.setpoint_kw, self.rating_kw)
         impp_kw = state.impp.power_kw
         alpha = curtailment_level(setpoint_kw, impp_kw, self.alpha_min)
-        command = Command(*turn.stamp, alpha=alpha, power_kw=alpha * impp_kw)
+        power_kw = alpha * impp_kw if alpha < 1.0 else self.rating_kw
+        command = Command(*turn.stamp, alpha=alpha, power_kw=power_kw)
         return DirectState(state.impp, state.request_kw, setpoint_kw), [(self._command, command)]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import msgspec
 
@@ -18,6 +18,12 @@ from bus_schemas.errors import InputError
 from bus_schemas.keys import KeyTable
 from bus_schemas.messages import Run
 from bus_schemas.tree import PLANT, ControlTree, depth
+
+Scheme: TypeAlias = Literal["paper", "predictive"]
+"""`paper`: the IMPP is the last cycle's (eq. 1). `predictive`: it is a forecast of this cycle's."""
+
+Actuator: TypeAlias = Literal["fraction", "limit"]
+"""`fraction`: P = alpha x MPP, as in the paper. `limit`: P = min(limit, MPP), as real inverters."""
 
 
 class NodeNeighbourhoods(msgspec.Struct, frozen=True):
@@ -40,10 +46,18 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         Path and AC rating [kW] of each inverter.
     start_time_ns, cycle_ns, cycles
         Simulated time of cycle 0 [ns since 1970-01-01 UTC], length and number of the cycles.
+    timezone
+        Local time of the plant, an IANA name.
+    regulation_capacity_kw
+        Power that a regulation signal of +1 stands for; 0 if the plant offers none.
     cycle_wall_ns
         Length of a cycle on the wall clock; 0 is lockstep, without deadlines.
     period_cycles
         Period of each tier that has children, the central controller's first.
+    scheme
+        How the direct controllers estimate the maximum: as in the paper, or ahead of it.
+    actuator
+        What an inverter does with its command.
     alpha_min
         Lowest curtailment level that is commanded.
     hold_cycles
@@ -62,8 +76,12 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     start_time_ns: int
     cycle_ns: int
     cycles: int
+    timezone: str
+    regulation_capacity_kw: float
     cycle_wall_ns: int
     period_cycles: tuple[int, ...]
+    scheme: Scheme
+    actuator: Actuator
     alpha_min: float
     hold_cycles: int
     stall_timeout_s: float

@@ -19,7 +19,14 @@ Controller: TypeAlias = Agent[Any]
 
 def direct_controller(plan: RunPlan, node: str) -> DirectController:
     """Return the direct controller of an inverter."""
-    return DirectController(node, plan.tree.rating_kw(node), plan.alpha_min, plan.periods)
+    return DirectController(
+        node,
+        plan.tree.rating_kw(node),
+        plan.alpha_min,
+        plan.periods,
+        plan.scheme,
+        plan.actuator,
+    )
 
 
 def supervisor(plan: RunPlan, node: str) -> Supervisor:

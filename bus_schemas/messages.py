@@ -49,10 +49,15 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False)
 
 
 class Telemetry(Message, kw_only=True, frozen=True):
-    """What an inverter measured in the interval that just ended, and the alpha applied in it."""
+    """What an inverter measured in the interval that just ended, and what it obeyed in it.
+
+    `alpha` is the curtailment level it was told. `limit_kw` is the power it did not exceed: its
+    rating, or less where the actuator of the run is `limit` and it is curtailed.
+    """
 
     power_kw: float
     alpha: float
+    limit_kw: float
 
 
 class Dispatch(Message, kw_only=True, frozen=True):
@@ -117,7 +122,9 @@ class Setpoint(Message, kw_only=True, frozen=True):
 class Command(Message, kw_only=True, frozen=True):
     """What a direct controller tells its inverter: the curtailment level alpha (eq. 6).
 
-    `power_kw` is the power that this alpha aims at, IMPP x alpha.
+    `power_kw` says the same in absolute power, IMPP x alpha; the rating where alpha is 1, since
+    nothing is to be held back. A run has one actuator: `fraction` inverters apply alpha to their
+    true maximum, `limit` inverters hold `power_kw`.
     """
 
     alpha: float

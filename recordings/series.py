@@ -7,10 +7,22 @@ one code computes its figures of merit.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import nan
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+
+from agents.plan import RunPlan
+from bus_schemas.errors import InputError
+from bus_schemas.messages import Command, Dispatch, Impp, Message, Production, Residual
+from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, RESIDUAL, Port, Signal
+from recordings.reader import RunReader
+
+_OF_INVERTERS: Final[tuple[Signal[Message], ...]] = (IMPP, RESIDUAL, COMMAND)
+"""Signals that the series keeps of each inverter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,3 +106,102 @@ class RunSeries:
         """Local time of the beginning of each cycle, length T."""
         first = pd.Timestamp(self.start_time_ns, tz="UTC").tz_convert(self.timezone)
         return pd.date_range(first, periods=self.cycles, freq=pd.Timedelta(seconds=self.cycle_s))
+
+
+class SeriesCollector:
+    """Turns the messages of a run, live or from a recording, into a `RunSeries`.
+
+    Parameters
+    ----------
+    plan
+        Of the run.
+    """
+
+    def __init__(self, plan: RunPlan) -> None:
+        self._plan = plan
+        place = {leaf: place for place, leaf in enumerate(plan.tree.leaves)}
+        self._place: dict[Port[Message], int] = {
+            signal.of(leaf): place[leaf] for signal in _OF_INVERTERS for leaf in place
+        }
+        self._productions: list[Production] = []
+        self._dispatches: list[tuple[float, float]] = []
+        self._rows: dict[str, list[list[float]]] = {signal.name: [] for signal in _OF_INVERTERS}
+
+    def see(self, port: Port[Message], message: Message) -> None:
+        """Take in a message; others than those of the series do not matter."""
+        place = self._place.get(port)
+        if place is not None:
+            self._note(port.signal.name, message, place)
+        elif isinstance(message, Production):
+            self._productions.append(message)
+        elif isinstance(message, Dispatch) and message.cycle >= 0:
+            self._dispatches.append((message.commitment_kw, message.regulation_kw))
+
+    def series(self, label: str) -> RunSeries:
+        """Return the cycles that are complete so far.
+
+        Raises
+        ------
+        InputError
+            No cycle is complete.
+        """
+        cycles = len(self._productions)
+        if not cycles:
+            raise InputError("the run has no complete cycle, accepted is one with at least one")
+        tree = self._plan.tree
+        operator = np.array(self._dispatches[:cycles])
+        return RunSeries(
+            label=label,
+            inverters=tree.leaves,
+            rating_kw=np.array([tree.rating_kw(leaf) for leaf in tree.leaves]),
+            timezone=self._plan.timezone,
+            start_time_ns=self._plan.start_time_ns,
+            cycle_s=self._plan.cycle_ns / 1e9,
+            commitment_kw=operator[:, 0],
+            regulation_kw=operator[:, 1],
+            regulation_capacity_kw=self._plan.regulation_capacity_kw,
+            mpp_kw=np.array([message.inverter_mpp_kw for message in self._productions]),
+            power_kw=np.array([message.inverter_power_kw for message in self._productions]),
+            impp_kw=self._array(IMPP, cycles),
+            residual_kw=self._array(RESIDUAL, cycles),
+            alpha=self._array(COMMAND, cycles),
+        )
+
+    def _note(self, signal: str, message: Message, place: int) -> None:
+        if message.cycle < 0:
+            return
+        rows = self._rows[signal]
+        while len(rows) <= message.cycle:
+            rows.append([nan] * len(self._plan.tree.leaves))
+        match message:
+            case Command(alpha=value) | Impp(power_kw=value) | Residual(power_kw=value):
+                rows[message.cycle][place] = value
+
+    def _array(self, signal: Signal[Message], cycles: int) -> NDArray[np.float64]:
+        found = np.full((cycles, len(self._plan.tree.leaves)), nan)
+        rows = self._rows[signal.name][:cycles]
+        found[: len(rows)] = rows
+        return found
+
+
+def read_series(path: Path) -> RunSeries:
+    """Read a recording as a series.
+
+    Parameters
+    ----------
+    path
+        The MCAP file, or the folder of a run.
+
+    Raises
+    ------
+    InputError
+        There is no such recording, or no cycle of it is complete.
+    """
+    with RunReader(path) as reader:
+        collector = SeriesCollector(reader.plan)
+        for port, message in reader.messages(DISPATCH, IMPP, RESIDUAL, COMMAND, PRODUCTION):
+            collector.see(port, message)
+        try:
+            return collector.series(reader.plan.run_id)
+        except InputError as error:
+            raise InputError(f"{reader.path}: {error}") from None

@@ -24,7 +24,7 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS, Port, ports
 
 RECORDING_NAME: Final = "run.mcap"
-SCHEMA_VERSION: Final = "1"
+SCHEMA_VERSION: Final = "2"
 """Version of the message types. A reader refuses what it does not know."""
 
 _VERSIONED: Final = ("heliarch", "eclipse-zenoh", "msgspec", "mcap", "numpy", "pvlib")

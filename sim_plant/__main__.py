@@ -45,7 +45,7 @@ def run_plant(plan: RunPlan, profile: Profile, attached: bool, patience_s: float
     stop_asked = threading.Event()
     # The launcher knows one word for the plant: stop.
     lifeline = Lifeline(attached, on_word=lambda word: stop_asked.set())
-    plant = Plant(plan.tree, profile)
+    plant = Plant(plan.tree, profile, plan.actuator)
     try:
         with open_bus(plan, plant.name, drop_log) as bus:
             runtime: Runtime[PlantState] = Runtime(plant, plan, bus, lifeline, drop_log)

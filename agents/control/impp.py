@@ -3,14 +3,34 @@
 from __future__ import annotations
 
 from math import isfinite
-from typing import NamedTuple
+from typing import Final, NamedTuple
+
+METER_TOLERANCE: Final = 0.05
+"""Share of the rating by which a meter may read more than the rating before that is absurd."""
 
 
 class ImppEstimate(NamedTuple):
-    """An inverter's estimated maximum power [kW], and how many cycles ago it was measured."""
+    """What a direct controller knows of its inverter's maximum.
+
+    Attributes
+    ----------
+    power_kw
+        The IMPP: what it tells its parent.
+    stale_cycles
+        How many cycles ago the maximum was last measured.
+    measured_kw
+        The maximum as it was last measured; while it is hidden, what is assumed of it.
+    expected_kw
+        What was expected of the next measurement. Its error teaches how far to trust the next.
+    spread_kw
+        Mean error of what was expected.
+    """
 
     power_kw: float
     stale_cycles: int
+    measured_kw: float = 0.0
+    expected_kw: float = 0.0
+    spread_kw: float = 0.0
 
 
 def estimate_impp(
@@ -19,7 +39,8 @@ def estimate_impp(
     """Estimate the maximum power from measured power and the alpha applied with it (eq. 1).
 
     A measurement that is missing or absurd keeps the last estimate and makes it one cycle older:
-    power that is NaN, negative or above the rating; alpha outside (0, 1].
+    power that is NaN, negative or above the rating by more than the meter's error; alpha outside
+    (0, 1].
 
     Parameters
     ----------
@@ -37,11 +58,13 @@ def estimate_impp(
     ImppEstimate
         `power_kw / alpha`, at most the rating.
     """
-    if power_kw is None or alpha is None or not _plausible(power_kw, alpha, rating_kw):
+    if power_kw is None or alpha is None or not is_plausible(power_kw, alpha, rating_kw):
         return ImppEstimate(last.power_kw, last.stale_cycles + 1)
     return ImppEstimate(min(power_kw / alpha, rating_kw), 0)
 
 
-def _plausible(power_kw: float, alpha: float, rating_kw: float) -> bool:
+def is_plausible(power_kw: float, alpha: float, rating_kw: float) -> bool:
+    """Whether an inverter of this rating can have measured this power under this alpha."""
     # NaN fails every comparison, so it is refused here without a test of its own.
-    return isfinite(power_kw) and 0.0 <= power_kw <= rating_kw and 0.0 < alpha <= 1.0
+    highest_kw = rating_kw * (1.0 + METER_TOLERANCE)
+    return isfinite(power_kw) and 0.0 <= power_kw <= highest_kw and 0.0 < alpha <= 1.0

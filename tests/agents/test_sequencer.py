@@ -213,7 +213,7 @@ def test_a_direct_controller_waits_for_inverter_and_parent_then_for_its_setpoint
     plan = plan_of({"a": 100.0})
     direct = Sequencer(direct_controller(plan, "a"), plan.sim_time_ns, lockstep=True, horizon=1)
     direct.enter(0)
-    telemetry = Telemetry(0, 0, "plant", (), power_kw=40.0, alpha=0.5)
+    telemetry = Telemetry(0, 0, "plant", (), power_kw=40.0, alpha=0.5, limit_kw=100.0)
     request = Request(0, 0, CENTRAL, (), power_kw=60.0)
     setpoint = Setpoint(0, 0, CENTRAL, (), power_kw=60.0, share_kw=60.0, help_given=())
     assert direct.accept(TELEMETRY.of("a"), telemetry) == []

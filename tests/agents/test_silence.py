@@ -78,7 +78,9 @@ def setpoint(node: str, cycle: int, power_kw: float) -> Delivery:
 
 
 def telemetry(node: str, cycle: int, power_kw: float, alpha: float) -> Delivery:
-    message = Telemetry(cycle, cycle * CYCLE_NS, "plant", (), power_kw=power_kw, alpha=alpha)
+    message = Telemetry(
+        cycle, cycle * CYCLE_NS, "plant", (), power_kw=power_kw, alpha=alpha, limit_kw=100.0
+    )
     return TELEMETRY.of(node), message
 
 
@@ -384,7 +386,7 @@ def test_without_telemetry_the_last_impp_holds_and_its_age_is_counted() -> None:
 
 @pytest.mark.parametrize(
     ("power_kw", "alpha"),
-    [(math.nan, 0.5), (-1.0, 0.5), (100.1, 1.0), (40.0, 0.0), (40.0, math.nan), (40.0, 1.1)],
+    [(math.nan, 0.5), (-1.0, 0.5), (105.1, 1.0), (40.0, 0.0), (40.0, math.nan), (40.0, 1.1)],
 )
 def test_absurd_telemetry_is_as_good_as_none(power_kw: float, alpha: float) -> None:
     direct = direct_after_one_cycle()
@@ -394,7 +396,9 @@ def test_absurd_telemetry_is_as_good_as_none(power_kw: float, alpha: float) -> N
 
 
 def test_before_the_first_telemetry_there_is_no_power_to_count_on() -> None:
-    direct = in_real_time(DirectController("c1/a", 100.0, 0.05, CLUSTER.periods), CLUSTER)
+    direct = in_real_time(
+        DirectController("c1/a", 100.0, 0.05, CLUSTER.periods, "paper", "fraction"), CLUSTER
+    )
     tell(direct, request("c1/a", 0, 50.0))
     said = dict(direct.close_stage())
     assert at(said, IMPP.of("c1/a")) == Impp(

@@ -32,7 +32,7 @@ from bus_schemas.signals import IMPP, RESIDUAL, SETPOINT, SIGNALS, Signal
 HEAD_FIELDS = ["cycle", "sim_time_ns", "source", "missing", "publish_time_ns", "sequence"]
 
 OWN_FIELDS = {
-    Telemetry: ["power_kw", "alpha"],
+    Telemetry: ["power_kw", "alpha", "limit_kw"],
     Dispatch: ["power_kw", "commitment_kw", "regulation_kw"],
     Request: ["power_kw"],
     Impp: ["power_kw", "stale_cycles"],

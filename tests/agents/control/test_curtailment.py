@@ -23,7 +23,7 @@ def test_alpha_stays_at_its_minimum_so_that_the_impp_can_be_measured(setpoint_kw
     # 0.05 x 50 kW = 2.5 kW is the least that is commanded.
     alpha = curtailment_level(setpoint_kw, 50.0, alpha_min=0.05)
     assert alpha == 0.05
-    assert estimate_impp(alpha * 50.0, alpha, 100.0, ImppEstimate(0.0, 9)) == (50.0, 0)
+    assert estimate_impp(alpha * 50.0, alpha, 100.0, ImppEstimate(0.0, 9)).power_kw == 50.0
 
 
 def test_a_setpoint_above_the_impp_lets_the_inverter_free() -> None:

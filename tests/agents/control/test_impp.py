@@ -50,7 +50,7 @@ def test_the_limits_of_a_plausible_power_are_plausible(power_kw: float) -> None:
         (math.inf, 1.0),
         (-math.inf, 1.0),
         (-0.001, 1.0),
-        (100.001, 1.0),
+        (105.001, 1.0),
         (50.0, None),
         (50.0, math.nan),
         (50.0, 0.0),

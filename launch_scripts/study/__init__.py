@@ -1,0 +1,1 @@
+"""Studies: many days and settings, all control schemes side by side, over arrays."""
