@@ -11,6 +11,8 @@ from typing import Annotated, TypeAlias
 
 import typer
 
+from agents.plan import Actuator, Scheme
+
 _began_at = time.monotonic()
 
 app = typer.Typer(
@@ -39,6 +41,12 @@ PaceOption: TypeAlias = Annotated[
     ),
 ]
 SeedOption: TypeAlias = Annotated[int | None, typer.Option(help="Seed of the synthetic clouds.")]
+SchemeOption: TypeAlias = Annotated[
+    Scheme | None, typer.Option(help="How maxima are estimated: as the scenario says, or this.")
+]
+ActuatorOption: TypeAlias = Annotated[
+    Actuator | None, typer.Option(help="What inverters do with a command: fraction or limit.")
+]
 OutOption: TypeAlias = Annotated[
     Path | None,
     typer.Option(help="Folder of the run; default recordings/runs/NAME-TIME.", metavar="DIR"),
@@ -60,6 +68,8 @@ def launch_command(
     duration: DurationOption = None,
     pace: PaceOption = None,
     seed: SeedOption = None,
+    scheme: SchemeOption = None,
+    actuator: ActuatorOption = None,
     out: OutOption = None,
     data: DataOption = None,
     json: JsonOption = None,
@@ -72,7 +82,9 @@ def launch_command(
     """
     from launch_scripts.run_command import RunRequest, run
 
-    request = RunRequest("launch", scenario, start, duration, pace, seed, out, data, json)
+    request = RunRequest(
+        "launch", scenario, start, duration, pace, seed, scheme, actuator, out, data, json
+    )
     raise typer.Exit(run(request, _began_at))
 
 
@@ -83,6 +95,8 @@ def simulate_command(
     duration: DurationOption = None,
     pace: PaceOption = None,
     seed: SeedOption = None,
+    scheme: SchemeOption = None,
+    actuator: ActuatorOption = None,
     out: OutOption = None,
     data: DataOption = None,
     json: JsonOption = None,
@@ -90,8 +104,100 @@ def simulate_command(
     """Run the same agents in this one process: the same messages, the same recording."""
     from launch_scripts.run_command import RunRequest, run
 
-    request = RunRequest("simulate", scenario, start, duration, pace, seed, out, data, json)
+    request = RunRequest(
+        "simulate", scenario, start, duration, pace, seed, scheme, actuator, out, data, json
+    )
     raise typer.Exit(run(request, _began_at))
+
+
+@app.command("report", epilog="Example: heliarch report recordings/runs/oahu-20261121-120000-4711")
+def report_command(
+    run: Annotated[
+        Path, typer.Argument(help="Folder of a run, or its run.mcap.", show_default=False)
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="The HTML file; default report.html in the run's folder.", metavar="FILE"
+        ),
+    ] = None,
+) -> None:
+    """Write the figures and tables of a run as one HTML page, which opens without a network."""
+    from launch_scripts.report_command import report
+
+    raise typer.Exit(report(run, out))
+
+
+@app.command(
+    "compare",
+    epilog="Example: heliarch compare oahu --set commitment.share=0.3,0.45 --seeds 1..10",
+)
+def compare_command(
+    scenario: ScenarioArgument = "oahu-day",
+    start: StartOption = None,
+    duration: DurationOption = None,
+    days: Annotated[
+        str | None,
+        typer.Option(help="Dates, such as 2010-04-01..2010-04-30.", metavar="DATES"),
+    ] = None,
+    seeds: Annotated[
+        str | None, typer.Option(help="Seeds of synthetic clouds, such as 1..5,9.", metavar="SEEDS")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="A field of the scenario and its values; each combination is a case.",
+            metavar="FIELD=VALUES",
+        ),
+    ] = None,
+    schemes: Annotated[
+        str | None, typer.Option(help="Control schemes, with commas between.", metavar="NAMES")
+    ] = None,
+    reference: Annotated[
+        str | None,
+        typer.Option(
+            help="Sizes of grouping control's reference group; default 1,2,3,4,6,8.",
+            metavar="SIZES",
+        ),
+    ] = None,
+    show: Annotated[
+        str, typer.Option(help="Figure to show of many cases.", metavar="FIGURE")
+    ] = "control-caused",
+    agents: Annotated[
+        bool, typer.Option(help="Run the hierarchical schemes message by message.")
+    ] = False,
+    workers: Annotated[int, typer.Option(help="Processes that share the cases.")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Dask scheduler that shares the cases.", metavar="ADDRESS")
+    ] = None,
+    data: DataOption = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Write an HTML report of one case.", metavar="FILE")
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Put control schemes side by side: the paper's tables, for any day or for many."""
+    from launch_scripts.study.compare_command import CompareRequest, compare
+
+    request = CompareRequest(
+        scenario,
+        start,
+        duration,
+        days,
+        seeds,
+        settings or [],
+        schemes,
+        reference,
+        show,
+        agents,
+        workers,
+        scheduler,
+        data,
+        report,
+        json,
+    )
+    raise typer.Exit(compare(request))
 
 
 @app.command("scenarios", epilog="Example: heliarch scenarios")
