@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from agents.plan import Scheme
 from bus_schemas.errors import InputError
 from launch_scripts.preparation import Preparation, prepare
-from launch_scripts.simulation import MemoryRun
+from launch_scripts.study.agent_run import AgentRun
 from launch_scripts.study.cases import Case
 from launch_scripts.study.schemes import ReferenceGroups, run_scheme
 from recordings.metrics import RunMetrics, run_metrics
@@ -123,8 +123,7 @@ def run_agents(scheme: str, preparation: Preparation) -> RunSeries:
     """Run a hierarchical scheme through the agents in memory, all messages in between."""
     plan = replace(preparation.plan, scheme=scheme)
     collector = SeriesCollector(plan)
-    for _ in MemoryRun(plan, preparation.profile, collector.see).cycles():
-        pass
+    AgentRun(plan, preparation.profile, collector.see).run()
     return collector.series(scheme)
 
 
