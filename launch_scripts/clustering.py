@@ -16,12 +16,11 @@ from agents.plan import NodeNeighbourhoods
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree, as_ratings
 from launch_scripts.scenario import ControlTable
+from sim_plant.positions import east_north_m
 from sim_plant.sites import Sites
 
 _TIER_LETTERS: Final = "czar"
 """Clusters are c1, c2, ...; zones of clusters z1, ...; then areas and regions."""
-
-_METRES_PER_DEGREE: Final = 111_200.0
 
 
 def control_tree(
@@ -43,16 +42,12 @@ def control_tree(
     Raises
     ------
     InputError
-        The sizes of a tier do not add up.
+        The sizes of a tier do not add up, or there are more clusters than members.
     """
     groups: list[tuple[int, ...]] = [(index,) for index in range(len(sites.names))]
     paths = list(sites.names)
-    for tier, sizes in enumerate(control.cluster_sizes):
-        if sum(sizes) != len(groups):
-            raise InputError(
-                f"control.cluster_sizes[{tier}] adds up to {sum(sizes)}, accepted are sizes that "
-                f"add up to {len(groups)}"
-            )
+    for tier in range(_tiers_of_clusters(control)):
+        sizes = _sizes(control, tier, len(groups))
         clusters = _choose(control.clusters, sizes, groups, sites, covariance, hours)
         paths = _with_prefix(paths, groups, clusters, tier)
         groups = [
@@ -93,6 +88,36 @@ def in_order(covariance: HourlyMatrices, order: Sequence[int]) -> HourlyMatrices
     return HourlyMatrices(covariance.hours, covariance.values[:, order][:, :, order])
 
 
+def _tiers_of_clusters(control: ControlTable) -> int:
+    """Refuse a control table that says twice what the clusters are, or not at all."""
+    given = [value for value in (control.cluster_sizes, control.cluster_count) if value is not None]
+    if len(given) != 1:
+        raise InputError(
+            f"control.cluster_sizes and cluster_count: {'both' if given else 'neither'} given, "
+            "accepted is one of the two"
+        )
+    return len(given[0])
+
+
+def _sizes(control: ControlTable, tier: int, members: int) -> tuple[int, ...]:
+    """Sizes of the clusters of a tier, largest first where only their count is given."""
+    if control.cluster_sizes is not None:
+        sizes = control.cluster_sizes[tier]
+        if sum(sizes) != members:
+            raise InputError(
+                f"control.cluster_sizes[{tier}] adds up to {sum(sizes)}, accepted are sizes that "
+                f"add up to {members}"
+            )
+        return sizes
+    count = (control.cluster_count or ())[tier]
+    if count > members:
+        raise InputError(
+            f"control.cluster_count[{tier}] is {count}, accepted are 1 to {members} clusters"
+        )
+    smaller, larger = divmod(members, count)
+    return (smaller + 1,) * larger + (smaller,) * (count - larger)
+
+
 def _choose(
     method: str,
     sizes: Sequence[int],
@@ -115,9 +140,7 @@ def _positions_m(
     groups: list[tuple[int, ...]], sites: Sites
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the middle of each group, east and north [m]."""
-    shrink = np.cos(np.radians(sites.lat_deg.mean()))
-    east_m = sites.lon_deg * _METRES_PER_DEGREE * shrink
-    north_m = sites.lat_deg * _METRES_PER_DEGREE
+    east_m, north_m = east_north_m(sites.lat_deg, sites.lon_deg)
     return (
         np.array([east_m[list(group)].mean() for group in groups]),
         np.array([north_m[list(group)].mean() for group in groups]),

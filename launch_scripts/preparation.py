@@ -13,25 +13,24 @@ from numpy.typing import NDArray
 
 from agents.control.correlation import HourlyMatrices, hourly_covariance
 from agents.periods import Periods
-from agents.plan import RunPlan
+from agents.plan import Actuator, RunPlan, Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree, depth
 from launch_scripts.clustering import control_tree, in_order, neighbourhoods
+from launch_scripts.power_sources import power_source
 from launch_scripts.scenario import (
     LARGEST_SEED,
-    CloudIrradiance,
-    MeasuredIrradiance,
+    PlantTable,
     Scenario,
     ScenarioFile,
     TimeTable,
     local_start,
     parse_duration_s,
 )
-from sim_plant.commitment import commitment_kw
-from sim_plant.irradiance import read_measured_ghi
+from sim_plant.commitment import commitment_kw, hindsight
 from sim_plant.profile import Profile
-from sim_plant.sites import Sites, equal_ratings_kw, read_sites
-from sim_plant.sources import CloudySky, MeasuredSky, PowerSource
+from sim_plant.regulation import regulation_kw
+from sim_plant.sources import PowerSource
 
 _HOUR_NS: Final = 3_600_000_000_000
 _FIRST_YEAR: Final = 1900
@@ -46,6 +45,8 @@ class RunOptions:
     duration: str | None = None
     pace: float | Literal["max"] | None = None
     seed: int | None = None
+    scheme: Scheme | None = None
+    actuator: Actuator | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +57,7 @@ class Preparation:
     profile: Profile
     scenario: ScenarioFile
     hindsight: bool
+    remarks: tuple[str, ...]
 
     def local_start(self) -> str:
         """Return the local time of cycle 0, to be read."""
@@ -76,8 +78,15 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         raise InputError(f"--seed {options.seed}: accepted is 0 to {LARGEST_SEED}")
     try:
         times = _times(scenario, options)
-        source = _power_source(scenario_file, options)
+        source = power_source(scenario_file, options.seed, times)
         possible_kw = source.possible_kw(times)
+        commitment = commitment_kw(
+            scenario.commitment,
+            times,
+            possible_kw.sum(axis=1),
+            source.clear_sky_kw,
+            scenario_file.data_path,
+        )
         covariance = _covariance(scenario, source, times)
         tree = control_tree(
             scenario.control,
@@ -86,13 +95,11 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
             _hours_of(_times(scenario, RunOptions()), covariance, scenario),
         )
         periods = _periods(scenario, tree)
+        regulation = _regulation_kw(scenario_file, times)
     except InputError as error:
         raise InputError(_with_file(scenario_file, str(error))) from None
     # The plant's order is the tree's: clusters may have mixed the inverters up.
     order = [source.sites.names.index(leaf.rpartition("/")[2]) for leaf in tree.leaves]
-    commitment = commitment_kw(
-        scenario.commitment, possible_kw.sum(axis=1), source.clear_sky_kw(times)
-    )
     pace = options.pace or scenario.pace
     plan = RunPlan(
         run_id=run_id,
@@ -101,8 +108,12 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         start_time_ns=times[0].value,
         cycle_ns=round(scenario.time.cycle_s * 1e9),
         cycles=len(times),
+        timezone=scenario.time.timezone,
+        regulation_capacity_kw=scenario.regulation.capacity_kw if scenario.regulation else 0.0,
         cycle_wall_ns=0 if pace == "max" else round(scenario.time.cycle_s / pace * 1e9),
         period_cycles=periods.cycles,
+        scheme=options.scheme or scenario.control.scheme,
+        actuator=options.actuator or scenario.plant.actuator,
         alpha_min=scenario.control.alpha_min,
         hold_cycles=scenario.control.hold_cycles,
         stall_timeout_s=scenario.control.stall_timeout_s,
@@ -111,8 +122,37 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         ),
         tcp_ports={},
     )
-    profile = Profile(np.ascontiguousarray(possible_kw[:, order]), commitment)
-    return Preparation(plan, profile, scenario_file, scenario.neighbours.history == "hindsight")
+    profile = Profile(
+        np.ascontiguousarray(possible_kw[:, order]),
+        commitment,
+        regulation,
+        plan.regulation_capacity_kw,
+        meter_error=_meter_error(scenario.plant, possible_kw.shape),
+    )
+    of_commitment = hindsight(scenario.commitment)
+    return Preparation(
+        plan,
+        profile,
+        scenario_file,
+        hindsight=scenario.neighbours.history == "hindsight",
+        remarks=source.remarks(times) + (() if of_commitment is None else (of_commitment,)),
+    )
+
+
+def _regulation_kw(scenario_file: ScenarioFile, times: pd.DatetimeIndex) -> NDArray[np.float64]:
+    """Return what the market asks for on top of the commitment, 0 where it asks for nothing."""
+    scenario = scenario_file.scenario
+    if scenario.regulation is None:
+        return np.zeros(len(times))
+    return regulation_kw(
+        scenario.regulation, times, scenario.time.timezone, scenario_file.data_path
+    )
+
+
+def _meter_error(plant: PlantTable, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Relative errors of the inverters' meters: normal, independent, the same for each run."""
+    generator = np.random.default_rng(plant.meter_seed)
+    return plant.meter_noise * generator.standard_normal(shape)
 
 
 def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
@@ -152,63 +192,19 @@ def _start(table: TimeTable, option: str | None) -> datetime:
     )
 
 
-def _power_source(scenario_file: ScenarioFile, options: RunOptions) -> PowerSource:
-    scenario = scenario_file.scenario
-    match scenario.irradiance:
-        case CloudIrradiance(seed=seed, clouds=clouds):
-            return CloudySky(
-                sites=_listed_sites(scenario_file),
-                altitude_m=scenario.plant.altitude_m,
-                pv=scenario.pv,
-                clouds=clouds,
-                seed=seed if options.seed is None else options.seed,
-                history_seed=seed,
-            )
-        case MeasuredIrradiance() as measured:
-            if options.seed is not None:
-                raise InputError("--seed: the scenario's irradiance is measured, it has no seed")
-            return _measured_sky(scenario_file, measured)
-
-
-def _listed_sites(scenario_file: ScenarioFile) -> Sites:
-    plant = scenario_file.scenario.plant
-    if plant.inverters is None:
-        raise InputError(
-            "plant.inverters is missing, accepted is a CSV with the columns inverter, lat, lon"
-        )
-    return read_sites(scenario_file.data_path(plant.inverters), plant.rating_kw)
-
-
-def _measured_sky(scenario_file: ScenarioFile, measured: MeasuredIrradiance) -> MeasuredSky:
-    """Put one inverter of equal rating at each station."""
-    plant = scenario_file.scenario.plant
-    path = scenario_file.data_path(measured.ghi)
-    if not path.exists():
-        raise InputError(f"{path}: no such file, accepted is --data with the folder that holds it")
-    irradiance = read_measured_ghi(
-        path, scenario_file.data_path(measured.positions), measured.stations
-    )
-    sites = Sites(
-        tuple(f"inv{station}" for station in irradiance.sensors),
-        irradiance.lat_deg,
-        irradiance.lon_deg,
-        equal_ratings_kw(plant.rating_kw, len(irradiance.sensors), "plant"),
-    )
-    pv = scenario_file.scenario.pv
-    return MeasuredSky(sites, plant.altitude_m, pv, irradiance, str(path))
-
-
 def _covariance(scenario: Scenario, source: PowerSource, times: pd.DatetimeIndex) -> HourlyMatrices:
     """Covariance of the inverters' power in the past, for the hours of scenario and run.
 
     The past does not depend on which part of the scenario is run: the same plant keeps its
     clusters and neighbours.
     """
+    measured = source.measured_times
     if scenario.neighbours.history == "hindsight":
-        past = source.irradiance.times if isinstance(source, MeasuredSky) else times
+        past = times if measured is None else measured
         history_kw = source.possible_kw(past)
     else:
-        past = _whole_hours(_times(scenario, RunOptions())).union(_whole_hours(times))
+        whole_hours = _whole_hours(_times(scenario, RunOptions())).union(_whole_hours(times))
+        past = whole_hours if measured is None else measured
         history_kw = source.earlier_day_kw(past)
     return hourly_covariance(history_kw, _local_hours(past, scenario.time.timezone))
 
@@ -255,5 +251,6 @@ def _periods(scenario: Scenario, tree: ControlTree) -> Periods:
 
 def _with_file(scenario_file: ScenarioFile, text: str) -> str:
     """Name the scenario where the text speaks of one of its fields."""
-    of_a_field = text.split(".", 1)[0] in {"control", "plant", "neighbours", "time"}
-    return f"{scenario_file.path}: {text}" if of_a_field or text.startswith("plant:") else text
+    tables = {"commitment", "control", "plant", "neighbours", "regulation", "time"}
+    of_a_field = text.split(".", 1)[0] in tables or text.startswith(("plant:", "stations:"))
+    return f"{scenario_file.path}: {text}" if of_a_field else text

@@ -11,6 +11,7 @@ from typing import Final, Literal, TypeAlias
 
 from rich.console import Console
 
+from agents.plan import Actuator, Scheme
 from bus_schemas.errors import InputError
 from launch_scripts.launcher import launch
 from launch_scripts.live_view import View, view_for
@@ -41,6 +42,8 @@ class RunRequest:
     duration: str | None
     pace: str | None
     seed: int | None
+    scheme: Scheme | None
+    actuator: Actuator | None
     out: Path | None
     data: Path | None
     json: str | None
@@ -83,6 +86,8 @@ def _drive(
     scenario = preparation.scenario.scenario
     with view_for(console, preparation.plan, scenario.time.timezone) as view:
         view.say(scenario.title)
+        for remark in preparation.remarks:
+            view.say(remark)
         return _DRIVERS[driver](preparation, folder, view, began_at)
 
 
@@ -102,7 +107,14 @@ def _prepare(request: RunRequest) -> tuple[Preparation, RunFolder]:
     scenario = load_scenario(request.scenario, request.data)
     run_id = new_run_id(scenario.scenario.name)
     folder = run_folder(run_id, request.out)
-    options = RunOptions(request.start, request.duration, _pace(request.pace), request.seed)
+    options = RunOptions(
+        request.start,
+        request.duration,
+        _pace(request.pace),
+        request.seed,
+        request.scheme,
+        request.actuator,
+    )
     return prepare(scenario, options, run_id), folder
 
 

@@ -12,11 +12,13 @@ from zoneinfo import ZoneInfo, available_timezones
 
 import msgspec
 
+from agents.plan import Actuator, Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.tree import check_name
 from sim_plant.clouds import CloudSettings
 from sim_plant.commitment import CommitmentSettings
 from sim_plant.pv import PvSettings
+from sim_plant.regulation import RegulationSettings
 
 LONGEST_S: Final = 31 * 86400.0
 SLOWEST_PACE: Final = 1e-3
@@ -67,11 +69,20 @@ class PlantTable(_Table, frozen=True):
         AC rating of the whole plant, in equal parts, where the CSV gives none.
     altitude_m
         Height above the sea.
+    actuator
+        What an inverter does with a command: `fraction` (a share of its true maximum, as in the
+        paper) or `limit` (an absolute power limit, as real inverters do).
+    meter_noise
+        Standard deviation of the inverters' power meters, as a share of the power. Its seed is
+        `meter_seed`.
     """
 
     inverters: str | None = None
     rating_kw: Rating | None = None
     altitude_m: Altitude = 0.0
+    actuator: Actuator = "fraction"
+    meter_noise: Annotated[float, msgspec.Meta(ge=0.0, le=0.05)] = 0.0
+    meter_seed: Seed = 0
 
 
 class CloudIrradiance(_Table, frozen=True, tag="clouds", tag_field="kind"):
@@ -89,6 +100,57 @@ class MeasuredIrradiance(_Table, frozen=True, tag="measured", tag_field="kind"):
     stations: tuple[str, ...] | None = None
 
 
+class OahuGridIrradiance(_Table, frozen=True, tag="oahu-grid", tag_field="kind"):
+    """Measured irradiance: daily files of the NREL Oahu Solar Measurement Grid, as they come.
+
+    Attributes
+    ----------
+    positions
+        CSV with the columns `station, lat, lon`.
+    folder
+        Where the daily files YYYYMMDD.txt or the archives YYYYMM.zip are. Default: the folder
+        given with `--data`.
+    stations
+        Default: all 17 horizontal sensors.
+    gaps
+        What becomes of missing values: filled from `neighbours`, or an error (`refuse`).
+    most_missing
+        A sensor of which a larger share of the day is missing is left out.
+    """
+
+    positions: str
+    folder: str | None = None
+    stations: tuple[str, ...] | None = None
+    gaps: Literal["neighbours", "refuse"] = "neighbours"
+    most_missing: Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)] = 0.1
+
+
+class DcCurrents(_Table, frozen=True, tag="dc-current", tag_field="kind"):
+    """Power from measured DC currents of a real plant's combiners, without irradiance.
+
+    Attributes
+    ----------
+    currents
+        CSV with the column `t_s`, 0 at `time.start`, and one column for each combiner.
+    positions
+        CSV with the columns `combiner, inverter, x_m, y_m`.
+    full_power_current
+        Current at which an inverter is at its rating, in the unit of the file. A convention:
+        published currents are normalised by something that is not told.
+    gaps
+        What becomes of an inverter without any current: left out (`leave-out`), or an error
+        (`refuse`, which refuses single missing currents too).
+    """
+
+    currents: str
+    positions: str
+    full_power_current: Annotated[float, msgspec.Meta(gt=0.0, le=1e9)] = 100.0
+    gaps: Literal["leave-out", "refuse"] = "leave-out"
+
+
+Irradiance: TypeAlias = CloudIrradiance | MeasuredIrradiance | OahuGridIrradiance | DcCurrents
+
+
 class ControlTable(_Table, frozen=True):
     """The control tree and the rules of its controllers.
 
@@ -97,6 +159,12 @@ class ControlTable(_Table, frozen=True):
     cluster_sizes
         Sizes of the clusters of each tier, the lowest first: `[[6, 6, 5]]` is three supervisors,
         `[[5, 5, 5, 5], [2, 2]]` puts two more above four.
+    cluster_count
+        Instead of their sizes, how many clusters each tier has, as equal in size as can be: `[3]`
+        makes 6, 6 and 5 of 17 inverters, and 6, 5 and 5 where the data has only 16.
+    scheme
+        How the maximum of an inverter is estimated: `paper` (that of the last cycle) or
+        `predictive` (a forecast of this cycle's, with a margin).
     clusters
         How their members are chosen: `correlation` (least alike, the paper's virtual
         neighbours), `geographic` (nearest) or `listed` (as the inverters are listed).
@@ -110,7 +178,9 @@ class ControlTable(_Table, frozen=True):
         How long a stalled cycle is waited for in lockstep [s].
     """
 
-    cluster_sizes: tuple[tuple[Annotated[int, msgspec.Meta(ge=1)], ...], ...]
+    cluster_sizes: tuple[tuple[Annotated[int, msgspec.Meta(ge=1)], ...], ...] | None = None
+    cluster_count: tuple[Annotated[int, msgspec.Meta(ge=1)], ...] | None = None
+    scheme: Scheme = "predictive"
     clusters: Literal["correlation", "geographic", "listed"] = "correlation"
     period_cycles: tuple[int, ...] | None = None
     alpha_min: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.05
@@ -135,10 +205,11 @@ class Scenario(_Table, frozen=True):
     title: str
     time: TimeTable
     plant: PlantTable
-    irradiance: CloudIrradiance | MeasuredIrradiance
+    irradiance: Irradiance
     control: ControlTable
     neighbours: NeighboursTable
     commitment: CommitmentSettings
+    regulation: RegulationSettings | None = None
     pv: PvSettings = PvSettings()
     pace: Pace | Literal["max"] = "max"
 
@@ -152,9 +223,15 @@ class ScenarioFile(msgspec.Struct, frozen=True):
     data_folder: Path
 
     def data_path(self, name: str) -> Path:
-        """Path of a file that the scenario names."""
-        beside = self.path.parent / name
-        return beside if beside.exists() else self.data_folder / name
+        """Path of a file that the scenario names.
+
+        It is looked for beside the scenario, in the data folder, and at last beside the shipped
+        scenarios, so that a changed copy of one of those still finds its inverters.
+        """
+        for folder in (self.path.parent, self.data_folder, _SHIPPED):
+            if (folder / name).exists():
+                return folder / name
+        return self.data_folder / name
 
 
 _SHIPPED: Final = Path(str(files("launch_scripts.scenarios")))

@@ -51,7 +51,7 @@ class MemoryRun:
     ) -> None:
         self.plan = plan
         self.bus = MemoryBus(plan.tree, tap)
-        team: list[Agent[Any]] = [Plant(plan.tree, profile), *controllers(plan)]
+        team: list[Agent[Any]] = [Plant(plan.tree, profile, plan.actuator), *controllers(plan)]
         self.sequencers = {
             agent.name: Sequencer(
                 agent, plan.sim_time_ns, lockstep=True, horizon=plan.periods.longest

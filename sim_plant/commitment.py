@@ -1,14 +1,28 @@
 """The commitment: the power that the plant has promised to deliver, at every time step."""
 
-from typing import Annotated
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, TypeAlias
 
 import msgspec
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
+from sim_plant.csv_tables import (
+    check_header,
+    check_increasing,
+    parse_times,
+    read_header,
+    read_numbers,
+    shown,
+)
+from sim_plant.time_steps import step_ns
 
 Share = Annotated[float, msgspec.Meta(gt=0.0, le=1.2)]
+_LARGEST_KW = 1e8
+_COLUMN = "commitment_kw"
 
 
 class ConstantCommitment(
@@ -22,7 +36,7 @@ class ConstantCommitment(
         The committed power [kW], at least 0.
     """
 
-    power_kw: Annotated[float, msgspec.Meta(ge=0.0, le=1e8)]
+    power_kw: Annotated[float, msgspec.Meta(ge=0.0, le=_LARGEST_KW)]
 
 
 class ShareOfMedian(
@@ -60,24 +74,76 @@ class ShareOfClearSky(
     share: Share
 
 
-CommitmentSettings = ConstantCommitment | ShareOfMedian | ShareOfClearSky
+class BelowPossible(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="below-possible"
+):
+    r"""A smooth profile below the possible power, as in the paper's case study.
+
+    .. math:: P_{com}(t) = \lambda \, \overline{P_{MPP}}(t)
+
+    where the mean of the plant's possible power is taken over a window centred on t, cut off at
+    both ends of the run, and :math:`\lambda` is the share. The paper draws such a profile (its
+    figure of the uncurtailed power) and gives no rule for it: rule and parameters are ours.
+
+    This is hindsight: a centred mean knows what the clouds are going to do. It is not a bid that
+    a plant could have made.
+
+    Attributes
+    ----------
+    share : float
+        Above 0, at most 1.2. Below 1 it leaves headroom on average, not at every instant: under a
+        passing cloud the possible power may be less than the commitment.
+    window_s : float
+        Length of the window [s].
+    """
+
+    share: Share
+    window_s: Annotated[float, msgspec.Meta(gt=0.0, le=86400.0)]
+
+
+class ScheduledCommitment(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="file"
+):
+    """A schedule in a file.
+
+    Attributes
+    ----------
+    path : str
+        CSV file: time stamps (ISO 8601 with `Z` or an offset) in the first column, whatever its
+        header, and the power from that moment on in the column `commitment_kw` [kW].
+    """
+
+    path: str
+
+
+CommitmentSettings: TypeAlias = (
+    ConstantCommitment | ShareOfMedian | ShareOfClearSky | BelowPossible | ScheduledCommitment
+)
 
 
 def commitment_kw(
     settings: CommitmentSettings,
+    times: pd.DatetimeIndex,
     possible_kw: NDArray[np.float64],
-    clear_sky_kw: NDArray[np.float64],
+    clear_sky_kw: Callable[[pd.DatetimeIndex], NDArray[np.float64]],
+    data_path: Callable[[str], Path],
 ) -> NDArray[np.float64]:
     """Return the committed power of the plant at every time step.
 
     Parameters
     ----------
-    settings : ConstantCommitment, ShareOfMedian or ShareOfClearSky
+    settings : ConstantCommitment, ShareOfMedian, ShareOfClearSky, BelowPossible or \
+    ScheduledCommitment
         Which rule applies.
+    times : pandas.DatetimeIndex, length T
+        The time steps of the run.
     possible_kw : numpy.ndarray, shape (T,)
         Maximum AC power of the whole plant at every time step of the run [kW].
-    clear_sky_kw : numpy.ndarray, shape (T,)
-        AC power that the whole plant would have under a clear sky [kW].
+    clear_sky_kw : callable
+        Returns the AC power that the whole plant would have under a clear sky [kW], shape (T,).
+        It is called only where the rule asks for it: not every plant's place is known.
+    data_path : callable
+        Returns the path of a file that the settings name.
 
     Returns
     -------
@@ -87,19 +153,89 @@ def commitment_kw(
     Raises
     ------
     InputError
-        The median possible power of the run is 0, so that a share of it would commit to nothing.
+        The median possible power of the run is 0, so that a share of it would commit to nothing;
+        a schedule cannot be used or does not cover the run.
     ValueError
-        The two series are not of one length.
+        The possible power is not of the length of the times.
     """
-    if possible_kw.ndim != 1 or possible_kw.shape != clear_sky_kw.shape:
-        raise ValueError(
-            f"two series of shape (T,) are needed, not {possible_kw.shape} and {clear_sky_kw.shape}"
+    if possible_kw.shape != (len(times),):
+        raise ValueError(f"a series of shape ({len(times)},) is needed, not {possible_kw.shape}")
+    match settings:
+        case ConstantCommitment(power_kw=power_kw):
+            return np.full(possible_kw.shape, power_kw)
+        case ShareOfMedian(share=share):
+            return np.full(possible_kw.shape, share * _median_kw(possible_kw))
+        case ShareOfClearSky(share=share):
+            return share * clear_sky_kw(times)
+        case BelowPossible(share=share, window_s=window_s):
+            return share * _centred_mean(possible_kw, window_s / (step_ns(times) / 1e9))
+        case ScheduledCommitment(path=path):
+            return read_schedule_kw(data_path(path), times)
+
+
+def hindsight(settings: CommitmentSettings) -> str | None:
+    """Say what a commitment knows that a plant could not; None if a plant could have made it."""
+    match settings:
+        case ShareOfMedian(share=share):
+            return f"The commitment is {share:g} of the run's own median possible power: hindsight."
+        case BelowPossible(share=share, window_s=window_s):
+            return (
+                f"The commitment is {share:g} of the run's own possible power, in a centred mean"
+                f" over {window_s:g} s: hindsight."
+            )
+        case _:
+            return None
+
+
+def read_schedule_kw(path: Path, times: pd.DatetimeIndex) -> NDArray[np.float64]:
+    """Read a schedule and hold each power until the next.
+
+    The last power holds for as long as the one before it: a file of 24 hourly rows is a day.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The CSV file.
+    times : pandas.DatetimeIndex, length T
+        The time steps of the run.
+
+    Returns
+    -------
+    numpy.ndarray, shape (T,)
+        Committed power at the beginning of each time step [kW].
+
+    Raises
+    ------
+    InputError
+        The file is not as described, a power is not from 0 to 1e8 kW, time stamps do not
+        increase, or the schedule does not cover the run.
+    """
+    header = read_header(path)
+    check_header(path, header[1:], (_COLUMN,))
+    stamps, values = read_numbers(path, header, (_COLUMN,), "a number in kW")
+    power_kw = values[:, 0]
+    bad = np.flatnonzero((power_kw < 0.0) | (power_kw > _LARGEST_KW))
+    if bad.size:
+        raise InputError(
+            f"{path.name}: line {bad[0] + 2}, column '{_COLUMN}': found '{power_kw[bad[0]]:g}';"
+            f" accepted: 0 to {_LARGEST_KW:g} kW"
         )
-    if isinstance(settings, ConstantCommitment):
-        return np.full(possible_kw.shape, settings.power_kw)
-    if isinstance(settings, ShareOfMedian):
-        return np.full(possible_kw.shape, settings.share * _median_kw(possible_kw))
-    return settings.share * clear_sky_kw
+    begins = parse_times(path, header[0], stamps)
+    check_increasing(
+        begins.asi8,
+        lambda row: (
+            f"{path.name}: line {row + 2}, column '{header[0]}': {shown(str(stamps.iloc[row]))}"
+        ),
+    )
+    ends = begins[-1] + (begins[-1] - begins[-2])
+    run_ends = times[-1] + pd.Timedelta(step_ns(times), unit="ns")
+    if times[0] < begins[0] or run_ends > ends:
+        raise InputError(
+            f"{path.name}: does not cover the run, {_utc(times[0])} to {_utc(run_ends)};"
+            f" it covers {_utc(begins[0])} to {_utc(ends)}"
+        )
+    held: NDArray[np.float64] = power_kw[begins.searchsorted(times, side="right") - 1]
+    return held
 
 
 def _median_kw(possible_kw: NDArray[np.float64]) -> float:
@@ -110,3 +246,19 @@ def _median_kw(possible_kw: NDArray[np.float64]) -> float:
             " share-of-median accepts a run that is in daylight for more than half of its time"
         )
     return median
+
+
+def _centred_mean(series: NDArray[np.float64], window: float) -> NDArray[np.float64]:
+    """Mean over as many values before as after, fewer at the ends."""
+    half = round((window - 1.0) / 2.0) if window > 1.0 else 0
+    row = np.arange(len(series))
+    first = np.maximum(row - half, 0)
+    after = np.minimum(row + half + 1, len(series))
+    total = np.concatenate([[0.0], np.cumsum(series)])
+    mean: NDArray[np.float64] = (total[after] - total[first]) / (after - first)
+    # Differences of sums round: a mean of powers is none below zero.
+    return np.maximum(mean, 0.0)
+
+
+def _utc(time: pd.Timestamp) -> str:
+    return time.tz_convert("UTC").isoformat().replace("+00:00", "Z")

@@ -163,6 +163,48 @@ def test_tiers_above_tiers_are_named_by_their_letters(folder: Folder) -> None:
     assert folder.prepare().plan.tree.leaves == ("z1/c1/a", "z1/c1/b", "z1/c2/c")
 
 
+@pytest.mark.parametrize(
+    ("counts", "leaves"),
+    [
+        ("[1]", "c1/a c1/b c1/c"),
+        ("[2]", "c1/a c1/b c2/c"),
+        ("[3, 2]", "z1/c1/a z1/c2/b z2/c3/c"),
+    ],
+)
+def test_clusters_may_be_counted_and_are_then_as_equal_as_can_be(
+    folder: Folder, counts: str, leaves: str
+) -> None:
+    folder.change("cluster_sizes = [[2, 1]]", f'clusters = "listed"\ncluster_count = {counts}')
+    assert folder.prepare().plan.tree.leaves == tuple(leaves.split())
+
+
+@pytest.mark.parametrize(
+    ("new", "complaint"),
+    [
+        (
+            "cluster_count = [4]",
+            "control.cluster_count[0] is 4, accepted are 1 to 3 clusters",
+        ),
+        (
+            "cluster_count = [2, 3]",
+            "control.cluster_count[1] is 3, accepted are 1 to 2 clusters",
+        ),
+        ("cluster_count = [0]", "control.cluster_count[0]: Expected `int` >= 1"),
+        (
+            "",
+            "control.cluster_sizes and cluster_count: neither given, accepted is one of the two",
+        ),
+        (
+            "cluster_sizes = [[2, 1]]\ncluster_count = [2]",
+            "control.cluster_sizes and cluster_count: both given, accepted is one of the two",
+        ),
+    ],
+)
+def test_clusters_that_cannot_be_are_refused(folder: Folder, new: str, complaint: str) -> None:
+    folder.change("cluster_sizes = [[2, 1]]", new)
+    assert folder.complaint() == f"{folder.scenario}: {complaint}"
+
+
 def test_measured_irradiance_brings_its_own_inverters(measured: Folder) -> None:
     found = measured.prepare()
     assert set(found.plan.tree.leaves) == {"c1/inv16", "c1/inv40"}
@@ -415,18 +457,29 @@ def test_a_station_without_measurements_is_refused(measured: Folder) -> None:
     )
 
 
-def test_a_cycle_that_is_not_that_of_the_measurements_is_refused(measured: Folder) -> None:
-    measured.change("duration_s = 4", "duration_s = 4\ncycle_s = 0.5")
+@pytest.mark.parametrize(("cycle_s", "cycles"), [("0.5", 8), ("2", 2)])
+def test_a_cycle_may_be_shorter_or_longer_than_the_step_of_the_measurements(
+    measured: Folder, cycle_s: str, cycles: int
+) -> None:
+    measured.change("duration_s = 4", f"duration_s = 4\ncycle_s = {cycle_s}")
+    found = measured.prepare()
+    assert found.profile.mpp_kw.shape == (cycles, 2)
+    assert len(found.remarks) == 1
+
+
+def test_a_cycle_that_is_no_multiple_of_the_step_is_refused(measured: Folder) -> None:
+    measured.change("duration_s = 4", "duration_s = 3\ncycle_s = 1.5")
     assert measured.complaint() == (
-        f"{measured.path / 'ghi.csv'}: a value every 1 s, accepted is the scenario's cycle, 0.5 s"
+        f"{measured.path / 'ghi.csv'}: a value every 1 s; accepted is a time.cycle_s that is a "
+        "multiple of it, or shorter, found 1.5 s"
     )
 
 
 def test_history_is_hindsight_under_a_measured_sky(measured: Folder) -> None:
     measured.change("hindsight", "earlier-day")
     assert measured.complaint() == (
-        f"{measured.scenario}: neighbours.history is 'earlier-day', accepted with measured "
-        "irradiance is 'hindsight'"
+        f"{measured.scenario}: neighbours.history is 'earlier-day', accepted with measurements "
+        "of one day is 'hindsight'"
     )
 
 

@@ -1,20 +1,47 @@
 """The commitment of the plant, and how its settings are written."""
 
+from pathlib import Path
+
 import msgspec
 import numpy as np
+import pandas as pd
 import pytest
+from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
 from sim_plant.commitment import (
+    BelowPossible,
     CommitmentSettings,
     ConstantCommitment,
+    ScheduledCommitment,
     ShareOfClearSky,
     ShareOfMedian,
     commitment_kw,
+    hindsight,
 )
 
 POSSIBLE_KW = np.array([0.0, 100.0, 400.0, 300.0, 200.0])
 CLEAR_SKY_KW = np.array([0.0, 200.0, 400.0, 400.0, 200.0])
+NOON = pd.Timestamp("2010-04-01T12:00:00-10:00")
+
+
+def cycles(count: int, freq: str = "1s", begin: pd.Timestamp = NOON) -> pd.DatetimeIndex:
+    return pd.date_range(begin, periods=count, freq=freq)
+
+
+def committed(
+    settings: CommitmentSettings,
+    possible_kw: NDArray[np.float64] = POSSIBLE_KW,
+    times: pd.DatetimeIndex | None = None,
+    folder: Path | None = None,
+) -> NDArray[np.float64]:
+    return commitment_kw(
+        settings,
+        cycles(len(possible_kw)) if times is None else times,
+        possible_kw,
+        lambda times: CLEAR_SKY_KW,
+        lambda name: (folder or Path()) / name,
+    )
 
 
 def read(toml: str) -> CommitmentSettings:
@@ -25,25 +52,19 @@ def read(toml: str) -> CommitmentSettings:
 def test_constant() -> None:
     settings = read('kind = "constant"\npower_kw = 120.5')
     assert settings == ConstantCommitment(power_kw=120.5)
-    np.testing.assert_array_equal(
-        commitment_kw(settings, POSSIBLE_KW, CLEAR_SKY_KW), np.full(5, 120.5)
-    )
+    np.testing.assert_array_equal(committed(settings), np.full(5, 120.5))
 
 
 def test_share_of_median_of_the_possible_power() -> None:
     settings = read('kind = "share-of-median"\nshare = 0.8')
     assert settings == ShareOfMedian(share=0.8)
-    np.testing.assert_allclose(
-        commitment_kw(settings, POSSIBLE_KW, CLEAR_SKY_KW), np.full(5, 160.0)
-    )
+    np.testing.assert_allclose(committed(settings), np.full(5, 160.0))
 
 
 def test_share_of_clear_sky_follows_the_sun() -> None:
     settings = read('kind = "share-of-clear-sky"\nshare = 0.5')
     assert settings == ShareOfClearSky(share=0.5)
-    np.testing.assert_allclose(
-        commitment_kw(settings, POSSIBLE_KW, CLEAR_SKY_KW), [0.0, 100.0, 200.0, 200.0, 100.0]
-    )
+    np.testing.assert_allclose(committed(settings), [0.0, 100.0, 200.0, 200.0, 100.0])
 
 
 @pytest.mark.parametrize(
@@ -66,13 +87,184 @@ def test_settings_out_of_range_are_refused(toml: str, message: str) -> None:
 
 def test_a_share_of_a_run_at_night_is_refused() -> None:
     with pytest.raises(InputError) as caught:
-        commitment_kw(ShareOfMedian(share=0.8), np.zeros(5), CLEAR_SKY_KW)
+        committed(ShareOfMedian(share=0.8), np.zeros(5))
     assert str(caught.value) == (
         "commitment: the median possible power of the run is 0 kW; share-of-median accepts a run"
         " that is in daylight for more than half of its time"
     )
 
 
-def test_series_of_two_lengths_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"not \(5,\) and \(4,\)"):
-        commitment_kw(ShareOfClearSky(share=0.5), POSSIBLE_KW, CLEAR_SKY_KW[:4])
+def test_a_series_of_another_length_than_the_run_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"\(4,\) is needed, not \(5,\)"):
+        committed(ShareOfClearSky(share=0.5), times=cycles(4))
+
+
+# Below the possible power -------------------------------------------------------------------------
+
+
+def test_below_possible_is_a_share_of_a_centred_mean() -> None:
+    settings = read('kind = "below-possible"\nshare = 0.5\nwindow_s = 3')
+    assert settings == BelowPossible(share=0.5, window_s=3.0)
+    np.testing.assert_allclose(
+        committed(settings), 0.5 * np.array([50.0, 500.0 / 3, 800.0 / 3, 300.0, 250.0])
+    )
+
+
+def test_its_window_is_in_seconds_whatever_the_cycle() -> None:
+    possible_kw = 1000.0 + 100.0 * np.sin(np.arange(120.0))
+    settings = BelowPossible(share=0.8, window_s=50.0)
+    found = committed(settings, possible_kw, cycles(120, "10s"))
+    np.testing.assert_allclose(found[60], 0.8 * possible_kw[58:63].mean())
+
+
+def test_a_window_of_one_cycle_smooths_nothing() -> None:
+    np.testing.assert_allclose(committed(BelowPossible(share=0.9, window_s=1.0)), 0.9 * POSSIBLE_KW)
+
+
+def test_a_window_longer_than_the_run_is_its_mean() -> None:
+    found = committed(BelowPossible(share=1.0, window_s=3600.0))
+    np.testing.assert_allclose(found, np.full(5, POSSIBLE_KW.mean()))
+
+
+def test_it_leaves_energy_and_moves_less_than_the_clouds() -> None:
+    rng = np.random.default_rng(5)
+    hump = np.maximum(np.sin(np.linspace(0.0, np.pi, 5000)), 0.0)
+    possible_kw = 8000.0 * hump * rng.uniform(0.3, 1.0, 5000)
+    found = committed(BelowPossible(share=0.8, window_s=600.0), possible_kw)
+    np.testing.assert_allclose(found.sum() / possible_kw.sum(), 0.8, rtol=0.01)
+    assert np.abs(np.diff(found)).sum() < 0.02 * np.abs(np.diff(possible_kw)).sum()
+    assert found.min() >= 0.0
+
+
+def test_hindsight_is_told_and_what_is_none_is_not() -> None:
+    assert hindsight(ShareOfMedian(share=0.7)) == (
+        "The commitment is 0.7 of the run's own median possible power: hindsight."
+    )
+    assert hindsight(BelowPossible(share=0.8, window_s=3600.0)) == (
+        "The commitment is 0.8 of the run's own possible power, in a centred mean over 3600 s:"
+        " hindsight."
+    )
+    assert hindsight(ConstantCommitment(power_kw=5.0)) is None
+    assert hindsight(ShareOfClearSky(share=0.5)) is None
+    assert hindsight(ScheduledCommitment(path="bids.csv")) is None
+
+
+def test_the_clear_sky_is_not_asked_for_in_vain() -> None:
+    def never(times: pd.DatetimeIndex) -> NDArray[np.float64]:
+        raise AssertionError("asked for")
+
+    for settings in (ConstantCommitment(1.0), ShareOfMedian(0.5), BelowPossible(0.5, 2.0)):
+        commitment_kw(settings, cycles(5), POSSIBLE_KW, never, Path)
+
+
+# Schedules ----------------------------------------------------------------------------------------
+
+SCHEDULE = """\
+begins,note,commitment_kw
+2010-04-01T11:00:00-10:00,bid,1000
+2010-04-01T22:00:02Z,bid,2000
+2010-04-01T12:00:04-10:00,bid,1500.5
+"""
+
+
+def scheduled(
+    folder: Path, text: str = SCHEDULE, times: pd.DatetimeIndex | None = None
+) -> NDArray[np.float64]:
+    (folder / "bids.csv").write_text(text)
+    settings = read('kind = "file"\npath = "bids.csv"')
+    return committed(settings, times=cycles(5) if times is None else times, folder=folder)
+
+
+def refusal(folder: Path, text: str, times: pd.DatetimeIndex | None = None) -> str:
+    with pytest.raises(InputError) as caught:
+        scheduled(folder, text, times)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_a_schedule_holds_from_one_time_stamp_to_the_next(tmp_path: Path) -> None:
+    np.testing.assert_array_equal(scheduled(tmp_path), [1000.0, 1000.0, 2000.0, 2000.0, 1500.5])
+
+
+def test_the_last_power_holds_as_long_as_the_one_before(tmp_path: Path) -> None:
+    late = cycles(5, begin=NOON + pd.Timedelta(1, unit="s"))
+    assert scheduled(tmp_path, times=late)[-1] == 1500.5
+    too_late = cycles(5, begin=NOON + pd.Timedelta(2, unit="s"))
+    assert refusal(tmp_path, SCHEDULE, too_late) == (
+        "bids.csv: does not cover the run, 2010-04-01T22:00:02Z to 2010-04-01T22:00:07Z;"
+        " it covers 2010-04-01T21:00:00Z to 2010-04-01T22:00:06Z"
+    )
+
+
+def test_a_schedule_that_begins_after_the_run_is_refused(tmp_path: Path) -> None:
+    early = cycles(5, begin=NOON - pd.Timedelta(1, unit="h") - pd.Timedelta(1, unit="s"))
+    assert refusal(tmp_path, SCHEDULE, early).startswith(
+        "bids.csv: does not cover the run, 2010-04-01T20:59:59Z to 2010-04-01T21:00:04Z;"
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "2000\n",
+            "-2000\n",
+            "bids.csv: line 3, column 'commitment_kw': found '-2000'; accepted: 0 to 1e+08 kW",
+        ),
+        (
+            "2000\n",
+            "inf\n",
+            "bids.csv: line 3, column 'commitment_kw': found 'inf'; accepted: 0 to 1e+08 kW",
+        ),
+        (
+            "2000\n",
+            "2 MW\n",
+            "bids.csv: line 3, column 'commitment_kw': found '2 MW'; accepted: a number in kW",
+        ),
+        (
+            "2000\n",
+            "\n",
+            "bids.csv: line 3, column 'commitment_kw': found an empty field; accepted: a number in"
+            " kW",
+        ),
+        (
+            "commitment_kw",
+            "commitment_mw",
+            "bids.csv: line 1: no column 'commitment_kw'; accepted: the column commitment_kw;"
+            " found note, commitment_mw",
+        ),
+        (
+            "22:00:02Z",
+            "22:00:02",
+            "bids.csv: line 3, column 'begins': found '2010-04-01T22:00:02'; accepted: ISO 8601"
+            " with Z or an offset, e.g. 2013-09-08T09:15:00Z",
+        ),
+        (
+            "22:00:02Z",
+            "21:00:00Z",
+            "bids.csv: line 3, column 'begins': found '2010-04-01T21:00:00Z' repeats line 2;"
+            " accepted: each time stamp later than the one before",
+        ),
+        (
+            "22:00:02Z",
+            "20:00:00Z",
+            "bids.csv: line 3, column 'begins': found '2010-04-01T20:00:00Z' goes back 3600 s from"
+            " line 2; accepted: each time stamp later than the one before",
+        ),
+    ],
+)
+def test_one_wrong_field_of_a_schedule_is_located(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    assert SCHEDULE.count(old) == 1
+    assert refusal(tmp_path, SCHEDULE.replace(old, new)) == message
+
+
+def test_a_schedule_that_is_not_there_is_named(tmp_path: Path) -> None:
+    settings = ScheduledCommitment(path="bids.csv")
+    with pytest.raises(InputError) as caught:
+        committed(settings, folder=tmp_path)
+    assert str(caught.value) == (
+        f"{tmp_path / 'bids.csv'}: cannot be read: No such file or directory; accepted: a CSV file"
+        " in UTF-8"
+    )

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from bus_schemas.errors import InputError
-from sim_plant.irradiance import Irradiance, read_measured_ghi, window
+from sim_plant.irradiance import Irradiance, read_measured_ghi
 
 GHI = """\
 utc,DH3,AP1,DH4
@@ -389,57 +389,3 @@ def test_the_hope_measurements_are_read() -> None:
     assert found.times[0] == pd.Timestamp("2013-09-08T09:15:00Z")
     assert found.ghi_wm2[0, 0] == 338.107
     assert found.lat_deg[0] == 51.525642
-
-
-def test_a_window_begins_at_its_start_and_ends_before_its_end(read: Read) -> None:
-    cut = window(read(), pd.Timestamp("2010-04-01T10:00:01-10:00"), 2.0, "ghi.csv")
-    assert list(cut.times) == [
-        pd.Timestamp("2010-04-01T20:00:01Z"),
-        pd.Timestamp("2010-04-01T20:00:02Z"),
-    ]
-    np.testing.assert_array_equal(cut.ghi_wm2[:, 0], [801.5, 802.5])
-    assert cut.sensors == ("DH3", "AP1", "DH4")
-
-
-def test_the_last_value_covers_one_step(read: Read) -> None:
-    whole = window(read(), pd.Timestamp("2010-04-01T20:00:00Z"), 4.0, "ghi.csv")
-    assert len(whole.times) == 4
-
-
-@pytest.mark.parametrize(
-    ("start", "duration_s", "message"),
-    [
-        (
-            "2010-04-01T20:00:02Z",
-            3.0,
-            "ghi.csv: does not cover 2010-04-01T20:00:02Z to 2010-04-01T20:00:05Z;"
-            " it covers 2010-04-01T20:00:00Z to 2010-04-01T20:00:04Z",
-        ),
-        (
-            "2010-04-01T09:59:59-10:00",
-            1.0,
-            "ghi.csv: does not cover 2010-04-01T19:59:59Z to 2010-04-01T20:00:00Z;"
-            " it covers 2010-04-01T20:00:00Z to 2010-04-01T20:00:04Z",
-        ),
-        (
-            "2010-04-01T20:00:00.25Z",
-            0.5,
-            "ghi.csv: has no time stamp from 2010-04-01T20:00:00.250000Z to"
-            " 2010-04-01T20:00:00.750000Z; its step is 1 s",
-        ),
-        ("2010-04-01T20:00:00Z", 0.0, "duration: 0 s; accepted: above 0 s"),
-        ("2010-04-01T20:00:00Z", float("nan"), "duration: nan s; accepted: above 0 s"),
-        (
-            "2010-04-01T20:00:00",
-            1.0,
-            "start: 2010-04-01T20:00:00 has no time zone;"
-            " accepted: ISO 8601 with Z or an offset, e.g. 2013-09-08T09:15:00Z",
-        ),
-    ],
-)
-def test_a_window_that_is_not_covered_is_refused(
-    read: Read, start: str, duration_s: float, message: str
-) -> None:
-    with pytest.raises(InputError) as caught:
-        window(read(), pd.Timestamp(start), duration_s, "ghi.csv")
-    assert str(caught.value) == message

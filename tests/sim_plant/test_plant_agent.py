@@ -151,5 +151,48 @@ def test_an_arming_round_stands_under_the_first_sample_and_moves_nothing() -> No
 
 
 def test_an_inverter_delivers_its_fraction_of_what_is_there() -> None:
-    found = delivered_power_kw(np.array([80.0, 60.0, 0.0]), np.array([0.5, 1.0, 0.3]))
+    found = delivered_power_kw(
+        np.array([80.0, 60.0, 0.0]), np.array([0.5, 1.0, 0.3]), np.full(3, 100.0)
+    )
     assert found.tolist() == [40.0, 60.0, 0.0]
+
+
+def test_an_inverter_with_a_limit_holds_it_and_gives_all_it_has_below_it() -> None:
+    found = delivered_power_kw(np.array([80.0, 60.0, 20.0]), np.ones(3), np.full(3, 60.0))
+    assert found.tolist() == [60.0, 60.0, 20.0]
+
+
+def test_inverters_of_the_limit_kind_obey_the_power_and_not_the_alpha() -> None:
+    limited = Sequencer(
+        Plant(TREE, PROFILE, "limit"), lambda cycle: cycle * CYCLE_NS, lockstep=True, horizon=1
+    )
+    limited.enter(0)
+    for node, power_kw in (("c1/a", 30.0), ("c1/b", 90.0)):
+        message = Command(0, 0, node, (), alpha=0.5, power_kw=power_kw)
+        said = dict(limited.accept(COMMAND.of(node), message))
+    assert production(said).inverter_power_kw == (30.0, 60.0)
+    limits_kw = [m.limit_kw for m in said.values() if isinstance(m, Telemetry)]
+    assert limits_kw == [30.0, 90.0]
+
+
+def test_a_meter_reads_what_was_delivered_with_its_error() -> None:
+    error = np.array([[0.0, 0.0], [0.01, -0.01]])
+    profile = Profile(np.full((2, 2), 80.0), np.full(2, 100.0), meter_error=error)
+    sequencer = Sequencer(
+        Plant(TREE, profile), lambda cycle: cycle * CYCLE_NS, lockstep=True, horizon=1
+    )
+    sequencer.end_before(2)
+    assert told(dict(sequencer.enter(0)), 0) == [(80.0, 1.0), (80.0, 1.0)]
+    command(sequencer, "c1/a", 0.5)
+    said = command(sequencer, "c1/b", 1.0)
+    assert production(said).inverter_power_kw == (40.0, 80.0)
+    assert told(said, 1) == [(40.0 * 1.01, 0.5), (80.0 * 0.99, 1.0)]
+
+
+def test_the_dispatch_is_commitment_and_regulation() -> None:
+    profile = Profile(np.full((1, 2), 80.0), np.array([100.0]), np.array([-20.0]), 50.0)
+    said = dict(Sequencer(Plant(TREE, profile), lambda c: 0, lockstep=True, horizon=1).enter(0))
+    dispatch = said[DISPATCH.of("")]
+    assert isinstance(dispatch, Dispatch)
+    found = (dispatch.power_kw, dispatch.commitment_kw, dispatch.regulation_kw)
+    assert found == (80.0, 100.0, -20.0)

@@ -1,0 +1,146 @@
+r"""Missing values of an irradiance sensor, filled from the sensors around it.
+
+The rule is Shepard's inverse-distance weighting (doi:10.1145/800186.810616) over the nearest
+sensors, brought to the missing sensor's own level:
+
+.. math::
+
+    G_i(t) = r_i \frac{\sum_j G_j(t) / d_{ij}^2}{\sum_j 1 / d_{ij}^2}, \qquad
+    r_i = \frac{\sum_s G_i(s)}{\sum_s \hat G_i(s)}
+
+j runs over the three nearest sensors that have a value at t; s over all times at which sensor i
+has a value itself, and its neighbours' weighted mean is the second sum. Few neighbours, because a
+mean over many is smoother than any sensor under broken clouds. Where no sensor at all has a value,
+each is drawn on a straight line in time from its last to its next, for 60 values at most.
+
+How good that is, `tests/sim_plant/test_gap_filling.py` measures where the HOPE-Melpitz data are: 20
+minutes taken out of each of 17 stations in turn come back with a median RMSE of 60 W/m^2 and 0.97
+of their standard deviation, 200 W/m^2; a straight line in time misses by 244 W/m^2.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus_schemas.errors import InputError
+from sim_plant.irradiance import Irradiance
+from sim_plant.positions import east_north_m
+
+_NEAREST: Final = 3
+_LONGEST_LINE: Final = 60
+"""Values in a row that may be missing in all sensors."""
+
+_SAME_PLACE_M: Final = 1.0
+
+
+def fill_from_neighbours(
+    irradiance: Irradiance, source: str, first_line: int
+) -> tuple[Irradiance, tuple[str, ...]]:
+    """Fill what is missing, and say what was filled.
+
+    Parameters
+    ----------
+    irradiance : Irradiance
+        N sensors, NaN where a value is missing.
+    source : str
+        What the irradiance was read from, for the error message.
+    first_line : int
+        Line of its first row there.
+
+    Returns
+    -------
+    irradiance : Irradiance
+        Without a missing value; values that were there are unchanged.
+    report : tuple of str
+        A line for each sensor of which values were missing.
+
+    Raises
+    ------
+    InputError
+        All sensors are silent for more than 60 values in a row, or at the beginning or end.
+    """
+    ghi_wm2 = irradiance.ghi_wm2
+    missing = np.isnan(ghi_wm2)
+    nobody = np.asarray(missing.all(axis=1), dtype=np.bool_)
+    _check_silences(nobody, source, first_line)
+    distance_m = _distances_m(irradiance)
+    filled = ghi_wm2.copy()
+    report = []
+    for sensor in np.flatnonzero((missing & ~nobody[:, None]).any(axis=0)):
+        gaps = missing[:, sensor] & ~nobody
+        order = np.argsort(distance_m[sensor], kind="stable")
+        order = order[order != sensor]
+        mean_wm2, used = _weighted_mean(ghi_wm2[:, order], distance_m[sensor, order])
+        level = _level(ghi_wm2[:, sensor], mean_wm2)
+        filled[gaps, sensor] = level * mean_wm2[gaps]
+        names = [irradiance.sensors[j] for j in order[used[gaps].any(axis=0)]]
+        report.append(
+            f"{irradiance.sensors[sensor]}: {int(gaps.sum()):,} of {len(gaps):,} values missing,"
+            f" filled from {_listed(names)} times {level:.3f}"
+        )
+    report += _draw_lines(filled, nobody)
+    complete = Irradiance(
+        irradiance.times, filled, irradiance.sensors, irradiance.lat_deg, irradiance.lon_deg
+    )
+    return complete, tuple(report)
+
+
+def _weighted_mean(
+    ghi_wm2: NDArray[np.float64], distance_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Mean of the nearest sensors that have a value, NaN where none has; and which they were.
+
+    The sensors are given in the order of their distance.
+    """
+    there = ~np.isnan(ghi_wm2)
+    used = there & (np.cumsum(there, axis=1) <= _NEAREST)
+    weight = used / distance_m**2
+    total = weight.sum(axis=1)
+    weighted = (np.where(used, ghi_wm2, 0.0) * weight).sum(axis=1)
+    return np.divide(weighted, total, out=np.full(len(total), np.nan), where=total > 0.0), used
+
+
+def _level(own_wm2: NDArray[np.float64], mean_wm2: NDArray[np.float64]) -> float:
+    """Ratio of the sensor to its neighbours while both were there; 1 where that says nothing."""
+    both = ~np.isnan(own_wm2) & ~np.isnan(mean_wm2)
+    of_neighbours = float(mean_wm2[both].sum())
+    return float(own_wm2[both].sum()) / of_neighbours if of_neighbours > 0.0 else 1.0
+
+
+def _draw_lines(filled: NDArray[np.float64], nobody: NDArray[np.bool_]) -> list[str]:
+    """Interpolate in time, in place, where no sensor has a value."""
+    if not nobody.any():
+        return []
+    row = np.arange(len(nobody))
+    for column in filled.T:
+        column[nobody] = np.interp(row[nobody], row[~nobody], column[~nobody])
+    return [
+        f"all sensors: {int(nobody.sum()):,} of {len(nobody):,} values missing at the same time,"
+        " interpolated from the values before and after"
+    ]
+
+
+def _check_silences(nobody: NDArray[np.bool_], source: str, first_line: int) -> None:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], nobody, [False]]).astype(np.int8)))
+    for first, after in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if after - first > _LONGEST_LINE or first == 0 or after == len(nobody):
+            raise InputError(
+                f"{source}: lines {first + first_line} to {after - 1 + first_line}: no sensor has a"
+                f" value; accepted: at most {_LONGEST_LINE} such lines between lines with values"
+            )
+
+
+def _distances_m(irradiance: Irradiance) -> NDArray[np.float64]:
+    east_m, north_m = east_north_m(irradiance.lat_deg, irradiance.lon_deg)
+    distance_m = np.hypot(east_m[:, None] - east_m, north_m[:, None] - north_m)
+    return np.asarray(np.maximum(distance_m, _SAME_PLACE_M))
+
+
+def _listed(names: list[str]) -> str:
+    """Name the nearest neighbours, count the rest."""
+    if len(names) > _NEAREST:
+        return f"{', '.join(names[:_NEAREST])} and {len(names) - _NEAREST} farther"
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

@@ -1,0 +1,322 @@
+"""Daily files of the NREL Oahu Solar Measurement Grid, as they come from the archive.
+
+One file for each day, `YYYYMMDD.txt`, alone or in the month's archive `YYYYMM.zip`: no header, a
+line each second from 05:00:00 to 20:00:00 Hawaii Standard Time (UTC-10 all the year), 23 fields
+separated by commas: second, year, day of the year, hour and minute (500 is 05:00), then the W/m^2
+of 19 sensors, -99999 where a value is missing [1]_. Two of the 19 are tilted and are left out:
+DH1T and AP6T. That leaves the 17 horizontal sensors of the paper. An eighteenth, AP2, is not among
+these fields: it was logged every 3 seconds, to files of their own, which have the same names but
+7 fields.
+
+.. [1] M. Sengupta and A. Andreas, "Oahu Solar Measurement Grid (1-Year Archive)", NREL report
+   DA-5500-56506, 2010, doi:10.5439/1052451
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date, timedelta, timezone
+from io import BytesIO
+from pathlib import Path
+from typing import Final
+from zipfile import BadZipFile, ZipFile
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from bus_schemas.errors import InputError
+from sim_plant.csv_tables import check_steady, number, shown
+from sim_plant.gap_filling import fill_from_neighbours
+from sim_plant.irradiance import Irradiance, check_ghi, check_stations_once, read_positions
+
+MISSING: Final = -99999.0
+
+_SENSORS: Final = (
+    *("DH3", "DH4", "DH5", "DH10", "DH11", "DH9", "DH2", "DH1", "DH1T", "AP6", "AP6T"),
+    *("AP1", "AP3", "AP5", "AP4", "AP7", "DH6", "DH7", "DH8"),
+)
+_TIME_FIELDS: Final = ("second", "year", "day of year", "hour and minute")
+_FIELDS: Final = (*_TIME_FIELDS, *_SENSORS)
+_TILTED: Final = ("DH1T", "AP6T")
+HORIZONTAL: Final = tuple(name for name in _SENSORS if name not in _TILTED)
+"""The 17 horizontal sensors, in the order of their fields."""
+
+TIMEZONE: Final = timezone(-timedelta(hours=10), "HST")
+_ACCEPTED: Final = "YYYYMMDD.txt, or YYYYMM.zip that holds it"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GridDay:
+    """A day of the archive, ready to be used.
+
+    Attributes
+    ----------
+    irradiance : Irradiance
+        Of the sensors that are used, without a missing value.
+    source : str
+        The file it was read from.
+    report : tuple of str
+        What was filled and left out, a line each.
+    """
+
+    irradiance: Irradiance
+    source: str
+    report: tuple[str, ...]
+
+
+def read_day(
+    folder: Path,
+    day: date,
+    positions_csv: Path,
+    stations: Sequence[str] | None = None,
+    most_missing: float | None = None,
+) -> GridDay:
+    """Read one day and see to its missing values.
+
+    Values from -10 to 0 W/m^2, which the sensors show at night, are set to 0.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Where the daily files or the archives of their months are.
+    day : datetime.date
+        The day, in Hawaii.
+    positions_csv : pathlib.Path
+        Coordinates of the sensors, as `read_positions` reads them.
+    stations : sequence of str, optional
+        The sensors wanted. By default all 17 that are horizontal.
+    most_missing : float, optional
+        A sensor of which a larger share of the day is missing is left out, what is missing of the
+        others is filled from their neighbours among the sensors that are used. By default a
+        missing value is an error.
+
+    Returns
+    -------
+    GridDay
+
+    Raises
+    ------
+    InputError
+        There is no such file or it is not as described above; a station is not a horizontal
+        sensor or has no position; too much is missing.
+    """
+    wanted = _wanted(stations)
+    lat_deg, lon_deg = read_positions(positions_csv, wanted)
+    source, content = _find(folder, day)
+    table = _table(source, content)
+    times = _times(source, table, day)
+    fields = [_FIELDS.index(name) for name in wanted]
+    ghi_wm2 = table[:, fields]
+    ghi_wm2[ghi_wm2 == MISSING] = np.nan
+    columns = [f"field {field + 1} ({_FIELDS[field]})" for field in fields]
+    check_ghi(source, ghi_wm2, columns, first_line=1)
+    found = Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg)
+    if most_missing is None:
+        _check_nothing_missing(source, ghi_wm2, columns)
+        return GridDay(found, source, ())
+    used, left_out = _without_silent(found, source, most_missing)
+    complete, filled = fill_from_neighbours(used, source, first_line=1)
+    name = source.rpartition("/")[2]
+    return GridDay(complete, source, tuple(f"{name}: {line}" for line in (*left_out, *filled)))
+
+
+def latest_day_before(folder: Path, day: date) -> date:
+    """Return the latest day before another of which there is a file.
+
+    Raises
+    ------
+    InputError
+        There is none, or an archive cannot be read.
+    """
+    days = {_day_of(path.stem) for path in folder.glob("*.txt")}
+    months = sorted((path for path in folder.glob("*.zip") if _is_month(path.stem)), reverse=True)
+    for month in months:
+        if month.stem <= f"{day:%Y%m}":
+            inside = {_day_of(Path(name).stem) for name in _names_in(month)}
+            days |= inside
+            if any(found is not None and found < day for found in inside):
+                break
+    earlier = [found for found in days if found is not None and found < day]
+    if not earlier:
+        raise InputError(
+            f"{folder}: no file of a day before {day:%Y-%m-%d}, from which neighbours.history ="
+            f" 'earlier-day' takes the past; accepted: {_ACCEPTED}, or 'hindsight'"
+        )
+    return max(earlier)
+
+
+def _wanted(stations: Sequence[str] | None) -> tuple[str, ...]:
+    wanted = HORIZONTAL if stations is None else tuple(stations)
+    for name in wanted:
+        if name not in HORIZONTAL:
+            what = "is tilted" if name in _TILTED else "is not in the daily files"
+            raise InputError(f"stations: '{name}' {what}; accepted: {', '.join(HORIZONTAL)}")
+    if not wanted:
+        raise InputError(f"stations: none; accepted: {', '.join(HORIZONTAL)}")
+    check_stations_once(wanted)
+    return wanted
+
+
+def _find(folder: Path, day: date) -> tuple[str, bytes]:
+    """Name and content of a day's file."""
+    plain = folder / f"{day:%Y%m%d}.txt"
+    month = folder / f"{day:%Y%m}.zip"
+    try:
+        if plain.is_file():
+            return str(plain), plain.read_bytes()
+        if month.is_file():
+            inside = [name for name in _names_in(month) if Path(name).name == plain.name]
+            if inside:
+                with ZipFile(month) as archive:
+                    return f"{month}/{inside[0]}", archive.read(inside[0])
+    except OSError as error:
+        raise InputError(f"{error.filename or folder}: {error.strerror}") from None
+    except (BadZipFile, RuntimeError, NotImplementedError) as error:
+        raise InputError(f"{month}: {error}; accepted: a ZIP archive of daily files") from None
+    raise InputError(f"{folder}: no file of {day:%Y-%m-%d}; accepted: {_ACCEPTED}")
+
+
+def _names_in(month: Path) -> list[str]:
+    try:
+        with ZipFile(month) as archive:
+            return [name for name in archive.namelist() if name.endswith(".txt")]
+    except OSError as error:
+        raise InputError(f"{month}: {error.strerror}") from None
+    except BadZipFile as error:
+        raise InputError(f"{month}: {error}; accepted: a ZIP archive of daily files") from None
+
+
+def _table(source: str, content: bytes) -> NDArray[np.float64]:
+    """All fields as numbers, shape (lines, 23)."""
+    lines = content.count(b"\n") + (not content.endswith(b"\n"))
+    # pandas drops what a first line has too much.
+    if content.count(b",") != lines * (len(_FIELDS) - 1):
+        raise _first_bad_field(source, content) or InputError(f"{source}: has no lines of fields")
+    try:
+        table = pd.read_csv(
+            BytesIO(content),
+            header=None,
+            names=list(_FIELDS),
+            dtype=np.float64,
+            index_col=False,
+            skip_blank_lines=False,
+            encoding="latin-1",
+        ).to_numpy(copy=True)
+    except ValueError as error:
+        # pandas does not say where: look again, line by line.
+        raise _first_bad_field(source, content) or InputError(f"{source}: {error}") from error
+    if np.isnan(table).any():
+        raise _first_bad_field(source, content) or InputError(f"{source}: has a field too few")
+    if len(table) < 2:
+        raise InputError(f"{source}: {len(table)} lines; accepted: at least 2")
+    return table
+
+
+def _first_bad_field(source: str, content: bytes) -> InputError | None:
+    for line, text in enumerate(content.decode("latin-1").splitlines(), start=1):
+        fields = text.split(",")
+        if len(fields) != len(_FIELDS):
+            hint = ", a file of AP2 has 7" if len(fields) == 7 else ""
+            return InputError(
+                f"{source}: line {line}: {len(fields)} fields; accepted: {len(_FIELDS)}{hint}"
+            )
+        for place, field in enumerate(fields):
+            if np.isnan(number(field)):
+                return InputError(
+                    f"{source}: line {line}, field {place + 1} ({_FIELDS[place]}): {shown(field)};"
+                    f" accepted: a number, {MISSING:g} where it is missing"
+                )
+    return None
+
+
+def _times(source: str, table: NDArray[np.float64], day: date) -> pd.DatetimeIndex:
+    """Time stamps of all lines in UTC."""
+    second, year, day_of_year, clock = table[:, :4].T
+    hour, minute = np.divmod(clock, 100.0)
+    of_day = day.timetuple().tm_yday
+    wrong = {
+        3: (
+            (year != day.year) | (day_of_year != of_day),
+            f"{of_day} of {day.year}, as in its name",
+        ),
+        4: ((hour > 23) | (minute > 59) | (clock % 1.0 != 0.0) | (clock < 0), "0 to 2359"),
+        1: ((second > 59) | (second % 1.0 != 0.0) | (second < 0), "0 to 59"),
+    }
+    for field, (rows, accepted) in wrong.items():
+        if rows.any():
+            row = int(rows.argmax())
+            value = table[row, field - 1]
+            of = f" of {year[row]:g}" if field == 3 else ""
+            raise InputError(
+                f"{source}: line {row + 1}, field {field} ({_FIELDS[field - 1]}):"
+                f" found '{value:g}'{of}; accepted: {accepted}"
+            )
+    second_of_day = hour * 3600.0 + minute * 60.0 + second
+    midnight = pd.Timestamp(day).tz_localize(TIMEZONE).tz_convert("UTC")
+    times = pd.DatetimeIndex(midnight + pd.to_timedelta(second_of_day, unit="s")).as_unit("ns")
+    check_steady(
+        times.asi8,
+        lambda row: (
+            f"{source}: line {row + 1}: {hour[row]:02g}:{minute[row]:02g}:{second[row]:02g}"
+        ),
+        first_line=1,
+    )
+    return times
+
+
+def _check_nothing_missing(
+    source: str, ghi_wm2: NDArray[np.float64], columns: Sequence[str]
+) -> None:
+    missing = np.isnan(ghi_wm2)
+    if missing.any():
+        row, column = np.argwhere(missing)[0]
+        raise InputError(
+            f"{source}: line {row + 1}, {columns[column]}: found '{MISSING:g}', one of"
+            f" {int(missing.sum()):,} missing values; accepted with irradiance.gaps = 'refuse':"
+            " none missing"
+        )
+
+
+def _without_silent(
+    found: Irradiance, source: str, most_missing: float
+) -> tuple[Irradiance, list[str]]:
+    """Leave out the sensors of which too much is missing."""
+    missing = np.isnan(found.ghi_wm2).sum(axis=0)
+    total = len(found.times)
+    kept = np.flatnonzero(missing <= most_missing * total)
+    limit = f"more than {100.0 * most_missing:g} % of the day"
+    if not kept.size:
+        raise InputError(
+            f"{source}: of each sensor {limit} is missing; accepted: at least one sensor with less"
+        )
+    report = [
+        f"{found.sensors[sensor]}: {missing[sensor]:,} of {total:,} values missing, {limit}:"
+        " left out, with its inverter"
+        for sensor in range(len(found.sensors))
+        if sensor not in kept
+    ]
+    used = Irradiance(
+        found.times,
+        found.ghi_wm2[:, kept],
+        tuple(found.sensors[sensor] for sensor in kept),
+        found.lat_deg[kept],
+        found.lon_deg[kept],
+    )
+    return used, report
+
+
+def _day_of(stem: str) -> date | None:
+    """Day that a file is named after."""
+    if not re.fullmatch(r"\d{8}", stem):
+        return None
+    try:
+        return date(int(stem[:4]), int(stem[4:6]), int(stem[6:]))
+    except ValueError:
+        return None
+
+
+def _is_month(stem: str) -> bool:
+    return re.fullmatch(r"\d{6}", stem) is not None

@@ -1,0 +1,244 @@
+"""Regulation: the power that the market asks for, up and down, on top of the commitment.
+
+A regulation signal in per unit of the offered capacity, measured (a file) or synthetic, is held
+from each of its values to the next and read at the beginning of every cycle. What a dispatch below
+0 or above the plant's rating comes to is the controllers' business, not that of this module.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import time
+from pathlib import Path
+from typing import Annotated, Final
+
+import msgspec
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from bus_schemas.errors import InputError
+from sim_plant.csv_tables import check_steady, number, read_header, read_numbers, shown
+from sim_plant.synthetic_regd import SAMPLES, STEP_S, synthetic_regd
+
+Capacity = Annotated[float, msgspec.Meta(gt=0.0, le=1e8)]
+Second = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+Seed = Annotated[int, msgspec.Meta(ge=0, le=2**32)]
+
+_NS: Final = 1_000_000_000
+_DAY_NS: Final = 86_400 * _NS
+_LARGEST_S: Final = 1e9
+_SIGNAL_ACCEPTED: Final = "a number from -1 to 1"
+
+
+class _Offer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What the plant offers, and when.
+
+    Attributes
+    ----------
+    capacity_kw : float
+        Power that a signal of +1 asks for on top of the commitment [kW], above 0.
+    offered_from, offered_to : datetime.time, optional
+        Local times of day between which regulation is offered, `from` and `to` in a file; from
+        midnight, to midnight by default. A `from` that is later than `to` goes over midnight.
+    """
+
+    capacity_kw: Capacity
+    offered_from: time | None = msgspec.field(default=None, name="from")
+    offered_to: time | None = msgspec.field(default=None, name="to")
+
+
+class RegulationFile(_Offer, frozen=True, tag_field="kind", tag="file"):
+    """A signal from a CSV of two columns with a header.
+
+    Attributes
+    ----------
+    path : str
+        The file: second of the signal's own clock, signal in per unit from -1 to 1 (positive:
+        raise output).
+    signal_midnight_s : float, default 0
+        Second of the signal that coincides with local midnight on the run's first day.
+    """
+
+    path: str
+    signal_midnight_s: Second = 0.0
+
+
+class SyntheticRegulation(_Offer, frozen=True, tag_field="kind", tag="synthetic"):
+    """A synthetic signal that moves like PJM's RegD.
+
+    Attributes
+    ----------
+    seed : int, default 0
+        Seed of the signal, at least 0.
+    """
+
+    seed: Seed = 0
+
+
+RegulationSettings = RegulationFile | SyntheticRegulation
+
+
+def regulation_kw(
+    settings: RegulationSettings,
+    times: pd.DatetimeIndex,
+    timezone: str,
+    find_file: Callable[[str], Path],
+) -> NDArray[np.float64]:
+    """Return the regulation that is asked of the plant in every cycle.
+
+    Parameters
+    ----------
+    settings : RegulationFile or SyntheticRegulation
+        The signal, and what the plant offers.
+    times : pandas.DatetimeIndex, length T
+        Beginnings of the cycles, with a time zone, ascending.
+    timezone : str
+        Local time of the plant, an IANA name.
+    find_file : callable
+        Path of a file that the settings name.
+
+    Returns
+    -------
+    numpy.ndarray, shape (T,)
+        Regulation [kW], from -capacity to +capacity; 0 while none is offered.
+
+    Raises
+    ------
+    InputError
+        `from` and `to` are the same time, or the file does not hold a signal for all the time
+        that regulation is offered.
+    """
+    # The signal's clock is that of the wall: it leaps with the summer time, as market hours do.
+    clock_ns = times.tz_convert(timezone).tz_localize(None).as_unit("ns").asi8
+    offered = _offered(settings, clock_ns)
+    signal = np.zeros(len(times))
+    if isinstance(settings, SyntheticRegulation):
+        values = synthetic_regd(settings.seed)
+        signal[offered] = values[clock_ns[offered] // (STEP_S * _NS) % SAMPLES]
+    elif offered.any():
+        midnight_ns = clock_ns[0] // _DAY_NS * _DAY_NS - round(settings.signal_midnight_s * _NS)
+        recorded = read_signal(find_file(settings.path))
+        signal[offered] = recorded.held(clock_ns[offered] - midnight_ns)
+    return settings.capacity_kw * signal
+
+
+def _offered(settings: RegulationSettings, clock_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell in which cycles regulation is offered, shape (T,)."""
+    begin_ns = _of_day_ns(settings.offered_from)
+    end_ns = _of_day_ns(settings.offered_to) or _DAY_NS
+    if begin_ns == end_ns:
+        raise InputError(
+            f"regulation.from and regulation.to are both {settings.offered_to};"
+            " accepted: two times of day, or neither for the whole day"
+        )
+    begun, not_over = clock_ns % _DAY_NS >= begin_ns, clock_ns % _DAY_NS < end_ns
+    return np.asarray(begun & not_over if begin_ns < end_ns else begun | not_over)
+
+
+def _of_day_ns(clock: time | None) -> int:
+    if clock is None:
+        return 0
+    seconds = (clock.hour * 60 + clock.minute) * 60 + clock.second
+    return seconds * _NS + clock.microsecond * 1000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegulationSignal:
+    """A signal as a file has it: N values of a constant step, N at least 2.
+
+    Attributes
+    ----------
+    time_ns : numpy.ndarray, shape (N,)
+        Time since midnight of the signal's own clock [ns].
+    value : numpy.ndarray, shape (N,)
+        Signal in per unit, from -1 to +1.
+    source : str
+        Where it was read from, for error messages.
+    """
+
+    time_ns: NDArray[np.int64]
+    value: NDArray[np.float64]
+    source: str
+
+    def held(self, time_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the value that is in force at some times: the last one sent.
+
+        Parameters
+        ----------
+        time_ns : numpy.ndarray, shape (K,)
+            Times of the signal's clock [ns], not empty.
+
+        Returns
+        -------
+        numpy.ndarray, shape (K,)
+            Signal in per unit. The file's last value holds for one step.
+
+        Raises
+        ------
+        InputError
+            The file begins later or ends earlier.
+        """
+        first_ns, last_ns = int(time_ns.min()), int(time_ns.max())
+        begins_ns, ends_ns = int(self.time_ns[0]), int(2 * self.time_ns[-1] - self.time_ns[-2])
+        wanted = "where the run's regulation {}; regulation.signal_midnight_s shifts the signal"
+        if first_ns < begins_ns:
+            raise InputError(
+                f"{self.source}: line 2: the signal begins at second {begins_ns / _NS:.15g};"
+                f" accepted: at {first_ns / _NS:.15g} or before, {wanted.format('begins')}"
+            )
+        if last_ns >= ends_ns:
+            raise InputError(
+                f"{self.source}: line {len(self.time_ns) + 1}: the signal ends at second"
+                f" {ends_ns / _NS:.15g}; accepted: later than {last_ns / _NS:.15g},"
+                f" {wanted.format('ends')}"
+            )
+        return self.value[np.searchsorted(self.time_ns, time_ns, side="right") - 1]
+
+
+def read_signal(path: Path) -> RegulationSignal:
+    """Read a regulation signal from a CSV of two columns with a header line.
+
+    The first column, whatever its header, is the second of the signal's own clock, the other one
+    the signal in per unit.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or has not two columns; a field is no number; a value is beyond
+        -1 to 1; the seconds repeat, go back, or do not keep the step of the file.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such file; accepted: --data with the folder that holds it")
+    header = read_header(path)
+    if len(header) != 2 or not np.isnan(number(header[1])):
+        raise InputError(
+            f"{path.name}: line 1: found '{','.join(header)[:60]}'; accepted: a header with the"
+            " names of two columns, seconds and signal"
+        )
+    seconds, values = read_numbers(path, header, (header[1],), _SIGNAL_ACCEPTED)
+    value = values[:, 0]
+    bad = np.flatnonzero(np.abs(value) > 1.0)
+    if bad.size:
+        raise InputError(
+            f"{path.name}: line {bad[0] + 2}, column '{header[1]}': found '{value[bad[0]]:.15g}';"
+            f" accepted: {_SIGNAL_ACCEPTED}"
+        )
+    return RegulationSignal(_steady_ns(path, header[0], seconds), value, path.name)
+
+
+def _steady_ns(path: Path, column: str, seconds: pd.Series) -> NDArray[np.int64]:
+    """Turn the text of the first column into times that keep one step."""
+
+    def place(row: int) -> str:
+        return f"{path.name}: line {row + 2}, column '{column}': {shown(str(text[row]))}"
+
+    text = seconds.fillna("").to_list()
+    second = np.array([number(field) for field in text])
+    bad = np.flatnonzero(~(np.abs(second) <= _LARGEST_S))
+    if bad.size:
+        raise InputError(f"{place(int(bad[0]))}; accepted: seconds, at most {_LARGEST_S:g}")
+    time_ns: NDArray[np.int64] = np.rint(second * _NS).astype(np.int64)
+    check_steady(time_ns, place)
+    return time_ns

@@ -1,0 +1,125 @@
+"""From the time step of measurements to the cycle of a run: block means, or lines between values.
+
+A measured value stands for the step that begins at its time stamp. A cycle that is as long as the
+step takes it as it is; a cycle of several steps takes their mean, which keeps the energy; a cycle
+that is shorter lies on the straight line between one value and the next. The last value has no
+next and holds for its step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from bus_schemas.errors import InputError
+
+_NS: Final = 1_000_000_000
+
+
+def step_ns(times: pd.DatetimeIndex) -> int:
+    """Return the step of time stamps [ns]; that of their frequency where there is only one.
+
+    Raises
+    ------
+    ValueError
+        There is a single time stamp without a frequency.
+    """
+    if len(times) > 1:
+        # Hours that do not follow each other leave a gap: the step is the least difference.
+        return int(np.diff(times.as_unit("ns").asi8).min())
+    if times.freq is None:
+        raise ValueError("one time stamp without a frequency has no step")
+    return int((times[0] + times.freq - times[0]).value)
+
+
+def on_cycles(
+    times: pd.DatetimeIndex,
+    series: Callable[[slice], NDArray[np.float64]],
+    cycles: pd.DatetimeIndex,
+    source: str,
+) -> NDArray[np.float64]:
+    """Bring measured series to the cycles of a run.
+
+    Parameters
+    ----------
+    times : pandas.DatetimeIndex, length T
+        Time stamps of the measurements, with a constant step.
+    series : callable
+        Returns some rows of the N series, as an array with one row for each time stamp. It is
+        asked only for those that the cycles need.
+    cycles : pandas.DatetimeIndex, length K
+        Beginnings of the cycles, ascending; they need not follow each other without a gap.
+    source : str
+        What the measurements were read from, for the error message.
+
+    Returns
+    -------
+    numpy.ndarray, shape (K, N)
+        Mean of the steps of each cycle, or the value on the line at its beginning. A cycle that
+        begins between two time stamps and is not shorter than the step begins with the earlier.
+
+    Raises
+    ------
+    InputError
+        The measurements do not cover the cycles, or the cycle is longer than their step and no
+        multiple of it.
+    """
+    step, cycle = step_ns(times), step_ns(cycles)
+    if cycle > step and cycle % step:
+        raise InputError(
+            f"{source}: a value every {step / _NS:g} s; accepted is a time.cycle_s that is a"
+            f" multiple of it, or shorter, found {cycle / _NS:g} s"
+        )
+    rows = _covering_rows(times, cycles, source)
+    values, times = series(rows), times[rows]
+    if cycle < step:
+        return _on_lines(times, values, cycles)
+    first = times.searchsorted(cycles, side="right") - 1
+    if cycle == step:
+        return values[first]
+    mean: NDArray[np.float64] = values[first[:, None] + np.arange(cycle // step)].mean(axis=1)
+    return mean
+
+
+def conversion(times: pd.DatetimeIndex, cycles: pd.DatetimeIndex) -> str | None:
+    """Say how measurements come to the cycles of a run; None if they are taken as they are."""
+    step_s, cycle_s = step_ns(times) / _NS, step_ns(cycles) / _NS
+    if cycle_s > step_s:
+        return f"a cycle of {cycle_s:g} s is the mean of {cycle_s / step_s:g} measured values"
+    if cycle_s < step_s:
+        return (
+            f"a value is measured every {step_s:g} s; the cycles of {cycle_s:g} s between them"
+            " are interpolated on a straight line"
+        )
+    return None
+
+
+def _covering_rows(times: pd.DatetimeIndex, cycles: pd.DatetimeIndex, source: str) -> slice:
+    """Rows from that of the first cycle to the one that ends the line of the last."""
+    start, end = cycles[0], cycles[-1] + pd.Timedelta(step_ns(cycles), unit="ns")
+    covered_until = times[-1] + pd.Timedelta(step_ns(times), unit="ns")
+    if start < times[0] or end > covered_until:
+        raise InputError(
+            f"{source}: does not cover {_iso(start)} to {_iso(end)};"
+            f" it covers {_iso(times[0])} to {_iso(covered_until)}"
+        )
+    first = int(times.searchsorted(start, side="right")) - 1
+    return slice(first, int(times.searchsorted(end)) + 1)
+
+
+def _on_lines(
+    times: pd.DatetimeIndex, values: NDArray[np.float64], cycles: pd.DatetimeIndex
+) -> NDArray[np.float64]:
+    # From the first time stamp on: nanoseconds since 1970 have more digits than a float keeps.
+    origin = times[0]
+    known_s = (times - origin).total_seconds().to_numpy()
+    wanted_s = (cycles - origin).total_seconds().to_numpy()
+    return np.column_stack([np.interp(wanted_s, known_s, column) for column in values.T])
+
+
+def _iso(time: pd.Timestamp) -> str:
+    return time.tz_convert("UTC").isoformat().replace("+00:00", "Z")

@@ -1,0 +1,122 @@
+"""The table at the end of a run, and the same as JSON."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from launch_scripts.summary import MemoryUse, MessageCount, RunSummary, print_summary
+from recordings.metrics import RunMetrics, run_metrics
+from recordings.series import RunSeries
+
+WIDTH = 100
+
+
+def metrics_of(regulation: bool) -> RunMetrics:
+    """Return the metrics of an hour in which a plant of 100 MW is half of the time 10 MW short."""
+    cycles = 3600
+    signal_kw = 9_000.0 * np.sin(np.arange(cycles) / 30.0 + 0.1) * regulation
+    delivered_kw = 50_000.0 + signal_kw - 10_000.0 * (np.arange(cycles) % 2)
+    one = np.ones((cycles, 1))
+    return run_metrics(
+        RunSeries(
+            label="hierarchical",
+            inverters=("c1/inv01",),
+            rating_kw=np.array([100_000.0]),
+            timezone="Pacific/Honolulu",
+            start_time_ns=1_270_159_200_000_000_000,
+            cycle_s=1.0,
+            commitment_kw=np.full(cycles, 50_000.0),
+            regulation_kw=signal_kw,
+            regulation_capacity_kw=9_000.0 * regulation,
+            mpp_kw=90_000.0 * one,
+            power_kw=delivered_kw[:, None],
+            impp_kw=90_000.0 * one,
+            residual_kw=40_000.0 * one,
+            alpha=0.5 * one,
+        )
+    )
+
+
+def summary_of(metrics: RunMetrics | None) -> RunSummary:
+    return RunSummary(
+        run_id="r",
+        scenario="oahu",
+        driver="simulate",
+        folder="runs/r",
+        sim_start="2010-04-01 12:00:00 HST",
+        cycles=3600,
+        cycle_s=1.0,
+        wall_s=10.0,
+        startup_s=1.0,
+        arming_rounds=0,
+        energy=(metrics or metrics_of(False)).commitment,
+        metrics=metrics,
+        messages=(MessageCount("help", 12, 12),),
+        dropped={},
+        missing_inputs=0,
+        memory=(MemoryUse("simulation", 1, 100.0, 100.0, 90.0),),
+        hindsight_neighbours=False,
+        interrupted=False,
+    )
+
+
+def rows_of(metrics: RunMetrics | None) -> dict[str, list[str]]:
+    """Print a summary; return its rows by name, after checking that none is cut or too long."""
+    text = io.StringIO()
+    print_summary(summary_of(metrics), Console(file=text, width=200))
+    lines = text.getvalue().splitlines()
+    assert max(map(len, lines)) <= WIDTH
+    cells = [line.strip("│ ").split("│") for line in lines if line.startswith("│")]
+    names = [row[0].strip() for row in cells]
+    return {
+        name: [cell.strip() for row in cells if row[0].strip() == name for cell in row[1:]]
+        for name in names
+    }
+
+
+def test_tracking_and_mileage_are_told() -> None:
+    rows = rows_of(metrics_of(regulation=False))
+    # Half of the cycles are 10,000 kW short: the root of half of 10,000 squared, and the half.
+    assert rows["tracking error"] == ["7,071.07 kW", "RMSE; mean absolute 5,000.00 kW"]
+    # 3,599 steps of 10,000 kW in the hour
+    assert rows["support mileage"] == ["35,990,000 kW/h", "35,990,000 kW in all"]
+    assert "regulation requests" not in rows
+    assert "PJM performance score" not in rows
+
+
+def test_requests_and_score_are_told_when_there_is_regulation() -> None:
+    rows = rows_of(metrics_of(regulation=True))
+    # Each request of 2 s has a second that is short.
+    assert rows["regulation requests"] == [
+        "0.00 %",
+        "of 1,800 fulfilled, to 0.1 % of the rating",
+        "0.00 %",
+        "of 1,800 fulfilled, to 1 % of the rating",
+    ]
+    score, note = rows["PJM performance score"]
+    # Of the seconds that are multiples of 10 none is short.
+    assert (score, note) == (
+        "1.000",
+        "accuracy 1.00, delay 1.00, precision 1.00",
+    )
+
+
+def test_a_summary_without_metrics_has_the_energies_alone() -> None:
+    rows = rows_of(None)
+    assert rows["satisfied commitment"][0] == "90.000 %"
+    assert "tracking error" not in rows
+
+
+@pytest.mark.parametrize("regulation", [False, True])
+def test_the_json_has_all_metrics(regulation: bool) -> None:
+    document = json.loads(summary_of(metrics_of(regulation)).as_json())
+    assert document["metrics"]["tracking"]["mae_kw"] == pytest.approx(5000.0)
+    found = document["metrics"]["regulation"]
+    assert (found is not None) == regulation
+    if regulation:
+        assert found["performance"]["hours"][0]["windows"] == 12

@@ -1,0 +1,310 @@
+"""Power of inverters from the DC currents of their combiners."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bus_schemas.errors import InputError
+from sim_plant.dc_current import InverterCurrents, ac_power_kw, read_currents
+
+CURRENTS = """\
+t_s,A-1,A-2,B-1,B-2,B-3
+0,50,70,10,20,30
+10,60,80,20,30,40
+20,90,130,30,40,50
+30,-1,0,40,50,60
+"""
+POSITIONS = """\
+combiner,inverter,x_m,y_m
+A-1,01,0,0
+A-2,01,20,-10
+B-1,02,100,0
+B-2,02,110,30
+B-3,02,120,60
+"""
+
+Read = Callable[..., InverterCurrents]
+
+
+@pytest.fixture
+def read(tmp_path: Path) -> Read:
+    def read_texts(
+        currents: str = CURRENTS,
+        positions: str = POSITIONS,
+        full_power_current: float = 100.0,
+        refuse_gaps: bool = False,
+    ) -> InverterCurrents:
+        (tmp_path / "hour.csv").write_text(currents)
+        (tmp_path / "positions.csv").write_text(positions)
+        return read_currents(
+            tmp_path / "hour.csv",
+            tmp_path / "positions.csv",
+            full_power_current,
+            refuse_gaps=refuse_gaps,
+        )
+
+    return read_texts
+
+
+def message_of(read: Read, **texts: object) -> str:
+    with pytest.raises(InputError) as caught:
+        read(**texts)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+# Good files ---------------------------------------------------------------------------------------
+
+
+def test_the_mean_of_the_combiners_is_the_inverters(read: Read) -> None:
+    found = read()
+    assert found.inverters == ("01", "02")
+    np.testing.assert_allclose(found.share[:3], [[0.6, 0.2], [0.7, 0.3], [1.1, 0.4]])
+    np.testing.assert_array_equal(found.time_ns, [0, 10e9, 20e9, 30e9])
+    assert found.listed == 2
+    assert found.report == ()
+
+
+def test_a_small_negative_current_is_zero(read: Read) -> None:
+    assert read().share[3, 0] == 0.0
+
+
+def test_an_inverter_stands_amid_its_combiners(read: Read) -> None:
+    found = read()
+    np.testing.assert_allclose(found.x_m, [10.0, 110.0])
+    np.testing.assert_allclose(found.y_m, [-5.0, 30.0])
+
+
+def test_power_is_the_share_of_the_rating_and_no_more_than_it() -> None:
+    share = np.array([[0.5, 1.0], [1.3, 0.0]])
+    np.testing.assert_array_equal(
+        ac_power_kw(share, np.array([800.0, 600.0])), [[400.0, 600.0], [800.0, 0.0]]
+    )
+
+
+def test_the_current_at_full_power_is_the_scenarios(read: Read) -> None:
+    np.testing.assert_allclose(read(full_power_current=125.0).share[0], [0.48, 0.16])
+
+
+def test_fractions_of_a_second_keep_their_step(read: Read) -> None:
+    faster = CURRENTS
+    for second, text in [(30, "0.3"), (20, "0.2"), (10, "0.1")]:
+        faster = faster.replace(f"\n{second},", f"\n{text},")
+    np.testing.assert_array_equal(read(currents=faster).time_ns, [0, 100e6, 200e6, 300e6])
+
+
+# Gaps ---------------------------------------------------------------------------------------------
+
+
+def test_the_mean_is_over_the_combiners_that_are_there(read: Read) -> None:
+    found = read(currents=CURRENTS.replace("10,60,80,20,30,40", "10,60,80,20,,40"))
+    np.testing.assert_allclose(found.share[1], [0.7, 0.3])
+    assert found.report == (
+        "hour.csv: inverter 02: 1 of 12 currents of its 3 combiners missing: the mean is over"
+        " those that are there",
+    )
+
+
+def test_a_combiner_without_a_column_is_missing_throughout(read: Read) -> None:
+    without = "\n".join(line.rpartition(",")[0] for line in CURRENTS.splitlines()) + "\n"
+    found = read(currents=without)
+    np.testing.assert_allclose(found.share[0], [0.6, 0.15])
+    assert found.report == (
+        "hour.csv: inverter 02: 4 of 12 currents of its 3 combiners missing: the mean is over"
+        " those that are there",
+    )
+
+
+def without_the_first_inverter() -> str:
+    lines = [line.split(",") for line in CURRENTS.splitlines()]
+    return "".join(
+        ",".join([fields[0], *([*fields[1:3]] if row == 0 else ["", ""]), *fields[3:]]) + "\n"
+        for row, fields in enumerate(lines)
+    )
+
+
+def test_an_inverter_without_any_current_is_left_out(read: Read) -> None:
+    found = read(currents=without_the_first_inverter())
+    assert found.inverters == ("02",)
+    np.testing.assert_allclose(found.x_m, [110.0])
+    assert found.share.shape == (4, 1)
+    assert found.listed == 2
+    assert found.report == (
+        "hour.csv: inverter 01: 8 of 8 currents of its 2 combiners missing: left out, with its"
+        " rating",
+    )
+
+
+def test_gaps_are_refused_where_they_shall_be(read: Read) -> None:
+    assert message_of(read, currents=without_the_first_inverter(), refuse_gaps=True) == (
+        "hour.csv: line 2, column 'A-1': found an empty field; accepted: a number, as"
+        " irradiance.gaps is 'refuse'"
+    )
+    without = "\n".join(line.rpartition(",")[0] for line in CURRENTS.splitlines()) + "\n"
+    assert message_of(read, currents=without, refuse_gaps=True) == (
+        "hour.csv: inverter 02: 4 of 12 currents of its 3 combiners missing; accepted with"
+        " irradiance.gaps = 'refuse': none missing"
+    )
+
+
+def test_an_inverter_that_comes_and_goes_is_refused(read: Read) -> None:
+    gone = CURRENTS.replace("10,60,80,", "10,,,").replace("20,90,130,", "20,,,")
+    assert message_of(read, currents=gone) == (
+        "hour.csv: line 3: no current of inverter 01, and 2 such lines; accepted: some of its"
+        " currents in each line, or none in all"
+    )
+
+
+# Bad files ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "10,60,80",
+            "10,60,x",
+            "hour.csv: line 3, column 'A-2': found 'x'; accepted: a number or nothing",
+        ),
+        (
+            "10,60,80",
+            "10,60,NaN",
+            "hour.csv: line 3, column 'A-2': found 'NaN'; accepted: a number or nothing",
+        ),
+        (
+            "10,60,80",
+            "10,60,201",
+            "hour.csv: line 3, column 'A-2': found '201'; accepted: -2 to 200, as"
+            " irradiance.full_power_current is 100",
+        ),
+        (
+            "10,60,80",
+            "10,60,-3",
+            "hour.csv: line 3, column 'A-2': found '-3'; accepted: -2 to 200, as"
+            " irradiance.full_power_current is 100",
+        ),
+        ("10,60,80,", "10,60,", "hour.csv: line 3: 5 fields; accepted: 6, as in the header"),
+        (
+            "20,90",
+            "10,90",
+            "hour.csv: line 4, column 't_s': found '10' repeats line 3; accepted: one step of 10 s"
+            " throughout",
+        ),
+        (
+            "20,90",
+            "5,90",
+            "hour.csv: line 4, column 't_s': found '5' goes back 5 s from line 3; accepted: one"
+            " step of 10 s throughout",
+        ),
+        (
+            "30,-1",
+            "50,-1",
+            "hour.csv: line 5, column 't_s': found '50' is 30 s after line 4; accepted: one step"
+            " of 10 s throughout",
+        ),
+        (
+            "20,90",
+            "noon,90",
+            "hour.csv: line 4, column 't_s': found 'noon'; accepted: a number of seconds",
+        ),
+        (
+            "20,90",
+            ",90",
+            "hour.csv: line 4, column 't_s': found an empty field; accepted: a number of seconds",
+        ),
+        (
+            "t_s,",
+            "utc,",
+            "hour.csv: line 1: the first column is 'utc'; accepted: t_s, seconds from the"
+            " beginning of the measurement",
+        ),
+        (
+            "A-1,A-2",
+            "A-1,A-1",
+            "hour.csv: line 1: column 'A-1' is there twice; accepted: one per combiner",
+        ),
+        (
+            "A-1,A-2",
+            "A-1,A-9",
+            "positions.csv: no position for combiner 'A-9' of hour.csv; accepted: a line for each"
+            " combiner",
+        ),
+    ],
+)
+def test_one_wrong_field_of_the_currents_is_located(
+    read: Read, old: str, new: str, message: str
+) -> None:
+    assert CURRENTS.count(old) == 1
+    assert message_of(read, currents=CURRENTS.replace(old, new)) == message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "inverter,x_m",
+            "inverter,east",
+            "positions.csv: line 1: no column 'x_m'; accepted: the columns combiner, inverter, x_m,"
+            " y_m; found combiner, inverter, east, y_m",
+        ),
+        (
+            "A-2,01,20",
+            "A-2,01,far",
+            "positions.csv: line 3, column 'x_m': found 'far'; accepted: metres from -1000000 to"
+            " 1000000",
+        ),
+        (
+            "A-2,01",
+            "A-1,01",
+            "positions.csv: line 3: combiner 'A-1' is there twice; accepted: one position per"
+            " combiner",
+        ),
+        (
+            "A-2,01",
+            "A-2,a/b",
+            "positions.csv: line 3: name 'a/b', accepted are letters, digits, '_' and '-'",
+        ),
+    ],
+)
+def test_one_wrong_field_of_the_positions_is_located(
+    read: Read, old: str, new: str, message: str
+) -> None:
+    assert POSITIONS.count(old) == 1
+    assert message_of(read, positions=POSITIONS.replace(old, new)) == message
+
+
+def test_currents_in_another_unit_are_recognised(read: Read) -> None:
+    assert message_of(read, full_power_current=1.0).endswith(
+        "accepted: -0.02 to 2, as irradiance.full_power_current is 1"
+    )
+    assert message_of(read, full_power_current=10_000.0) == (
+        "hour.csv: the largest current is 130, which seems to be in another unit than"
+        " irradiance.full_power_current, 10000"
+    )
+
+
+def test_a_file_without_any_current_is_refused(read: Read) -> None:
+    empty = "t_s,A-1\n0,\n10,\n"
+    assert message_of(read, currents=empty) == (
+        "hour.csv: no inverter has a current; accepted: at least one"
+    )
+
+
+# The real plant -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("hour", "inverters"), [("a", 25), ("b", 23), ("c", 25)])
+def test_the_hours_of_the_real_plant_are_read(data_folder: Path, hour: str, inverters: int) -> None:
+    folder = data_folder / "plant20mw-combiners-10s"
+    found = read_currents(
+        folder / f"hour_{hour}.csv", folder / "positions.csv", 100.0, refuse_gaps=False
+    )
+    assert found.share.shape == (361, inverters)
+    assert found.listed == 25
+    left_out = [line for line in found.report if "left out" in line]
+    assert len(left_out) == 25 - inverters
+    assert np.isfinite(found.share).all()
+    assert 690.0 < np.ptp(found.x_m) + np.ptp(found.y_m) < 1400.0

@@ -1,0 +1,150 @@
+"""Missing values of a sensor, filled from the sensors around it."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+
+from bus_schemas.errors import InputError
+from sim_plant.gap_filling import fill_from_neighbours
+from sim_plant.irradiance import Irradiance, read_measured_ghi
+
+NAN = np.nan
+
+
+def line_of_sensors(ghi_wm2: NDArray[np.float64], north_m: list[float]) -> Irradiance:
+    """Sensors A, B, C ... on a meridian."""
+    count = len(north_m)
+    return Irradiance(
+        pd.date_range("2010-04-01T20:00:00Z", periods=len(ghi_wm2), freq="1s"),
+        np.asarray(ghi_wm2, dtype=np.float64),
+        tuple("ABCDEFGH"[:count]),
+        21.3 + np.array(north_m) / 111_200.0,
+        np.full(count, -158.0),
+    )
+
+
+def refusal(irradiance: Irradiance) -> str:
+    with pytest.raises(InputError) as caught:
+        fill_from_neighbours(irradiance, "day.txt", first_line=1)
+    return str(caught.value)
+
+
+def test_nothing_missing_is_nothing_changed() -> None:
+    whole = line_of_sensors(np.arange(12.0).reshape(4, 3), [0.0, 100.0, 300.0])
+    found, report = fill_from_neighbours(whole, "day.txt", first_line=1)
+    np.testing.assert_array_equal(found.ghi_wm2, whole.ghi_wm2)
+    assert report == ()
+
+
+def test_weights_are_the_inverse_squares_of_the_distances() -> None:
+    # B is 100 m away and C 200 m: weights 4 and 1. Over all times A is as bright as its neighbours.
+    given = line_of_sensors(
+        np.array([[100.0, 100.0, 100.0], [NAN, 500.0, 1000.0], [300.0, 300.0, 300.0]]),
+        [0.0, 100.0, -200.0],
+    )
+    found, report = fill_from_neighbours(given, "day.txt", first_line=1)
+    np.testing.assert_allclose(found.ghi_wm2[1, 0], (4 * 500.0 + 1000.0) / 5, rtol=1e-9)
+    assert report == ("A: 1 of 3 values missing, filled from B and C times 1.000",)
+
+
+def test_the_level_of_the_sensor_itself_is_kept() -> None:
+    # A reads a tenth less than B whenever both are there.
+    given = line_of_sensors(np.array([[90.0, 100.0], [NAN, 700.0], [450.0, 500.0]]), [0.0, 100.0])
+    found, report = fill_from_neighbours(given, "day.txt", first_line=1)
+    np.testing.assert_allclose(found.ghi_wm2[1, 0], 630.0)
+    assert report == ("A: 1 of 3 values missing, filled from B times 0.900",)
+
+
+def test_values_that_are_there_stay_to_the_last_bit() -> None:
+    rng = np.random.default_rng(3)
+    ghi_wm2 = 1000.0 * rng.random((200, 4))
+    ghi_wm2[rng.random(ghi_wm2.shape) < 0.2] = NAN
+    ghi_wm2[:, 3] = 400.0
+    given = line_of_sensors(ghi_wm2, [0.0, 50.0, 120.0, 300.0])
+    found, _ = fill_from_neighbours(given, "day.txt", first_line=1)
+    there = ~np.isnan(ghi_wm2)
+    np.testing.assert_array_equal(found.ghi_wm2[there], ghi_wm2[there])
+    assert np.isfinite(found.ghi_wm2).all()
+    assert found.ghi_wm2.min() >= 0.0
+    assert np.isnan(given.ghi_wm2).sum() == (~there).sum()
+
+
+def test_the_three_nearest_that_have_a_value_serve_and_farther_ones_in_their_stead() -> None:
+    ghi_wm2 = np.full((3, 6), 500.0)
+    ghi_wm2[1:, 0] = NAN
+    ghi_wm2[:, 5] = 9.0  # F is the farthest: it serves only where a nearer one is missing too.
+    ghi_wm2[2, 1] = NAN
+    given = line_of_sensors(ghi_wm2, [0.0, 10.0, 20.0, 30.0, 40.0, 50.0])
+    found, report = fill_from_neighbours(given, "day.txt", first_line=1)
+    np.testing.assert_allclose(found.ghi_wm2[1:, 0], [500.0, 500.0])
+    assert report[0] == "A: 2 of 3 values missing, filled from B, C, D and 1 farther times 1.000"
+
+
+def test_a_sensor_that_was_never_there_takes_the_level_of_its_neighbours() -> None:
+    given = line_of_sensors(np.array([[NAN, 100.0], [NAN, 300.0]]), [0.0, 100.0])
+    found, report = fill_from_neighbours(given, "day.txt", first_line=1)
+    np.testing.assert_allclose(found.ghi_wm2[:, 0], [100.0, 300.0])
+    assert report == ("A: 2 of 2 values missing, filled from B times 1.000",)
+
+
+def test_two_sensors_at_one_place_do_no_harm() -> None:
+    given = line_of_sensors(np.array([[NAN, 200.0], [100.0, 100.0]]), [0.0, 0.0])
+    found, _ = fill_from_neighbours(given, "day.txt", first_line=1)
+    assert found.ghi_wm2[0, 0] == 200.0
+
+
+def test_where_no_sensor_has_a_value_each_draws_a_line_in_time() -> None:
+    ghi_wm2 = np.array([[100.0, 10.0], [NAN, NAN], [NAN, NAN], [400.0, 40.0]])
+    found, report = fill_from_neighbours(line_of_sensors(ghi_wm2, [0.0, 1.0]), "day.txt", 1)
+    np.testing.assert_allclose(found.ghi_wm2, [[100, 10], [200, 20], [300, 30], [400, 40]])
+    assert report == (
+        "all sensors: 2 of 4 values missing at the same time, interpolated from the values before"
+        " and after",
+    )
+
+
+@pytest.mark.parametrize(
+    ("first", "after", "lines"), [(10, 71, "11 to 71"), (0, 2, "1 to 2"), (98, 100, "99 to 100")]
+)
+def test_a_silence_too_long_or_at_an_end_is_refused(first: int, after: int, lines: str) -> None:
+    ghi_wm2 = np.full((100, 2), 500.0)
+    ghi_wm2[first:after] = NAN
+    assert refusal(line_of_sensors(ghi_wm2, [0.0, 100.0])) == (
+        f"day.txt: lines {lines}: no sensor has a value; accepted: at most 60 such lines between"
+        " lines with values"
+    )
+
+
+def test_a_silence_of_sixty_values_is_not_too_long() -> None:
+    ghi_wm2 = np.full((100, 2), 500.0)
+    ghi_wm2[10:70] = NAN
+    found, _ = fill_from_neighbours(line_of_sensors(ghi_wm2, [0.0, 100.0]), "day.txt", 1)
+    np.testing.assert_array_equal(found.ghi_wm2, 500.0)
+
+
+STATIONS = [str(n) for n in (16, 40, 49, 51, 53, 56, 60, 63, 65, 68, 69, 79, 81, 85, 88, 92, 100)]
+
+
+def test_twenty_minutes_of_broken_clouds_come_back_well(data_folder: Path) -> None:
+    folder = data_folder / "hope-melpitz-1s"
+    whole = read_measured_ghi(
+        folder / "ghi_20130908_0915_0955.csv", folder / "positions.csv", STATIONS
+    )
+    gap = slice(600, 1800)
+    rmse_wm2, of_a_line_wm2, spread = [], [], []
+    for sensor in range(len(STATIONS)):
+        truth = whole.ghi_wm2[gap, sensor]
+        ghi_wm2 = whole.ghi_wm2.copy()
+        ghi_wm2[gap, sensor] = NAN
+        given = Irradiance(whole.times, ghi_wm2, whole.sensors, whole.lat_deg, whole.lon_deg)
+        filled = fill_from_neighbours(given, "hope", 2)[0].ghi_wm2[gap, sensor]
+        line = np.interp(np.arange(600, 1800), [599, 1800], whole.ghi_wm2[[599, 1800], sensor])
+        rmse_wm2.append(np.sqrt(np.mean((filled - truth) ** 2)))
+        of_a_line_wm2.append(np.sqrt(np.mean((line - truth) ** 2)))
+        spread.append(filled.std() / truth.std())
+    print(np.median(rmse_wm2), np.median(of_a_line_wm2), np.median(spread))
+    assert np.median(rmse_wm2) < np.median(of_a_line_wm2) / 3.0
+    assert 0.9 < np.median(spread) < 1.1

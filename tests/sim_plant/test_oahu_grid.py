@@ -1,0 +1,365 @@
+"""Daily files of the Oahu grid: made here in their format, since the real ones may not be had."""
+
+from collections.abc import Callable
+from datetime import date
+from pathlib import Path
+from zipfile import ZipFile
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+
+from bus_schemas.errors import InputError
+from sim_plant.oahu_grid import HORIZONTAL, GridDay, latest_day_before, read_day
+
+DAY = date(2010, 4, 1)
+FIELDS = (
+    *("DH3", "DH4", "DH5", "DH10", "DH11", "DH9", "DH2", "DH1", "DH1T", "AP6", "AP6T"),
+    *("AP1", "AP3", "AP5", "AP4", "AP7", "DH6", "DH7", "DH8"),
+)
+POSITIONS = Path(__file__).resolve().parents[2] / "launch_scripts" / "scenarios" / "oahu.csv"
+
+Read = Callable[..., GridDay]
+
+
+def day_text(day: date, ghi_wm2: NDArray[np.float64], begin: str = "12:00") -> str:
+    """A file of the archive: a second to a line, -99999 where a value is missing."""
+    times = pd.date_range(f"{day} {begin}", periods=len(ghi_wm2), freq="1s")
+    stamps = zip(times.second, times.year, times.day_of_year, times.hour, times.minute, strict=True)
+    values = [
+        ",".join("-99999" if np.isnan(v) else f"{v:.4f}" for v in row) for row in ghi_wm2.tolist()
+    ]
+    return "".join(
+        f"{s},{year},{doy},{100 * hour + minute},{row}\n"
+        for (s, year, doy, hour, minute), row in zip(stamps, values, strict=True)
+    )
+
+
+def some_minutes() -> NDArray[np.float64]:
+    """Field number times 10 plus the second: every value is known."""
+    return 10.0 * np.arange(5, 24) + np.arange(150.0)[:, None]
+
+
+def column(sensor: str) -> int:
+    return FIELDS.index(sensor)
+
+
+@pytest.fixture
+def read(tmp_path: Path) -> Read:
+    def read_text(text: str, **options: object) -> GridDay:
+        (tmp_path / "20100401.txt").write_text(text)
+        options = {"most_missing": 0.2} | options
+        return read_day(tmp_path, DAY, POSITIONS, **options)  # type: ignore[arg-type]
+
+    return read_text
+
+
+def message_of(read: Read, text: str, **options: object) -> str:
+    with pytest.raises(InputError) as caught:
+        read(text, **options)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message[message.find("20100401.txt") :] if "20100401.txt" in message else message
+
+
+# Good files ---------------------------------------------------------------------------------------
+
+
+def test_each_sensor_has_its_own_field_and_the_tilted_have_none(read: Read) -> None:
+    found = read(day_text(DAY, some_minutes()), stations=None)
+    assert found.irradiance.sensors == HORIZONTAL
+    assert len(HORIZONTAL) == 17
+    assert not {"DH1T", "AP6T", "AP2"} & set(HORIZONTAL)
+    for sensor, value in zip(HORIZONTAL, found.irradiance.ghi_wm2[7], strict=True):
+        assert value == 10.0 * (5 + column(sensor)) + 7.0
+    assert found.report == ()
+
+
+def test_stamps_are_hawaii_standard_time(read: Read) -> None:
+    times = read(day_text(DAY, some_minutes(), begin="05:00")).irradiance.times
+    assert times[0] == pd.Timestamp("2010-04-01T05:00:00-10:00")
+    assert times[-1] == pd.Timestamp("2010-04-01T15:02:29Z")
+    assert str(times.tz) == "UTC"
+
+
+def test_stations_and_their_positions_are_in_the_order_asked_for(read: Read) -> None:
+    found = read(day_text(DAY, some_minutes()), stations=["AP7", "DH1"]).irradiance
+    assert found.sensors == ("AP7", "DH1")
+    np.testing.assert_array_equal(found.ghi_wm2[0], [200.0, 120.0])
+    np.testing.assert_array_equal(found.lat_deg, [21.31478, 21.31533])
+    np.testing.assert_array_equal(found.lon_deg, [-158.07785, -158.087])
+
+
+def test_the_small_negatives_of_the_night_are_zero(read: Read) -> None:
+    ghi_wm2 = some_minutes()
+    ghi_wm2[3, column("DH4")] = -0.7
+    found = read(day_text(DAY, ghi_wm2))
+    assert found.irradiance.ghi_wm2[3, HORIZONTAL.index("DH4")] == 0.0
+    assert found.report == ()
+
+
+@pytest.mark.parametrize("inside", ["20100401.txt", "201004/20100401.txt"])
+def test_a_day_is_found_in_the_archive_of_its_month(tmp_path: Path, inside: str) -> None:
+    with ZipFile(tmp_path / "201004.zip", "w") as archive:
+        archive.writestr("readme.txt", "about the month")
+        archive.writestr(inside, day_text(DAY, some_minutes()))
+    found = read_day(tmp_path, DAY, POSITIONS, most_missing=0.2)
+    assert found.irradiance.ghi_wm2.shape == (150, 17)
+    assert found.source == f"{tmp_path / '201004.zip'}/{inside}"
+
+
+def test_a_whole_day_is_read(tmp_path: Path) -> None:
+    minutes = np.tile(some_minutes(), (361, 1))[:54_001]
+    minutes[1000:8000, column("AP3")] = np.nan
+    (tmp_path / "20100401.txt").write_text(day_text(DAY, minutes, begin="05:00"))
+    found = read_day(tmp_path, DAY, POSITIONS, most_missing=0.2)
+    assert found.irradiance.times[-1] == pd.Timestamp("2010-04-01T20:00:00-10:00")
+    assert np.isfinite(found.irradiance.ghi_wm2).all()
+    (line,) = found.report
+    assert line.startswith("20100401.txt: AP3: 7,000 of 54,001 values missing, filled from AP1, ")
+
+
+# Gaps ---------------------------------------------------------------------------------------------
+
+
+def with_gap(sensor: str, rows: slice) -> NDArray[np.float64]:
+    ghi_wm2 = some_minutes()
+    ghi_wm2[rows, column(sensor)] = np.nan
+    return ghi_wm2
+
+
+def test_a_gap_is_filled_and_told(read: Read) -> None:
+    found = read(day_text(DAY, with_gap("DH8", slice(40, 60))), stations=["DH6", "DH8"])
+    assert found.report == (
+        "20100401.txt: DH8: 20 of 150 values missing, filled from DH6 times 1.069",
+    )
+    truth = some_minutes()[40:60, column("DH8")]
+    np.testing.assert_allclose(found.irradiance.ghi_wm2[40:60, 1], truth, rtol=0.02)
+
+
+def test_a_sensor_of_which_too_much_is_missing_is_left_out(read: Read) -> None:
+    found = read(day_text(DAY, with_gap("AP3", slice(0, 31))))
+    assert "AP3" not in found.irradiance.sensors
+    assert found.irradiance.ghi_wm2.shape == (150, 16)
+    assert len(found.irradiance.lat_deg) == 16
+    assert found.report == (
+        "20100401.txt: AP3: 31 of 150 values missing, more than 20 % of the day: left out, with"
+        " its inverter",
+    )
+
+
+def test_a_sensor_of_which_just_not_too_much_is_missing_is_kept(read: Read) -> None:
+    found = read(day_text(DAY, with_gap("AP3", slice(0, 30))))
+    assert "AP3" in found.irradiance.sensors
+
+
+def test_gaps_of_sensors_not_asked_for_do_no_harm(read: Read) -> None:
+    text = day_text(DAY, with_gap("DH1T", slice(0, 150)))
+    assert read(text, most_missing=None, stations=["DH1", "DH2"]).report == ()
+
+
+def test_a_gap_is_refused_where_gaps_are_refused(read: Read) -> None:
+    text = day_text(DAY, with_gap("AP3", slice(40, 60)))
+    assert message_of(read, text, most_missing=None) == (
+        "20100401.txt: line 41, field 17 (AP3): found '-99999', one of 20 missing values;"
+        " accepted with irradiance.gaps = 'refuse': none missing"
+    )
+
+
+def test_a_day_without_any_sensor_is_refused(read: Read) -> None:
+    text = day_text(DAY, np.full((150, 19), np.nan))
+    assert message_of(read, text) == (
+        "20100401.txt: of each sensor more than 20 % of the day is missing; accepted: at least one"
+        " sensor with less"
+    )
+
+
+# Bad files ----------------------------------------------------------------------------------------
+
+GOOD = "0,2010,91,1200" + ",500" * 19 + "\n1,2010,91,1200" + ",600" * 19 + "\n"
+GOOD += "2,2010,91,1200" + ",700" * 19 + "\n3,2010,91,1200" + ",800" * 19 + "\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "2,2010,91,1200,700",
+            "2,2010,91,1200,n/a",
+            "line 3, field 5 (DH3): found 'n/a'; accepted: a number, -99999 where it is missing",
+        ),
+        (
+            "2,2010,91,1200,700",
+            "2,2010,91,1200,",
+            "line 3, field 5 (DH3): found an empty field; accepted: a number, -99999 where it is"
+            " missing",
+        ),
+        (
+            "2,2010,91,1200,700",
+            "2,2010,91,1200,nan",
+            "line 3, field 5 (DH3): found 'nan'; accepted: a number, -99999 where it is missing",
+        ),
+        ("2,2010,91,1200,700", "2,2010,91,1200", "line 3: 22 fields; accepted: 23"),
+        ("2,2010,91,1200,700", "2,2010,91,1200,700,700", "line 3: 24 fields; accepted: 23"),
+        ("0,2010,91,1200,500", "0,2010,91,1200,500,500", "line 1: 24 fields; accepted: 23"),
+        ("2,2010,91,1200,700", "\n2,2010,91,1200,700", "line 3: 1 fields; accepted: 23"),
+        (
+            "2,2010,91,1200,700",
+            "2,2010,91,1200,2100",
+            "line 3, field 5 (DH3): found '2100'; accepted: -10 to 2000 W/m2",
+        ),
+        (
+            "2,2010,91,1200,700",
+            "2,2010,91,1200,-9999",
+            "line 3, field 5 (DH3): found '-9999'; accepted: -10 to 2000 W/m2",
+        ),
+        (
+            "2,2010,91",
+            "2,2010,92",
+            "line 3, field 3 (day of year): found '92' of 2010; accepted: 91 of 2010, as in its"
+            " name",
+        ),
+        (
+            "2,2010,91",
+            "2,2011,91",
+            "line 3, field 3 (day of year): found '91' of 2011; accepted: 91 of 2010, as in its"
+            " name",
+        ),
+        (
+            "2,2010,91,1200",
+            "2,2010,91,1260",
+            "line 3, field 4 (hour and minute): found '1260'; accepted: 0 to 2359",
+        ),
+        (
+            "2,2010,91,1200",
+            "60,2010,91,1200",
+            "line 3, field 1 (second): found '60'; accepted: 0 to 59",
+        ),
+        (
+            "2,2010,91,1200",
+            "1,2010,91,1200",
+            "line 3: 12:00:01 repeats line 2; accepted: one step of 1 s throughout",
+        ),
+        (
+            "2,2010,91,1200",
+            "58,2010,91,1159",
+            "line 3: 11:59:58 goes back 3 s from line 2; accepted: one step of 1 s throughout",
+        ),
+        (
+            "3,2010,91,1200",
+            "9,2010,91,1200",
+            "line 4: 12:00:09 is 7 s after line 3; accepted: one step of 1 s throughout",
+        ),
+    ],
+)
+def test_one_wrong_field_is_located(read: Read, old: str, new: str, message: str) -> None:
+    assert GOOD.count(old) == 1
+    assert message_of(read, GOOD.replace(old, new)) == f"20100401.txt: {message}"
+
+
+def test_a_file_of_ap2_in_place_of_the_grid_is_recognised(read: Read) -> None:
+    assert message_of(read, "0,2010,91,1200,500,100,400\n3,2010,91,1200,500,100,400\n") == (
+        "20100401.txt: line 1: 7 fields; accepted: 23, a file of AP2 has 7"
+    )
+
+
+def test_kilowatts_are_recognised(read: Read) -> None:
+    text = GOOD
+    for value in (500, 600, 700, 800):
+        text = text.replace(f",{value}", f",0.{value}")
+    assert message_of(read, text) == (
+        "20100401.txt: the largest value is 0.8, so the unit seems to be kW/m2; accepted: W/m2,"
+        " with a maximum of at least 2"
+    )
+
+
+@pytest.mark.parametrize("text", ["", GOOD[: GOOD.index("\n") + 1]])
+def test_less_than_two_lines_are_refused(read: Read, text: str) -> None:
+    assert message_of(read, text).startswith("20100401.txt: ")
+
+
+def test_bytes_that_are_no_text_are_located(tmp_path: Path) -> None:
+    (tmp_path / "20100401.txt").write_bytes(GOOD.encode().replace(b",700,", b",7\xff0,", 1))
+    with pytest.raises(InputError) as caught:
+        read_day(tmp_path, DAY, POSITIONS, most_missing=0.2)
+    assert "line 3, field 5 (DH3): found '7ÿ0'" in str(caught.value)
+
+
+def test_a_station_without_a_position_is_named(tmp_path: Path) -> None:
+    (tmp_path / "20100401.txt").write_text(GOOD)
+    (tmp_path / "positions.csv").write_text("station,lat,lon\nDH1,21.3,-158.1\n")
+    with pytest.raises(InputError) as caught:
+        read_day(tmp_path, DAY, tmp_path / "positions.csv", ["DH1", "DH2"], 0.2)
+    assert str(caught.value) == (
+        "positions.csv: no position for station 'DH2'; accepted: a line for each station"
+    )
+
+
+@pytest.mark.parametrize(
+    ("stations", "what"),
+    [
+        (["DH1", "AP6T"], "'AP6T' is tilted"),
+        (["DH1", "AP2"], "'AP2' is not in the daily files"),
+        (["DH1", "DH1"], "'DH1' is there twice"),
+        ([], "none"),
+    ],
+)
+def test_stations_that_are_none_are_refused(read: Read, stations: list[str], what: str) -> None:
+    assert message_of(read, GOOD, stations=stations).startswith(f"stations: {what}; accepted: ")
+
+
+# Days and archives --------------------------------------------------------------------------------
+
+
+def test_a_day_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with ZipFile(tmp_path / "201004.zip", "w") as archive:
+        archive.writestr("20100402.txt", GOOD)
+    with pytest.raises(InputError) as caught:
+        read_day(tmp_path, DAY, POSITIONS)
+    assert str(caught.value) == (
+        f"{tmp_path}: no file of 2010-04-01; accepted: YYYYMMDD.txt, or YYYYMM.zip that holds it"
+    )
+
+
+def test_an_archive_that_is_none_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "201004.zip").write_text("not a ZIP archive")
+    with pytest.raises(InputError) as caught:
+        read_day(tmp_path, DAY, POSITIONS)
+    assert str(caught.value) == (
+        f"{tmp_path / '201004.zip'}: File is not a zip file; accepted: a ZIP archive of daily files"
+    )
+
+
+@pytest.mark.parametrize(
+    ("plain", "zipped", "latest"),
+    [
+        (["20100330", "20100331", "20100402"], {}, "2010-03-31"),
+        ([], {"201003": ["20100329"]}, "2010-03-29"),
+        (["20100328"], {"201003": ["20100329"], "201002": ["20100228"]}, "2010-03-29"),
+        (["20100331"], {"201004": ["20100401", "20100402"]}, "2010-03-31"),
+        ([], {"201002": ["20100228"], "201004": ["20100402"]}, "2010-02-28"),
+        (["notes", "20100331", "20109999"], {"old": ["20100331"]}, "2010-03-31"),
+    ],
+)
+def test_the_latest_earlier_day_is_found_in_files_and_archives(
+    tmp_path: Path, plain: list[str], zipped: dict[str, list[str]], latest: str
+) -> None:
+    for name in plain:
+        (tmp_path / f"{name}.txt").write_text(GOOD)
+    for month, days in zipped.items():
+        with ZipFile(tmp_path / f"{month}.zip", "w") as archive:
+            for day in days:
+                archive.writestr(f"{day}.txt", GOOD)
+    assert latest_day_before(tmp_path, DAY) == date.fromisoformat(latest)
+
+
+def test_no_earlier_day_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "20100401.txt").write_text(GOOD)
+    with pytest.raises(InputError) as caught:
+        latest_day_before(tmp_path, DAY)
+    assert str(caught.value) == (
+        f"{tmp_path}: no file of a day before 2010-04-01, from which neighbours.history ="
+        " 'earlier-day' takes the past; accepted: YYYYMMDD.txt, or YYYYMM.zip that holds it, or"
+        " 'hindsight'"
+    )

@@ -1,0 +1,294 @@
+"""Regulation asked of a plant: from a file or synthetic, held onto the cycles of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pandas as pd
+import pytest
+
+from bus_schemas.errors import InputError
+from sim_plant.regulation import (
+    RegulationFile,
+    RegulationSettings,
+    SyntheticRegulation,
+    read_signal,
+    regulation_kw,
+)
+from sim_plant.synthetic_regd import synthetic_regd
+
+HONOLULU = "Pacific/Honolulu"
+CAPACITY_KW = 500.0
+VALUES = (0.0, 0.5, -1.0, 1.0, 0.25)
+"""A value every 2 s."""
+
+HELD_KW = CAPACITY_KW * np.repeat(VALUES, 2)
+
+
+def read(toml: str) -> RegulationSettings:
+    settings: RegulationSettings = msgspec.toml.decode(toml, type=RegulationSettings)
+    return settings
+
+
+def cycles(start: str, count: int, cycle_s: float = 1.0) -> pd.DatetimeIndex:
+    """Return cycles from a local time on Oahu on."""
+    first = pd.Timestamp(start, tz=HONOLULU).tz_convert("UTC")
+    return pd.date_range(first, periods=count, freq=pd.Timedelta(seconds=cycle_s), unit="ns")
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "signal.csv"
+
+
+def write(path: Path, first_s: int = 0, values: tuple[float, ...] = VALUES) -> None:
+    rows = [f"{first_s + 2 * row},{value}" for row, value in enumerate(values)]
+    path.write_text("\n".join(["t_s,regd", *rows]) + "\n", encoding="utf-8")
+
+
+def asked_kw(
+    path: Path,
+    times: pd.DatetimeIndex,
+    toml: str = "",
+    timezone: str = HONOLULU,
+) -> list[float]:
+    settings = read(f'kind = "file"\npath = "{path.name}"\ncapacity_kw = {CAPACITY_KW}\n{toml}')
+    found: list[float] = regulation_kw(settings, times, timezone, path.parent.joinpath).tolist()
+    return found
+
+
+def complaint(path: Path, times: pd.DatetimeIndex | None = None, toml: str = "") -> str:
+    with pytest.raises(InputError) as caught:
+        asked_kw(path, cycles("2010-04-01", 1) if times is None else times, toml)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def test_a_value_is_held_until_the_next(path: Path) -> None:
+    write(path)
+    assert asked_kw(path, cycles("2010-04-01", 10)) == HELD_KW.tolist()
+
+
+@pytest.mark.parametrize(
+    ("cycle_s", "expected"),
+    [
+        (0.5, np.repeat(VALUES, 4)),
+        (2.0, VALUES),
+        (3.0, [0.0, 0.5, 1.0]),  # in force at 0, 3 and 6 s
+        (4.0, [0.0, -1.0, 0.25]),
+    ],
+)
+def test_a_cycle_of_any_length_takes_the_value_in_force_at_its_beginning(
+    path: Path, cycle_s: float, expected: list[float]
+) -> None:
+    write(path)
+    found = asked_kw(path, cycles("2010-04-01", len(expected), cycle_s))
+    assert found == (CAPACITY_KW * np.array(expected)).tolist()
+
+
+def test_a_run_starts_in_the_signal_where_its_clock_stands(path: Path) -> None:
+    write(path, first_s=9 * 3600)
+    found = asked_kw(path, cycles("2010-04-01T09:00:03", 7))
+    assert found == HELD_KW[3:].tolist()
+
+
+def test_the_signal_can_be_shifted_against_the_clock(path: Path) -> None:
+    write(path, first_s=1000)
+    times = cycles("2010-04-01T00:00:02", 8)
+    assert asked_kw(path, times, "signal_midnight_s = 1000.0") == HELD_KW[2:].tolist()
+
+
+def test_regulation_is_asked_only_while_it_is_offered(path: Path) -> None:
+    write(path, first_s=9 * 3600)
+    found = asked_kw(path, cycles("2010-04-01T08:59:58", 20), "from = 09:00:00\nto = 09:00:06")
+    # The signal ends at 09:00:10, within the run, but no longer offered.
+    assert found == [0.0, 0.0, *HELD_KW[:6], *[0.0] * 12]
+
+
+def test_an_offer_from_evening_to_morning_goes_over_midnight(path: Path) -> None:
+    write(path, first_s=86_394)
+    found = asked_kw(path, cycles("2010-04-01T23:59:54", 10), "from = 23:59:56\nto = 00:00:02")
+    assert found == [0.0, 0.0, *HELD_KW[2:8], 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    "toml", ["to = 00:00:00", "from = 00:00:00", "from = 00:00:00\nto = 00:00:00"]
+)
+def test_midnight_is_the_beginning_or_the_end_of_the_day(path: Path, toml: str) -> None:
+    write(path)
+    assert asked_kw(path, cycles("2010-04-01", 10), toml) == HELD_KW.tolist()
+
+
+def test_a_run_outside_the_offer_does_not_need_the_file(path: Path) -> None:
+    found = asked_kw(path, cycles("2010-04-01T20:00:00", 3), "from = 09:00:00\nto = 17:00:00")
+    assert found == [0.0, 0.0, 0.0]
+
+
+def test_the_offer_keeps_to_the_clock_when_it_is_set_forward(path: Path) -> None:
+    # 2024-03-31 in Madrid: after 01:59:59 comes 03:00:00
+    write(path, first_s=3 * 3600)
+    times = pd.date_range("2024-03-31T00:59:58Z", periods=6, freq="1s", unit="ns")
+    found = asked_kw(path, times, "from = 03:00:00\nto = 04:00:00", "Europe/Madrid")
+    assert found == [0.0, 0.0, *HELD_KW[:4]]
+
+
+def test_a_synthetic_signal_does_not_depend_on_where_the_run_begins() -> None:
+    settings = read('kind = "synthetic"\ncapacity_kw = 500\nseed = 3')
+    assert settings == SyntheticRegulation(capacity_kw=500.0, seed=3)
+    day = regulation_kw(settings, cycles("2010-04-01", 86_400), HONOLULU, Path)
+    part = regulation_kw(settings, cycles("2010-04-01T12:00:01", 60), HONOLULU, Path)
+    np.testing.assert_array_equal(part, day[43_201:43_261])
+    np.testing.assert_array_equal(day[::2], day[1::2])
+    assert np.abs(day).max() == 500.0
+    # 14,700 days since 1970
+    np.testing.assert_array_equal(day[::2], 500.0 * synthetic_regd(3).reshape(40, -1)[14_700 % 40])
+
+
+def test_a_synthetic_signal_goes_on_over_midnight() -> None:
+    settings = SyntheticRegulation(capacity_kw=1.0)
+    night = regulation_kw(settings, cycles("2010-04-01T23:30:00", 3600), HONOLULU, Path)
+    assert np.abs(np.diff(night)).max() < 0.2
+
+
+@pytest.mark.parametrize(
+    ("row", "text", "message"),
+    [
+        (3, "6,1.01", "line 5, column 'regd': found '1.01'; accepted: a number from -1 to 1"),
+        (3, "6,inf", "line 5, column 'regd': found 'inf'; accepted: a number from -1 to 1"),
+        (3, "6,high", "line 5, column 'regd': found 'high'; accepted: a number from -1 to 1"),
+        (3, "6,", "line 5, column 'regd': found an empty field; accepted: a number from -1 to 1"),
+        (3, "six,1", "line 5, column 't_s': found 'six'; accepted: seconds, at most 1e+09"),
+        (3, ",1", "line 5, column 't_s': found an empty field; accepted: seconds, at most 1e+09"),
+        (
+            3,
+            "4,1",
+            "line 5, column 't_s': found '4' repeats line 4; accepted: one step of 2 s throughout",
+        ),
+        (
+            3,
+            "7,1",
+            "line 5, column 't_s': found '7' is 3 s after line 4;"
+            " accepted: one step of 2 s throughout",
+        ),
+        (
+            3,
+            "2,1",
+            "line 5, column 't_s': found '2' goes back 2 s from line 4;"
+            " accepted: one step of 2 s throughout",
+        ),
+        (3, "6,1,1", "line 5: 3 fields; accepted: 2, as in the header"),
+    ],
+)
+def test_a_bad_line_is_told_with_its_value(path: Path, row: int, text: str, message: str) -> None:
+    write(path)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    lines[row + 1] = text
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    assert complaint(path) == f"signal.csv: {message}"
+
+
+def test_a_gap_is_told_with_the_line_after_it(path: Path) -> None:
+    path.write_text("t_s,regd\n0,0\n2,0\n4,0\n10,0\n", encoding="utf-8")
+    assert complaint(path) == (
+        "signal.csv: line 5, column 't_s': found '10' is 6 s after line 4;"
+        " accepted: one step of 2 s throughout"
+    )
+
+
+@pytest.mark.parametrize("header", ["0,0.5", "t_s,regd,rega", "regd"])
+def test_a_header_other_than_two_names_is_refused(path: Path, header: str) -> None:
+    row = ",".join(["0"] * (header.count(",") + 1))
+    path.write_text(f"{header}\n{row}\n{row}\n", encoding="utf-8")
+    assert complaint(path) == (
+        f"signal.csv: line 1: found '{header}'; accepted: a header with the names of two columns,"
+        " seconds and signal"
+    )
+
+
+def test_a_file_that_is_not_there_is_refused(path: Path) -> None:
+    assert complaint(path) == (
+        f"{path}: no such file; accepted: --data with the folder that holds it"
+    )
+
+
+def test_a_signal_that_begins_after_the_run_is_refused(path: Path) -> None:
+    write(path, first_s=57_600)
+    assert complaint(path, cycles("2010-04-01T09:00:00", 10)) == (
+        "signal.csv: line 2: the signal begins at second 57600; accepted: at 32400 or before,"
+        " where the run's regulation begins; regulation.signal_midnight_s shifts the signal"
+    )
+
+
+def test_a_signal_that_ends_before_the_run_is_refused(path: Path) -> None:
+    write(path)
+    assert complaint(path, cycles("2010-04-01", 11)) == (
+        "signal.csv: line 6: the signal ends at second 10; accepted: later than 10,"
+        " where the run's regulation ends; regulation.signal_midnight_s shifts the signal"
+    )
+
+
+def test_an_offer_of_no_time_is_refused(path: Path) -> None:
+    write(path)
+    assert complaint(path, toml="from = 09:00:00\nto = 09:00:00") == (
+        "regulation.from and regulation.to are both 09:00:00;"
+        " accepted: two times of day, or neither for the whole day"
+    )
+
+
+@pytest.mark.parametrize(
+    ("toml", "message"),
+    [
+        ('kind = "file"\npath = "a.csv"', "Object missing required field `capacity_kw`"),
+        ('kind = "file"\ncapacity_kw = 1.0', "Object missing required field `path`"),
+        ('kind = "synthetic"\ncapacity_kw = 0.0', "Expected `float` > 0.0 - at `$.capacity_kw`"),
+        ('kind = "synthetic"\ncapacity_kw = nan', "Expected `float` > 0.0 - at `$.capacity_kw`"),
+        ('kind = "synthetic"\ncapacity_kw = 1.0\nseed = -1', "Expected `int` >= 0 - at `$.seed`"),
+        ('kind = "regd"\ncapacity_kw = 1.0', "Invalid value 'regd' - at `$.kind`"),
+        (
+            'kind = "synthetic"\ncapacity_kw = 1.0\nfrom = "09:00:00"',
+            "Expected `time | null`, got `str` - at `$.from`",
+        ),
+        (
+            'kind = "synthetic"\ncapacity_kw = 1.0\npath = "a.csv"',
+            "Object contains unknown field `path`",
+        ),
+    ],
+)
+def test_settings_out_of_range_are_refused(toml: str, message: str) -> None:
+    with pytest.raises(msgspec.ValidationError) as caught:
+        read(toml)
+    assert str(caught.value) == message
+
+
+def test_settings_as_the_paper_has_them() -> None:
+    settings = read(
+        'kind = "file"\npath = "regd.csv"\ncapacity_kw = 800\nfrom = 09:00:00\nto = 17:00:00'
+    )
+    assert isinstance(settings, RegulationFile)
+    assert (settings.offered_from, settings.offered_to) == (
+        pd.Timestamp("09:00").time(),
+        pd.Timestamp("17:00").time(),
+    )
+
+
+@pytest.mark.parametrize(
+    "name", ["pjm-regd-2s/regd_2020-07-16.csv", "pjm-regd-2s/regd_2020-07-22.csv"]
+)
+def test_a_real_day_is_held_on_a_whole_day_of_cycles(data_folder: Path, name: str) -> None:
+    path = data_folder / name
+    found = np.array(asked_kw(path, cycles("2010-04-01", 86_400)))
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    np.testing.assert_array_equal(found, CAPACITY_KW * np.repeat(table[:, 1], 2))
+
+
+def test_the_real_evening_of_rega_reaches_until_midnight(data_folder: Path) -> None:
+    path = data_folder / "pjm-rega-2s" / "rega_2017-08-01_1600_2400.csv"
+    signal = read_signal(path)
+    assert len(signal.value) == 14_401
+    assert len(asked_kw(path, cycles("2010-04-01T16:00:00", 8 * 360, 10.0))) == 2880
+    assert complaint(path, cycles("2010-04-01T15:59:59", 10)).startswith(
+        "rega_2017-08-01_1600_2400.csv: line 2: the signal begins at second 57600;"
+    )

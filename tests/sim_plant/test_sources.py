@@ -1,0 +1,132 @@
+"""Where possible power comes from, measured at another step or on another day than the run."""
+
+from datetime import timedelta
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+
+from bus_schemas.errors import InputError
+from sim_plant.clouds import CloudSettings
+from sim_plant.irradiance import Irradiance
+from sim_plant.pv import PvSettings, ac_power_kw
+from sim_plant.sites import Sites
+from sim_plant.sources import CloudySky, MeasuredPlant, MeasuredSky
+
+SITES = Sites(
+    ("a", "b"), np.array([21.31, 21.32]), np.array([-158.08, -158.07]), np.array([100.0, 300.0])
+)
+NOON = pd.Timestamp("2010-04-01T22:00:00Z")
+
+
+def sky(begin: pd.Timestamp = NOON, base_wm2: float = 300.0, **options: object) -> MeasuredSky:
+    times = pd.date_range(begin, periods=60, freq="1s")
+    ghi_wm2 = base_wm2 + np.column_stack([np.arange(60.0), 3.0 * np.arange(60.0)])
+    irradiance = Irradiance(times, ghi_wm2, SITES.names, SITES.lat_deg, SITES.lon_deg)
+    return MeasuredSky(SITES, 11.0, PvSettings(), irradiance, "ghi.csv", **options)  # type: ignore[arg-type]
+
+
+def plant() -> MeasuredPlant:
+    times = pd.date_range(NOON, periods=6, freq="10s")
+    power_kw: NDArray[np.float64] = np.arange(12.0).reshape(6, 2)
+    return MeasuredPlant(SITES, times, power_kw, "hour.csv", ("hour.csv: a remark",))
+
+
+def cycles(count: int, freq: str, begin: pd.Timestamp = NOON) -> pd.DatetimeIndex:
+    return pd.date_range(begin, periods=count, freq=freq)
+
+
+def test_a_measured_sky_at_its_own_step_is_the_model_itself() -> None:
+    given = sky()
+    expected = ac_power_kw(
+        given.irradiance.ghi_wm2,
+        given.irradiance.times,
+        SITES.lat_deg,
+        SITES.lon_deg,
+        SITES.rating_kw,
+        PvSettings(),
+    )
+    np.testing.assert_array_equal(given.possible_kw(cycles(60, "1s")), expected)
+    np.testing.assert_array_equal(
+        given.possible_kw(cycles(5, "1s", NOON + pd.Timedelta(7, unit="s"))), expected[7:12]
+    )
+
+
+@pytest.mark.parametrize("cycle_s", [2, 5, 10, 60])
+def test_longer_cycles_keep_the_energy_of_the_sky(cycle_s: int) -> None:
+    given = sky()
+    fine_kw = given.possible_kw(cycles(60, "1s"))
+    coarse_kw = given.possible_kw(cycles(60 // cycle_s, f"{cycle_s}s"))
+    np.testing.assert_allclose(coarse_kw.sum(axis=0) * cycle_s, fine_kw.sum(axis=0))
+
+
+def test_shorter_cycles_pass_through_the_measured_values() -> None:
+    given = sky()
+    found = given.possible_kw(cycles(118, "500ms"))
+    fine_kw = given.possible_kw(cycles(60, "1s"))
+    np.testing.assert_allclose(found[::2], fine_kw[:59])
+    np.testing.assert_allclose(found[1:-1:2], (fine_kw[:58] + fine_kw[1:59]) / 2.0)
+
+
+def test_power_of_a_real_plant_at_other_steps() -> None:
+    given = plant()
+    np.testing.assert_array_equal(given.possible_kw(cycles(6, "10s")), given.power_kw)
+    np.testing.assert_allclose(given.possible_kw(cycles(3, "20s"))[:, 0], [1.0, 5.0, 9.0])
+    np.testing.assert_allclose(given.possible_kw(cycles(3, "5s"))[:, 1], [1.0, 2.0, 3.0])
+
+
+def test_an_earlier_day_is_at_the_same_time_of_day() -> None:
+    before = sky(NOON - pd.Timedelta(3, unit="D"), base_wm2=100.0)
+    given = sky(earlier=before, earlier_by=timedelta(days=3))
+    times = cycles(4, "1s", NOON + pd.Timedelta(20, unit="s"))
+    np.testing.assert_array_equal(
+        given.earlier_day_kw(times), before.possible_kw(times - pd.Timedelta(3, unit="D"))
+    )
+    assert (given.earlier_day_kw(times) < given.possible_kw(times)).all()
+
+
+def test_an_earlier_day_must_cover_the_times() -> None:
+    given = sky(earlier=sky(NOON - pd.Timedelta(1, unit="D")), earlier_by=timedelta(days=1))
+    with pytest.raises(InputError) as caught:
+        given.earlier_day_kw(cycles(61, "1s"))
+    assert str(caught.value) == (
+        "ghi.csv: does not cover 2010-03-31T22:00:00Z to 2010-03-31T22:01:01Z; it covers"
+        " 2010-03-31T22:00:00Z to 2010-03-31T22:01:00Z"
+    )
+
+
+@pytest.mark.parametrize("source", [sky(), plant()])
+def test_measurements_of_one_day_have_no_earlier_one(source: MeasuredSky | MeasuredPlant) -> None:
+    with pytest.raises(InputError) as caught:
+        source.earlier_day_kw(cycles(2, "10s"))
+    assert str(caught.value) == (
+        "neighbours.history is 'earlier-day', accepted with measurements of one day is 'hindsight'"
+    )
+
+
+def test_a_plant_without_a_place_has_no_clear_sky() -> None:
+    with pytest.raises(InputError) as caught:
+        plant().clear_sky_kw(cycles(2, "10s"))
+    assert str(caught.value) == (
+        "commitment.kind is 'share-of-clear-sky', which needs date and place; accepted with DC"
+        " currents, which have neither: 'constant', 'file', 'share-of-median' and 'below-possible'"
+    )
+
+
+def test_what_a_reader_must_know_of_the_data_is_told() -> None:
+    mean = "a cycle of 20 s is the mean of 2 measured values"
+    assert plant().remarks(cycles(2, "20s")) == ("hour.csv: a remark", mean)
+    both = sky(
+        repairs=("today",), earlier=sky(repairs=("yesterday",)), earlier_by=timedelta(days=1)
+    )
+    assert both.remarks(cycles(2, "1s")) == ("today", "yesterday")
+    assert sky().remarks(cycles(2, "1s")) == ()
+
+
+def test_only_measurements_have_times_of_their_own() -> None:
+    assert sky().measured_times.equals(cycles(60, "1s"))
+    assert plant().measured_times.equals(cycles(6, "10s"))
+    clouds = CloudySky(SITES, 11.0, PvSettings(), CloudSettings(), seed=1, history_seed=1)
+    assert clouds.measured_times is None
+    assert clouds.remarks(cycles(2, "1s")) == ()

@@ -1,0 +1,79 @@
+"""The synthetic regulation signal: the same for a seed, and alike the real one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from regd_statistics import DAY, statistics
+
+from sim_plant.regulation import read_signal
+from sim_plant.synthetic_regd import SAMPLES, synthetic_regd
+
+
+@pytest.fixture(scope="module")
+def signal() -> NDArray[np.float64]:
+    return synthetic_regd(seed=1)
+
+
+@pytest.fixture(scope="module")
+def found(signal: NDArray[np.float64]) -> dict[str, float]:
+    return statistics(signal)
+
+
+def test_a_seed_gives_one_signal_and_another_seed_another(signal: NDArray[np.float64]) -> None:
+    assert signal.shape == (SAMPLES,)
+    np.testing.assert_array_equal(synthetic_regd(seed=1), signal)
+    other = synthetic_regd(seed=2)
+    assert abs(np.corrcoef(signal, other)[0, 1]) < 0.05
+
+
+def test_the_signal_stays_within_its_ends_and_joins_its_beginning(
+    signal: NDArray[np.float64],
+) -> None:
+    assert (signal.min(), signal.max()) == (-1.0, 1.0)
+    assert abs(signal[0] - signal[-1]) < 0.2
+
+
+# From the two days of the real signal; docs/metrics.md has them.
+REAL = {
+    "mean of absolute values": (0.48, 0.53),
+    "share at its ends (within 1e-4), %": (13.0, 16.0),
+    "mileage per hour": (24.0, 28.0),
+    "largest step of a day (median of the days)": (0.20, 0.26),
+    "kurtosis of the steps": (6.0, 9.0),
+    "standard deviation of means over 5 min": (0.46, 0.51),
+    "standard deviation of means over 15 min": (0.31, 0.36),
+    "standard deviation of means over 60 min": (0.10, 0.16),
+    "autocorrelation, 10 s": (0.98, 0.99),
+    "autocorrelation, 60 s": (0.72, 0.78),
+    "autocorrelation, 300 s": (0.15, 0.25),
+    "autocorrelation, 900 s": (-0.15, -0.05),
+    "autocorrelation of the steps, 2 s": (0.85, 0.93),
+    "autocorrelation of the steps, 20 s": (0.25, 0.40),
+    "autocorrelation of the steps, 60 s": (-0.22, -0.10),
+}
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_forty_synthetic_days_move_like_the_real_ones(found: dict[str, float], name: str) -> None:
+    least, most = REAL[name]
+    assert least <= found[name] <= most
+
+
+def test_the_signal_is_energy_neutral(signal: NDArray[np.float64]) -> None:
+    # A day of independent quarters of an hour would have a mean of about 0.337 / sqrt(96) = 0.034.
+    of_days = signal.reshape(-1, DAY).mean(axis=1)
+    assert of_days.std() < 0.02
+    assert abs(signal.mean()) < 0.005
+
+
+@pytest.mark.parametrize("day", ["2020-07-16", "2020-07-22"])
+def test_a_real_day_is_within_what_the_synthetic_ones_are_measured_against(
+    data_folder: Path, day: str
+) -> None:
+    real = statistics(read_signal(data_folder / "pjm-regd-2s" / f"regd_{day}.csv").value)
+    for name, (least, most) in REAL.items():
+        assert least <= real[name] <= most, name

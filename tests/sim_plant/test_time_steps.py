@@ -1,0 +1,136 @@
+"""Measurements of one time step in runs of another."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+
+from bus_schemas.errors import InputError
+from sim_plant.time_steps import conversion, on_cycles, step_ns
+
+NOON = pd.Timestamp("2010-04-01T22:00:00Z")
+
+
+def stamps(
+    count: int, step: str, begin: pd.Timestamp = NOON, offset_s: float = 0.0
+) -> pd.DatetimeIndex:
+    return pd.date_range(begin + pd.Timedelta(offset_s, unit="s"), periods=count, freq=step)
+
+
+def brought(
+    values: NDArray[np.float64], step: str, cycles: pd.DatetimeIndex
+) -> NDArray[np.float64]:
+    times = stamps(len(values), step)
+    return on_cycles(times, lambda rows: values[rows], cycles, "data.csv")
+
+
+TWO = np.column_stack([np.arange(12.0), np.arange(12.0) ** 2])
+
+
+def test_a_cycle_as_long_as_the_step_takes_the_values_as_they_are() -> None:
+    np.testing.assert_array_equal(brought(TWO, "10s", stamps(4, "10s", offset_s=30.0)), TWO[3:7])
+
+
+def test_a_longer_cycle_takes_the_mean_of_its_steps() -> None:
+    found = brought(TWO, "1s", stamps(3, "3s", offset_s=2.0))
+    np.testing.assert_allclose(found, [TWO[2:5].mean(0), TWO[5:8].mean(0), TWO[8:11].mean(0)])
+
+
+@pytest.mark.parametrize("cycle_s", [1, 2, 3, 4, 6, 12])
+def test_longer_cycles_keep_the_energy(cycle_s: int) -> None:
+    found = brought(TWO, "1s", stamps(12 // cycle_s, f"{cycle_s}s"))
+    np.testing.assert_allclose(found.sum(axis=0) * cycle_s, TWO.sum(axis=0))
+
+
+def test_a_shorter_cycle_lies_on_the_line_between_two_values() -> None:
+    found = brought(TWO, "10s", stamps(6, "5s", offset_s=20.0))
+    np.testing.assert_allclose(found[:, 0], [2.0, 2.5, 3.0, 3.5, 4.0, 4.5])
+    np.testing.assert_allclose(found[:, 1], [4.0, 6.5, 9.0, 12.5, 16.0, 20.5])
+
+
+def test_a_shorter_cycle_need_not_divide_the_step() -> None:
+    found = brought(TWO, "1s", stamps(5, "400ms"))
+    np.testing.assert_allclose(found[:, 0], [0.0, 0.4, 0.8, 1.2, 1.6])
+
+
+def test_the_last_value_holds_for_its_step() -> None:
+    found = brought(TWO, "1s", stamps(4, "500ms", offset_s=10.0))
+    np.testing.assert_allclose(found[:, 0], [10.0, 10.5, 11.0, 11.0])
+
+
+def test_a_run_of_one_cycle_of_each_length() -> None:
+    for step, expected in [("1s", 3.0), ("500ms", 3.0), ("2s", 3.5)]:
+        found = brought(TWO, "1s", stamps(1, step, offset_s=3.0))
+        np.testing.assert_allclose(found[:, 0], [expected])
+
+
+def test_cycles_may_leave_hours_out() -> None:
+    two_parts = pd.DatetimeIndex([*stamps(2, "2s"), *stamps(2, "2s", offset_s=8.0)])
+    np.testing.assert_allclose(brought(TWO, "1s", two_parts)[:, 0], [0.5, 2.5, 8.5, 10.5])
+
+
+def test_a_start_between_two_values_begins_with_the_earlier() -> None:
+    found = brought(TWO, "1s", stamps(3, "1s", offset_s=4.25))
+    np.testing.assert_array_equal(found[:, 0], [4.0, 5.0, 6.0])
+
+
+def test_only_the_rows_of_the_cycles_are_asked_for() -> None:
+    asked = []
+
+    def series(rows: slice) -> NDArray[np.float64]:
+        asked.append(rows)
+        return TWO[rows]
+
+    on_cycles(stamps(12, "1s"), series, stamps(2, "1s", offset_s=4.0), "data.csv")
+    (rows,) = asked
+    assert rows.start == 4
+    assert rows.stop <= 7
+
+
+@pytest.mark.parametrize(
+    ("count", "cycle", "offset_s", "message"),
+    [
+        (13, "1s", 0.0, "22:00:00Z to 2010-04-01T22:00:13Z"),
+        (7, "2s", 0.0, "22:00:00Z to 2010-04-01T22:00:14Z"),
+        (25, "500ms", 0.0, "22:00:00Z to 2010-04-01T22:00:12.500000Z"),
+        (1, "1s", -1.0, "21:59:59Z to 2010-04-01T22:00:00Z"),
+        (1, "1s", 3600.0, "23:00:00Z to 2010-04-01T23:00:01Z"),
+    ],
+)
+def test_measurements_shorter_than_the_run_are_refused(
+    count: int, cycle: str, offset_s: float, message: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        brought(TWO, "1s", stamps(count, cycle, offset_s=offset_s))
+    assert str(caught.value) == (
+        f"data.csv: does not cover 2010-04-01T{message};"
+        " it covers 2010-04-01T22:00:00Z to 2010-04-01T22:00:12Z"
+    )
+
+
+@pytest.mark.parametrize(("step", "cycle", "found"), [("2s", "3s", "3"), ("1s", "1500ms", "1.5")])
+def test_a_longer_cycle_that_is_no_multiple_is_refused(step: str, cycle: str, found: str) -> None:
+    with pytest.raises(InputError) as caught:
+        brought(TWO, step, stamps(2, cycle))
+    assert str(caught.value) == (
+        f"data.csv: a value every {step[0]} s; accepted is a time.cycle_s that is a multiple of it,"
+        f" or shorter, found {found} s"
+    )
+
+
+def test_what_was_done_is_told() -> None:
+    times = stamps(100, "10s")
+    assert conversion(times, stamps(5, "10s")) is None
+    assert conversion(times, stamps(5, "60s")) == (
+        "a cycle of 60 s is the mean of 6 measured values"
+    )
+    assert conversion(times, stamps(5, "500ms")) == (
+        "a value is measured every 10 s; the cycles of 0.5 s between them are interpolated on a"
+        " straight line"
+    )
+
+
+def test_the_step_of_a_single_cycle_is_its_frequency() -> None:
+    assert step_ns(stamps(1, "250ms")) == 250_000_000
+    with pytest.raises(ValueError, match="no step"):
+        step_ns(pd.DatetimeIndex([NOON]))
