@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from launch_scripts.supervision import Memory
-from recordings.metrics import CommitmentMetrics
+from recordings.metrics import CommitmentMetrics, RegulationMetrics, RunMetrics
 
 
 class MessageCount(msgspec.Struct, frozen=True):
@@ -51,6 +51,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     startup_s: float
     arming_rounds: int
     energy: CommitmentMetrics
+    metrics: RunMetrics | None = None
     messages: tuple[MessageCount, ...]
     dropped: dict[str, int]
     missing_inputs: int
@@ -111,6 +112,8 @@ def print_summary(summary: RunSummary, console: Console) -> None:
     table.add_column(style="dim")
     for name, value, note in (*_pace_rows(summary), *_energy_rows(summary.energy)):
         table.add_row(name, value, note)
+    for name, value, note in _metrics_rows(summary.metrics):
+        table.add_row(name, value, note)
     table.add_section()
     for name, value, note in (*_message_rows(summary), *_memory_rows(summary)):
         table.add_row(name, value, note)
@@ -147,6 +150,41 @@ def _energy_rows(energy: CommitmentMetrics) -> list[tuple[str, str, str]]:
         ),
         ("over-delivered", f"{energy.over_delivered_kwh:,.2f} kWh", ""),
     ]
+
+
+def _metrics_rows(metrics: RunMetrics | None) -> list[tuple[str, str, str]]:
+    if metrics is None:
+        return []
+    error, support = metrics.tracking, metrics.support
+    return [
+        (
+            "tracking error",
+            f"{error.rmse_kw:,.2f} kW",
+            f"RMSE; mean absolute {error.mae_kw:,.2f} kW",
+        ),
+        (
+            "support mileage",
+            f"{support.per_hour_kw:,.0f} kW/h",
+            f"{support.total_kw:,.0f} kW in all",
+        ),
+        *(_regulation_rows(metrics.regulation) if metrics.regulation else ()),
+    ]
+
+
+def _regulation_rows(regulation: RegulationMetrics) -> list[tuple[str, str, str]]:
+    rows = [
+        (
+            "regulation requests",
+            f"{entry.fulfilled_percent:.2f} %",
+            f"of {entry.requests:,} fulfilled, to {entry.tolerance_percent:g} % of the rating",
+        )
+        for entry in regulation.requests
+    ]
+    if (score := regulation.performance) is not None:
+        parts = f"accuracy {score.accuracy:.2f}, delay {score.delay:.2f}"
+        note = f"{parts}, precision {score.precision:.2f}"
+        rows.append(("PJM performance score", f"{score.score:.3f}", note))
+    return rows
 
 
 def _message_rows(summary: RunSummary) -> list[tuple[str, str, str]]:

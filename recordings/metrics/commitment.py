@@ -1,4 +1,4 @@
-"""Figures of merit of a run, from the plant's power cycle by cycle.
+"""How well a plant kept its commitment, and who is to blame for what it missed.
 
 Symbols: desired P_d, possible P_MPP (sum of the inverters' true maxima), delivered P, all in kW;
 dt, the length of a cycle in hours.
@@ -6,10 +6,10 @@ dt, the length of a cycle in hours.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +53,9 @@ class CommitmentMetrics:
 
 
 def commitment_metrics(
-    desired_kw: Sequence[float],
-    possible_kw: Sequence[float],
-    delivered_kw: Sequence[float],
+    desired_kw: ArrayLike,
+    possible_kw: ArrayLike,
+    delivered_kw: ArrayLike,
     cycle_s: float,
 ) -> CommitmentMetrics:
     """Work out how well a plant kept its commitment.
@@ -72,9 +72,9 @@ def commitment_metrics(
     ValueError
         The series differ in length.
     """
-    if not len(desired_kw) == len(possible_kw) == len(delivered_kw):
-        raise ValueError("desired, possible and delivered power differ in length")
     desired, possible, delivered = map(np.asarray, (desired_kw, possible_kw, delivered_kw))
+    if not len(desired) == len(possible) == len(delivered):
+        raise ValueError("desired, possible and delivered power differ in length")
     hours = cycle_s / 3600.0
     unsatisfied = np.maximum(desired - delivered, 0.0)
     unavoidable = np.maximum(desired - possible, 0.0)

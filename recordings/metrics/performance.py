@@ -1,0 +1,248 @@
+"""PJM's performance score of a regulating plant: accuracy, delay and precision, hour by hour.
+
+The rules are those of PJM Manual 12, section 4.5.6, as they stood when RegD was a product of its
+own (until 2025). The manual was not at hand. They are read from two public implementations that
+quote it: the regulation service of GMLC 1.4.2 (GitHub, GMLC-1-4-2/battery_interface) and
+`pjmScoringPassFailv5.m` of the University of Michigan's co-simulation testbed (2023). Where these
+differ or the manual leaves something open, the reading chosen here is marked READING.
+
+With signal S and response R in per unit of the capacity, both taken every 10 s, and a window w of
+30 samples (5 minutes of the clock):
+
+- For each shift d = 0, 10, ... 300 s, Corr(d) is Pearson's r of S over w and R over w shifted by d.
+- Delay(d) = 1 - d / 300 s. READING: for the 10 s that the manual grants the signal to travel,
+  Delay(10 s) = 1 as well.
+- d* is the shift at which Corr + Delay is greatest, the least such shift if there are several.
+  Accuracy(w) = Corr(d*), Delay(w) = Delay(d*).
+- A response that is constant at all shifts has no correlation: Accuracy(w) = Delay(w) = 0.
+- READING: where S is flat over w, its standard deviation below 0.01 (the manual names no number),
+  Accuracy(w) = 1 - |slope of S - slope of R| with the slopes of straight lines through w, per
+  sample, and Delay(w) = 1.
+- An hour's accuracy and delay are the means over its windows. Its precision is
+  1 - mean |R - S| / mean |S| over its samples. READING: over the hour as a whole, where one of the
+  implementations goes window by window.
+- Each is clipped to [0, 1], accuracy in each window; the hour's score is the mean of the three.
+  0.75 passes (qualification).
+
+READING: windows that are not wholly within the time offered are left out, and so are shifts that
+look beyond the end of the run. An hour may then have fewer than 12 windows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+PASSING_SCORE: Final = 0.75
+
+_SAMPLE_S: Final = 10
+_WINDOW: Final = 30
+_LATENCY: Final = 1
+_FLAT_STD: Final = 0.01
+_CONSTANT_STD: Final = 1e-5
+
+_NS: Final = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class HourScore:
+    """Score of one hour of the clock, all parts from 0 to 1.
+
+    Attributes
+    ----------
+    begins
+        Local time at which the hour begins, ISO 8601.
+    windows
+        Windows of 5 minutes that were scored, at most 12.
+    accuracy, delay, precision
+        See the module.
+    score
+        Their mean.
+    passed
+        Whether the score is at least 0.75.
+    """
+
+    begins: str
+    windows: int
+    accuracy: float
+    delay: float
+    precision: float
+    score: float
+    passed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class PerformanceScore:
+    """Scores of the hours of a run, and their means, each hour weighted with its windows.
+
+    Attributes
+    ----------
+    hours
+        Hour by hour.
+    accuracy, delay, precision, score
+        Means over the hours.
+    passed
+        Whether the mean score is at least 0.75.
+    """
+
+    hours: tuple[HourScore, ...]
+    accuracy: float
+    delay: float
+    precision: float
+    score: float
+    passed: bool
+
+
+def performance_score(
+    signal: NDArray[np.float64],
+    response: NDArray[np.float64],
+    offered: NDArray[np.bool_],
+    begins: pd.Timestamp,
+    cycle_s: float,
+) -> PerformanceScore | None:
+    """Score a plant's response to a regulation signal.
+
+    Parameters
+    ----------
+    signal, response
+        What was asked and what was given, cycle by cycle, in per unit of the capacity, shape (T,).
+    offered
+        Whether the plant offered regulation, shape (T,).
+    begins
+        Local time of the first cycle.
+    cycle_s
+        Length of a cycle [s].
+
+    Returns
+    -------
+    PerformanceScore or None
+        None where there is nothing to score: a cycle is longer than 10 s, no window of 5 minutes
+        is wholly within the time offered, or the signal is 0 all the time.
+    """
+    if cycle_s > _SAMPLE_S:
+        return None
+    clock_s, cycle = _samples(len(signal), begins, cycle_s)
+    first = _whole_windows(clock_s, offered[cycle])
+    hours = []
+    hour_of_first = clock_s[first] // 3600
+    for hour in np.unique(hour_of_first):
+        firsts = first[hour_of_first == hour]
+        score = _hour_score(signal[cycle], response[cycle], firsts)
+        if score is not None:
+            moment = begins + pd.Timedelta(hour * 3600 * _NS - _clock_ns(begins), unit="ns")
+            hours.append(HourScore(moment.isoformat(), len(firsts), *score))
+    return _mean_score(tuple(hours)) if hours else None
+
+
+def _samples(
+    cycles: int, begins: pd.Timestamp, cycle_s: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Second of the local clock and cycle of each full 10 s in a run, shape (K,)."""
+    begins_ns = _clock_ns(begins)
+    step_ns, cycle_ns = _SAMPLE_S * _NS, round(cycle_s * _NS)
+    clock_ns = np.arange(-(-begins_ns // step_ns) * step_ns, begins_ns + cycles * cycle_ns, step_ns)
+    return clock_ns // _NS, (clock_ns - begins_ns) // cycle_ns
+
+
+def _clock_ns(moment: pd.Timestamp) -> int:
+    return int(moment.tz_localize(None).as_unit("ns").value)
+
+
+def _whole_windows(clock_s: NDArray[np.int64], offered: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """First samples of the windows, on 5 minutes of the clock, that are offered throughout."""
+    first = np.flatnonzero(clock_s % (_WINDOW * _SAMPLE_S) == 0)
+    first = first[first + _WINDOW <= len(clock_s)]
+    throughout = offered[first[:, None] + np.arange(_WINDOW)].all(axis=1)
+    return np.asarray(first[throughout])
+
+
+def _hour_score(
+    signal: NDArray[np.float64], response: NDArray[np.float64], first: NDArray[np.intp]
+) -> tuple[float, float, float, float, bool] | None:
+    """Accuracy, delay, precision, score and verdict of windows that begin at these samples."""
+    window = first[:, None] + np.arange(_WINDOW)
+    asked = np.abs(signal[window]).mean()
+    if asked == 0.0:
+        return None
+    # NaN beyond the end of the run: there is no response to look at.
+    beyond = np.concatenate([response, np.full(_WINDOW, np.nan)])
+    shifted = sliding_window_view(beyond, _WINDOW)[first[:, None] + np.arange(_WINDOW + 1)]
+    accuracy, delay = window_scores(signal[window], shifted)
+    precision = 1.0 - np.abs(response[window] - signal[window]).mean() / asked
+    parts = float(accuracy.mean()), float(delay.mean()), float(np.clip(precision, 0.0, 1.0))
+    score = sum(parts) / 3.0
+    return *parts, score, score >= PASSING_SCORE
+
+
+def window_scores(
+    signal: NDArray[np.float64], shifted: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Score windows of 5 minutes for accuracy and delay.
+
+    Parameters
+    ----------
+    signal
+        Signal of each of W windows, every 10 s, shape (W, 30).
+    shifted
+        Response over the same windows, shifted by 0, 10, ... 300 s, shape (W, 31, 30); NaN where
+        there is none. The first shift has no NaN.
+
+    Returns
+    -------
+    accuracy, delay
+        Of each window, from 0 to 1, shape (W,).
+    """
+    correlation = _correlations(signal, shifted)
+    promptness = 1.0 - np.arange(_WINDOW + 1) / _WINDOW
+    promptness[: _LATENCY + 1] = 1.0
+    windows = np.arange(len(signal))
+    best = np.where(np.isnan(correlation), -np.inf, correlation + promptness).argmax(axis=1)
+    accuracy, delay = correlation[windows, best], promptness[best]
+    # Where the response never moves, it neither follows nor is it prompt.
+    still = (np.nan_to_num(shifted.std(axis=2)) < _CONSTANT_STD).all(axis=1)
+    accuracy[still], delay[still] = 0.0, 0.0
+    flat = signal.std(axis=1) < _FLAT_STD
+    accuracy[flat] = 1.0 - np.abs(_slopes(signal[flat]) - _slopes(shifted[flat, 0]))
+    delay[flat] = 1.0
+    return accuracy.clip(0.0, 1.0), delay
+
+
+def _correlations(signal: NDArray[np.float64], shifted: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pearson's r of each window and shift, shape (W, 31); 0 where either side is constant."""
+    x = signal - signal.mean(axis=1, keepdims=True)
+    y = shifted - shifted.mean(axis=2, keepdims=True)
+    signal_std, shifted_std = signal.std(axis=1)[:, None], shifted.std(axis=2)
+    # A NaN is not below anything: windows without a response stay NaN.
+    moves = (signal_std > 0.0) & ~(shifted_std < _CONSTANT_STD)
+    correlation: NDArray[np.float64] = np.zeros_like(shifted_std)
+    covariance = np.einsum("wi,wdi->wd", x, y) / _WINDOW
+    np.divide(covariance, signal_std * shifted_std, out=correlation, where=moves)
+    return correlation
+
+
+def _slopes(windows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Slope of the least-squares line through each window, per sample, shape (W,)."""
+    index = np.arange(_WINDOW) - (_WINDOW - 1) / 2.0
+    return np.asarray(windows @ index / (index @ index))
+
+
+def _mean_score(hours: tuple[HourScore, ...]) -> PerformanceScore:
+    weights = [hour.windows for hour in hours]
+
+    def mean(values: list[float]) -> float:
+        return float(np.average(values, weights=weights))
+
+    score = mean([hour.score for hour in hours])
+    return PerformanceScore(
+        hours=hours,
+        accuracy=mean([hour.accuracy for hour in hours]),
+        delay=mean([hour.delay for hour in hours]),
+        precision=mean([hour.precision for hour in hours]),
+        score=score,
+        passed=score >= PASSING_SCORE,
+    )
