@@ -107,9 +107,12 @@ class CentralController:
 
     def _usable_dispatch(self, dispatch: Dispatch, last_kw: float) -> tuple[float, str]:
         power_kw, rating_kw = dispatch.power_kw, self._family.rating_kw
-        if not isfinite(power_kw) or power_kw < 0.0:
+        if not isfinite(power_kw):
             text = f"dispatch of {power_kw:g} kW refused, accepted is 0 to {rating_kw:g} kW: "
             return last_kw, text + f"{last_kw:g} kW still holds"
+        if power_kw < 0.0:
+            # Regulation downwards may ask for more than there is to take back.
+            return 0.0, f"dispatch of {power_kw:.10g} kW clamped to 0 kW"
         if power_kw > rating_kw:
             return (
                 rating_kw,

@@ -77,6 +77,23 @@ class Finished(Event, frozen=True):
     missing_inputs: int
 
 
+class PlantPower(msgspec.Struct, frozen=True):
+    """The plant's power, cycle by cycle [kW].
+
+    Attributes
+    ----------
+    desired_kw, regulation_kw
+        What was asked of it in all, and the part of it that is regulation.
+    possible_kw, delivered_kw
+        What it could have given, and what it gave.
+    """
+
+    desired_kw: list[float] = msgspec.field(default_factory=list)
+    regulation_kw: list[float] = msgspec.field(default_factory=list)
+    possible_kw: list[float] = msgspec.field(default_factory=list)
+    delivered_kw: list[float] = msgspec.field(default_factory=list)
+
+
 class Recorded(Event, frozen=True):
     """The recorder has closed its file.
 
@@ -88,16 +105,14 @@ class Recorded(Event, frozen=True):
         Messages that sequence numbers show to be missing, by signal.
     foreign
         Payloads on the run's keys that are no messages of the run.
-    desired_kw, possible_kw, delivered_kw
-        The plant, cycle by cycle.
+    plant
+        What the run came to.
     """
 
     recorded: dict[str, int]
     gaps: dict[str, int]
     foreign: int
-    desired_kw: list[float]
-    possible_kw: list[float]
-    delivered_kw: list[float]
+    plant: PlantPower
 
 
 class Failed(Event, frozen=True):

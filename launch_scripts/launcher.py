@@ -14,7 +14,13 @@ from launch_scripts.live_view import View
 from launch_scripts.preparation import Preparation
 from launch_scripts.processes import processes
 from launch_scripts.run_folder import RunFolder
-from launch_scripts.summary import RunSummary, count_messages, memory_use, merge_counts
+from launch_scripts.summary import (
+    RunSummary,
+    count_messages,
+    memory_use,
+    merge_counts,
+    plant_metrics,
+)
 from launch_scripts.supervision import (
     Children,
     Memory,
@@ -23,7 +29,6 @@ from launch_scripts.supervision import (
     with_log,
 )
 from launch_scripts.tcp_ports import reserved_ports
-from recordings.metrics import commitment_metrics
 
 _GATHER_S: Final = 0.5
 """After the first word of a stall: time for the others to say what they wait for."""
@@ -163,17 +168,12 @@ class Launch:
             driver="launch",
             folder=str(self._folder.path),
             sim_start=self._preparation.local_start(),
-            cycles=len(recorded.desired_kw),
+            cycles=len(recorded.plant.desired_kw),
             cycle_s=plan.cycle_ns / 1e9,
             wall_s=ended_at - self._armed_at,
             startup_s=self._armed_at - self._began_at,
             arming_rounds=self._rounds,
-            energy=commitment_metrics(
-                recorded.desired_kw,
-                recorded.possible_kw,
-                recorded.delivered_kw,
-                plan.cycle_ns / 1e9,
-            ),
+            metrics=plant_metrics(plan, recorded.plant),
             messages=count_messages(
                 merge_counts([account.published for account in accounts]), recorded.recorded
             ),

@@ -21,9 +21,8 @@ from launch_scripts.interruption import interruptible
 from launch_scripts.live_view import View
 from launch_scripts.preparation import Preparation
 from launch_scripts.run_folder import RunFolder
-from launch_scripts.summary import RunSummary, count_messages, memory_use
+from launch_scripts.summary import RunSummary, count_messages, memory_use, plant_metrics
 from launch_scripts.supervision import RunFailure, memory_of
-from recordings.metrics import commitment_metrics
 from recordings.monitor import RunMonitor
 from recordings.writer import RunWriter
 from sim_plant.plant import Plant
@@ -143,14 +142,12 @@ def simulate(
         driver="simulate",
         folder=str(folder.path),
         sim_start=preparation.local_start(),
-        cycles=len(monitor.desired_kw),
+        cycles=len(monitor.plant.desired_kw),
         cycle_s=plan.cycle_ns / 1e9,
         wall_s=wall_s,
         startup_s=started_at - began_at,
         arming_rounds=0,
-        energy=commitment_metrics(
-            monitor.desired_kw, monitor.possible_kw, monitor.delivered_kw, plan.cycle_ns / 1e9
-        ),
+        metrics=plant_metrics(plan, monitor.plant),
         messages=count_messages(run.bus.published, writer.recorded),
         dropped={cause: count for cause, count in drops.items() if count},
         missing_inputs=0,

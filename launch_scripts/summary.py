@@ -10,8 +10,11 @@ import msgspec
 from rich.console import Console
 from rich.table import Table
 
+from agents.lifeline import PlantPower
+from agents.plan import RunPlan
 from launch_scripts.supervision import Memory
-from recordings.metrics import CommitmentMetrics, RegulationMetrics, RunMetrics
+from recordings.metrics import CommitmentMetrics, RegulationMetrics, RunMetrics, run_metrics
+from recordings.series import plant_series
 
 
 class MessageCount(msgspec.Struct, frozen=True):
@@ -50,8 +53,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     wall_s: float
     startup_s: float
     arming_rounds: int
-    energy: CommitmentMetrics
-    metrics: RunMetrics | None = None
+    metrics: RunMetrics | None
     messages: tuple[MessageCount, ...]
     dropped: dict[str, int]
     missing_inputs: int
@@ -73,9 +75,16 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
         """Return the summary as JSON, with the figures that follow from others."""
         document = msgspec.to_builtins(self)
         document["cycles_per_s"] = self.cycles_per_s
-        document["energy"]["satisfied_percent"] = self.energy.satisfied_percent
+        if self.metrics is not None:
+            energy = self.metrics.commitment
+            document["metrics"]["commitment"]["satisfied_percent"] = energy.satisfied_percent
         document["messages_lost"] = self.lost
         return msgspec.json.format(msgspec.json.encode(document), indent=2)
+
+
+def plant_metrics(plan: RunPlan, power: PlantPower) -> RunMetrics | None:
+    """Work out the figures of merit of a run; None of one without a complete cycle."""
+    return run_metrics(plant_series(plan, power)) if power.desired_kw else None
 
 
 def count_messages(
@@ -110,9 +119,7 @@ def print_summary(summary: RunSummary, console: Console) -> None:
     table.add_column(no_wrap=True)
     table.add_column(justify="right", no_wrap=True)
     table.add_column(style="dim")
-    for name, value, note in (*_pace_rows(summary), *_energy_rows(summary.energy)):
-        table.add_row(name, value, note)
-    for name, value, note in _metrics_rows(summary.metrics):
+    for name, value, note in (*_pace_rows(summary), *_metrics_rows(summary.metrics)):
         table.add_row(name, value, note)
     table.add_section()
     for name, value, note in (*_message_rows(summary), *_memory_rows(summary)):
@@ -154,9 +161,10 @@ def _energy_rows(energy: CommitmentMetrics) -> list[tuple[str, str, str]]:
 
 def _metrics_rows(metrics: RunMetrics | None) -> list[tuple[str, str, str]]:
     if metrics is None:
-        return []
+        return [("energy", "-", "no cycle was completed")]
     error, support = metrics.tracking, metrics.support
     return [
+        *_energy_rows(metrics.commitment),
         (
             "tracking error",
             f"{error.rmse_kw:,.2f} kW",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from agents.lifeline import Status
-from bus_schemas.messages import Message, Production
+from agents.lifeline import PlantPower, Status
+from bus_schemas.messages import Dispatch, Message, Production
 from bus_schemas.signals import HELP, Port
 
 
@@ -15,13 +15,12 @@ class RunMonitor:
 
     Attributes
     ----------
-    desired_kw, possible_kw, delivered_kw
-        What was asked of the plant, what it could have given, what it gave; one entry a cycle.
+    plant
+        The plant's power, one entry for each complete cycle.
     """
 
-    desired_kw: list[float] = field(default_factory=list)
-    possible_kw: list[float] = field(default_factory=list)
-    delivered_kw: list[float] = field(default_factory=list)
+    plant: PlantPower = field(default_factory=PlantPower)
+    _regulation_kw: dict[int, float] = field(default_factory=dict)
     _last: Production | None = None
     _needy: dict[str, int] = field(default_factory=dict)
 
@@ -29,9 +28,12 @@ class RunMonitor:
         """Take in a message."""
         if isinstance(message, Production):
             self._last = message
-            self.desired_kw.append(message.desired_kw)
-            self.possible_kw.append(message.possible_kw)
-            self.delivered_kw.append(message.delivered_kw)
+            self.plant.desired_kw.append(message.desired_kw)
+            self.plant.regulation_kw.append(self._regulation_kw.pop(message.cycle, 0.0))
+            self.plant.possible_kw.append(message.possible_kw)
+            self.plant.delivered_kw.append(message.delivered_kw)
+        elif isinstance(message, Dispatch):
+            self._regulation_kw[message.cycle] = message.regulation_kw
         elif port.signal is HELP:
             self._needy[port.node] = message.cycle
 

@@ -194,15 +194,12 @@ class Recorder:
         self._lifeline.tell(self.monitor.status(self._writer.recorded.total()))
 
     def _report(self) -> None:
-        monitor = self.monitor
         self._lifeline.tell(
             Recorded(
                 recorded=dict(self._writer.recorded),
                 gaps=dict(self.gaps),
                 foreign=self.foreign,
-                desired_kw=monitor.desired_kw,
-                possible_kw=monitor.possible_kw,
-                delivered_kw=monitor.delivered_kw,
+                plant=self.monitor.plant,
             )
         )
 

@@ -15,10 +15,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from agents.lifeline import PlantPower
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Command, Dispatch, Impp, Message, Production, Residual
 from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, RESIDUAL, Port, Signal
+from bus_schemas.tree import ROOT
 from recordings.reader import RunReader
 
 _OF_INVERTERS: Final[tuple[Signal[Message], ...]] = (IMPP, RESIDUAL, COMMAND)
@@ -182,6 +184,28 @@ class SeriesCollector:
         rows = self._rows[signal.name][:cycles]
         found[: len(rows)] = rows
         return found
+
+
+def plant_series(plan: RunPlan, power: PlantPower) -> RunSeries:
+    """Return a run of which only the plant's power is known, as if it were one inverter."""
+    desired_kw, regulation_kw = np.array(power.desired_kw), np.array(power.regulation_kw)
+    unknown = np.full((len(desired_kw), 1), nan)
+    return RunSeries(
+        label=plan.run_id,
+        inverters=("plant",),
+        rating_kw=np.array([plan.tree.rating_kw(ROOT)]),
+        timezone=plan.timezone,
+        start_time_ns=plan.start_time_ns,
+        cycle_s=plan.cycle_ns / 1e9,
+        commitment_kw=desired_kw - regulation_kw,
+        regulation_kw=regulation_kw,
+        regulation_capacity_kw=plan.regulation_capacity_kw,
+        mpp_kw=np.array(power.possible_kw)[:, None],
+        power_kw=np.array(power.delivered_kw)[:, None],
+        impp_kw=unknown,
+        residual_kw=unknown,
+        alpha=unknown,
+    )
 
 
 def read_series(path: Path) -> RunSeries:

@@ -2,31 +2,51 @@
 
 Clear-sky GHI is multiplied by a clear-sky index that is read, for each sensor and time stamp, from
 a two-dimensional random field. The field moves over the true coordinates of the sensors, so that
-they see the same cloud one after the other, and changes its shape slowly while it does.
+they see the same cloud one after the other, and changes its shape while it does.
 
 With p the position of a sensor [m], v the drift velocity [m/s] and t the seconds since a fixed
 epoch (so that the weather at an instant does not depend on where a run begins):
 
-1. A and B are independent Gaussian random fields with zero mean, unit variance and the isotropic
-   power spectrum ``(1 + (k / k0)^2)^(-5/3) exp(-(k l)^2)`` with ``k0 = 1 / cloud size``: flat for
-   scales larger than a cloud and its gap, a power law below, smooth within ``l = 20 m`` (a sensor
-   sees the half shadow of an edge and the light of a part of the sky). They are periodic, so that
-   the clouds never run out.
-2. ``f = A(p - v t) cos(phi) + B(p - v t) sin(phi)`` with ``phi = pi t / (2 evolution time)``: after
-   one evolution time the clouds of before are gone, and the statistics are the same. (After two
-   of them the field is its own negative, after four itself; it has drifted on by then.)
-3. Where f exceeds the quantile that leaves the wanted share of the sky covered, there is cloud.
-   With s the excess over that quantile, the clear-sky index falls from the edge into the cloud,
-   and is raised beside the edge by the light that the cloud scatters:
-   ``thick + (1 - thick) exp(-softplus(s) / 0.5) + (enhancement - 1) exp(-(s + 0.3)^2 / 0.18)``,
-   where ``softplus(s) = 0.08 log(1 + exp(s / 0.08))`` is max(s, 0) with its corner rounded.
+1. f is a Gaussian random field with zero mean, unit variance and the isotropic power spectrum
+   ``(1 + (k L)^2)^(-4/3) exp(-(k l)^2)``: flat above the outer scale ``L = 6 cloud sizes``, for
+   clouds come in groups; below it the power law that turbulence gives to what it mixes, -5/3 along
+   a line and so -8/3 in the plane [1]_ [2]_; smooth within ``l = 20 m``, for a sensor sees the half
+   shadow of an edge and the light of a part of the sky.
+2. f is the sum of a coarse and a fine layer, which take the shares ``exp(-(k c)^2)`` and
+   ``1 - exp(-(k c)^2)`` of that power, ``c = 500 m`` being how far around a sensor clouds lend it
+   light. Each layer is periodic, so that the clouds never run out, and blends from one piece of
+   sky into the next: ``F(p - v t + o_j) cos(phi) + F(p - v t + o_(j+1)) sin(phi)`` with
+   ``t / lifetime = j + 2 phi / pi`` and offsets o_j far from each other. Coarse structures live for
+   the evolution time; fine ones, of the size ``d = c / 2``, for ``(d / L)^(2/3)`` of it, as eddies
+   do in turbulence.
+3. With s the excess of f over the quantile that leaves the wanted share of the sky covered, and n
+   the share of cloud to be expected around the sensor, which the coarse layer tells, the clear-sky
+   index is ``thick + (1 - thick) T + (enhancement - 1) 4 n (1 - n) T``. The sunlight that comes
+   through, ``T = exp(-softplus(s / softness + 0.3))`` with a rounded corner, falls from the edge
+   into the cloud. The last term is light that clouds around scatter into the sun: most under
+   broken clouds, none under a clear sky. Measured sunlit indices lie above 1 in the whole gap
+   between clouds and not only beside an edge [3]_.
 
 To draw clouds from a random field with a power-law spectrum that drifts with the wind is the idea
-of Beyer, Hammer, Luther et al., "Analysis and synthesis of cloud pattern for radiation field
-studies", Solar Energy 52 (1994). The formulas are this project's own; their constants were set
-beside 1 s measurements under broken clouds (HOPE-Melpitz, doi:10.5194/amt-9-1153-2016).
+of [4]_; a later model with cloud edges of fractal dimension 1.5 met the correlations of 99
+pyranometers [5]_. The formulas here are the project's own. ``docs/clouds.md`` says by which
+measurements their constants were set, and by which others they were checked.
+
+.. [1] S. Corrsin, "On the spectrum of isotropic temperature fluctuations in an isotropic
+   turbulence", J. Appl. Phys. 22 (1951), doi:10.1063/1.1699986
+.. [2] G. M. Lewis, P. H. Austin, M. Szczodrak, "Spatial statistics of marine boundary layer
+   clouds", J. Geophys. Res. 109 (2004), doi:10.1029/2003JD003742: optical depth, from 28.5 m on
+.. [3] Z. He et al., "Combining observations and simulations to investigate the small-scale
+   variability of surface solar irradiance under continental cumulus clouds", Atmos. Chem. Phys. 24
+   (2024), doi:10.5194/acp-24-11391-2024
+.. [4] H. G. Beyer, A. Hammer, J. Luther et al., "Analysis and synthesis of cloud pattern for
+   radiation field studies", Solar Energy 52 (1994)
+.. [5] G. M. Lohmann et al., "Simulating clear-sky index increment correlations under mixed sky
+   conditions using a fractal cloud model", Solar Energy 150 (2017)
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Annotated
 
 import msgspec
@@ -38,26 +58,36 @@ from scipy import fft, ndimage, special
 
 _EARTH_RADIUS_M = 6_371_000.0
 
-# 2048 cells of at least 10 m: a torus at least 20 km wide, and at least 20 clouds wide.
-_CELLS = 2048
-_LEAST_CELL_M = 10.0
-_CLOUDS_ACROSS = 20.0
-
-# Constants of steps 1 and 3; the last four in units of the field's standard deviation.
-_SPECTRUM_EXPONENT = -5.0 / 3.0
+# Constants of steps 1 and 2.
+_OUTER_SCALE = 6.0
+_SPECTRUM_EXPONENT = -4.0 / 3.0
 _SMOOTHING_M = 20.0
+_NEIGHBOURHOOD_M = 500.0
+
+# The torus of the coarse layer is 25 outer scales wide, that of the fine one 40 neighbourhoods.
+_COARSE_CELLS = 1024
+_FINE_CELLS = 2048
+_OUTER_SCALES_ACROSS = 25.0
+_NEIGHBOURHOODS_ACROSS = 40.0
+_LEAST_COARSE_CELL_M = 50.0
+_LEAST_CELL_M = 10.0
+
+# Constants of step 3: where light begins to fall before the edge, and how round its corner is.
+_SHOULDER = 0.3
 _CORNER = 0.08
-_EDGE = 0.5
-_HALO_CENTRE = -0.3
-_HALO_WIDTH = 0.3
 
 # The torus is turned against the drift by the slope of the golden ratio, which no fraction
 # approximates well: a track that leaves one side comes back far from where it passed before.
 _TRACK_SLOPE = (np.sqrt(5.0) - 1.0) / 2.0
 
+# From one piece of sky to the next, in widths of the torus: powers of 1 / 1.3247, the plastic
+# number, which spread the pieces evenly over it (M. Roberts, "The unreasonable effectiveness of
+# quasirandom sequences", 2018).
+_NEXT_PIECE = np.array([0.7548776662466927, 0.5698402909980532])
+
 
 class CloudSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The sky. The defaults are broken trade-wind cumulus over Oahu.
+    """The sky. The defaults are broken clouds in the trade wind of Oahu.
 
     Attributes
     ----------
@@ -69,12 +99,15 @@ class CloudSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
         Where the clouds come from, clockwise from north [degree], as a wind direction is given.
     cloud_size_m : float, default 800
         Size of a typical cloud [m]; the gaps between clouds follow from the cover.
-    thick_cloud_index : float, default 0.25
+    cloud_softness : float, default 1
+        How gradually light falls from a cloud's edge inwards: at 0.5 half as far, at 2 twice.
+        Sharp cumulus is at 0.6, thin or torn stratocumulus at 1.2 and above.
+    thick_cloud_index : float, default 0.3
         Clear-sky index under the thickest cloud.
-    edge_enhancement : float, default 1.15
-        Highest clear-sky index, close beside a cloud; 1 is without enhancement.
+    edge_enhancement : float, default 1.2
+        Highest clear-sky index, in the gaps between clouds; 1 is without enhancement.
     evolution_s : float, default 1200
-        Time after which the shapes of the clouds have entirely changed [s].
+        Time after which groups of clouds have entirely changed [s]; what is smaller changes sooner.
     linke_turbidity : float, default 3
         Linke turbidity of the clear sky.
     """
@@ -83,8 +116,9 @@ class CloudSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     drift_speed_ms: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 10.0
     drift_from_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] = 65.0
     cloud_size_m: Annotated[float, msgspec.Meta(ge=50.0, le=20_000.0)] = 800.0
-    thick_cloud_index: Annotated[float, msgspec.Meta(ge=0.05, le=1.0)] = 0.25
-    edge_enhancement: Annotated[float, msgspec.Meta(ge=1.0, le=1.4)] = 1.15
+    cloud_softness: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 1.0
+    thick_cloud_index: Annotated[float, msgspec.Meta(ge=0.05, le=1.0)] = 0.3
+    edge_enhancement: Annotated[float, msgspec.Meta(ge=1.0, le=1.4)] = 1.2
     evolution_s: Annotated[float, msgspec.Meta(ge=60.0, le=86_400.0)] = 1200.0
     linke_turbidity: Annotated[float, msgspec.Meta(ge=1.0, le=10.0)] = 3.0
 
@@ -153,77 +187,176 @@ def synthetic_ghi(
         GHI [W/m^2], never negative, 0 at night.
     """
     clear_wm2 = clear_sky_ghi(times, lat_deg, lon_deg, altitude_m, settings.linke_turbidity)
-    time_s = _seconds_since_epoch(times)
-    cell_m = max(_LEAST_CELL_M, settings.cloud_size_m * _CLOUDS_ACROSS / _CELLS)
-    cells = _torus_cells(time_s, *_local_metres(lat_deg, lon_deg), settings, cell_m)
-    first, second = (
-        ndimage.map_coordinates(field, cells, order=1, mode="grid-wrap")
-        for field in _two_fields(settings.cloud_size_m, cell_m, seed)
-    )
-    phase = (0.5 * np.pi * time_s / settings.evolution_s)[:, None]
-    excess = (
-        first * np.cos(phase) + second * np.sin(phase) - special.ndtri(1 - settings.cloud_cover)
-    )
-    return clear_wm2[:, None] * _clear_sky_index(excess, settings)
+    east_m, north_m = _local_metres(lat_deg, lon_deg)
+    index = clear_sky_index(_seconds_since_epoch(times), east_m, north_m, settings, seed)
+    return clear_wm2[:, None] * index
 
 
-def _clear_sky_index(excess: NDArray[np.float64], settings: CloudSettings) -> NDArray[np.float64]:
-    """Step 3 of the model: from the excess over the threshold to the clear-sky index."""
-    thick = settings.thick_cloud_index
-    depth = _CORNER * np.logaddexp(0.0, excess / _CORNER)
-    transmitted = thick + (1.0 - thick) * np.exp(-depth / _EDGE)
-    halo = np.exp(-0.5 * ((excess - _HALO_CENTRE) / _HALO_WIDTH) ** 2)
-    return np.asarray(transmitted + (settings.edge_enhancement - 1.0) * halo)
-
-
-def _two_fields(
-    cloud_size_m: float, cell_m: float, seed: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Step 1 of the model: two independent random fields of zero mean and unit variance."""
-    rng = np.random.default_rng(seed)
-    amplitude = _spectrum_amplitude(cloud_size_m, cell_m)
-    first, second = (_standardised(_random_field(rng, amplitude)) for _ in range(2))
-    # What two samples have in common by chance would make the variance of their mix pulsate.
-    second = _standardised(second - np.mean(first * second) * first)
-    return first, second
-
-
-def _random_field(rng: np.random.Generator, amplitude: NDArray[np.float32]) -> NDArray[np.float32]:
-    noise = rng.standard_normal((_CELLS, _CELLS), dtype=np.float32)
-    return np.asarray(fft.irfft2(fft.rfft2(noise) * amplitude, s=noise.shape))
-
-
-def _spectrum_amplitude(cloud_size_m: float, cell_m: float) -> NDArray[np.float32]:
-    k_y = 2.0 * np.pi * fft.fftfreq(_CELLS, cell_m)[:, None]
-    k_x = 2.0 * np.pi * fft.rfftfreq(_CELLS, cell_m)[None, :]
-    k_squared = k_x**2 + k_y**2
-    power = (1.0 + k_squared * cloud_size_m**2) ** _SPECTRUM_EXPONENT
-    amplitude = np.sqrt(power * np.exp(-k_squared * _SMOOTHING_M**2))
-    return amplitude.astype(np.float32)
-
-
-def _standardised(field: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
-
-
-def _torus_cells(
+def clear_sky_index(
     time_s: NDArray[np.float64],
     east_m: NDArray[np.float64],
     north_m: NDArray[np.float64],
     settings: CloudSettings,
-    cell_m: float,
+    seed: int,
 ) -> NDArray[np.float64]:
-    """Where each sensor is at each time in the field that drifts, in cells, shape (2, T, N)."""
+    """Draw the clear-sky index at each place under drifting synthetic clouds.
+
+    Parameters
+    ----------
+    time_s : numpy.ndarray, shape (T,)
+        Seconds since any epoch, in any order.
+    east_m, north_m : numpy.ndarray, shape (N,)
+        Places, from any origin [m].
+    settings : CloudSettings
+        The sky; its turbidity does not matter here.
+    seed : int
+        Seed of the cloud field, at least 0.
+
+    Returns
+    -------
+    numpy.ndarray, shape (T, N)
+        Clear-sky index, above 0.
+    """
+    x_m, y_m = _in_the_drifting_field(time_s, east_m, north_m, settings)
+    layers = _layers(settings, seed)
+    coarse, fine = (_blended(layer, time_s, x_m, y_m) for layer in layers)
+    quantile = special.ndtri(1.0 - settings.cloud_cover)
+    # Beside the coarse layer there is only the fine one, which is Gaussian.
+    cover_around = special.ndtr((coarse - quantile) / layers[1].deviation)
+    return _index(coarse + fine - quantile, cover_around, settings)
+
+
+def _index(
+    excess: NDArray[np.float64], cover_around: NDArray[np.float64], settings: CloudSettings
+) -> NDArray[np.float64]:
+    """Step 3 of the model: from the excess over the threshold to the clear-sky index."""
+    thick = settings.thick_cloud_index
+    depth = excess / settings.cloud_softness + _SHOULDER
+    transmitted = np.exp(-_CORNER * np.logaddexp(0.0, depth / _CORNER))
+    scattered = (settings.edge_enhancement - 1.0) * 4.0 * cover_around * (1.0 - cover_around)
+    return np.asarray(thick + (1.0 - thick + scattered) * transmitted)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Layer:
+    """A periodic random field of mean 0 and variance 1, and what it stands for.
+
+    `in_common` is the correlation of the field with itself from one piece of sky to the next.
+    """
+
+    field: NDArray[np.float32]
+    cell_m: float
+    deviation: float
+    lifetime_s: float
+    in_common: float
+
+
+def _layers(settings: CloudSettings, seed: int) -> tuple[_Layer, _Layer]:
+    """Draw steps 1 and 2 of the model: a coarse and a fine layer, whose variances add up to 1."""
+    rng = np.random.default_rng(seed)
+    outer_m = _OUTER_SCALE * settings.cloud_size_m
+    coarse_cell_m = max(_LEAST_COARSE_CELL_M, outer_m * _OUTER_SCALES_ACROSS / _COARSE_CELLS)
+    around_m = max(_NEIGHBOURHOOD_M, 2.0 * coarse_cell_m)
+    fine_cell_m = max(_LEAST_CELL_M, around_m * _NEIGHBOURHOODS_ACROSS / _FINE_CELLS)
+    fine_share = _fine_share(outer_m, around_m)
+    fine_lifetime_s = settings.evolution_s * min(1.0, 0.5 * around_m / outer_m) ** (2.0 / 3.0)
+
+    def coarse_power(k_squared: NDArray[np.float64]) -> NDArray[np.float64]:
+        return _power(k_squared, outer_m) * np.exp(-k_squared * around_m**2)
+
+    def fine_power(k_squared: NDArray[np.float64]) -> NDArray[np.float64]:
+        return -_power(k_squared, outer_m) * np.expm1(-k_squared * around_m**2)
+
+    coarse = _random_field(rng, coarse_power, _COARSE_CELLS, coarse_cell_m)
+    fine = _random_field(rng, fine_power, _FINE_CELLS, fine_cell_m)
+    return (
+        _Layer(
+            coarse,
+            coarse_cell_m,
+            np.sqrt(1.0 - fine_share),
+            settings.evolution_s,
+            _in_common(coarse),
+        ),
+        _Layer(fine, fine_cell_m, np.sqrt(fine_share), fine_lifetime_s, _in_common(fine)),
+    )
+
+
+def _power(k_squared: NDArray[np.float64], outer_m: float) -> NDArray[np.float64]:
+    power = (1.0 + k_squared * outer_m**2) ** _SPECTRUM_EXPONENT
+    return np.asarray(power * np.exp(-k_squared * _SMOOTHING_M**2))
+
+
+def _fine_share(outer_m: float, around_m: float) -> float:
+    """Share of the fine layer in the variance: an integral over the plane of wave numbers."""
+    k = np.geomspace(1e-4 / outer_m, 6.0 / _SMOOTHING_M, 10_000)
+    power = _power(k**2, outer_m) * k
+    fine = -np.expm1(-((k * around_m) ** 2))
+    return float(np.trapezoid(power * fine, k) / np.trapezoid(power, k))
+
+
+def _random_field(
+    rng: np.random.Generator,
+    power: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    cells: int,
+    cell_m: float,
+) -> NDArray[np.float32]:
+    """Draw a periodic Gaussian random field of mean 0 and variance 1, shape (cells, cells)."""
+    k_y = 2.0 * np.pi * fft.fftfreq(cells, cell_m)[:, None]
+    k_x = 2.0 * np.pi * fft.rfftfreq(cells, cell_m)[None, :]
+    amplitude = np.sqrt(power(k_x**2 + k_y**2)).astype(np.float32)
+    noise = rng.standard_normal((cells, cells), dtype=np.float32)
+    field = fft.irfft2(fft.rfft2(noise) * amplitude, s=noise.shape)
+    return np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
+
+
+def _in_common(field: NDArray[np.float32]) -> float:
+    shift = np.rint(_NEXT_PIECE * len(field)).astype(int)
+    return float(np.mean(field * np.roll(field, -shift, axis=(0, 1))))
+
+
+def _blended(
+    layer: _Layer, time_s: NDArray[np.float64], x_m: NDArray[np.float64], y_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Step 2 of the model: what a layer contributes at each time and sensor, shape (T, N)."""
+    age = time_s / layer.lifetime_s
+    piece = np.floor(age)
+    phase = 0.5 * np.pi * (age - piece)[:, None]
+    first = _read(layer, x_m, y_m, piece)
+    second = _read(layer, x_m, y_m, piece + 1.0)
+    # Without the root, what two pieces have in common by chance would make the variance pulsate.
+    variance = 1.0 + layer.in_common * np.sin(2.0 * phase)
+    mixed = first * np.cos(phase) + second * np.sin(phase)
+    return np.asarray(layer.deviation * mixed / np.sqrt(variance))
+
+
+def _read(
+    layer: _Layer, x_m: NDArray[np.float64], y_m: NDArray[np.float64], piece: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    cells = len(layer.field)
+    offset = (piece[:, None] * _NEXT_PIECE % 1.0) * cells
+    # Modulo here, since single cells are lost in the rounding of coordinates of 1e9 cells.
+    rows = (y_m / layer.cell_m + offset[:, :1]) % cells
+    columns = (x_m / layer.cell_m + offset[:, 1:]) % cells
+    return np.asarray(
+        ndimage.map_coordinates(layer.field, [rows, columns], order=1, mode="grid-wrap")
+    )
+
+
+def _in_the_drifting_field(
+    time_s: NDArray[np.float64],
+    east_m: NDArray[np.float64],
+    north_m: NDArray[np.float64],
+    settings: CloudSettings,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where each sensor is at each time in the field that drifts [m], shape (T, N) each."""
     origin = np.deg2rad(settings.drift_from_deg)
     towards_east, towards_north = -np.sin(origin), -np.cos(origin)
     along = (east_m * towards_east + north_m * towards_north)[None, :]
     along = along - settings.drift_speed_ms * time_s[:, None]
     across = np.broadcast_to(north_m * towards_east - east_m * towards_north, along.shape)
     turn = np.arctan(_TRACK_SLOPE)
-    x = along * np.cos(turn) - across * np.sin(turn)
-    y = along * np.sin(turn) + across * np.cos(turn)
-    # Modulo here, since single cells are lost in the rounding of coordinates of 1e9 cells.
-    return np.stack([y, x]) / cell_m % _CELLS
+    x_m = along * np.cos(turn) - across * np.sin(turn)
+    return x_m, along * np.sin(turn) + across * np.cos(turn)
 
 
 def _local_metres(

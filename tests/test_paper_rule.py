@@ -28,7 +28,9 @@ def run_agents(plan: RunPlan, profile: Profile) -> RunMonitor:
 
 def metrics_of(monitor: RunMonitor) -> CommitmentMetrics:
     """Figures of a run of 1 s cycles."""
-    return commitment_metrics(monitor.desired_kw, monitor.possible_kw, monitor.delivered_kw, 1.0)
+    return commitment_metrics(
+        monitor.plant.desired_kw, monitor.plant.possible_kw, monitor.plant.delivered_kw, 1.0
+    )
 
 
 def shortfall_free_delivery_kw(profile: Profile) -> NDArray[np.float64]:
@@ -38,12 +40,12 @@ def shortfall_free_delivery_kw(profile: Profile) -> NDArray[np.float64]:
 
 
 def test_under_a_steady_sky_the_plant_delivers_the_least_of_asked_and_possible() -> None:
-    plan = prepare(load_scenario("oahu"), RunOptions(duration="40"), "steady").plan
+    plan = prepare(load_scenario("oahu"), RunOptions(duration="40", scheme="paper"), "steady").plan
     rng = np.random.default_rng(5)
     steady_kw = np.repeat(rng.uniform(0.0, 470.0, (1, 17)), 40, axis=0)
     commitment_kw = np.linspace(400.0, 1.2 * steady_kw[0].sum(), 40)
     profile = Profile(steady_kw, commitment_kw)
-    delivered_kw = run_agents(plan, profile).delivered_kw
+    delivered_kw = run_agents(plan, profile).plant.delivered_kw
     # The smallest alpha is 0.05: no commitment here is small enough to be held up by it.
     np.testing.assert_allclose(delivered_kw, shortfall_free_delivery_kw(profile), rtol=0, atol=1e-6)
 
@@ -51,10 +53,10 @@ def test_under_a_steady_sky_the_plant_delivers_the_least_of_asked_and_possible()
 def test_a_shortfall_caused_by_control_is_the_change_of_the_sky_within_a_cycle() -> None:
     """With one inverter the rule is P(k) = MPP(k) min(1, T / MPP(k-1)): worked out by hand."""
     scenario = load_scenario("oahu")
-    plan = prepare(scenario, RunOptions(duration="4"), "one").plan
+    plan = prepare(scenario, RunOptions(duration="4", scheme="paper"), "one").plan
     sky_kw = np.array([400.0, 200.0, 300.0, 300.0])
     profile = Profile(np.repeat(sky_kw[:, None], 17, axis=1), np.full(4, 17 * 250.0))
-    delivered_kw = np.array(run_agents(plan, profile).delivered_kw) / 17
+    delivered_kw = np.array(run_agents(plan, profile).plant.delivered_kw) / 17
     by_hand_kw = [400 * 250 / 400, 200 * 250 / 400, 300 * 1.0, 300 * 250 / 300]
     np.testing.assert_allclose(delivered_kw, by_hand_kw, rtol=1e-12)
 
@@ -68,7 +70,7 @@ def test_the_hope_hour_gives_what_an_independent_calculation_gave(
 ) -> None:
     """With P = GHI / 1000 x 470 kW x 0.96 in place of the PV model, as that calculation had it."""
     folder = data_folder / "hope-melpitz-1s"
-    plan = prepare(load_scenario("hope-melpitz", folder), RunOptions(), "hope").plan
+    plan = prepare(load_scenario("hope-melpitz", folder), RunOptions(scheme="paper"), "hope").plan
     stations = [leaf.rpartition("/inv")[2] for leaf in plan.tree.leaves]
     with (folder / "ghi_20130908_0915_0955.csv").open(newline="") as file:
         ghi_wm2 = np.array([[float(row[s]) for s in stations] for row in csv.DictReader(file)])

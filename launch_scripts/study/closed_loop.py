@@ -265,8 +265,8 @@ def _forecast(
 @njit(cache=True)
 def _dispatch(asked_kw: float, root: int, rating_kw: Floats, target: Floats) -> None:
     """`CentralController._usable_dispatch`: the root's target is the last dispatch of use."""
-    if asked_kw >= 0.0 and asked_kw < np.inf:
-        target[root] = min(asked_kw, rating_kw[root])
+    if -np.inf < asked_kw < np.inf:
+        target[root] = min(max(asked_kw, 0.0), rating_kw[root])
 
 
 @njit(cache=True)

@@ -56,7 +56,7 @@ def test_a_dispatch_from_zero_to_the_rating_is_taken_without_a_word(power_kw: fl
 
 @pytest.mark.parametrize(
     ("power_kw", "shown"),
-    [(-0.5, "-0.5"), (math.nan, "nan"), (math.inf, "inf"), (-math.inf, "-inf"), (-1e12, "-1e+12")],
+    [(math.nan, "nan"), (math.inf, "inf"), (-math.inf, "-inf")],
 )
 def test_a_dispatch_that_makes_no_sense_is_refused_and_the_last_one_holds(
     power_kw: float, shown: str
@@ -84,15 +84,24 @@ def test_a_dispatch_above_the_rating_is_clamped_to_it(power_kw: float, shown: st
     )
 
 
+@pytest.mark.parametrize(("power_kw", "shown"), [(-0.5, "-0.5"), (-1e12, "-1e+12")])
+def test_a_dispatch_below_zero_is_clamped_to_it(power_kw: float, shown: str) -> None:
+    # Regulation downwards can ask for more than the commitment: the plant goes as low as it can.
+    assert asked_and_noticed(200.0, power_kw) == (
+        [150.0, 0.0],
+        [(f"dispatch of {shown} kW clamped to 0 kW", 1)],
+    )
+
+
 def test_all_that_could_not_be_used_are_counted_together() -> None:
     asked_kw, noticed = asked_and_noticed(100.0, -1.0, 500.0, 200.0, math.nan)
-    assert asked_kw == [75.0, 75.0, 300.0, 150.0, 150.0]
+    assert asked_kw == [75.0, 0.0, 300.0, 150.0, 150.0]
     assert [count for _, count in noticed] == [1, 2, 3]
 
 
 def test_after_a_clamped_dispatch_a_refused_one_leaves_the_rating_asked() -> None:
-    asked_kw, noticed = asked_and_noticed(1e12, -1.0)
+    asked_kw, noticed = asked_and_noticed(1e12, math.nan)
     assert asked_kw == [300.0, 300.0]
     assert noticed[1][0] == (
-        "dispatch of -1 kW refused, accepted is 0 to 400 kW: 400 kW still holds"
+        "dispatch of nan kW refused, accepted is 0 to 400 kW: 400 kW still holds"
     )

@@ -83,7 +83,7 @@ def weathers(draw: st.DrawFn) -> Weather:
 
 def usable_kw(wished_kw: float, last_kw: float, rating_kw: float) -> float:
     """The dispatch that a controller can use."""
-    return min(wished_kw, rating_kw) if isfinite(wished_kw) and wished_kw >= 0.0 else last_kw
+    return min(max(wished_kw, 0.0), rating_kw) if isfinite(wished_kw) else last_kw
 
 
 def targets_kw(weather: Weather, heard: Heard) -> dict[tuple[int, str], float]:

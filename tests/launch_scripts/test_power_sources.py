@@ -187,7 +187,7 @@ def test_power_comes_from_the_currents(plant: Copy, tmp_path: Path) -> None:
     currents = pd.read_csv(tmp_path / "plant" / "hour_a.csv")
     place = [leaf.rpartition("/")[2] for leaf in found.plan.tree.leaves].index("inv04")
     mean = currents[["C-4-1", "C-4-2"]].mean(axis=1).to_numpy()
-    expected_kw = np.minimum(mean / 100.0, 1.0) * 20_000.0 / 6
+    expected_kw = np.minimum(mean / 130.0, 1.0) * 20_000.0 / 6
     np.testing.assert_allclose(found.profile.mpp_kw[:, place], expected_kw)
 
 

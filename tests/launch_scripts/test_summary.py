@@ -54,7 +54,6 @@ def summary_of(metrics: RunMetrics | None) -> RunSummary:
         wall_s=10.0,
         startup_s=1.0,
         arming_rounds=0,
-        energy=(metrics or metrics_of(False)).commitment,
         metrics=metrics,
         messages=(MessageCount("help", 12, 12),),
         dropped={},
@@ -106,9 +105,9 @@ def test_requests_and_score_are_told_when_there_is_regulation() -> None:
     )
 
 
-def test_a_summary_without_metrics_has_the_energies_alone() -> None:
+def test_a_run_without_a_complete_cycle_has_no_figures_and_says_so() -> None:
     rows = rows_of(None)
-    assert rows["satisfied commitment"][0] == "90.000 %"
+    assert rows["energy"] == ["-", "no cycle was completed"]
     assert "tracking error" not in rows
 
 

@@ -21,7 +21,7 @@ from bus_schemas.messages import Help, HelpGiven, Impp, Residual, Run, Setpoint
 from bus_schemas.signals import HELP, IMPP, RESIDUAL, RUN, SETPOINT, SIGNALS, ports
 from bus_schemas.tree import ROOT
 from recordings.reader import RunReader
-from recordings.writer import ClockAnchor, RunWriter
+from recordings.writer import SCHEMA_VERSION, ClockAnchor, RunWriter
 
 PLAN = RunPlan(
     run_id="by-hand-1",
@@ -207,7 +207,7 @@ def test_metadata_and_attachments_tell_where_a_recording_comes_from(
         run = {entry.name: entry.metadata for entry in reader.iter_metadata()}["run"]
         attachments = {entry.name: entry for entry in reader.iter_attachments()}
     assert (run["run_id"], run["plant"], run["driver"]) == ("by-hand-1", "oahu", "simulate")
-    assert run["schema_version"] == "1"
+    assert run["schema_version"] == SCHEMA_VERSION
     assert {"host", "kernel", "python", "version heliarch", "version mcap"} <= set(run)
     assert attachments["scenario.toml"].media_type == "application/toml"
     assert attachments["scenario.toml"].data.decode() == SCENARIO
@@ -285,12 +285,14 @@ def test_a_file_that_is_too_short_is_refused_with_a_reason(
 def test_a_recording_without_its_origin_is_refused(
     tmp_path: Path, attached: tuple[str, ...], lacking: str
 ) -> None:
-    path = mcap_file(tmp_path / "run.mcap", *attached, schema_version="1")
+    path = mcap_file(tmp_path / "run.mcap", *attached, schema_version=SCHEMA_VERSION)
     assert complaint(path) == f"{path}: recording without its attachment '{lacking}'"
 
 
 def test_a_recording_of_no_plan_is_refused(tmp_path: Path) -> None:
-    path = mcap_file(tmp_path / "run.mcap", "scenario.toml", "plan.json", schema_version="1")
+    path = mcap_file(
+        tmp_path / "run.mcap", "scenario.toml", "plan.json", schema_version=SCHEMA_VERSION
+    )
     assert complaint(path) == (
         f"{path}: its attachments do not decode: Object missing required field `run_id`"
     )
@@ -303,4 +305,4 @@ def test_an_mcap_file_of_somebody_elses_is_refused(tmp_path: Path) -> None:
 
 def test_a_recording_of_another_version_is_refused(tmp_path: Path) -> None:
     path = mcap_file(tmp_path / "run.mcap", schema_version="99")
-    assert complaint(path) == f"{path}: schema version 99, accepted is version 1"
+    assert complaint(path) == f"{path}: schema version 99, accepted is version {SCHEMA_VERSION}"

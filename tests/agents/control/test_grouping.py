@@ -13,7 +13,7 @@ def limits_kw(reference_kw: float, desired_kw: float) -> list[float]:
     found = grouping_limits_kw(
         np.array([reference_kw]), np.array([desired_kw]), RATING_KW, REFERENCE
     )
-    return found[0].tolist()
+    return list(found[0])
 
 
 def test_the_control_group_shares_what_the_reference_group_leaves_by_capacity() -> None:

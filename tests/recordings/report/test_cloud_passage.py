@@ -35,12 +35,12 @@ def shade(depth_kw: float, begins: int = SHADE_BEGINS, lasts: int = 90) -> NDArr
     """80 kW, but for a cloud that comes within 20 cycles and goes as fast."""
     cycle = np.arange(CYCLES)
     covered = np.clip(np.minimum(cycle - begins, begins + lasts - cycle) / 20.0, 0.0, 1.0)
-    return 80.0 - depth_kw * covered
+    return np.asarray(80.0 - depth_kw * covered)
 
 
 def rising() -> NDArray[np.float64]:
     """Always above the request, and hardly correlated with anything that dips in the middle."""
-    return 70.0 + 10.0 * np.abs(np.arange(CYCLES) - 300.0) / 300.0
+    return np.asarray(70.0 + 10.0 * np.abs(np.arange(CYCLES) - 300.0) / 300.0)
 
 
 def test_the_shaded_one_and_the_one_with_headroom_are_told_apart() -> None:
