@@ -22,7 +22,7 @@ $(READY): pyproject.toml constraints.txt
 	@touch $@
 
 run: $(READY) ## the main job: one simulated hour of broken clouds over 17 inverters, as 23 processes
-	$(BIN)/heliarch launch oahu
+	$(BIN)/heliarch launch oahu --report
 
 test: $(READY) ## all tests, under 8 minutes on 2 cores
 	$(BIN)/pytest

@@ -55,6 +55,9 @@ DataOption: TypeAlias = Annotated[
     Path | None,
     typer.Option(help="Folder of the data files that the scenario names.", metavar="DIR"),
 ]
+ReportFlag: TypeAlias = Annotated[
+    bool, typer.Option("--report", help="Write an HTML report into the run's folder.")
+]
 JsonOption: TypeAlias = Annotated[
     str | None,
     typer.Option("--json", help="Write the summary as JSON; - is stdout.", metavar="PATH"),
@@ -73,6 +76,7 @@ def launch_command(
     out: OutOption = None,
     data: DataOption = None,
     json: JsonOption = None,
+    report: ReportFlag = False,
 ) -> None:
     """Run a plant as a team of processes over Zenoh, recorded.
 
@@ -83,7 +87,7 @@ def launch_command(
     from launch_scripts.run_command import RunRequest, run
 
     request = RunRequest(
-        "launch", scenario, start, duration, pace, seed, scheme, actuator, out, data, json
+        "launch", scenario, start, duration, pace, seed, scheme, actuator, out, data, json, report
     )
     raise typer.Exit(run(request, _began_at))
 
@@ -100,12 +104,13 @@ def simulate_command(
     out: OutOption = None,
     data: DataOption = None,
     json: JsonOption = None,
+    report: ReportFlag = False,
 ) -> None:
     """Run the same agents in this one process: the same messages, the same recording."""
     from launch_scripts.run_command import RunRequest, run
 
     request = RunRequest(
-        "simulate", scenario, start, duration, pace, seed, scheme, actuator, out, data, json
+        "simulate", scenario, start, duration, pace, seed, scheme, actuator, out, data, json, report
     )
     raise typer.Exit(run(request, _began_at))
 

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.control.clusters import choose_clusters, geographic_clusters
+from agents.control.clusters import choose_clusters, geographic_clusters, random_clusters
 from agents.control.correlation import HourlyMatrices, group_correlation
 from agents.family import Neighbourhood
 from agents.plan import NodeNeighbourhoods
@@ -48,7 +48,7 @@ def control_tree(
     paths = list(sites.names)
     for tier in range(_tiers_of_clusters(control)):
         sizes = _sizes(control, tier, len(groups))
-        clusters = _choose(control.clusters, sizes, groups, sites, covariance, hours)
+        clusters = _choose(control, sizes, groups, sites, covariance, hours)
         paths = _with_prefix(paths, groups, clusters, tier)
         groups = [
             tuple(leaf for place in cluster for leaf in groups[place]) for cluster in clusters
@@ -119,21 +119,32 @@ def _sizes(control: ControlTable, tier: int, members: int) -> tuple[int, ...]:
 
 
 def _choose(
-    method: str,
+    control: ControlTable,
     sizes: Sequence[int],
     groups: list[tuple[int, ...]],
     sites: Sites,
     covariance: HourlyMatrices,
     hours: Sequence[int],
 ) -> Sequence[Sequence[int]]:
-    match method:
+    match control.clusters:
         case "correlation":
-            hourly = [group_correlation(covariance.at(hour), groups) for hour in hours]
-            return choose_clusters(np.mean(hourly, axis=0), sizes)
+            return choose_clusters(_mean_correlation(groups, covariance, hours), sizes)
+        case "most-alike":
+            return choose_clusters(-_mean_correlation(groups, covariance, hours), sizes)
         case "geographic":
             return geographic_clusters(*_positions_m(groups, sites), sizes)
-        case _:
+        case "random":
+            return random_clusters(sizes, control.clusters_seed)
+        case "listed":
             return [range(low, high) for low, high in pairwise(np.cumsum([0, *sizes]).tolist())]
+
+
+def _mean_correlation(
+    groups: list[tuple[int, ...]], covariance: HourlyMatrices, hours: Sequence[int]
+) -> NDArray[np.float64]:
+    """Return the correlation between groups, the mean of all hours that decide."""
+    hourly = [group_correlation(covariance.at(hour), groups) for hour in hours]
+    return np.asarray(np.mean(hourly, axis=0))
 
 
 def _positions_m(

@@ -31,7 +31,7 @@ def report(run: Path, out: Path | None) -> int:
         The HTML file; by default `report.html` beside the recording.
     """
     try:
-        path = _write(run, out)
+        path = write_run_report(run, out)
     except InputError as error:
         sys.stderr.write(f"heliarch: {error}\n")
         return 2
@@ -39,7 +39,14 @@ def report(run: Path, out: Path | None) -> int:
     return 0
 
 
-def _write(run: Path, out: Path | None) -> Path:
+def write_run_report(run: Path, out: Path | None = None) -> Path:
+    """Write the report of a recorded run; return where it is.
+
+    Raises
+    ------
+    InputError
+        There is no such run, no cycle of it is complete, or the report cannot be put there.
+    """
     with RunReader(run) as reader:
         recording = reader.path
         path = out or recording.with_name(REPORT_NAME)

@@ -47,6 +47,7 @@ class RunRequest:
     out: Path | None
     data: Path | None
     json: str | None
+    report: bool
 
 
 def run(request: RunRequest, began_at: float) -> int:
@@ -70,7 +71,10 @@ def run(request: RunRequest, began_at: float) -> int:
         return _complain(error, BAD_INPUT)
     try:
         summary = _drive(request.driver, preparation, folder, console, began_at)
-        return _conclude(summary, folder, request.json, console)
+        status = _conclude(summary, folder, request.json, console)
+        if request.report and summary.cycles:
+            _report(folder, console)
+        return status
     except OSError as error:
         return _complain(f"{error.filename or folder.path}: {error.strerror}", FAILED)
     except RunFailure as error:
@@ -99,6 +103,14 @@ def _conclude(summary: RunSummary, folder: RunFolder, json: str | None, console:
     if summary.lost:
         return _complain(_lost_text(summary), FAILED)
     return INTERRUPTED if summary.interrupted else OK
+
+
+def _report(folder: RunFolder, console: Console) -> None:
+    """Write the report of a run that is over; what draws it is not imported before."""
+    from launch_scripts.report_command import write_run_report  # noqa: PLC0415
+
+    path = write_run_report(folder.path)
+    console.print(f"report: {path}", highlight=False, soft_wrap=True, markup=False)
 
 
 def _prepare(request: RunRequest) -> tuple[Preparation, RunFolder]:

@@ -167,7 +167,8 @@ class ControlTable(_Table, frozen=True):
         `predictive` (a forecast of this cycle's, with a margin).
     clusters
         How their members are chosen: `correlation` (least alike, the paper's virtual
-        neighbours), `geographic` (nearest) or `listed` (as the inverters are listed).
+        neighbours), `geographic` (nearest) or `listed` (as the inverters are listed). To compare
+        with: `random` (by lot, with the seed `clusters_seed`) or `most-alike` (the worst).
     period_cycles
         Every how many cycles each tier acts, the central controller's first. Default: each cycle.
     alpha_min
@@ -181,7 +182,8 @@ class ControlTable(_Table, frozen=True):
     cluster_sizes: tuple[tuple[Annotated[int, msgspec.Meta(ge=1)], ...], ...] | None = None
     cluster_count: tuple[Annotated[int, msgspec.Meta(ge=1)], ...] | None = None
     scheme: Scheme = "predictive"
-    clusters: Literal["correlation", "geographic", "listed"] = "correlation"
+    clusters: Literal["correlation", "geographic", "listed", "random", "most-alike"] = "correlation"
+    clusters_seed: Seed = 0
     period_cycles: tuple[int, ...] | None = None
     alpha_min: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.05
     hold_cycles: Annotated[int, msgspec.Meta(ge=0)] = 3

@@ -65,8 +65,17 @@ class RunReader:
             self._file.close()
             raise
 
-    def messages(self, *signals: Signal[Message]) -> Iterator[Delivery]:
-        """Yield the messages in the order of their log time; of all signals, or of these."""
+    def messages(self, *signals: Signal[Message], by_time: bool = True) -> Iterator[Delivery]:
+        """Yield the messages of all signals, or of these.
+
+        Parameters
+        ----------
+        signals
+            Which; none given: all.
+        by_time
+            Whether in the order of their log time. As they stand in the file they are read in half
+            the time, and those of one key are in their order all the same.
+        """
         keys = self.plan.keys
         wanted = {signal.name for signal in signals}
         topics = [
@@ -74,15 +83,16 @@ class RunReader:
             for port in keys.ports
             if port.signal.logged and (not wanted or port.signal.name in wanted)
         ]
-        records = self._indexed(topics) if self.whole else self._up_to_the_cut(set(topics))
+        records = self._indexed(topics, by_time) if self.whole else self._up_to_the_cut(set(topics))
         for topic, data in records:
             port = keys.port(topic)
             if port is not None:
                 yield port, decode(port.signal, data)
 
-    def _indexed(self, topics: list[str]) -> Iterator[tuple[str, bytes]]:
+    def _indexed(self, topics: list[str], by_time: bool) -> Iterator[tuple[str, bytes]]:
         self._file.seek(0)
-        for _, channel, record in make_reader(self._file).iter_messages(topics=topics):
+        reader = make_reader(self._file)
+        for _, channel, record in reader.iter_messages(topics=topics, log_time_order=by_time):
             yield channel.topic, record.data
 
     def _up_to_the_cut(self, topics: set[str]) -> Iterator[tuple[str, bytes]]:

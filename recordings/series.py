@@ -223,7 +223,9 @@ def read_series(path: Path) -> RunSeries:
     """
     with RunReader(path) as reader:
         collector = SeriesCollector(reader.plan)
-        for port, message in reader.messages(DISPATCH, IMPP, RESIDUAL, COMMAND, PRODUCTION):
+        for port, message in reader.messages(
+            DISPATCH, IMPP, RESIDUAL, COMMAND, PRODUCTION, by_time=False
+        ):
             collector.see(port, message)
         try:
             return collector.series(reader.plan.run_id)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -116,7 +117,8 @@ def results_of(
             ("median", order[len(order) // 2]),
             ("worst", order[-1]),
         ):
-            yield f"{name} {word}", metrics[place], series[place]
+            label = f"{name} {word}"
+            yield label, metrics[place], dataclasses.replace(series[place], label=label)
 
 
 def run_agents(scheme: str, preparation: Preparation) -> RunSeries:

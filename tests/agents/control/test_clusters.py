@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from agents.control.clusters import (
     choose_clusters,
     geographic_clusters,
+    random_clusters,
+    search_clusters,
     within_cluster_correlation,
 )
 
@@ -51,6 +53,26 @@ def test_the_best_of_all_partitions_is_found(seed: int, size: int) -> None:
     assert found == pytest.approx(least_cost_by_enumeration(correlation, size), abs=1e-12)
 
 
+def least_cost_of_three_threes(correlation: np.ndarray) -> float:
+    """Least cost of all 280 partitions of nine into three clusters of three."""
+    partitions = [
+        [(0, *pair), other, sorted(set(range(1, 9)) - set(pair) - set(other))]
+        for pair in combinations(range(1, 9), 2)
+        for other in combinations(sorted(set(range(1, 9)) - set(pair)), 3)
+        # The second cluster holds the least of the six that are left: each partition once.
+        if other[0] == min(set(range(1, 9)) - set(pair))
+    ]
+    assert len(partitions) == 280
+    return min(cost(correlation, partition) for partition in partitions)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_best_of_all_partitions_of_nine_in_three_clusters_is_found(seed: int) -> None:
+    correlation = random_correlation(9, seed)
+    found = cost(correlation, choose_clusters(correlation, (3, 3, 3)))
+    assert found == pytest.approx(least_cost_of_three_threes(correlation), abs=1e-12)
+
+
 @given(
     sizes=st.lists(st.integers(1, 5), min_size=1, max_size=5),
     seed=st.integers(0, 1000),
@@ -89,6 +111,53 @@ def test_the_same_arguments_give_the_same_clusters() -> None:
     assert choose_clusters(correlation, (10, 10, 10), seed=7) == choose_clusters(
         correlation, (10, 10, 10), seed=7
     )
+
+
+def test_a_search_tells_what_each_of_its_starts_came_to() -> None:
+    correlation = random_correlation(25, 3)
+    search = search_clusters(correlation, (5, 5, 5, 5, 5), restarts=30)
+    best = within_cluster_correlation(correlation, search.clusters)
+    assert search.clusters == choose_clusters(correlation, (5, 5, 5, 5, 5), restarts=30)
+    assert len(search.correlation_of_starts) == 30
+    assert min(search.correlation_of_starts) == pytest.approx(best, abs=1e-12)
+    reached = [value for value in search.correlation_of_starts if value < best + 1e-9]
+    assert search.starts_at_best == len(reached)
+    assert 1 <= search.starts_at_best < 30
+
+
+def test_a_start_that_comes_to_the_same_clusters_counts_as_the_best() -> None:
+    search = search_clusters(np.ones((6, 6)), (3, 3), restarts=7)
+    assert search.correlation_of_starts == pytest.approx([1.0] * 7)
+    assert search.starts_at_best == 7
+
+
+def test_clusters_of_one_inverter_have_no_correlation_within() -> None:
+    search = search_clusters(random_correlation(3, 0), (1, 1, 1))
+    assert search.clusters == ((0,), (1,), (2,))
+    assert np.isnan(search.correlation_of_starts).all()
+
+
+def test_random_clusters_have_the_sizes_asked_for_and_keep_to_their_seed() -> None:
+    found = [random_clusters((6, 5, 6), seed) for seed in range(20)]
+    for clusters in found:
+        assert [len(c) for c in clusters] == [6, 5, 6]
+        assert sorted(i for c in clusters for i in c) == list(range(17))
+        assert clusters[0][0] < clusters[2][0]
+    assert found == [random_clusters((6, 5, 6), seed) for seed in range(20)]
+    assert len(set(found)) == 20
+
+
+def test_random_clusters_are_each_as_likely() -> None:
+    # Three partitions of four into two twos; 600 draws, 200 of each but for chance.
+    drawn = [random_clusters((2, 2), seed) for seed in range(600)]
+    counts = {partition: drawn.count(partition) for partition in set(drawn)}
+    assert len(counts) == 3
+    assert all(150 < count < 250 for count in counts.values())
+
+
+def test_random_clusters_of_no_inverter_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"cluster sizes \(3, 0\) are given for 3 inverters"):
+        random_clusters((3, 0), 1)
 
 
 def test_equal_correlations_come_to_an_end() -> None:
