@@ -139,7 +139,7 @@ def regulation(series: Sequence[RunSeries]) -> ReportFigure | None:
             figure.add_trace(trace, row=row, col=1)
     dress(figure, 580)
     figure.update_layout(legend_y=1.05, margin_t=70)
-    figure.update_yaxes(title_text="regulation [kW]")
+    figure.update_yaxes(title_text="regulation [kW]", title_standoff=12, automargin=True)
     label_time_axis(figure, first, rows=2)
     figure.update_xaxes(range=clock_range_ms(first, worst), row=2, col=1)
     return ReportFigure(
