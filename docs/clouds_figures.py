@@ -1,0 +1,394 @@
+"""Draws measured skies beside the cloud model's, and prints the numbers of docs/clouds.md.
+
+python docs/clouds_figures.py FOLDER docs
+
+FOLDER holds the measured data sets in folders of their own: hope-melpitz-1s, livermore-ghi-2s and
+plant20mw-combiners-10s. Those that are absent are left out.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import matplotlib as mpl
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from pvlib.irradiance import get_extra_radiation
+from pvlib.solarposition import get_solarposition
+
+from sim_plant.clouds import CloudSettings, clear_sky_ghi, clear_sky_index
+from sim_plant.irradiance import read_measured_ghi
+from sim_plant.sky_statistics import (
+    changes,
+    cloud_cover,
+    cloud_motion,
+    exceedance,
+    index_by_quantile,
+    pair_correlations,
+    peak_lags,
+    rotated,
+    sky_shares,
+)
+
+mpl.use("Agg")
+
+Array = NDArray[np.float64]
+
+HOPE = "hope-melpitz-1s"
+SKIES_DRAWN = 12
+MOST_SEEDS = 300
+COVER_TOLERANCE = 0.1
+MEASURED, SYNTHETIC = "#b2182b", "#2166ac"
+CLASSES_M = np.array([0.0, 50.0, 100.0, 150.0, 200.0, 300.0, 400.0, 500.0, 700.0, 1000.0, 1500.0])
+# Two skies that are not the default's kind: sharp and fast clouds, and thin ones.
+OF_ANOTHER_KIND = {
+    "Livermore": {"drift_speed_ms": 20.0, "cloud_softness": 0.6},
+    "plant, hour b": {"thick_cloud_index": 0.75},
+}
+SIZES = np.geomspace(0.003, 1.0, 120)
+LEVELS = np.arange(0.0, 1.55, 0.05)
+
+
+@dataclass(frozen=True)
+class Sky:
+    """A measured sky, and how the model is asked for its like."""
+
+    name: str
+    index: Array
+    step_s: float
+    # Where the model is read [m], and how what is read there is averaged into the sensors.
+    east_m: Array
+    north_m: Array
+    averaging: Array
+    by_quantile: bool
+    speed_ms: float | None
+    from_deg: float | None
+    # Settings beyond speed, direction and cover: empty in all comparisons but two.
+    by_hand: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def sensor_east_m(self) -> Array:
+        """East of each sensor [m]."""
+        return np.asarray(self.east_m @ self.averaging)
+
+    @property
+    def sensor_north_m(self) -> Array:
+        """North of each sensor [m]."""
+        return np.asarray(self.north_m @ self.averaging)
+
+    def settings(self) -> CloudSettings:
+        """Speed, direction and cover as the measurement has them; all else by default."""
+        known = {"cloud_cover": cloud_cover(self.index)}
+        if self.speed_ms is not None and self.from_deg is not None:
+            known |= {"drift_speed_ms": self.speed_ms, "drift_from_deg": self.from_deg}
+        return CloudSettings(**known | self.by_hand)
+
+    def synthetic(self, settings: CloudSettings, seed: int) -> Array:
+        """Draw the model's index, averaged and normalised as the measurement is."""
+        time_s = np.arange(len(self.index), dtype=np.float64) * self.step_s
+        drawn = clear_sky_index(time_s, self.east_m, self.north_m, settings, seed)
+        return index_by_quantile(drawn @ self.averaging) if self.by_quantile else drawn
+
+    def alike(self) -> tuple[list[Array], int]:
+        """Skies of the model that are about as cloudy, and how many seeds were looked at."""
+        found: list[Array] = []
+        for seed in range(1, MOST_SEEDS + 1):
+            drawn = self.synthetic(self.settings(), seed)
+            if abs(cloud_cover(drawn) - cloud_cover(self.index)) <= COVER_TOLERANCE:
+                found.append(drawn)
+            if len(found) == SKIES_DRAWN:
+                break
+        return found, seed
+
+
+def measured_skies(folder: Path) -> Iterator[Sky]:
+    """Read the data sets that are there."""
+    readers: dict[str, Callable[[Path], list[Sky]]] = {
+        HOPE: _hope,
+        "livermore-ghi-2s": _livermore,
+        "plant20mw-combiners-10s": lambda path: [_plant(path, hour) for hour in "abc"],
+    }
+    for name, reader in readers.items():
+        if (folder / name).is_dir():
+            yield from reader(folder / name)
+
+
+def _hope(folder: Path) -> list[Sky]:
+    read = read_measured_ghi(folder / "ghi_20130908_0915_0955.csv", folder / "positions.csv")
+    places = pd.read_csv(folder / "positions.csv", dtype={"station": str}).set_index("station")
+    places = places.loc[list(read.sensors)]
+    east_m, north_m = places["x_m"].to_numpy(float), places["y_m"].to_numpy(float)
+    index = index_by_quantile(read.ghi_wm2)
+    motion = cloud_motion(index, east_m, north_m, 1.0)
+    one_each = np.eye(east_m.size)
+    speed_ms, from_deg = motion.speed_ms, motion.from_deg
+    return [Sky("HOPE", index, 1.0, east_m, north_m, one_each, True, speed_ms, from_deg)]
+
+
+def beyond_the_atmosphere(folder: Path) -> str:
+    """Say how much of HOPE's irradiance is above what the sun sends, and who jumps."""
+    read = read_measured_ghi(folder / "ghi_20130908_0915_0955.csv", folder / "positions.csv")
+    sun = get_solarposition(read.times, read.lat_deg.mean(), read.lon_deg.mean(), altitude=86.0)
+    height = np.sin(np.deg2rad(sun["elevation"].to_numpy()))
+    limit_wm2 = get_extra_radiation(read.times).to_numpy() * height
+    above = read.ghi_wm2 > limit_wm2[:, None]
+    mean_above = read.ghi_wm2.mean(axis=1) > limit_wm2
+    jumps = (np.abs(np.diff(read.ghi_wm2, axis=0)) > 200.0).sum(axis=0)
+    jumping = {name: int(n) for name, n in zip(read.sensors, jumps, strict=True) if n}
+    return (
+        f"HOPE: {above.mean():.3f} of the values, of {above.any(axis=0).sum()} stations, and the"
+        f" mean of all for {mean_above.mean():.3f} of the time, are above the"
+        f" {limit_wm2.min():.0f} to {limit_wm2.max():.0f} W/m2 outside the atmosphere;"
+        f" stations with changes above 200 W/m2 in 1 s, and how many: {jumping}\n"
+    )
+
+
+def _livermore(folder: Path) -> list[Sky]:
+    """Read the cloudy morning, 8 to 12 h; turbidity 2.5 makes the cloudless afternoon 1."""
+    table = pd.read_csv(folder / "ghi_20140518.csv")
+    table = table[(table["t_s"] >= 8 * 3600) & (table["t_s"] < 12 * 3600)]
+    midnight = pd.Timestamp("2014-05-18T00:00-08:00")
+    times = pd.DatetimeIndex(midnight + pd.to_timedelta(table["t_s"], unit="s"))
+    clear_wm2 = clear_sky_ghi(times, np.array([37.676208]), np.array([-121.703118]), 200.0, 2.5)
+    index = (table["ghi_wm2"].to_numpy(float) / clear_wm2)[:, None]
+    place = np.zeros(1)
+    return [Sky("Livermore", index, 2.0, place, place, np.eye(1), False, None, None)]
+
+
+def _plant(folder: Path, hour: str) -> Sky:
+    """Read an hour of the 20 MW plant: the mean of each inverter's combiner currents."""
+    currents = pd.read_csv(folder / f"hour_{hour}.csv", index_col="t_s").dropna(axis="columns")
+    places = pd.read_csv(folder / "positions.csv", dtype=str).set_index("combiner")
+    places = places.loc[currents.columns]
+    east_m, north_m = places["x_m"].to_numpy(float), places["y_m"].to_numpy(float)
+    inverters, which = np.unique(places["inverter"], return_inverse=True)
+    averaging = (which[:, None] == np.arange(inverters.size)).astype(float)
+    averaging /= averaging.sum(axis=0)
+    index = index_by_quantile(currents.to_numpy(float) @ averaging)
+    motion = cloud_motion(index, east_m @ averaging, north_m @ averaging, 10.0)
+    speed_ms, from_deg = motion.speed_ms, motion.from_deg
+    name = f"plant, hour {hour}"
+    return Sky(name, index, 10.0, east_m, north_m, averaging, True, speed_ms, from_deg)
+
+
+def by_distance(sky: Sky, index: Array, direction: str, interval_s: float | None) -> Array:
+    """Correlation by classes of distance: of the index, or of its changes within an interval."""
+    series = index if interval_s is None else changes(index, sky.step_s, interval_s)
+    pairs = pair_correlations(series, sky.sensor_east_m, sky.sensor_north_m)
+    towards_deg = (sky.from_deg or 0.0) + 180.0
+    if direction == "along":
+        pairs = pairs.within(towards_deg)
+    elif direction == "across":
+        pairs = pairs.within(towards_deg + 90.0)
+    return pairs.by_distance(CLASSES_M)
+
+
+def band(
+    axes: Axes, x: Array, curves: list[Array], color: str, label: str, style: str = "-"
+) -> None:
+    """Draw the median of curves and the range of the middle eight tenths."""
+    there = np.isfinite(curves).all(axis=0)
+    low, middle, high = np.quantile(np.array(curves)[:, there], [0.1, 0.5, 0.9], axis=0)
+    axes.fill_between(x[there], low, high, color=color, alpha=0.2, linewidth=0)
+    axes.plot(x[there], middle, style, color=color, linewidth=1.2, label=label)
+
+
+def draw_correlation(skies: list[Sky], drawn: dict[str, list[Array]]) -> Figure:
+    """Draw the correlation of sensors against their distance."""
+    figure, panels = plt.subplots(
+        3, len(skies), figsize=(9.5, 7.4), sharex=True, sharey=True, layout="constrained"
+    )
+    middle_m = 0.5 * (CLASSES_M[1:] + CLASSES_M[:-1])
+    rows = [
+        ("any", None, "index"),
+        ("along", 30.0, "30 s changes,\nalong the motion"),
+        ("across", 30.0, "30 s changes,\nacross the motion"),
+    ]
+    for column, sky in enumerate(skies):
+        for row, (direction, interval_s, title) in enumerate(rows):
+            axes = panels[row, column]
+            curves = [by_distance(sky, index, direction, interval_s) for index in drawn[sky.name]]
+            band(axes, middle_m, curves, SYNTHETIC, "synthetic")
+            real = by_distance(sky, sky.index, direction, interval_s)
+            there = np.isfinite(real)
+            axes.plot(middle_m[there], real[there], "o-", color=MEASURED, ms=3, label="measured")
+            axes.axhline(0.0, color="gray", linewidth=0.5)
+            if column == 0:
+                axes.set_ylabel(f"correlation of\n{title}")
+        panels[0, column].set_title(sky.name)
+        panels[-1, column].set_xlabel("distance [m]")
+    panels[0, 0].set_ylim(-0.45, 1.02)
+    legend(figure, panels[0, 0])
+    return figure
+
+
+def travelled(sky: Sky, index: Array) -> tuple[Array, Array, Array]:
+    """Distance along the motion, lag and correlation of the pairs that stand one behind other."""
+    found = peak_lags(index, sky.sensor_east_m, sky.sensor_north_m, sky.step_s)
+    along_m, across_m = rotated(found.east_m, found.north_m, (sky.from_deg or 0.0) + 180.0)
+    kept = (np.abs(across_m) < 60.0) & np.isfinite(found.lag_s)
+    forward = np.where(along_m < 0.0, -1.0, 1.0)
+    return (along_m * forward)[kept], (found.lag_s * forward)[kept], found.correlation[kept]
+
+
+def draw_lags(skies: list[Sky], drawn: dict[str, list[Array]]) -> Figure:
+    """Draw how much later, and how much alike, a sensor down wind sees the same clouds."""
+    figure, panels = plt.subplots(
+        2, len(skies), figsize=(9.5, 5.2), sharex=True, sharey="row", layout="constrained"
+    )
+    for column, sky in enumerate(skies):
+        upper, lower = panels[:, column]
+        samples = (
+            (travelled(sky, drawn[sky.name][0]), SYNTHETIC, "synthetic (one sky)"),
+            (travelled(sky, sky.index), MEASURED, "measured"),
+        )
+        for (along_m, lag_s, correlation), color, label in samples:
+            upper.plot(along_m, lag_s, ".", color=color, markersize=3, label=label)
+            lower.plot(along_m, correlation, ".", color=color, markersize=3)
+        reach_m = np.array([0.0, 1400.0])
+        upper.plot(reach_m, reach_m / (sky.speed_ms or np.nan), "k-", lw=0.8, label="fitted speed")
+        upper.set_title(f"{sky.name}\n{sky.speed_ms:.1f} m/s from {sky.from_deg:.0f}°")
+        lower.set_xlabel("distance along [m]")
+    panels[0, 0].set(ylabel="lag of the peak [s]", ylim=(-20, 260), xlim=(0, 1400))
+    panels[1, 0].set(ylabel="correlation at the peak", ylim=(0, 1.02))
+    legend(figure, panels[0, 0])
+    return figure
+
+
+def draw_changes(skies: list[Sky], drawn: dict[str, list[Array]]) -> Figure:
+    """Draw how often the index changes by more than a given size."""
+    figure, panels = plt.subplots(
+        1, len(skies), figsize=(9.5, 3.4), sharex=True, sharey=True, layout="constrained"
+    )
+    styles = ((0, "-"), (1, "--"))
+    for axes, sky in zip(panels, skies, strict=True):
+        for (which, style), interval_s in zip(styles, intervals_s(sky), strict=False):
+            curves = [
+                exceedance(changes(index, sky.step_s, interval_s), SIZES)
+                for index in drawn[sky.name]
+            ]
+            name = f"{interval_s:g} s"
+            band(axes, SIZES, curves, SYNTHETIC, f"synthetic, {name}", style)
+            real = exceedance(changes(sky.index, sky.step_s, interval_s), SIZES)
+            label = f"measured, {name}"
+            axes.plot(SIZES, real, style, color=MEASURED, lw=1.2 + 0.2 * which, label=label)
+        axes.set(xscale="log", yscale="log", xlim=(0.003, 1.0), ylim=(1e-4, 1.0), title=sky.name)
+        axes.set_xlabel("change of the index")
+        axes.set_xticks([0.01, 0.1, 1.0], ["0.01", "0.1", "1"])
+        axes.legend(fontsize=6, frameon=False, loc="lower left")
+    panels[0].set_ylabel("share of changes that are larger")
+    return figure
+
+
+def draw_shares(skies: list[Sky], drawn: dict[str, list[Array]]) -> Figure:
+    """Draw the histogram of the clear-sky index."""
+    figure, panels = plt.subplots(
+        1, len(skies), figsize=(9.5, 3.0), sharex=True, layout="constrained"
+    )
+    middle = 0.5 * (LEVELS[1:] + LEVELS[:-1])
+    for axes, sky in zip(panels, skies, strict=True):
+        curves = [histogram(index) for index in drawn[sky.name]]
+        band(axes, middle, curves, SYNTHETIC, "synthetic")
+        axes.step(middle, histogram(sky.index), where="mid", color=MEASURED, label="measured")
+        axes.set(title=sky.name, xlabel="clear-sky index", xlim=(0.1, 1.5))
+        axes.set_ylim(bottom=0.0)
+        axes.set_xticks([0.5, 1.0, 1.5])
+    panels[0].set_ylabel("density")
+    legend(figure, panels[0])
+    return figure
+
+
+def histogram(index: Array) -> Array:
+    """Density of the index over LEVELS."""
+    return np.histogram(index, LEVELS, density=True)[0]
+
+
+def intervals_s(sky: Sky) -> tuple[float, ...]:
+    """Return the step and 10 s, or 10 and 30 s where the step is 10 s."""
+    return (10.0, 30.0) if sky.step_s == 10.0 else (sky.step_s, 10.0)
+
+
+def legend(figure: Figure, axes: Axes) -> None:
+    """One legend for all panels, below them."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+
+
+def numbers(sky: Sky, index: Array) -> dict[str, float]:
+    """Return the key figures of a sky."""
+    shares = sky_shares(index)
+    found = {
+        "share cloudy": shares.cloudy,
+        "share partly": shares.partly,
+        "share clear": shares.clear,
+        "share enhanced": shares.enhanced,
+        "index, 5 % quantile": float(np.quantile(index, 0.05)),
+        "index, median": float(np.median(index)),
+    }
+    for interval_s in (sky.step_s, 10.0, 30.0):
+        size = np.abs(changes(index, sky.step_s, interval_s))
+        found[f"{interval_s:g} s change, 99 %"] = float(np.quantile(size, 0.99))
+        found[f"{interval_s:g} s change, 99.9 %"] = float(np.quantile(size, 0.999))
+    if index.shape[1] > 1:
+        of_index = by_distance(sky, index, "any", None)
+        of_changes = by_distance(sky, index, "any", 30.0)
+        for low, number in ((150, 3), (300, 5), (500, 7), (1000, 9)):
+            if np.isfinite(of_index[number]):
+                limits = f"{low}-{CLASSES_M[number + 1]:.0f} m"
+                found[f"r of index, {limits}"] = float(of_index[number])
+                found[f"r of 30 s changes, {limits}"] = float(of_changes[number])
+    return found
+
+
+def table(sky: Sky, drawn: list[Array], seeds: int) -> str:
+    """Return a table in Markdown: measured, median and range of the synthetic skies."""
+    settings = sky.settings()
+    lines = [
+        f"\n{sky.name}: cover {settings.cloud_cover:.2f}, {settings.drift_speed_ms:.1f} m/s from"
+        f" {settings.drift_from_deg:.0f} degrees {sky.by_hand or ''}",
+        f"{len(drawn)} skies of {seeds} seeds\n",
+        "| | measured | synthetic, median | 10 % to 90 % |",
+        "|---|---|---|---|",
+    ]
+    rows = [numbers(sky, index) for index in drawn]
+    for name, real in numbers(sky, sky.index).items():
+        low, middle, high = np.quantile([row[name] for row in rows], [0.1, 0.5, 0.9])
+        cells = (
+            f"{value:.{3 if 'change, ' in name else 2}f}" for value in (real, middle, low, high)
+        )
+        lines.append("| {} | {} | {} | {} to {} |".format(name, *cells))
+    return "\n".join(lines) + "\n"
+
+
+def main(folder: Path, pictures: Path) -> None:
+    """Draw all figures into a folder and print the numbers."""
+    skies = list(measured_skies(folder))
+    if (folder / HOPE).is_dir():
+        sys.stdout.write(beyond_the_atmosphere(folder / HOPE))
+    drawn = {}
+    for sky in skies:
+        drawn[sky.name], seeds = sky.alike()
+        sys.stdout.write(table(sky, drawn[sky.name], seeds))
+        if sky.name in OF_ANOTHER_KIND:
+            by_hand = replace(sky, by_hand=OF_ANOTHER_KIND[sky.name])
+            sys.stdout.write(table(by_hand, *by_hand.alike()))
+    fields = [sky for sky in skies if sky.speed_ms is not None]
+    figures = {
+        "clouds_correlation": draw_correlation(fields, drawn),
+        "clouds_lags": draw_lags(fields, drawn),
+        "clouds_changes": draw_changes(skies, drawn),
+        "clouds_index": draw_shares(skies, drawn),
+    }
+    for name, figure in figures.items():
+        figure.savefig(pictures / f"{name}.png", dpi=110)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))
