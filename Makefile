@@ -8,10 +8,10 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test check format bench clean
+.PHONY: help setup run test check format bench bench-study clean
 
 help: ## list the tasks
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: $(READY) ## make the virtual environment
 
@@ -39,6 +39,9 @@ format: $(READY) ## bring the code into its format
 
 bench: $(READY) ## cycle rate beside a bare Zenoh graph, start-up time, memory
 	$(BIN)/python tests/benchmarks/cycle_rate.py
+
+bench-study: $(READY) ## a whole day through the agents and over arrays
+	$(BIN)/python tests/benchmarks/study_rate.py
 
 clean: ## remove what the tasks made, recordings of runs excepted
 	rm -rf $(VENV) *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

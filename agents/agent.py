@@ -9,7 +9,7 @@ give the same outputs, to the last bit.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, TypeVar, cast
+from typing import Any, Protocol, TypeVar
 
 import msgspec
 
@@ -63,11 +63,12 @@ class Turn(msgspec.Struct, frozen=True, gc=False):
     cycle: int
     sim_time_ns: int
     stamp: Stamp
-    inputs: dict[Port[Message], Message]
+    inputs: dict[Port[Message], Any]
 
     def get(self, port: Port[M]) -> M | None:
         """Return the message of a port, None if it was silent."""
-        return cast("M | None", self.inputs.get(port))
+        message: M | None = self.inputs.get(port)
+        return message
 
 
 class Agent(Protocol[S]):

@@ -6,7 +6,7 @@ one code computes its figures of merit.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import nan
 from pathlib import Path
 from typing import Final
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from agents.lifeline import PlantPower
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Command, Dispatch, Impp, Message, Production, Residual
+from bus_schemas.messages import Dispatch, Message, Production
 from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, RESIDUAL, Port, Signal
 from bus_schemas.tree import ROOT
 from recordings.reader import RunReader
@@ -110,6 +110,14 @@ class RunSeries:
         return pd.date_range(first, periods=self.cycles, freq=pd.Timedelta(seconds=self.cycle_s))
 
 
+@dataclass(slots=True)
+class _History:
+    """What was said on one port: the cycle and the value of each message."""
+
+    cycle: list[int] = field(default_factory=list)
+    value: list[float] = field(default_factory=list)
+
+
 class SeriesCollector:
     """Turns the messages of a run, live or from a recording, into a `RunSeries`.
 
@@ -121,23 +129,22 @@ class SeriesCollector:
 
     def __init__(self, plan: RunPlan) -> None:
         self._plan = plan
-        place = {leaf: place for place, leaf in enumerate(plan.tree.leaves)}
-        self._place: dict[Port[Message], int] = {
-            signal.of(leaf): place[leaf] for signal in _OF_INVERTERS for leaf in place
-        }
         self._productions: list[Production] = []
-        self._dispatches: list[tuple[float, float]] = []
-        self._rows: dict[str, list[list[float]]] = {signal.name: [] for signal in _OF_INVERTERS}
+        self._dispatches: list[Dispatch] = []
+        self._of_inverters = {
+            signal.of(leaf): _History() for signal in _OF_INVERTERS for leaf in plan.tree.leaves
+        }
 
     def see(self, port: Port[Message], message: Message) -> None:
         """Take in a message; others than those of the series do not matter."""
-        place = self._place.get(port)
-        if place is not None:
-            self._note(port.signal.name, message, place)
-        elif isinstance(message, Production):
-            self._productions.append(message)
-        elif isinstance(message, Dispatch) and message.cycle >= 0:
-            self._dispatches.append((message.commitment_kw, message.regulation_kw))
+        history = self._of_inverters.get(port)
+        if history is not None:
+            history.cycle.append(message.cycle)
+            history.value.append(message.alpha if port.signal is COMMAND else message.power_kw)  # type: ignore[attr-defined]
+        elif port.signal is PRODUCTION:
+            self._productions.append(message)  # type: ignore[arg-type]
+        elif port.signal is DISPATCH:
+            self._dispatches.append(message)  # type: ignore[arg-type]
 
     def series(self, label: str) -> RunSeries:
         """Return the cycles that are complete so far.
@@ -151,7 +158,7 @@ class SeriesCollector:
         if not cycles:
             raise InputError("the run has no complete cycle, accepted is one with at least one")
         tree = self._plan.tree
-        operator = np.array(self._dispatches[:cycles])
+        dispatched = [message for message in self._dispatches if 0 <= message.cycle < cycles]
         return RunSeries(
             label=label,
             inverters=tree.leaves,
@@ -159,8 +166,8 @@ class SeriesCollector:
             timezone=self._plan.timezone,
             start_time_ns=self._plan.start_time_ns,
             cycle_s=self._plan.cycle_ns / 1e9,
-            commitment_kw=operator[:, 0],
-            regulation_kw=operator[:, 1],
+            commitment_kw=np.array([message.commitment_kw for message in dispatched]),
+            regulation_kw=np.array([message.regulation_kw for message in dispatched]),
             regulation_capacity_kw=self._plan.regulation_capacity_kw,
             mpp_kw=np.array([message.inverter_mpp_kw for message in self._productions]),
             power_kw=np.array([message.inverter_power_kw for message in self._productions]),
@@ -169,20 +176,15 @@ class SeriesCollector:
             alpha=self._array(COMMAND, cycles),
         )
 
-    def _note(self, signal: str, message: Message, place: int) -> None:
-        if message.cycle < 0:
-            return
-        rows = self._rows[signal]
-        while len(rows) <= message.cycle:
-            rows.append([nan] * len(self._plan.tree.leaves))
-        match message:
-            case Command(alpha=value) | Impp(power_kw=value) | Residual(power_kw=value):
-                rows[message.cycle][place] = value
-
     def _array(self, signal: Signal[Message], cycles: int) -> NDArray[np.float64]:
-        found = np.full((cycles, len(self._plan.tree.leaves)), nan)
-        rows = self._rows[signal.name][:cycles]
-        found[: len(rows)] = rows
+        """Put what was said of each inverter into its cycle; NaN where nothing was."""
+        leaves = self._plan.tree.leaves
+        found = np.full((cycles, len(leaves)), nan)
+        for place, leaf in enumerate(leaves):
+            history = self._of_inverters[signal.of(leaf)]
+            cycle, value = np.array(history.cycle, dtype=np.int64), np.array(history.value)
+            kept = (cycle >= 0) & (cycle < cycles)
+            found[cycle[kept], place] = value[kept]
         return found
 
 

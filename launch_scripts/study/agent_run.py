@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
-from agents.agent import Agent, Stage, Turn
+from agents.agent import Agent, Turn
 from agents.plan import RunPlan
 from agents.team import controllers
 from bus_schemas.messages import Message
@@ -45,7 +45,7 @@ class AgentRun:
             *controllers(plan),
         ]
         self._states = [agent.initial_state() for agent in self._team]
-        self._orders: dict[tuple[tuple[Stage, ...], ...], Order] = {}
+        self._orders: dict[int, Order] = {}
 
     def run(self) -> None:
         """Run all cycles.
@@ -56,22 +56,21 @@ class AgentRun:
             The agents wait for each other.
         """
         for cycle in range(self._plan.cycles):
-            kind = tuple(agent.stages(cycle) for agent in self._team)
+            # Who acts in a cycle is the same after each round of the slowest tier.
+            kind = cycle % self._plan.periods.longest
             order = self._orders.get(kind)
             if order is None:
-                self._orders[kind] = self._explore(cycle, kind)
+                self._orders[kind] = self._explore(cycle)
             else:
-                self._repeat(cycle, order)
+                said: Said = {}
+                for number, stage in order:
+                    self._step(cycle, number, stage, said)
 
-    def _repeat(self, cycle: int, order: Order) -> None:
-        said: Said = {}
-        for number, stage in order:
-            self._step(cycle, number, stage, said)
-
-    def _explore(self, cycle: int, kind: tuple[tuple[Stage, ...], ...]) -> Order:
+    def _explore(self, cycle: int) -> Order:
         """Run a cycle, each agent as soon as it can go on; return the order that it took."""
         said: Said = {}
         order: Order = []
+        kind = tuple(agent.stages(cycle) for agent in self._team)
         places = [0] * len(kind)
         while any(place < len(stages) for place, stages in zip(places, kind, strict=True)):
             went_on = False

@@ -1,0 +1,70 @@
+"""How long a whole day takes: through the agents, and over arrays, beside the paper's own time.
+
+Run by `make bench-study`. The day is `oahu-day`: 54,000 cycles of 1 s, 17 inverters, as the
+paper's. Processor time is given beside wall time: on a busy machine the two differ.
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import get_args
+
+from agents.plan import Scheme
+from launch_scripts.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenario import load_scenario
+from launch_scripts.study.schemes import SCHEMES, ReferenceGroups, run_scheme
+from launch_scripts.study.study import run_agents
+from recordings.metrics import run_metrics
+
+PAPER_S = 14.144
+"""Julien, Sajadi and Hodge, section III: one simulated day, on a machine they do not name."""
+
+ROUNDS = 3
+
+
+def timed(action: Callable[[], object]) -> tuple[float, float]:
+    """Median wall and processor time of some rounds [s]."""
+    walls, processors = [], []
+    for _ in range(ROUNDS):
+        wall, processor = time.perf_counter(), time.process_time()
+        action()
+        walls.append(time.perf_counter() - wall)
+        processors.append(time.process_time() - processor)
+    return statistics.median(walls), statistics.median(processors)
+
+
+def line(name: str, times: tuple[float, float]) -> None:
+    wall_s, processor_s = times
+    sys.stdout.write(f"{name:44}{wall_s:9.2f} s{processor_s:9.2f} s\n")
+
+
+def of_arrays(name: str, day: Preparation, groups: ReferenceGroups) -> None:
+    run_scheme(name, day.plan, day.profile, day.plan.actuator, groups)
+
+
+def main() -> None:
+    began = time.perf_counter()
+    day = prepare(load_scenario("oahu-day"), RunOptions(), "bench")
+    prepared_s = time.perf_counter() - began
+    one_group = ReferenceGroups((4,), 1)
+    for name in SCHEMES:  # Compiled, or the compiled code loaded, before the clock runs.
+        of_arrays(name, day, one_group)
+    sys.stdout.write(f"{day.plan.cycles:,} cycles, {len(day.plan.tree.leaves)} inverters; ")
+    sys.stdout.write(f"sky, market and clusters worked out in {prepared_s:.1f} s\n")
+    sys.stdout.write(f"{f'median of {ROUNDS}':44}{'wall':>11}{'processor':>11}\n")
+    for scheme in get_args(Scheme):
+        line(f"agents, {scheme}", timed(partial(run_agents, scheme, day)))
+    sys.stdout.write(f"{'the paper, its own simulation':44}{PAPER_S:9.2f} s\n")
+    for name in SCHEMES:
+        times = timed(partial(of_arrays, name, day, one_group))
+        line(f"arrays, {name}" + (" (one group)" if name == "grouping" else ""), times)
+    (series,) = run_scheme("predictive", day.plan, day.profile, "fraction", one_group)
+    line("figures of merit of one scheme", timed(partial(run_metrics, series)))
+
+
+if __name__ == "__main__":
+    main()
