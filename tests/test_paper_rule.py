@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from agents.plan import RunPlan
+from agents.plan import Actuator, RunPlan
 from launch_scripts.preparation import RunOptions, prepare
 from launch_scripts.scenario import load_scenario
 from launch_scripts.simulation import MemoryRun
-from recordings.metrics import CommitmentMetrics, commitment_metrics
+from launch_scripts.study.schemes import ReferenceGroups, run_scheme
+from recordings.metrics import CommitmentMetrics, commitment_metrics, run_metrics
 from recordings.monitor import RunMonitor
 from sim_plant.profile import Profile
 
@@ -61,6 +62,18 @@ def test_a_shortfall_caused_by_control_is_the_change_of_the_sky_within_a_cycle()
     np.testing.assert_allclose(delivered_kw, by_hand_kw, rtol=1e-12)
 
 
+def hope_hour(folder: Path, share: float, noise: float = 0.0) -> tuple[RunPlan, Profile]:
+    """The HOPE hour with P = GHI / 1000 x 470 kW x 0.96 in place of the PV model."""
+    plan = prepare(load_scenario("hope-melpitz", folder), RunOptions(scheme="paper"), "hope").plan
+    stations = [leaf.rpartition("/inv")[2] for leaf in plan.tree.leaves]
+    with (folder / "ghi_20130908_0915_0955.csv").open(newline="") as file:
+        ghi_wm2 = np.array([[float(row[s]) for s in stations] for row in csv.DictReader(file)])
+    mpp_kw = np.minimum(ghi_wm2 / 1000.0 * 470.0 * 0.96, 8000.0 / 17.0)
+    commitment_kw = np.full(len(mpp_kw), share * np.median(mpp_kw.sum(axis=1)))
+    error = noise * np.random.default_rng(0).standard_normal(mpp_kw.shape)
+    return plan, Profile(mpp_kw, commitment_kw, meter_error=error)
+
+
 @pytest.mark.parametrize(
     ("share", "unavoidable_percent", "control_caused_percent"),
     [(0.5, 0.0, 0.228), (0.7, 0.916, 0.222), (0.8, 2.736, 0.213), (0.9, 5.063, 0.192)],
@@ -68,16 +81,34 @@ def test_a_shortfall_caused_by_control_is_the_change_of_the_sky_within_a_cycle()
 def test_the_hope_hour_gives_what_an_independent_calculation_gave(
     data_folder: Path, share: float, unavoidable_percent: float, control_caused_percent: float
 ) -> None:
-    """With P = GHI / 1000 x 470 kW x 0.96 in place of the PV model, as that calculation had it."""
-    folder = data_folder / "hope-melpitz-1s"
-    plan = prepare(load_scenario("hope-melpitz", folder), RunOptions(scheme="paper"), "hope").plan
-    stations = [leaf.rpartition("/inv")[2] for leaf in plan.tree.leaves]
-    with (folder / "ghi_20130908_0915_0955.csv").open(newline="") as file:
-        ghi_wm2 = np.array([[float(row[s]) for s in stations] for row in csv.DictReader(file)])
-    mpp_kw = np.minimum(ghi_wm2 / 1000.0 * 470.0 * 0.96, 8000.0 / 17.0)
-    commitment_kw = np.full(len(mpp_kw), share * np.median(mpp_kw.sum(axis=1)))
-    energy = metrics_of(run_agents(plan, Profile(mpp_kw, commitment_kw)))
+    energy = metrics_of(run_agents(*hope_hour(data_folder / "hope-melpitz-1s", share)))
     assert energy.percent(energy.unavoidable_kwh) == pytest.approx(unavoidable_percent, abs=6e-4)
     assert energy.percent(energy.control_caused_kwh) == pytest.approx(
         control_caused_percent, abs=6e-4
     )
+
+
+@pytest.mark.parametrize(
+    ("scheme", "actuator", "noise", "control_caused_percent", "tolerance"),
+    [
+        ("extrapolation", "fraction", 0.0, (0.070, 0.065, 0.063, 0.059), 1e-3),
+        # Another draw of the noise than the calculation's own.
+        ("extrapolation", "fraction", 0.005, (0.121, 0.109, 0.104, 0.091), 4e-3),
+        ("told-held", "limit", 0.0, (0.005, 0.031, 0.063, 0.189), 1e-3),
+    ],
+)
+def test_so_do_other_estimators(
+    data_folder: Path,
+    scheme: str,
+    actuator: Actuator,
+    noise: float,
+    control_caused_percent: tuple[float, ...],
+    tolerance: float,
+) -> None:
+    found = []
+    for share in (0.5, 0.7, 0.8, 0.9):
+        plan, profile = hope_hour(data_folder / "hope-melpitz-1s", share, noise)
+        (series,) = run_scheme(scheme, plan, profile, actuator, ReferenceGroups())
+        energy = run_metrics(series).commitment
+        found.append(energy.percent(energy.control_caused_kwh))
+    assert found == pytest.approx(control_caused_percent, abs=tolerance)

@@ -38,6 +38,9 @@ class Estimator(NamedTuple):
         behind a limit. It serves to tell what hiding it costs.
     damping, margin, memory_cycles, growth
         As in `agents.control.forecast`; for `PREDICTIVE` only.
+    held
+        Whether an inverter that is asked for all it has is limited to what it is believed to have.
+        The agents let it free.
     """
 
     kind: int
@@ -45,6 +48,7 @@ class Estimator(NamedTuple):
     margin: float = forecast.MARGIN
     memory_cycles: float = forecast.ERROR_MEMORY_CYCLES
     growth: float = forecast.HIDDEN_GROWTH
+    held: bool = False
 
 
 class LoopResult(NamedTuple):
@@ -86,6 +90,7 @@ def run_loop(
         estimator.margin,
         estimator.memory_cycles,
         estimator.growth,
+        estimator.held,
     )
     return LoopResult(*found)
 
@@ -108,6 +113,7 @@ def _loop(
     margin: float,
     memory_cycles: float,
     growth: float,
+    held: bool,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     cycles, inverters = mpp_kw.shape
     impp_kw = np.empty((cycles, inverters))
@@ -162,7 +168,8 @@ def _loop(
         for i in range(inverters):
             level[i] = _curtailment(target_kw[i], node_impp_kw[i], alpha_min)
             if limited:
-                limit_kw[i] = rating_kw[i] if level[i] >= 1.0 else level[i] * node_impp_kw[i]
+                is_free = level[i] >= 1.0 and not held
+                limit_kw[i] = rating_kw[i] if is_free else level[i] * node_impp_kw[i]
             share = 1.0 if limited else level[i]
             last_kw[i] = min(share * mpp_kw[cycle, i], limit_kw[i])
         alpha[cycle] = level

@@ -28,6 +28,7 @@ _ESTIMATORS: Final = {
     "predictive": Estimator(PREDICTIVE),
     "extrapolation": Estimator(PREDICTIVE, damping=1.0, margin=0.0),
     "told": Estimator(TOLD),
+    "told-held": Estimator(TOLD, held=True),
 }
 
 SCHEMES: Final = {
@@ -38,6 +39,7 @@ SCHEMES: Final = {
     "predictive": "hierarchical, IMPP forecast with a margin",
     "extrapolation": "hierarchical, IMPP extrapolated in a line, without a margin",
     "told": "hierarchical, told the last cycle's true maxima, even behind a limit: cannot be built",
+    "told-held": "the same, each inverter limited to its last maximum where all of it is needed",
     "physical-limit": "the least of dispatch and possible power: no controller does better",
 }
 """Name and one line of each scheme."""
