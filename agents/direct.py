@@ -10,7 +10,7 @@ import msgspec
 
 from agents.agent import Stage, Turn, parents_word_kw
 from agents.control.curtailment import curtailment_level
-from agents.control.forecast import forecast_impp
+from agents.control.forecast import HIDDEN_ALPHA_MIN, forecast_impp
 from agents.control.impp import ImppEstimate, estimate_impp
 from agents.control.request import residual_kw
 from agents.periods import Periods
@@ -51,7 +51,7 @@ class DirectController:
     rating_kw
         AC rating of the inverter.
     alpha_min
-        Lowest alpha it commands.
+        Lowest alpha it commands, so that the maximum can be measured through it.
     periods
         In which cycles its parent speaks.
     scheme
@@ -71,7 +71,8 @@ class DirectController:
     ) -> None:
         self.name = node
         self.rating_kw = rating_kw
-        self.alpha_min = alpha_min
+        hides = scheme == "predictive" and actuator == "limit"
+        self.alpha_min = HIDDEN_ALPHA_MIN if hides else alpha_min
         self.scheme = scheme
         self.actuator = actuator
         self._periods = periods

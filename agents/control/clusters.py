@@ -7,6 +7,7 @@ clusters for as long as a swap helps (steepest descent), from several random sta
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,59 @@ Clusters = tuple[tuple[int, ...], ...]
 
 # Gains below this are rounding: without it two equal partitions could be swapped for ever.
 _LEAST_GAIN = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class ClusterSearch:
+    """What a search for clusters found, and how sure one may be of it.
+
+    Attributes
+    ----------
+    clusters : tuple of tuple of int
+        The best of all starts: the members of each cluster, ascending, in the order of the sizes
+        asked for. Clusters of the same size are in the order of their first members.
+    correlation_of_starts : tuple of float
+        Mean correlation over all pairs that share a cluster, of the clusters that each start came
+        to, in the order of the starts; NaN if no cluster has two members.
+    """
+
+    clusters: Clusters
+    correlation_of_starts: tuple[float, ...]
+
+    @property
+    def starts_at_best(self) -> int:
+        """How many starts came to clusters as good as the best, but for rounding."""
+        best = min(self.correlation_of_starts)
+        # Written so that NaN, of clusters of one, is as good as NaN.
+        return sum(not value > best + _LEAST_GAIN for value in self.correlation_of_starts)
+
+
+def search_clusters(
+    correlation: NDArray[np.float64], sizes: Sequence[int], seed: int = 0, restarts: int = 20
+) -> ClusterSearch:
+    """Partition the inverters as `choose_clusters` does, and tell what every start came to.
+
+    Parameters
+    ----------
+    correlation, sizes, seed, restarts
+        As in `choose_clusters`.
+
+    Returns
+    -------
+    ClusterSearch
+
+    Raises
+    ------
+    ValueError
+        As in `choose_clusters`.
+    """
+    _check_symmetric(correlation)
+    _check_sizes(sizes, len(correlation))
+    if restarts < 1:
+        raise ValueError(f"at least one restart is needed, not {restarts}")
+    cost = np.array(correlation, dtype=np.float64)
+    np.fill_diagonal(cost, 0.0)
+    return _least_cost_partition(cost, sizes, np.random.default_rng(seed), restarts)
 
 
 def choose_clusters(
@@ -45,13 +99,32 @@ def choose_clusters(
     ValueError
         The matrix is not symmetric and finite, the sizes do not add up to N, or there is no start.
     """
-    _check_symmetric(correlation)
-    _check_sizes(sizes, len(correlation))
-    if restarts < 1:
-        raise ValueError(f"at least one restart is needed, not {restarts}")
-    cost = np.array(correlation, dtype=np.float64)
-    np.fill_diagonal(cost, 0.0)
-    return _least_cost_partition(cost, sizes, np.random.default_rng(seed), restarts)
+    return search_clusters(correlation, sizes, seed, restarts).clusters
+
+
+def random_clusters(sizes: Sequence[int], seed: int) -> Clusters:
+    """Partition the inverters by lot, to compare `choose_clusters` with.
+
+    Parameters
+    ----------
+    sizes : sequence of int
+        How many inverters each cluster takes, together N.
+    seed : int
+        Seed of the lot. Every partition is as likely as every other.
+
+    Returns
+    -------
+    tuple of tuple of int
+        As `choose_clusters` returns them.
+
+    Raises
+    ------
+    ValueError
+        A size is below 1, or there is none.
+    """
+    _check_sizes(sizes, sum(sizes))
+    label = np.repeat(np.arange(len(sizes)), sizes)
+    return _ordered(np.random.default_rng(seed).permutation(label), sizes)
 
 
 def geographic_clusters(
@@ -121,15 +194,20 @@ def within_cluster_correlation(
 
 def _least_cost_partition(
     cost: NDArray[np.float64], sizes: Sequence[int], rng: np.random.Generator, restarts: int
-) -> Clusters:
+) -> ClusterSearch:
     start = np.repeat(np.arange(len(sizes)), sizes)
     best, best_cost = start, np.inf
+    costs = []
     for _ in range(restarts):
         label = _descend(cost, rng.permutation(start), len(sizes))
         label_cost = float(cost[label[:, None] == label[None, :]].sum())
+        costs.append(label_cost)
         if label_cost < best_cost - _LEAST_GAIN:
             best, best_cost = label, label_cost
-    return _ordered(best, sizes)
+    # The matrix holds each pair twice, and so does its sum.
+    pairs_twice = sum(size * (size - 1) for size in sizes)
+    mean = tuple(value / pairs_twice if pairs_twice else float("nan") for value in costs)
+    return ClusterSearch(_ordered(best, sizes), mean)
 
 
 def _descend(cost: NDArray[np.float64], label: NDArray[np.intp], count: int) -> NDArray[np.intp]:

@@ -33,8 +33,13 @@ ERROR_MEMORY_CYCLES: Final = 20.0
 BOUND_TOLERANCE: Final = 0.02
 """Nearer to its limit than this share of it, an inverter counts as held by the limit."""
 
-HIDDEN_GROWTH: Final = 0.02
-"""Share by which a hidden maximum is assumed to grow in a cycle."""
+HIDDEN_GROWTH: Final = 0.01
+"""Share by which a hidden maximum is assumed to grow in a cycle. Without growth a rising sun is not
+seen, until all inverters are believed to lack power and are let free at once."""
+
+HIDDEN_ALPHA_MIN: Final = 1e-3
+"""Lowest curtailment level where a limit hides the maximum in any case: there is nothing to keep
+observable, and 5 % of an assumed maximum would be too much in the first light."""
 
 
 def forecast_impp(

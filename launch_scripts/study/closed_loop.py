@@ -73,6 +73,7 @@ def run_loop(
         How maxima are estimated, and what inverters do with a command.
     """
     arrays = control_arrays(plan, profile.cycles)
+    hides = estimator.kind == PREDICTIVE and actuator == "limit"
     found = _loop(
         profile.mpp_kw,
         profile.commitment_kw + profile.regulation_kw,
@@ -83,7 +84,7 @@ def run_loop(
         arrays.period,
         arrays.order,
         arrays.hour,
-        plan.alpha_min,
+        forecast.HIDDEN_ALPHA_MIN if hides else plan.alpha_min,
         actuator == "limit",
         estimator.kind,
         estimator.damping,
