@@ -66,6 +66,8 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         In lockstep: how long an agent waits before it says for what.
     neighbourhoods
         Order of help among each parent's children.
+    ramp_limit_percent_per_min
+        Ramp limit that the run is measured by, in % of the plant's rating per minute.
     tcp_ports
         Port on 127.0.0.1 of each agent that listens. Empty in memory.
     """
@@ -87,6 +89,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     stall_timeout_s: float
     neighbourhoods: tuple[NodeNeighbourhoods, ...]
     tcp_ports: dict[str, int]
+    ramp_limit_percent_per_min: float | None = None
 
     @cached_property
     def tree(self) -> ControlTree:

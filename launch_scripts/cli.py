@@ -162,8 +162,8 @@ def compare_command(
     reference: Annotated[
         str | None,
         typer.Option(
-            help="Sizes of grouping control's reference group; default 1,2,3,4,6,8.",
-            metavar="SIZES",
+            help="Reference groups of grouping control: sizes (1,4,8), or inverters (inv01,inv07).",
+            metavar="GROUPS",
         ),
     ] = None,
     show: Annotated[

@@ -121,6 +121,7 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
             tree, in_order(covariance, order), _beginnings_ns(times, scenario)
         ),
         tcp_ports={},
+        ramp_limit_percent_per_min=scenario.plant.ramp_limit_percent_per_min,
     )
     profile = Profile(
         np.ascontiguousarray(possible_kw[:, order]),

@@ -75,6 +75,9 @@ class PlantTable(_Table, frozen=True):
     meter_noise
         Standard deviation of the inverters' power meters, as a share of the power. Its seed is
         `meter_seed`.
+    ramp_limit_percent_per_min
+        Ramp limit of the grid code, in % of the plant's rating per minute. The run is measured by
+        it, not held to it.
     """
 
     inverters: str | None = None
@@ -83,6 +86,7 @@ class PlantTable(_Table, frozen=True):
     actuator: Actuator = "fraction"
     meter_noise: Annotated[float, msgspec.Meta(ge=0.0, le=0.05)] = 0.0
     meter_seed: Seed = 0
+    ramp_limit_percent_per_min: Annotated[float, msgspec.Meta(gt=0.0, le=6000.0)] | None = None
 
 
 class CloudIrradiance(_Table, frozen=True, tag="clouds", tag_field="kind"):

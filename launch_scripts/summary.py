@@ -13,7 +13,13 @@ from rich.table import Table
 from agents.lifeline import PlantPower
 from agents.plan import RunPlan
 from launch_scripts.supervision import Memory
-from recordings.metrics import CommitmentMetrics, RegulationMetrics, RunMetrics, run_metrics
+from recordings.metrics import (
+    CommitmentMetrics,
+    RampMetrics,
+    RegulationMetrics,
+    RunMetrics,
+    run_metrics,
+)
 from recordings.series import plant_series
 
 
@@ -175,8 +181,17 @@ def _metrics_rows(metrics: RunMetrics | None) -> list[tuple[str, str, str]]:
             f"{support.per_hour_kw:,.0f} kW/h",
             f"{support.total_kw:,.0f} kW in all",
         ),
+        *(_ramp_rows(metrics.ramps) if metrics.ramps else ()),
         *(_regulation_rows(metrics.regulation) if metrics.regulation else ()),
     ]
+
+
+def _ramp_rows(ramps: RampMetrics) -> list[tuple[str, str, str]]:
+    limit = ""
+    if ramps.limit_kw_per_min is not None:
+        limit = f", {ramps.above_limit_percent:.1f} % above {ramps.limit_kw_per_min:,.0f} kW"
+    largest = max(ramps.largest_up_kw_per_min, ramps.largest_down_kw_per_min)
+    return [("largest ramp", f"{largest:,.0f} kW/min", f"of {ramps.minutes:,} minutes{limit}")]
 
 
 def _regulation_rows(regulation: RegulationMetrics) -> list[tuple[str, str, str]]:

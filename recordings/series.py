@@ -61,6 +61,8 @@ class RunSeries:
         IMPP less request, shape (T, n); NaN where a scheme has none.
     alpha
         Curtailment level in [0, 1] that each inverter applied, shape (T, n).
+    ramp_limit_percent_per_min
+        Ramp limit in % of the plant's rating per minute, if a grid code sets one.
     """
 
     label: str
@@ -77,6 +79,7 @@ class RunSeries:
     impp_kw: NDArray[np.float64]
     residual_kw: NDArray[np.float64]
     alpha: NDArray[np.float64]
+    ramp_limit_percent_per_min: float | None = None
 
     @property
     def cycles(self) -> int:
@@ -174,6 +177,7 @@ class SeriesCollector:
             impp_kw=self._array(IMPP, cycles),
             residual_kw=self._array(RESIDUAL, cycles),
             alpha=self._array(COMMAND, cycles),
+            ramp_limit_percent_per_min=self._plan.ramp_limit_percent_per_min,
         )
 
     def _array(self, signal: Signal[Message], cycles: int) -> NDArray[np.float64]:
@@ -207,6 +211,7 @@ def plant_series(plan: RunPlan, power: PlantPower) -> RunSeries:
         impp_kw=unknown,
         residual_kw=unknown,
         alpha=unknown,
+        ramp_limit_percent_per_min=plan.ramp_limit_percent_per_min,
     )
 
 

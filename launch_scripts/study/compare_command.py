@@ -124,12 +124,10 @@ def _schemes(text: str | None) -> tuple[str, ...]:
 def _groups(text: str | None) -> ReferenceGroups:
     if text is None:
         return ReferenceGroups()
-    try:
-        return ReferenceGroups(sizes=tuple(int(size) for size in text.split(",")))
-    except ValueError:
-        raise InputError(
-            f"--reference {text}: accepted are sizes of groups, such as 1,4,8"
-        ) from None
+    words = tuple(word.strip() for word in text.split(","))
+    if all(word.isdecimal() for word in words):
+        return ReferenceGroups(sizes=tuple(int(word) for word in words))
+    return ReferenceGroups(members=words)
 
 
 def _one(case: Case, comparison: Comparison, report: Path | None, console: Console) -> CaseResult:

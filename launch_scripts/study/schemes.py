@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -66,14 +66,27 @@ class ReferenceGroups:
         How many groups of each size: every single inverter for size 1, else drawn at random.
     seed
         Of the draw.
+    members
+        Names of the inverters of one group, in place of all these.
     """
 
     sizes: tuple[int, ...] = (1, 2, 3, 4, 6, 8)
     choices: int = 12
     seed: int = 1
+    members: tuple[str, ...] = ()
 
-    def groups(self, inverters: int) -> Iterator[NDArray[np.bool_]]:
-        """Yield each group as a mask over the inverters."""
+    def groups(self, names: Sequence[str]) -> Iterator[NDArray[np.bool_]]:
+        """Yield each group as a mask over the inverters of these names.
+
+        Raises
+        ------
+        InputError
+            A group is the whole plant, or has a member that the plant does not have.
+        """
+        if self.members:
+            yield self._named(names)
+            return
+        inverters = len(names)
         generator = np.random.default_rng(self.seed)
         for size in self.sizes:
             if not 0 < size < inverters:
@@ -85,6 +98,15 @@ class ReferenceGroups:
                 mask = np.zeros(inverters, dtype=bool)
                 mask[members] = True
                 yield mask
+
+    def _named(self, names: Sequence[str]) -> NDArray[np.bool_]:
+        for name in self.members:
+            if name not in names:
+                raise InputError(f"--reference {name}: accepted are {', '.join(names)}")
+        mask = np.isin(names, self.members)
+        if mask.all():
+            raise InputError("--reference: accepted are fewer than all inverters")
+        return mask
 
 
 def run_scheme(
@@ -123,11 +145,12 @@ def _grouping(plan: RunPlan, profile: Profile, groups: ReferenceGroups) -> list[
     rating_kw = _rating_kw(plan)
     measured_kw = _last_cycle(profile.mpp_kw) * (1.0 + profile.meter_error)
     found = []
-    for mask in groups.groups(len(rating_kw)):
+    names = [leaf.rpartition("/")[2] for leaf in plan.tree.leaves]
+    for mask in groups.groups(names):
         limits_kw = grouping_limits_kw(
             measured_kw[:, mask].sum(axis=1), _desired_kw(profile), rating_kw, mask
         )
-        members = ",".join(_leaf_names(plan, mask))
+        members = ",".join(name for name, chosen in zip(names, mask, strict=True) if chosen)
         found.append(_series(f"grouping({members})", plan, profile, _limited(profile, limits_kw)))
     return found
 
@@ -180,6 +203,7 @@ def _series(label: str, plan: RunPlan, profile: Profile, result: LoopResult) -> 
         impp_kw=result.impp_kw,
         residual_kw=result.residual_kw,
         alpha=result.alpha,
+        ramp_limit_percent_per_min=plan.ramp_limit_percent_per_min,
     )
 
 
@@ -189,11 +213,6 @@ def _desired_kw(profile: Profile) -> NDArray[np.float64]:
 
 def _rating_kw(plan: RunPlan) -> NDArray[np.float64]:
     return np.array([plan.tree.rating_kw(leaf) for leaf in plan.tree.leaves])
-
-
-def _leaf_names(plan: RunPlan, mask: NDArray[np.bool_]) -> list[str]:
-    names = [leaf.rpartition("/")[2] for leaf in plan.tree.leaves]
-    return [name for name, chosen in zip(names, mask, strict=True) if chosen]
 
 
 def _last_cycle(value: NDArray[np.float64]) -> NDArray[np.float64]:

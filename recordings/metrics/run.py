@@ -53,7 +53,6 @@ def run_metrics(
     series: RunSeries,
     *,
     offered: NDArray[np.bool_] | None = None,
-    ramp_limit_percent_per_min: float | None = None,
     tolerances_percent: Sequence[float] = TOLERANCES_PERCENT,
 ) -> RunMetrics:
     """Work out the figures of merit of a run.
@@ -65,8 +64,6 @@ def run_metrics(
     offered
         Whether the plant offered regulation in each cycle, shape (T,). By default it is read from
         the regulation itself.
-    ramp_limit_percent_per_min
-        Ramp limit in % of the plant's rating per minute, if a grid code sets one.
     tolerances_percent
         Tolerances of a regulation request, in % of the plant's rating.
 
@@ -86,7 +83,7 @@ def run_metrics(
         tracking=tracking_error(desired_kw, delivered_kw),
         support=support_mileage(np.maximum(desired_kw - delivered_kw, 0.0), cycle_s),
         headroom=headroom_metrics(series.commitment_kw, possible_kw, delivered_kw, cycle_s),
-        ramps=ramp_metrics(delivered_kw, rating_kw, cycle_s, ramp_limit_percent_per_min),
+        ramps=ramp_metrics(delivered_kw, rating_kw, cycle_s, series.ramp_limit_percent_per_min),
         regulation=regulation_metrics(series, offered, tolerances_percent),
     )
 

@@ -53,6 +53,10 @@ _RAMPS: Final[Rows[RampMetrics]] = (
     ("Largest rise", "kW/min", 1, lambda part: part.largest_up_kw_per_min),
     ("Largest fall", "kW/min", 1, lambda part: part.largest_down_kw_per_min),
 )
+_RAMP_LIMIT: Final[Rows[RampMetrics]] = (
+    ("Ramp limit", "kW/min", 0, lambda part: part.limit_kw_per_min or 0.0),
+    ("Minutes above the ramp limit", "%", 2, lambda part: part.above_limit_percent or 0.0),
+)
 _REGULATION: Final[Rows[RegulationMetrics]] = (
     ("Regulation capacity", "kW", 0, lambda part: part.capacity_kw),
     ("Regulation offered", "h", 2, lambda part: part.offered_h),
@@ -92,11 +96,16 @@ def _commitment_table(columns: tuple[str, ...], found: Sequence[RunMetrics]) -> 
             *_filled(_SUPPORT, [one.support for one in found]),
             *_filled(_HEADROOM, [one.headroom for one in found]),
             *_filled(_RAMPS, [one.ramps for one in found]),
+            *(_filled(_RAMP_LIMIT, [one.ramps for one in found]) if _is_limited(found) else ()),
         ),
         "Unavoidable is what no controller could have met, since less was possible than was "
         "desired. Support power is max(0, desired - delivered). Errors are of delivered against "
         "desired power; rises and falls are those of the delivered power within a minute.",
     )
+
+
+def _is_limited(found: Sequence[RunMetrics]) -> bool:
+    return any(one.ramps and one.ramps.limit_kw_per_min is not None for one in found)
 
 
 def _regulation_table(

@@ -28,6 +28,14 @@ def test_one_case_gives_the_papers_table_a_row_a_scheme() -> None:
     ]
 
 
+def test_a_reference_group_can_be_named() -> None:
+    status, text, _ = compare(
+        "oahu", "--duration", "60", "--schemes", "grouping", "--reference", "inv01,inv07"
+    )
+    assert status == 0
+    assert [line.split()[1] for line in text.splitlines() if line.startswith("│")] == ["grouping"]
+
+
 def test_a_regulation_signal_gives_the_second_table() -> None:
     status, text, _ = compare(
         "oahu-day", "--start", "10:00", "--duration", "10m", "--schemes", "paper"
@@ -87,7 +95,7 @@ def test_a_report_holds_all_schemes(tmp_path: Path) -> None:
         (["--schemes", "magic"], "--schemes magic: accepted are uncontrolled,"),
         (["--show", "beauty"], "--show beauty: accepted are satisfied,"),
         (["--workers", "0"], "--workers 0: accepted are 1 to 256"),
-        (["--reference", "few"], "--reference few: accepted are sizes of groups"),
+        (["--reference", "few"], "--reference few: accepted are inv"),
         (["--seeds", "x"], "--seeds x: accepted are whole numbers"),
         (["--days", "x"], "--days x: accepted are dates"),
         (["--set", "x"], "--set x: accepted is a field"),

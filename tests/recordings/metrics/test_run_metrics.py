@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -25,7 +26,7 @@ def test_a_run_of_four_cycles_by_hand() -> None:
         delivered_kw=[100.0, 90.0, 20.0, 70.0],
         cycle_s=1800.0,
     )
-    found = run_metrics(run, ramp_limit_percent_per_min=0.2)
+    found = run_metrics(replace(run, ramp_limit_percent_per_min=0.2))
     assert found.commitment.unsatisfied_kwh == pytest.approx(45.0)
     assert found.tracking.mae_kw == pytest.approx(27.5)  # (0 + 10 + 80 + 20) / 4
     assert found.support.total_kw == pytest.approx(160.0)  # 0, 10, 80, 0
@@ -60,7 +61,7 @@ def test_all_of_it_can_be_written_as_json_and_read_back() -> None:
     run = run_of(
         np.full(3600, 400.0), 900.0, 400.0 + signal_kw, regulation_kw=signal_kw, capacity_kw=100.0
     )
-    found = run_metrics(run, ramp_limit_percent_per_min=10.0)
+    found = run_metrics(replace(run, ramp_limit_percent_per_min=10.0))
     text = msgspec.json.encode(found)
     assert msgspec.json.decode(text, type=RunMetrics) == found
     assert json.loads(text)["regulation"]["performance"]["hours"][0]["windows"] == 12
