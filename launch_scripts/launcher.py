@@ -184,6 +184,7 @@ class Launch:
             missing_inputs=sum(account.missing_inputs for account in accounts),
             memory=memory_use(samples),
             hindsight_neighbours=self._preparation.hindsight,
+            remarks=self._preparation.remarks,
             interrupted=bool(self._interruption),
         )
 

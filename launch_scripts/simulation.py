@@ -153,6 +153,7 @@ def simulate(
         missing_inputs=0,
         memory=memory_use({"simulation": [memory_of(os.getpid())]}),
         hindsight_neighbours=preparation.hindsight,
+        remarks=preparation.remarks,
         interrupted=interrupted,
     )
 

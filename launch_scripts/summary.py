@@ -65,6 +65,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     missing_inputs: int
     memory: tuple[MemoryUse, ...]
     hindsight_neighbours: bool
+    remarks: tuple[str, ...]
     interrupted: bool
 
     @property

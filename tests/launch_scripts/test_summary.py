@@ -60,6 +60,7 @@ def summary_of(metrics: RunMetrics | None) -> RunSummary:
         missing_inputs=0,
         memory=(MemoryUse("simulation", 1, 100.0, 100.0, 90.0),),
         hindsight_neighbours=False,
+        remarks=(),
         interrupted=False,
     )
 
