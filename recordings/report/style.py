@@ -88,7 +88,9 @@ def diverging_scale(least: float, greatest: float) -> list[tuple[float, str]]:
     reds = [(zero * step / middle, colours[step]) for step in range(middle)] if least else []
     steps = range(middle + 1, len(colours)) if greatest else range(0)
     blues = [(zero + (1.0 - zero) * (step - middle) / middle, colours[step]) for step in steps]
-    return [*reds, (zero, colours[middle]), *blues]
+    scale = [*reds, (zero, colours[middle]), *blues]
+    # Plotly takes its own colours without a word if a scale ends a rounding error beside 0 or 1.
+    return [(0.0, scale[0][1]), *scale[1:-1], (1.0, scale[-1][1])]
 
 
 def colour_bar(title: str, length_px: int) -> dict[str, object]:

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from synthetic_runs import cloudy_run
 
 from recordings.report.inverter_figures import energy_beside_share
@@ -142,3 +144,12 @@ def test_a_faint_colour_is_the_same_colour() -> None:
 
 def test_a_text_for_plotly_has_no_markup() -> None:
     assert plain("<b>x</b> & y") == "&lt;b&gt;x&lt;/b&gt; &amp; y"
+
+
+@given(st.floats(-1e4, 0.0), st.floats(0.0, 1e4))
+def test_every_diverging_scale_runs_from_exactly_zero_to_exactly_one(
+    least: float, greatest: float
+) -> None:
+    stops = [place for place, _ in diverging_scale(least, greatest)]
+    assert (stops[0], stops[-1]) == (0.0, 1.0), "else Plotly shows colours of its own"
+    assert stops == sorted(stops)
