@@ -14,7 +14,7 @@ from typing import Final
 import msgspec
 
 from agents.agent import Turn
-from agents.control.allocation import Allocation, allocate
+from agents.control.allocation import Allocation, allocate, lent_power_kw
 from agents.control.neighbours import HelpOrder, help_order
 from agents.control.request import split_by_capacity
 from bus_schemas.bus import Delivery
@@ -76,6 +76,8 @@ class Family:
     hold_cycles
         For how many cycles a silent child's last report holds. Then it counts as zero, and its
         share is given to the others.
+    lends
+        Whether it gives its children what they lack as well, since they act between its turns.
     """
 
     def __init__(
@@ -85,12 +87,14 @@ class Family:
         capacities_kw: tuple[float, ...],
         neighbourhoods: tuple[Neighbourhood, ...],
         hold_cycles: int,
+        lends: bool = False,
     ) -> None:
         self.node = node
         self.children = children
         self.capacities_kw = capacities_kw
         self.rating_kw = fsum(capacities_kw)
         self.hold_cycles = hold_cycles
+        self.lends = lends
         self._from_times_ns = [hood.from_time_ns for hood in neighbourhoods]
         self._orders = [help_order(hood.correlation) for hood in neighbourhoods]
         self._default_order = help_order([[0.0] * len(children)] * len(children))
@@ -171,12 +175,11 @@ class Family:
 
     def divide(self, turn: Turn, target_kw: float, reports: tuple[Report, ...]) -> list[Delivery]:
         """Give each child its setpoint out of the node's target (step 4)."""
+        impp_kw = [report.impp_kw for report in reports]
         allocation = allocate(
-            target_kw,
-            self.capacities_kw,
-            [report.impp_kw for report in reports],
-            self._order_at(turn.sim_time_ns),
+            target_kw, self.capacities_kw, impp_kw, self._order_at(turn.sim_time_ns)
         )
+        powers_kw = lent_power_kw(allocation, impp_kw) if self.lends else allocation.power_kw
         help_given = self._help_given(allocation)
         return [
             (
@@ -185,7 +188,7 @@ class Family:
             )
             for port, power_kw, share_kw, given in zip(
                 self._setpoint_ports,
-                allocation.power_kw,
+                powers_kw,
                 allocation.share_kw,
                 help_given,
                 strict=True,

@@ -46,6 +46,12 @@ class Periods:
         """Whether a parent acts in a cycle. In arming rounds (below 0) everybody does."""
         return cycle < 0 or cycle % self.cycles[depth(parent)] == 0
 
+    def rests_between(self, parent: str) -> bool:
+        """Whether a parent's children act between its turns."""
+        own = depth(parent)
+        below = self.cycles[own + 1] if own + 1 < len(self.cycles) else 1
+        return self.cycles[own] > below
+
     @property
     def longest(self) -> int:
         """The longest period in cycles: how far one agent can run ahead of another in lockstep."""

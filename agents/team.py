@@ -76,4 +76,5 @@ def _family(plan: RunPlan, node: str) -> Family:
         tuple(tree.rating_kw(child) for child in children),
         plan.neighbourhoods_of(node),
         plan.hold_cycles,
+        lends=plan.scheme == "predictive" and plan.periods.rests_between(node),
     )

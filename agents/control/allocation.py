@@ -76,6 +76,41 @@ def allocate(
     return Allocation(tuple(power_kw), share_kw, lines, 0.0)
 
 
+def lent_power_kw(allocation: Allocation, impp_kw: Sequence[float]) -> tuple[float, ...]:
+    """Return the children's powers with what they cannot meet lent to those that lack it.
+
+    A child that acts between its parent's turns keeps the power it was given until the next one. If
+    the children together lack power, that is all they have at this moment; once a cloud has gone,
+    nobody may use what comes back. So each needy child is given its part of what is missing, and
+    meets it as soon as it can. Together they are given the target itself, never more.
+
+    Parameters
+    ----------
+    allocation
+        Of the node's target.
+    impp_kw
+        Estimated maximum power of each child, shape (n,).
+
+    Returns
+    -------
+    tuple of float
+        Power for each child [kW], shape (n,), at most its share; `allocation.power_kw` itself if
+        the target is met.
+    """
+    if allocation.shortfall_kw <= 0.0:
+        return allocation.power_kw
+    lacks_kw = [
+        max(share - impp, 0.0) for share, impp in zip(allocation.share_kw, impp_kw, strict=True)
+    ]
+    total_kw = fsum(lacks_kw)
+    if total_kw <= 0.0:
+        return allocation.power_kw
+    return tuple(
+        power + allocation.shortfall_kw * (lack / total_kw)
+        for power, lack in zip(allocation.power_kw, lacks_kw, strict=True)
+    )
+
+
 def _help_lines(
     share_kw: Sequence[float], impp_kw: Sequence[float], order: HelpOrder
 ) -> tuple[HelpLine, ...]:

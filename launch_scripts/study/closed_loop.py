@@ -82,6 +82,7 @@ def run_loop(
         arrays.parents,
         arrays.children,
         arrays.period,
+        arrays.rests & (estimator.kind == PREDICTIVE),
         arrays.order,
         arrays.hour,
         forecast.HIDDEN_ALPHA_MIN if hides else plan.alpha_min,
@@ -105,6 +106,7 @@ def _loop(
     parents: Ints,
     children: Ints,
     period: Ints,
+    lends: NDArray[np.bool_],
     order: Ints,
     hour: Ints,
     alpha_min: float,
@@ -159,6 +161,7 @@ def _loop(
             parents,
             children,
             period,
+            lends,
             order[hour[cycle]],
             rating_kw,
             node_impp_kw,
@@ -213,6 +216,7 @@ def _solve(
     parents: Ints,
     children: Ints,
     period: Ints,
+    lends: NDArray[np.bool_],
     order: Ints,
     rating_kw: Floats,
     impp_kw: Floats,
@@ -222,7 +226,13 @@ def _solve(
     for row in range(len(parents)):
         if cycle % period[row] == 0:
             _allocate(
-                target_kw[parents[row]], children[row], rating_kw, impp_kw, order[row], target_kw
+                target_kw[parents[row]],
+                children[row],
+                lends[row],
+                rating_kw,
+                impp_kw,
+                order[row],
+                target_kw,
             )
 
 
@@ -290,12 +300,13 @@ def _sum_of_children(row: int, children: Ints, value: Floats) -> float:
 def _allocate(
     target_kw: float,
     children: Ints,
+    lends: bool,
     rating_kw: Floats,
     impp_kw: Floats,
     order: Ints,
     setpoint_kw: Floats,
 ) -> None:
-    """`agents.control.allocation.allocate`."""
+    """`agents.control.allocation.allocate` and `lent_power_kw`."""
     capacity_kw = 0.0
     possible_kw = 0.0
     count = 0
@@ -313,8 +324,10 @@ def _allocate(
         needs_kw[place] = max(-headroom_kw[place], 0.0)
         setpoint_kw[child] = min(share_kw, impp_kw[child])
     if target_kw - possible_kw >= 0.0:
+        all_needs_kw = needs_kw.sum()
+        lent = (target_kw - possible_kw) / all_needs_kw if lends and all_needs_kw > 0.0 else 0.0
         for place in range(count):
-            setpoint_kw[children[place]] = impp_kw[children[place]]
+            setpoint_kw[children[place]] = impp_kw[children[place]] + lent * needs_kw[place]
         return
     for needy in range(count):
         missing_kw = needs_kw[needy]

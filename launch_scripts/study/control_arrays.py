@@ -26,6 +26,8 @@ class ControlArrays:
         Node numbers of each parent's children, filled up with -1, shape (P, C).
     period
         Every how many cycles each parent acts, shape (P,).
+    rests
+        Whether the children of each parent act between its turns, shape (P,).
     order
         For each hour, parent and child the places of its siblings in the order of help, shape
         (H, P, C, C - 1); -1 where there is none.
@@ -37,6 +39,7 @@ class ControlArrays:
     parents: NDArray[np.int64]
     children: NDArray[np.int64]
     period: NDArray[np.int64]
+    rests: NDArray[np.bool_]
     order: NDArray[np.int64]
     hour: NDArray[np.int64]
 
@@ -68,6 +71,7 @@ def control_arrays(plan: RunPlan, cycles: int) -> ControlArrays:
         parents=np.array([number[path] for path in parent_paths], dtype=np.int64),
         children=children,
         period=np.array(period, dtype=np.int64),
+        rests=np.array([plan.periods.rests_between(path) for path in parent_paths]),
         order=_orders(plan, parent_paths, widest, times_ns),
         hour=hour.astype(np.int64),
     )

@@ -1,8 +1,11 @@
 """Step 4: a target is divided among children, and those that lack power are helped."""
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from agents.control.allocation import Allocation, HelpLine, allocate
+from agents.control.allocation import Allocation, HelpLine, allocate, lent_power_kw
+from agents.control.neighbours import help_order
 
 FOUR = (100.0, 100.0, 100.0, 100.0)
 IN_ORDER = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
@@ -89,3 +92,36 @@ def test_shares_follow_the_ratings() -> None:
 
 def test_an_only_child_gives_what_it_can() -> None:
     assert allocate(80.0, (100.0,), (60.0,), ((),)) == Allocation((60.0,), (80.0,), (), 20.0)
+
+
+def test_what_all_together_lack_is_lent_to_those_that_lack_it() -> None:
+    # 30 kW for each of three; they have 10, 20 and 36: 24 kW are missing, and 6 kW are to spare.
+    allocation = allocate(90.0, [100.0] * 3, [10.0, 20.0, 36.0], ((1, 2), (0, 2), (0, 1)))
+    assert allocation.power_kw == (10.0, 20.0, 36.0)
+    # The lacks are 20 and 10 kW: of the 24 kW they are lent 16 and 8.
+    lent_kw = lent_power_kw(allocation, [10.0, 20.0, 36.0])
+    assert lent_kw == pytest.approx((26.0, 28.0, 36.0))
+    assert sum(lent_kw) == pytest.approx(90.0), "never more than the target"
+
+
+def test_nothing_is_lent_where_the_target_is_met() -> None:
+    allocation = allocate(60.0, [100.0] * 3, [10.0, 20.0, 36.0], ((1, 2), (0, 2), (0, 1)))
+    assert lent_power_kw(allocation, [10.0, 20.0, 36.0]) is allocation.power_kw
+
+
+@given(
+    st.lists(st.tuples(st.floats(1.0, 500.0), st.floats(0.0, 1.0)), min_size=1, max_size=8),
+    st.floats(0.0, 1.0),
+)
+def test_lent_powers_add_up_to_the_target_and_stay_within_the_shares(
+    children: list[tuple[float, float]], share: float
+) -> None:
+    ratings_kw = [rating for rating, _ in children]
+    impp_kw = [rating * light for rating, light in children]
+    target_kw = share * sum(ratings_kw)
+    order = help_order([[0.0] * len(children)] * len(children))
+    allocation = allocate(target_kw, ratings_kw, impp_kw, order)
+    lent_kw = lent_power_kw(allocation, impp_kw)
+    assert sum(lent_kw) == pytest.approx(target_kw, abs=1e-6)
+    for power_kw, share_kw, impp in zip(lent_kw, allocation.share_kw, impp_kw, strict=True):
+        assert power_kw <= max(share_kw, impp) + 1e-9
