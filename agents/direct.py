@@ -10,7 +10,7 @@ import msgspec
 
 from agents.agent import Stage, Turn, parents_word_kw
 from agents.control.curtailment import curtailment_level
-from agents.control.forecast import HIDDEN_ALPHA_MIN, forecast_impp
+from agents.control.forecast import HIDDEN_ALPHA_MIN, NOTHING_KNOWN, forecast_impp
 from agents.control.impp import ImppEstimate, estimate_impp
 from agents.control.request import residual_kw
 from agents.periods import Periods
@@ -94,8 +94,8 @@ class DirectController:
 
     def initial_state(self) -> DirectState:
         """Nothing measured, nothing asked. A forecast has no last measurement to go on from."""
-        stale_cycles = 0 if self.scheme == "paper" else 1
-        return DirectState(ImppEstimate(0.0, stale_cycles), 0.0, self.rating_kw)
+        impp = ImppEstimate(0.0, 0) if self.scheme == "paper" else NOTHING_KNOWN
+        return DirectState(impp, 0.0, self.rating_kw)
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages; between its parent's turns it waits for its inverter alone."""

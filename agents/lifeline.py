@@ -107,12 +107,21 @@ class Recorded(Event, frozen=True):
         Payloads on the run's keys that are no messages of the run.
     plant
         What the run came to.
+    ended_early
+        Why the file does not go up to the end of the run; empty if it does.
     """
 
     recorded: dict[str, int]
     gaps: dict[str, int]
     foreign: int
     plant: PlantPower
+    ended_early: str = ""
+
+
+class RecordingEnded(Event, frozen=True):
+    """The recorder cannot write any more, and why, in one line. The run goes on without it."""
+
+    text: str
 
 
 class Failed(Event, frozen=True):
@@ -121,7 +130,9 @@ class Failed(Event, frozen=True):
     text: str
 
 
-AnyEvent: TypeAlias = Ready | Armed | Waiting | Status | Finished | Recorded | Failed
+AnyEvent: TypeAlias = (
+    Ready | Armed | Waiting | Status | Finished | Recorded | RecordingEnded | Failed
+)
 
 
 class Lifeline:

@@ -1,5 +1,7 @@
 """The predictive scheme causes no more shortfall than the paper's rule or the best grouping.
 
+What it delivers too much for that is bounded too: else a scheme that curtails nothing would win.
+
 Both actuators, with and without meter noise, at commitments from half to nine tenths of the median.
 Behind a limit the maximum is really hidden: the direct controllers hear of nothing but their own
 meters.
@@ -8,14 +10,18 @@ meters.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from launch_scripts.preparation import RunOptions
+from launch_scripts.preparation import RunOptions, prepare
 from launch_scripts.scenario import ScenarioFile, load_scenario
 from launch_scripts.study.cases import cases, parse_setting
+from launch_scripts.study.schemes import ReferenceGroups, run_scheme
 from launch_scripts.study.study import CaseResult, Comparison, run_cases
+from recordings.metrics import run_metrics
 
 COMPARISON = Comparison(("grouping", "paper", "predictive"))
 SETTINGS = ("plant.meter_noise=0,0.005", "plant.actuator=fraction,limit")
@@ -30,8 +36,20 @@ def study(
     return [result for _, result in run_cases(found, COMPARISON)]
 
 
+DEAREST = 3.4
+"""Over-delivery that the scheme may cost, in those of the paper's rule."""
+
+
 def assert_predictive_wins(results: Sequence[CaseResult]) -> None:
+    """In shortfall, at a bounded over-delivery."""
     for result in results:
+        beyond = {
+            entry.scheme: entry.metrics.commitment.over_delivered_kwh for entry in result.schemes
+        }
+        desired_kwh = result.schemes[0].metrics.commitment.desired_kwh
+        # Half a per cent is what noise costs, whatever the sky.
+        allowed_kwh = max(DEAREST * beyond["paper"], 6e-3 * desired_kwh)
+        assert beyond["predictive"] <= allowed_kwh, f"{result.label}: {beyond}"
         caused = {
             entry.scheme: entry.metrics.commitment.control_caused_kwh for entry in result.schemes
         }
@@ -53,7 +71,9 @@ def test_on_the_hope_hour(data_folder: Path) -> None:
 @pytest.mark.parametrize("hour", ["a", "b", "c"])
 def test_on_the_hours_of_a_real_plant(data_folder: Path, hour: str) -> None:
     scenario = load_scenario("plant20mw", data_folder / "plant20mw-combiners-10s")
-    assert_predictive_wins(study(scenario, f"irradiance.currents=hour_{hour}.csv", SHARES))
+    assert_predictive_wins(
+        study(scenario, f"irradiance.currents=hour_{hour}.csv", SHARES), dearest=3.4
+    )
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -61,3 +81,15 @@ def test_under_synthetic_clouds(seed: int) -> None:
     options = RunOptions(duration="20m", seed=seed)
     shares = 'commitment={kind="share-of-median",share=0.5},{kind="share-of-median",share=0.8}'
     assert_predictive_wins(study(load_scenario("oahu"), shares, options=options))
+
+
+@pytest.mark.parametrize("error", ["noise", "low", "high"])
+def test_bad_meters_do_not_set_inverters_behind_limits_free(error: str) -> None:
+    options = RunOptions(actuator="limit", duration="20m")
+    day = prepare(load_scenario("oahu"), options, "meters")
+    noise = 0.05 * np.random.default_rng(1).standard_normal(day.profile.mpp_kw.shape)
+    errors = {"noise": noise, "low": noise * 0.0 - 0.03, "high": noise * 0.0 + 0.03}
+    profile = replace(day.profile, meter_error=errors[error])
+    (series,) = run_scheme("predictive", day.plan, profile, "limit", ReferenceGroups())
+    energy = run_metrics(series).commitment
+    assert 100.0 * energy.over_delivered_kwh / energy.desired_kwh < 0.6

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Final
+
+ROUNDING: Final = 1e-9
+"""Share of its maximum to which an inverter is asked for all it has."""
+
 
 def curtailment_level(setpoint_kw: float, impp_kw: float, alpha_min: float) -> float:
     """Return alpha = setpoint / IMPP (eq. 6), within [alpha_min, 1].
 
     Alpha never reaches zero because the next IMPP is measured through it: P / alpha. An inverter
-    without power (IMPP = 0) is let free, alpha = 1, so that its first kilowatt is seen.
+    without power (IMPP = 0) is let free, alpha = 1, so that its first kilowatt is seen. One that
+    must give all it has but for a rounding error is free as well: what an inverter with a power
+    limit does then must not hang on the last bit of a sum.
 
     Parameters
     ----------
@@ -18,6 +25,6 @@ def curtailment_level(setpoint_kw: float, impp_kw: float, alpha_min: float) -> f
     alpha_min
         Lowest alpha that keeps the IMPP observable, in (0, 1].
     """
-    if impp_kw <= 0.0:
+    if setpoint_kw >= impp_kw * (1.0 - ROUNDING):
         return 1.0
     return min(max(setpoint_kw / impp_kw, alpha_min), 1.0)

@@ -24,6 +24,12 @@ class ImppEstimate(NamedTuple):
         What was expected of the next measurement. Its error teaches how far to trust the next.
     spread_kw
         Mean error of what was expected.
+    meter_error
+        Mean of what the meter read above the limit that held the inverter, as a share of it.
+    below_limit
+        By what share of the limit the last reading lay below it; 0 without a limit.
+    reads_low
+        By what share of a limit readings lie below it although it holds the inverter.
     """
 
     power_kw: float
@@ -31,6 +37,9 @@ class ImppEstimate(NamedTuple):
     measured_kw: float = 0.0
     expected_kw: float = 0.0
     spread_kw: float = 0.0
+    meter_error: float = 0.0
+    below_limit: float = 0.0
+    reads_low: float = 0.0
 
 
 def estimate_impp(

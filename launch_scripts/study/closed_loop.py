@@ -15,6 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from agents.control import forecast
+from agents.control.curtailment import ROUNDING
 from agents.control.impp import METER_TOLERANCE
 from agents.plan import Actuator, RunPlan
 from launch_scripts.study.control_arrays import control_arrays
@@ -123,9 +124,11 @@ def _loop(
     residual_kw = np.empty((cycles, inverters))
     alpha = np.empty((cycles, inverters))
     power_kw = np.empty((cycles, inverters))
-    # What each direct controller remembers: IMPP, age, measured, expected, spread.
-    memory = np.zeros((inverters, 5))
+    # What each direct controller remembers: IMPP, age, measured, expected, spread, meter error,
+    # how far below its limit it read, how far it may.
+    memory = np.zeros((inverters, 8))
     memory[:, 1] = 0.0 if kind == PAPER else 1.0
+    memory[:, 5] = forecast.FIRST_METER_ERROR
     last_kw = mpp_kw[0].copy()
     level = np.ones(inverters)
     limit_kw = rating_kw[:inverters].copy()
@@ -264,12 +267,23 @@ def _forecast(
     if not _plausible(power_kw, alpha, rating_kw):
         memory[1] += 1.0
         return
-    if limit_kw < rating_kw and power_kw >= limit_kw * (1.0 - forecast.BOUND_TOLERANCE):
+    measured_kw = min(power_kw / alpha, rating_kw)
+    memory[7] *= 1.0 - 1.0 / forecast.LOW_READING_MEMORY_CYCLES
+    if 0.0 < memory[6] <= forecast.LOW_READING and measured_kw > forecast.RELEASE_JUMP * memory[2]:
+        memory[7] = max(memory[7], forecast.LOW_READING_SAFETY * memory[6])
+    tolerance = max(forecast.BOUND_TOLERANCE, forecast.BOUND_SPREADS * memory[5], memory[7])
+    tolerance = min(tolerance, forecast.WIDEST_BOUND_TOLERANCE)
+    memory[6] = 0.0
+    if limit_kw < rating_kw and power_kw >= limit_kw * (1.0 - tolerance):
+        if limit_kw > 0.0:
+            above = max(power_kw / limit_kw - 1.0, 0.0)
+            memory[5] += (above - memory[5]) / forecast.METER_MEMORY_CYCLES
         assumed_kw = min(max(memory[2], limit_kw) * (1.0 + growth), rating_kw)
         memory[0] = memory[2] = memory[3] = assumed_kw
         memory[1] += 1.0
         return
-    measured_kw = min(power_kw / alpha, rating_kw)
+    if 0.0 < limit_kw < rating_kw:
+        memory[6] = 1.0 - power_kw / limit_kw
     change_kw = 0.0
     if memory[1] == 0.0:
         change_kw = measured_kw - memory[2]
@@ -345,6 +359,6 @@ def _allocate(
 @njit(cache=True)
 def _curtailment(setpoint_kw: float, impp_kw: float, alpha_min: float) -> float:
     """`agents.control.curtailment.curtailment_level`."""
-    if impp_kw <= 0.0:
+    if setpoint_kw >= impp_kw * (1.0 - ROUNDING):
         return 1.0
     return min(max(setpoint_kw / impp_kw, alpha_min), 1.0)

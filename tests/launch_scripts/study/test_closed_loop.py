@@ -60,6 +60,23 @@ def test_agents_and_arrays_give_the_same(
     assert_equal(with_plan(with_meter_error(oahu, noise), actuator=actuator), scheme)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.02])
+def test_so_they_do_over_a_whole_hour_behind_limits(share: float) -> None:
+    # Where an inverter is held or let free by a hair's breadth, a rounding error would show.
+    hour = prepare(load_scenario("oahu"), RunOptions(actuator="limit"), "loop")
+    assert_equal(with_meter_error(hour, share), "predictive")
+
+
+def test_so_they_do_where_an_hour_ends_and_the_neighbours_change() -> None:
+    options = RunOptions(start="12:58:20", duration="200")
+    over = prepare(load_scenario("oahu"), options, "loop")
+    orders = {hood.correlation for hood in over.plan.neighbourhoods[1].hours}
+    assert len(orders) == 2
+    # Neighbours matter to the power of each inverter where many are in need.
+    dim = replace(over, profile=replace(over.profile, mpp_kw=over.profile.mpp_kw * 0.6))
+    assert_equal(dim, "predictive")
+
+
 @pytest.mark.parametrize("actuator", get_args(Actuator))
 def test_so_they_do_with_four_tiers_that_act_at_different_paces(
     valley: Preparation, actuator: Actuator
