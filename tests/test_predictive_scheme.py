@@ -71,9 +71,7 @@ def test_on_the_hope_hour(data_folder: Path) -> None:
 @pytest.mark.parametrize("hour", ["a", "b", "c"])
 def test_on_the_hours_of_a_real_plant(data_folder: Path, hour: str) -> None:
     scenario = load_scenario("plant20mw", data_folder / "plant20mw-combiners-10s")
-    assert_predictive_wins(
-        study(scenario, f"irradiance.currents=hour_{hour}.csv", SHARES), dearest=3.4
-    )
+    assert_predictive_wins(study(scenario, f"irradiance.currents=hour_{hour}.csv", SHARES))
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

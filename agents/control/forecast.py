@@ -59,7 +59,7 @@ LOW_READING_SAFETY: Final = 1.5
 LOW_READING_MEMORY_CYCLES: Final = 3600.0
 """Time constant after which that is forgotten."""
 
-FIRST_METER_ERROR: Final = 0.005
+FIRST_METER_ERROR: Final = 0.002
 """What is taken for it before anything is known."""
 
 HIDDEN_GROWTH: Final = 0.01

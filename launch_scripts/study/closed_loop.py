@@ -32,13 +32,16 @@ TOLD: Final = 2
 class Estimator(NamedTuple):
     """How the maxima are estimated.
 
+    The compiled loop is given all constants as values: what it took from another module itself
+    would stay in the code that Numba keeps on disk when that module changes.
+
     Attributes
     ----------
     kind
         `PAPER`, `PREDICTIVE`, or `TOLD`: the last cycle's true maximum, that nobody can measure
         behind a limit. It serves to tell what hiding it costs.
-    damping, margin, memory_cycles, growth
-        As in `agents.control.forecast`; for `PREDICTIVE` only.
+    damping, margin, memory_cycles, growth, and those below `held`
+        As in `agents.control`; all but the last two for `PREDICTIVE` only.
     held
         Whether an inverter that is asked for all it has is limited to what it is believed to have.
         The agents let it free.
@@ -50,6 +53,17 @@ class Estimator(NamedTuple):
     memory_cycles: float = forecast.ERROR_MEMORY_CYCLES
     growth: float = forecast.HIDDEN_GROWTH
     held: bool = False
+    bound_tolerance: float = forecast.BOUND_TOLERANCE
+    bound_spreads: float = forecast.BOUND_SPREADS
+    widest_tolerance: float = forecast.WIDEST_BOUND_TOLERANCE
+    meter_memory_cycles: float = forecast.METER_MEMORY_CYCLES
+    first_meter_error: float = forecast.FIRST_METER_ERROR
+    low_reading: float = forecast.LOW_READING
+    low_reading_safety: float = forecast.LOW_READING_SAFETY
+    low_reading_memory_cycles: float = forecast.LOW_READING_MEMORY_CYCLES
+    release_jump: float = forecast.RELEASE_JUMP
+    meter_tolerance: float = METER_TOLERANCE
+    rounding: float = ROUNDING
 
 
 class LoopResult(NamedTuple):
@@ -88,12 +102,7 @@ def run_loop(
         arrays.hour,
         forecast.HIDDEN_ALPHA_MIN if hides else plan.alpha_min,
         actuator == "limit",
-        estimator.kind,
-        estimator.damping,
-        estimator.margin,
-        estimator.memory_cycles,
-        estimator.growth,
-        estimator.held,
+        estimator,
     )
     return LoopResult(*found)
 
@@ -112,12 +121,7 @@ def _loop(
     hour: Ints,
     alpha_min: float,
     limited: bool,
-    kind: int,
-    damping: float,
-    margin: float,
-    memory_cycles: float,
-    growth: float,
-    held: bool,
+    rule: Estimator,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     cycles, inverters = mpp_kw.shape
     impp_kw = np.empty((cycles, inverters))
@@ -127,8 +131,8 @@ def _loop(
     # What each direct controller remembers: IMPP, age, measured, expected, spread, meter error,
     # how far below its limit it read, how far it may.
     memory = np.zeros((inverters, 8))
-    memory[:, 1] = 0.0 if kind == PAPER else 1.0
-    memory[:, 5] = forecast.FIRST_METER_ERROR
+    memory[:, 1] = 0.0 if rule.kind == PAPER else 1.0
+    memory[:, 5] = rule.first_meter_error
     last_kw = mpp_kw[0].copy()
     level = np.ones(inverters)
     limit_kw = rating_kw[:inverters].copy()
@@ -138,23 +142,14 @@ def _loop(
     for cycle in range(cycles):
         measured_kw = last_kw * (1.0 + meter_error[cycle])
         for i in range(inverters):
-            if kind == PAPER:
-                _estimate(memory[i], measured_kw[i], level[i], rating_kw[i])
-            elif kind == TOLD:
+            if rule.kind == PAPER:
+                _estimate(memory[i], measured_kw[i], level[i], rating_kw[i], rule)
+            elif rule.kind == TOLD:
                 last_mpp_kw = mpp_kw[max(cycle - 1, 0), i] * (1.0 + meter_error[cycle, i])
                 memory[i, 0] = min(last_mpp_kw, rating_kw[i])
             else:
-                _forecast(
-                    memory[i],
-                    measured_kw[i],
-                    1.0 if limited else level[i],
-                    limit_kw[i],
-                    rating_kw[i],
-                    damping,
-                    margin,
-                    memory_cycles,
-                    growth,
-                )
+                share = 1.0 if limited else level[i]
+                _forecast(memory[i], measured_kw[i], share, limit_kw[i], rating_kw[i], rule)
         node_impp_kw[:inverters] = memory[:, 0]
         _dispatch(dispatch_kw[cycle], parents[0], rating_kw, target_kw)
         _request(cycle, parents, children, period, rating_kw, target_kw, request_kw)
@@ -173,9 +168,9 @@ def _loop(
         impp_kw[cycle] = node_impp_kw[:inverters]
         residual_kw[cycle] = node_impp_kw[:inverters] - request_kw[:inverters]
         for i in range(inverters):
-            level[i] = _curtailment(target_kw[i], node_impp_kw[i], alpha_min)
+            level[i] = _curtailment(target_kw[i], node_impp_kw[i], alpha_min, rule)
             if limited:
-                is_free = level[i] >= 1.0 and not held
+                is_free = level[i] >= 1.0 and not rule.held
                 limit_kw[i] = rating_kw[i] if is_free else level[i] * node_impp_kw[i]
             share = 1.0 if limited else level[i]
             last_kw[i] = min(share * mpp_kw[cycle, i], limit_kw[i])
@@ -240,14 +235,16 @@ def _solve(
 
 
 @njit(cache=True)
-def _plausible(measured_kw: float, alpha: float, rating_kw: float) -> bool:
-    return 0.0 <= measured_kw <= rating_kw * (1.0 + METER_TOLERANCE) and 0.0 < alpha <= 1.0
+def _plausible(measured_kw: float, alpha: float, rating_kw: float, rule: Estimator) -> bool:
+    return 0.0 <= measured_kw <= rating_kw * (1.0 + rule.meter_tolerance) and 0.0 < alpha <= 1.0
 
 
 @njit(cache=True)
-def _estimate(memory: Floats, measured_kw: float, alpha: float, rating_kw: float) -> None:
+def _estimate(
+    memory: Floats, measured_kw: float, alpha: float, rating_kw: float, rule: Estimator
+) -> None:
     """`agents.control.impp.estimate_impp`."""
-    if _plausible(measured_kw, alpha, rating_kw):
+    if _plausible(measured_kw, alpha, rating_kw, rule):
         memory[0] = min(measured_kw / alpha, rating_kw)
 
 
@@ -258,27 +255,24 @@ def _forecast(
     alpha: float,
     limit_kw: float,
     rating_kw: float,
-    damping: float,
-    margin: float,
-    memory_cycles: float,
-    growth: float,
+    rule: Estimator,
 ) -> None:
     """`agents.control.forecast.forecast_impp`."""
-    if not _plausible(power_kw, alpha, rating_kw):
+    if not _plausible(power_kw, alpha, rating_kw, rule):
         memory[1] += 1.0
         return
     measured_kw = min(power_kw / alpha, rating_kw)
-    memory[7] *= 1.0 - 1.0 / forecast.LOW_READING_MEMORY_CYCLES
-    if 0.0 < memory[6] <= forecast.LOW_READING and measured_kw > forecast.RELEASE_JUMP * memory[2]:
-        memory[7] = max(memory[7], forecast.LOW_READING_SAFETY * memory[6])
-    tolerance = max(forecast.BOUND_TOLERANCE, forecast.BOUND_SPREADS * memory[5], memory[7])
-    tolerance = min(tolerance, forecast.WIDEST_BOUND_TOLERANCE)
+    memory[7] *= 1.0 - 1.0 / rule.low_reading_memory_cycles
+    if 0.0 < memory[6] <= rule.low_reading and measured_kw > rule.release_jump * memory[2]:
+        memory[7] = max(memory[7], rule.low_reading_safety * memory[6])
+    tolerance = max(rule.bound_tolerance, rule.bound_spreads * memory[5], memory[7])
+    tolerance = min(tolerance, rule.widest_tolerance)
     memory[6] = 0.0
     if limit_kw < rating_kw and power_kw >= limit_kw * (1.0 - tolerance):
         if limit_kw > 0.0:
             above = max(power_kw / limit_kw - 1.0, 0.0)
-            memory[5] += (above - memory[5]) / forecast.METER_MEMORY_CYCLES
-        assumed_kw = min(max(memory[2], limit_kw) * (1.0 + growth), rating_kw)
+            memory[5] += (above - memory[5]) / rule.meter_memory_cycles
+        assumed_kw = min(max(memory[2], limit_kw) * (1.0 + rule.growth), rating_kw)
         memory[0] = memory[2] = memory[3] = assumed_kw
         memory[1] += 1.0
         return
@@ -287,11 +281,11 @@ def _forecast(
     change_kw = 0.0
     if memory[1] == 0.0:
         change_kw = measured_kw - memory[2]
-        memory[4] += (abs(measured_kw - memory[3]) - memory[4]) / memory_cycles
+        memory[4] += (abs(measured_kw - memory[3]) - memory[4]) / rule.memory_cycles
     memory[1] = 0.0
     memory[2] = measured_kw
-    memory[3] = min(max(measured_kw + damping * change_kw, 0.0), rating_kw)
-    memory[0] = max(memory[3] - margin * memory[4], 0.0)
+    memory[3] = min(max(measured_kw + rule.damping * change_kw, 0.0), rating_kw)
+    memory[0] = max(memory[3] - rule.margin * memory[4], 0.0)
 
 
 @njit(cache=True)
@@ -357,8 +351,8 @@ def _allocate(
 
 
 @njit(cache=True)
-def _curtailment(setpoint_kw: float, impp_kw: float, alpha_min: float) -> float:
+def _curtailment(setpoint_kw: float, impp_kw: float, alpha_min: float, rule: Estimator) -> float:
     """`agents.control.curtailment.curtailment_level`."""
-    if setpoint_kw >= impp_kw * (1.0 - ROUNDING):
+    if setpoint_kw >= impp_kw * (1.0 - rule.rounding):
         return 1.0
     return min(max(setpoint_kw / impp_kw, alpha_min), 1.0)
