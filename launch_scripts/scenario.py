@@ -276,13 +276,24 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
         raise InputError(f"{path}: {_readable(str(error))}") from None
     except msgspec.DecodeError as error:
         raise InputError(f"{path}: not TOML: {error}") from None
-    check_name(scenario.name, str(path))
+    check_scenario(scenario, str(path))
+    return ScenarioFile(scenario, text, path, data_folder or path.parent)
+
+
+def check_scenario(scenario: Scenario, where: str) -> None:
+    """Check what the types of the fields do not tell.
+
+    Raises
+    ------
+    InputError
+        The name is no part of a key, or the time zone is not known.
+    """
+    check_name(scenario.name, where)
     if scenario.time.timezone not in available_timezones():
         raise InputError(
-            f"{path}: time.timezone is {scenario.time.timezone!r}, accepted is an IANA name "
+            f"{where}: time.timezone is {scenario.time.timezone!r}, accepted is an IANA name "
             "such as Pacific/Honolulu"
         )
-    return ScenarioFile(scenario, text, path, data_folder or path.parent)
 
 
 def local_start(time: TimeTable) -> datetime:

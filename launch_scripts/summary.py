@@ -47,7 +47,10 @@ class MemoryUse(msgspec.Struct, frozen=True):
 
 
 class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
-    """The figures of a run."""
+    """The figures of a run.
+
+    `recording_ended` says why its recording does not go up to its end; it is empty if it does.
+    """
 
     run_id: str
     scenario: str
@@ -67,6 +70,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     hindsight_neighbours: bool
     remarks: tuple[str, ...]
     interrupted: bool
+    recording_ended: str = ""
 
     @property
     def cycles_per_s(self) -> float:
@@ -148,13 +152,15 @@ def _pace_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
 
 def _energy_rows(energy: CommitmentMetrics) -> list[tuple[str, str, str]]:
     def percent(value_kwh: float) -> str:
-        return f"{energy.percent(value_kwh):.3f} % of desired"
+        value = energy.percent(value_kwh)
+        return "nothing was desired" if value is None else f"{value:.3f} % of desired"
 
+    satisfied = energy.satisfied_percent
     return [
         ("desired energy", f"{energy.desired_kwh:,.1f} kWh", ""),
         ("possible energy", f"{energy.possible_kwh:,.1f} kWh", "all inverters at their maximum"),
         ("delivered energy", f"{energy.delivered_kwh:,.1f} kWh", ""),
-        ("satisfied commitment", f"{energy.satisfied_percent:.3f} %", ""),
+        ("satisfied commitment", "-" if satisfied is None else f"{satisfied:.3f} %", ""),
         ("unsatisfied", f"{energy.unsatisfied_kwh:,.2f} kWh", percent(energy.unsatisfied_kwh)),
         ("  unavoidable", f"{energy.unavoidable_kwh:,.2f} kWh", percent(energy.unavoidable_kwh)),
         (

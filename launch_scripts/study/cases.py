@@ -6,14 +6,14 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, datetime, timedelta
-from itertools import product
+from itertools import chain, product
 from typing import Any, Final
 
 import msgspec
 
 from bus_schemas.errors import InputError
 from launch_scripts.preparation import RunOptions
-from launch_scripts.scenario import Scenario, ScenarioFile, local_start
+from launch_scripts.scenario import Scenario, ScenarioFile, check_scenario, local_start
 
 _MOST: Final = 100_000
 
@@ -72,11 +72,16 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     """
     if not re.fullmatch(r"\d+(\.\.\d+)?(,\d+(\.\.\d+)?)*", text):
         raise InputError(f"--seeds {text}: accepted are whole numbers and ranges, such as 1..5,9")
-    found: list[int] = []
+    ranges = []
     for part in text.split(","):
         first, _, last = part.partition("..")
-        found += range(int(first), int(last or first) + 1)
-    return tuple(found)
+        ranges.append(range(int(first), int(last or first) + 1))
+    # Counted before they are listed: a slip of the finger must not fill the memory.
+    if not all(ranges) or sum(map(len, ranges)) > _MOST:
+        raise InputError(
+            f"--seeds {text}: accepted are ranges from low to high, at most {_MOST:,} seeds in all"
+        )
+    return tuple(dict.fromkeys(chain.from_iterable(ranges)))
 
 
 def parse_days(text: str) -> tuple[date, ...]:
@@ -162,21 +167,26 @@ def _with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, str]]) ->
     document = msgspec.to_builtins(scenario.scenario, builtin_types=(datetime,))
     for field, value in chosen:
         _put(document, field, value)
+    words = " ".join(f"--set {field}={value}" for field, value in chosen)
     try:
         changed = msgspec.convert(document, Scenario, str_keys=True)
+        check_scenario(changed, words)
     except msgspec.ValidationError as error:
-        words = " ".join(f"--set {field}={value}" for field, value in chosen)
         raise InputError(f"{words}: {error}") from None
     return msgspec.structs.replace(scenario, scenario=changed)
 
 
 def _put(document: dict[str, Any], field: str, value: str) -> None:
     *tables, name = field.split(".")
-    table = document
-    for part in tables:
-        table = table.setdefault(part, {}) if isinstance(table, dict) else {}
-        if table is None:
-            raise InputError(f"--set {field}: the scenario has no table {part}")
+    table: Any = document
+    for depth, part in enumerate(tables):
+        # A table that the scenario left out is begun: what stands in it is checked with the rest.
+        if table.get(part) is None:
+            table[part] = {}
+        table = table[part]
+        if not isinstance(table, dict):
+            where = ".".join(tables[: depth + 1])
+            raise InputError(f"--set {field}: {where} is no table, accepted is a field of one")
     table[name] = _toml(value)
 
 

@@ -69,8 +69,9 @@ class Shortfall:
         What no controller could have met, and the rest.
     begun_lacking_percent
         That part of the control-caused shortfall that fell into periods at whose beginning the
-        whole plant lacked. The central controller then asks each cluster for what it has at that
-        moment, and this holds until its next turn, however soon the clouds have gone.
+        whole plant lacked. The paper's central controller then asks each cluster for what it has
+        at that moment, and this holds until its next turn, however soon the clouds have gone. The
+        predictive scheme lends them what they lack.
     """
 
     period_cycles: int
@@ -256,11 +257,14 @@ def _shortfall(run: RunSeries, period: int) -> Shortfall:
     turn = np.arange(run.cycles) // period * period
     begun_lacking = run.residual_kw.sum(axis=1)[turn] < 0.0
     energy = _energies(run, slice(None))
+    if not energy.desired_kwh > 0.0:
+        raise InputError("nothing is desired of the plant, accepted is a commitment above 0")
+    in_percent = 100.0 / energy.desired_kwh
     return Shortfall(
         period,
-        energy.percent(energy.unavoidable_kwh),
-        energy.percent(energy.control_caused_kwh),
-        energy.percent(_energies(run, begun_lacking).control_caused_kwh),
+        in_percent * energy.unavoidable_kwh,
+        in_percent * energy.control_caused_kwh,
+        in_percent * _energies(run, begun_lacking).control_caused_kwh,
     )
 
 

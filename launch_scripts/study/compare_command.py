@@ -21,6 +21,7 @@ from launch_scripts.study.study import (
     CaseResult,
     Comparison,
     SchemeResult,
+    WorkerLost,
     remarks_of,
     results_of,
     run_cases,
@@ -74,14 +75,19 @@ def compare(request: CompareRequest) -> int:
             results = [_one(found[0], comparison, request.report, console)]
         else:
             results = _many(found, comparison, request, console)
-    except (InputError, OSError, ValueError) as error:
-        sys.stderr.write(f"heliarch: {error}\n")
-        return 2
+        _write_rows(results, request.json)
+    except (InputError, OSError) as error:
+        return _complain(error, 2)
+    except WorkerLost as error:
+        return _complain(error, 1)
     except KeyboardInterrupt:
-        sys.stderr.write("heliarch: interrupted\n")
-        return 130
-    _write_rows(results, request.json)
+        return _complain("interrupted", 130)
     return 0
+
+
+def _complain(error: object, status: int) -> int:
+    sys.stderr.write(f"heliarch: {error}\n")
+    return status
 
 
 def _console(*, to_stderr: bool) -> Console:
@@ -96,7 +102,7 @@ def _plan(request: CompareRequest) -> tuple[Comparison, list[Case]]:
     if not 1 <= request.workers <= _MOST_WORKERS:
         raise InputError(f"--workers {request.workers}: accepted are 1 to {_MOST_WORKERS}")
     if request.json not in (None, "-"):
-        check_destination(Path(request.json))
+        check_json_path(Path(request.json))
     if request.report is not None:
         check_destination(request.report)
     found = cases(
@@ -106,6 +112,8 @@ def _plan(request: CompareRequest) -> tuple[Comparison, list[Case]]:
         parse_days(request.days) if request.days else (),
         parse_seeds(request.seeds) if request.seeds else (),
     )
+    if request.scheduler is not None and len(found) == 1:
+        raise InputError("--scheduler: accepted with more than one case, there is one")
     if request.report is not None and len(found) > 1:
         raise InputError(f"--report: accepted with one case, the study has {len(found):,}")
     return Comparison(_schemes(request.schemes), _groups(request.reference), request.agents), found
@@ -121,10 +129,24 @@ def _schemes(text: str | None) -> tuple[str, ...]:
     return names
 
 
+def check_json_path(path: Path) -> None:
+    """Refuse a path at which no file can be written, before any work is done.
+
+    Raises
+    ------
+    InputError
+        It is a folder, or in none.
+    """
+    if path.is_dir() or not path.parent.is_dir():
+        raise InputError(f"--json {path}: accepted is a file in an existing folder, or -")
+
+
 def _groups(text: str | None) -> ReferenceGroups:
     if text is None:
         return ReferenceGroups()
     words = tuple(word.strip() for word in text.split(","))
+    if not all(words):
+        raise InputError(f"--reference {text!r}: accepted are sizes (1,4,8) or inverters")
     if all(word.isdecimal() for word in words):
         return ReferenceGroups(sizes=tuple(int(word) for word in words))
     return ReferenceGroups(members=words)
@@ -199,5 +221,8 @@ def _write_rows(results: Sequence[CaseResult], json: str | None) -> None:
     document = msgspec.json.format(msgspec.json.encode(rows(results)), indent=1)
     if json == "-":
         sys.stdout.write(document.decode() + "\n")
-    else:
-        Path(json).write_bytes(document + b"\n")
+        return
+    # Under another name first, so that a full disk leaves no half a file behind.
+    half = Path(f"{json}.part")
+    half.write_bytes(document + b"\n")
+    half.replace(json)

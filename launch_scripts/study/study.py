@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import multiprocessing
+import signal
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
-from typing import Any, get_args
+from typing import Any, Protocol, get_args
 
 from msgspec.structs import replace
 
@@ -71,6 +74,10 @@ class Comparison:
     schemes: tuple[str, ...]
     groups: ReferenceGroups = field(default_factory=ReferenceGroups)
     through_agents: bool = False
+
+
+class WorkerLost(Exception):  # noqa: N818 - it is what happened, not an error of the study
+    """A process that worked on the cases is gone."""
 
 
 def run_case(case: Case, comparison: Comparison) -> CaseResult:
@@ -167,15 +174,32 @@ def run_cases(
         for number, case in enumerate(cases):
             yield number, run_case(case, comparison)
     else:
-        with ProcessPoolExecutor(workers) as pool:
-            futures = {
-                pool.submit(run_case, case, comparison): number for number, case in enumerate(cases)
-            }
-            try:
-                yield from _as_completed(futures)
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+        yield from _over_processes(cases, comparison, workers)
+
+
+def _over_processes(
+    cases: Sequence[Case], comparison: Comparison, workers: int
+) -> Iterator[tuple[int, CaseResult]]:
+    # Ctrl-C reaches every process of a terminal: workers then just end.
+    pool = ProcessPoolExecutor(
+        workers, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_DFL)
+    )
+    try:
+        futures = {
+            pool.submit(run_case, case, comparison): number for number, case in enumerate(cases)
+        }
+        yield from _as_completed(futures)
+    except BrokenProcessPool:
+        raise WorkerLost(
+            "a worker was killed, often for a lack of memory: fewer --workers"
+        ) from None
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for worker in multiprocessing.active_children():
+            worker.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _as_completed(futures: dict[Future[CaseResult], int]) -> Iterator[tuple[int, CaseResult]]:
@@ -196,7 +220,25 @@ def _on_cluster(
             for number, case in enumerate(cases)
         }
         for future in as_completed(list(futures)):
-            yield futures[future], future.result()
+            yield futures[future], _of_cluster(future, scheduler)
+
+
+class _Promise(Protocol):
+    """A future of Dask's."""
+
+    def result(self) -> CaseResult:
+        """Wait for the result."""
+
+
+def _of_cluster(future: _Promise, scheduler: str) -> CaseResult:
+    try:
+        return future.result()
+    except InputError:
+        raise
+    except Exception as error:
+        # Whatever is wrong with a cluster, it comes as one of many kinds of error.
+        reason = f"{type(error).__name__}: {error}".strip(": ")
+        raise WorkerLost(f"--scheduler {scheduler}: the cluster gave up ({reason})") from None
 
 
 def _dask(scheduler: str) -> tuple[Any, Any]:

@@ -34,6 +34,16 @@ FIGURES: Final[dict[str, tuple[str, Figure]]] = {
     "rmse": ("kW", lambda m: m.tracking.rmse_kw),
     "mae": ("kW", lambda m: m.tracking.mae_kw),
     "mileage": ("kW per hour", lambda m: m.support.per_hour_kw),
+    "ramp": (
+        "largest, kW per minute",
+        lambda m: (
+            max(m.ramps.largest_up_kw_per_min, m.ramps.largest_down_kw_per_min) if m.ramps else None
+        ),
+    ),
+    "above-ramp-limit": (
+        "% of minutes",
+        lambda m: m.ramps.above_limit_percent if m.ramps else None,
+    ),
     "regd": (
         "% of requests fulfilled at 1 % of rating",
         lambda m: m.regulation.requests[-1].fulfilled_percent if m.regulation else None,
@@ -66,11 +76,11 @@ def commitment_table(title: str, schemes: Sequence[SchemeResult]) -> Table:
         energy = entry.metrics.commitment
         table.add_row(
             entry.scheme,
-            f"{energy.satisfied_percent:.3f}",
+            _text(energy.satisfied_percent),
             f"{energy.unsatisfied_kwh:,.1f}",
-            f"{energy.percent(energy.unavoidable_kwh):.3f}",
-            f"{energy.percent(energy.control_caused_kwh):.3f}",
-            f"{energy.percent(energy.over_delivered_kwh):.2f}",
+            _text(energy.percent(energy.unavoidable_kwh)),
+            _text(energy.percent(energy.control_caused_kwh)),
+            _text(energy.percent(energy.over_delivered_kwh), 2),
             f"{entry.metrics.support.per_hour_kw:,.0f}",
             f"{entry.metrics.tracking.rmse_kw:,.1f}",
         )
@@ -135,12 +145,14 @@ def summary_table(figure: str, results: Sequence[CaseResult]) -> Table:
 
 
 def rows(results: Sequence[CaseResult]) -> list[dict[str, object]]:
-    """Return a row of all figures for each case and scheme."""
+    """Return a row for each case and scheme: the figures, all metrics, and what was mended."""
     return [
         {
             "case": result.label,
             "scheme": entry.scheme,
             **{name: read(entry.metrics) for name, (_, read) in FIGURES.items()},
+            "metrics": entry.metrics,
+            "remarks": result.remarks,
         }
         for result in results
         for entry in result.schemes
@@ -155,5 +167,5 @@ def _values(result: CaseResult, read: Figure) -> list[str]:
     return [_text(read(entry.metrics)) for entry in result.schemes]
 
 
-def _text(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3f}"
+def _text(value: float | None, decimals: int = 3) -> str:
+    return "-" if value is None else f"{value:.{decimals}f}"

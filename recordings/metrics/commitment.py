@@ -43,13 +43,14 @@ class CommitmentMetrics:
     over_delivered_kwh: float
 
     @property
-    def satisfied_percent(self) -> float:
-        """100 (1 - unsatisfied / desired); 100 where nothing was desired."""
-        return 100.0 - self.percent(self.unsatisfied_kwh)
+    def satisfied_percent(self) -> float | None:
+        """100 (1 - unsatisfied / desired); None where nothing was desired."""
+        unsatisfied_percent = self.percent(self.unsatisfied_kwh)
+        return None if unsatisfied_percent is None else 100.0 - unsatisfied_percent
 
-    def percent(self, energy_kwh: float) -> float:
-        """Return an energy in % of the desired energy; 0 where nothing was desired."""
-        return 100.0 * energy_kwh / self.desired_kwh if self.desired_kwh > 0.0 else 0.0
+    def percent(self, energy_kwh: float) -> float | None:
+        """Return an energy in % of the desired energy; None where nothing was desired."""
+        return 100.0 * energy_kwh / self.desired_kwh if self.desired_kwh > 0.0 else None
 
 
 def commitment_metrics(

@@ -20,7 +20,7 @@ from recordings.report.tables import ReportTable
 from recordings.series import RunSeries
 
 Part = TypeVar("Part")
-Rows: TypeAlias = tuple[tuple[str, str, int, Callable[[Part], float]], ...]
+Rows: TypeAlias = tuple[tuple[str, str, int, Callable[[Part], float | None]], ...]
 """Of each figure of merit its name, its unit, the decimals to show and where it is."""
 
 NOT_DEFINED: Final = "-"
@@ -54,8 +54,8 @@ _RAMPS: Final[Rows[RampMetrics]] = (
     ("Largest fall", "kW/min", 1, lambda part: part.largest_down_kw_per_min),
 )
 _RAMP_LIMIT: Final[Rows[RampMetrics]] = (
-    ("Ramp limit", "kW/min", 0, lambda part: part.limit_kw_per_min or 0.0),
-    ("Minutes above the ramp limit", "%", 2, lambda part: part.above_limit_percent or 0.0),
+    ("Ramp limit", "kW/min", 0, lambda part: part.limit_kw_per_min),
+    ("Minutes above the ramp limit", "%", 2, lambda part: part.above_limit_percent),
 )
 _REGULATION: Final[Rows[RegulationMetrics]] = (
     ("Regulation capacity", "kW", 0, lambda part: part.capacity_kw),
@@ -141,9 +141,11 @@ def _filled(
         (
             name,
             unit,
-            tuple(
-                NOT_DEFINED if part is None else f"{value(part):,.{decimals}f}" for part in parts
-            ),
+            tuple(_as_text(None if part is None else value(part), decimals) for part in parts),
         )
         for name, unit, decimals, value in rows
     ]
+
+
+def _as_text(value: float | None, decimals: int) -> str:
+    return NOT_DEFINED if value is None else f"{value:,.{decimals}f}"

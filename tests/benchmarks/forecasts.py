@@ -119,7 +119,8 @@ def percent(day: Preparation, power: Floats) -> tuple[float, float]:
     energy = commitment_metrics(
         list(profile.commitment_kw), list(profile.mpp_kw.sum(axis=1)), list(power), 1.0
     )
-    return energy.percent(energy.control_caused_kwh), energy.percent(energy.over_delivered_kwh)
+    in_percent = 100.0 / energy.desired_kwh
+    return in_percent * energy.control_caused_kwh, in_percent * energy.over_delivered_kwh
 
 
 def at_equal_over_delivery(day: Preparation, forecast: Callable[[Floats], Floats]) -> float:

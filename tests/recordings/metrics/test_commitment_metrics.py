@@ -41,9 +41,9 @@ def test_a_commitment_that_is_kept_is_satisfied_in_full() -> None:
     assert found.control_caused_kwh == 0.0
 
 
-def test_where_nothing_was_desired_nothing_was_missed() -> None:
+def test_where_nothing_was_desired_no_share_of_it_is_defined() -> None:
     found = commitment_metrics([0.0, 0.0], [10.0, 10.0], [5.0, 5.0], 3600.0)
-    assert (found.satisfied_percent, found.percent(found.over_delivered_kwh)) == (100.0, 0.0)
+    assert (found.satisfied_percent, found.percent(found.over_delivered_kwh)) == (None, None)
 
 
 def test_a_run_without_cycles_has_no_energy() -> None:
