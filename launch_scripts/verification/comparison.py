@@ -1,0 +1,100 @@
+"""Compares a recorded message with a new one: bit for bit, or within a tolerance."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final, TypeAlias
+
+import msgspec
+from msgspec.structs import replace
+
+from bus_schemas.codec import decode, encode
+from bus_schemas.messages import Message
+from bus_schemas.signals import SIGNALS, Port
+
+Value: TypeAlias = Any
+"""A field's value as plain data: numbers, text and lists of them."""
+
+NOT_COMPARED: Final = ("publish_time_ns", "sequence")
+"""Set by the bus, when it sends: the agent does not decide them."""
+
+COMPARED_FIELDS: Final = tuple(
+    sorted(
+        {
+            name
+            for signal in SIGNALS
+            if signal.logged
+            for name in signal.type.__struct_fields__
+            if name not in NOT_COMPARED
+        }
+    )
+)
+"""Names of all fields that are compared."""
+
+
+@dataclass(frozen=True, slots=True)
+class FieldDifference:
+    """A field in which two messages differ, or one entry of it: `inverter_power_kw[6]`."""
+
+    field: str
+    recorded: Value
+    new: Value
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What counts as equal.
+
+    Attributes
+    ----------
+    tolerance
+        Absolute difference of two floats up to which they are equal. At 0 they must be the same
+        bits.
+    ignored
+        Fields that are not compared.
+    """
+
+    tolerance: float = 0.0
+    ignored: frozenset[str] = frozenset()
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether everything must be equal bit for bit."""
+        return self.tolerance == 0.0 and not self.ignored
+
+    def differences(
+        self, port: Port[Message], recorded: Message, new: Message
+    ) -> tuple[FieldDifference, ...]:
+        """Return the fields in which the new message of a port differs from the recorded one."""
+        if encode(replace(recorded, publish_time_ns=0, sequence=0)) == encode(new):
+            return ()
+        # As whoever listens would get it: on the wire an int may stand for a float.
+        heard = decode(port.signal, encode(new))
+        return tuple(self._differing_fields(recorded, heard))
+
+    def _differing_fields(self, recorded: Message, new: Message) -> Iterator[FieldDifference]:
+        left_out = self.ignored.union(NOT_COMPARED)
+        for name in recorded.__struct_fields__:
+            if name not in left_out:
+                old = msgspec.to_builtins(getattr(recorded, name))
+                now = msgspec.to_builtins(getattr(new, name))
+                yield from self._differing(name, old, now)
+
+    def _differing(self, name: str, old: Value, now: Value) -> Iterator[FieldDifference]:
+        """Yield the parts of a value that differ: of lists of one length the entries."""
+        if isinstance(old, list | tuple) and isinstance(now, list | tuple) and len(old) == len(now):
+            for place, pair in enumerate(zip(old, now, strict=True)):
+                yield from self._differing(f"{name}[{place}]", *pair)
+        elif not self._equal(old, now):
+            yield FieldDifference(name, old, now)
+
+    def _equal(self, old: Value, now: Value) -> bool:
+        if isinstance(old, float) and isinstance(now, float):
+            return _bits(old) == _bits(now) or abs(old - now) <= self.tolerance > 0.0
+        return bool(old == now)
+
+
+def _bits(value: float) -> bytes:
+    return struct.pack("<d", value)

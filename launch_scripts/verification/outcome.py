@@ -1,0 +1,236 @@
+"""What a verification came to: as lines to be read, and as JSON."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import msgspec
+
+from bus_schemas.bus import Delivery
+from bus_schemas.messages import Message
+from launch_scripts.verification.comparison import NOT_COMPARED, Comparison, Value
+from launch_scripts.verification.rerun import Account, Difference, Kind
+from launch_scripts.verification.verification import PROFILE_NAME, Verification
+from recordings.moments import RunClock
+
+_WIDTH: Final = 100
+_MOST_INPUTS: Final = 40
+_MOST_FIELDS: Final = 12
+_HEAD: Final = frozenset(Message.__struct_fields__)
+
+_KINDS: Final[dict[Kind, str]] = {
+    "differs": "differ",
+    "only recorded": "not sent any more",
+    "only new": "not in the recording",
+    "recorded twice": "recorded twice",
+    "input not recorded": "input not in the recording, the rest not compared",
+    "fails": "failure, the rest not compared",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A verification, what counted as equal in it, and how long it took [s]."""
+
+    verification: Verification
+    comparison: Comparison
+    wall_s: float
+
+    def lines(self) -> Iterator[str]:
+        """Yield what there is to say, in lines of at most 100 columns (paths excepted)."""
+        found = self.verification
+        yield f"{found.recording}"
+        yield (
+            f"{found.cycles:,} cycles, {_agents(len(found.accounts))} re-run, "
+            f"{found.compared:,} of {found.recorded:,} messages compared"
+        )
+        yield f"{self.wall_s:.1f} s, {self._speed():,.0f} x the run's simulated time"
+        yield from self._remarks()
+        for name, account in found.accounts.items():
+            if account.first is not None:
+                yield ""
+                yield from self._finding(name, account, account.first)
+        if found.differences:
+            yield ""
+        yield self._verdict()
+
+    def as_data(self) -> dict[str, Any]:
+        """Return the outcome as plain data for JSON."""
+        found = self.verification
+        return {
+            "recording": str(found.recording),
+            "run_id": found.plan.run_id,
+            "equal": found.equal,
+            "tolerance": self.comparison.tolerance,
+            "ignored": sorted(self.comparison.ignored),
+            "lockstep": found.plan.lockstep,
+            "whole": found.whole,
+            "stop_cycle": found.stop_cycle,
+            "cycles": found.cycles,
+            "recorded": found.recorded,
+            "compared": found.compared,
+            "differences": found.differences,
+            "first_agent": found.first[0] if found.first is not None else None,
+            "missed_inputs": found.missed_inputs,
+            "strays": found.strays,
+            "plant_left_out": found.plant_left_out,
+            "wall_s": self.wall_s,
+            "agents": [_account_data(name, entry) for name, entry in found.accounts.items()],
+        }
+
+    def _speed(self) -> float:
+        simulated_s = self.verification.cycles * self.verification.plan.cycle_ns / 1e9
+        return simulated_s / max(self.wall_s, 1e-9)
+
+    def _remarks(self) -> Iterator[str]:
+        found = self.verification
+        if found.plant_left_out:
+            yield f"plant: left out, no {PROFILE_NAME} lies beside the recording"
+        if found.missed_inputs:
+            yield (
+                f"{found.missed_inputs:,} inputs had not come by their deadlines: the agents do "
+                "without them again"
+            )
+        if found.stop_cycle is None:
+            yield "the run or its recording broke off: what was under way then is not missed"
+        if found.strays:
+            yield f"{found.strays:,} messages lie too far from their cycle to be compared"
+
+    def _finding(self, name: str, account: Account, first: Difference) -> Iterator[str]:
+        clock = RunClock(self.verification.plan, self.verification.plan.cycles - 1)
+        counts = ", ".join(f"{count:,} {_KINDS[kind]}" for kind, count in account.counts.items())
+        yield f"{name}: {counts}; the first in cycle {first.cycle} ({clock.text(first.cycle)})"
+        for line in _first_lines(first):
+            yield from _wrapped(line)
+        yield f"  inputs of {name} in cycle {first.cycle}"
+        for line in _input_lines(first):
+            yield from _wrapped(line)
+
+    def _verdict(self) -> str:
+        found, comparison = self.verification, self.comparison
+        left_out = ", ".join([*sorted(comparison.ignored), *NOT_COMPARED])
+        how = "bit for bit" if not comparison.tolerance else f"within {comparison.tolerance:g}"
+        if found.equal:
+            return f"equal {how}; left out: {left_out}"
+        count = sum(account.first is not None for account in found.accounts.values())
+        text = f"NOT equal: {found.differences:,} differences of {_agents(count)}"
+        if found.first is None:
+            return text
+        name, first = found.first
+        return f"{text}, the first: {first.port or first.text}, by {name} in cycle {first.cycle}"
+
+
+def as_json(outcomes: Sequence[Outcome]) -> bytes:
+    """Return the outcomes of one or several runs as a JSON document."""
+    document = {
+        "equal": all(outcome.verification.equal for outcome in outcomes),
+        "runs": [outcome.as_data() for outcome in outcomes],
+    }
+    return msgspec.json.format(msgspec.json.encode(document), indent=1)
+
+
+def _agents(count: int) -> str:
+    return f"{count:,} agent" + "s" * (count != 1)
+
+
+def _first_lines(first: Difference) -> Iterator[str]:
+    stage = f" (stage {first.stage})" if first.stage else ""
+    yield f"  {first.port or 'the agent'}{stage}: {_what(first)}"
+    width = max((len(entry.field) for entry in first.fields), default=0)
+    for entry in first.fields[:_MOST_FIELDS]:
+        yield f"    {entry.field:{width}}  recorded  {_value(entry.recorded)}"
+        yield f"    {'':{width}}  new       {_value(entry.new)}"
+    if len(first.fields) > _MOST_FIELDS:
+        yield f"    and {len(first.fields) - _MOST_FIELDS} more fields, all of them in --json"
+
+
+def _what(first: Difference) -> str:
+    fields = _fields(first.message) if first.message is not None else ""
+    match first.kind:
+        case "differs":
+            return "differs"
+        case "only recorded":
+            return f"recorded, not sent any more: {fields}"
+        case "only new":
+            return f"sent now, not in the recording: {fields}"
+        case "recorded twice":
+            return f"recorded twice, the second time {fields}"
+        case "input not recorded":
+            return "neither in the recording nor named as missing"
+        case "fails":
+            return first.text
+
+
+def _input_lines(first: Difference) -> Iterator[str]:
+    named = sorted((str(port), message) for port, message in first.inputs)
+    width = max((len(key) for key, _ in named), default=0)
+    for key, message in named[:_MOST_INPUTS]:
+        yield f"    {key:{width}}  {_fields(message)}"
+    if len(named) > _MOST_INPUTS:
+        yield f"    and {len(named) - _MOST_INPUTS} more, all of them in --json"
+    if not named:
+        yield "    none"
+    if first.missing:
+        yield f"    without: {', '.join(first.missing)}"
+
+
+def _own_fields(message: Message) -> dict[str, Any]:
+    """Return the fields of a message's own kind: its head says nothing new."""
+    data: dict[str, Any] = msgspec.to_builtins(message)
+    return {name: value for name, value in data.items() if name not in _HEAD}
+
+
+def _fields(message: Message) -> str:
+    return "  ".join(f"{name} {_value(value)}" for name, value in _own_fields(message).items())
+
+
+def _value(value: Value) -> str:
+    """Return a value with all its digits, lists without their brackets."""
+    if not isinstance(value, list | tuple):
+        return str(value)
+    entries = (" ".join(map(str, entry)) if isinstance(entry, list) else entry for entry in value)
+    return ", ".join(map(str, entries)) or "none"
+
+
+def _wrapped(line: str) -> list[str]:
+    """Break a line at its blanks; what follows is indented further than what it belongs to."""
+    indent = " " * (len(line) - len(line.lstrip()) + 8)
+    return textwrap.wrap(
+        line, _WIDTH, subsequent_indent=indent, drop_whitespace=True, break_on_hyphens=False
+    )
+
+
+def _account_data(name: str, account: Account) -> dict[str, Any]:
+    first = account.first
+    return {
+        "agent": name,
+        "compared": account.compared,
+        "missed_inputs": account.missed_inputs,
+        "differences": dict(account.counts),
+        "first": None if first is None else _difference_data(first),
+    }
+
+
+def _difference_data(first: Difference) -> dict[str, Any]:
+    return {
+        "kind": first.kind,
+        "cycle": first.cycle,
+        "stage": first.stage,
+        "message": None if first.port is None else str(first.port),
+        "fields": [
+            {"field": entry.field, "recorded": entry.recorded, "new": entry.new}
+            for entry in first.fields
+        ],
+        "content": None if first.message is None else msgspec.to_builtins(first.message),
+        "inputs": dict(map(_input_data, first.inputs)),
+        "missing": first.missing,
+        "text": first.text,
+    }
+
+
+def _input_data(delivery: Delivery) -> tuple[str, Any]:
+    port, message = delivery
+    return str(port), msgspec.to_builtins(message)

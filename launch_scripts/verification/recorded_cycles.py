@@ -1,0 +1,135 @@
+"""Walks through a recording cycle by cycle, with a bounded number of messages in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+from bus_schemas.bus import Delivery
+from bus_schemas.messages import Message, Run
+from bus_schemas.signals import Port
+from bus_schemas.tree import RECORDER, ControlTree
+
+MOST_HELD: Final = 200_000
+"""Messages that are held at most for the sake of an agent that lags behind: some 100 MB."""
+
+_MARGIN: Final = 1
+"""Cycles by which messages of one agent may overtake each other on their way to the recorder."""
+
+
+@dataclass(slots=True)
+class RecordedCycle:
+    """What a recording holds of one cycle.
+
+    Attributes
+    ----------
+    number
+        Number of the cycle.
+    messages
+        The message of each port; of a port that spoke twice the first, which listeners use.
+    repeated
+        The further ones.
+    took_place
+        False: by the plant's word the run ended before it. Some may have begun it all the same.
+    """
+
+    number: int
+    messages: dict[Port[Message], Message] = field(default_factory=dict)
+    repeated: list[Delivery] = field(default_factory=list)
+    took_place: bool = True
+
+
+class CycleWalk:
+    """The cycles of a recording in their order, each once it is complete.
+
+    Messages of a cycle lie near each other in the file. In real time some of the next cycle may lie
+    between them, and an agent that stood still for a while is heard late. A cycle is complete once
+    every agent has gone on: each speaks in its own order, and what one hears another has said.
+
+    Parameters
+    ----------
+    deliveries
+        The messages in the order of the file.
+    tree, cycles
+        Control tree and number of cycles of the run.
+    most_held
+        When so many messages wait for an agent that lags behind or is dead, it is waited for no
+        longer.
+
+    Attributes
+    ----------
+    read
+        Messages so far.
+    newest
+        Cycle of the newest message of each port.
+    stop_cycle
+        The first cycle that did not take place, by the plant's own word; None if there is none.
+    strays
+        Messages that belong to no cycle of the run, or to one that was walked past.
+    """
+
+    def __init__(
+        self,
+        deliveries: Iterable[Delivery],
+        tree: ControlTree,
+        cycles: int,
+        most_held: int = MOST_HELD,
+    ) -> None:
+        self.read = 0
+        self.newest: dict[Port[Message], int] = {}
+        self.stop_cycle: int | None = None
+        self.strays = 0
+        self._deliveries = deliveries
+        self._cycles = cycles
+        self._most_held = most_held
+        self._reached = {agent: -1 for agent in tree.agents() if agent != RECORDER}
+        self._held: dict[int, RecordedCycle] = {}
+        self._held_messages = 0
+        self._next = 0
+
+    def __iter__(self) -> Iterator[RecordedCycle]:
+        highest = -1
+        for port, message in self._deliveries:
+            self.read += 1
+            if isinstance(message, Run):
+                self._heed(message)
+            elif self._keep(port, message) and message.cycle > highest:
+                highest = message.cycle
+                yield from self._complete()
+            if self._held_messages >= self._most_held:
+                yield self._pop()
+        while self._next <= highest:
+            yield self._pop()
+
+    def _heed(self, message: Run) -> None:
+        if message.state == "stop":
+            self.stop_cycle = message.cycle
+
+    def _keep(self, port: Port[Message], message: Message) -> bool:
+        if not self._next <= message.cycle < self._cycles:
+            self.strays += 1
+            return False
+        cycle = self._held.setdefault(message.cycle, RecordedCycle(message.cycle))
+        if port in cycle.messages:
+            cycle.repeated.append((port, message))
+        else:
+            cycle.messages[port] = message
+        self._held_messages += 1
+        self.newest[port] = max(message.cycle, self.newest.get(port, -1))
+        self._reached[port.publisher] = max(message.cycle, self._reached[port.publisher])
+        return True
+
+    def _complete(self) -> Iterator[RecordedCycle]:
+        """Yield the cycles that every agent has left behind."""
+        slowest = min(self._reached.values())
+        while self._next < slowest - _MARGIN:
+            yield self._pop()
+
+    def _pop(self) -> RecordedCycle:
+        cycle = self._held.pop(self._next, None) or RecordedCycle(self._next)
+        self._held_messages -= len(cycle.messages) + len(cycle.repeated)
+        # The plant's word stands at the end of the file, and the last cycles are kept until then.
+        cycle.took_place = self.stop_cycle is None or cycle.number < self.stop_cycle
+        self._next += 1
+        return cycle

@@ -1,0 +1,234 @@
+"""Verifies a recorded run: which agents, on which recording, with what result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Final
+
+from agents.deadlines import stage_place
+from agents.plan import RunPlan
+from agents.team import Controller, controllers
+from bus_schemas.errors import InputError
+from bus_schemas.messages import Message
+from bus_schemas.signals import RUN, Port, ports
+from bus_schemas.tree import CENTRAL, PLANT, agent_name
+from launch_scripts.verification.comparison import Comparison
+from launch_scripts.verification.recorded_cycles import CycleWalk
+from launch_scripts.verification.rerun import Account, AgentRerun, Difference
+from recordings.reader import RunReader
+from sim_plant.plant import Plant
+from sim_plant.profile import Profile, load_profile
+
+PROFILE_NAME: Final = "profile.npz"
+
+_SUBTREE: Final = "/*"
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """What the verification of a run came to.
+
+    Attributes
+    ----------
+    recording
+        The file.
+    plan
+        Of the run.
+    whole
+        Whether the file was closed in order.
+    stop_cycle
+        The first cycle that did not take place, by the plant's word; None if the run broke off.
+    cycles
+        Cycles of which the recording holds anything.
+    recorded
+        Messages in the recording, of all agents.
+    strays
+        Messages that belong to no cycle of the run, or that lie too far from theirs.
+    accounts
+        Of each agent that was re-run.
+    plant_left_out
+        Whether the plant would have been re-run if the run's profile were there.
+    """
+
+    recording: Path
+    plan: RunPlan
+    whole: bool
+    stop_cycle: int | None
+    cycles: int
+    recorded: int
+    strays: int
+    accounts: dict[str, Account]
+    plant_left_out: bool
+
+    @property
+    def compared(self) -> int:
+        """Pairs of messages that were held against each other."""
+        return sum(account.compared for account in self.accounts.values())
+
+    @property
+    def differences(self) -> int:
+        """Number of differences, of all agents."""
+        return sum(account.counts.total() for account in self.accounts.values())
+
+    @property
+    def first(self) -> tuple[str, Difference] | None:
+        """The difference that came first in the order of cycles and stages, and whose it is."""
+        firsts = [
+            (name, account.first)
+            for name, account in self.accounts.items()
+            if account.first is not None
+        ]
+        return min(firsts, key=lambda found: self._moment(*found), default=None)
+
+    def _moment(self, agent: str, difference: Difference) -> tuple[int, int]:
+        tree = self.plan.tree
+        last = stage_place(PLANT, "advance", tree)
+        place = stage_place(agent, difference.stage, tree) if difference.stage else last
+        return difference.cycle, place
+
+    @property
+    def missed_inputs(self) -> int:
+        """Inputs that the agents had to do without when the run was recorded."""
+        return sum(account.missed_inputs for account in self.accounts.values())
+
+    @property
+    def equal(self) -> bool:
+        """Whether every agent says what it said."""
+        return not self.differences and not self.strays
+
+
+def verify(
+    run: Path,
+    nodes: Sequence[str],
+    comparison: Comparison,
+    progress: Callable[[int, int], None] = lambda cycle, cycles: None,
+) -> Verification:
+    """Re-run agents on the inputs of a recording and compare what they say.
+
+    Parameters
+    ----------
+    run
+        Folder of the run, or its MCAP file.
+    nodes
+        Agents to re-run, see `select_agents`. None: all.
+    comparison
+        What counts as equal.
+    progress
+        Called with the number of each cycle that is done, and the number of all.
+
+    Raises
+    ------
+    InputError
+        There is no such recording or node, or the recording holds nothing to compare.
+    """
+    with RunReader(run) as reader:
+        plan = reader.plan
+        names = select_agents(plan, nodes)
+        team, plant_left_out = _team(plan, names, reader.path, asked_for=bool(nodes))
+        says = _ports_by_publisher(plan)
+        reruns = [AgentRerun(agent, says[agent.name], plan, comparison) for agent in team]
+        walk = CycleWalk(reader.messages(by_time=False), plan.tree, plan.cycles)
+        cycles = 0
+        for cycle in walk:
+            for rerun in reruns:
+                rerun.take(cycle)
+            cycles += bool(cycle.messages)
+            progress(cycle.number, plan.cycles)
+        for rerun in reruns:
+            rerun.conclude(walk.stop_cycle, walk.newest)
+        found = Verification(
+            reader.path,
+            plan,
+            reader.whole,
+            walk.stop_cycle,
+            cycles,
+            walk.read,
+            walk.strays,
+            {rerun.agent.name: rerun.account for rerun in reruns},
+            plant_left_out,
+        )
+    if not found.compared and found.equal:
+        raise InputError(f"{found.recording}: no message of {', '.join(names)}: nothing to verify")
+    return found
+
+
+def select_agents(plan: RunPlan, nodes: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the agents that are meant, in the order of the control tree.
+
+    Parameters
+    ----------
+    plan
+        Of the run.
+    nodes
+        Names of agents: `plant`, `central`, paths such as `c2` or `c1/inv07`; `c2/*` is `c2` and
+        all below it. None: all agents.
+
+    Raises
+    ------
+    InputError
+        There is no such agent; with the names that come near.
+    """
+    team = (PLANT, *(agent_name(path) for path in plan.tree.nodes))
+    chosen: set[str] = set() if nodes else set(team)
+    for node in nodes:
+        top = node.removesuffix(_SUBTREE)
+        if top not in team or (top != node and top in {PLANT, CENTRAL}):
+            near = get_close_matches(top, team, n=4, cutoff=0.5) or team[:4]
+            raise InputError(
+                f"--node {node}: this run has no such agent, near it: {', '.join(near)}; "
+                f"NAME{_SUBTREE} is a supervisor with all below it"
+            )
+        chosen.add(top)
+        if top != node:
+            chosen.update(name for name in team if name.startswith(top + "/"))
+    return tuple(name for name in team if name in chosen)
+
+
+def run_profile(plan: RunPlan, recording: Path) -> Profile | None:
+    """Return the profile that lies beside a recording, None if there is none.
+
+    Raises
+    ------
+    InputError
+        It is damaged, or the profile of another run.
+    """
+    path = recording.with_name(PROFILE_NAME)
+    if not path.exists():
+        return None
+    profile = load_profile(path)
+    shape = (plan.cycles, len(plan.inverters))
+    if profile.mpp_kw.shape != shape:
+        raise InputError(
+            f"{path}: {profile.mpp_kw.shape} cycles and inverters, accepted is the profile of the "
+            f"recorded run, {shape}"
+        )
+    return profile
+
+
+def _team(
+    plan: RunPlan, names: Sequence[str], recording: Path, *, asked_for: bool
+) -> tuple[list[Controller], bool]:
+    """Make the agents; the plant only if the profile of the run is there."""
+    team = [agent for agent in controllers(plan) if agent.name in names]
+    if PLANT not in names:
+        return team, False
+    profile = run_profile(plan, recording)
+    if profile is not None:
+        return [Plant(plan.tree, profile, plan.actuator), *team], False
+    if asked_for:
+        raise InputError(
+            f"--node {PLANT}: it can be re-run if {PROFILE_NAME} lies beside {recording}"
+        )
+    return team, True
+
+
+def _ports_by_publisher(plan: RunPlan) -> dict[str, list[Port[Message]]]:
+    """Return for each agent the ports of its recorded outputs. Of the run the conductor speaks."""
+    found: dict[str, list[Port[Message]]] = {}
+    for port in ports(plan.tree):
+        if port.signal.logged and port.signal is not RUN:
+            found.setdefault(port.publisher, []).append(port)
+    return found

@@ -1,0 +1,139 @@
+"""Messages as JSON objects, with schemas that viewers of MCAP files understand.
+
+Foxglove and Lichtblick do not read JSON Schema as a whole. Each property must have one `type`: a
+string, a number, an integer, a boolean, an object with `properties`, or an array whose `items` are
+one of these. So there are no references here, no tuples and no nulls; what is an array on the wire
+to save bytes, such as a line of `help_given`, is an object with named fields.
+"""
+
+from __future__ import annotations
+
+import inspect
+from math import isfinite
+from typing import Final, TypeAlias
+
+import msgspec
+from msgspec.inspect import (
+    Field,
+    FloatType,
+    IntType,
+    LiteralType,
+    StrType,
+    StructType,
+    Type,
+    VarTupleType,
+    type_info,
+)
+
+from bus_schemas.messages import Message
+from bus_schemas.signals import Signal
+
+JsonObject: TypeAlias = dict[str, object]
+
+_NULL: Final = b"null"
+"""What msgspec writes for a number that JSON does not have."""
+
+
+def object_schema(signal: Signal[Message]) -> JsonObject:
+    """JSON Schema of a signal's messages as `JsonEncoder` writes them."""
+    return _schema(type_info(signal.type))
+
+
+class JsonEncoder:
+    """Writes the messages of one signal as JSON.
+
+    JSON has neither NaN nor infinity: a field that holds one is left out, and counted. No schema
+    requires a field that could.
+
+    Attributes
+    ----------
+    left_out
+        Fields left out so far.
+    """
+
+    def __init__(self, signal: Signal[Message]) -> None:
+        self.left_out = 0
+        self._encoder = msgspec.json.Encoder()
+        found = type_info(signal.type)
+        assert isinstance(found, StructType)
+        self._nested = any(_holds_structs(field.type) for field in found.fields)
+
+    def encode(self, message: Message) -> bytes:
+        """Return a message as a JSON object."""
+        text = self._encoder.encode(_plain(message) if self._nested else message)
+        if _NULL in text:  # Or the word stands in a text: then nothing is left out.
+            text = self._encoder.encode(self._finite(_plain(message)))
+        return text
+
+    def _finite(self, fields: JsonObject) -> JsonObject:
+        kept: JsonObject = {}
+        for name, value in fields.items():
+            if isinstance(value, list):
+                kept[name] = [self._finite(item) for item in value]
+            elif _all_finite(value):
+                kept[name] = value
+            else:
+                self.left_out += 1
+        return kept
+
+
+def _plain(value: msgspec.Struct) -> JsonObject:
+    """Return a struct as a dictionary, those inside it in lists too."""
+    return {
+        name: [_plain(item) for item in entry] if _is_structs(entry) else entry
+        for name, entry in msgspec.structs.asdict(value).items()
+    }
+
+
+def _is_structs(value: object) -> bool:
+    return isinstance(value, tuple) and bool(value) and isinstance(value[0], msgspec.Struct)
+
+
+def _all_finite(value: object) -> bool:
+    if isinstance(value, tuple):
+        return all(map(_all_finite, value))
+    return not isinstance(value, float) or isfinite(value)
+
+
+def _schema(kind: Type) -> JsonObject:
+    match kind:
+        case StructType():
+            return _struct_schema(kind)
+        case VarTupleType():
+            return {"type": "array", "items": _schema(kind.item_type)}
+        case FloatType():
+            return {"type": "number"}
+        case IntType():
+            return {"type": "integer", **_bounds(kind)}
+        case StrType():
+            return {"type": "string"}
+        case LiteralType():
+            # Viewers refuse a property without a type, which JSON Schema does not ask for here.
+            return {"type": "string", "enum": list(kind.values)}
+        case _:
+            raise TypeError(f"a field of type {kind} has no form that viewers understand")
+
+
+def _struct_schema(kind: StructType) -> JsonObject:
+    return {
+        "title": kind.cls.__name__,
+        "description": inspect.getdoc(kind.cls) or "",
+        "type": "object",
+        "properties": {field.encode_name: _schema(field.type) for field in kind.fields},
+        "required": [field.encode_name for field in kind.fields if not _may_be_left_out(field)],
+        "additionalProperties": False,
+    }
+
+
+def _bounds(kind: IntType) -> JsonObject:
+    bounds = {"minimum": kind.ge, "exclusiveMaximum": kind.lt}
+    return {name: bound for name, bound in bounds.items() if bound is not None}
+
+
+def _may_be_left_out(field: Field) -> bool:
+    kind = field.type.item_type if isinstance(field.type, VarTupleType) else field.type
+    return isinstance(kind, FloatType)
+
+
+def _holds_structs(kind: Type) -> bool:
+    return isinstance(kind, VarTupleType) and isinstance(kind.item_type, StructType)

@@ -1,0 +1,279 @@
+"""Each kind of difference is found where it was planted: in a copy of a recording, or in the code.
+
+The recordings are of a small plant under fast clouds, in lockstep; every agent says all it can.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+from troubled_runs import (
+    AGENTS,
+    cloudy_profile,
+    lockstep_run,
+    of_publisher,
+    plan_of,
+    record,
+)
+
+from agents import family
+from agents.control.allocation import Allocation, allocate
+from agents.direct import DirectController
+from bus_schemas.bus import Delivery
+from bus_schemas.messages import Help, Impp, Message, Setpoint
+from bus_schemas.signals import (
+    COMMAND,
+    HELP,
+    IMPP,
+    PRODUCTION,
+    RUN,
+    SETPOINT,
+    SIGNALS,
+    TELEMETRY,
+    Port,
+    Signal,
+)
+from bus_schemas.tree import PLANT, ROOT
+from launch_scripts.verification.comparison import Comparison, FieldDifference
+from launch_scripts.verification.rerun import Difference
+from launch_scripts.verification.verification import Verification, verify
+
+PLAN = plan_of(cycles=30)
+PROFILE = cloudy_profile(PLAN)
+SAID = lockstep_run(PLAN, PROFILE)
+
+Verify = Callable[..., Verification]
+
+
+@pytest.fixture
+def verified(tmp_path: Path) -> Verify:
+    """Verify a recording of what was said."""
+
+    def run(
+        said: list[Delivery], *nodes: str, comparison: Comparison | None = None
+    ) -> Verification:
+        folder = record(tmp_path / "run", PLAN, said, PROFILE)
+        return verify(folder, nodes, comparison or Comparison())
+
+    return run
+
+
+def first_of(found: Verification, agent: str) -> Difference:
+    first = found.accounts[agent].first
+    assert first is not None, f"{agent}: nothing found"
+    return first
+
+
+def place_of(port: Port[Message], cycle: int) -> int:
+    """Place of the message of a port in a cycle."""
+    (place,) = [
+        place
+        for place, (other, message) in enumerate(SAID)
+        if other is port and message.cycle == cycle
+    ]
+    return place
+
+
+def with_message(place: int, message: Message) -> list[Delivery]:
+    """What was said, with another message in one place."""
+    return [*SAID[:place], (SAID[place][0], message), *SAID[place + 1 :]]
+
+
+def without(place: int) -> list[Delivery]:
+    """What was said, but for one message."""
+    return [*SAID[:place], *SAID[place + 1 :]]
+
+
+def test_a_recording_of_the_same_code_is_equal(verified: Verify) -> None:
+    found = verified(SAID)
+    assert found.equal
+    assert tuple(found.accounts) == AGENTS
+    assert found.compared == len(SAID) - 2, "all but the plant's start and stop"
+    for name, account in found.accounts.items():
+        assert account.compared == len(of_publisher(SAID, name)) > PLAN.cycles
+
+
+# In the recording ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "signal",
+    [signal for signal in SIGNALS if signal.logged and signal is not RUN],
+    ids=lambda signal: signal.name,
+)
+def test_a_changed_field_is_found_in_a_message_of_any_signal(
+    signal: Signal[Message], verified: Verify
+) -> None:
+    places = [place for place, (port, _) in enumerate(SAID) if port.signal is signal]
+    place = places[len(places) // 2]
+    port, message = SAID[place]
+    field = next(
+        name for name in ("power_kw", "missing_kw", "desired_kw", "count") if hasattr(message, name)
+    )
+    value = getattr(message, field)
+    found = verified(with_message(place, replace(message, **{field: value + 1})))
+    first = first_of(found, port.publisher)
+    assert (first.kind, first.cycle, first.port) == ("differs", message.cycle, port)
+    assert first.fields == (FieldDifference(field, value + 1, value),)
+    assert found.accounts[port.publisher].counts == {"differs": 1}
+
+
+def test_the_inputs_of_the_cycle_are_named(verified: Verify) -> None:
+    place = place_of(COMMAND.of("c1/a"), 7)
+    changed = replace(SAID[place][1], alpha=0.123)
+    first = first_of(verified(with_message(place, changed)), "c1/a")
+    assert first.stage == "actuate"
+    given = {str(port): message for port, message in first.inputs}
+    assert set(given) == {"c1/a/telemetry", "c1/a/request", "c1/a/setpoint"}
+    assert given["c1/a/setpoint"] == SAID[place_of(SETPOINT.of("c1/a"), 7)][1]
+
+
+@pytest.mark.parametrize(("field", "value"), [("sim_time_ns", 1), ("missing", ("no/such",))])
+def test_a_changed_head_is_found(field: str, value: object, verified: Verify) -> None:
+    place = place_of(IMPP.of("c1/b"), 4)
+    found = verified(with_message(place, replace(SAID[place][1], **{field: value})))
+    assert [entry.field for entry in first_of(found, "c1/b").fields] == [field]
+
+
+def test_publish_time_and_sequence_are_left_out(verified: Verify) -> None:
+    said = [(port, replace(message, publish_time_ns=7, sequence=7)) for port, message in SAID]
+    assert verified(said).equal
+
+
+def test_one_entry_of_a_list_is_named_by_its_place(verified: Verify) -> None:
+    place = place_of(PRODUCTION.of(ROOT), 5)
+    message = SAID[place][1]
+    powers_kw = (*message.inverter_power_kw[:2], -1.0, *message.inverter_power_kw[3:])  # type: ignore[attr-defined]
+    found = verified(with_message(place, replace(message, inverter_power_kw=powers_kw)), PLANT)
+    (difference,) = first_of(found, PLANT).fields
+    assert (difference.field, difference.recorded) == ("inverter_power_kw[2]", -1.0)
+
+
+@pytest.mark.parametrize("cycle", [0, 13, 29])
+def test_a_missing_message_is_found_also_in_the_last_cycle(cycle: int, verified: Verify) -> None:
+    place = place_of(COMMAND.of("c2/d"), cycle)
+    found = verified(without(place), "c2/*")
+    assert [name for name, account in found.accounts.items() if account.first] == ["c2/d"]
+    first = first_of(found, "c2/d")
+    assert (first.kind, first.cycle, first.port) == ("only new", cycle, COMMAND.of("c2/d"))
+    assert first.message is not None
+
+
+def test_a_message_that_is_not_sent_any_more_is_found(verified: Verify) -> None:
+    cycles_of_help = {message.cycle for port, message in SAID if port is HELP.of("c1/a")}
+    cycle = next(cycle for cycle in range(3, 30) if cycle not in cycles_of_help)
+    at = place_of(IMPP.of("c1/a"), cycle)
+    call = Help(cycle, PLAN.sim_time_ns(cycle), "c1/a", (), missing_kw=1.0)
+    found = verified([*SAID[:at], (HELP.of("c1/a"), call), *SAID[at:]])
+    first = first_of(found, "c1/a")
+    assert (first.kind, first.cycle, first.port) == ("only recorded", cycle, HELP.of("c1/a"))
+    assert found.differences == 1, "nobody acts on a call that the residual does not announce"
+
+
+def test_a_message_that_was_recorded_twice_is_found_and_the_first_one_counts(
+    verified: Verify,
+) -> None:
+    place = place_of(SETPOINT.of("c1/a"), 6)
+    other = replace(SAID[place][1], power_kw=0.0)
+    found = verified([*SAID[: place + 1], (SAID[place][0], other), *SAID[place + 1 :]])
+    assert first_of(found, "c1").kind == "recorded twice"
+    assert found.differences == 1
+
+
+def test_an_input_that_the_recording_lacks_ends_the_comparison_there(verified: Verify) -> None:
+    found = verified(without(place_of(TELEMETRY.of("c2/c"), 11)))
+    assert first_of(found, PLANT).kind == "only new"
+    lack = first_of(found, "c2/c")
+    assert (lack.kind, lack.cycle, lack.port) == ("input not recorded", 11, TELEMETRY.of("c2/c"))
+    assert found.differences == 2, "what follows from a state that nobody knows is not compared"
+    in_time = [message for _, message in of_publisher(SAID, "c2/c") if message.cycle < 11]
+    assert found.accounts["c2/c"].compared == len(in_time)
+
+
+def test_a_message_of_no_cycle_of_the_run_is_found(verified: Verify) -> None:
+    stray = Impp(4711, PLAN.sim_time_ns(4711), "c1/a", (), power_kw=1.0, stale_cycles=0)
+    found = verified([*SAID[:100], (IMPP.of("c1/a"), stray), *SAID[100:]])
+    assert not found.equal
+    assert found.strays == 1
+
+
+# In what counts as equal --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "equal"), [(0.0, False), (0.0009, False), (0.0011, True), (5.0, True)]
+)
+def test_a_tolerance_is_absolute(tolerance: float, equal: bool, verified: Verify) -> None:
+    place = place_of(IMPP.of(ROOT), 8)
+    message = SAID[place][1]
+    changed = replace(message, power_kw=message.power_kw + 0.001)  # type: ignore[attr-defined]
+    assert verified(with_message(place, changed), comparison=Comparison(tolerance)).equal is equal
+
+
+def test_a_tolerance_does_not_hold_for_whole_numbers(verified: Verify) -> None:
+    place = place_of(IMPP.of(ROOT), 8)
+    changed = replace(SAID[place][1], stale_cycles=1)
+    assert not verified(with_message(place, changed), comparison=Comparison(5.0)).equal
+
+
+def test_an_ignored_field_may_differ_and_no_other(verified: Verify) -> None:
+    place = place_of(IMPP.of(ROOT), 8)
+    ignoring = Comparison(ignored=frozenset({"stale_cycles"}))
+    changed = replace(SAID[place][1], stale_cycles=1)
+    assert verified(with_message(place, changed), comparison=ignoring).equal
+    changed = replace(SAID[place][1], stale_cycles=1, power_kw=-1.0)
+    (difference,) = first_of(
+        verified(with_message(place, changed), comparison=ignoring), "central"
+    ).fields
+    assert difference.field == "power_kw"
+
+
+# In the code --------------------------------------------------------------------------------------
+
+
+def test_a_sign_in_the_allocation_is_found_at_the_first_help(
+    verified: Verify, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def help_taken_away(
+        target_kw: float, capacities_kw: object, impp_kw: object, order: object
+    ) -> Allocation:
+        right = allocate(target_kw, capacities_kw, impp_kw, order)  # type: ignore[arg-type]
+        power_kw = list(right.power_kw)
+        for line in right.help_lines:
+            power_kw[line.donor] -= 2.0 * line.power_kw
+        return right._replace(power_kw=tuple(power_kw))
+
+    monkeypatch.setattr(family, "allocate", help_taken_away)
+    found = verified(SAID)
+    parents = {name for name, account in found.accounts.items() if account.first}
+    assert parents == {"central", "c1", "c2"}, "its children did as they were told"
+    for parent in parents:
+        helped = [
+            message.cycle
+            for _, message in of_publisher(SAID, parent)
+            if isinstance(message, Setpoint) and message.help_given
+        ]
+        first = first_of(found, parent)
+        assert first.cycle == helped[0]
+        assert first.fields[0].field == "power_kw"
+
+
+def test_code_that_fails_is_a_finding_and_the_others_go_on(
+    verified: Verify, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right = DirectController._actuate
+
+    def fail_in_cycle_12(self: DirectController, state: object, turn: object) -> object:
+        if self.name == "c1/b" and turn.cycle == 12:  # type: ignore[attr-defined]
+            raise ZeroDivisionError("by hand")
+        return right(self, state, turn)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(DirectController, "_actuate", fail_in_cycle_12)
+    found = verified(SAID)
+    first = first_of(found, "c1/b")
+    assert (first.kind, first.cycle, first.stage) == ("fails", 12, "actuate")
+    assert first.text == "ZeroDivisionError: by hand"
+    assert found.differences == 1

@@ -1,0 +1,267 @@
+"""`heliarch verify`: what it prints, how it ends, what it refuses, and how a change is accepted."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+from troubled_runs import AGENTS, TroubledRun, cloudy_profile, lockstep_run, plan_of, record
+from typer.testing import CliRunner, Result
+
+from agents.direct import DirectController
+from bus_schemas.bus import Delivery
+from bus_schemas.messages import Message
+from bus_schemas.signals import COMMAND, Port
+from launch_scripts.cli import app
+from launch_scripts.verification.verification import PROFILE_NAME, select_agents
+from recordings.writer import RECORDING_NAME
+
+PLAN = plan_of(cycles=8)
+PROFILE = cloudy_profile(PLAN)
+SAID = lockstep_run(PLAN, PROFILE)
+
+
+def heliarch_verify(*words: str | Path) -> Result:
+    """Run the command line in this process."""
+    return CliRunner().invoke(app, ["verify", *map(str, words)])
+
+
+def refused(*words: str | Path) -> str:
+    """The one line with which it refuses."""
+    result = heliarch_verify(*words)
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    return line
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """Folder of a run of two tiers in lockstep."""
+    return record(tmp_path / "run", PLAN, SAID, PROFILE)
+
+
+@pytest.fixture
+def changed(tmp_path: Path) -> Path:
+    """The same run, with another alpha in one command."""
+
+    def change(port: Port[Message], message: Message) -> Delivery:
+        if port is COMMAND.of("c2/d") and message.cycle == 3:
+            return port, replace(message, alpha=0.0625)
+        return port, message
+
+    return record(tmp_path / "changed", PLAN, [change(*pair) for pair in SAID], PROFILE)
+
+
+# What it says -------------------------------------------------------------------------------------
+
+
+def test_an_equal_run_ends_with_status_0(run: Path) -> None:
+    result = heliarch_verify(run)
+    assert result.exit_code == 0, result.output
+    count = len(SAID) - 2
+    assert f"8 cycles, 8 agents re-run, {count} of {count + 2} messages compared" in result.stdout
+    assert result.stdout.splitlines()[-1] == (
+        "equal bit for bit; left out: publish_time_ns, sequence"
+    )
+
+
+def test_a_difference_is_shown_with_its_place_its_values_and_its_inputs(changed: Path) -> None:
+    result = heliarch_verify(changed)
+    assert result.exit_code == 1
+    assert "c2/d: 1 differ; the first in cycle 3 (12:00:03)" in result.stdout
+    assert "  c2/d/command (stage actuate): differs" in result.stdout
+    assert "    alpha  recorded  0.0625\n           new       " in result.stdout
+    assert "  inputs of c2/d in cycle 3" in result.stdout
+    for signal in ("request", "setpoint", "telemetry"):
+        assert f"    c2/d/{signal}" in result.stdout
+    assert result.stdout.splitlines()[-1].endswith("the first: c2/d/command, by c2/d in cycle 3")
+    assert max(map(len, result.stdout.splitlines()[1:])) <= 100
+
+
+def test_each_agent_with_a_difference_is_named(changed: Path) -> None:
+    result = heliarch_verify(changed)
+    # The plant obeyed the alpha that was sent, not the one that stands in the recording now.
+    assert "\nplant: " in result.stdout
+    assert "of 2 agents, the first: c2/d/command" in result.stdout.splitlines()[-1]
+
+
+def test_a_difference_outside_the_named_agents_does_not_count(changed: Path) -> None:
+    assert heliarch_verify(changed, "--node", "c1/*,c2").exit_code == 0
+    assert heliarch_verify(changed, "--node", "c1/*", "--node", "c2/d").exit_code == 1
+
+
+def test_what_was_allowed_does_not_count(changed: Path) -> None:
+    assert heliarch_verify(changed, "--node", "c2/d", "--tolerance", "1").exit_code == 0
+    assert heliarch_verify(changed, "--node", "c2/d", "--ignore", "power_kw").exit_code == 1
+    assert heliarch_verify(changed, "--node", "c2/d", "--ignore", "power_kw,alpha").exit_code == 0
+
+
+def test_several_runs_are_verified_one_after_the_other(run: Path, changed: Path) -> None:
+    result = heliarch_verify(run, changed, "--json", "-")
+    assert result.exit_code == 1
+    document = json.loads(result.stdout)
+    assert document["equal"] is False
+    assert [entry["equal"] for entry in document["runs"]] == [True, False]
+
+
+def test_the_json_has_the_difference_whole(changed: Path, tmp_path: Path) -> None:
+    path = tmp_path / "outcome.json"
+    assert heliarch_verify(changed, "--json", path).exit_code == 1
+    (outcome,) = json.loads(path.read_text())["runs"]
+    assert outcome["compared"] == len(SAID) - 2
+    assert [entry["agent"] for entry in outcome["agents"]] == list(AGENTS)
+    found = {entry["agent"]: entry for entry in outcome["agents"]}["c2/d"]
+    assert found["differences"] == {"differs": 1}
+    first = found["first"]
+    assert (first["cycle"], first["stage"], first["message"]) == (3, "actuate", "c2/d/command")
+    (field,) = first["fields"]
+    assert (field["field"], field["recorded"]) == ("alpha", 0.0625)
+    assert first["content"]["alpha"] == 0.0625
+    assert first["inputs"]["c2/d/setpoint"]["source"] == "c2"
+
+
+def test_a_run_in_real_time_says_how_many_inputs_were_missed(tmp_path: Path) -> None:
+    plan = plan_of(cycles=20, cycle_wall_ns=1_000_000)
+    troubled = TroubledRun(plan, cloudy_profile(plan), seed=5)
+    folder = record(tmp_path / "run", plan, troubled.run(), troubled.profile)
+    result = heliarch_verify(folder)
+    assert result.exit_code == 0, result.output
+    assert f"{troubled.missing_inputs} inputs had not come by their deadlines" in result.stdout
+
+
+def test_without_the_profile_the_plant_is_left_out_and_it_is_said(run: Path) -> None:
+    (run / PROFILE_NAME).unlink()
+    result = heliarch_verify(run)
+    assert result.exit_code == 0
+    assert "7 agents re-run" in result.stdout
+    assert f"plant: left out, no {PROFILE_NAME} lies beside the recording" in result.stdout
+
+
+def test_a_run_that_broke_off_is_verified_as_far_as_it_goes(run: Path) -> None:
+    record(run, PLAN, SAID[: len(SAID) // 2])
+    result = heliarch_verify(run)
+    assert result.exit_code == 0, result.output
+    assert "the run or its recording broke off" in result.stdout
+
+
+# What it refuses ----------------------------------------------------------------------------------
+
+
+def test_an_unknown_node_is_refused_with_near_names(run: Path) -> None:
+    assert "--node c1/aa: this run has no such agent, near it: c1/a" in refused(
+        run, "--node", "c1/aa"
+    )
+    assert "near it: central" in refused(run, "--node", "centrl")
+    assert "no such agent" in refused(run, "--node", "plant/*")
+
+
+def test_the_plant_without_its_profile_is_refused(run: Path) -> None:
+    (run / PROFILE_NAME).unlink()
+    assert f"--node plant: it can be re-run if {PROFILE_NAME} lies beside" in refused(
+        run, "--node", "plant"
+    )
+
+
+def test_the_profile_of_another_run_is_refused(run: Path) -> None:
+    cloudy_profile(plan_of(cycles=9)).save(run / PROFILE_NAME)
+    assert "(9, 4) cycles and inverters, accepted is the profile of the recorded run" in refused(
+        run
+    )
+
+
+def test_a_recording_without_a_message_to_compare_is_refused(run: Path) -> None:
+    record(run, PLAN, [SAID[0]])
+    assert "nothing to verify" in refused(run)
+
+
+def test_an_unknown_field_is_refused_with_near_names(run: Path) -> None:
+    assert "--ignore power_kv: no message has it, accepted: power_kw" in refused(
+        run, "--ignore", "power_kv"
+    )
+    assert "no message has it" in refused(run, "--ignore", "sequence")
+
+
+@pytest.mark.parametrize("tolerance", ["-1", "nan", "inf"])
+def test_a_tolerance_that_makes_no_sense_is_refused(tolerance: str, run: Path) -> None:
+    assert "accepted is 0 or more" in refused(run, f"--tolerance={tolerance}")
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
+    assert "no such file" in refused(tmp_path / "nowhere")
+
+
+def test_a_place_where_no_json_can_be_is_refused_before_the_work(tmp_path: Path, run: Path) -> None:
+    assert "accepted is a file in an existing folder" in refused(
+        run, "--json", tmp_path / "no" / "file.json"
+    )
+
+
+# Which agents -------------------------------------------------------------------------------------
+
+
+def test_agents_are_named_by_path_and_subtrees_by_a_star() -> None:
+    assert select_agents(PLAN, []) == AGENTS
+    assert select_agents(PLAN, ["c2"]) == ("c2",)
+    assert select_agents(PLAN, ["c2/*"]) == ("c2", "c2/c", "c2/d")
+    assert select_agents(PLAN, ["c2/d", "plant", "central", "c2/*"]) == (
+        "plant",
+        "central",
+        "c2",
+        "c2/c",
+        "c2/d",
+    )
+
+
+# Accepting a change -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def changed_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Direct controllers that never command less than half."""
+    right = DirectController.__init__
+
+    def bold(self: DirectController, *words: object) -> None:
+        right(self, *words)  # type: ignore[arg-type]
+        self.alpha_min = 0.5
+
+    monkeypatch.setattr(DirectController, "__init__", bold)
+
+
+@pytest.mark.usefixtures("changed_code")
+def test_a_change_of_behaviour_is_accepted_on_purpose_alone(run: Path) -> None:
+    before = (run / RECORDING_NAME).read_bytes()
+    assert heliarch_verify(run).exit_code == 1
+    assert (run / RECORDING_NAME).read_bytes() == before
+    result = heliarch_verify(run, "--accept")
+    assert result.exit_code == 0
+    assert "NOT equal" in result.stdout, "what is accepted is shown"
+    assert result.stdout.splitlines()[-1].endswith(
+        "accepted, recorded anew as the agents behave now"
+    )
+    assert heliarch_verify(run).exit_code == 0
+    assert sorted(path.name for path in run.iterdir()) == [PROFILE_NAME, RECORDING_NAME]
+
+
+def test_there_is_nothing_to_accept_where_nothing_changed(run: Path) -> None:
+    before = (run / RECORDING_NAME).read_bytes()
+    result = heliarch_verify(run, "--accept")
+    assert result.exit_code == 0
+    assert result.stdout.splitlines()[-1].endswith("nothing to accept")
+    assert (run / RECORDING_NAME).read_bytes() == before
+
+
+def test_a_recording_that_a_simulation_cannot_make_anew_is_not_replaced(
+    run: Path, tmp_path: Path
+) -> None:
+    plan = plan_of(cycles=8, cycle_wall_ns=1_000_000)
+    troubled = TroubledRun(plan, PROFILE, seed=5)
+    in_real_time = record(tmp_path / "real", plan, troubled.run(), PROFILE)
+    assert "recorded by launch in real time, accepted is a run of" in refused(
+        in_real_time, "--accept"
+    )
+    assert "accepted is no --node with it" in refused(run, "--accept", "--node", "c1")
+    (run / PROFILE_NAME).unlink()
+    assert f"no {PROFILE_NAME} lies beside" in refused(run, "--accept")

@@ -1,0 +1,72 @@
+"""What processes said over Zenoh, agents in memory say again, also where deadlines were missed."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+
+import pytest
+from running import Heliarch
+
+from agents.plan import load_plan
+from bus_schemas.errors import InputError
+from bus_schemas.signals import PRODUCTION
+from launch_scripts.verification.comparison import Comparison
+from launch_scripts.verification.verification import Verification, verify
+from recordings.reader import RunReader
+
+pytestmark = pytest.mark.processes
+
+Start = Callable[..., Heliarch]
+
+
+def recorded_cycles(run: Heliarch) -> int:
+    """Cycles that can be read from the recording: none before its first flush."""
+    try:
+        with RunReader(run.folder) as reader:
+            return sum(1 for _ in reader.messages(PRODUCTION))
+    except InputError:
+        return 0
+
+
+def verified(run: Heliarch) -> Verification:
+    return verify(run.folder, (), Comparison())
+
+
+def findings(found: Verification) -> dict[str, object]:
+    return {name: entry.first for name, entry in found.accounts.items() if entry.first}
+
+
+def test_a_run_in_real_time_with_a_supervisor_that_stood_still_verifies_equal(
+    heliarch: Start,
+) -> None:
+    run = heliarch("launch", "oahu", "--pace", "20", "--duration", "120")
+    run.until(lambda: recorded_cycles(run) > 0, "cycles that can be read on disk")
+    process = run.process_of("c2")
+    process.send_signal(signal.SIGSTOP)
+    stopped_at = recorded_cycles(run)
+    run.until(lambda: recorded_cycles(run) > stopped_at + 15, "cycles without it")
+    process.send_signal(signal.SIGCONT)
+    status = run.wait()
+    found = verified(run)
+    assert found.missed_inputs > 0
+    assert found.compared > 0
+    if status == 0:
+        assert findings(found) == {}
+    else:
+        # A machine under load: the recorder lost messages, and that is all that may be found.
+        assert "messages were lost" in run.error_text()
+        kinds = {kind for account in found.accounts.values() for kind in account.counts}
+        assert kinds <= {"only new", "input not recorded"}
+
+
+def test_a_run_that_a_killed_controller_ended_verifies_equal_up_to_there(heliarch: Start) -> None:
+    run = heliarch("launch", "oahu", "--duration", "5h")
+    run.until(lambda: recorded_cycles(run) > 0, "cycles that can be read on disk")
+    tree = load_plan(run.folder / "plan.json").tree
+    run.process_of(tree.children("c2")[0]).send_signal(signal.SIGKILL)
+    assert run.wait() == 1
+    found = verified(run)
+    assert findings(found) == {}
+    assert found.stop_cycle is None
+    assert found.compared > 0.9 * found.recorded

@@ -1,0 +1,131 @@
+"""A small recording that holds every signal, and values that are hard to carry over."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import inf, nan
+from pathlib import Path
+from typing import Final
+
+from agents.plan import RunPlan
+from bus_schemas import signals
+from bus_schemas.bus import Delivery, Outbox
+from bus_schemas.codec import encode
+from bus_schemas.messages import (
+    Command,
+    Dispatch,
+    Help,
+    HelpGiven,
+    Impp,
+    Notice,
+    Production,
+    Request,
+    Residual,
+    Setpoint,
+    Telemetry,
+)
+from bus_schemas.tree import ROOT
+from recordings.writer import RunWriter
+
+PLAN: Final = RunPlan(
+    run_id="by-hand-2",
+    plant="oahu",
+    inverters=(("c1/a", 100.0), ("c1/b", 100.0), ("c2/c", 100.0)),
+    start_time_ns=1_270_159_200_000_000_000,
+    cycle_ns=500_000_000,
+    cycles=4,
+    timezone="Pacific/Honolulu",
+    regulation_capacity_kw=0.0,
+    cycle_wall_ns=500_000_000,
+    period_cycles=(1, 1),
+    scheme="paper",
+    actuator="fraction",
+    alpha_min=0.05,
+    hold_cycles=3,
+    stall_timeout_s=3.0,
+    neighbourhoods=(),
+    tcp_ports={},
+)
+
+HARD: Final = (0.1 + 0.2, 100 / 3, 5e-324, 1.7976931348623157e308, -0.0, 1e-7, 123456789.123456789)
+"""Numbers that lose their last bits, or their sign, where not all digits are kept."""
+
+QUOTED: Final = 'refused "null", ten\ntimes; Wörter, NaN'
+
+RECORDER_LAG_NS: Final = 1_234
+
+
+def written(path: Path) -> list[Delivery]:
+    """Write the recording; return what is in it."""
+    outbox = Outbox()
+    writer = RunWriter(path, PLAN, 'title = "by hand"\n', driver="launch")
+    deliveries = []
+    for port, message in _said():
+        stamped = outbox.stamp(port, message)
+        logged_ns = stamped.publish_time_ns + RECORDER_LAG_NS
+        writer.add(port, stamped, encode(stamped), logged_ns)
+        deliveries.append((port, stamped))
+    writer.close()
+    return deliveries
+
+
+def _said() -> Iterator[Delivery]:
+    yield signals.RUN.of(ROOT), PLAN.run_message("start", 0, 17)
+    for cycle in range(PLAN.cycles):
+        yield from _of_the_plant(cycle)
+        yield from _of_the_tree(cycle)
+    yield signals.RUN.of(ROOT), PLAN.run_message("stop", PLAN.cycles, 17)
+
+
+def _of_the_plant(cycle: int) -> Iterator[Delivery]:
+    stamp = (cycle, PLAN.sim_time_ns(cycle), "plant", ())
+    hard = HARD[cycle % len(HARD)]
+    for place, leaf in enumerate(PLAN.tree.leaves):
+        power_kw = (nan, inf, -inf, hard)[(cycle + place) % 4]
+        yield (
+            signals.TELEMETRY.of(leaf),
+            Telemetry(*stamp, power_kw=power_kw, alpha=1.0, limit_kw=hard),
+        )
+    yield (
+        signals.DISPATCH.of(ROOT),
+        Dispatch(*stamp, power_kw=hard, commitment_kw=200.0, regulation_kw=-0.0),
+    )
+    yield (
+        signals.PRODUCTION.of(ROOT),
+        Production(
+            *stamp,
+            desired_kw=hard,
+            possible_kw=1.0,
+            delivered_kw=HARD[-1],
+            inverter_mpp_kw=(hard, 1.0, nan if cycle == 2 else 2.0),
+            inverter_power_kw=(3.0, hard, 4.0),
+        ),
+    )
+
+
+def _of_the_tree(cycle: int) -> Iterator[Delivery]:
+    time_ns = PLAN.sim_time_ns(cycle)
+    hard = HARD[(cycle + 3) % len(HARD)]
+    for node in ("c1", "c2", *PLAN.tree.leaves):
+        parent = node.rpartition("/")[0] or "central"
+        yield signals.REQUEST.of(node), Request(cycle, time_ns, parent, (), power_kw=hard)
+    for node in PLAN.tree.nodes:
+        missing = ("oahu/c1/b/impp", "oahu/c1/b/residual") if node == "c1" and cycle else ()
+        stamp = (cycle, time_ns, node or "central", missing)
+        yield signals.IMPP.of(node), Impp(*stamp, power_kw=hard, stale_cycles=cycle)
+        yield signals.RESIDUAL.of(node), Residual(*stamp, power_kw=-hard)
+    yield signals.HELP.of(ROOT), Help(cycle, time_ns, "central", (), missing_kw=hard)
+    given = (HelpGiven("c1/b", hard), HelpGiven("c2/c", nan if cycle == 3 else 1.5))
+    for node, lines in (("c1", ()), ("c1/a", given[: cycle + 1]), ("c1/b", ())):
+        parent = node.rpartition("/")[0] or "central"
+        yield (
+            signals.SETPOINT.of(node),
+            Setpoint(cycle, time_ns, parent, (), power_kw=hard, share_kw=9.5, help_given=lines),
+        )
+    for leaf in PLAN.tree.leaves:
+        yield signals.COMMAND.of(leaf), Command(cycle, time_ns, leaf, (), alpha=0.5, power_kw=hard)
+    if cycle == 1:
+        yield (
+            signals.NOTICE.of("c2"),
+            Notice(cycle, time_ns, "c2", (), text=QUOTED, count=2**53 + 1),
+        )

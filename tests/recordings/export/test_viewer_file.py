@@ -1,0 +1,178 @@
+"""What an export for viewers holds, read by the mcap library, json and jsonschema alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from math import isfinite
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgpack
+import pytest
+from jsonschema import Draft202012Validator
+from mcap.reader import make_reader
+from mcap.records import Channel, Schema
+from mcap.records import Message as McapMessage
+from recording_by_hand import PLAN, QUOTED, written
+
+from bus_schemas.errors import InputError
+from bus_schemas.signals import SIGNALS, Signal
+from recordings.export.json_messages import object_schema
+from recordings.export.records import Selection, records
+from recordings.export.viewer_file import Clock, ViewerFile
+from recordings.reader import RunReader
+
+RECORDED = tuple(signal for signal in SIGNALS if signal.logged)
+
+PLAIN = {"boolean", "string", "number", "integer"}
+
+
+class Entry(NamedTuple):
+    """A message as the mcap library gives it."""
+
+    schema: Schema
+    channel: Channel
+    message: McapMessage
+
+
+def entries(path: Path) -> Iterator[Entry]:
+    """Messages of an MCAP file, in the order of the file."""
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            assert schema is not None
+            yield Entry(schema, channel, message)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    path = tmp_path / "run.mcap"
+    assert written(path)
+    return path
+
+
+def viewer_file(run: Path, clock: Clock = "wall") -> tuple[Path, int]:
+    """Export a recording; return the file, and how many fields were left out."""
+    path = run.with_name("viewers.mcap")
+    with RunReader(run) as reader, ViewerFile(path, reader, RECORDED, clock) as file:
+        for record in records(reader, Selection(RECORDED), lambda share: None):
+            file.add(record)
+    return path, file.left_out
+
+
+def said(payload: bytes) -> dict[str, Any]:
+    """What a payload on the wire says, as JSON would say it."""
+    fields: dict[str, Any] = msgpack.unpackb(payload)
+    if "help_given" in fields:
+        names = ("needy", "power_kw")
+        fields["help_given"] = [
+            finite(dict(zip(names, line, strict=True))) for line in fields["help_given"]
+        ]
+    return finite(fields)
+
+
+def finite(fields: dict[str, Any]) -> dict[str, Any]:
+    """Leave out what JSON cannot hold."""
+    return {name: value for name, value in fields.items() if holds(value)}
+
+
+def holds(value: object) -> bool:
+    if isinstance(value, list):
+        return all(map(holds, value))
+    return not isinstance(value, float) or isfinite(value)
+
+
+def test_each_message_is_there_with_its_times_and_its_number(run: Path) -> None:
+    path, _ = viewer_file(run)
+    for before, after in zip(entries(run), entries(path), strict=True):
+        assert after.channel.topic == before.channel.topic
+        assert after.channel.metadata == before.channel.metadata
+        assert after.schema.name == before.schema.name
+        assert after.message.log_time == before.message.log_time
+        assert after.message.publish_time == before.message.publish_time
+        assert after.message.sequence == before.message.sequence
+        assert json.loads(after.message.data) == said(before.message.data)
+
+
+def test_every_message_is_json_as_its_schema_says(run: Path) -> None:
+    path, _ = viewer_file(run)
+    validators: dict[str, Draft202012Validator] = {}
+    for schema, channel, message in entries(path):
+        assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+        if schema.name not in validators:
+            document = json.loads(schema.data)
+            Draft202012Validator.check_schema(document)
+            validators[schema.name] = Draft202012Validator(document)
+        validators[schema.name].validate(json.loads(message.data))
+    assert validators.keys() == {signal.type.__name__ for signal in RECORDED}
+
+
+@pytest.mark.parametrize("signal", RECORDED, ids=[signal.name for signal in RECORDED])
+def test_viewers_understand_the_schema(signal: Signal[Any]) -> None:
+    """One type a property: plain, or an array of objects or of plain ones. No references."""
+    unread = [object_schema(signal)]
+    while unread:
+        schema: Any = unread.pop()
+        assert schema["type"] == "object"
+        for name, entry in schema["properties"].items():
+            item = entry["items"] if entry["type"] == "array" else entry
+            if item["type"] == "object":
+                unread.append(item)
+            else:
+                assert item["type"] in PLAIN, name
+
+
+def test_a_schema_refuses_what_its_message_does_not_say() -> None:
+    (impp,) = [signal for signal in RECORDED if signal.name == "impp"]
+    validator = Draft202012Validator(object_schema(impp))
+    fields = {"cycle": 1, "sim_time_ns": 2, "source": "c1", "missing": [], "stale_cycles": 0}
+    fields |= {"publish_time_ns": 3, "sequence": 4}
+    assert validator.is_valid({**fields, "power_kw": 1.5})
+    assert not validator.is_valid({**fields, "power_kw": "1.5"})
+    assert not validator.is_valid({**fields, "power_w": 1.5})
+    assert not validator.is_valid({**fields, "sequence": -1})
+    assert not validator.is_valid({name: fields[name] for name in fields if name != "cycle"})
+
+
+def test_numbers_that_json_does_not_have_are_left_out_and_counted(run: Path) -> None:
+    path, left_out = viewer_file(run)
+    expected = 0
+    for schema, _, message in entries(run):
+        fields = msgpack.unpackb(message.data)
+        expected += sum(not holds(value) for value in fields.values())
+        if schema.name == "Setpoint":
+            expected += sum(not holds(power_kw) for _, power_kw in fields["help_given"])
+            expected -= not holds(fields["help_given"])
+    assert left_out == expected > 3
+    assert all(
+        b"null" not in entry.message.data
+        for entry in entries(path)
+        if entry.schema.name != "Notice"
+    )
+
+
+def test_a_text_that_says_null_is_kept(run: Path) -> None:
+    path, _ = viewer_file(run)
+    (notice,) = [entry for entry in entries(path) if entry.schema.name == "Notice"]
+    fields = json.loads(notice.message.data)
+    assert (fields["text"], fields["count"]) == (QUOTED, 2**53 + 1)
+
+
+def test_a_viewer_may_show_simulated_time(run: Path) -> None:
+    path, _ = viewer_file(run, clock="sim")
+    for entry in entries(path):
+        time_ns = json.loads(entry.message.data)["sim_time_ns"]
+        assert entry.message.log_time == entry.message.publish_time == time_ns
+
+
+def test_the_export_carries_the_scenario_and_is_not_taken_for_a_recording(run: Path) -> None:
+    path, _ = viewer_file(run)
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        attached = {entry.name: entry.data for entry in reader.iter_attachments()}
+        (metadata,) = reader.iter_metadata()
+    assert attached == {"scenario.toml": b'title = "by hand"\n', "plan.json": PLAN.as_json()}
+    assert metadata.metadata["run.run_id"] == PLAN.run_id
+    with pytest.raises(InputError, match="no recording of a heliarch run"):
+        RunReader(path)
