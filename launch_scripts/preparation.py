@@ -29,7 +29,7 @@ from launch_scripts.scenario import (
 )
 from sim_plant.commitment import commitment_kw, hindsight
 from sim_plant.profile import Profile
-from sim_plant.regulation import regulation_kw
+from sim_plant.regulation import regulation_kw, regulation_remarks
 from sim_plant.sources import PowerSource
 
 _HOUR_NS: Final = 3_600_000_000_000
@@ -136,7 +136,11 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         profile,
         scenario_file,
         hindsight=scenario.neighbours.history == "hindsight",
-        remarks=source.remarks(times) + (() if of_commitment is None else (of_commitment,)),
+        remarks=(
+            *source.remarks(times),
+            *(() if of_commitment is None else (of_commitment,)),
+            *_regulation_remarks(scenario_file),
+        ),
     )
 
 
@@ -148,6 +152,11 @@ def _regulation_kw(scenario_file: ScenarioFile, times: pd.DatetimeIndex) -> NDAr
     return regulation_kw(
         scenario.regulation, times, scenario.time.timezone, scenario_file.data_path
     )
+
+
+def _regulation_remarks(scenario_file: ScenarioFile) -> tuple[str, ...]:
+    settings = scenario_file.scenario.regulation
+    return () if settings is None else regulation_remarks(settings, scenario_file.data_path)
 
 
 def _meter_error(plant: PlantTable, shape: tuple[int, ...]) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 from importlib import resources
+from typing import Final
 
 from plotly.offline import get_plotlyjs
 
@@ -15,6 +16,10 @@ from recordings.report.tables import ReportTable
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
 )
+
+
+_NARROW: Final = 4
+"""Tables of more runs than that are set smaller."""
 
 
 def html_page(
@@ -99,10 +104,11 @@ def _table(anchor: str, heading: str, table: ReportTable) -> str:
         + "</tr>"
         for name, unit, values in table.rows
     )
+    wide = ' class="wide"' if len(table.columns) > _NARROW else ""
     note = f'<p class="note">{html.escape(table.note)}</p>\n' if table.note else ""
     return (
         f'<section id="{anchor}">\n<h2>{html.escape(heading)}</h2>\n'
-        '<div class="scroll"><table>\n'
+        f'<div class="scroll"><table{wide}>\n'
         f"<thead><tr><th></th><th></th>{columns}</tr></thead>\n"
         f"<tbody>\n{rows}\n</tbody>\n</table></div>\n{note}</section>"
     )

@@ -129,7 +129,7 @@ def introduction(series: Sequence[RunSeries]) -> str:
 def report_figures(series: Sequence[RunSeries]) -> list[ReportFigure]:
     """Draw all figures that these runs have something to show in.
 
-    Signals of the single inverters are drawn of the first run whose scheme has residuals: those of
+    Signals of the single inverters are drawn of the last run whose scheme has residuals: those of
     the others, under the same sky, would look alike.
 
     Parameters
@@ -143,7 +143,9 @@ def report_figures(series: Sequence[RunSeries]) -> list[ReportFigure]:
         tracking_error(series),
         regulation(series),
     ]
-    signalling = next((one for one in series if not np.isnan(one.residual_kw).all()), None)
+    signalling = next(
+        (one for one in reversed(series) if not np.isnan(one.residual_kw).all()), None
+    )
     if signalling is not None:
         of_signals = residuals(signalling), virtual_neighbours(signalling)
         figures += [_named(figure, signalling, series) for figure in of_signals]

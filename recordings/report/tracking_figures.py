@@ -127,7 +127,7 @@ def regulation(series: Sequence[RunSeries]) -> ReportFigure | None:
     first = series[0]
     if not np.any(first.regulation_kw):
         return None
-    worst = farthest_from_asked(series)
+    worst = farthest_from_asked([one for one in series if _curtails(one)] or series)
     figure = make_subplots(
         rows=2,
         cols=1,
@@ -139,7 +139,14 @@ def regulation(series: Sequence[RunSeries]) -> ReportFigure | None:
             figure.add_trace(trace, row=row, col=1)
     dress(figure, 580)
     figure.update_layout(legend_y=1.05, margin_t=70)
-    figure.update_yaxes(title_text="regulation [kW]", title_standoff=12, automargin=True)
+    capacity_kw = first.regulation_capacity_kw
+    # A plant that lacks power falls far below: the signal would be a thin line above that.
+    figure.update_yaxes(
+        title_text="regulation [kW]",
+        title_standoff=12,
+        automargin=True,
+        range=[-3.0 * capacity_kw, 2.0 * capacity_kw],
+    )
     label_time_axis(figure, first, rows=2)
     figure.update_xaxes(range=clock_range_ms(first, worst), row=2, col=1)
     return ReportFigure(
@@ -148,7 +155,9 @@ def regulation(series: Sequence[RunSeries]) -> ReportFigure | None:
         "Regulation that the signal asked for, and what was given, delivered power less the "
         f"commitment [kW]; a signal of 1 stands for {first.regulation_capacity_kw:,.0f} kW. Below "
         f"are the {len(worst) * first.cycle_s / 60.0:.3g} minutes in which the mean distance "
-        "between the two was largest." + thinning_note(first.cycles),
+        "between the two was largest, cycles left out in which the plant could not have given it. "
+        "What lies further than three times that below the commitment, or twice above, is cut off."
+        + thinning_note(first.cycles),
         figure,
     )
 
@@ -160,15 +169,21 @@ def farthest_from_asked(series: Sequence[RunSeries]) -> range:
     -------
     range
         The cycles in which the mean of ``|delivered - desired|``, over the runs, is largest; all
-        of them in a run of less than ten minutes. Windows in which nothing was asked do not count.
+        of them in a run of less than ten minutes. Windows in which nothing was asked do not count,
+        nor cycles in which the plant could not have given it.
     """
     first = series[0]
     length = min(max(1, round(_CLOSE_LOOK_S / first.cycle_s)), first.cycles)
     error_kw = np.mean([np.abs(one.delivered_kw - one.desired_kw) for one in series], axis=0)
-    asked = np.where(first.regulation_kw != 0.0, error_kw, 0.0)
+    could = (first.regulation_kw != 0.0) & (first.possible_kw >= first.desired_kw)
+    asked = np.where(could, error_kw, 0.0)
     total_kw = np.convolve(asked, np.ones(length), mode="valid")
     begin = int(total_kw.argmax())
     return range(begin, begin + length)
+
+
+def _curtails(one: RunSeries) -> bool:
+    return not np.array_equal(one.power_kw, one.mpp_kw)
 
 
 def _asked_and_given(
@@ -176,6 +191,9 @@ def _asked_and_given(
 ) -> list[go.Scatter]:
     traces = []
     for position, one in enumerate(series):
+        # One that never curtails follows nothing, and would hide the others.
+        if len(series) > 1 and not _curtails(one):
+            continue
         name = "given" if len(series) == 1 else plain(f"given, {one.label}")
         traces.append(
             time_line(

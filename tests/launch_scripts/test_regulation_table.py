@@ -99,3 +99,12 @@ def test_a_bad_table_is_told_with_file_and_field(
     with pytest.raises(InputError) as caught:
         prepared(tmp_path, f"[regulation]\n{regulation}")
     assert str(caught.value) == message.format(folder=tmp_path)
+
+
+def test_a_signal_of_another_step_than_pjms_is_taken_and_told(tmp_path: Path) -> None:
+    rows = [f"{ONE_O_CLOCK_S + 4 * row},0.5" for row in range(10)]
+    (tmp_path / "slow.csv").write_text("\n".join(["t_s,regd", *rows]), encoding="utf-8")
+    table = '[regulation]\nkind = "file"\npath = "slow.csv"\ncapacity_kw = 40'
+    assert prepared(tmp_path, table).remarks == (
+        "slow.csv: a value every 4 s, PJM sends one every 2 s: each is held until the next.",
+    )
