@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test check format bench bench-study clean
+.PHONY: help setup run test check format bench bench-study soak clean
 
 help: ## list the tasks
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -42,6 +42,9 @@ bench: $(READY) ## cycle rate beside a bare Zenoh graph, start-up time, memory
 
 bench-study: $(READY) ## a whole day through the agents and over arrays
 	$(BIN)/python tests/benchmarks/study_rate.py
+
+soak: $(READY) ## the recorder killed 20 times at random moments: what a recording loses
+	$(BIN)/pytest -m soak
 
 clean: ## remove what the tasks made, recordings of runs excepted
 	rm -rf $(VENV) *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

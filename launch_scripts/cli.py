@@ -243,6 +243,260 @@ def clusters_command(
     raise typer.Exit(clusters(request))
 
 
+@app.command(
+    "export", epilog="Example: heliarch export recordings/runs/oahu-20261121-120000-4711 --to csv"
+)
+def export_command(
+    run: Annotated[
+        Path, typer.Argument(help="Folder of a run, or its run.mcap.", show_default=False)
+    ],
+    to: Annotated[
+        str,
+        typer.Option(
+            help="json-mcap (for Foxglove and Lichtblick), parquet or csv.",
+            metavar="FORM",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="The file, or folder of tables, to make; default beside the recording.",
+            metavar="PATH",
+        ),
+    ] = None,
+    signals: Annotated[
+        str | None,
+        typer.Option(help="Only these, with commas between: impp,residual.", metavar="NAMES"),
+    ] = None,
+    nodes: Annotated[
+        str | None,
+        typer.Option(help="Only about these: c1/inv07,c1,central.", metavar="NODES"),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option("--from", help="First cycle: 13:49:00, 90s, or its number.", metavar="MOMENT"),
+    ] = None,
+    end: Annotated[
+        str | None,
+        typer.Option("--until", help="Last cycle, likewise.", metavar="MOMENT"),
+    ] = None,
+    clock: Annotated[
+        str | None,
+        typer.Option(
+            help="Times that a viewer shows: wall (as recorded) or sim (those of the plant).",
+            metavar="CLOCK",
+        ),
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Make a file for viewers, or tidy tables, of a recording."""
+    from launch_scripts.export_command import ExportRequest, run_export
+
+    request = ExportRequest(run, to, out, signals, nodes, start, end, clock, json)
+    raise typer.Exit(run_export(request))
+
+
+@app.command(
+    "verify",
+    epilog="Example: heliarch verify recordings/runs/oahu-20261121-120000-4711 --node 'c2/*'",
+)
+def verify_command(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Folders of runs, or their run.mcap.", metavar="RUN...", show_default=False
+        ),
+    ],
+    nodes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--node",
+            help="Agents to re-run: plant, central, c2, c1/inv07; c2/*: c2 and all below it.",
+            metavar="NAMES",
+        ),
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option(help="Largest difference of two equal floats.", metavar="X")
+    ] = 0.0,
+    ignored: Annotated[
+        list[str] | None,
+        typer.Option("--ignore", help="Fields that may differ.", metavar="FIELDS"),
+    ] = None,
+    accept: Annotated[
+        bool,
+        typer.Option("--accept", help="Replace the recording by what the agents do now."),
+    ] = False,
+    json: JsonOption = None,
+) -> None:
+    """Re-run the agents of a recording on the inputs that they used, and compare what they say.
+
+    Exit status 1: they differ; each agent's first difference is shown with its inputs.
+    """
+    from launch_scripts.verification.verify_command import VerifyRequest, run_verify
+
+    request = VerifyRequest(runs, nodes or [], tolerance, ignored or [], accept, json)
+    raise typer.Exit(run_verify(request))
+
+
+@app.command("replay", epilog="Example: heliarch replay runs/oahu-4711 --from 13:49:00 --rate 0.5")
+def replay_command(
+    run: Annotated[
+        Path, typer.Argument(help="Folder of a run, or its run.mcap.", show_default=False)
+    ],
+    rate: Annotated[
+        float, typer.Option(help="Recorded seconds a second; 0: as fast as possible.")
+    ] = 1.0,
+    clock: Annotated[
+        str,
+        typer.Option(
+            help="What spaces messages: wall (as they were published) or sim (cycles as the plant "
+            "lives them).",
+            metavar="CLOCK",
+        ),
+    ] = "wall",
+    start_offset: Annotated[
+        str | None,
+        typer.Option(
+            "--start-offset",
+            "--from",
+            help="First cycle: 13:49:00, 90s, or its number.",
+            metavar="MOMENT",
+        ),
+    ] = None,
+    duration: DurationOption = None,
+    start_paused: Annotated[
+        bool, typer.Option("--start-paused", help="Wait for the space bar.")
+    ] = False,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    signals: Annotated[
+        str | None,
+        typer.Option(help="Only these, with commas between: impp,residual.", metavar="NAMES"),
+    ] = None,
+    exclude: Annotated[
+        str | None, typer.Option(help="All but these; clock too may be one.", metavar="NAMES")
+    ] = None,
+    remaps: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--remap", help="Another key, or beginning of keys: oahu/c1=oahu/c9.", metavar="OLD=NEW"
+        ),
+    ] = None,
+    wait: Annotated[bool, typer.Option("--wait", help="Begin when a subscriber is there.")] = False,
+    listen: Annotated[
+        str | None,
+        typer.Option(
+            help="Where subscribers connect: tcp/127.0.0.1:7447; default a free port.",
+            metavar="ENDPOINT",
+        ),
+    ] = None,
+    namespace: Annotated[
+        str | None,
+        typer.Option(help="First part of every key; default the run's own.", metavar="NAME"),
+    ] = None,
+    live: Annotated[
+        str | None,
+        typer.Option(
+            help="Controllers that run live, and are compared: c1/inv07,c2.", metavar="NODES"
+        ),
+    ] = None,
+    plan: Annotated[
+        Path | None,
+        typer.Option(help="Plan of the live controllers; default the run's.", metavar="FILE"),
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Put a recording back onto the bus, or let some agents of it run live.
+
+    In a terminal: space pauses and goes on, s steps one cycle, + and - change
+    the rate, arrows seek (left and right 10 s, up and down 1 min of simulated
+    time), q ends.
+    """
+    from launch_scripts.replay.replay_command import replay
+    from launch_scripts.replay.request import ReplayRequest
+
+    request = ReplayRequest(
+        run,
+        rate,
+        clock,
+        start_offset,
+        duration,
+        start_paused,
+        loop,
+        signals,
+        exclude,
+        tuple(remaps or ()),
+        wait,
+        listen,
+        namespace,
+        live,
+        plan,
+        json,
+    )
+    raise typer.Exit(replay(request))
+
+
+@app.command(
+    "inspect",
+    epilog="Example: heliarch inspect RUN --node c1/inv07 --from 13:49:00 --to 13:50:30",
+)
+def inspect_command(
+    run: Annotated[
+        Path, typer.Argument(help="Folder of a run, or its run.mcap.", show_default=False)
+    ],
+    node: Annotated[
+        str | None,
+        typer.Option(
+            help="Tell this node's story, cycle by cycle: c1/inv07, c1 or central.", metavar="NODE"
+        ),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option("--from", help="First cycle: 13:49:00, 90s, or its number.", metavar="MOMENT"),
+    ] = None,
+    end: Annotated[
+        str | None,
+        typer.Option("--to", help="Last cycle, likewise.", metavar="MOMENT"),
+    ] = None,
+    cycle: Annotated[
+        str | None,
+        typer.Option(help="Show the whole plant in one cycle, likewise.", metavar="MOMENT"),
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Show what a recording holds, one node's story, or the whole plant in one cycle.
+
+    Without --node and --cycle: scenario, duration, versions, messages and
+    rate of each signal, and what is missing in between.
+    """
+    from launch_scripts.inspect_command import InspectRequest, inspect
+
+    raise typer.Exit(inspect(InspectRequest(run, node, start, end, cycle, json)))
+
+
+@app.command("recover", epilog="Example: heliarch recover RUN --out whole.mcap")
+def recover_command(
+    run: Annotated[
+        Path, typer.Argument(help="Folder of a run, or its run.mcap.", show_default=False)
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="The new file; default run.recovered.mcap beside the recording.", metavar="FILE"
+        ),
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Make a whole recording of one that a crash or a full disk has cut.
+
+    Exit status: 0 if nothing is missing, 3 if something is or may be,
+    1 if there is nothing to recover.
+    """
+    from launch_scripts.recover_command import recover
+
+    raise typer.Exit(recover(run, out, json))
+
+
 @app.command("scenarios", epilog="Example: heliarch scenarios")
 def scenarios_command() -> None:
     """List the scenarios that come with Heliarch."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Final
 
-from agents.lifeline import AnyEvent, Armed, Recorded, Status, Waiting
+from agents.lifeline import AnyEvent, Armed, Recorded, RecordingEnded, Status, Waiting
 from agents.plan import RunPlan
 from bus_schemas.links import explicit_links
 from bus_schemas.tree import PLANT, RECORDER
@@ -111,6 +111,8 @@ class Launch:
                 view.show(event)
             case Waiting():
                 self._stalled_at = self._stalled_at or now
+            case RecordingEnded():
+                view.say(f"{event.text}; the run goes on without it")
 
     def _check_progress(self, children: Children) -> None:
         now = time.monotonic()
@@ -186,6 +188,7 @@ class Launch:
             hindsight_neighbours=self._preparation.hindsight,
             remarks=self._preparation.remarks,
             interrupted=bool(self._interruption),
+            recording_ended=recorded.ended_early,
         )
 
 

@@ -100,6 +100,8 @@ def _conclude(summary: RunSummary, folder: RunFolder, json: str | None, console:
     print_summary(summary, console)
     console.print(f"recording: {folder.recording}", highlight=False, soft_wrap=True, markup=False)
     _write_summary(summary, folder, json)
+    if summary.recording_ended:
+        return _complain(f"{summary.recording_ended}; what it holds can be read", FAILED)
     if summary.lost:
         return _complain(_lost_text(summary), FAILED)
     return INTERRUPTED if summary.interrupted else OK

@@ -23,6 +23,7 @@ from launch_scripts.preparation import Preparation
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.summary import RunSummary, count_messages, memory_use, plant_metrics
 from launch_scripts.supervision import RunFailure, memory_of
+from recordings.lasting_writer import LastingWriter
 from recordings.monitor import RunMonitor
 from recordings.writer import RunWriter
 from sim_plant.plant import Plant
@@ -118,7 +119,10 @@ def simulate(
     """
     plan = folder.fill(preparation, tcp_ports={})
     monitor = RunMonitor()
-    writer = RunWriter(folder.recording, plan, preparation.scenario.text, driver="simulate")
+    writer = LastingWriter(
+        RunWriter(folder.recording, plan, preparation.scenario.text, driver="simulate"),
+        on_end=lambda text: view.say(f"{text}; the run goes on without it"),
+    )
 
     def record(port: Port[Message], message: Message) -> None:
         if port.signal.logged:
@@ -155,10 +159,11 @@ def simulate(
         hindsight_neighbours=preparation.hindsight,
         remarks=preparation.remarks,
         interrupted=interrupted,
+        recording_ended=writer.trouble,
     )
 
 
-def _follow(run: MemoryRun, monitor: RunMonitor, writer: RunWriter, view: View) -> bool:
+def _follow(run: MemoryRun, monitor: RunMonitor, writer: LastingWriter, view: View) -> bool:
     """Run to the end, or to Ctrl-C. Return whether it was interrupted."""
     began_at = status_at = time.monotonic()
     cycle_s = run.plan.cycle_wall_ns / 1e9

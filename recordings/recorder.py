@@ -1,5 +1,8 @@
 """The recorder: hears everything on the bus of a run and writes it down. A process of its own.
 
+A full disk ends the recording, not the run: the recorder then goes on to hear, since publishers in
+lockstep wait for a listener who falls behind, and to say where the run stands.
+
 It also knows best where the run stands, since it sees all of it, and tells the launcher; and in
 the arming rounds it tells the plant that its ears are open.
 """
@@ -15,13 +18,14 @@ from typing import Final
 
 import msgspec
 
-from agents.lifeline import Lifeline, Recorded
+from agents.lifeline import Lifeline, Recorded, RecordingEnded
 from agents.plan import RunPlan
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message, Ready, Run
 from bus_schemas.signals import DISPATCH, READY, Occurrence, Port, ports
 from bus_schemas.tree import RECORDER, ROOT
 from bus_schemas.zenoh_bus import ZenohTap
+from recordings.lasting_writer import LastingWriter
 from recordings.monitor import RunMonitor
 from recordings.writer import RunWriter
 
@@ -102,7 +106,7 @@ class Recorder:
         self.gaps: Counter[str] = Counter()
         self._plan = plan
         self._tap = tap
-        self._writer = writer
+        self._writer = LastingWriter(writer, self._tell_end)
         self._lifeline = lifeline
         self._end = end
         self._drop_log = drop_log
@@ -135,7 +139,7 @@ class Recorder:
         if not self._end:
             return False
         expected = self._end.expected
-        if expected is not None and self._writer.recorded.total() >= expected:
+        if expected is not None and self._writer.heard >= expected:
             return True
         return quiet_s > (_QUIET_S if expected is not None else FLUSH_S)
 
@@ -190,6 +194,10 @@ class Recorder:
         ready = Ready(message.cycle, message.sim_time_ns, RECORDER, ())
         self._tap.publish(self._ready_port, ready)
 
+    def _tell_end(self, text: str) -> None:
+        log.error("%s", text)
+        self._lifeline.tell(RecordingEnded(text))
+
     def _tell_status(self) -> None:
         self._lifeline.tell(self.monitor.status(self._writer.recorded.total()))
 
@@ -200,6 +208,7 @@ class Recorder:
                 gaps=dict(self.gaps),
                 foreign=self.foreign,
                 plant=self.monitor.plant,
+                ended_early=self._writer.trouble,
             )
         )
 

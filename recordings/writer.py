@@ -11,6 +11,7 @@ import os
 import platform
 import time
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -65,9 +66,17 @@ class RunWriter:
     ------
     FileExistsError
         There is a recording already: it is not replaced.
+
+    Attributes
+    ----------
+    path
+        The file.
+    recorded
+        Messages that were added, by signal.
     """
 
     def __init__(self, path: Path, plan: RunPlan, scenario: str, driver: str) -> None:
+        self.path = path
         self.recorded: Counter[str] = Counter()
         self._anchor = ClockAnchor.now()
         self._file = path.open("xb")
@@ -103,6 +112,11 @@ class RunWriter:
         """Write the index and close the file."""
         self._writer.finish()
         self._file.close()
+
+    def abandon(self) -> None:
+        """Close a file that cannot be written any more, as it is."""
+        with suppress(OSError):  # It tries once more to write what it could not write before.
+            self._file.close()
 
     def _write_origin(self, plan: RunPlan, scenario: str, driver: str) -> None:
         now_ns = self._anchor.wall_ns

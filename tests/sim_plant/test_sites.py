@@ -76,8 +76,8 @@ def test_empty_lines_are_passed_over(path: Path) -> None:
         (["inverter,lat,lon", "a/b,1,2"], "{path}, line 2: name 'a/b', " + NAMES),
         (
             ["inverter,lat,lon", "central,1,2"],
-            "{path}, line 2: name 'central' is reserved (alive, central, plant, recorder), "
-            "take another",
+            "{path}, line 2: name 'central' is reserved (alive, central, plant, recorder, "
+            "replayer), take another",
         ),
         (
             ["inverter,lat,lon", "a,north,2"],

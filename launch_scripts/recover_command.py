@@ -1,0 +1,129 @@
+"""`heliarch recover`: a whole recording out of one that was cut."""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Final
+
+import msgspec
+from rich.console import Console
+
+from bus_schemas.errors import InputError
+from launch_scripts.json_rows import check_json_destination
+from launch_scripts.reading_progress import reading_progress
+from recordings.moments import RunClock
+from recordings.reader import NothingRecordedError, RunReader
+from recordings.recorder import FLUSH_S
+from recordings.recovery import Recovery, is_sound, recover_run
+
+WHOLE: Final = 0
+NOTHING: Final = 1
+BAD_INPUT: Final = 2
+LOSSY: Final = 3
+INTERRUPTED: Final = 130
+
+_WIDTH: Final = 100
+_SUFFIX: Final = ".recovered.mcap"
+
+
+def recover(path: Path, out: Path | None, json: str | None) -> int:
+    """Recover a recording and say what is missing. Returns the exit status.
+
+    Parameters
+    ----------
+    path
+        Folder of the run, or its MCAP file.
+    out
+        The new file; by default `run.recovered.mcap` beside the recording.
+    json
+        Where the result goes as JSON: a path, `-` for standard output, or None.
+    """
+    console = Console(stderr=json == "-", soft_wrap=True, highlight=False, markup=False)
+    try:
+        check_json_destination(json)
+        with RunReader(path) as run:
+            return _recover(run, out or run.path.with_suffix(_SUFFIX), json, console)
+    except NothingRecordedError as error:
+        return _complain(f"{error}: there is nothing to recover", NOTHING)
+    except InputError as error:
+        return _complain(error, BAD_INPUT)
+    except OSError as error:
+        return _complain(f"{error.filename or out or path}: {error.strerror}", NOTHING)
+    except KeyboardInterrupt:
+        return _complain("interrupted", INTERRUPTED)
+
+
+def _recover(run: RunReader, out: Path, json: str | None, console: Console) -> int:
+    with reading_progress("checking") as follow:
+        sound = is_sound(run, follow)
+    if sound:
+        console.print(f"{run.path}: it is whole, there is nothing to recover")
+        _write_json({"source": str(run.path), "out": None, "lossless": True}, json)
+        return WHOLE
+    with reading_progress("copying") as follow:
+        recovery = recover_run(run, out, follow)
+    if not recovery.messages:
+        out.unlink()
+        return _complain(
+            f"{run.path}: no message can be read, there is nothing to recover", NOTHING
+        )
+    for line in _account(run, recovery):
+        console.print(textwrap.fill(line, _WIDTH, subsequent_indent="  ", break_long_words=False))
+    _write_json(msgspec.to_builtins(recovery) | {"lossless": recovery.lossless}, json)
+    return WHOLE if recovery.lossless else LOSSY
+
+
+def _account(run: RunReader, recovery: Recovery) -> Iterator[str]:
+    """Say what there is and what is missing."""
+    yield f"recovered: {recovery.out}"
+    clock = RunClock(run.plan, recovery.last_cycle)
+    up_to = f" up to {clock.local(recovery.last_cycle):%Y-%m-%d %H:%M:%S}"
+    yield (
+        f"kept: {recovery.messages:,} messages, {recovery.complete_cycles:,} complete cycles"
+        f"{up_to if recovery.last_cycle >= 0 else ''}, with plan, scenario, schemas, times and "
+        "sequence numbers"
+    )
+    for chunk in recovery.damaged:
+        yield (
+            f"missing: a damaged chunk at byte {chunk.offset:,}, recorded from "
+            f"{_wall_time(chunk.first_ns)} to {_wall_time(chunk.last_ns)}: {chunk.reason}"
+        )
+    if recovery.cut_bytes:
+        yield (
+            f"the last {recovery.cut_bytes:,} bytes are an incomplete record; "
+            f"{recovery.cut_messages:,} messages could be read of it"
+        )
+    if recovery.lossless:
+        yield "missing: nothing, the recording goes up to the end of the run"
+    elif not recovery.closed:
+        yield (
+            f"missing: what came after {_wall_time(recovery.last_ns)}, wall clock; of what the "
+            f"recorder had heard, that is the last {FLUSH_S:g} s if it was killed"
+        )
+    if not recovery.ended:
+        yield (
+            f"the run was planned for {recovery.planned_cycles:,} cycles; nothing tells of those "
+            f"after cycle {recovery.last_cycle:,}"
+        )
+
+
+def _wall_time(time_ns: int) -> str:
+    """Return the wall clock of this machine's time zone."""
+    return f"{datetime.fromtimestamp(time_ns / 1e9).astimezone():%Y-%m-%d %H:%M:%S.%f %Z}"
+
+
+def _write_json(document: dict[str, object], json: str | None) -> None:
+    text = msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
+    if json == "-":
+        sys.stdout.write(text.decode())
+    elif json is not None:
+        Path(json).write_bytes(text)
+
+
+def _complain(text: object, status: int) -> int:
+    sys.stderr.write(f"heliarch: {text}\n")
+    return status

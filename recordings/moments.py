@@ -1,0 +1,131 @@
+"""Moments of a run in the user's words: local time, time since the start, or a cycle's number."""
+
+from __future__ import annotations
+
+import re
+from datetime import date, datetime, time, timedelta
+from typing import Final, TypeAlias
+from zoneinfo import ZoneInfo
+
+from agents.plan import RunPlan
+from bus_schemas.errors import InputError
+
+Moment: TypeAlias = str | int
+"""`13:49:00` or `2010-04-01T13:49:00` (local time), `90s` or `1h30m` (since the start), or a
+cycle's number."""
+
+ACCEPTED: Final = (
+    "accepted are a local time (13:49:00, 2010-04-01T13:49:00), a time since the start (90s, "
+    "1h30m) or the number of a cycle"
+)
+
+_SECOND_NS: Final = 1_000_000_000
+_SINCE_START: Final = re.compile(r"(?:(\d+)h)?(?:(\d+)m)?(?:(\d+(?:\.\d+)?)s)?")
+_TIME_OF_DAY: Final = re.compile(r"\d{1,2}:\d{2}(:\d{2}(\.\d{1,6})?)?")
+
+
+class RunClock:
+    """Turns moments of a run into cycles, and cycles into local time.
+
+    Parameters
+    ----------
+    plan
+        Of the run.
+    last_cycle
+        The last cycle that there is; -1: none.
+    """
+
+    def __init__(self, plan: RunPlan, last_cycle: int) -> None:
+        self._plan = plan
+        self._zone = ZoneInfo(plan.timezone)
+        self._last_cycle = last_cycle
+
+    def cycle(self, moment: Moment) -> int:
+        """Return the cycle in which a moment lies.
+
+        Raises
+        ------
+        InputError
+            It cannot be understood, or lies outside the run.
+        """
+        text = str(moment).strip()
+        cycle = int(text) if re.fullmatch(r"-?\d{1,18}", text) else self._cycle_at(text)
+        if not 0 <= cycle <= self._last_cycle:
+            raise InputError(f"{text}: outside the run, {self.extent()}")
+        return cycle
+
+    def span(self, start: Moment | None, end: Moment | None) -> range:
+        """Return the cycles from one moment to another, both included; None: from or to the end.
+
+        Raises
+        ------
+        InputError
+            See `cycle`; or the end comes before the start.
+        """
+        first = 0 if start is None else self.cycle(start)
+        last = self._last_cycle if end is None else self.cycle(end)
+        if start is not None and end is not None and last < first:
+            raise InputError(f"{end}: before {start}, accepted is a moment from there on")
+        return range(first, last + 1)
+
+    def local(self, cycle: int) -> datetime:
+        """Return the local time at the beginning of a cycle."""
+        seconds, rest_ns = divmod(self._plan.sim_time_ns(cycle), _SECOND_NS)
+        return datetime.fromtimestamp(seconds, self._zone) + timedelta(microseconds=rest_ns // 1000)
+
+    def text(self, cycle: int) -> str:
+        """Return the local time of day of a cycle, as exact as the cycles need."""
+        whole = self._plan.cycle_ns % _SECOND_NS == 0 == self._plan.start_time_ns % _SECOND_NS
+        return self.local(cycle).strftime("%H:%M:%S" if whole else "%H:%M:%S.%f")[:12]
+
+    def extent(self) -> str:
+        """Say from when to when the run goes."""
+        if self._last_cycle < 0:
+            return "which has no cycle"
+        first, last = self.local(0), self.local(self._last_cycle)
+        end = self.text(self._last_cycle) if first.date() == last.date() else f"{last:%F %T}"
+        return (
+            f"which goes from {first:%Y-%m-%d} {self.text(0)} to {end} {last:%Z} "
+            f"(cycles 0 to {self._last_cycle})"
+        )
+
+    def _cycle_at(self, text: str) -> int:
+        since_start = _SINCE_START.fullmatch(text)
+        if text and since_start is not None:
+            hours, minutes, seconds = (float(part or 0.0) for part in since_start.groups())
+            return int((hours * 3600 + minutes * 60 + seconds) * _SECOND_NS) // self._plan.cycle_ns
+        try:
+            if _TIME_OF_DAY.fullmatch(text):
+                return self._cycle_at_time_of_day(text)
+            return self._cycle_of(datetime.fromisoformat(text))
+        except ValueError as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"{text[:40]}: not understood, {ACCEPTED}") from None
+
+    def _cycle_at_time_of_day(self, text: str) -> int:
+        """Return the cycle at a time of day: of the one day of the run on which there is one."""
+        clock = time.fromisoformat(text.zfill(len(text) + 1) if text[1] == ":" else text)
+        day, last_day = self.local(0).date(), self.local(max(self._last_cycle, 0)).date()
+        first = self._at(day, clock)
+        found = []
+        while day <= last_day:
+            cycle = self._at(day, clock)
+            if 0 <= cycle <= self._last_cycle:
+                found.append(cycle)
+            day += timedelta(days=1)
+        if len(found) > 1:
+            raise InputError(
+                f"{text}: the run has {len(found)} of them, accepted is a date with it, "
+                f"{self.local(found[0]):%Y-%m-%dT%H:%M:%S}"
+            )
+        return found[0] if found else first
+
+    def _at(self, day: date, clock: time) -> int:
+        return self._cycle_of(datetime.combine(day, clock))
+
+    def _cycle_of(self, moment: datetime) -> int:
+        local = moment if moment.tzinfo else moment.replace(tzinfo=self._zone)
+        whole = local.replace(microsecond=0)
+        moment_ns = int(whole.timestamp()) * _SECOND_NS + local.microsecond * 1000
+        return (moment_ns - self._plan.start_time_ns) // self._plan.cycle_ns

@@ -1,0 +1,144 @@
+"""`heliarch inspect`: what it prints of a whole recording, of one node, of one cycle."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from recordings_by_hand import whole_run, write_run
+from typer.testing import CliRunner
+
+from launch_scripts.cli import app
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("inspect") / "run.mcap"
+    write_run(
+        path,
+        whole_run(120),
+        messages_per_chunk=300,
+        is_kept=lambda pair: str(pair[0]) != "c1/a/impp" or not 20 <= pair[1].cycle < 25,
+    )
+    return path
+
+
+def shown(*words: str | Path) -> str:
+    result = CliRunner().invoke(app, ["inspect", *map(str, words)])
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def complaint(*words: str | Path) -> str:
+    result = CliRunner().invoke(app, ["inspect", *map(str, words)])
+    assert result.exit_code == 2, result.output
+    assert result.stderr.startswith("heliarch: ")
+    assert result.stderr.count("\n") == 1
+    assert result.stdout == ""
+    return result.stderr
+
+
+def test_a_recording_is_told_with_what_is_missing_in_it(recording: Path) -> None:
+    text = shown(recording)
+    assert "scenario    Four inverters" in text
+    assert "time        2010-04-01 12:00:00 to 2010-04-01 12:01:59, Pacific/Honolulu" in text
+    assert "cycles      0 to 119 of 1 s, 120 complete, 1,000 planned" in text
+    assert "file        whole" in text
+    (row,) = [line for line in text.splitlines() if "│ impp " in line]
+    assert [cell.strip() for cell in row.split("│")][2:4] == ["7", "835"]
+    assert [cell.strip() for cell in row.split("│")][6:9] == ["5", "0", "5"]
+    assert "c1/a/impp: none in 5 cycles, 20 to 24 (12:00:20 to 12:00:24)" in text
+    assert all(len(line) <= 100 for line in text.splitlines() if "run.mcap" not in line)
+
+
+def test_a_nodes_story_has_a_line_for_each_cycle_of_the_span(recording: Path) -> None:
+    text = shown(recording, "--node", "c1/a", "--from", "12:00:18", "--to", "26")
+    heading, units, *lines = text.splitlines()
+    assert heading.split()[:4] == ["cycle", "time", "power", "IMPP"]
+    assert units.split()[:4] == ["local", "kW", "kW", "kW"]
+    assert [line.split()[0] for line in lines] == [str(cycle) for cycle in range(18, 27)]
+    assert [line.split()[3] for line in lines] == ["40.00"] * 2 + ["-"] * 5 + ["40.00"] * 2
+    assert all(line.endswith("from b 20.00") for line in lines)
+
+
+def test_the_plant_in_one_cycle_is_a_tree(recording: Path) -> None:
+    text = shown(recording, "--cycle", "12:00:18")
+    assert text.startswith("cycle 18, 2010-04-01 12:00:18\ndispatch 240.00 kW (commitment 230.00")
+    assert [line.split()[0] for line in text.splitlines()[5:]] == [
+        "central",
+        "├─",
+        "│",
+        "│",
+        "└─",
+        "├─",
+        "└─",
+    ]
+
+
+def test_figures_come_as_json_too(recording: Path, tmp_path: Path) -> None:
+    overview: dict[str, Any] = json.loads(shown(recording, "--json", "-"))
+    assert overview["complete_cycles"] == 120
+    assert overview["gaps"] == [
+        {"port": "c1/a/impp", "first_cycle": 20, "last_cycle": 24, "cycles": 5}
+    ]
+    out = tmp_path / "story.json"
+    shown(recording, "--node", "c1/b", "--from", "3", "--to", "5", "--json", out)
+    rows = json.loads(out.read_text())
+    assert [(row["cycle"], row["help_for"]) for row in rows] == [
+        (cycle, [{"node": "c1/a", "power_kw": 20.0}]) for cycle in (3, 4, 5)
+    ]
+    assert [path.name for path in tmp_path.iterdir()] == ["story.json"]
+    nodes = json.loads(shown(recording, "--cycle", "3", "--json", "-"))
+    assert [node["node"] for node in nodes] == [
+        "central",
+        "c1",
+        "c2",
+        "c1/a",
+        "c1/b",
+        "c2/c",
+        "c2/d",
+    ]
+
+
+def test_a_part_of_a_recording_can_be_looked_at_alone(recording: Path) -> None:
+    text = shown(recording, "--from", "30s", "--to", "39s")
+    assert "cycles      30 to 39 of 1 s, 10 complete" in text
+    assert "none in" not in text
+
+
+def test_a_recording_that_was_cut_is_shown_and_recover_is_named(
+    recording: Path, tmp_path: Path
+) -> None:
+    cut = tmp_path / "run.mcap"
+    content = recording.read_bytes()
+    cut.write_bytes(content[: len(content) // 2])
+    text = shown(cut)
+    assert "file        cut" in text
+    assert "`heliarch recover` makes a whole file of it" in " ".join(text.split())
+    assert "recover" in shown(cut, "--node", "c1/a", "--to", "3")
+    assert "outside the run" in complaint(cut, "--node", "c1/a", "--to", "12:01:59")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--node", "c1/x"], "node 'c1/x': not in this run, near are c1/"),
+        (["--node", "c1/a", "--from", "13:49"], "13:49: outside the run, which goes from 2010-04"),
+        (["--node", "c1/a", "--from", "noonish"], "noonish: not understood, accepted are a local"),
+        (["--cycle", "120"], "120: outside the run"),
+        (["--cycle", "12", "--node", "c1"], "--cycle: the whole plant in one cycle"),
+        (["--json", "/no/such/folder/x.json"], "--json /no/such/folder/x.json: accepted is"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused_in_one_line(
+    recording: Path, words: list[str], said: str
+) -> None:
+    assert said in complaint(recording, *words)
+
+
+def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_text("cycle,power_kw\n")
+    assert "not an MCAP file, it begins with b'cycle,po'" in complaint(path)

@@ -1,0 +1,116 @@
+"""What is left of a recording when its recorder is killed, or its disk is full."""
+
+from __future__ import annotations
+
+import random
+import re
+import resource
+import signal
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import pytest
+from running import Heliarch, assert_none_left
+
+from bus_schemas.errors import InputError
+from bus_schemas.signals import PRODUCTION
+from launch_scripts.recover_command import LOSSY, recover
+from recordings.reader import RunReader
+from recordings.recorder import FLUSH_S
+
+pytestmark = pytest.mark.processes
+
+Start = Callable[..., Heliarch]
+
+LATENESS_S = 1.0
+"""What a loaded machine may add to the time between two flushes."""
+
+
+@dataclass(frozen=True)
+class Loss:
+    """What a kill cost: time between the last message that was kept and the kill."""
+
+    lost_s: float
+    kept_cycles: int
+
+
+def kill_recorder(run: Heliarch, phase_s: float) -> Loss:
+    """Kill the recorder of a run some time after its first flush, recover what it left."""
+    run.until(lambda: recorded_cycles(run.folder) > 0, "cycles that can be read on disk")
+    recorder = run.process_of("recorder")
+    time.sleep(phase_s)
+    killed_at_ns = time.monotonic_ns()
+    recorder.send_signal(signal.SIGKILL)
+    assert run.wait() == 1
+    assert_none_left(run.folder)
+    out = run.folder / "recovered.mcap"
+    assert recover(run.folder, out, None) == LOSSY
+    last_ns = cycles = 0
+    with RunReader(run.folder) as before, RunReader(out) as after:
+        assert (before.whole, after.whole) == (False, True)
+        assert (before.plan, before.scenario) == (after.plan, after.scenario)
+        for cut, kept in zip(before.records(), after.records(), strict=True):
+            assert cut == kept, "byte for byte, with its times, number and place"
+        for port, message in after.messages():
+            last_ns = max(last_ns, message.publish_time_ns)
+            cycles += port.signal is PRODUCTION
+    return Loss((killed_at_ns - last_ns) / 1e9, cycles)
+
+
+def test_a_recorder_killed_at_a_random_moment_loses_its_last_half_second_at_most(
+    heliarch: Start,
+) -> None:
+    phase_s = random.uniform(0.0, 2.0 * FLUSH_S)
+    loss = kill_recorder(heliarch("launch", "oahu", "--duration", "5h"), phase_s)
+    assert loss.kept_cycles > 0
+    assert 0.0 <= loss.lost_s <= FLUSH_S + LATENESS_S, f"killed {phase_s:.3f} s after a flush"
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(1800)
+def test_twenty_kills_at_random_moments(
+    heliarch: Start, capsys: pytest.CaptureFixture[str]
+) -> None:
+    losses = []
+    for _ in range(20):
+        run = heliarch("launch", "oahu", "--duration", "5h")
+        losses.append(kill_recorder(run, random.uniform(0.0, 2.0 * FLUSH_S)))
+    lost_s = sorted(loss.lost_s for loss in losses)
+    with capsys.disabled():
+        print(f"\nlost of {len(losses)} recordings [s]: " + ", ".join(f"{s:.3f}" for s in lost_s))
+        print(f"worst loss: {lost_s[-1]:.3f} s, flushed every {FLUSH_S:g} s")
+    assert lost_s[-1] <= FLUSH_S + LATENESS_S
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits a process from outside: Linux only")
+def test_a_full_disk_ends_the_recording_and_not_the_plant(heliarch: Start) -> None:
+    run = heliarch("launch", "oahu", "--duration", "10m")
+    run.until(lambda: recorded_cycles(run.folder) > 0, "cycles that can be read on disk")
+    full = (run.folder / "run.mcap").stat().st_size + 100_000
+    resource.prlimit(run.process_of("recorder").pid, resource.RLIMIT_FSIZE, (full, full))
+    assert run.wait() == 1
+    assert_none_left(run.folder)
+    said = run.output.read_text()
+    assert re.search(r"the recording ended in cycle \d+: .*; the run goes on without it", said)
+    assert re.search("heliarch: the recording ended in cycle .*; what it holds", run.error_text())
+    summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
+    assert summary["cycles"] == 600
+    recorded = sum(count["recorded"] for count in summary["messages"])
+    with RunReader(run.folder) as reader:
+        assert not reader.whole
+        assert 0 < recorded == sum(1 for _ in reader.messages())
+    assert 0 < recorded_cycles(run.folder) < 600
+    assert recover(run.folder, None, None) == LOSSY
+
+
+def recorded_cycles(folder: Path) -> int:
+    """Cycles that can be read from a recording: none before its first flush."""
+    try:
+        with RunReader(folder) as reader:
+            return sum(1 for _ in reader.messages(PRODUCTION))
+    except InputError:
+        return 0

@@ -1,0 +1,122 @@
+"""Messages are taken out of chunks in bulk just as the library takes them out one by one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from recordings_by_hand import whole_run, write_run
+
+from recordings.chunks import (
+    DamagedChunkError,
+    RawMessage,
+    messages_in,
+    others_in,
+    unpack_chunk,
+)
+from recordings.outline import Outline, read_outline
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("chunks") / "run.mcap"
+    write_run(path, whole_run(30))
+    return path
+
+
+def by_us(path: Path) -> list[RawMessage]:
+    with path.open("rb") as file:
+        outline = read_outline(file)
+        return [
+            raw
+            for place in outline.chunks
+            for raw in messages_in(unpack_chunk(file, place), outline.channels)
+        ]
+
+
+def by_the_library(path: Path) -> list[RawMessage]:
+    with path.open("rb") as file:
+        return [
+            (m.channel_id, m.sequence, m.log_time, m.publish_time, m.data)
+            for _, _, m in make_reader(file).iter_messages(log_time_order=False)
+        ]
+
+
+def test_messages_are_those_that_the_library_finds(recording: Path) -> None:
+    found = by_us(recording)
+    assert len(found) > 1000
+    assert found == by_the_library(recording)
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_every_compression_of_mcap_is_unpacked(
+    tmp_path: Path, compression: CompressionType
+) -> None:
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=compression, chunk_size=300)
+        writer.start()
+        schema = writer.register_schema("Any", "", b"")
+        channels = [writer.register_channel(f"topic/{n}", "msgpack", schema) for n in range(3)]
+        for number in range(50):
+            payload = bytes([number]) * (number % 11)
+            writer.add_message(channels[number % 3], 1000 + number, payload, 900, number)
+        writer.finish()
+    assert len(by_us(path)) == 50
+    assert by_us(path) == by_the_library(path)
+
+
+def test_channels_that_nobody_asked_for_are_left_out(recording: Path) -> None:
+    with recording.open("rb") as file:
+        outline = read_outline(file)
+        records = unpack_chunk(file, outline.chunks[2])
+    wanted = {raw[0] for raw in messages_in(records, outline.channels) if raw[0] % 2}
+    assert wanted
+    assert list(messages_in(records, wanted)) == [
+        raw for raw in messages_in(records, outline.channels) if raw[0] in wanted
+    ]
+
+
+def test_schemas_and_channels_stand_in_the_first_chunk(recording: Path) -> None:
+    with recording.open("rb") as file:
+        outline = read_outline(file)
+        first, second = (unpack_chunk(file, place) for place in outline.chunks[:2])
+    assert len(list(others_in(first))) == len(outline.schemas) + len(outline.channels)
+    assert list(others_in(second)) == []
+
+
+@settings(max_examples=60, deadline=None)
+@given(share=st.floats(0.0, 1.0))
+def test_records_cut_anywhere_yield_the_whole_messages_before_the_cut(
+    recording: Path, share: float
+) -> None:
+    with recording.open("rb") as file:
+        outline = read_outline(file)
+        records = unpack_chunk(file, outline.chunks[1])
+    whole = list(messages_in(records, outline.channels))
+    cut = list(messages_in(records[: int(share * len(records))], outline.channels))
+    assert cut == whole[: len(cut)]
+    assert len(cut) >= int(share * len(whole)) - 2
+
+
+def damaged(path: Path, at: int) -> tuple[Path, Outline]:
+    content = bytearray(path.read_bytes())
+    with path.open("rb") as file:
+        outline = read_outline(file)
+    content[outline.chunks[1].offset + at] ^= 0xFF
+    other = path.with_name(f"damaged-{at}.mcap")
+    other.write_bytes(content)
+    return other, outline
+
+
+@pytest.mark.parametrize(("at", "reason"), [(60, "unpack"), (500, "checksum|unpack")])
+def test_a_chunk_that_is_not_what_was_written_is_refused(
+    recording: Path, at: int, reason: str
+) -> None:
+    path, outline = damaged(recording, at)
+    with path.open("rb") as file, pytest.raises(DamagedChunkError, match=reason):
+        unpack_chunk(file, outline.chunks[1])

@@ -1,0 +1,144 @@
+"""Of a recording that was cut all that is there up to the cut is in the new one, bit for bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.records import Message
+from recordings_by_hand import whole_run, write_run
+
+from bus_schemas.bus import Delivery
+from bus_schemas.errors import InputError
+from recordings import open_run
+from recordings.recovery import RECOVERY_METADATA, Recovery, is_sound, recover_run
+
+CYCLES = 100
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Delivery]]:
+    path = tmp_path_factory.mktemp("recovery") / "run.mcap"
+    return path, write_run(path, whole_run(CYCLES), messages_per_chunk=1000)
+
+
+def recovered(content: bytes, folder: Path) -> tuple[Path, Recovery]:
+    cut, out = folder / "run.mcap", folder / "new.mcap"
+    cut.write_bytes(content)
+    out.unlink(missing_ok=True)
+    with open_run(cut) as run:
+        return out, recover_run(run, out)
+
+
+def all_of(path: Path) -> tuple[list[object], list[Message]]:
+    """Everything in a file as the library finds it, but for the word of its recovery."""
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        origin = [
+            reader.get_header(),
+            list(reader.iter_attachments()),
+            [entry for entry in reader.iter_metadata() if entry.name != RECOVERY_METADATA],
+            summary.schemas,
+            summary.channels,
+        ]
+        messages = [message for _, _, message in reader.iter_messages(log_time_order=False)]
+        return origin, messages
+
+
+def test_a_file_that_lost_its_index_is_whole_again(
+    recording: tuple[Path, list[Delivery]], tmp_path: Path
+) -> None:
+    path, _ = recording
+    with open_run(path) as run:
+        end = run.outline.readable_end
+    out, recovery = recovered(path.read_bytes()[: end - 13], tmp_path)
+    assert all_of(out) == all_of(path)
+    assert recovery.lossless
+    assert (recovery.closed, recovery.ended, recovery.complete_cycles) == (False, True, CYCLES)
+
+
+@settings(max_examples=25, deadline=None)
+@given(share=st.floats(0.2, 0.85))
+def test_all_up_to_the_cut_is_kept_with_times_numbers_and_origin(
+    recording: tuple[Path, list[Delivery]],
+    tmp_path_factory: pytest.TempPathFactory,
+    share: float,
+) -> None:
+    path, _ = recording
+    content = path.read_bytes()
+    out, recovery = recovered(content[: int(share * len(content))], tmp_path_factory.mktemp("cut"))
+    origin, messages = all_of(path)
+    origin_kept, kept = all_of(out)
+    assert origin_kept == origin
+    assert kept == messages[: len(kept)]
+    assert len(kept) == recovery.messages
+    with open_run(path) as run:
+        whole_chunks = [
+            place
+            for place in run.outline.chunks
+            if place.offset + 9 + place.length <= int(share * len(content))
+        ]
+    assert recovery.messages >= 1000 * len(whole_chunks)
+    assert recovery.cut_messages == recovery.messages - 1000 * len(whole_chunks)
+    assert not recovery.lossless
+
+
+def test_what_can_be_unpacked_of_a_chunk_that_was_cut_is_kept(
+    recording: tuple[Path, list[Delivery]], tmp_path: Path
+) -> None:
+    path, _ = recording
+    with open_run(path) as run:
+        first = run.outline.chunks[0]
+    # LZ4 packs 64 KiB together: the first chunk, with its schemas, is longer than that.
+    _, recovery = recovered(path.read_bytes()[: first.offset + first.length - 5], tmp_path)
+    assert 0 < recovery.messages == recovery.cut_messages < 1000
+
+
+def test_a_damaged_chunk_in_the_middle_is_left_out_and_named(
+    recording: tuple[Path, list[Delivery]], tmp_path: Path
+) -> None:
+    path, written = recording
+    with open_run(path) as run:
+        assert is_sound(run)
+        place = run.outline.chunks[2]
+    content = bytearray(path.read_bytes())
+    content[place.offset + 400] ^= 0xFF
+    out, recovery = recovered(bytes(content), tmp_path)
+    with open_run(tmp_path / "run.mcap") as run:
+        assert not is_sound(run)
+    assert [damaged.offset for damaged in recovery.damaged] == [place.offset]
+    assert not recovery.lossless
+    with open_run(out) as run:
+        assert is_sound(run)
+        assert list(run.messages()) == written[:2000] + written[3000:]
+
+
+def test_a_recovered_file_says_that_it_is_one(
+    recording: tuple[Path, list[Delivery]], tmp_path: Path
+) -> None:
+    content = recording[0].read_bytes()
+    out, recovery = recovered(content[: len(content) // 2], tmp_path)
+    with open_run(out) as run:
+        assert run.whole
+        assert run.metadata[RECOVERY_METADATA] == {
+            "recovered_from": "run.mcap",
+            "lossless": "false",
+            "cut_bytes": str(recovery.cut_bytes),
+            "damaged_chunks": "0",
+        }
+
+
+def test_nothing_that_is_there_is_replaced(
+    recording: tuple[Path, list[Delivery]], tmp_path: Path
+) -> None:
+    out = tmp_path / "new.mcap"
+    out.write_bytes(b"precious")
+    with open_run(recording[0]) as run, pytest.raises(InputError, match="exists already"):
+        recover_run(run, out)
+    assert out.read_bytes() == b"precious"
+    assert list(tmp_path.iterdir()) == [out]

@@ -1,0 +1,160 @@
+"""Recordings made by hand, of four inverters that say in each cycle what real ones do."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+from agents.plan import RunPlan
+from bus_schemas.bus import Delivery, Outbox
+from bus_schemas.codec import encode
+from bus_schemas.messages import (
+    Command,
+    Dispatch,
+    Help,
+    HelpGiven,
+    Impp,
+    Production,
+    Request,
+    Residual,
+    Setpoint,
+    Telemetry,
+)
+from bus_schemas.signals import (
+    COMMAND,
+    DISPATCH,
+    HELP,
+    IMPP,
+    PRODUCTION,
+    REQUEST,
+    RESIDUAL,
+    RUN,
+    SETPOINT,
+    TELEMETRY,
+)
+from bus_schemas.tree import PLANT, ROOT, agent_name, parent_of
+from recordings.writer import RunWriter
+
+PLAN = RunPlan(
+    run_id="by-hand-2",
+    plant="field",
+    inverters=(("c1/a", 100.0), ("c1/b", 100.0), ("c2/c", 100.0), ("c2/d", 100.0)),
+    start_time_ns=1_270_159_200_000_000_000,  # 2010-04-01 12:00:00 in Honolulu
+    cycle_ns=1_000_000_000,
+    cycles=1000,
+    timezone="Pacific/Honolulu",
+    regulation_capacity_kw=0.0,
+    cycle_wall_ns=0,
+    period_cycles=(2, 1),
+    scheme="paper",
+    actuator="fraction",
+    alpha_min=0.05,
+    hold_cycles=3,
+    stall_timeout_s=3.0,
+    neighbourhoods=(),
+    tcp_ports={},
+)
+SCENARIO = 'name = "field"\ntitle = "Four inverters"\n'
+
+
+def cycle_of_the_plant(cycle: int) -> Iterator[Delivery]:
+    """All messages of one cycle. `c1/a` lacks 20 kW of its share, `c1/b` gives them."""
+    tree, central_acts = PLAN.tree, cycle % 2 == 0
+    sim_time_ns = PLAN.sim_time_ns(cycle)
+
+    def stamp(source: str) -> tuple[int, int, str, tuple[str, ...]]:
+        return cycle, sim_time_ns, source, ()
+
+    for leaf in tree.leaves:
+        telemetry = Telemetry(*stamp(PLANT), power_kw=50.0 + cycle % 7, alpha=0.5, limit_kw=100.0)
+        yield TELEMETRY.of(leaf), telemetry
+    dispatch = Dispatch(*stamp(PLANT), power_kw=240.0, commitment_kw=230.0, regulation_kw=10.0)
+    yield DISPATCH.of(ROOT), dispatch
+    below = [node for node in tree.nodes if node != ROOT]
+    acting = [node for node in below if central_acts or parent_of(node) != ROOT]
+    for node in acting:
+        asked_kw = 0.6 * tree.rating_kw(node)
+        yield REQUEST.of(node), Request(*stamp(agent_name(parent_of(node))), power_kw=asked_kw)
+    for node in reversed(tree.nodes):
+        spare_kw = {"c1/a": -20.0, "c1/b": 30.0}.get(node, 15.0)
+        impp_kw = 0.6 * tree.rating_kw(node) + spare_kw
+        yield IMPP.of(node), Impp(*stamp(agent_name(node)), power_kw=impp_kw, stale_cycles=0)
+        yield RESIDUAL.of(node), Residual(*stamp(agent_name(node)), power_kw=spare_kw)
+        if spare_kw < 0.0:
+            yield HELP.of(node), Help(*stamp(agent_name(node)), missing_kw=-spare_kw)
+    for node in acting:
+        extra_kw = {"c1/a": -20.0, "c1/b": 20.0}.get(node, 0.0)
+        share_kw = 0.6 * tree.rating_kw(node)
+        given = (HelpGiven("c1/a", 20.0),) if node == "c1/b" else ()
+        setpoint = Setpoint(
+            *stamp(agent_name(parent_of(node))),
+            power_kw=share_kw + extra_kw,
+            share_kw=share_kw,
+            help_given=given,
+        )
+        yield SETPOINT.of(node), setpoint
+    for leaf in tree.leaves:
+        yield COMMAND.of(leaf), Command(*stamp(leaf), alpha=0.8, power_kw=60.0)
+    production = Production(
+        *stamp(PLANT),
+        desired_kw=240.0,
+        possible_kw=280.0,
+        delivered_kw=239.0,
+        inverter_mpp_kw=(40.0, 90.0, 75.0, 75.0),
+        inverter_power_kw=(40.0, 80.0, 60.0, 59.0),
+    )
+    yield PRODUCTION.of(ROOT), production
+
+
+def whole_run(cycles: int) -> Iterator[Delivery]:
+    """All messages of a run, with the plant's words that it begins and that it is over."""
+    yield RUN.of(ROOT), PLAN.run_message("start", 0, 1)
+    for cycle in range(cycles):
+        yield from cycle_of_the_plant(cycle)
+    yield RUN.of(ROOT), PLAN.run_message("stop", cycles, 1)
+
+
+def write_run(
+    path: Path,
+    deliveries: Iterable[Delivery],
+    *,
+    plan: RunPlan = PLAN,
+    messages_per_chunk: int = 200,
+    is_kept: Callable[[Delivery], bool] = lambda delivery: True,
+    close: bool = True,
+) -> list[Delivery]:
+    """Write a recording; return what is in it.
+
+    Parameters
+    ----------
+    path
+        The file.
+    deliveries
+        What is published, in the order of the file.
+    plan
+        Of the run.
+    messages_per_chunk
+        So many messages make a chunk.
+    is_kept
+        Whether a message that was published reaches the file.
+    close
+        Whether the file gets its index; otherwise it ends after the last whole chunk.
+    """
+    outbox = Outbox()
+    writer = RunWriter(path, plan, SCENARIO, driver="simulate")
+    kept = []
+    for port, message in deliveries:
+        stamped = outbox.stamp(port, message)
+        if not is_kept((port, stamped)):
+            continue
+        writer.add(port, stamped, encode(stamped), time.monotonic_ns())
+        kept.append((port, stamped))
+        if len(kept) % messages_per_chunk == 0:
+            writer.flush()
+    if close:
+        writer.close()
+    else:
+        writer.flush()
+        writer.abandon()
+    return kept
