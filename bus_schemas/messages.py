@@ -166,3 +166,14 @@ class Notice(Message, kw_only=True, frozen=True):
 
     text: str
     count: int
+
+
+class Clock(Message, kw_only=True, frozen=True):
+    """Where the replay of a recording stands: the simulated time that begins now.
+
+    Comes before the first message of a cycle, and when the replay pauses, goes on, seeks or
+    changes its rate. `rate` is recorded, or simulated, seconds a second; 0: as fast as possible.
+    """
+
+    rate: float
+    paused: bool

@@ -14,7 +14,16 @@ from typing import Final, Generic, TypeVar
 
 from bus_schemas import messages
 from bus_schemas.messages import Message
-from bus_schemas.tree import CENTRAL, PLANT, RECORDER, ROOT, ControlTree, agent_name, parent_of
+from bus_schemas.tree import (
+    CENTRAL,
+    PLANT,
+    RECORDER,
+    REPLAYER,
+    ROOT,
+    ControlTree,
+    agent_name,
+    parent_of,
+)
 
 M_co = TypeVar("M_co", bound=Message, covariant=True)
 
@@ -36,6 +45,7 @@ class Role(Enum):
     PLANT = "the plant"
     CENTRAL = "the central controller"
     RECORDER = "the recorder"
+    REPLAYER = "the replay of a recording"
     ALL = "every agent"
 
 
@@ -46,6 +56,7 @@ class Occurrence(Enum):
     TURN = "once in each cycle that is its publisher's turn"
     NEED = "in cycles with a need for it"
     EVENT = "rarely"
+    REPLAY = "in no run, but in the replay of one"
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +134,7 @@ PRODUCTION: Final = Signal("production", messages.Production, About.PLANT,    Ro
 NOTICE: Final     = Signal("notice",     messages.Notice,     About.NODES,    Role.NODE,     (),              Occurrence.EVENT)
 RUN: Final        = Signal("run",        messages.Run,        About.PLANT,    Role.PLANT,    (Role.ALL,),     Occurrence.EVENT)
 READY: Final      = Signal("ready",      messages.Ready,      About.PLANT,    Role.RECORDER, (Role.PLANT,),   Occurrence.EVENT, logged=False)
+CLOCK: Final      = Signal("clock",      messages.Clock,      About.PLANT,    Role.REPLAYER, (),              Occurrence.REPLAY, logged=False)
 # fmt: on
 
 SIGNALS: Final[tuple[Signal[Message], ...]] = (
@@ -138,8 +150,18 @@ SIGNALS: Final[tuple[Signal[Message], ...]] = (
     NOTICE,
     RUN,
     READY,
+    CLOCK,
 )
 """The table itself, in the order of one cycle. A new signal is one row more."""
+
+
+_NAMES: Final = {
+    Role.PLANT: PLANT,
+    Role.CENTRAL: CENTRAL,
+    Role.RECORDER: RECORDER,
+    Role.REPLAYER: REPLAYER,
+}
+"""Names of the agents that are the same ones from wherever they are seen."""
 
 
 def listeners(port: Port[Message], tree: ControlTree) -> tuple[str, ...]:
@@ -160,11 +182,7 @@ def _agents(role: Role, node: str, tree: ControlTree | None = None) -> tuple[str
         case Role.PARENT:
             # Above the root stands the operator, who is no process: nobody listens there.
             return (agent_name(parent_of(node)),) if node != ROOT else ()
-        case Role.PLANT:
-            return (PLANT,)
-        case Role.CENTRAL:
-            return (CENTRAL,)
-        case Role.RECORDER:
-            return (RECORDER,)
         case Role.ALL:
             return tree.agents() if tree is not None else ()
+        case _:
+            return (_NAMES[role],)

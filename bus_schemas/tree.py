@@ -14,10 +14,13 @@ from bus_schemas.errors import InputError
 CENTRAL: Final = "central"
 PLANT: Final = "plant"
 RECORDER: Final = "recorder"
+REPLAYER: Final = "replayer"
+"""Takes no part in a run: it puts a recording back onto the bus."""
+
 ROOT: Final = ""
 """The central controller's path: its keys have no node part."""
 
-RESERVED_NAMES: Final = frozenset({CENTRAL, PLANT, RECORDER, "alive"})
+RESERVED_NAMES: Final = frozenset({CENTRAL, PLANT, RECORDER, REPLAYER, "alive"})
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from bus_schemas.codec import decode, encode, json_schema
 from bus_schemas.messages import (
+    Clock,
     Command,
     Dispatch,
     Help,
@@ -50,6 +51,7 @@ OWN_FIELDS = {
     Run: ["state", "start_time_ns", "cycle_wall_ns"],
     Ready: [],
     Notice: ["text", "count"],
+    Clock: ["rate", "paused"],
 }
 
 KW = st.floats(allow_nan=False)
@@ -69,6 +71,7 @@ FIELDS: dict[str, st.SearchStrategy[object]] = {
     "count": INT64,
     "state": st.sampled_from(["start", "stop"]),
     "text": st.text(),
+    "paused": st.booleans(),
     "inverter_mpp_kw": KWS,
     "inverter_power_kw": KWS,
     "help_given": st.lists(st.builds(HelpGiven, st.text(), KW), max_size=4).map(tuple),
@@ -90,7 +93,7 @@ def one(signal: Signal[Message]) -> Message:
         **{"source": "c1", "missing": ("c1/inv07/impp",), "stale_cycles": 0, "count": 1},
         **{"state": "start", "start_time_ns": 5, "cycle_wall_ns": 0, "text": "words"},
         **{"inverter_mpp_kw": (1.0, 2.0), "inverter_power_kw": (0.5, 2.0)},
-        "help_given": (HelpGiven("c1/inv08", 12.5),),
+        **{"help_given": (HelpGiven("c1/inv08", 12.5),), "paused": True},
     }
     names = signal.type.__struct_fields__
     return msgspec.convert({name: plain.get(name, 1.5) for name in names}, signal.type)
@@ -181,7 +184,13 @@ def test_a_string_that_is_not_utf8_is_refused_like_other_garbage() -> None:
 
 # JSON Schema --------------------------------------------------------------------------------------
 
-JSON_TYPES = {int: "integer", float: "number", str: "string", list: "array"}
+JSON_TYPES = {
+    int: "integer",
+    float: "number",
+    str: "string",
+    list: "array",
+    bool: "boolean",
+}
 
 
 @each_signal

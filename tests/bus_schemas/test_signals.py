@@ -8,6 +8,7 @@ from bus_schemas.keys import KeyTable
 from bus_schemas.links import explicit_links
 from bus_schemas.messages import Message
 from bus_schemas.signals import (
+    CLOCK,
     COMMAND,
     DISPATCH,
     HELP,
@@ -54,6 +55,7 @@ KEYS = KeyTable("oahu", OAHU)
         ("oahu/production", "plant", ()),
         ("oahu/c1/notice", "c1", ()),
         ("oahu/ready", "recorder", ("plant",)),
+        ("oahu/clock", "replayer", ()),
     ],
 )
 def test_who_speaks_and_who_listens(key: str, published_by: str, heard_by: tuple[str, ...]) -> None:
@@ -73,8 +75,10 @@ def test_no_controller_hears_what_really_happened() -> None:
 
 
 @pytest.mark.parametrize("tree", TREES)
-def test_every_port_has_one_publisher_that_the_run_has(tree: ControlTree) -> None:
-    assert {port.publisher for port in ports(tree)} <= set(tree.agents())
+def test_every_port_has_one_publisher_that_the_run_or_a_replay_has(tree: ControlTree) -> None:
+    publishers = {port: port.publisher for port in ports(tree)}
+    assert publishers.pop(CLOCK.of(ROOT)) == "replayer"
+    assert set(publishers.values()) <= set(tree.agents())
 
 
 @pytest.mark.parametrize("tree", TREES)
@@ -138,6 +142,7 @@ def test_each_signal_is_about_the_nodes_that_it_makes_sense_for() -> None:
         "notice": (ROOT, "c1", "c2", *leaves),
         "run": (ROOT,),
         "ready": (ROOT,),
+        "clock": (ROOT,),
     }
 
 
@@ -147,11 +152,11 @@ def test_a_port_is_one_object() -> None:
     assert len(different) == 3
 
 
-def test_all_is_logged_but_the_recorders_own_word() -> None:
-    assert {signal for signal in SIGNALS if not signal.logged} == {READY}
+def test_all_is_logged_but_the_words_of_recorder_and_replayer() -> None:
+    assert {signal for signal in SIGNALS if not signal.logged} == {READY, CLOCK}
     assert set(SIGNALS) == {
         *(TELEMETRY, DISPATCH, REQUEST, IMPP, RESIDUAL, HELP),
-        *(SETPOINT, COMMAND, PRODUCTION, NOTICE, RUN, READY),
+        *(SETPOINT, COMMAND, PRODUCTION, NOTICE, RUN, READY, CLOCK),
     }
 
 

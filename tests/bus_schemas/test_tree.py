@@ -133,7 +133,7 @@ def test_paths_and_ratings_must_be_equally_many() -> None:
         (
             (("plant/a", 1.0),),
             "control tree, node 'plant/a': name 'plant' is reserved "
-            "(alive, central, plant, recorder), take another",
+            "(alive, central, plant, recorder, replayer), take another",
         ),
     ],
 )

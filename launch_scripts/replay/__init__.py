@@ -1,0 +1,1 @@
+"""`heliarch replay`: a recording back onto the bus, with or without live agents among it."""

@@ -1,0 +1,118 @@
+"""`heliarch replay`: from the command line's words to an exit status."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final, TextIO
+
+from bus_schemas.errors import InputError
+from launch_scripts.interruption import interruptible
+from launch_scripts.replay.clock import PlaybackClock, RecordedSpacing, SimulatedSpacing, Spacing
+from launch_scripts.replay.figures import (
+    ReplayFigures,
+    print_replay,
+    timing_figures,
+    write_json,
+)
+from launch_scripts.replay.keyboard import KEYS_IN_WORDS, Keyboard, has_keyboard, keyboard
+from launch_scripts.replay.live_command import replay_live
+from launch_scripts.replay.player import Played, Player
+from launch_scripts.replay.progress import ProgressLine
+from launch_scripts.replay.request import ReplayRequest, check_request, requested_span
+from launch_scripts.replay.selection import select
+from launch_scripts.replay.session import await_subscriber, introduce, replay_session
+from launch_scripts.replay.tape import Tape
+from launch_scripts.supervision import RunFailure
+
+OK: Final = 0
+FAILED: Final = 1
+BAD_INPUT: Final = 2
+INTERRUPTED: Final = 130
+
+
+def replay(request: ReplayRequest) -> int:
+    """Replay what was asked for and say what it came to. Returns the exit status."""
+    # With the JSON on standard output, nothing else may go there.
+    out = sys.stderr if request.json == "-" else sys.stdout
+    try:
+        check_request(request)
+        with Tape(request.run) as tape:
+            if request.live is not None:
+                return replay_live(request, tape, out)
+            return _replay(request, tape, out)
+    except InputError as error:
+        return _complain(error, BAD_INPUT)
+    except RunFailure as error:
+        return _complain(error, FAILED)
+    except KeyboardInterrupt:
+        return _complain("interrupted", INTERRUPTED)
+
+
+def _replay(request: ReplayRequest, tape: Tape, out: TextIO) -> int:
+    selection = select(tape.plan, request.signals, request.exclude, request.remaps)
+    span = requested_span(request, tape)
+    introduce(tape, out)
+    progress = ProgressLine(out, tape.plan)
+    with (
+        interruptible() as interruption,
+        replay_session(tape, selection, request.namespace, request.listen, out) as session,
+        _announced_keyboard(out) as keys,
+    ):
+        player = Player(
+            tape,
+            span,
+            selection,
+            session,
+            PlaybackClock(request.rate, paused=request.start_paused),
+            lambda: _spacing(request, tape),
+            keys,
+            interruption,
+            progress,
+        )
+        if request.wait:
+            await_subscriber(session, interruption, out)
+        began_at = time.monotonic()
+        player.play(loop=request.loop)
+        wall_s = time.monotonic() - began_at
+        progress.close()
+    figures = _figures(request, tape, player.played, wall_s, bool(interruption))
+    print_replay(figures, out)
+    write_json(figures, request.json)
+    return INTERRUPTED if interruption else OK
+
+
+@contextmanager
+def _announced_keyboard(out: TextIO) -> Iterator[Keyboard]:
+    with keyboard() as keys:
+        if has_keyboard():
+            out.write(f"{KEYS_IN_WORDS}\n")
+            out.flush()
+        yield keys
+
+
+def _spacing(request: ReplayRequest, tape: Tape) -> Spacing:
+    return RecordedSpacing() if request.clock == "wall" else SimulatedSpacing(tape.plan)
+
+
+def _figures(
+    request: ReplayRequest, tape: Tape, played: Played, wall_s: float, interrupted: bool
+) -> ReplayFigures:
+    return ReplayFigures(
+        tape.plan.run_id,
+        str(tape.path),
+        played.messages,
+        played.cycles,
+        wall_s,
+        request.rate,
+        request.clock,
+        timing_figures(played.timing),
+        interrupted,
+    )
+
+
+def _complain(text: object, status: int) -> int:
+    sys.stderr.write(f"heliarch: {text}\n")
+    return status

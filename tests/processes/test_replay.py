@@ -1,0 +1,344 @@
+"""Replays over real Zenoh: what a subscriber hears, and live agents among recorded ones."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgpack
+import msgspec
+import psutil
+import pytest
+import zenoh
+from mcap.reader import make_reader
+from typer.testing import CliRunner
+
+from agents.plan import RunPlan, load_plan
+from bus_schemas.codec import decode, encode
+from bus_schemas.messages import Telemetry
+from launch_scripts.cli import app
+from recordings.reader import RunReader
+from recordings.writer import RunWriter
+
+pytestmark = pytest.mark.processes
+
+CYCLES = 30
+PATIENCE_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a run in lockstep: 17 inverters, three clusters."""
+    folder = tmp_path_factory.mktemp("recorded") / "run"
+    words = ["simulate", "oahu", "--duration", str(CYCLES), "--out", str(folder)]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    return folder
+
+
+@pytest.fixture(scope="module")
+def plan(recorded: Path) -> RunPlan:
+    """The plan of that run."""
+    return load_plan(recorded / "plan.json")
+
+
+class Replay:
+    """`heliarch replay`, running."""
+
+    def __init__(self, scratch: Path, *words: str | Path) -> None:
+        self.scratch = scratch
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "launch_scripts", "replay", *map(str, words)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            process_group=0,
+            env={**os.environ, "TMPDIR": str(scratch)},
+        )
+        self.lines: list[str] = []
+
+    def until(self, beginning: str) -> str:
+        """Read its output up to a line, and return what follows the line's beginning."""
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.lines.append(line.rstrip("\n"))
+            if line.startswith(beginning):
+                return line.removeprefix(beginning).strip()
+        raise AssertionError(f"no line {beginning!r} in {self.lines}: {self.wait()}")
+
+    def wait(self) -> tuple[int, str, str]:
+        """Wait for its end; return exit status, the rest of its output, and its complaints."""
+        out, err = self.process.communicate(timeout=PATIENCE_S)
+        return self.process.returncode, out, err
+
+    def live_processes(self) -> list[psutil.Process]:
+        """The live controllers: told by the plan that they were given."""
+        found = []
+        for process in psutil.process_iter(["cmdline"]):
+            if any(str(self.scratch) in word for word in process.info["cmdline"] or []):
+                found.append(process)
+        return found
+
+
+@pytest.fixture
+def replay(tmp_path: Path) -> Iterator[Callable[..., Replay]]:
+    """Start replays; nothing outlives the test."""
+    started: list[Replay] = []
+
+    def start(*words: str | Path) -> Replay:
+        scratch = tmp_path / f"scratch{len(started)}"
+        scratch.mkdir()
+        started.append(Replay(scratch, *words))
+        return started[-1]
+
+    yield start
+    for command in started:
+        command.process.kill()
+        command.process.communicate()
+        for process in command.live_processes():
+            process.kill()
+
+
+@contextmanager
+def subscriber(endpoint: str, key: str, mode: str = "peer") -> Iterator[list[tuple[str, bytes]]]:
+    """Anybody with Zenoh: what comes on some keys, in its order."""
+    config = zenoh.Config()
+    config.insert_json5("mode", json.dumps(mode))
+    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    heard: list[tuple[str, bytes]] = []
+    with zenoh.open(config) as session:
+        session.declare_subscriber(
+            key, lambda sample: heard.append((str(sample.key_expr), sample.payload.to_bytes()))
+        )
+        yield heard
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Wait for something to come true."""
+    give_up_at = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < give_up_at
+        time.sleep(0.02)
+
+
+def in_the_file(folder: Path, *signals: str) -> list[tuple[str, bytes]]:
+    """Keys and payloads of a recording, read with the MCAP library alone."""
+    with (folder / "run.mcap").open("rb") as file:
+        return [
+            (channel.topic, message.data)
+            for _, channel, message in make_reader(file).iter_messages()
+            if not signals or channel.topic.rpartition("/")[2] in signals
+        ]
+
+
+@pytest.mark.parametrize("mode", ["peer", "client"])
+def test_any_subscriber_hears_the_recorded_bytes_in_their_order(
+    replay: Callable[..., Replay], recorded: Path, plan: RunPlan, mode: str
+) -> None:
+    command = replay(recorded, "--wait", "--exclude", "clock")
+    endpoint, keys = command.until("endpoint"), command.until("keys")
+    wanted = [(f"{plan.run_id}/{key}", payload) for key, payload in in_the_file(recorded)]
+    with subscriber(endpoint, keys, mode) as heard:
+        status, _, complaint = command.wait()
+        until(lambda: len(heard) >= len(wanted))
+    assert status == 0, complaint
+    assert heard == wanted
+    assert len(heard) > CYCLES * 100
+
+
+def test_a_selection_comes_alone_with_the_time_that_is_announced(
+    replay: Callable[..., Replay], recorded: Path, plan: RunPlan
+) -> None:
+    words = ("--signals", "impp,help", "--rate", "0", "--namespace", "again")
+    command = replay(recorded, "--wait", *words, "--remap", "oahu/c1=oahu/c9")
+    with subscriber(command.until("endpoint"), "again/**") as heard:
+        status, _, complaint = command.wait()
+        wanted = [
+            (f"again/{key}".replace("/c1/", "/c9/"), payload)
+            for key, payload in in_the_file(recorded, "impp", "help")
+        ]
+        until(lambda: len(heard) >= len(wanted) + CYCLES)
+    assert status == 0, complaint
+    assert [entry for entry in heard if not entry[0].endswith("clock")] == wanted
+    clocks = [msgpack.unpackb(payload) for key, payload in heard if key == "again/oahu/clock"]
+    assert [clock["cycle"] for clock in clocks] == list(range(CYCLES))
+    assert [clock["sim_time_ns"] for clock in clocks] == [
+        plan.sim_time_ns(cycle) for cycle in range(CYCLES)
+    ]
+
+
+def test_ctrl_c_ends_a_replay_that_waits_and_one_that_plays(
+    replay: Callable[..., Replay], recorded: Path
+) -> None:
+    waiting = replay(recorded, "--wait")
+    waiting.until("waiting for a subscriber")
+    playing = replay(recorded, "--loop", "--clock", "sim")
+    playing.until("12:00:02")
+    for command in (waiting, playing):
+        command.process.send_signal(signal.SIGINT)
+        status, text, _ = command.wait()
+        assert status == 130
+        assert "replayed " in text
+
+
+def test_keys_steer_a_replay_and_the_terminal_is_left_as_it_was(recorded: Path) -> None:
+    typing, terminal = pty.openpty()
+    before = termios.tcgetattr(terminal)
+    words = [sys.executable, "-m", "launch_scripts", "replay", str(recorded), "--start-paused"]
+    process = subprocess.Popen(words, stdin=terminal, stdout=terminal, stderr=terminal)
+    seen = ""
+    try:
+        for awaited, keys in (
+            ("space pauses", b"s"),
+            ("12:00:00 cycle 1/30 rate 1 paused", b"\x1b[C"),
+            ("12:00:11 cycle 12/30 rate 1 paused", b"++"),
+            ("rate 4 paused", b"s"),
+            ("12:00:11 cycle 12/30 rate 4 paused", b"q"),
+            ("replayed ", b""),
+        ):
+            while awaited not in seen:
+                seen += os.read(typing, 4096).decode()
+            seen = seen.partition(awaited)[2]
+            os.write(typing, keys)
+        assert process.wait(timeout=PATIENCE_S) == 0
+        assert termios.tcgetattr(terminal) == before
+    finally:
+        process.kill()
+        process.wait()
+        os.close(typing)
+        os.close(terminal)
+
+
+def some_live(plan: RunPlan) -> tuple[str, str]:
+    """An inverter's controller and a supervisor of another cluster."""
+    return plan.tree.leaves[0], next(
+        node for node in plan.tree.parents[1:] if not plan.tree.leaves[0].startswith(f"{node}/")
+    )
+
+
+def test_live_agents_of_the_same_code_say_bit_for_bit_what_they_said(
+    replay: Callable[..., Replay], recorded: Path, plan: RunPlan
+) -> None:
+    live = some_live(plan)
+    command = replay(recorded, "--live", ",".join(live), "--json", "-")
+    status, text, complaint = command.wait()
+    assert status == 0, complaint
+    figures = json.loads(text)
+    with RunReader(recorded) as reader:
+        said = sum(port.publisher in live for port, _ in reader.messages())
+    assert (figures["compared"], figures["differing"]) == (said, {})
+    assert figures["cycles"] == CYCLES
+    assert command.live_processes() == []
+    assert list(command.scratch.iterdir()) == []
+
+
+def test_a_whole_team_may_be_live_among_a_recorded_plant(
+    replay: Callable[..., Replay], recorded: Path, plan: RunPlan
+) -> None:
+    controllers = plan.tree.agents()[2:]
+    command = replay(recorded, "--live", ",".join(controllers), "--duration", "10")
+    status, text, complaint = command.wait()
+    assert status == 0, complaint
+    assert "21 live controllers over 10 cycles" in text
+    assert "no difference" in text
+
+
+def test_a_changed_controller_is_told_by_its_first_difference_and_heard_by_subscribers(
+    replay: Callable[..., Replay], recorded: Path, plan: RunPlan, tmp_path: Path
+) -> None:
+    leaf, _ = some_live(plan)
+    changed = tmp_path / "changed.json"
+    changed.write_bytes(msgspec.structs.replace(plan, scheme="paper").as_json())
+    figures_path = tmp_path / "figures.json"
+    words = ("--wait", "--live", leaf, "--plan", changed, "--json", figures_path)
+    command = replay(recorded, *words)
+    endpoint = command.until("endpoint")
+    with subscriber(endpoint, f"{plan.run_id}/oahu/{leaf}/impp") as heard:
+        status, text, complaint = command.wait()
+        until(lambda: len(heard) == CYCLES)
+    assert status == 1, complaint
+    figures = json.loads(figures_path.read_bytes())
+    first = figures["differences"][0]
+    with RunReader(recorded) as reader:
+        recorded_kw = {m.cycle: m.power_kw for _, m in reader.messages("impp", nodes=leaf)}  # type: ignore[attr-defined]
+    assert (first["agent"], first["key"], first["field"]) == (leaf, f"{leaf}/impp", "power_kw")
+    assert first["recorded"] == recorded_kw[first["cycle"]] != first["new"]
+    assert f"{leaf}, cycle {first['cycle']} (12:00:0" in text
+    assert f"impp power_kw: recorded {first['recorded']!r}, new {first['new']!r}" in text
+    new_kw = {
+        entry["cycle"]: entry["new"]
+        for entry in figures["differences"]
+        if (entry["key"], entry["field"]) == (f"{leaf}/impp", "power_kw")
+    }
+    heard_kw = {m["cycle"]: m["power_kw"] for m in (msgpack.unpackb(p) for _, p in heard)}
+    assert heard_kw == recorded_kw | new_kw
+    assert len(new_kw) > 1
+
+
+def test_who_waits_for_what_the_recording_lacks_is_named(
+    replay: Callable[..., Replay], recorded: Path, plan: RunPlan, tmp_path: Path
+) -> None:
+    leaf, cluster = some_live(plan)
+    impatient = msgspec.structs.replace(plan, stall_timeout_s=0.3)
+    writer = RunWriter(tmp_path / "run.mcap", impatient, "", driver="simulate")
+    with RunReader(recorded) as reader:
+        for record in reader.records():
+            message = decode(record.port.signal, record.payload)
+            is_lost = record.cycle == 7 and isinstance(message, Telemetry)
+            if not (is_lost and record.port.node == leaf):
+                writer.add(record.port, message, encode(message), message.publish_time_ns)
+    writer.close()
+    command = replay(tmp_path, "--live", f"{leaf},{cluster}")
+    status, _, complaint = command.wait()
+    assert status == 1
+    assert "stalled in cycle 7" in complaint
+    assert f"nothing came from {leaf} on " in complaint
+    assert f"it waits for {leaf}/telemetry from plant" in complaint
+    assert f"logs of the live controllers: {command.scratch}" in complaint
+    assert command.live_processes() == []
+
+
+@pytest.mark.parametrize(("sent", "status"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
+def test_no_live_agent_outlives_its_replay(
+    replay: Callable[..., Replay],
+    recorded: Path,
+    plan: RunPlan,
+    sent: signal.Signals,
+    status: int,
+) -> None:
+    command = replay(recorded, "--live", ",".join(plan.tree.agents()[2:]))
+    command.until("endpoint")
+    until(lambda: len(command.live_processes()) > 3)
+    command.process.send_signal(sent)
+    assert command.wait()[0] == status
+    _, alive = psutil.wait_procs(command.live_processes(), timeout=20)
+    assert not alive
+
+
+def test_in_real_time_live_agents_have_the_inputs_and_deadlines_of_the_run(
+    replay: Callable[..., Replay], tmp_path: Path
+) -> None:
+    folder = tmp_path / "launched"
+    words = ("launch", "oahu", "--duration", "10", "--pace", "5", "--out", str(folder))
+    subprocess.run([sys.executable, "-m", "launch_scripts", *words], check=False, timeout=120)
+    plan = load_plan(folder / "plan.json")
+    command = replay(folder, "--live", plan.tree.leaves[0], "--json", "-")
+    status, text, complaint = command.wait()
+    figures = json.loads(text)
+    assert figures["cycles"] == 10, complaint
+    assert figures["wall_s"] > 10 / 5
+    assert figures["timing_error"]["count"] > 10 * 100
+    # On a slow machine deadlines may fall otherwise than when it was recorded: then it is told.
+    assert status == bool(figures["differing"])
+    assert all(entry["kind"] != "only new" for entry in figures["differences"])
