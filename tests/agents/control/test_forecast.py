@@ -128,8 +128,9 @@ def readings(
 def test_a_noisy_meter_is_learned_from_what_it_reads_above_the_limit() -> None:
     noise = (0.05 * np.random.default_rng(2).standard_normal(400)).tolist()
     found = readings(40.0, noise, 80.0, measured(80.0))
-    # Once it is known, no reading makes the maximum forgotten.
-    assert all(estimate.power_kw >= 80.0 for estimate in found[100:])
+    # Once it is known, no reading is taken for the maximum, and what is assumed of it only grows.
+    assert all(estimate.stale_cycles > 0 for estimate in found[100:])
+    assert found[-1].power_kw == RATING_KW
     assert found[-1].meter_error == pytest.approx(0.05 * 0.4, rel=0.4)  # E max(0, e) = 0.4 sigma
 
 
