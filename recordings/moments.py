@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from datetime import date, datetime, time, timedelta
+from datetime import UTC, date, datetime, time, timedelta
 from typing import Final, TypeAlias
 from zoneinfo import ZoneInfo
 
@@ -20,6 +20,7 @@ ACCEPTED: Final = (
 )
 
 _SECOND_NS: Final = 1_000_000_000
+_YEAR_S: Final = 366 * 86_400
 _SINCE_START: Final = re.compile(r"(?:(\d+)h)?(?:(\d+)m)?(?:(\d+(?:\.\d+)?)s)?")
 _TIME_OF_DAY: Final = re.compile(r"\d{1,2}:\d{2}(:\d{2}(\.\d{1,6})?)?")
 
@@ -71,7 +72,8 @@ class RunClock:
     def local(self, cycle: int) -> datetime:
         """Return the local time at the beginning of a cycle."""
         seconds, rest_ns = divmod(self._plan.sim_time_ns(cycle), _SECOND_NS)
-        return datetime.fromtimestamp(seconds, self._zone) + timedelta(microseconds=rest_ns // 1000)
+        # Not by adding: that would forget which of the two hours it is where clocks go back.
+        return datetime.fromtimestamp(seconds, self._zone).replace(microsecond=rest_ns // 1000)
 
     def text(self, cycle: int) -> str:
         """Return the local time of day of a cycle, as exact as the cycles need."""
@@ -93,7 +95,9 @@ class RunClock:
         since_start = _SINCE_START.fullmatch(text)
         if text and since_start is not None:
             hours, minutes, seconds = (float(part or 0.0) for part in since_start.groups())
-            return int((hours * 3600 + minutes * 60 + seconds) * _SECOND_NS) // self._plan.cycle_ns
+            since_s = hours * 3600 + minutes * 60 + seconds
+            # No run lasts for longer than a year: what does, is outside of any.
+            return int(min(since_s, _YEAR_S) * _SECOND_NS) // self._plan.cycle_ns
         try:
             if _TIME_OF_DAY.fullmatch(text):
                 return self._cycle_at_time_of_day(text)
@@ -125,7 +129,21 @@ class RunClock:
         return self._cycle_of(datetime.combine(day, clock))
 
     def _cycle_of(self, moment: datetime) -> int:
-        local = moment if moment.tzinfo else moment.replace(tzinfo=self._zone)
-        whole = local.replace(microsecond=0)
-        moment_ns = int(whole.timestamp()) * _SECOND_NS + local.microsecond * 1000
-        return (moment_ns - self._plan.start_time_ns) // self._plan.cycle_ns
+        if moment.tzinfo:
+            return self._cycle_of_instant(moment)
+        first = moment.replace(tzinfo=self._zone)
+        second = first.replace(fold=1)
+        if first.utcoffset() == second.utcoffset():
+            return self._cycle_of_instant(first)
+        # Clocks are put back or forward: the time of day comes twice, or not at all.
+        if first.astimezone(UTC).astimezone(self._zone).replace(tzinfo=None) != moment:
+            raise InputError(f"{moment:%F %T}: clocks leap over it, {ACCEPTED}")
+        raise InputError(
+            f"{moment:%F %T}: comes twice, accepted are {first.isoformat()} and "
+            f"{second.isoformat()}"
+        )
+
+    def _cycle_of_instant(self, instant: datetime) -> int:
+        whole = instant.replace(microsecond=0)
+        instant_ns = int(whole.timestamp()) * _SECOND_NS + instant.microsecond * 1000
+        return (instant_ns - self._plan.start_time_ns) // self._plan.cycle_ns

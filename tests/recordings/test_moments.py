@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from datetime import datetime
+from zoneinfo import ZoneInfo
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -99,3 +102,41 @@ def test_an_end_before_the_start_is_refused() -> None:
 def test_a_run_without_a_cycle_says_so() -> None:
     with pytest.raises(InputError, match="outside the run, which has no cycle"):
         RunClock(PLAN, last_cycle=-1).cycle(0)
+
+
+def a_night_in_new_york(day: str) -> RunClock:
+    """From half past midnight for four hours, in cycles of 30 s."""
+    start = datetime.fromisoformat(f"{day}T00:30:00").replace(tzinfo=ZoneInfo("America/New_York"))
+    plan = replace(
+        PLAN,
+        timezone="America/New_York",
+        start_time_ns=int(start.timestamp()) * 1_000_000_000,
+        cycle_ns=30_000_000_000,
+    )
+    return RunClock(plan, last_cycle=479)
+
+
+def test_an_hour_that_comes_twice_is_told_apart_by_its_offset() -> None:
+    clock = a_night_in_new_york("2010-11-07")
+    assert clock.local(120).isoformat() == "2010-11-07T01:30:00-04:00"
+    assert clock.local(240).isoformat() == "2010-11-07T01:30:00-05:00"
+    assert clock.cycle("2010-11-07T01:30:00-05:00") == 240
+    with pytest.raises(InputError) as caught:
+        clock.cycle("01:30")
+    assert str(caught.value) == (
+        "2010-11-07 01:30:00: comes twice, accepted are 2010-11-07T01:30:00-04:00 and "
+        "2010-11-07T01:30:00-05:00"
+    )
+
+
+def test_an_hour_that_clocks_leap_over_is_no_moment() -> None:
+    clock = a_night_in_new_york("2010-03-14")
+    assert clock.cycle("01:59:30") == 179
+    assert clock.cycle("03:00:00") == 180
+    with pytest.raises(InputError, match="2010-03-14 02:30:00: clocks leap over it"):
+        clock.cycle("02:30")
+
+
+def test_a_time_beyond_all_bounds_is_outside_the_run() -> None:
+    with pytest.raises(InputError, match="outside the run"):
+        CLOCK.cycle("9" * 300 + "h")
