@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Final
 
 import msgspec
@@ -19,6 +15,8 @@ from rich.table import Table
 from bus_schemas.errors import InputError
 from bus_schemas.signals import SIGNALS
 from launch_scripts.json_rows import check_json_destination
+from launch_scripts.termination import leaving_on_sigterm
+from recordings.damage import damage_text
 from recordings.export.exporting import FORMS, ExportSummary, Form, default_path, export
 from recordings.export.records import Selection
 from recordings.export.unfinished import check_new
@@ -54,7 +52,7 @@ def run_export(request: ExportRequest) -> int:
     # With the JSON on standard output, nothing else may go there.
     console = Console(stderr=request.json == "-")
     try:
-        summary = _export(request)
+        summary, damage = _export(request)
     except InputError as error:
         return _complain(str(error), BAD_INPUT)
     except OSError as error:
@@ -66,6 +64,8 @@ def run_export(request: ExportRequest) -> int:
         _write_json(summary, request.json)
     except OSError as error:
         return _complain(f"--json: {error}", FAILED)
+    if damage:
+        sys.stderr.write(f"heliarch: {damage}\n")
     return OK
 
 
@@ -74,16 +74,17 @@ def _complain(text: str, status: int) -> int:
     return status
 
 
-def _export(request: ExportRequest) -> ExportSummary:
+def _export(request: ExportRequest) -> tuple[ExportSummary, str]:
+    """Export; return what it came to, and what of the recording is damaged."""
     form, clock = _form(request.to), _clock(request)
     check_json_destination(request.json)
-    with RunReader(request.run) as reader, _leaving_on_sigterm():
+    with RunReader(request.run, skip_damaged=True) as reader, leaving_on_sigterm():
         path = request.out or default_path(reader.path, form)
         check_new(path)
         selection = _selection(request, reader)
         with _progress(f"{form} {path.name}") as bar:
             task = bar.add_task("", total=1.0)
-            return export(
+            summary = export(
                 reader,
                 form,
                 path,
@@ -91,20 +92,7 @@ def _export(request: ExportRequest) -> ExportSummary:
                 clock,
                 lambda share: bar.update(task, completed=share),
             )
-
-
-@contextmanager
-def _leaving_on_sigterm() -> Iterator[None]:
-    """Let SIGTERM leave through every `finally`, as Ctrl-C does by itself."""
-
-    def leave(signum: int, frame: FrameType | None) -> None:
-        raise SystemExit(128 + signum)
-
-    before = signal.signal(signal.SIGTERM, leave)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+        return summary, damage_text(reader)
 
 
 def _form(text: str) -> Form:

@@ -18,6 +18,8 @@ from rich.text import Text
 from bus_schemas.errors import InputError
 from launch_scripts.json_rows import check_json_destination, json_rows
 from launch_scripts.reading_progress import reading_progress
+from launch_scripts.termination import leaving_on_sigterm
+from recordings.damage import damage_text
 from recordings.overview import Overview, read_overview
 from recordings.reader import RunReader
 from recordings.selection import find_node
@@ -46,8 +48,9 @@ def inspect(request: InspectRequest) -> int:
     console = _console(to_stderr=request.json == "-")
     try:
         _check(request)
-        with RunReader(request.run) as run:
+        with RunReader(request.run, skip_damaged=True) as run, leaving_on_sigterm():
             _show(run, request, console)
+            damage = damage_text(run)
     except InputError as error:
         sys.stderr.write(f"heliarch: {error}\n")
         return 2
@@ -57,6 +60,12 @@ def inspect(request: InspectRequest) -> int:
     except BrokenPipeError:
         # `heliarch inspect ... | head`: nobody reads on, and that is no error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:
+        sys.stderr.write(f"heliarch: inspect: {error}\n")
+        return 1
+    if damage:
+        sys.stderr.write(f"heliarch: {damage}\n")
     return 0
 
 
@@ -113,7 +122,8 @@ def _style(row: NodeCycle) -> str:
 def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) -> None:
     found = next(story(run, run.plan.tree.nodes, range(cycle, cycle + 1)), None)
     if found is None:
-        raise InputError(f"{run.path}: there is no message of cycle {cycle}, {run.clock.extent()}")
+        nothing = f"{run.path}: there is no message of cycle {cycle}, {run.clock.extent()}"
+        raise InputError(damage_text(run) or nothing)
     central = found[0]
     _print_lines(console, [f"cycle {cycle}, {run.clock.local(cycle):%Y-%m-%d} {central.time}"])
     _print_lines(console, [_plant_text(central)])

@@ -55,6 +55,12 @@ def json_rows(destination: str | None) -> Iterator[JsonRows]:
         rows.finish()
         return
     path = Path(str(destination))
+    if path.exists() and not path.is_file():
+        with path.open("wb") as file:  # A device or a pipe: it must not be replaced.
+            rows = JsonRows(file)
+            yield rows
+            rows.finish()
+        return
     beside = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
     try:
         with beside.open("wb") as file:

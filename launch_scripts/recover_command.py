@@ -15,6 +15,7 @@ from rich.console import Console
 from bus_schemas.errors import InputError
 from launch_scripts.json_rows import check_json_destination
 from launch_scripts.reading_progress import reading_progress
+from launch_scripts.termination import leaving_on_sigterm
 from recordings.moments import RunClock
 from recordings.reader import NothingRecordedError, RunReader
 from recordings.recorder import FLUSH_S
@@ -45,7 +46,7 @@ def recover(path: Path, out: Path | None, json: str | None) -> int:
     console = Console(stderr=json == "-", soft_wrap=True, highlight=False, markup=False)
     try:
         check_json_destination(json)
-        with RunReader(path) as run:
+        with RunReader(path) as run, leaving_on_sigterm():
             return _recover(run, out or run.path.with_suffix(_SUFFIX), json, console)
     except NothingRecordedError as error:
         return _complain(f"{error}: there is nothing to recover", NOTHING)
@@ -62,8 +63,8 @@ def _recover(run: RunReader, out: Path, json: str | None, console: Console) -> i
         sound = is_sound(run, follow)
     if sound:
         console.print(f"{run.path}: it is whole, there is nothing to recover")
-        _write_json({"source": str(run.path), "out": None, "lossless": True}, json)
-        return WHOLE
+        document: dict[str, object] = {"source": str(run.path), "out": None, "lossless": True}
+        return _write_json(document, json, WHOLE)
     with reading_progress("copying") as follow:
         recovery = recover_run(run, out, follow)
     if not recovery.messages:
@@ -73,8 +74,8 @@ def _recover(run: RunReader, out: Path, json: str | None, console: Console) -> i
         )
     for line in _account(run, recovery):
         console.print(textwrap.fill(line, _WIDTH, subsequent_indent="  ", break_long_words=False))
-    _write_json(msgspec.to_builtins(recovery) | {"lossless": recovery.lossless}, json)
-    return WHOLE if recovery.lossless else LOSSY
+    document = msgspec.to_builtins(recovery) | {"lossless": recovery.lossless}
+    return _write_json(document, json, WHOLE if recovery.lossless else LOSSY)
 
 
 def _account(run: RunReader, recovery: Recovery) -> Iterator[str]:
@@ -96,6 +97,17 @@ def _account(run: RunReader, recovery: Recovery) -> Iterator[str]:
         yield (
             f"the last {recovery.cut_bytes:,} bytes are an incomplete record; "
             f"{recovery.cut_messages:,} messages could be read of it"
+            f"{', they have no checksum and may be damaged' if recovery.cut_messages else ''}"
+        )
+    if recovery.damaged_attachments:
+        yield f"damaged: attachment {', '.join(recovery.damaged_attachments)}, kept as it is"
+    shortfall = recovery.shortfall
+    if shortfall.lost:
+        yield f"may be missing: {shortfall.lost:,} messages, their sequence numbers are left out"
+    if shortfall.early_ports:
+        yield (
+            f"may be missing: the last messages of {shortfall.early_ports:,} keys, "
+            f"{shortfall.early_messages:,} were due up to the end of the run"
         )
     if recovery.lossless:
         yield "missing: nothing, the recording goes up to the end of the run"
@@ -113,15 +125,23 @@ def _account(run: RunReader, recovery: Recovery) -> Iterator[str]:
 
 def _wall_time(time_ns: int) -> str:
     """Return the wall clock of this machine's time zone."""
-    return f"{datetime.fromtimestamp(time_ns / 1e9).astimezone():%Y-%m-%d %H:%M:%S.%f %Z}"
+    try:
+        return f"{datetime.fromtimestamp(time_ns / 1e9).astimezone():%Y-%m-%d %H:%M:%S.%f %Z}"
+    except (OverflowError, ValueError, OSError):
+        return f"a time that is damaged ({time_ns:,} ns)"
 
 
-def _write_json(document: dict[str, object], json: str | None) -> None:
+def _write_json(document: dict[str, object], json: str | None, status: int) -> int:
+    """Write the result; return the exit status, which is another if that fails."""
     text = msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
-    if json == "-":
-        sys.stdout.write(text.decode())
-    elif json is not None:
-        Path(json).write_bytes(text)
+    try:
+        if json == "-":
+            sys.stdout.write(text.decode())
+        elif json is not None:
+            Path(json).write_bytes(text)
+    except OSError as error:
+        return _complain(f"--json: {error}", NOTHING)
+    return status
 
 
 def _complain(text: object, status: int) -> int:

@@ -34,13 +34,17 @@ from recordings.chunks import (
     ChunkPlace,
     DamagedChunkError,
     chunk_at,
+    find_chunk,
+    is_chunk,
     others_in,
+    times_in,
     unpack_chunk,
 )
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 _TIMES: Final = Struct("<QQ")
 _FOOTER_SIZE: Final = RECORD_HEAD.size + 20
+_CHECKSUM: Final = Struct("<I")
 _LARGEST_OPCODE: Final = Opcode.DATA_END
 _BLOCK: Final = 1 << 20
 _BROKEN: Final = (error, McapError, ValueError, OverflowError, MemoryError)
@@ -88,7 +92,11 @@ class Outline:
     schemas, channels
         By their id.
     chunks
-        In the order of the file, those without a message left out. The last one may be cut.
+        In the order of the file, those without a message left out. The last one may be cut. A
+        place where something else is than what was written is among them, it does not unpack.
+    damaged_attachments
+        Names of those whose checksum is not that of their content; of one that cannot be read at
+        all, where it is.
     """
 
     size: int
@@ -101,6 +109,7 @@ class Outline:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     chunks: list[ChunkPlace] = field(default_factory=list)
+    damaged_attachments: list[str] = field(default_factory=list)
 
     @property
     def cut_early(self) -> bool:
@@ -154,8 +163,7 @@ def _by_index(file: BinaryIO, size: int) -> Outline | None:
                 metadata.append(_parse(MetadataIndex.read, _body(file, place, outline.size)).offset)
     outline.header = _parse(Header.read, _body(file, _place_at(file, len(MAGIC)), size))
     for offset in attachments:
-        body = _body(file, _place_at(file, offset), size)
-        outline.attachments.append(_parse(Attachment.read, body))
+        _take_attachment(outline, file, _place_at(file, offset))
     for offset in metadata:
         outline.metadata.append(_parse(Metadata.read, _body(file, _place_at(file, offset), size)))
     return outline
@@ -183,30 +191,92 @@ def _indexed_chunk(body: bytes) -> ChunkPlace:
 def _by_walking(file: BinaryIO, size: int) -> Outline:
     """Go from record to record, from the beginning to the end or to the cut."""
     outline = Outline(size)
-    for place in _walk(file, len(MAGIC), size):
-        try:
-            if place.opcode == Opcode.CHUNK:
-                _take_chunk(outline, file, place)
-            elif place.end <= size:
-                _take_other(outline, file, place)
-        except _BROKEN:
-            pass  # One record is torn: where the next one begins is known all the same.
+    offset = sure = len(MAGIC)  # All up to `sure` was what was written.
+    while offset + RECORD_HEAD.size <= size:
+        place = _place_at(file, offset)
+        if not _is_plausible(file, place, size):
+            # A record's length is not verified by anything: the one before may have led astray.
+            found = find_chunk(file, sure, size)
+            if found is not None:
+                _take_damage(outline, offset if found > offset else sure, found)
+                offset = found
+                continue
+        if not 0 < place.opcode <= _LARGEST_OPCODE:
+            break  # A disk that lost its power leaves zeros.
+        _take(outline, file, place)
         if place.end > size:
             break
-        outline.readable_end = place.end
+        outline.readable_end = offset = place.end
+        if place.opcode == Opcode.CHUNK:
+            sure = place.end
         if place.opcode == Opcode.DATA_END:
             outline.closed = True
             break
+    _mend_times(file, outline.chunks)
     return outline
+
+
+def _is_plausible(file: BinaryIO, place: _Place, size: int) -> bool:
+    """Whether a record can be what was written, as far as can be told without reading it."""
+    match place.opcode:
+        case Opcode.CHUNK:
+            return is_chunk(file, place.offset)
+        case Opcode.DATA_END:
+            return place.length == _CHECKSUM.size
+        case _:
+            return 0 < place.opcode <= _LARGEST_OPCODE and place.end <= size
+
+
+def _take(outline: Outline, file: BinaryIO, place: _Place) -> None:
+    try:
+        if place.opcode == Opcode.CHUNK:
+            _take_chunk(outline, file, place)
+        elif place.end <= outline.size:
+            _take_other(outline, file, place)
+    except _BROKEN:
+        pass  # One record is torn: where the next one begins is known all the same.
 
 
 def _take_chunk(outline: Outline, file: BinaryIO, place: _Place) -> None:
     chunk = chunk_at(file, place.offset, place.length, outline.size)
-    if not outline.channels:
+    if not outline.chunks:
         # A recording declares all its channels before its first message.
         for opcode, body in _declarations(file, chunk):
             _declare(outline, opcode, body)
     outline.chunks.append(chunk)
+
+
+def _take_damage(outline: Outline, begin: int, end: int) -> None:
+    """Note that from one byte to another there is nothing that can be read."""
+    length = max(end - begin - RECORD_HEAD.size, 0)
+    outline.chunks.append(ChunkPlace(begin, length, 0, 0))
+
+
+def _mend_times(file: BinaryIO, chunks: list[ChunkPlace]) -> None:
+    """Take the times of chunks from their messages, where they are not in the order of the file.
+
+    A chunk's checksum is that of its messages, so its times can be damaged in a sound chunk.
+    """
+    suspects = {n for n, place in enumerate(chunks) if place.first_ns > place.last_ns}
+    for n in range(1, len(chunks)):
+        if chunks[n - 1].last_ns > chunks[n].first_ns:
+            suspects |= {n - 1, n}
+    unknown = set()
+    for n in sorted(suspects):
+        try:
+            times_ns = times_in(unpack_chunk(file, chunks[n]))
+        except DamagedChunkError:
+            times_ns = None
+        if times_ns is None:
+            unknown.add(n)
+        else:
+            chunks[n] = chunks[n]._replace(first_ns=times_ns[0], last_ns=times_ns[1])
+    for n in sorted(unknown):
+        # What cannot be read lies between its neighbours.
+        behind = (chunks[m].first_ns for m in range(n + 1, len(chunks)) if m not in unknown)
+        end_ns = next(behind, 0)
+        begin_ns = chunks[n - 1].last_ns if n else end_ns
+        chunks[n] = chunks[n]._replace(first_ns=begin_ns, last_ns=max(begin_ns, end_ns))
 
 
 def _declarations(file: BinaryIO, chunk: ChunkPlace) -> Iterator[tuple[int, bytes]]:
@@ -221,11 +291,24 @@ def _take_other(outline: Outline, file: BinaryIO, place: _Place) -> None:
         case Opcode.HEADER:
             outline.header = _parse(Header.read, _body(file, place, outline.size))
         case Opcode.ATTACHMENT:
-            outline.attachments.append(_parse(Attachment.read, _body(file, place, outline.size)))
+            _take_attachment(outline, file, place)
         case Opcode.METADATA:
             outline.metadata.append(_parse(Metadata.read, _body(file, place, outline.size)))
         case Opcode.SCHEMA | Opcode.CHANNEL:
             _declare(outline, place.opcode, _body(file, place, outline.size))
+
+
+def _take_attachment(outline: Outline, file: BinaryIO, place: _Place) -> None:
+    body = _body(file, place, outline.size)
+    try:
+        attachment = _parse(Attachment.read, body)
+        (checksum,) = _CHECKSUM.unpack(body[-_CHECKSUM.size :])
+    except _BROKEN:
+        outline.damaged_attachments.append(f"at byte {place.offset:,}")
+        return
+    if checksum and zlib.crc32(body[: -_CHECKSUM.size]) != checksum:
+        outline.damaged_attachments.append(attachment.name)
+    outline.attachments.append(attachment)
 
 
 def _declare(outline: Outline, opcode: int, body: bytes) -> None:

@@ -9,8 +9,8 @@ from typing import Final
 import msgspec
 
 from bus_schemas.messages import Message
-from bus_schemas.signals import PRODUCTION, SIGNALS, Occurrence, Port, Role, Signal
-from bus_schemas.tree import depth, parent_of
+from bus_schemas.signals import PRODUCTION, SIGNALS, Port, Signal
+from recordings.completeness import due_step
 from recordings.reader import RecordedMessage, RunReader
 from recordings.recovery import RECOVERY_METADATA
 
@@ -170,10 +170,11 @@ class _Counting:
         self.complete_cycles = 0
         self.tallies: dict[Port[Message], _Tally] = {}
         for port in sorted(run.ports(), key=str):
-            step = _step(run, port)
+            step = due_step(run.plan, port)
             before = -(-cycles.start // step) * step - step if step else 0
             self.tallies[port] = _Tally(step, before)
         self._cycles = cycles
+        self._stop_cycle = run.stop_cycle
 
     def see(self, record: RecordedMessage) -> None:
         """Take in a message."""
@@ -198,13 +199,20 @@ class _Counting:
             self.complete_cycles += 1
 
     def finish(self) -> None:
-        """Look for what is missing at the end, up to the last cycle that the plant completed."""
-        (completed,) = (
-            tally.cycle for port, tally in self.tallies.items() if port.signal is PRODUCTION
-        )
+        """Look for what is missing at the end.
+
+        Where the recording has the plant's word that the run is over, all cycles before it were
+        due; otherwise those up to the last one that the plant completed.
+        """
+        if self._stop_cycle is None:
+            (end,) = (
+                tally.cycle + 1 for port, tally in self.tallies.items() if port.signal is PRODUCTION
+            )
+        else:
+            end = min(self._stop_cycle, self._cycles.stop)
         for port, tally in self.tallies.items():
-            if tally.step and completed >= tally.cycle + tally.step:
-                self._note(port, tally, completed + 1)
+            if tally.step and end > tally.cycle + tally.step:
+                self._note(port, tally, end)
 
     def _note(self, port: Port[Message], tally: _Tally, cycle: int) -> None:
         """Count the cycles from the last message on to one before a cycle."""
@@ -238,7 +246,7 @@ def read_overview(
     InputError
         The file is damaged.
     """
-    wanted = range(run.last_cycle + 1) if cycles is None else cycles
+    wanted = range(max(run.last_cycle + 1, run.stop_cycle or 0)) if cycles is None else cycles
     counting = _Counting(run, wanted)
     for number, record in enumerate(run.records(cycles=cycles)):
         counting.see(record)
@@ -316,15 +324,3 @@ def _title(run: RunReader) -> str:
         return str(tomllib.loads(run.scenario).get("title", ""))
     except tomllib.TOMLDecodeError:
         return ""
-
-
-def _step(run: RunReader, port: Port[Message]) -> int:
-    """Return in every how many cycles a message is due; 0 where it comes when it is needed."""
-    match port.signal.occurrence:
-        case Occurrence.CYCLE:
-            return 1
-        case Occurrence.TURN:
-            actor = parent_of(port.node) if port.signal.publisher is Role.PARENT else port.node
-            return run.plan.period_cycles[depth(actor)]
-        case _:
-            return 0

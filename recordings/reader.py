@@ -14,8 +14,10 @@ from bus_schemas.bus import Delivery
 from bus_schemas.codec import decode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
-from bus_schemas.signals import SIGNALS, Port, Signal
+from bus_schemas.signals import RUN, SIGNALS, Port, Signal
+from bus_schemas.tree import ROOT
 from recordings.chunks import ChunkPlace, DamagedChunkError, RawMessage, messages_in, unpack_chunk
+from recordings.declarations import declare
 from recordings.moments import Moment, RunClock
 from recordings.outline import NoMcapError, Outline, read_outline
 from recordings.selection import find_nodes, find_signals
@@ -28,6 +30,8 @@ _NOTHING: Final = "cut before it says what run it is of"
 
 _LATEST_S: Final = 30.0
 """How much later than its cycle's turn a message may come and still be found by its cycle."""
+
+_ENDLESS: Final = 1 << 62
 
 _FURTHEST_CYCLES: Final = 1000
 """The same in lockstep over processes, where a link can fall behind: as the recorder allows."""
@@ -82,6 +86,21 @@ class RecordedMessage(NamedTuple):
     payload: bytes
 
 
+class Damage(NamedTuple):
+    """A chunk that could not be read.
+
+    Attributes
+    ----------
+    offset
+        Its first byte in the file.
+    reason
+        Why.
+    """
+
+    offset: int
+    reason: str
+
+
 class RunReader:
     """A recording of a run; of one that was cut by a crash, all that is there up to the cut.
 
@@ -91,6 +110,9 @@ class RunReader:
     ----------
     path
         The MCAP file, or the folder of a run.
+    skip_damaged
+        Whether to go on behind a chunk that is damaged. Who asks for that has to tell of `damage`
+        at the end. Otherwise such a chunk is an error where it is read.
 
     Attributes
     ----------
@@ -104,6 +126,8 @@ class RunReader:
         By name: versions, host, clock anchor.
     scenario, plan
         What the run was.
+    damage
+        Chunks that were passed over so far, by their first byte.
 
     Raises
     ------
@@ -111,7 +135,7 @@ class RunReader:
         There is no such file, or it is no recording of a run.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, skip_damaged: bool = False) -> None:
         self.path = path / RECORDING_NAME if path.is_dir() else path
         try:
             self.file = self.path.open("rb")
@@ -121,12 +145,16 @@ class RunReader:
             ) from None
         except OSError as error:
             raise InputError(f"{self.path}: {error.strerror}, accepted is an MCAP file") from None
+        self.damage: dict[int, Damage] = {}
+        self._skip_damaged = skip_damaged
         self._position = 0
         try:
             self.outline = self._read_outline()
             self.metadata = {entry.name: entry.metadata for entry in self.outline.metadata}
             self._check_version()
             self.scenario, self.plan = self._read_origin()
+            if self.outline.chunks and not self.outline.channels:
+                declare(self.outline, self.plan)  # The first chunk had them, and is damaged.
         except BaseException:
             self.file.close()
             raise
@@ -283,6 +311,24 @@ class RunReader:
                 return max(cycles)
         return -1
 
+    @cached_property
+    def stop_cycle(self) -> int | None:
+        """The cycle before which the plant ended the run; None: the recording does not tell."""
+        cycles = range(max(self.last_cycle, 0), _ENDLESS)
+        for record in self.records([RUN.of(ROOT)], cycles, by_time=False):
+            if decode(RUN, record.payload).state == "stop":
+                return record.cycle
+        return None
+
+    def cycles_in(self, place: ChunkPlace) -> range | None:
+        """Return the cycles that a chunk has messages of; None: it has none that can be read."""
+        try:
+            raws = list(messages_in(unpack_chunk(self.file, place), self._all_channels))
+        except DamagedChunkError:
+            return None
+        cycles = [self._cycle_of(raw) for raw in raws]
+        return range(min(cycles), max(cycles) + 1) if cycles else None
+
     @property
     def read_share(self) -> float:
         """How far into the file the reading has come, 0 to 1."""
@@ -358,9 +404,13 @@ class RunReader:
         return first is not None and first >= cycle
 
     def _first_cycle(self, place: ChunkPlace) -> int | None:
-        """Return the cycle of a chunk's first message; None of one that was cut before it."""
+        """Return the cycle of a chunk's first message; None: nothing can be read of it."""
         if place not in self._first_cycles:
-            raw = next(self._messages_of(place, self._all_channels), None)
+            try:
+                records = unpack_chunk(self.file, place)
+            except DamagedChunkError:
+                records = b""  # It is no error before somebody wants to read it.
+            raw = next(messages_in(records, self._all_channels), None)
             self._first_cycles[place] = None if raw is None else self._cycle_of(raw)
         return self._first_cycles[place]
 
@@ -401,6 +451,9 @@ class RunReader:
         try:
             records = unpack_chunk(self.file, place)
         except DamagedChunkError as error:
+            if self._skip_damaged:
+                self.damage[place.offset] = Damage(place.offset, str(error))
+                return iter(())
             raise InputError(
                 f"{self.path}: chunk at byte {place.offset:,}: {error}; `heliarch recover` keeps "
                 "what is sound"
@@ -430,13 +483,23 @@ class RunReader:
 
     def _read_origin(self) -> tuple[str, RunPlan]:
         attachments = {entry.name: entry.data for entry in self.outline.attachments}
+        damaged = self.outline.damaged_attachments
+        if "plan.json" in damaged:
+            raise InputError(
+                f"{self.path}: its attachment plan.json is damaged, its checksum is not that of "
+                "its content; nothing can be read without it"
+            )
         try:
-            scenario = attachments["scenario.toml"].decode()
+            # Nothing depends on the scenario, which may be damaged: the plan has what the run was.
+            scenario = attachments["scenario.toml"].decode(errors="replace")
             return scenario, msgspec.json.decode(attachments["plan.json"], type=RunPlan)
         except KeyError as error:
-            if self.outline.cut_early:
+            if self.outline.cut_early and not damaged:
                 raise NothingRecordedError(f"{self.path}: {_NOTHING}") from None
-            raise InputError(f"{self.path}: recording without its attachment {error}") from None
+            note = f"; damaged are {', '.join(damaged)}" if damaged else ""
+            raise InputError(
+                f"{self.path}: recording without its attachment {error}{note}"
+            ) from None
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             raise InputError(f"{self.path}: its attachments do not decode: {error}") from None
 

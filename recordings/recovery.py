@@ -18,6 +18,7 @@ from recordings.chunks import (
     messages_in,
     unpack_chunk,
 )
+from recordings.completeness import Completeness, Shortfall
 from recordings.export.unfinished import unfinished
 from recordings.outline import Outline
 from recordings.reader import RunReader, cycle_of
@@ -55,7 +56,7 @@ class Recovery(msgspec.Struct, frozen=True):
     closed
         Whether the recorder had come to the end of the messages.
     ended
-        Whether it goes up to the end of the run, all cycles complete.
+        Whether it goes up to the end of the run, and the plant completed all cycles.
     messages
         How many were kept.
     complete_cycles, last_cycle, planned_cycles
@@ -67,9 +68,14 @@ class Recovery(msgspec.Struct, frozen=True):
         Bytes at the end of the file that make up no whole record: of an incomplete chunk, as a
         rule.
     cut_messages
-        Messages that could be read of that chunk; they are among those that were kept.
+        Messages that could be read of that chunk; they are among those that were kept. No
+        checksum vouches for them: that of the chunk is of all of it.
+    shortfall
+        What is not there of the run, up to its end where that is told.
     damaged
         Chunks that could not be read.
+    damaged_attachments
+        Names of attachments that are not what was written; they were kept as they are.
     """
 
     source: str
@@ -83,16 +89,19 @@ class Recovery(msgspec.Struct, frozen=True):
     last_ns: int
     cut_bytes: int
     cut_messages: int
+    shortfall: Shortfall
     damaged: tuple[DamagedChunk, ...]
+    damaged_attachments: tuple[str, ...]
 
     @property
     def lossless(self) -> bool:
         """Whether nothing that was recorded can be missing."""
-        return (self.closed or self.ended) and not self.damaged
+        there = (self.closed or self.ended) and not self.shortfall
+        return there and not self.damaged and not self.damaged_attachments
 
 
 def is_sound(run: RunReader, follow: Callable[[float], None] = lambda share: None) -> bool:
-    """Whether a recording was closed in order and all its chunks can be read.
+    """Whether a recording was closed in order and all that is in it can be read.
 
     Parameters
     ----------
@@ -101,7 +110,7 @@ def is_sound(run: RunReader, follow: Callable[[float], None] = lambda share: Non
     follow
         Called every now and then with how far the reading has come, 0 to 1.
     """
-    if not run.whole:
+    if not run.whole or run.outline.damaged_attachments:
         return False
     for place in run.outline.chunks:
         follow(place.offset / run.outline.size)
@@ -161,6 +170,7 @@ class _Copy:
         self._productions = 0
         self._last_cycle = -1
         self._end_cycle: int | None = None
+        self._completeness = Completeness(run.plan)
         self._damaged: list[DamagedChunk] = []
         self._writer = Writer(file, compression=CompressionType.LZ4)
         self._write_origin(run.outline)
@@ -175,6 +185,8 @@ class _Copy:
         try:
             records = unpack_chunk(self._run.file, place)
             for raw in messages_in(records, self._channel_of):
+                if place.cut and cycle_of(raw[4]) > self._run.plan.cycles:
+                    return
                 self._add(raw)
                 self._cut_messages += place.cut
         except (DamagedChunkError, msgspec.DecodeError) as error:
@@ -199,7 +211,9 @@ class _Copy:
             last_ns=self._last_ns,
             cut_bytes=0 if run.outline.closed else run.outline.size - run.outline.readable_end,
             cut_messages=self._cut_messages,
+            shortfall=self._completeness.shortfall(self._end_cycle),
             damaged=tuple(self._damaged),
+            damaged_attachments=tuple(run.outline.damaged_attachments),
         )
         told = {
             "recovered_from": run.path.name,
@@ -207,6 +221,9 @@ class _Copy:
             "cut_bytes": str(recovery.cut_bytes),
             "damaged_chunks": str(len(recovery.damaged)),
         }
+        if recovery.damaged_attachments:
+            # Their new checksums will be right.
+            told["damaged_attachments"] = ", ".join(recovery.damaged_attachments)
         self._writer.add_metadata(RECOVERY_METADATA, told)
         self._writer.finish()
         return recovery
@@ -221,6 +238,8 @@ class _Copy:
         else:
             self._productions += port is not None and port.signal is PRODUCTION
             self._last_cycle = max(self._last_cycle, cycle)
+        if port is not None:
+            self._completeness.see(port, cycle, sequence)
         self._writer.add_message(
             self._channel_of[channel], log_time_ns, payload, publish_time_ns, sequence
         )

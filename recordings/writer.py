@@ -6,7 +6,6 @@ by one pair of readings that the file's metadata keeps. So they never jump with 
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import time
@@ -20,9 +19,9 @@ from typing import Final
 from mcap.writer import CompressionType, Writer
 
 from agents.plan import RunPlan
-from bus_schemas.codec import json_schema
 from bus_schemas.messages import Message
-from bus_schemas.signals import SIGNALS, Port, ports
+from bus_schemas.signals import Port, ports
+from recordings.declarations import channels, schemas
 
 RECORDING_NAME: Final = "run.mcap"
 SCHEMA_VERSION: Final = "2"
@@ -147,20 +146,12 @@ class RunWriter:
         )
 
     def _register(self, plan: RunPlan) -> dict[Port[Message], int]:
-        schemas = {
-            signal: self._writer.register_schema(
-                signal.type.__name__, "jsonschema", json.dumps(json_schema(signal)).encode()
+        # The file gives them the same numbers, so a reader can do without what stands in it.
+        for schema in schemas():
+            self._writer.register_schema(schema.name, schema.encoding, schema.data)
+        for channel in channels(plan):
+            self._writer.register_channel(
+                channel.topic, channel.message_encoding, channel.schema_id, channel.metadata
             )
-            for signal in SIGNALS
-            if signal.logged
-        }
-        return {
-            port: self._writer.register_channel(
-                plan.keys.key(port),
-                "msgpack",
-                schemas[port.signal],
-                {"signal": port.signal.name, "node": port.node},
-            )
-            for port in ports(plan.tree)
-            if port.signal.logged
-        }
+        logged = (port for port in ports(plan.tree) if port.signal.logged)
+        return {port: number for number, port in enumerate(logged, start=1)}

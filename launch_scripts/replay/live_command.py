@@ -40,7 +40,7 @@ _SHOWN: Final = 20
 """So many differences are printed."""
 
 _NAMED: Final = 5
-"""So many live controllers are named before the rest is counted."""
+"""So many controllers are named before the rest is counted."""
 
 _WIDTH: Final = 100
 
@@ -212,7 +212,8 @@ def _print(figures: LiveFigures, plan: RunPlan, out: TextIO) -> None:
     clock = RunClock(plan, figures.cycles - 1)
     for difference in figures.differences[:_SHOWN]:
         out.write(f"{_line(difference, clock)}\n")
-    counts = ", ".join(f"{agent} {count:,}" for agent, count in sorted(figures.differing.items()))
+    most_first = sorted(figures.differing.items(), key=lambda entry: (-entry[1], entry[0]))
+    counts = _named([f"{agent} {count:,}" for agent, count in most_first])
     out.write(f"messages that differ: {counts}\n")
 
 
@@ -230,6 +231,6 @@ def _line(difference: OutputDifference, clock: RunClock) -> str:
     return line if len(line) <= _WIDTH else f"{where}\n  recorded {recorded!r}\n  new      {new!r}"
 
 
-def _named(live: Sequence[str]) -> str:
-    rest = len(live) - _NAMED
-    return ", ".join(live[:_NAMED]) + (f" and {rest} more" if rest > 0 else "")
+def _named(words: Sequence[str]) -> str:
+    rest = len(words) - _NAMED
+    return ", ".join(words[:_NAMED]) + (f" and {rest} more" if rest > 0 else "")

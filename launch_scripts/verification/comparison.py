@@ -59,11 +59,6 @@ class Comparison:
     tolerance: float = 0.0
     ignored: frozenset[str] = frozenset()
 
-    @property
-    def is_exact(self) -> bool:
-        """Whether everything must be equal bit for bit."""
-        return self.tolerance == 0.0 and not self.ignored
-
     def differences(
         self, port: Port[Message], recorded: Message, new: Message
     ) -> tuple[FieldDifference, ...]:

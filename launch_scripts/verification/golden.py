@@ -7,15 +7,17 @@ what differs afterwards is what the agents do.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
 from agents.plan import RunPlan
-from bus_schemas.codec import encode
+from bus_schemas.codec import decode, encode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from launch_scripts.simulation import MemoryRun
+from launch_scripts.supervision import RunFailure
 from launch_scripts.verification.verification import PROFILE_NAME, run_profile
 from recordings.reader import RunReader
 from recordings.writer import RunWriter
@@ -53,7 +55,7 @@ def record_anew(run: Path) -> Path:
     InputError
         See `check_rerecordable`.
     RunFailure
-        The agents wait for each other.
+        The agents wait for each other, or one of them fails. The recording stays as it was.
     """
     path, plan, scenario, profile = _origin(run)
     unfinished = path.with_name(path.name + _UNFINISHED)
@@ -61,19 +63,34 @@ def record_anew(run: Path) -> Path:
     writer = RunWriter(unfinished, plan, scenario, driver="simulate")
 
     def record(port: Port[Message], message: Message) -> None:
+        payload = encode(message)
+        decode(port.signal, payload)  # What nobody can read is no recording.
         if port.signal.logged:
-            writer.add(port, message, encode(message), time.monotonic_ns())
+            writer.add(port, message, payload, time.monotonic_ns())
 
-    memory_run = MemoryRun(plan, profile, record)
     try:
-        for _ in memory_run.cycles():
-            pass
-        memory_run.close()
+        _run_all(plan, profile, record)
         writer.close()
         unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)
     return path
+
+
+def _run_all(
+    plan: RunPlan, profile: Profile, tap: Callable[[Port[Message], Message], None]
+) -> None:
+    try:
+        memory_run = MemoryRun(plan, profile, tap)
+        for _ in memory_run.cycles():
+            pass
+        memory_run.close()
+    except (RunFailure, OSError):
+        raise
+    except (Exception, SystemExit) as error:  # Whatever the code under test does wrong.
+        raise RunFailure(
+            f"an agent fails: {type(error).__name__}: {error}; the recording stays as it was"
+        ) from error
 
 
 def _origin(run: Path) -> tuple[Path, RunPlan, str, Profile]:

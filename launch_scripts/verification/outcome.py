@@ -5,14 +5,15 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any, Final
 
 import msgspec
 
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
+from launch_scripts.verification.account import Account, Difference, Gap, Kind
 from launch_scripts.verification.comparison import NOT_COMPARED, Comparison, Value
-from launch_scripts.verification.rerun import Account, Difference, Kind
 from launch_scripts.verification.verification import PROFILE_NAME, Verification
 from recordings.moments import RunClock
 
@@ -25,9 +26,10 @@ _KINDS: Final[dict[Kind, str]] = {
     "differs": "differ",
     "only recorded": "not sent any more",
     "only new": "not in the recording",
+    "other order": "in another order",
     "recorded twice": "recorded twice",
-    "input not recorded": "input not in the recording, the rest not compared",
-    "fails": "failure, the rest not compared",
+    "input not recorded": "input not in the recording",
+    "fails": "failure",
 }
 
 
@@ -53,8 +55,11 @@ class Outcome:
             if account.first is not None:
                 yield ""
                 yield from self._finding(name, account, account.first)
-        if found.differences:
+        if found.differences or found.not_compared:
             yield ""
+        for name, account in found.accounts.items():
+            if account.gaps:
+                yield f"{name}: {_gaps_text(account.gaps)}"
         yield self._verdict()
 
     def as_data(self) -> dict[str, Any]:
@@ -72,6 +77,8 @@ class Outcome:
             "cycles": found.cycles,
             "recorded": found.recorded,
             "compared": found.compared,
+            "not_compared": found.not_compared,
+            "undecided": found.undecided,
             "differences": found.differences,
             "first_agent": found.first[0] if found.first is not None else None,
             "missed_inputs": found.missed_inputs,
@@ -103,18 +110,32 @@ class Outcome:
         clock = RunClock(self.verification.plan, self.verification.plan.cycles - 1)
         counts = ", ".join(f"{count:,} {_KINDS[kind]}" for kind, count in account.counts.items())
         yield f"{name}: {counts}; the first in cycle {first.cycle} ({clock.text(first.cycle)})"
-        for line in _first_lines(first):
-            yield from _wrapped(line)
-        yield f"  inputs of {name} in cycle {first.cycle}"
-        for line in _input_lines(first):
-            yield from _wrapped(line)
+        yield from _difference_lines(name, first)
+        if account.failure is not None and account.failure is not first:
+            moment = f"{account.failure.cycle} ({clock.text(account.failure.cycle)})"
+            yield f"{name}: the failure in cycle {moment}"
+            yield from _difference_lines(name, account.failure)
 
     def _verdict(self) -> str:
-        found, comparison = self.verification, self.comparison
-        left_out = ", ".join([*sorted(comparison.ignored), *NOT_COMPARED])
-        how = "bit for bit" if not comparison.tolerance else f"within {comparison.tolerance:g}"
-        if found.equal:
-            return f"equal {how}; left out: {left_out}"
+        found = self.verification
+        if found.differences or found.strays:
+            return self._verdict_on_differences()
+        rest = f"{found.not_compared:,} messages not compared"
+        if found.undecided:
+            return f"UNDECIDED: no difference in what was compared; {rest}"
+        if found.not_compared:
+            return f"no difference up to where the run or its recording broke off; {rest}"
+        return self._verdict_on_equality()
+
+    def _verdict_on_equality(self) -> str:
+        comparison = self.comparison
+        if not comparison.ignored and not comparison.tolerance:
+            return f"equal bit for bit; left out: {', '.join(NOT_COMPARED)}"
+        within = f" within {comparison.tolerance:g}" if comparison.tolerance else ""
+        return f"equal{within} except for {', '.join([*sorted(comparison.ignored), *NOT_COMPARED])}"
+
+    def _verdict_on_differences(self) -> str:
+        found = self.verification
         count = sum(account.first is not None for account in found.accounts.values())
         text = f"NOT equal: {found.differences:,} differences of {_agents(count)}"
         if found.first is None:
@@ -129,11 +150,46 @@ def as_json(outcomes: Sequence[Outcome]) -> bytes:
         "equal": all(outcome.verification.equal for outcome in outcomes),
         "runs": [outcome.as_data() for outcome in outcomes],
     }
-    return msgspec.json.format(msgspec.json.encode(document), indent=1)
+    return msgspec.json.format(msgspec.json.encode(_finite(document)), indent=1)
+
+
+def _finite(value: Value) -> Value:
+    """Return plain data with the floats that JSON has no number for as text: nan, inf, -inf."""
+    if isinstance(value, float):
+        return value if isfinite(value) else str(value)
+    if isinstance(value, dict):
+        return {name: _finite(entry) for name, entry in value.items()}
+    return list(map(_finite, value)) if isinstance(value, list | tuple) else value
+
+
+def _gaps_text(gaps: Sequence[Gap]) -> str:
+    """Say which messages of an agent were not compared."""
+    messages = f"{sum(gap.messages for gap in gaps):,} messages"
+    first, last = gaps[0], gaps[-1]
+    if len(gaps) == 1 and last.open:
+        return f"from cycle {first.from_cycle} on not compared: {messages}"
+    if last.open:
+        return (
+            f"from cycle {first.from_cycle} on in part, from cycle {last.from_cycle} on not "
+            f"compared: {messages}"
+        )
+    spans = f" in {len(gaps):,} spans" if len(gaps) > 1 else ""
+    return (
+        f"from cycle {first.from_cycle} on not compared: {messages}{spans}, compared again after "
+        f"cycle {last.to_cycle}"
+    )
 
 
 def _agents(count: int) -> str:
     return f"{count:,} agent" + "s" * (count != 1)
+
+
+def _difference_lines(agent: str, difference: Difference) -> Iterator[str]:
+    for line in _first_lines(difference):
+        yield from _wrapped(line)
+    yield f"  inputs of {agent} in cycle {difference.cycle}"
+    for line in _input_lines(difference):
+        yield from _wrapped(line)
 
 
 def _first_lines(first: Difference) -> Iterator[str]:
@@ -149,19 +205,16 @@ def _first_lines(first: Difference) -> Iterator[str]:
 
 def _what(first: Difference) -> str:
     fields = _fields(first.message) if first.message is not None else ""
-    match first.kind:
-        case "differs":
-            return "differs"
-        case "only recorded":
-            return f"recorded, not sent any more: {fields}"
-        case "only new":
-            return f"sent now, not in the recording: {fields}"
-        case "recorded twice":
-            return f"recorded twice, the second time {fields}"
-        case "input not recorded":
-            return "neither in the recording nor named as missing"
-        case "fails":
-            return first.text
+    texts: dict[Kind, str] = {
+        "differs": "differs",
+        "only recorded": f"recorded, not sent any more: {fields}",
+        "only new": f"sent now, not in the recording: {fields}",
+        "other order": f"sent in another order: {first.text}",
+        "recorded twice": f"recorded twice, the second time {fields}",
+        "input not recorded": "neither in the recording nor named as missing",
+        "fails": first.text,
+    }
+    return texts[first.kind]
 
 
 def _input_lines(first: Difference) -> Iterator[str]:
@@ -207,10 +260,23 @@ def _account_data(name: str, account: Account) -> dict[str, Any]:
     first = account.first
     return {
         "agent": name,
+        "recorded": account.recorded,
         "compared": account.compared,
+        "not_compared": account.not_compared,
+        "not_compared_from": account.not_compared_from,
+        "gaps": [
+            {
+                "from_cycle": gap.from_cycle,
+                "to_cycle": gap.to_cycle,
+                "messages": gap.messages,
+                "compared_again": not gap.open,
+            }
+            for gap in account.gaps
+        ],
         "missed_inputs": account.missed_inputs,
         "differences": dict(account.counts),
         "first": None if first is None else _difference_data(first),
+        "failure": None if account.failure is None else _difference_data(account.failure),
     }
 
 

@@ -4,101 +4,46 @@ Which inputs those were, the outputs tell: each carries the keys of the inputs t
 to do without in that cycle, whether they came late, were dropped or never were sent. All other
 inputs of the cycle it had, so the recording has them too. Deadlines need no clock then: a run in
 real time is re-run like one in lockstep.
+
+Where the recording lost a message, nobody knows the state of who needed it; nor, in real time, of
+an agent of whose stage nothing is left that would tell what it had to do without. Such an agent is
+re-run from several states: the one that it would have otherwise, and that one with every number in
+it altered. Once it has heard each of its inputs anew, what it says from all alike does not depend
+on what was lost, and is compared. What depends on it is counted as not compared.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 from agents.agent import Agent, Stage, Turn
 from agents.plan import RunPlan
-from bus_schemas.bus import Delivery
+from bus_schemas.codec import encode
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
+from launch_scripts.verification.account import Account, Difference, Kind
+from launch_scripts.verification.altered_state import altered_states
 from launch_scripts.verification.comparison import Comparison, FieldDifference
+from launch_scripts.verification.guarded_agent import AgentFailure, GuardedAgent, State
 from launch_scripts.verification.recorded_cycles import RecordedCycle
-
-Kind: TypeAlias = Literal[
-    "differs", "only recorded", "only new", "recorded twice", "input not recorded", "fails"
-]
-"""`differs`: in its fields. `only recorded`: the agent does not say it now. `only new`: the
-recording lacks it. `recorded twice`: in one cycle. `input not recorded`: the agent must have heard
-something that the recording lacks. `fails`: the agent raises an error.
-
-After one of the last two the agent's state is unknown, and it is not compared any more. In real
-time the same after a stage of which the recording has nothing: what it lacked, nobody tells."""
-
-
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """A recorded message that the agent does not send now, or the other way round.
-
-    Attributes
-    ----------
-    kind
-        In what they differ.
-    cycle
-        Number of the cycle.
-    stage
-        The agent's stage that sends the message, empty if none does.
-    port
-        What the message is about; of `input not recorded` the input.
-    fields
-        Fields that differ, of kind `differs`.
-    message
-        The message in question: the recorded one if there is one, else the new one.
-    inputs
-        What the agent was given in that cycle.
-    missing
-        Keys of the inputs that it had to do without.
-    text
-        What went wrong, of kind `fails`.
-    """
-
-    kind: Kind
-    cycle: int
-    stage: str
-    port: Port[Message] | None
-    fields: tuple[FieldDifference, ...] = ()
-    message: Message | None = None
-    inputs: tuple[Delivery, ...] = ()
-    missing: tuple[str, ...] = ()
-    text: str = ""
 
 
 @dataclass(slots=True)
-class Account:
-    """What the comparison of one agent came to.
+class _Doubt:
+    """An agent whose state nobody knows.
 
     Attributes
     ----------
-    compared
-        Pairs of messages that were held against each other.
-    missed_inputs
-        Inputs that the agent had to do without.
-    counts
-        Differences by kind.
-    first
-        The first of them.
+    altered
+        Other states than the one that it would have had without the loss.
+    awaited
+        The ports on which it still must hear something before anything is compared.
     """
 
-    compared: int = 0
-    missed_inputs: int = 0
-    counts: Counter[Kind] = field(default_factory=Counter)
-    first: Difference | None = None
-
-    def add(self, difference: Difference) -> None:
-        """Count a difference, and keep it if it is the first."""
-        self.counts[difference.kind] += 1
-        self.first = self.first or difference
-
-    def absorb(self, later: Account) -> None:
-        """Add what was not certain when it was found."""
-        self.counts.update(later.counts)
-        self.first = self.first or later.first
+    altered: list[State]
+    awaited: set[Port[Message]]
 
 
 class AgentRerun:
@@ -106,8 +51,10 @@ class AgentRerun:
 
     Parameters
     ----------
-    agent
-        The agent, as the code is now.
+    name
+        Name of the agent.
+    make
+        Makes the agent, as the code is now.
     says
         The ports on which it publishes, as far as they are recorded.
     plan
@@ -123,22 +70,30 @@ class AgentRerun:
 
     def __init__(
         self,
-        agent: Agent[Any],
+        name: str,
+        make: Callable[[], Agent[Any]],
         says: Collection[Port[Message]],
         plan: RunPlan,
         comparison: Comparison,
     ) -> None:
-        self.agent = agent
+        self.name = name
         self.account = Account()
         self._says = frozenset(says)
         self._plan = plan
         self._comparison = comparison
-        self._state = agent.initial_state()
-        self._ended = False
+        self._agent: GuardedAgent | None = None
+        self._state: State = None
+        self._doubt: _Doubt | None = None
         # What the recording lacks was lost, or never said because the agent had come to its end:
         # to be told apart once it speaks again, or not.
         self._unsaid = Account()
-        self._lack: Difference | None = None
+        self._lacks: list[Difference] = []
+        try:
+            self._agent = GuardedAgent(make)
+            self._state = self._agent.initial_state()
+        except AgentFailure as failure:
+            self._agent = None
+            self.account.add(Difference("fails", 0, "", None, text=str(failure)))
 
     def take(self, cycle: RecordedCycle) -> None:
         """Re-run a cycle and compare what the agent says in it with what it said."""
@@ -146,15 +101,16 @@ class AgentRerun:
         if recorded:
             self.account.absorb(self._unsaid)
             self._unsaid = Account()
-        if self._ended:
-            return
         rerun = _CycleRerun(cycle, {key for said in recorded.values() for key in said.missing})
-        stages = self.agent.stages(cycle.number)
-        if not all(self._close(stage, rerun) for stage in stages):
-            self._ended = True
-        self.account.missed_inputs += len(rerun.absent)
-        self._compare(rerun, dict(recorded))
-        self._ended |= not self._plan.lockstep and not rerun.is_told(stages, recorded)
+        if self._agent is None:
+            self.account.leave_out(cycle.number, len(recorded))
+        else:
+            self._take_guarded(self._agent, rerun, recorded)
+        self.account.recorded += len(recorded)
+        for port, old in cycle.repeated:
+            if port in self._says:
+                self.account.recorded += 1
+                self.account.add(rerun.difference("recorded twice", "", port, message=old))
 
     def conclude(self, stop_cycle: int | None, newest: Mapping[Port[Message], int]) -> None:
         """Settle what is not certain before the end of the recording.
@@ -169,54 +125,138 @@ class AgentRerun:
         """
         if stop_cycle is not None:
             self.account.absorb(self._unsaid)
-        lack = self._lack
-        if lack is not None and lack.port is not None:
+        for lack in self._lacks:
             took_place = stop_cycle is not None and lack.cycle < stop_cycle
-            if took_place or newest.get(lack.port, -1) > lack.cycle:
+            if took_place or (lack.port is not None and newest.get(lack.port, -1) > lack.cycle):
                 self.account.add(lack)
 
-    def _close(self, stage: Stage, rerun: _CycleRerun) -> bool:
-        """Close a stage with the inputs that it had. Return whether the agent can go on."""
-        rerun.hear(stage)
-        lacking = self._lacking(stage, rerun)
-        if lacking:
-            self._lack = rerun.difference("input not recorded", stage.name, lacking[0])
-            return False
-        number, sim_time_ns = rerun.cycle.number, self._plan.sim_time_ns(rerun.cycle.number)
-        stamp = (number, sim_time_ns, self.agent.name, rerun.absent)
-        turn = Turn(stage.name, number, sim_time_ns, stamp, rerun.inputs)
+    def _take_guarded(
+        self, agent: GuardedAgent, rerun: _CycleRerun, recorded: dict[Port[Message], Message]
+    ) -> None:
+        number = rerun.cycle.number
+        rest = dict(recorded)
         try:
-            self._state, outputs = self.agent.step(self._state, turn)
-        except Exception as error:  # Whatever the code under test does wrong is a finding.
-            text = f"{type(error).__name__}: {error}"
-            self.account.add(rerun.difference("fails", stage.name, None, text=text))
-            return False
-        rerun.said += [(stage.name, port, message) for port, message in outputs]
-        return True
+            stages = agent.stages(number)
+            self._state, lacking = self._close_stages(agent, stages, self._state, rerun)
+            self.account.missed_inputs += len(rerun.absent)
+            if lacking is not None and self._doubt is None:
+                self._lacks.append(rerun.difference("input not recorded", rerun.stage, lacking))
+            is_lost = lacking is not None or not self._is_told(rerun, stages, recorded)
+            doubtful = self._doubtful_ports(agent, stages, rerun, is_lost=is_lost)
+            self._compare(rerun, rest, doubtful)
+            if lacking is None:
+                self._compare_rest(rerun, rest, doubtful)
+            if is_lost:
+                self._doubt = self._new_doubt(agent, number, self._state)
+            elif not rest:
+                self.account.resume()
+        except AgentFailure as failure:
+            # Of the cycle's earlier stages the messages are there to be compared.
+            self._compare(rerun, rest, self._says if self._doubt else frozenset())
+            self.account.add(rerun.difference("fails", rerun.stage, None, text=str(failure)))
+            self._agent = None
+        self.account.leave_out(number, len(rest))
 
-    def _lacking(self, stage: Stage, rerun: _CycleRerun) -> list[Port[Message]]:
-        """Return the inputs that the stage must have had, and that the recording lacks."""
-        needed = set(stage.awaits)
-        for port in stage.awaits.intersection(rerun.inputs):
-            announced = self.agent.follow_up(port, rerun.inputs[port])
-            if announced is not None:
-                needed.add(announced)
-        lacking = needed.difference(rerun.inputs)
-        return sorted((port for port in lacking if str(port) not in rerun.missing), key=str)
+    def _doubtful_ports(
+        self, agent: GuardedAgent, stages: Sequence[Stage], rerun: _CycleRerun, *, is_lost: bool
+    ) -> Collection[Port[Message]]:
+        """Return the ports of messages that may depend on what was lost."""
+        doubt = self._doubt
+        if doubt is None:
+            return ()
+        if is_lost:
+            return self._says
+        others = [_CycleRerun(rerun.cycle, rerun.missing) for _ in doubt.altered]
+        try:
+            doubt.altered = [
+                self._close_stages(agent, stages, state, other)[0]
+                for state, other in zip(doubt.altered, others, strict=True)
+            ]
+        except AgentFailure:  # It need not be able to live with a state that it never had.
+            self._doubt = self._new_doubt(agent, rerun.cycle.number, self._state)
+            return self._says
+        doubt.awaited.difference_update(rerun.inputs)
+        if doubt.awaited:
+            return self._says
+        alike = min((_said_alike(rerun, other) for other in others), key=len)
+        if all(len(alike) == len(run.said) for run in (rerun, *others)):
+            return ()
+        return self._says.difference(alike)
 
-    def _compare(self, rerun: _CycleRerun, recorded: dict[Port[Message], Message]) -> None:
+    def _new_doubt(self, agent: GuardedAgent, cycle: int, state: State) -> _Doubt:
+        """Of the next cycles any may be the turn of a tier above: all must be heard anew."""
+        next_cycles = range(cycle + 1, cycle + 1 + self._plan.periods.longest)
+        awaited = {
+            port
+            for number in next_cycles
+            for stage in agent.stages(number)
+            for port in stage.awaits
+        }
+        return _Doubt(altered_states(state), awaited)
+
+    def _is_told(
+        self, rerun: _CycleRerun, stages: Sequence[Stage], recorded: Collection[Port[Message]]
+    ) -> bool:
+        return self._plan.lockstep or not stages or rerun.is_told(stages, recorded)
+
+    def _close_stages(
+        self, agent: GuardedAgent, stages: Sequence[Stage], state: State, rerun: _CycleRerun
+    ) -> tuple[State, Port[Message] | None]:
+        """Close the stages of a cycle with the inputs that they had.
+
+        Returns the state after them, and the first input that the recording lacks, if any: the
+        agent cannot go on then.
+        """
+        number = rerun.cycle.number
+        sim_time_ns = self._plan.sim_time_ns(number)
+        for stage in stages:
+            rerun.stage = stage.name
+            rerun.hear(stage)
+            needed = stage.awaits.union(agent.announced(stage, rerun.inputs))
+            lacking = [port for port in needed.difference(rerun.inputs) if rerun.lacks(port)]
+            if lacking:
+                return state, min(lacking, key=str)
+            stamp = (number, sim_time_ns, self.name, rerun.absent)
+            turn = Turn(stage.name, number, sim_time_ns, stamp, rerun.inputs)
+            state, outputs = agent.step(state, turn)
+            rerun.said += [(stage.name, port, message) for port, message in outputs]
+        return state, None
+
+    def _compare(
+        self,
+        rerun: _CycleRerun,
+        rest: dict[Port[Message], Message],
+        doubtful: Collection[Port[Message]],
+    ) -> None:
+        """Compare what was said and is said again, and take it out of the rest."""
+        pairs = []
         for stage, port, message in rerun.said:
-            old = recorded.pop(port, None)
+            if port in doubtful:
+                continue
+            old = rest.pop(port, None)
             if old is not None:
+                pairs.append((port, old))
                 self._compare_pair(rerun, stage, port, old, message)
             elif rerun.cycle.took_place:
                 self._unsaid.add(rerun.difference("only new", stage, port, message=message))
-        if not self._ended:
-            for port, old in recorded.items():
-                self.account.add(rerun.difference("only recorded", "", port, message=old))
-        for port, old in rerun.cycle.repeated:
-            if port in self._says:
-                self.account.add(rerun.difference("recorded twice", "", port, message=old))
+        rerun.said = []
+        # One clock stamped them all. Their order in the file would be the order of arrival.
+        in_time = sorted(pairs, key=lambda pair: pair[1].publish_time_ns)
+        if in_time != pairs:
+            orders = [", ".join(str(port) for port, _ in order) for order in (in_time, pairs)]
+            text = "recorded {}; now {}".format(*orders)
+            self.account.add(rerun.difference("other order", "", in_time[0][0], text=text))
+
+    def _compare_rest(
+        self,
+        rerun: _CycleRerun,
+        rest: dict[Port[Message], Message],
+        doubtful: Collection[Port[Message]],
+    ) -> None:
+        """Take out of the rest what the agent surely does not say any more."""
+        for port in [port for port in rest if port not in doubtful]:
+            old = rest.pop(port)
+            self.account.add(rerun.difference("only recorded", "", port, message=old))
 
     def _compare_pair(
         self, rerun: _CycleRerun, stage: str, port: Port[Message], old: Message, new: Message
@@ -228,12 +268,27 @@ class AgentRerun:
             self.account.add(found)
 
 
+def _said_alike(one: _CycleRerun, other: _CycleRerun) -> list[Port[Message]]:
+    """Return the ports of what two reruns of a cycle say alike, up to the first difference.
+
+    What is said after it rests on the same memory. That it is alike may be chance: a value that
+    ends at a rating does not tell where it comes from.
+    """
+    ports: list[Port[Message]] = []
+    for (_, port, message), (_, its_port, its_message) in zip(one.said, other.said, strict=False):
+        if port is not its_port or encode(message) != encode(its_message):
+            break
+        ports.append(port)
+    return ports
+
+
 class _CycleRerun:
     """One agent in one cycle: what it was given, what it had to do without, what it says."""
 
     def __init__(self, cycle: RecordedCycle, missing: set[str]) -> None:
         self.cycle = cycle
         self.missing = missing
+        self.stage = ""
         self.inputs: dict[Port[Message], Message] = {}
         self.absent: tuple[str, ...] = ()
         self.said: list[tuple[str, Port[Message], Message]] = []
@@ -250,6 +305,10 @@ class _CycleRerun:
         for port in heard:
             if port in messages and str(port) not in absent:
                 self.inputs[port] = messages[port]
+
+    def lacks(self, port: Port[Message]) -> bool:
+        """Whether an input that was not heard must have been: nobody says that it was missing."""
+        return str(port) not in self.missing
 
     def is_told(self, stages: Sequence[Stage], recorded: Collection[Port[Message]]) -> bool:
         """Whether a recorded message tells what the cycle's stages had to do without.

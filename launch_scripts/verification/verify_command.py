@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from bus_schemas.errors import InputError
+from launch_scripts.json_rows import check_json_destination
 from launch_scripts.supervision import RunFailure
 from launch_scripts.verification.comparison import COMPARED_FIELDS, Comparison
 from launch_scripts.verification.outcome import Outcome, as_json
@@ -45,12 +46,14 @@ class VerifyRequest:
 def run_verify(request: VerifyRequest) -> int:
     """Verify what was asked for and say what it came to. Returns the exit status.
 
-    0: every agent says what it said; or the new recording is accepted. 1: there is a difference.
+    0: every agent says what it said; or the new recording is accepted. 1: there is a difference,
+    or the recording has lost so much that nobody can tell, or what was found cannot be written.
     """
     out = Console(stderr=request.json == "-", soft_wrap=True, highlight=False, markup=False)
     try:
         nodes, comparison = _plan(request)
         outcomes = [_verify(run, nodes, comparison, out) for run in request.runs]
+        _write_json(outcomes, request.json)
         if request.accept:
             for outcome in outcomes:
                 _accept(outcome.verification, out)
@@ -62,7 +65,6 @@ def run_verify(request: VerifyRequest) -> int:
         return _complain(f"{error.filename or ''}: {error.strerror}", BAD_INPUT)
     except KeyboardInterrupt:
         return _complain("interrupted", INTERRUPTED)
-    _write_json(outcomes, request.json)
     equal = all(outcome.verification.equal for outcome in outcomes)
     return EQUAL if equal or request.accept else DIFFERENT
 
@@ -77,8 +79,7 @@ def _plan(request: VerifyRequest) -> tuple[list[str], Comparison]:
             raise InputError(f"--ignore {name}: no message has it, accepted: {', '.join(near)}")
     if request.accept and nodes:
         raise InputError("--accept: the whole run is recorded anew, accepted is no --node with it")
-    if request.json not in (None, "-"):
-        _check_json_path(Path(request.json))
+    check_json_destination(request.json)
     if request.accept:
         _check_rerecordable(request.runs)
     return nodes, Comparison(request.tolerance, frozenset(ignored))
@@ -90,11 +91,6 @@ def _check_rerecordable(runs: Sequence[Path]) -> None:
 
     for run in runs:
         check_rerecordable(run)
-
-
-def _check_json_path(path: Path) -> None:
-    if path.is_dir() or not path.parent.is_dir():
-        raise InputError(f"--json {path}: accepted is a file in an existing folder, or -")
 
 
 def _words(texts: Sequence[str]) -> list[str]:
@@ -137,6 +133,12 @@ def _accept(found: Verification, out: Console) -> None:
     if found.equal:
         out.print(f"{found.recording}: nothing to accept")
         return
+    for name, account in found.accounts.items():
+        if account.failure is not None:
+            raise RunFailure(
+                f"--accept: {name} fails in cycle {account.failure.cycle} "
+                f"({account.failure.text}); {found.recording} stays as it was"
+            )
     from launch_scripts.verification.golden import record_anew  # noqa: PLC0415
 
     path = record_anew(found.recording)
@@ -144,10 +146,16 @@ def _accept(found: Verification, out: Console) -> None:
 
 
 def _write_json(outcomes: Sequence[Outcome], json: str | None) -> None:
-    if json == "-":
-        sys.stdout.write(as_json(outcomes).decode() + "\n")
-    elif json is not None:
-        Path(json).write_bytes(as_json(outcomes) + b"\n")
+    if json is None:
+        return
+    try:
+        if json == "-":
+            sys.stdout.write(as_json(outcomes).decode() + "\n")
+            sys.stdout.flush()
+        else:
+            Path(json).write_bytes(as_json(outcomes) + b"\n")
+    except OSError as error:
+        raise RunFailure(f"--json {json}: {error.strerror}") from error
 
 
 def _complain(text: object, status: int) -> int:

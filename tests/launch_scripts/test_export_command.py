@@ -15,6 +15,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from mcap.reader import make_reader
+from recordings_by_hand import whole_run, write_run
 from typer.testing import CliRunner, Result
 
 from bus_schemas.codec import decode
@@ -167,6 +168,23 @@ def test_of_a_cut_recording_everything_up_to_the_cut_is_exported(run: Path, form
     assert "the recording was cut short" in said
     figures = json.loads((run / "figures.json").read_text())
     assert (figures["messages"], figures["whole"]) == (left, False)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_damaged_part_is_left_out_and_told_in_one_line(tmp_path: Path, form: str) -> None:
+    recording = tmp_path / RECORDING_NAME
+    whole = len(write_run(recording, whole_run(CYCLES)))
+    with RunReader(recording) as reader:
+        place = reader.outline.chunks[2]
+    content = bytearray(recording.read_bytes())
+    content[place.offset : place.offset + 60] = bytes(60)
+    recording.write_bytes(content)
+    result = heliarch("export", recording, "--to", form, "--json", tmp_path / "figures.json")
+    assert result.exit_code == 0, result.output
+    (line,) = result.stderr.splitlines()
+    assert f"a part of the file is damaged (chunk at byte {place.offset:,}, cycles " in line
+    assert line.endswith("missing): see heliarch recover")
+    assert json.loads((tmp_path / "figures.json").read_text())["messages"] == whole - 200
 
 
 # What is refused ----------------------------------------------------------------------------------

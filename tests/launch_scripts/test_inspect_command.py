@@ -11,6 +11,7 @@ from recordings_by_hand import whole_run, write_run
 from typer.testing import CliRunner
 
 from launch_scripts.cli import app
+from recordings import open_run
 
 
 @pytest.fixture(scope="module")
@@ -142,3 +143,72 @@ def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_text("cycle,power_kw\n")
     assert "not an MCAP file, it begins with b'cycle,po'" in complaint(path)
+
+
+@pytest.fixture
+def damaged(recording: Path, tmp_path: Path) -> Path:
+    """The recording with the head of a chunk in the middle zeroed."""
+    with open_run(recording) as run:
+        place = run.outline.chunks[4]
+        cycles = run.cycles_in(place)
+    assert cycles is not None
+    assert cycles.start < 40 < cycles.stop - 1
+    content = bytearray(recording.read_bytes())
+    content[place.offset : place.offset + 60] = bytes(60)
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize(
+    "words", [[], ["--node", "c1/a"], ["--node", "c1/a", "--from", "35", "--to", "45"]]
+)
+def test_a_damaged_part_is_told_in_one_line_at_the_end(damaged: Path, words: list[str]) -> None:
+    result = CliRunner().invoke(app, ["inspect", str(damaged), *words])
+    assert result.exit_code == 0
+    assert result.stdout
+    assert result.stderr.count("\n") == 1
+    assert "a part of the file is damaged (chunk at byte" in result.stderr
+    assert "missing): see heliarch recover" in result.stderr
+
+
+def test_a_cycle_in_a_damaged_part_is_not_shown(damaged: Path) -> None:
+    assert "a part of the file is damaged" in complaint(damaged, "--cycle", "40")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
+@pytest.mark.parametrize("words", [[], ["--node", "c1/a"], ["--cycle", "3"]])
+def test_json_that_cannot_be_written_is_told_in_one_line(recording: Path, words: list[str]) -> None:
+    result = CliRunner().invoke(app, ["inspect", str(recording), *words, "--json", "/dev/full"])
+    assert result.exit_code == 1
+    assert result.stderr.count("\n") == 1
+    assert "No space left on device" in result.stderr
+    assert Path("/dev/full").is_char_device()
+
+
+@pytest.mark.parametrize("length", [2**64 - 1, 2**40])
+def test_a_huge_length_in_a_cut_file_is_no_trouble(
+    recording: Path, tmp_path: Path, length: int
+) -> None:
+    with open_run(recording) as run:
+        place, end = run.outline.chunks[2], run.outline.readable_end
+    content = bytearray(recording.read_bytes()[: end - 20])
+    content[place.offset + 1 : place.offset + 9] = length.to_bytes(8, "little")
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content)
+    result = CliRunner().invoke(app, ["inspect", str(path)])
+    assert result.exit_code == 0, result.output
+    assert f"chunk at byte {place.offset:,}" in result.stderr
+
+
+def test_a_damaged_attachment_is_named_or_refused(recording: Path, tmp_path: Path) -> None:
+    path, content = tmp_path / "run.mcap", recording.read_bytes()
+    for text in (b"Four inverters", b'"inverters"'):
+        torn = bytearray(content)
+        torn[content.index(text) + 2] ^= 1
+        path.write_bytes(torn)
+        result = CliRunner().invoke(app, ["inspect", str(path)])
+        plan = text != b"Four inverters"
+        assert result.exit_code == (2 if plan else 0), result.output
+        assert ("plan.json is damaged" if plan else "(attachment scenario.toml)") in result.stderr
+        assert result.stderr.count("\n") == 1

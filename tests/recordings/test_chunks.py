@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,8 @@ from recordings_by_hand import whole_run, write_run
 from recordings.chunks import (
     DamagedChunkError,
     RawMessage,
+    find_chunk,
+    is_chunk,
     messages_in,
     others_in,
     unpack_chunk,
@@ -120,3 +123,70 @@ def test_a_chunk_that_is_not_what_was_written_is_refused(
     path, outline = damaged(recording, at)
     with path.open("rb") as file, pytest.raises(DamagedChunkError, match=reason):
         unpack_chunk(file, outline.chunks[1])
+
+
+@pytest.mark.parametrize("zeroed", [20, 49, 4096, None])
+def test_a_chunk_that_is_zeroed_is_refused_and_not_empty(
+    recording: Path, tmp_path: Path, zeroed: int | None
+) -> None:
+    content = bytearray(recording.read_bytes())
+    with recording.open("rb") as file:
+        place = read_outline(file).chunks[1]
+    length = min(zeroed or place.length, place.length)
+    content[place.offset : place.offset + length] = bytes(length)
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content)
+    with path.open("rb") as file, pytest.raises(DamagedChunkError, match="no chunk begins there"):
+        unpack_chunk(file, place)
+
+
+def without_checksums(path: Path) -> Outline:
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.NONE, enable_crcs=False)
+        writer.start()
+        channel = writer.register_channel("topic", "msgpack", writer.register_schema("A", "", b""))
+        for number in range(20):
+            writer.add_message(channel, 1000 + number, bytes(10), 900, number)
+        writer.finish()
+    with path.open("rb") as file:
+        return read_outline(file)
+
+
+@pytest.mark.parametrize(
+    ("opcode", "length", "reason"),
+    [(0, 0, "a record in it is none"), (5, 5000, "reaches beyond its end")],
+)
+def test_without_a_checksum_the_records_still_have_to_be_a_row(
+    tmp_path: Path, opcode: int, length: int, reason: str
+) -> None:
+    path = tmp_path / "other.mcap"
+    (place,) = without_checksums(path).chunks
+    content = bytearray(path.read_bytes())
+    with path.open("rb") as file:
+        assert len(list(messages_in(unpack_chunk(file, place), {1}))) == 20
+    last_message = place.offset + 9 + place.length - (31 + 10)
+    content[last_message : last_message + 9] = bytes([opcode]) + length.to_bytes(8, "little")
+    path.write_bytes(content)
+    with path.open("rb") as file, pytest.raises(DamagedChunkError, match=reason):
+        unpack_chunk(file, place)
+
+
+def test_a_chunk_that_unpacks_to_another_size_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "other.mcap"
+    (place,) = without_checksums(path).chunks
+    content = bytearray(path.read_bytes())
+    content[place.offset + 9 + 16] ^= 1
+    path.write_bytes(content)
+    with path.open("rb") as file, pytest.raises(DamagedChunkError, match="bytes unpack of it"):
+        unpack_chunk(file, place)
+
+
+def test_chunks_are_found_again_from_anywhere(recording: Path) -> None:
+    with recording.open("rb") as file:
+        outline = read_outline(file)
+        offsets = [place.offset for place in outline.chunks]
+        assert all(is_chunk(file, offset) for offset in offsets)
+        for before, behind in pairwise(offsets):
+            assert find_chunk(file, before, outline.size) == before
+            assert find_chunk(file, before + 1, outline.size) == behind
+        assert find_chunk(file, offsets[-1] + 1, outline.size) is None

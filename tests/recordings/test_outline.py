@@ -7,8 +7,9 @@ from io import BytesIO
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recordings_by_hand import whole_run, write_run
+from recordings_by_hand import PLAN, whole_run, write_run
 
+from recordings.declarations import declare
 from recordings.outline import MAGIC, NoMcapError, Outline, read_outline
 
 
@@ -102,3 +103,73 @@ def test_a_torn_file_never_breaks_the_reading(content: bytes, data: st.DataObjec
 def test_what_does_not_begin_as_an_mcap_file_is_none(content: bytes) -> None:
     with pytest.raises(NoMcapError):
         outline_of(content)
+
+
+def cut(content: bytes) -> bytearray:
+    """Take the index away: the file has to be walked through."""
+    return bytearray(content[: outline_of(content).readable_end - 20])
+
+
+@pytest.mark.parametrize("length", [2**64 - 1, 2**63, 2**40, 100, 0])
+@pytest.mark.parametrize("which", [0, 2])
+def test_behind_a_record_of_a_wrong_length_the_next_chunk_is_found(
+    content: bytes, length: int, which: int
+) -> None:
+    whole, torn = outline_of(content), cut(content)
+    offset = whole.chunks[which].offset
+    torn[offset + 1 : offset + 9] = length.to_bytes(8, "little")
+    outline = outline_of(bytes(torn))
+    assert outline.chunks[which].offset == offset
+    assert outline.chunks[:which] + outline.chunks[which + 1 :] == (
+        whole.chunks[:which] + whole.chunks[which + 1 :]
+    )
+    assert not outline.closed
+
+
+@pytest.mark.parametrize("length", [2**64 - 1, 3000, 0])
+def test_a_wrong_length_between_chunks_hides_none(content: bytes, length: int) -> None:
+    whole, torn = outline_of(content), cut(content)
+    place = whole.chunks[2]
+    behind = place.offset + 9 + place.length  # of a record of the index of its messages
+    torn[behind + 1 : behind + 9] = length.to_bytes(8, "little")
+    outline = outline_of(bytes(torn))
+    assert set(whole.chunks) <= set(outline.chunks)
+    assert len(outline.chunks) <= len(whole.chunks) + 1
+
+
+def test_behind_zeros_in_the_middle_the_next_chunk_is_found(content: bytes) -> None:
+    whole, torn = outline_of(content), cut(content)
+    begin, end = whole.chunks[1].offset + 40, whole.chunks[3].offset + 100
+    torn[begin:end] = bytes(end - begin)
+    outline = outline_of(bytes(torn))
+    assert outline.chunks[0] == whole.chunks[0]
+    assert outline.chunks[-len(whole.chunks) + 4 :] == whole.chunks[4:]
+
+
+@pytest.mark.parametrize("times", [(0, 0), (2**63, 2**63), (2**63, 0), (0, 2**64 - 1)])
+def test_damaged_times_of_a_chunk_are_taken_from_its_messages(
+    content: bytes, times: tuple[int, int]
+) -> None:
+    whole, torn = outline_of(content), cut(content)
+    offset = whole.chunks[2].offset
+    torn[offset + 9 : offset + 25] = b"".join(time.to_bytes(8, "little") for time in times)
+    assert outline_of(bytes(torn)).chunks == whole.chunks
+
+
+@pytest.mark.parametrize("by_index", [True, False])
+def test_an_attachment_that_is_not_what_was_written_is_named(
+    content: bytes, by_index: bool
+) -> None:
+    torn = bytearray(content) if by_index else cut(content)
+    torn[content.index(b"Four inverters")] ^= 1
+    outline = outline_of(bytes(torn))
+    assert outline.indexed == by_index
+    assert outline.damaged_attachments == ["scenario.toml"]
+    assert outline_of(content).damaged_attachments == []
+
+
+def test_schemas_and_channels_follow_from_the_plan(content: bytes) -> None:
+    written, derived = outline_of(content), Outline(0)
+    declare(derived, PLAN)
+    assert derived.schemas == written.schemas
+    assert derived.channels == written.channels

@@ -131,3 +131,19 @@ def _silent_ports() -> int:
     """Ports on which something is due in every cycle or turn, and nothing came at all."""
     due = {str(port) for port, _ in cycle_of_the_plant(0) if port.signal.name != "help"}
     return len(due) - 1
+
+
+def test_what_is_missing_at_the_end_is_counted_up_to_where_the_plant_ended_the_run(
+    look: Callable[..., Overview],
+) -> None:
+    overview = look(is_kept=lambda pair: pair[1].cycle < 50 or pair[0].signal.name == "run")
+    assert (overview.last_cycle, overview.complete_cycles) == (END, 50)
+    gaps = {gap.port: (gap.first_cycle, gap.last_cycle, gap.cycles) for gap in overview.gaps}
+    assert gaps["production"] == gaps["c1/a/impp"] == (50, END, 10)
+    assert gaps["c1/request"] == (50, END - 1, 5)
+
+
+def test_a_part_lacks_what_was_due_up_to_its_own_end(look: Callable[..., Overview]) -> None:
+    overview = look(is_kept=lambda pair: not 18 <= pair[1].cycle < 25, cycles=range(11, 21))
+    gaps = {gap.port: (gap.first_cycle, gap.last_cycle) for gap in overview.gaps}
+    assert gaps["production"] == (18, 20)

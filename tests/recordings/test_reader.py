@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pandas as pd
@@ -18,6 +19,7 @@ from bus_schemas.signals import IMPP, PRODUCTION, RUN, SETPOINT, SIGNALS, TELEME
 from bus_schemas.tree import ROOT
 from recordings import open_run, reader
 from recordings.chunks import ChunkPlace, unpack_chunk
+from recordings.damage import damage_text
 from recordings.reader import RunReader
 
 CYCLES = 300
@@ -228,3 +230,79 @@ def test_a_damaged_chunk_is_refused_where_it_is_read_and_not_before(
         assert list(run.messages(end=50)) == [pair for pair in written if pair[1].cycle <= 50]
         with pytest.raises(InputError, match=rf"chunk at byte {place.offset:,}: .*recover"):
             list(run.messages())
+
+
+@pytest.fixture
+def damaged(recording: tuple[Path, list[Delivery]], tmp_path: Path) -> tuple[Path, ChunkPlace]:
+    """A recording with one chunk zeroed, and that chunk."""
+    path, _ = recording
+    with open_run(path) as run:
+        place = run.outline.chunks[20]
+    content = bytearray(path.read_bytes())
+    content[place.offset : place.offset + 60] = bytes(60)
+    (tmp_path / "run.mcap").write_bytes(content)
+    return tmp_path / "run.mcap", place
+
+
+def test_who_asks_for_it_reads_on_behind_a_damaged_chunk_and_can_tell_which(
+    recording: tuple[Path, list[Delivery]], damaged: tuple[Path, ChunkPlace]
+) -> None:
+    path, place = damaged
+    with open_run(recording[0]) as run:
+        lost = [pair for pair in recording[1] if pair[1].cycle in (run.cycles_in(place) or ())]
+    with RunReader(path, skip_damaged=True) as run:
+        kept = list(run.messages())
+        assert set(run.damage) == {place.offset}
+        text = damage_text(run)
+    assert 0 < len(recording[1]) - len(kept) <= len(lost)
+    begin, end = lost[0][1].cycle, lost[-1][1].cycle
+    told = re.search(rf"chunk at byte {place.offset:,}, cycles (\d+) to (\d+) missing", text)
+    assert told is not None
+    assert begin - 1 <= int(told[1]) <= begin
+    assert end <= int(told[2]) <= end + 1
+    with open_run(path) as run, pytest.raises(InputError, match="no chunk begins there"):
+        list(run.messages())
+
+
+def test_a_damaged_chunk_elsewhere_does_not_matter(damaged: tuple[Path, ChunkPlace]) -> None:
+    with RunReader(damaged[0], skip_damaged=True) as run:
+        assert list(run.messages(start=0, end=5))
+        assert (run.damage, damage_text(run)) == ({}, "")
+
+
+@pytest.mark.parametrize("first_ns", [0, 2**63])
+def test_damaged_times_in_a_cut_file_empty_no_span(
+    recording: tuple[Path, list[Delivery]], tmp_path: Path, first_ns: int
+) -> None:
+    path, written = recording
+    with open_run(path) as run:
+        places, end = run.outline.chunks, run.outline.readable_end
+    torn = bytearray(path.read_bytes()[: end - 20])
+    for place in (places[5], places[-3]):
+        torn[place.offset + 9 : place.offset + 17] = first_ns.to_bytes(8, "little")
+    cut = tmp_path / "run.mcap"
+    cut.write_bytes(torn)
+    with open_run(cut) as run:
+        assert list(run.messages(start=100, end=110)) == [
+            pair for pair in written if 100 <= pair[1].cycle <= 110
+        ]
+        assert list(run.messages()) == written
+
+
+def test_the_plan_of_a_recording_has_to_be_what_was_written(
+    recording: tuple[Path, list[Delivery]], tmp_path: Path
+) -> None:
+    content = bytearray(recording[0].read_bytes())
+    content[content.index(b'"inverters"') + 40] ^= 1
+    torn = tmp_path / "run.mcap"
+    torn.write_bytes(content)
+    with pytest.raises(InputError, match=r"its attachment plan\.json is damaged"):
+        open_run(torn)
+
+
+def test_the_plants_farewell_tells_where_the_run_ended(run: RunReader, tmp_path: Path) -> None:
+    assert run.stop_cycle == CYCLES
+    path = tmp_path / "run.mcap"
+    write_run(path, cycle_of_the_plant(0))
+    with open_run(path) as open_end:
+        assert open_end.stop_cycle is None

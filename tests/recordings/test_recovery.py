@@ -142,3 +142,82 @@ def test_nothing_that_is_there_is_replaced(
         recover_run(run, out)
     assert out.read_bytes() == b"precious"
     assert list(tmp_path.iterdir()) == [out]
+
+
+@pytest.mark.parametrize("zeroed", [40, 4096])
+def test_a_zeroed_chunk_is_not_whole(
+    recording: tuple[Path, list[Delivery]], tmp_path: Path, zeroed: int
+) -> None:
+    path, written = recording
+    with open_run(path) as run:
+        place = run.outline.chunks[1]
+    content = bytearray(path.read_bytes())
+    content[place.offset : place.offset + zeroed] = bytes(zeroed)
+    _, recovery = recovered(bytes(content), tmp_path)
+    with open_run(tmp_path / "run.mcap") as run:
+        assert not is_sound(run)
+    assert [damaged.offset for damaged in recovery.damaged] == [place.offset]
+    assert recovery.messages == len(written) - 1000
+    assert recovery.shortfall.lost > 0
+    assert not recovery.lossless
+
+
+def test_a_cut_file_whose_first_chunk_is_damaged_keeps_all_others(
+    recording: tuple[Path, list[Delivery]], tmp_path: Path
+) -> None:
+    path, written = recording
+    with open_run(path) as run:
+        first, end = run.outline.chunks[0], run.outline.readable_end
+    content = bytearray(path.read_bytes()[: end - 13])
+    content[first.offset + 500] ^= 0xFF
+    out, recovery = recovered(bytes(content), tmp_path)
+    assert [damaged.offset for damaged in recovery.damaged] == [first.offset]
+    with open_run(out) as run:
+        assert list(run.messages()) == written[1000:]
+
+
+def test_a_run_whose_agents_stop_before_its_end_may_lack_messages(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_run(
+        path,
+        whole_run(CYCLES),
+        is_kept=lambda pair: pair[1].source != "c1" or pair[1].cycle < 90,
+        close=False,
+    )
+    with open_run(path) as run:
+        recovery = recover_run(run, tmp_path / "new.mcap")
+    assert recovery.ended
+    assert not recovery.lossless
+    # Of c1: IMPP, residual, and requests and setpoints of its two inverters; ten of each.
+    assert (recovery.shortfall.early_ports, recovery.shortfall.early_messages) == (6, 60)
+    assert recovery.shortfall.lost == 0
+
+
+def test_a_message_that_is_lacking_in_between_may_be_lost(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_run(
+        path,
+        whole_run(CYCLES),
+        is_kept=lambda pair: (str(pair[0]), pair[1].cycle) not in {("c1/impp", 3), ("c1/impp", 4)},
+        close=False,
+    )
+    with open_run(path) as run:
+        recovery = recover_run(run, tmp_path / "new.mcap")
+    assert (recovery.shortfall.lost, recovery.shortfall.early_ports) == (2, 0)
+    assert not recovery.lossless
+
+
+def test_a_damaged_attachment_is_named_in_the_new_file(
+    recording: tuple[Path, list[Delivery]], tmp_path: Path
+) -> None:
+    path, written = recording
+    content = bytearray(path.read_bytes())
+    content[content.index(b"Four inverters")] ^= 0x80
+    out, recovery = recovered(bytes(content), tmp_path)
+    with open_run(tmp_path / "run.mcap") as run:
+        assert not is_sound(run)
+    assert recovery.damaged_attachments == ("scenario.toml",)
+    assert (recovery.messages, recovery.lossless) == (len(written), False)
+    with open_run(out) as run:
+        assert run.metadata[RECOVERY_METADATA]["damaged_attachments"] == "scenario.toml"
+        assert list(run.messages()) == written

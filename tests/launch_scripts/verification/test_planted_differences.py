@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 from troubled_runs import (
@@ -22,6 +23,7 @@ from troubled_runs import (
 from agents import family
 from agents.control.allocation import Allocation, allocate
 from agents.direct import DirectController
+from agents.supervisor import Supervisor
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Help, Impp, Message, Setpoint
 from bus_schemas.signals import (
@@ -37,8 +39,8 @@ from bus_schemas.signals import (
     Signal,
 )
 from bus_schemas.tree import PLANT, ROOT
+from launch_scripts.verification.account import Difference
 from launch_scripts.verification.comparison import Comparison, FieldDifference
-from launch_scripts.verification.rerun import Difference
 from launch_scripts.verification.verification import Verification, verify
 
 PLAN = plan_of(cycles=30)
@@ -183,14 +185,19 @@ def test_a_message_that_was_recorded_twice_is_found_and_the_first_one_counts(
     assert found.differences == 1
 
 
-def test_an_input_that_the_recording_lacks_ends_the_comparison_there(verified: Verify) -> None:
+def test_what_depends_on_an_input_that_the_recording_lacks_is_not_compared(
+    verified: Verify,
+) -> None:
     found = verified(without(place_of(TELEMETRY.of("c2/c"), 11)))
     assert first_of(found, PLANT).kind == "only new"
     lack = first_of(found, "c2/c")
     assert (lack.kind, lack.cycle, lack.port) == ("input not recorded", 11, TELEMETRY.of("c2/c"))
     assert found.differences == 2, "what follows from a state that nobody knows is not compared"
     in_time = [message for _, message in of_publisher(SAID, "c2/c") if message.cycle < 11]
-    assert found.accounts["c2/c"].compared == len(in_time)
+    account = found.accounts["c2/c"]
+    assert account.not_compared_from == 11
+    assert account.compared >= len(in_time)
+    assert account.compared + account.not_compared == account.recorded
 
 
 def test_a_message_of_no_cycle_of_the_run_is_found(verified: Verify) -> None:
@@ -277,3 +284,107 @@ def test_code_that_fails_is_a_finding_and_the_others_go_on(
     assert (first.kind, first.cycle, first.stage) == ("fails", 12, "actuate")
     assert first.text == "ZeroDivisionError: by hand"
     assert found.differences == 1
+    account = found.accounts["c1/b"]
+    assert account.not_compared_from == 12
+    assert account.compared + account.not_compared == account.recorded
+
+
+@pytest.mark.parametrize(
+    ("alpha", "error"),
+    [
+        (None, "ValidationError: Expected `float`, got `None`"),
+        ("x", "ValidationError: Expected `float`, got `str`"),
+        (np.float64(0.5), "TypeError: Encoding objects of type numpy.float64 is unsupported"),
+    ],
+)
+def test_a_value_that_cannot_be_sent_is_a_finding(
+    alpha: object, error: str, verified: Verify, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right = DirectController._actuate
+
+    def actuate(self: DirectController, state: object, turn: object) -> object:
+        state, outputs = right(self, state, turn)  # type: ignore[arg-type]
+        if self.name != "c1/b" or turn.cycle != 12:  # type: ignore[attr-defined]
+            return state, outputs
+        return state, [(port, replace(message, alpha=alpha)) for port, message in outputs]
+
+    monkeypatch.setattr(DirectController, "_actuate", actuate)
+    found = verified(SAID)
+    first = first_of(found, "c1/b")
+    assert (first.kind, first.cycle, first.stage) == ("fails", 12, "actuate")
+    assert first.text.startswith(error)
+    assert {str(port) for port, _ in first.inputs} >= {"c1/b/telemetry", "c1/b/setpoint"}
+    assert found.differences == 1
+
+
+@pytest.mark.parametrize("outputs", [None, 5, [None], [(None, None)]])
+def test_an_answer_that_is_no_list_of_messages_is_a_finding(
+    outputs: object, verified: Verify, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(DirectController, "step", lambda self, state, turn: (state, outputs))
+    found = verified(SAID, "c1/*")
+    assert found.accounts["c1"].first is None
+    for name in ("c1/a", "c1/b"):
+        first = first_of(found, name)
+        assert (first.kind, first.cycle, first.stage) == ("fails", 0, "estimate")
+
+
+@pytest.mark.parametrize("method", ["__init__", "initial_state", "stages", "follow_up", "step"])
+@pytest.mark.parametrize("error", [RuntimeError, SystemExit])
+def test_an_agent_that_fails_anywhere_is_a_finding_and_the_others_go_on(
+    method: str, error: type[BaseException], verified: Verify, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(self: Supervisor, *words: object) -> None:
+        raise error("by hand")
+
+    monkeypatch.setattr(Supervisor, method, fail)
+    found = verified(SAID)
+    assert [name for name, account in found.accounts.items() if account.first] == ["c1", "c2"]
+    assert tuple(found.accounts) == AGENTS
+    for name in ("c1", "c2"):
+        account = found.accounts[name]
+        first = first_of(found, name)
+        assert (first.kind, first.cycle) == ("fails", 0)
+        assert first.text == f"{error.__name__}: by hand"
+        assert account.not_compared == account.recorded > PLAN.cycles
+    assert found.first is not None
+
+
+def test_a_failure_after_another_difference_is_kept_too(
+    verified: Verify, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right = DirectController._actuate
+
+    def fail_in_cycle_12(self: DirectController, state: object, turn: object) -> object:
+        if self.name == "c1/b" and turn.cycle == 12:  # type: ignore[attr-defined]
+            raise ZeroDivisionError("by hand")
+        return right(self, state, turn)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(DirectController, "_actuate", fail_in_cycle_12)
+    place = place_of(IMPP.of("c1/b"), 4)
+    changed = replace(SAID[place][1], stale_cycles=7)
+    account = verified(with_message(place, changed), "c1/b").accounts["c1/b"]
+    assert account.counts == {"differs": 1, "fails": 1}
+    assert account.first is not None
+    assert account.first.cycle == 4
+    assert account.failure is not None
+    assert account.failure.cycle == 12
+
+
+def test_messages_in_another_order_are_a_finding(
+    verified: Verify, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right = DirectController._estimate
+
+    def turned_round(self: DirectController, state: object, turn: object) -> object:
+        state, outputs = right(self, state, turn)  # type: ignore[arg-type]
+        return state, outputs[::-1]
+
+    monkeypatch.setattr(DirectController, "_estimate", turned_round)
+    found = verified(SAID)
+    account = found.accounts["c2/c"]
+    assert account.counts == {"other order": PLAN.cycles}
+    first = first_of(found, "c2/c")
+    assert (first.cycle, first.port) == (0, IMPP.of("c2/c"))
+    assert first.text.startswith("recorded c2/c/impp, c2/c/residual, ")
+    assert found.accounts["c2"].first is None

@@ -10,13 +10,16 @@ from msgspec.structs import replace
 from troubled_runs import AGENTS, TroubledRun, cloudy_profile, lockstep_run, plan_of, record
 from typer.testing import CliRunner, Result
 
+from agents.agent import Turn
 from agents.direct import DirectController
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
 from bus_schemas.signals import COMMAND, Port
+from launch_scripts import simulation
 from launch_scripts.cli import app
 from launch_scripts.verification.verification import PROFILE_NAME, select_agents
 from recordings.writer import RECORDING_NAME
+from sim_plant.plant import Plant, PlantState
 
 PLAN = plan_of(cycles=8)
 PROFILE = cloudy_profile(PLAN)
@@ -121,6 +124,39 @@ def test_the_json_has_the_difference_whole(changed: Path, tmp_path: Path) -> Non
     assert (field["field"], field["recorded"]) == ("alpha", 0.0625)
     assert first["content"]["alpha"] == 0.0625
     assert first["inputs"]["c2/d/setpoint"]["source"] == "c2"
+
+
+@pytest.mark.parametrize(("value", "text"), [("nan", "nan"), ("inf", "inf"), ("-inf", "-inf")])
+def test_the_json_tells_numbers_that_are_none_from_null(
+    value: str, text: str, tmp_path: Path
+) -> None:
+    def change(port: Port[Message], message: Message) -> Delivery:
+        if port is COMMAND.of("c2/d") and message.cycle == 3:
+            return port, replace(message, alpha=float(value))
+        return port, message
+
+    folder = record(tmp_path / "run", PLAN, [change(*pair) for pair in SAID])
+    result = heliarch_verify(folder, "--node", "c2/d", "--json", "-")
+    (outcome,) = json.loads(result.stdout)["runs"]
+    first = outcome["agents"][0]["first"]
+    assert first["fields"][0]["recorded"] == text
+    assert first["content"]["alpha"] == text
+    assert isinstance(first["fields"][0]["new"], float)
+
+
+def test_a_full_disk_is_one_line(run: Path) -> None:
+    result = heliarch_verify(run, "--json", "/dev/full")
+    assert result.exit_code == 1
+    assert result.stderr == "heliarch: --json /dev/full: No space left on device\n"
+
+
+def test_what_was_allowed_is_named_in_the_verdict(changed: Path) -> None:
+    for words, verdict in [
+        (["--ignore", "alpha,power_kw"], "equal except for alpha, power_kw, publish_time_ns, seq"),
+        (["--tolerance", "1"], "equal within 1 except for publish_time_ns, sequence"),
+    ]:
+        result = heliarch_verify(changed, "--node", "c2/d", *words)
+        assert result.stdout.splitlines()[-1].startswith(verdict)
 
 
 def test_a_run_in_real_time_says_how_many_inputs_were_missed(tmp_path: Path) -> None:
@@ -228,6 +264,43 @@ def changed_code(monkeypatch: pytest.MonkeyPatch) -> None:
         self.alpha_min = 0.5
 
     monkeypatch.setattr(DirectController, "__init__", bold)
+
+
+@pytest.mark.parametrize("method", ["__init__", "step"])
+def test_code_that_fails_is_not_accepted(
+    method: str, run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(self: DirectController, *words: object) -> None:
+        raise SystemExit(3)
+
+    monkeypatch.setattr(DirectController, method, fail)
+    before = (run / RECORDING_NAME).read_bytes()
+    result = heliarch_verify(run, "--accept")
+    assert result.exit_code == 1
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("heliarch: --accept: c1/a fails in cycle 0 (SystemExit: 3); ")
+    assert (run / RECORDING_NAME).read_bytes() == before
+    assert sorted(path.name for path in run.iterdir()) == [PROFILE_NAME, RECORDING_NAME]
+
+
+@pytest.mark.usefixtures("changed_code")
+def test_what_fails_only_as_the_run_is_made_anew_is_not_accepted(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Broken(Plant):
+        def step(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
+            if turn.cycle == 5:
+                raise ZeroDivisionError("by hand")
+            return super().step(state, turn)
+
+    monkeypatch.setattr(simulation, "Plant", Broken)
+    before = (run / RECORDING_NAME).read_bytes()
+    result = heliarch_verify(run, "--accept")
+    assert result.exit_code == 1
+    (line,) = result.stderr.splitlines()
+    assert "an agent fails: ZeroDivisionError: by hand; the recording stays as it was" in line
+    assert (run / RECORDING_NAME).read_bytes() == before
+    assert sorted(path.name for path in run.iterdir()) == [PROFILE_NAME, RECORDING_NAME]
 
 
 @pytest.mark.usefixtures("changed_code")

@@ -13,7 +13,7 @@ import numpy as np
 
 from agents.agent import Agent
 from agents.deadlines import stage_place
-from agents.plan import RunPlan
+from agents.plan import RunPlan, Scheme
 from agents.sequencer import Sequencer
 from agents.team import controllers
 from bus_schemas.bus import Delivery, Outbox
@@ -37,6 +37,7 @@ def plan_of(
     cycles: int = 12,
     period_cycles: tuple[int, ...] = (1, 1),
     cycle_wall_ns: int = 0,
+    scheme: Scheme = "predictive",
 ) -> RunPlan:
     """Plan of a run, from the path and rating of each inverter; without deadlines by default."""
     return RunPlan(
@@ -50,7 +51,7 @@ def plan_of(
         regulation_capacity_kw=0.0,
         cycle_wall_ns=cycle_wall_ns,
         period_cycles=period_cycles,
-        scheme="predictive",
+        scheme=scheme,
         actuator="fraction",
         alpha_min=0.05,
         hold_cycles=3,
