@@ -331,7 +331,8 @@ def verify_command(
 ) -> None:
     """Re-run the agents of a recording on the inputs that they used, and compare what they say.
 
-    Exit status 1: they differ; each agent's first difference is shown with its inputs.
+    Exit status 1: they differ, each agent's first difference is shown with its inputs; or what was
+    lost leaves it undecided.
     """
     from launch_scripts.verification.verify_command import VerifyRequest, run_verify
 
