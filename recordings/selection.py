@@ -17,6 +17,8 @@ _NEAR: Final = 4
 _LISTED: Final = 12
 """Up to so many names are listed where none is near."""
 
+_SUBTREE: Final = "/*"
+
 
 def find_signals(names: Iterable[Signal[Message] | str]) -> tuple[Signal[Message], ...]:
     """Return the signals of these names, those that are recorded.
@@ -39,12 +41,21 @@ def find_signals(names: Iterable[Signal[Message] | str]) -> tuple[Signal[Message
 def find_nodes(tree: ControlTree, names: str | Iterable[str]) -> tuple[str, ...]:
     """Return the paths of these nodes; the central controller goes by its name too.
 
+    `c1/*` is `c1` and all below it, as for `heliarch verify`.
+
     Raises
     ------
     InputError
         The control tree has no such node.
     """
-    return tuple(find_node(tree, name) for name in ([names] if isinstance(names, str) else names))
+    found: list[str] = []
+    for name in [names] if isinstance(names, str) else names:
+        path = find_node(tree, name.removesuffix(_SUBTREE))
+        below = f"{path}/" if path != ROOT else ""
+        found.append(path)
+        if name.endswith(_SUBTREE):
+            found += [node for node in tree.nodes if node != path and node.startswith(below)]
+    return tuple(dict.fromkeys(found))
 
 
 def find_node(tree: ControlTree, name: str) -> str:
