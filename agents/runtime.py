@@ -114,7 +114,7 @@ class Runtime(Generic[S]):
         """Wait for messages or the deadline, whichever comes first, and act on them."""
         remaining_s = self._until_deadline_s()
         timeout_s = longest_s if remaining_s is None else min(longest_s, remaining_s)
-        for port, message in self.bus.receive(self.sequencer.wanted, timeout_s):
+        for port, message, _ in self.bus.receive(self.sequencer.wanted, timeout_s):
             bystander = self._bystanders.get(port)
             if bystander is not None and self.sequencer.is_genuine(port, message):
                 bystander(message)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from typing import Protocol, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias
 
 from msgspec.structs import replace
 
@@ -12,7 +12,15 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 
 Delivery: TypeAlias = tuple[Port[Message], Message]
-"""A message and the port that it is for: what an agent publishes, and what it receives."""
+"""A message and the port that it is for: what an agent publishes."""
+
+
+class Arrival(NamedTuple):
+    """A message that has come in, its port, and when it came [ns of the monotonic clock]."""
+
+    port: Port[Message]
+    message: Message
+    time_ns: int
 
 
 class Bus(Protocol):
@@ -21,7 +29,7 @@ class Bus(Protocol):
     def publish(self, port: Port[Message], message: Message) -> None:
         """Send a message to all who listen to its port."""
 
-    def receive(self, wanted: int, timeout_s: float | None) -> list[Delivery]:
+    def receive(self, wanted: int, timeout_s: float | None) -> list[Arrival]:
         """Return what has arrived: as soon as `wanted` messages are there, or at the time-out.
 
         Messages that no listed port takes are dropped, counted and named in the log.

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -16,7 +17,7 @@ from typing import Final
 import msgspec
 import zenoh
 
-from bus_schemas.bus import Delivery, Outbox
+from bus_schemas.bus import Arrival, Outbox
 from bus_schemas.codec import decode, encode
 from bus_schemas.keys import KeyTable
 from bus_schemas.messages import Message
@@ -87,7 +88,7 @@ class Inbox:
     """
 
     def __init__(self) -> None:
-        self._items: deque[zenoh.Sample] = deque()
+        self._items: deque[tuple[int, zenoh.Sample]] = deque()
         self._wanted = _NEVER
         self._urgent = False
         self._gate = threading.Lock()
@@ -95,20 +96,20 @@ class Inbox:
 
     def put(self, sample: zenoh.Sample) -> None:
         """Take in a sample. Called by Zenoh, so it does nothing else."""
-        self._items.append(sample)
+        self._items.append((time.monotonic_ns(), sample))
         if len(self._items) >= self._wanted:
             self._wanted = _NEVER
             self._open()
 
     def put_urgent(self, sample: zenoh.Sample) -> None:
         """Take in a sample that the agent must see at once, whatever else it waits for."""
-        self._items.append(sample)
+        self._items.append((time.monotonic_ns(), sample))
         self._urgent = True
         self._wanted = _NEVER
         self._open()
 
-    def take(self, wanted: int, timeout_s: float | None) -> list[zenoh.Sample]:
-        """Return all samples, once `wanted` or an urgent one are there, or at the time-out."""
+    def take(self, wanted: int, timeout_s: float | None) -> list[tuple[int, zenoh.Sample]]:
+        """Return all samples and when each came [ns], once `wanted` or an urgent one are there, or at the time-out."""
         if len(self._items) < wanted and not self._urgent:
             self._gate.acquire(blocking=False)  # an opening that came after the last waiting
             self._wanted = wanted
@@ -186,14 +187,14 @@ class ZenohBus:
         self._put[port](payload)
         self.publishing = None
 
-    def receive(self, wanted: int, timeout_s: float | None) -> list[Delivery]:
+    def receive(self, wanted: int, timeout_s: float | None) -> list[Arrival]:
         """Return what has arrived, see `Bus.receive`."""
-        deliveries = []
-        for sample in self._inbox.take(wanted, timeout_s):
-            delivery = self._unpack(str(sample.key_expr), sample.payload.to_bytes())
-            if delivery is not None:
-                deliveries.append(delivery)
-        return deliveries
+        arrivals = []
+        for time_ns, sample in self._inbox.take(wanted, timeout_s):
+            arrival = self._unpack(str(sample.key_expr), sample.payload.to_bytes(), time_ns)
+            if arrival is not None:
+                arrivals.append(arrival)
+        return arrivals
 
     def agents_alive(self, agents: Iterable[str]) -> set[str]:
         """Those of the agents whose liveliness token is seen."""
@@ -221,14 +222,14 @@ class ZenohBus:
             reliability=zenoh.Reliability.RELIABLE,
         )
 
-    def _unpack(self, key: str, payload: bytes) -> Delivery | None:
+    def _unpack(self, key: str, payload: bytes, time_ns: int) -> Arrival | None:
         port = self._keys.port(key)
         if port is None:
             self.unknown += 1
             self._on_drop(f"{key} is of a node or signal that this run does not have")
             return None
         try:
-            return port, decode(port.signal, payload)
+            return Arrival(port, decode(port.signal, payload), time_ns)
         except msgspec.DecodeError as error:
             self.undecodable += 1
             self._on_drop(f"{key} does not decode: {error}")

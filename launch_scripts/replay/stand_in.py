@@ -73,7 +73,7 @@ class StandIn:
         """
         return [
             self._unpack(str(sample.key_expr), sample.payload.to_bytes())
-            for sample in self._inbox.take(wanted, timeout_s)
+            for _, sample in self._inbox.take(wanted, timeout_s)
         ]
 
     def absent(self) -> list[str]:

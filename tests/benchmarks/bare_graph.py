@@ -326,7 +326,7 @@ class Player:
         return round(began * 1e9), time.monotonic_ns()
 
     def _hear(self, timeout_s: float) -> None:
-        for sample in self._inbox.take(1, timeout_s):
+        for _, sample in self._inbox.take(1, timeout_s):
             number = int.from_bytes(sample.payload.to_bytes()[:_NUMBER_BYTES])
             if not self.over and number >= self._number:
                 self._have += number == self._number

@@ -18,7 +18,7 @@ def sample(number: int) -> zenoh.Sample:
 
 def take(inbox: Inbox, wanted: int, timeout_s: float | None) -> list[int]:
     """What an inbox gives, as the numbers that were put into it."""
-    return cast("list[int]", inbox.take(wanted, timeout_s))
+    return [cast("int", number) for _, number in inbox.take(wanted, timeout_s)]
 
 
 def in_threads(*works: threading.Thread) -> None:
