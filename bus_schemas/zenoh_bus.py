@@ -109,7 +109,10 @@ class Inbox:
         self._open()
 
     def take(self, wanted: int, timeout_s: float | None) -> list[tuple[int, zenoh.Sample]]:
-        """Return all samples and when each came [ns], once `wanted` or an urgent one are there, or at the time-out."""
+        """Return all samples and when each came [ns of the monotonic clock].
+
+        It waits until `wanted` or an urgent one are there, or for the time-out.
+        """
         if len(self._items) < wanted and not self._urgent:
             self._gate.acquire(blocking=False)  # an opening that came after the last waiting
             self._wanted = wanted
