@@ -23,6 +23,9 @@ from launch_scripts.processes import ProcessSpec, environment
 _LOG_LINES: Final = 5
 """Lines of a log that are shown when its process is to blame."""
 
+_SAMPLE_S: Final = 0.5
+"""Time between two looks at the memory of a process, once all have been looked at."""
+
 _decoder = msgspec.json.Decoder(AnyEvent)
 
 
@@ -114,7 +117,8 @@ class Children:
         self._selector = selectors.DefaultSelector()
         self._specs = specs
         self._logs = logs
-        self._sampled_at = 0.0
+        self._samples = 0
+        self._sample_at = 0.0
 
     def __enter__(self) -> Children:
         try:
@@ -221,12 +225,20 @@ class Children:
                 child.failed = event
 
     def _sample_memory(self) -> None:
-        if time.monotonic() < self._sampled_at + 1.0:
+        """Look at the memory of one process, each in its turn.
+
+        The kernel walks through all pages of a process for it, a millisecond in which that process
+        may have to wait: once everybody has been seen, that is done rarely.
+        """
+        children = list(self)
+        now = time.monotonic()
+        if not children or now < self._sample_at:
             return
-        self._sampled_at = time.monotonic()
-        for child in self:
-            with suppress(psutil.Error):
-                child.memory = max(child.memory, memory_of(child.process.pid))
+        child = children[self._samples % len(children)]
+        self._samples += 1
+        self._sample_at = now + (_SAMPLE_S if self._samples >= len(children) else 0.0)
+        with suppress(psutil.Error):
+            child.memory = max(child.memory, memory_of(child.process.pid))
 
     def _check(self) -> None:
         for child in self:
@@ -254,6 +266,13 @@ def with_log(child: Child, text: str) -> str:
     return f"{text}; last lines of {child.log}:\n{child.last_log_lines()}"
 
 
+def blame(children: Children, agent: str, text: str) -> str:
+    """Return a text about an agent, with its last log lines if it is a process of this run."""
+    if agent in children.by_agent:
+        return with_log(children[agent], text)
+    return f"{text} ({agent} is external)"
+
+
 def explain_stall(children: Children) -> str:
     """Say who is waited for and does not answer, and who waits for which message.
 
@@ -272,9 +291,8 @@ def explain_stall(children: Children) -> str:
     for agent in culprits:
         reasons = Counter(needed[agent])
         lines += [f"  {reason}" for reason in list(reasons)[:4]]
-        if agent in children.by_agent:
-            child = children[agent]
-            lines[-1] = with_log(child, lines[-1])
+        if agent:
+            lines[-1] = blame(children, agent, lines[-1])
     return "\n".join(lines)
 
 
