@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+import threading
 from pathlib import Path
 
 from agents.lifeline import Failed, Lifeline, Ready, join_run
 from agents.plan import RunPlan, load_plan
-from agents.runtime import DropLog, Runtime, open_bus
+from agents.runtime import DropLog, Runtime, open_bus, settle_in
 from agents.team import (
     Controller,
     central_controller,
@@ -34,10 +35,16 @@ def main() -> int:
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    return run_controller(controller, plan, Lifeline(options.attached))
+    # The launcher knows one word for a controller: stop.
+    dismissed = threading.Event()
+    lifeline = Lifeline(options.attached, on_word=lambda word: dismissed.set())
+    settle_in(plan, options.kind)
+    return run_controller(controller, plan, lifeline, dismissed)
 
 
-def run_controller(controller: Controller, plan: RunPlan, lifeline: Lifeline) -> int:
+def run_controller(
+    controller: Controller, plan: RunPlan, lifeline: Lifeline, dismissed: threading.Event
+) -> int:
     """Join the bus and take the controller through the run. Returns the exit status."""
     drop_log = DropLog()
     try:
@@ -45,7 +52,7 @@ def run_controller(controller: Controller, plan: RunPlan, lifeline: Lifeline) ->
             runtime = Runtime(controller, plan, bus, lifeline, drop_log)
             lifeline.tell(Ready())
             log.info("%s is on the bus", controller.name)
-            runtime.run()
+            runtime.run(dismissed)
     except Exception as error:
         log.exception("%s gives up", controller.name)
         lifeline.tell(Failed(f"{type(error).__name__}: {error}"))

@@ -36,12 +36,16 @@ class Stage:
     timed
         In real time the stage begins on the clock instead of with a message: it stays open until
         its deadline. In lockstep there is no clock, and it closes at once.
+    takes_late
+        Ports of which it awaits nothing in this cycle, but takes up the message of an earlier one
+        that came too late for it. Such a stage always says something, so that a recording tells.
     """
 
     name: str
     awaits: frozenset[Port[Message]]
     on_need: frozenset[Port[Message]] = frozenset()
     timed: bool = False
+    takes_late: frozenset[Port[Message]] = frozenset()
 
 
 class Turn(msgspec.Struct, frozen=True, gc=False):
@@ -56,7 +60,8 @@ class Turn(msgspec.Struct, frozen=True, gc=False):
     stamp
         The first fields of every message that the agent makes now.
     inputs
-        The messages of this cycle by port. A port without one was silent up to the deadline.
+        The messages of this cycle by port; where one did not come in time, the newest late one of
+        that port. A port without either was silent up to the deadline.
     """
 
     stage: str

@@ -1,8 +1,11 @@
 """When, in real time, each stage of a cycle must close at the latest.
 
 The stages follow one another through the tree: a pass down (request), a pass up (report), a pass
-down (solve). Each gets the same slice of the cycle; the rest is left as a margin before the next
-tick of the plant.
+down (solve). Without further words each gets the same slice of the cycle; the rest is left as a
+margin before the next tick of the plant. A run may instead state for each tier when its last word
+of the cycle must be out: the central controller's and the supervisors' setpoints, the direct
+controllers' commands. The stages before the central controller's last word then share the time up
+to it, and the plant waits for commands until halfway between the last deadline and its next tick.
 """
 
 from __future__ import annotations
@@ -35,7 +38,46 @@ def stage_place(agent: str, stage: str, tree: ControlTree) -> int:
     return places[stage]
 
 
-def deadline_ns(agent: str, stage: str, tree: ControlTree, cycle_wall_ns: int) -> int:
-    """Deadline of a stage after the beginning of its cycle [ns of the wall clock]."""
+def deadline_ns(
+    agent: str,
+    stage: str,
+    tree: ControlTree,
+    cycle_wall_ns: int,
+    tier_deadlines_ns: tuple[int, ...] = (),
+) -> int:
+    """Return the deadline of a stage after the beginning of its cycle [ns of the wall clock].
+
+    Parameters
+    ----------
+    agent, stage
+        The agent and its stage.
+    tree
+        The control tree.
+    cycle_wall_ns
+        Length of a cycle.
+    tier_deadlines_ns
+        Deadline of each tier's last word, the central controller's first and the direct
+        controllers' last. Empty: each stage has the same share of the cycle.
+    """
+    if tier_deadlines_ns:
+        return _by_tier_ns(agent, stage, tree, cycle_wall_ns, tier_deadlines_ns)
     share = USED_SHARE * stage_place(agent, stage, tree) / stage_place(PLANT, "advance", tree)
     return round(share * cycle_wall_ns)
+
+
+def _by_tier_ns(
+    agent: str, stage: str, tree: ControlTree, cycle_wall_ns: int, tiers_ns: tuple[int, ...]
+) -> int:
+    place = stage_place(agent, stage, tree)
+    central_place = stage_place(CENTRAL, "solve", tree)
+    if place <= central_place:
+        return tiers_ns[0] * place // central_place
+    if agent == PLANT:
+        return (tiers_ns[-1] + cycle_wall_ns) // 2
+    # A direct controller may hang from any tier: its deadline is that of its like.
+    return tiers_ns[-1] if stage == "actuate" else tiers_ns[depth(agent)]
+
+
+def slice_ns(tree: ControlTree, cycle_wall_ns: int) -> int:
+    """Return the time between the deadlines of two stages that follow one another [ns]."""
+    return round(USED_SHARE * cycle_wall_ns / stage_place(PLANT, "advance", tree))

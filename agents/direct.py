@@ -88,8 +88,12 @@ class DirectController:
             Stage("actuate", frozenset({self._setpoint})),
         )
         self._own_cycle = (
-            Stage("estimate", frozenset({self._telemetry})),
-            Stage("actuate", frozenset()),
+            Stage(
+                "estimate",
+                frozenset({self._telemetry}),
+                takes_late=frozenset({self._request}),
+            ),
+            Stage("actuate", frozenset(), takes_late=frozenset({self._setpoint})),
         )
 
     def initial_state(self) -> DirectState:

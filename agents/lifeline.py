@@ -18,6 +18,8 @@ from typing import TypeAlias
 
 import msgspec
 
+from agents.stopwatch import ProcessTiming
+
 log = logging.getLogger(__name__)
 
 
@@ -48,7 +50,10 @@ class Waiting(Event, frozen=True):
 
 
 class Status(Event, frozen=True):
-    """What the recorder has seen so far: the run's state for a live view. Powers in kW."""
+    """What the recorder has seen so far: the run's state for a live view. Powers in kW.
+
+    `unheard` are the keys on which external agents have said nothing in an arming round.
+    """
 
     cycle: int
     sim_time_ns: int
@@ -57,6 +62,7 @@ class Status(Event, frozen=True):
     delivered_kw: float
     needy: list[str]
     recorded: int
+    unheard: list[str] = msgspec.field(default_factory=list)
 
 
 class Finished(Event, frozen=True):
@@ -70,11 +76,26 @@ class Finished(Event, frozen=True):
         Messages that it could not use, by cause.
     missing_inputs
         Inputs that a deadline found missing.
+    late_used
+        Late words that were used in place of them.
+    skipped_cycles
+        Cycles that were given up, since they were over before the process came to them.
+    dropped_ports
+        Messages that it could not use, by port and cause.
+    timing
+        What it measured of itself in real time; None in lockstep.
+    faults
+        What an imperfect network did to messages on their way to it.
     """
 
     published: dict[str, int]
     dropped: dict[str, int]
     missing_inputs: int
+    late_used: int = 0
+    skipped_cycles: int = 0
+    dropped_ports: dict[str, dict[str, int]] = msgspec.field(default_factory=dict)
+    timing: ProcessTiming | None = None
+    faults: dict[str, int] = msgspec.field(default_factory=dict)
 
 
 class PlantPower(msgspec.Struct, frozen=True):
@@ -94,6 +115,66 @@ class PlantPower(msgspec.Struct, frozen=True):
     delivered_kw: list[float] = msgspec.field(default_factory=list)
 
 
+class Presence(Event, frozen=True):
+    """The liveliness token of an external agent has come or gone, seen by the recorder.
+
+    `cycle` is the newest cycle by then, -1 before the run.
+    """
+
+    agent: str
+    alive: bool
+    cycle: int
+
+
+class Over(Event, frozen=True):
+    """An external plant has said that the run is over, before this cycle."""
+
+    cycle: int
+
+
+class Complaint(Event, frozen=True):
+    """What was wrong with messages on a key, seen by the recorder.
+
+    Attributes
+    ----------
+    key
+        The key on the bus, without the run's namespace.
+    cause
+        In what way they were wrong.
+    count
+        How many of them were.
+    example
+        What is to be said of the first one.
+    """
+
+    key: str
+    cause: str
+    count: int
+    example: str
+
+
+class ExternalAccount(msgspec.Struct, frozen=True):
+    """What the recorder heard of an external agent, which gives no account of itself.
+
+    Attributes
+    ----------
+    recorded
+        Its messages in the recording, by signal.
+    lost
+        Its messages that their sequence numbers show to be missing.
+    expected
+        How many messages it should have sent on the keys on which one comes in each cycle.
+    answered
+        How many of them came.
+    """
+
+    agent: str
+    recorded: dict[str, int]
+    lost: int
+    expected: int
+    answered: int
+
+
 class Recorded(Event, frozen=True):
     """The recorder has closed its file.
 
@@ -109,6 +190,10 @@ class Recorded(Event, frozen=True):
         What the run came to.
     ended_early
         Why the file does not go up to the end of the run; empty if it does.
+    external
+        An account of each external agent. Their messages are among the others in `recorded`.
+    complaints
+        What was wrong with messages that are none of the run, and with those of external agents.
     """
 
     recorded: dict[str, int]
@@ -116,6 +201,8 @@ class Recorded(Event, frozen=True):
     foreign: int
     plant: PlantPower
     ended_early: str = ""
+    external: tuple[ExternalAccount, ...] = ()
+    complaints: tuple[Complaint, ...] = ()
 
 
 class RecordingEnded(Event, frozen=True):
@@ -131,8 +218,24 @@ class Failed(Event, frozen=True):
 
 
 AnyEvent: TypeAlias = (
-    Ready | Armed | Waiting | Status | Finished | Recorded | RecordingEnded | Failed
+    Ready
+    | Armed
+    | Waiting
+    | Status
+    | Finished
+    | Presence
+    | Over
+    | Complaint
+    | Recorded
+    | RecordingEnded
+    | Failed
 )
+
+
+def end_at_once() -> None:
+    """End this process, whatever its other threads do; its last words are in its log."""
+    logging.shutdown()
+    os._exit(1)
 
 
 class Lifeline:
@@ -153,7 +256,7 @@ class Lifeline:
         self,
         attached: bool,
         on_word: Callable[[str], None] = lambda word: None,
-        on_orphaned: Callable[[], None] = lambda: os._exit(1),
+        on_orphaned: Callable[[], None] = end_at_once,
     ) -> None:
         self._encoder = msgspec.json.Encoder()
         self._lock = threading.Lock()

@@ -13,8 +13,11 @@ from typing import Literal, TypeAlias
 import msgspec
 
 from agents.family import Neighbourhood
+from agents.machine import MachineSettings
 from agents.periods import Periods
+from agents.sequencer import LateWords
 from bus_schemas.errors import InputError
+from bus_schemas.faults import FaultRule, NetworkFaults
 from bus_schemas.keys import KeyTable
 from bus_schemas.messages import Run
 from bus_schemas.tree import PLANT, ControlTree, depth
@@ -70,6 +73,21 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         Ramp limit that the run is measured by, in % of the plant's rating per minute.
     tcp_ports
         Port on 127.0.0.1 of each agent that listens. Empty in memory.
+    faults, faults_seed
+        In what ways the network is imperfect, and the seed of what is drawn for it.
+    external
+        Agents that the launcher does not start but waits for: the user's own devices.
+    namespace
+        Prefix of the run's keys on the bus. Empty: the `run_id`, so that two runs never meet.
+    late
+        In real time: whether a message that comes after its stage has closed is used in place of
+        the next one that does not come in time, or dropped.
+    tier_deadlines_ns
+        In real time: when, after the beginning of a cycle, the last word of each tier must be out
+        at the latest; the central controller's first, the direct controllers' last. Empty: each
+        stage has the same share of the cycle.
+    machine
+        What the processes may take of the machine.
     """
 
     run_id: str
@@ -90,6 +108,13 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     neighbourhoods: tuple[NodeNeighbourhoods, ...]
     tcp_ports: dict[str, int]
     ramp_limit_percent_per_min: float | None = None
+    faults: tuple[FaultRule, ...] = ()
+    faults_seed: int = 0
+    external: tuple[str, ...] = ()
+    namespace: str = ""
+    late: LateWords = "use"
+    tier_deadlines_ns: tuple[int, ...] = ()
+    machine: MachineSettings = MachineSettings()
 
     @cached_property
     def tree(self) -> ControlTree:
@@ -102,9 +127,19 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return KeyTable(self.plant, self.tree)
 
     @cached_property
+    def network_faults(self) -> NetworkFaults:
+        """The faults of the network, at work."""
+        return NetworkFaults(self.faults, self.faults_seed, self.tree, self.cycle_wall_ns)
+
+    @cached_property
     def periods(self) -> Periods:
         """The periods of the tiers."""
         return Periods(self.period_cycles)
+
+    @property
+    def bus_namespace(self) -> str:
+        """Prefix of the run's keys on the bus."""
+        return self.namespace or self.run_id
 
     @property
     def lockstep(self) -> bool:
@@ -165,4 +200,9 @@ def _check_tiers(plan: RunPlan) -> None:
         raise InputError(
             f"period_cycles has {len(plan.period_cycles)} entries, accepted is one for each of "
             f"the {tiers} tiers that have children"
+        )
+    if len(plan.tier_deadlines_ns) not in {0, plan.tree.height + 1}:
+        raise InputError(
+            f"tier_deadlines_ns has {len(plan.tier_deadlines_ns)} entries, accepted is one for "
+            f"each of the {plan.tree.height + 1} tiers, or none"
         )

@@ -11,35 +11,57 @@ from collections.abc import Callable
 from typing import Final, Generic, TypeVar
 
 from agents.agent import Agent
-from agents.deadlines import deadline_ns
+from agents.background_log import log_in_background
+from agents.deadlines import deadline_ns, slice_ns
+from agents.interlude import Interlude
 from agents.lifeline import Finished, Lifeline, Waiting
+from agents.machine import Kind, take_machine
 from agents.plan import RunPlan
 from agents.sequencer import Sequencer
+from agents.stopwatch import ProcessTiming, Schedule, Stopwatch, TimedAgent
 from bus_schemas.bus import Delivery
+from bus_schemas.faulty_bus import FaultyBus
 from bus_schemas.links import explicit_links
 from bus_schemas.messages import Message, Run
-from bus_schemas.signals import RUN, Port
-from bus_schemas.tree import ROOT
+from bus_schemas.signals import PLANT_TIMING, RUN, TIMING, Port
+from bus_schemas.tree import CENTRAL, PLANT, ROOT, agent_name
 from bus_schemas.zenoh_bus import SessionSettings, ZenohBus
 
 S = TypeVar("S")
 
 log = logging.getLogger(__name__)
 
+_MOST_BEHIND: Final = 2
+"""So many cycles behind the clock an agent gives up the whole ones between: nobody needs them."""
+
 _IDLE_S: Final = 0.5
 """How long to wait for a message before looking whether something else has changed."""
 
 
+_WITHOUT_DIGITS: Final = str.maketrans("", "", "0123456789")
+_MOST_KINDS: Final = 200
+
+
 class DropLog:
-    """Names dropped messages in the log: the first few of a kind, then more and more rarely."""
+    """Names dropped messages in the log: the first few of a kind, then more and more rarely.
+
+    Two texts are of a kind if they differ in their numbers alone: a flood of one kind must not
+    hide another.
+    """
 
     def __init__(self) -> None:
         self.total = 0
+        self._of_kind: Counter[str] = Counter()
 
     def __call__(self, text: str) -> None:
         """Count a drop, and log it if it is its turn."""
         self.total += 1
-        if self.total <= 10 or self.total & (self.total - 1) == 0:
+        kind = text.translate(_WITHOUT_DIGITS)
+        if kind not in self._of_kind and len(self._of_kind) >= _MOST_KINDS:
+            kind = ""
+        self._of_kind[kind] += 1
+        count = self._of_kind[kind]
+        if count <= 10 or count & (count - 1) == 0:
             log.warning("dropped (%d so far): %s", self.total, text)
 
 
@@ -70,12 +92,16 @@ class Runtime(Generic[S]):
         self.plan = plan
         self.bus = bus
         self.lifeline = lifeline
+        self._stopwatch = None if plan.lockstep else Stopwatch(agent, self._schedule())
+        self._interlude = None if self._stopwatch is None else self._make_interlude(self._stopwatch)
+        self._said: tuple[int, ...] = ()
         self.sequencer = Sequencer(
-            agent,
+            agent if self._stopwatch is None else TimedAgent(agent, self._stopwatch),
             plan.sim_time_ns,
             lockstep=plan.lockstep,
             horizon=plan.periods.longest,
             on_drop=drop_log,
+            late=plan.late,
         )
         self.sequencer.end_before(plan.cycles)
         self._stop_heard = False
@@ -84,27 +110,63 @@ class Runtime(Generic[S]):
         self._start_time_ns: int | None = None
         self._deadlines_ns: dict[str, int] = {}
 
-    def run(self) -> None:
-        """Take the agent through the run, from arming to the plant's word that it is over."""
+    def run(self, dismissed: threading.Event) -> None:
+        """Take the agent through the run, from arming to the plant's word that it is over.
+
+        Where nobody can tell an external plant to end the run, the launcher dismisses the agents.
+        """
         watch = StallWatch(self)
-        spare_the_collector()
-        while not (self.sequencer.finished and self._stop_heard):
+        spare_the_collector(interludes=not self.plan.lockstep)
+        while not (dismissed.is_set() or (self.sequencer.finished and self._stop_heard)):
             self.turn()
         watch.stop()
         self.report()
 
     def report(self) -> None:
         """Tell the launcher what went out and what could not be used."""
-        dropped = Counter(vars(self.sequencer.drops))
-        dropped["undecodable"] = self.bus.undecodable
-        dropped["unknown"] = self.bus.unknown
+        timing = self._timing()
         self.lifeline.tell(
             Finished(
                 published=dict(self.bus.published),
-                dropped={cause: count for cause, count in dropped.items() if count},
+                dropped={cause: count for cause, count in self._dropped().items() if count},
                 missing_inputs=self.sequencer.missing_inputs,
+                late_used=self.sequencer.late_used,
+                skipped_cycles=self.sequencer.skipped_cycles,
+                dropped_ports=self.sequencer.dropped_ports,
+                timing=timing,
+                faults=self.bus.tally.as_counts() if isinstance(self.bus, FaultyBus) else {},
             )
         )
+
+    def _timing(self) -> ProcessTiming | None:
+        """Publish the last counts, and return all that was measured."""
+        if self._stopwatch is None:
+            return None
+        account = self._stopwatch.account(self.sequencer.late_used)
+        self._say_counts(self._stopwatch)
+        return account
+
+    def _say_counts(self, stopwatch: Stopwatch) -> None:
+        """Publish what this process has counted of itself, if that has changed."""
+        cycle, name = stopwatch.last_cycle, self.agent.name
+        stamp = (cycle, self.plan.sim_time_ns(cycle), name, ())
+        message = stopwatch.message(stamp, self.sequencer.late_used, self._dropped().total())
+        if any(message.counts) and message.counts != self._said:
+            self._said = message.counts
+            port = (
+                PLANT_TIMING.of(ROOT)
+                if name == PLANT
+                else TIMING.of(ROOT if name == CENTRAL else name)
+            )
+            self.bus.publish(port, message)
+
+    def _dropped(self) -> Counter[str]:
+        """Messages that came in and could not be used, by cause."""
+        dropped = Counter(vars(self.sequencer.drops))
+        dropped["undecodable"] = self.bus.undecodable
+        dropped["unknown"] = self.bus.unknown
+        dropped["flooded"] = self.bus.flooded
+        return dropped
 
     def listen(self, port: Port[Message], hear: Callable[[Message], None]) -> None:
         """Let a port's messages go to a function: they are about the run, not for the agent."""
@@ -112,9 +174,11 @@ class Runtime(Generic[S]):
 
     def turn(self, longest_s: float = _IDLE_S) -> None:
         """Wait for messages or the deadline, whichever comes first, and act on them."""
-        remaining_s = self._until_deadline_s()
-        timeout_s = longest_s if remaining_s is None else min(longest_s, remaining_s)
-        for port, message, _ in self.bus.receive(self.sequencer.wanted, timeout_s):
+        arrivals = self.bus.receive(self.sequencer.wanted, self._patience_s(longest_s))
+        if self._stopwatch is not None:
+            self._stopwatch.arrived(arrivals)
+        self._catch_up()
+        for port, message, _ in arrivals:
             bystander = self._bystanders.get(port)
             if bystander is not None and self.sequencer.is_genuine(port, message):
                 bystander(message)
@@ -124,16 +188,56 @@ class Runtime(Generic[S]):
                 self.send(self.sequencer.accept(port, message))
         if not self.sequencer.finished and self._until_deadline_s() == 0.0:
             self.send(self.sequencer.close_stage())
+        elif self._interlude is not None and not arrivals:
+            self._interlude.consider(self.sequencer.cycle)
+
+    def _patience_s(self, longest_s: float) -> float:
+        """How long to wait for messages: up to the deadline or the next interlude at most."""
+        interlude_s = None
+        if self._interlude is not None:
+            interlude_s = self._interlude.left_s(self.sequencer.cycle)
+        waits_s = (longest_s, self._until_deadline_s(), interlude_s)
+        return min(wait_s for wait_s in waits_s if wait_s is not None)
+
+    def _catch_up(self) -> None:
+        """Give up cycles that are over, after this process has stood still for a whole one.
+
+        The last of them that is this agent's turn is not given up, though its words come late: the
+        next one may be far away.
+        """
+        if self._start_time_ns is None:
+            return
+        elapsed_ns = time.monotonic_ns() - self._start_time_ns
+        under_way = elapsed_ns // self.plan.cycle_wall_ns
+        if self.sequencer.cycle < 0 or under_way - self.sequencer.cycle < _MOST_BEHIND:
+            return
+        last_turn = self._last_turn(under_way)
+        if last_turn != self.sequencer.cycle:
+            open_turn_is_over = last_turn < self.sequencer.cycle
+            self.send(self.sequencer.catch_up(under_way if open_turn_is_over else last_turn))
+
+    def _last_turn(self, cycle: int) -> int:
+        """Return the last cycle up to this one in which the agent acts."""
+        for parent in self.plan.tree.parents:
+            if agent_name(parent) == self.agent.name:
+                return self.plan.periods.last_turn(parent, cycle)
+        return cycle
 
     def send(self, outputs: list[Delivery]) -> None:
         """Publish what the agent decided."""
         for port, message in outputs:
             self.bus.publish(port, message)
+            if self._stopwatch is not None:
+                self._stopwatch.handed_over(message)
 
     def begin(self, start_time_ns: int) -> None:
         """Begin cycle 0, in real time with deadlines that count from this monotonic time."""
         if not self.plan.lockstep:
             self._start_time_ns = start_time_ns
+        if self._stopwatch is not None:
+            self._stopwatch.begin(start_time_ns)
+        if self._interlude is not None:
+            self._interlude.begin(start_time_ns)
         if self.sequencer.cycle < 0:
             self.send(self.sequencer.enter(0))
 
@@ -153,22 +257,49 @@ class Runtime(Generic[S]):
             return None
         stage = self.sequencer.stage
         if stage not in self._deadlines_ns:
-            self._deadlines_ns[stage] = deadline_ns(
-                self.agent.name, stage, self.plan.tree, self.plan.cycle_wall_ns
-            )
+            self._deadlines_ns[stage] = self._deadline_ns(stage)
         began_ns = self._start_time_ns + self.sequencer.cycle * self.plan.cycle_wall_ns
         left_ns = began_ns + self._deadlines_ns[stage] - time.monotonic_ns()
         return max(left_ns, 0) / 1e9
 
+    def _deadline_ns(self, stage: str) -> int:
+        plan = self.plan
+        return deadline_ns(
+            self.agent.name, stage, plan.tree, plan.cycle_wall_ns, plan.tier_deadlines_ns
+        )
 
-def spare_the_collector() -> None:
+    def _make_interlude(self, stopwatch: Stopwatch) -> Interlude:
+        agents = self.plan.tree.agents()
+        return Interlude(
+            stopwatch,
+            lambda: self._say_counts(stopwatch),
+            self.plan.cycle_wall_ns,
+            agents.index(self.agent.name),
+            len(agents),
+        )
+
+    def _schedule(self) -> Schedule:
+        plan = self.plan
+        return Schedule(
+            plan.cycle_wall_ns,
+            slice_ns(plan.tree, plan.cycle_wall_ns),
+            self._deadline_ns,
+            plan.periods.longest,
+        )
+
+
+def spare_the_collector(*, interludes: bool = False) -> None:
     """Keep the cyclic garbage collector off what lives as long as the process.
 
-    Nothing in a cycle of control makes reference cycles: there is next to nothing to collect.
+    Nothing in a cycle of control makes reference cycles: there is next to nothing to collect. Where
+    there are interludes it has its turn in them, and is off otherwise.
     """
     gc.collect()
     gc.freeze()
-    gc.set_threshold(50_000)
+    if interludes:
+        gc.disable()
+    else:
+        gc.set_threshold(50_000)
 
 
 class StallWatch:
@@ -213,12 +344,26 @@ class StallWatch:
         return True
 
 
+def settle_in(plan: RunPlan, kind: Kind) -> None:
+    """Take this process's place on the machine. To be called before it opens the bus.
+
+    The kernel keeps most of it thread by thread, and a thread has it from the one that made it.
+    """
+    for refusal in take_machine(plan.machine, kind, lockstep=plan.lockstep):
+        log.warning("%s", refusal)
+    if not plan.lockstep:
+        log_in_background()
+
+
 def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
     """Return how an agent of the plan joins the bus."""
     listen, connect = explicit_links(plan.tree).endpoints(agent, plan.tcp_ports)
-    return SessionSettings(plan.run_id, listen, connect, lockstep=plan.lockstep)
+    return SessionSettings(plan.bus_namespace, listen, connect, lockstep=plan.lockstep)
 
 
 def open_bus(plan: RunPlan, agent: str, drop_log: DropLog) -> ZenohBus:
-    """Join the bus as an agent of the plan."""
-    return ZenohBus(agent, plan.keys, plan.tree, session_settings(plan, agent), drop_log)
+    """Join the bus as an agent of the plan, at the end of imperfect links if it says so."""
+    settings, faults = session_settings(plan, agent), plan.network_faults
+    if faults.concern(agent):
+        return FaultyBus(agent, plan.keys, plan.tree, settings, faults, drop_log)
+    return ZenohBus(agent, plan.keys, plan.tree, settings, drop_log)

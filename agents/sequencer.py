@@ -3,23 +3,32 @@
 A stage closes when all that it awaits has arrived, or when whoever drives it says that its
 deadline has passed. The sequencer has neither clock nor bus: it is the same in a process, in
 memory and against a recording.
+
+In real time a message may come after its stage has closed. The newest such late word of each port
+is kept, and is used where a later message fails to come in time (docs/decisions/0008). What an
+agent sends names, in `missing`, what it had to do without, and what took its place
+(`bus_schemas.missing`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Generic, TypeVar
+from typing import Final, Generic, Literal, TypeAlias, TypeVar
 
 from agents.agent import Agent, Stage, Turn
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
+from bus_schemas.missing import SKIPPED, Absence
 from bus_schemas.signals import Port
 
 S = TypeVar("S")
 
 BEFORE_ARMING: Final = -(2**31)
 """The cycle that an agent is in before its first message: any message takes it further."""
+
+LateWords: TypeAlias = Literal["use", "drop"]
+"""What becomes of messages that come after their stage has closed."""
 
 
 @dataclass
@@ -55,6 +64,20 @@ class Sequencer(Generic[S]):
         How many cycles ahead of this agent another one may be. What is further ahead is dropped.
     on_drop
         Called with a line of text for each message that is dropped in the cycles of the run.
+    late
+        Whether late words are used in place of what does not come in time, or dropped. In lockstep
+        nothing closes before it is complete, so none is ever used.
+
+    Attributes
+    ----------
+    drops, dropped_ports
+        Messages that it received and did not use: by cause, and by port and cause.
+    missing_inputs
+        Inputs that were not there at their deadline.
+    late_used
+        Late words that were used.
+    skipped_cycles
+        Cycles that were given up because they were over before they began here.
     """
 
     def __init__(
@@ -65,16 +88,23 @@ class Sequencer(Generic[S]):
         lockstep: bool,
         horizon: int,
         on_drop: Callable[[str], None] = lambda text: None,
+        late: LateWords = "use",
     ) -> None:
         self.agent = agent
         self.drops = Drops()
+        self.dropped_ports: dict[str, dict[str, int]] = {}
         self.cycle = BEFORE_ARMING
         self.end_cycle: int | None = None
         self.missing_inputs = 0
+        self.late_used = 0
+        self.skipped_cycles = 0
         self._sim_time_ns = sim_time_ns
         self._lockstep = lockstep
         self._horizon = horizon
         self._on_drop = on_drop
+        self._uses_late = late == "use" and not lockstep
+        self._late: dict[Port[Message], Message] = {}
+        self._newest_used: dict[Port[Message], int] = {}
         self._state = agent.initial_state()
         self._stages: tuple[Stage, ...] = ()
         self._place = 0
@@ -83,6 +113,8 @@ class Sequencer(Generic[S]):
         self._inputs: dict[Port[Message], Message] = {}
         self._ahead: dict[int, list[Delivery]] = {}
         self._absent: tuple[str, ...] = ()
+        self._absent_here: list[str] = []
+        self._skipped_from: int | None = None
         self._waiting: set[Port[Message]] = set()
         self._deadline_passed = False
 
@@ -113,46 +145,113 @@ class Sequencer(Generic[S]):
         if message.cycle == self.cycle:
             return self._take(port, message)
         if message.cycle < self.cycle:
-            self._drop("late", f"{port} is of cycle {message.cycle}, this is {self.cycle}")
+            self._keep_late(port, message)
             return []
         if self.cycle < 0 and message.cycle <= self._horizon:
             # A later arming round ends the one under way; the run's first message begins cycle 0.
             outputs = self.enter(min(message.cycle, 0))
             return outputs + self.accept(port, message)
         if message.cycle > max(self.cycle, 0) + self._horizon:
-            self._drop("other_cycle", f"{port} is of cycle {message.cycle}, this is {self.cycle}")
+            self._drop("other_cycle", port, self._is_of_another_cycle(port, message))
             return []
-        self._ahead.setdefault(message.cycle, []).append((port, message))
+        self._keep_ahead(port, message)
         return []
+
+    def _keep_ahead(self, port: Port[Message], message: Message) -> None:
+        """Keep a message of a cycle to come: one of each port, however many are sent."""
+        held = self._ahead.setdefault(message.cycle, [])
+        if any(port is other for other, _ in held):
+            self._drop("duplicate", port, f"{port} of cycle {message.cycle} came twice")
+        else:
+            held.append((port, message))
 
     def is_genuine(self, port: Port[Message], message: Message) -> bool:
         """Whether a message is from the one who may publish on its port; else it is dropped."""
         if message.source == port.publisher:
             return True
-        self._drop("foreign", f"{port} of cycle {message.cycle} is from {message.source!r}")
+        self._drop("foreign", port, f"{port} of cycle {message.cycle} is from {message.source!r}")
         return False
 
     def enter(self, cycle: int) -> list[Delivery]:
         """Begin an arming round or cycle 0, from the initial state. The next cycles follow."""
         self._state = self.agent.initial_state()
         self._ahead = {ahead: held for ahead, held in self._ahead.items() if ahead >= cycle}
+        self._late, self._newest_used = {}, {}
         self._begin(cycle)
         return self._advance()
 
     def end_before(self, cycle: int) -> None:
         """Let the run end before a cycle: those up to it are still completed."""
         self.end_cycle = cycle
+        self._drop_late_at_the_end()
 
     def close_stage(self) -> list[Delivery]:
         """Close the open stage with what has arrived, because its deadline has passed."""
         if not self.stage:
             return []
-        absent = sorted(str(port) for port in self._waiting)
-        self._absent += tuple(absent)
-        self.missing_inputs += len(absent)
-        self._waiting = set()
+        while self._waiting:
+            port = self._waiting.pop()
+            self.missing_inputs += 1
+            late = self._use_late(port)
+            if late is None:
+                self._absent_here.append(str(port))
+            else:
+                self._await_announced(port, late)
         self._deadline_passed = True
         return self._advance()
+
+    def catch_up(self, cycle: int) -> list[Delivery]:
+        """Give up the cycles before this one, because they are over.
+
+        The open one is brought to its end with what has arrived, if it is under way. Those that
+        have not begun are skipped: the agent steps through them without any input, and what it says
+        for others to act on is not sent, for it would come too late to be of use. What only states
+        what happened, such as the plant's production, is sent for these cycles too. The last cycle
+        of a run is never skipped, so that there is one left to say what became of the others.
+        """
+        outputs: list[Delivery] = []
+        if self.cycle < 0 or self._lockstep:
+            return outputs
+        if self.end_cycle is not None:
+            cycle = min(cycle, self.end_cycle - 1)
+        while self._place > 0 and self.cycle < cycle:
+            outputs += self.close_stage()
+        if self.cycle < cycle:
+            outputs += self._skip_to(cycle)
+            outputs += self._advance()
+        return outputs
+
+    def _skip_to(self, cycle: int) -> list[Delivery]:
+        outputs: list[Delivery] = []
+        # If this cycle was come to by skipping, it has not been able to say so.
+        first = self.cycle if self._skipped_from is None else self._skipped_from
+        self.skipped_cycles += cycle - self.cycle
+        given_up = list(self._inputs.items())
+        for port in self._inputs:
+            del self._newest_used[port]
+        while self.cycle < cycle:
+            given_up += self._ahead.pop(self.cycle, ())
+            outputs += self._pass_over(self.cycle)
+            self.cycle += 1
+        self._begin(cycle)
+        self._skipped_from = first
+        self._absent = (str(Absence(SKIPPED, first)),)
+        for port, message in given_up:
+            self._keep_late(port, message)
+        return outputs
+
+    def _pass_over(self, cycle: int) -> list[Delivery]:
+        """Step through a skipped cycle, without any input. Returns what nobody acts on."""
+        said: list[Delivery] = []
+        absent = [str(Absence(SKIPPED, cycle))]
+        sim_time_ns = self._sim_time_ns(cycle)
+        for stage in self.agent.stages(cycle):
+            absent += sorted(map(str, stage.awaits))
+            stamp = (cycle, sim_time_ns, self.agent.name, tuple(absent))
+            turn = Turn(stage.name, cycle, sim_time_ns, stamp, {})
+            self._state, outputs = self.agent.step(self._state, turn)
+            said += [(port, word) for port, word in outputs if not port.signal.listeners]
+        return said
 
     def _take(self, port: Port[Message], message: Message) -> list[Delivery]:
         if not self._keep(port, message) or port not in self._waiting:
@@ -163,34 +262,42 @@ class Sequencer(Generic[S]):
 
     def _keep(self, port: Port[Message], message: Message) -> bool:
         """Keep a message of this cycle for its stage, if there is one still to come."""
-        if port in self._inputs:
-            self._drop("duplicate", f"{port} of cycle {message.cycle} came twice")
+        known = self._inputs.get(port)
+        if known is not None and known.cycle == message.cycle:
+            self._drop("duplicate", port, f"{port} of cycle {message.cycle} came twice")
         elif self._stage_of.get(port, -1) >= self._place:
             self._inputs[port] = message
+            self._newest_used[port] = message.cycle
+            if self._late:
+                self._supersede(port)
             return True
+        elif port in self._stage_of:
+            self._keep_late(port, message)
         else:
-            self._drop_out_of_turn(port, message)
+            self._drop_unexpected(port, message)
         return False
 
     def _begin(self, cycle: int) -> None:
         """Set up a cycle, with the messages that came ahead of it."""
         self.cycle = cycle
         self._stages = () if self.finished else self.agent.stages(cycle)
-        self._stage_of = self._stage_of_port()
+        self._stage_of = self._stage_of_port(self._stages)
         self._place = 0
         self._inputs = {}
         self._absent = ()
+        self._skipped_from = None
+        self._drop_late_at_the_end()
         for port, message in self._ahead.pop(cycle, ()):
             self._keep(port, message)
         self._open_stage()
 
-    def _stage_of_port(self) -> dict[Port[Message], int]:
+    def _stage_of_port(self, stages: tuple[Stage, ...]) -> dict[Port[Message], int]:
         """Place of the stage that each port belongs to, worked out once for each kind of cycle."""
-        places = self._known_places.get(self._stages)
+        places = self._known_places.get(stages)
         if places is None:
-            places = self._known_places[self._stages] = {
+            places = self._known_places[stages] = {
                 port: place
-                for place, stage in enumerate(self._stages)
+                for place, stage in enumerate(stages)
                 for port in stage.awaits | stage.on_need
             }
         return places
@@ -234,20 +341,77 @@ class Sequencer(Generic[S]):
         return not self._lockstep and self.cycle >= 0
 
     def _step(self, stage: Stage) -> list[Delivery]:
+        if self._late:
+            for port in stage.takes_late.intersection(self._late):
+                self._use_late(port)
+        if self._absent_here:
+            self._absent += tuple(sorted(self._absent_here))
+            self._absent_here = []
         sim_time_ns = self._sim_time_ns(self.cycle)
         stamp = (self.cycle, sim_time_ns, self.agent.name, self._absent)
         turn = Turn(stage.name, self.cycle, sim_time_ns, stamp, self._inputs)
         self._state, outputs = self.agent.step(self._state, turn)
         return outputs
 
-    def _drop_out_of_turn(self, port: Port[Message], message: Message) -> None:
-        if port in self._stage_of:
-            self._drop("late", f"{port} of cycle {message.cycle} came after its deadline")
-        else:
-            self._drop("unexpected", f"{port} is not expected in cycle {message.cycle}")
+    # Late words -----------------------------------------------------------------------------------
 
-    def _drop(self, cause: str, text: str) -> None:
+    def _keep_late(self, port: Port[Message], message: Message) -> None:
+        """Keep a message whose stage has closed, if it says more than what was used or is kept."""
+        if not self._uses_late or message.cycle < 0 or self.finished:
+            self._drop_late(port, message)
+        elif port not in self._stage_of_port(self.agent.stages(message.cycle)):
+            self._drop_unexpected(port, message)
+        elif message.cycle <= self._newest_known(port):
+            self._drop_late(port, message)
+        else:
+            self._supersede(port)
+            self._late[port] = message
+
+    def _newest_known(self, port: Port[Message]) -> int:
+        kept = self._late.get(port)
+        return kept.cycle if kept is not None else self._newest_used.get(port, -1)
+
+    def _use_late(self, port: Port[Message]) -> Message | None:
+        """Put the late word of a port, if there is one, among the inputs of the open stage."""
+        message = self._late.pop(port, None)
+        if message is not None:
+            self._inputs[port] = message
+            self._newest_used[port] = message.cycle
+            self._absent_here.append(str(Absence(str(port), message.cycle)))
+            self.late_used += 1
+        return message
+
+    def _supersede(self, port: Port[Message]) -> None:
+        """Drop the late word of a port, since a newer message has come."""
+        kept = self._late.pop(port, None)
+        if kept is not None:
+            self._drop_late(port, kept)
+
+    def _drop_late_at_the_end(self) -> None:
+        if self.finished:
+            for port, message in self._late.items():
+                self._drop_late(port, message)
+            self._late = {}
+
+    # Drops ----------------------------------------------------------------------------------------
+
+    def _drop_late(self, port: Port[Message], message: Message) -> None:
+        if message.cycle == self.cycle:
+            text = f"{port} of cycle {message.cycle} came after its deadline"
+        else:
+            text = self._is_of_another_cycle(port, message)
+        self._drop("late", port, text)
+
+    def _is_of_another_cycle(self, port: Port[Message], message: Message) -> str:
+        return f"{port} is of cycle {message.cycle}, this is {self.cycle}"
+
+    def _drop_unexpected(self, port: Port[Message], message: Message) -> None:
+        self._drop("unexpected", port, f"{port} is not expected in cycle {message.cycle}")
+
+    def _drop(self, cause: str, port: Port[Message], text: str) -> None:
         if self.cycle < 0 and cause not in {"foreign", "other_cycle"}:
             return  # Rounds overlap while links come up: that is what arming is for.
         setattr(self.drops, cause, getattr(self.drops, cause) + 1)
+        causes = self.dropped_ports.setdefault(str(port), {})
+        causes[cause] = causes.get(cause, 0) + 1
         self._on_drop(text)

@@ -50,7 +50,12 @@ class Supervisor:
             report,
             Stage("solve", frozenset({self._setpoint})),
         )
-        self._own_cycle = (Stage("request", frozenset()), report, Stage("solve", frozenset()))
+        self._own_turn = (
+            Stage("request", frozenset(), takes_late=frozenset({self._request})),
+            report,
+            Stage("solve", frozenset(), takes_late=frozenset({self._setpoint})),
+        )
+        self._between_turns = (Stage("request", frozenset()), report, Stage("solve", frozenset()))
 
     def initial_state(self) -> SupervisorState:
         """Nothing asked, nothing reported."""
@@ -58,8 +63,9 @@ class Supervisor:
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages; between its parent's turns the last request and target hold."""
-        parent_acts = self._periods.is_turn(parent_of(self.name), cycle)
-        return self._full_cycle if parent_acts else self._own_cycle
+        if self._periods.is_turn(parent_of(self.name), cycle):
+            return self._full_cycle
+        return self._own_turn if self._periods.is_turn(self.name, cycle) else self._between_turns
 
     def follow_up(self, port: Port[Message], message: Message) -> Port[Message] | None:
         """Return the call for help that a child's negative residual announces."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable
 from typing import NamedTuple, Protocol, TypeAlias
 
 from msgspec.structs import replace
@@ -37,18 +38,25 @@ class Bus(Protocol):
 
 
 class Outbox:
-    """Stamps messages with their publish time and number, and counts those of the run."""
+    """Stamps messages with their publish time and number, and counts those of the run.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    clock_ns
+        Tells the time that messages go out at [ns].
+    """
+
+    def __init__(self, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        self._clock_ns = clock_ns
         self._sent: dict[Port[Message], int] = {}
 
     def stamp(self, port: Port[Message], message: Message) -> Message:
         """Return the message as it goes out."""
         if message.cycle < 0:
-            return replace(message, publish_time_ns=time.monotonic_ns())
+            return replace(message, publish_time_ns=self._clock_ns())
         sequence = self._sent.get(port, 0)
         self._sent[port] = sequence + 1
-        return replace(message, publish_time_ns=time.monotonic_ns(), sequence=sequence)
+        return replace(message, publish_time_ns=self._clock_ns(), sequence=sequence)
 
     @property
     def published(self) -> Counter[str]:

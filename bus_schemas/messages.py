@@ -18,6 +18,7 @@ Stamp: TypeAlias = tuple[int, int, str, tuple[str, ...]]
 
 Nanoseconds: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
 Sequence: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
+Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
 
 
 class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
@@ -33,7 +34,9 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False)
         Name of the agent that decided it: `plant`, `central`, `recorder` or a node's path.
     missing
         Keys of the inputs that the sender expected in this cycle and had to do without, so that a
-        recording tells which inputs an output used. Always empty in lockstep.
+        recording tells which inputs an output used. `KEY@CYCLE`: it used the late word of that
+        cycle in its place. `skipped@CYCLE`: it gave up its own cycles from that one on. Always
+        empty in lockstep.
     publish_time_ns
         Monotonic clock of the sending host when the message went out. Set by the bus.
     sequence
@@ -177,3 +180,43 @@ class Clock(Message, kw_only=True, frozen=True):
 
     rate: float
     paused: bool
+
+
+class Timing(Message, kw_only=True, frozen=True):
+    """What a process in real time has counted of itself since cycle 0.
+
+    The process says it, not the agent in it: it decides nothing, and no agent hears it.
+
+    Attributes
+    ----------
+    missed_deadlines
+        Stages whose deadline passed with inputs absent.
+    missing_inputs
+        Inputs that were absent then.
+    late_used
+        Messages of an earlier cycle that were used in place of absent ones.
+    overruns
+        Stages that closed later than they had to by the process's own fault.
+    dropped
+        Messages that came in and could not be used.
+    slowest_decision_ns
+        Longest time from the moment at which a stage could close to its last message sent.
+    """
+
+    missed_deadlines: Count
+    missing_inputs: Count
+    late_used: Count
+    overruns: Count
+    dropped: Count
+    slowest_decision_ns: Nanoseconds
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """What is counted, without what is measured."""
+        return (
+            self.missed_deadlines,
+            self.missing_inputs,
+            self.late_used,
+            self.overruns,
+            self.dropped,
+        )

@@ -56,6 +56,7 @@ class Occurrence(Enum):
     TURN = "once in each cycle that is its publisher's turn"
     NEED = "in cycles with a need for it"
     EVENT = "rarely"
+    CHANGE = "in real time, when a count has changed, at most once a second"
     REPLAY = "in no run, but in the replay of one"
 
 
@@ -73,6 +74,12 @@ class Signal(Generic[M_co]):
         See the enumerations.
     logged
         Whether the recorder keeps it.
+    decided
+        Whether an agent decides it, so that the same inputs give it again. Otherwise the process
+        says it that runs the agent.
+    hop_p99_ms
+        Timing budget on one host: from publishing to arrival at a listener, 99 of 100 messages
+        [ms]. None: no budget, since nobody waits for it.
     """
 
     name: str
@@ -82,6 +89,8 @@ class Signal(Generic[M_co]):
     listeners: tuple[Role, ...]
     occurrence: Occurrence
     logged: bool = True
+    decided: bool = True
+    hop_p99_ms: float | None = None
     _ports: dict[str, Port[M_co]] = field(default_factory=dict, init=False, repr=False)
 
     def of(self, node: str) -> Port[M_co]:
@@ -122,19 +131,21 @@ class Port(Generic[M_co]):
 
 
 # fmt: off
-TELEMETRY: Final  = Signal("telemetry",  messages.Telemetry,  About.LEAVES,   Role.PLANT,    (Role.NODE,),    Occurrence.CYCLE)
-DISPATCH: Final   = Signal("dispatch",   messages.Dispatch,   About.PLANT,    Role.PLANT,    (Role.CENTRAL,), Occurrence.CYCLE)
-REQUEST: Final    = Signal("request",    messages.Request,    About.CHILDREN, Role.PARENT,   (Role.NODE,),    Occurrence.TURN)
-IMPP: Final       = Signal("impp",       messages.Impp,       About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE)
-RESIDUAL: Final   = Signal("residual",   messages.Residual,   About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE)
-HELP: Final       = Signal("help",       messages.Help,       About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.NEED)
-SETPOINT: Final   = Signal("setpoint",   messages.Setpoint,   About.CHILDREN, Role.PARENT,   (Role.NODE,),    Occurrence.TURN)
-COMMAND: Final    = Signal("command",    messages.Command,    About.LEAVES,   Role.NODE,     (Role.PLANT,),   Occurrence.CYCLE)
+TELEMETRY: Final  = Signal("telemetry",  messages.Telemetry,  About.LEAVES,   Role.PLANT,    (Role.NODE,),    Occurrence.CYCLE, hop_p99_ms=10.0)
+DISPATCH: Final   = Signal("dispatch",   messages.Dispatch,   About.PLANT,    Role.PLANT,    (Role.CENTRAL,), Occurrence.CYCLE, hop_p99_ms=10.0)
+REQUEST: Final    = Signal("request",    messages.Request,    About.CHILDREN, Role.PARENT,   (Role.NODE,),    Occurrence.TURN,  hop_p99_ms=10.0)
+IMPP: Final       = Signal("impp",       messages.Impp,       About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE, hop_p99_ms=10.0)
+RESIDUAL: Final   = Signal("residual",   messages.Residual,   About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE, hop_p99_ms=10.0)
+HELP: Final       = Signal("help",       messages.Help,       About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.NEED,  hop_p99_ms=10.0)
+SETPOINT: Final   = Signal("setpoint",   messages.Setpoint,   About.CHILDREN, Role.PARENT,   (Role.NODE,),    Occurrence.TURN,  hop_p99_ms=10.0)
+COMMAND: Final    = Signal("command",    messages.Command,    About.LEAVES,   Role.NODE,     (Role.PLANT,),   Occurrence.CYCLE, hop_p99_ms=10.0)
 PRODUCTION: Final = Signal("production", messages.Production, About.PLANT,    Role.PLANT,    (),              Occurrence.CYCLE)
 NOTICE: Final     = Signal("notice",     messages.Notice,     About.NODES,    Role.NODE,     (),              Occurrence.EVENT)
-RUN: Final        = Signal("run",        messages.Run,        About.PLANT,    Role.PLANT,    (Role.ALL,),     Occurrence.EVENT)
-READY: Final      = Signal("ready",      messages.Ready,      About.PLANT,    Role.RECORDER, (Role.PLANT,),   Occurrence.EVENT, logged=False)
-CLOCK: Final      = Signal("clock",      messages.Clock,      About.PLANT,    Role.REPLAYER, (),              Occurrence.REPLAY, logged=False)
+RUN: Final        = Signal("run",        messages.Run,        About.PLANT,    Role.PLANT,    (Role.ALL,),     Occurrence.EVENT, decided=False)
+READY: Final      = Signal("ready",      messages.Ready,      About.PLANT,    Role.RECORDER, (Role.PLANT,),   Occurrence.EVENT, logged=False, decided=False)
+CLOCK: Final      = Signal("clock",      messages.Clock,      About.PLANT,    Role.REPLAYER, (),              Occurrence.REPLAY, logged=False, decided=False)
+TIMING: Final     = Signal("timing",     messages.Timing,     About.NODES,    Role.NODE,     (),              Occurrence.CHANGE, decided=False)
+PLANT_TIMING: Final = Signal("plant_timing", messages.Timing, About.PLANT,    Role.PLANT,    (),              Occurrence.CHANGE, decided=False)
 # fmt: on
 
 SIGNALS: Final[tuple[Signal[Message], ...]] = (
@@ -151,8 +162,11 @@ SIGNALS: Final[tuple[Signal[Message], ...]] = (
     RUN,
     READY,
     CLOCK,
+    TIMING,
+    PLANT_TIMING,
 )
-"""The table itself, in the order of one cycle. A new signal is one row more."""
+"""The table itself, in the order of one cycle. A new signal is one row more, at the end: recordings
+number their channels in this order."""
 
 
 _NAMES: Final = {

@@ -28,6 +28,14 @@ ENCODING: Final = "application/msgpack"
 _NEVER: Final = 1 << 60
 _TAP_CAPACITY: Final = 65536
 
+_CROWDED: Final = 10_000
+"""Samples that wait for an agent from which on each key has a limit: a flood must not take all."""
+
+_MOST_OF_A_KEY: Final = 100
+_MOST_WAITING: Final = 20_000
+_MOST_KEYS: Final = 100
+"""How many keys are named one by one of which samples could not be used."""
+
 
 @dataclass(frozen=True)
 class SessionSettings:
@@ -85,9 +93,16 @@ class Inbox:
 
     An agent that needs seventeen messages to go on is woken once, not seventeen times: each waking
     is a switch between threads that fight for the interpreter's lock.
+
+    Attributes
+    ----------
+    flooded
+        Samples that found no room, by key: more came than the agent could look at.
     """
 
     def __init__(self) -> None:
+        self.flooded: Counter[str] = Counter()
+        self._crowd: Counter[str] = Counter()
         self._items: deque[tuple[int, zenoh.Sample]] = deque()
         self._wanted = _NEVER
         self._urgent = False
@@ -96,6 +111,8 @@ class Inbox:
 
     def put(self, sample: zenoh.Sample) -> None:
         """Take in a sample. Called by Zenoh, so it does nothing else."""
+        if len(self._items) >= _CROWDED and not self._has_room(sample):
+            return
         self._items.append((time.monotonic_ns(), sample))
         if len(self._items) >= self._wanted:
             self._wanted = _NEVER
@@ -103,6 +120,8 @@ class Inbox:
 
     def put_urgent(self, sample: zenoh.Sample) -> None:
         """Take in a sample that the agent must see at once, whatever else it waits for."""
+        if len(self._items) >= _CROWDED and not self._has_room(sample):
+            return
         self._items.append((time.monotonic_ns(), sample))
         self._urgent = True
         self._wanted = _NEVER
@@ -120,7 +139,18 @@ class Inbox:
                 self._gate.acquire(timeout=-1 if timeout_s is None else max(timeout_s, 0.0))
             self._wanted = _NEVER
         self._urgent = False
+        if self._crowd:
+            self._crowd = Counter()
         return [self._items.popleft() for _ in range(len(self._items))]
+
+    def _has_room(self, sample: zenoh.Sample) -> bool:
+        """Whether a crowded inbox takes a sample: some of each key, so that none is kept out."""
+        key = str(sample.key_expr)
+        self._crowd[key] += 1
+        if self._crowd[key] <= _MOST_OF_A_KEY and len(self._items) < _MOST_WAITING:
+            return True
+        self.flooded[named_key(key, self.flooded)] += 1
+        return False
 
     def _open(self) -> None:
         with suppress(RuntimeError):  # Two samples at once: it is open already.
@@ -177,6 +207,11 @@ class ZenohBus:
     def __exit__(self, *error: object) -> None:
         # An open session can hang the interpreter's exit.
         self._session.close()
+
+    @property
+    def flooded(self) -> int:
+        """Samples that found no room, since more came than the agent could look at."""
+        return self._inbox.flooded.total()
 
     @property
     def published(self) -> Counter[str]:
@@ -256,6 +291,7 @@ class ZenohTap:
             allowed_origin=zenoh.Locality.REMOTE,
         )
         self._token = self._session.liveliness().declare_token(keys.alive_key(agent))
+        self._tokens: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]] | None = None
 
     def __enter__(self) -> ZenohTap:
         return self
@@ -268,10 +304,26 @@ class ZenohTap:
         payload = encode(self.outbox.stamp(port, message))
         self._session.put(self._keys.key(port), payload, encoding=ENCODING)
 
+    def watch_presence(self) -> None:
+        """Follow the liveliness tokens of all agents from now on, see `presence`."""
+        self._tokens = self._session.liveliness().declare_subscriber(
+            self._keys.alive_key("**"), zenoh.handlers.FifoChannel(_TAP_CAPACITY), history=True
+        )
+
+    def presence(self) -> Iterator[tuple[str, bool]]:
+        """Yield the key of each liveliness token that has come (True) or gone (False)."""
+        while self._tokens is not None and (sample := self._tokens.try_recv()) is not None:
+            yield str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
+
     def drain(self) -> Iterator[tuple[str, bytes]]:
         """Yield key and payload of all that has arrived."""
         while (sample := self._subscriber.try_recv()) is not None:
             yield str(sample.key_expr), sample.payload.to_bytes()
+
+
+def named_key(key: str, named: Counter[str]) -> str:
+    """Return the name under which to count a key: its own, as long as there are not too many."""
+    return key if key in named or len(named) < _MOST_KEYS else "other keys"
 
 
 def _subscriptions(agent: str, heard: list[Port[Message]], keys: KeyTable) -> dict[str, bool]:

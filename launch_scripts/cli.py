@@ -47,6 +47,51 @@ SchemeOption: TypeAlias = Annotated[
 ActuatorOption: TypeAlias = Annotated[
     Actuator | None, typer.Option(help="What inverters do with a command: fraction or limit.")
 ]
+FaultOption: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fault",
+        help="Make links imperfect: source=c1/*,signal=impp,delay=50ms,jitter=10ms,loss=2%,"
+        "silent=60s..90s. May be given several times.",
+        metavar="RULE",
+    ),
+]
+ExternalOption: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--external",
+        help="Leave this agent out and wait for a device of your own: c1/inv07, c1, central or "
+        "plant. May be given several times.",
+        metavar="AGENT",
+    ),
+]
+ExternalTimeoutOption: TypeAlias = Annotated[
+    float, typer.Option(help="Seconds to wait for external agents.", metavar="SECONDS")
+]
+BasePortOption: TypeAlias = Annotated[
+    int | None,
+    typer.Option(
+        help="Listen on this port and those after it, under the plant's name as namespace, so "
+        "that a device is set up once.",
+        metavar="PORT",
+    ),
+]
+CpusOption: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Run the processes on these processors: 0-1, or plant=0 for one kind (recorder, "
+        "plant, central, supervisor, direct). May be given several times.",
+        metavar="CPUS",
+    ),
+]
+PriorityOption: TypeAlias = Annotated[
+    int | None,
+    typer.Option(
+        help="In real time: run plant and controllers under SCHED_FIFO with this priority, 1 to "
+        "99, where the machine permits it.",
+        metavar="PRIORITY",
+    ),
+]
 OutOption: TypeAlias = Annotated[
     Path | None,
     typer.Option(help="Folder of the run; default recordings/runs/NAME-TIME.", metavar="DIR"),
@@ -77,6 +122,12 @@ def launch_command(
     data: DataOption = None,
     json: JsonOption = None,
     report: ReportFlag = False,
+    fault: FaultOption = None,
+    external: ExternalOption = None,
+    external_timeout: ExternalTimeoutOption = 60.0,
+    base_port: BasePortOption = None,
+    cpus: CpusOption = None,
+    priority: PriorityOption = None,
 ) -> None:
     """Run a plant as a team of processes over Zenoh, recorded.
 
@@ -84,10 +135,26 @@ def launch_command(
     controller and the recorder, each as a process of its own; ends them all; prints what the run
     came to.
     """
+    from launch_scripts.externals import ExternalOptions
+    from launch_scripts.machine_table import MachineOptions
     from launch_scripts.run_command import RunRequest, run
 
     request = RunRequest(
-        "launch", scenario, start, duration, pace, seed, scheme, actuator, out, data, json, report
+        "launch",
+        scenario,
+        start,
+        duration,
+        pace,
+        seed,
+        scheme,
+        actuator,
+        out,
+        data,
+        json,
+        report,
+        faults=tuple(fault or ()),
+        external=ExternalOptions(tuple(external or ()), external_timeout, base_port),
+        machine=MachineOptions(tuple(cpus or ()), priority),
     )
     raise typer.Exit(run(request, _began_at))
 
@@ -105,14 +172,120 @@ def simulate_command(
     data: DataOption = None,
     json: JsonOption = None,
     report: ReportFlag = False,
+    fault: FaultOption = None,
 ) -> None:
     """Run the same agents in this one process: the same messages, the same recording."""
     from launch_scripts.run_command import RunRequest, run
 
     request = RunRequest(
-        "simulate", scenario, start, duration, pace, seed, scheme, actuator, out, data, json, report
+        "simulate",
+        scenario,
+        start,
+        duration,
+        pace,
+        seed,
+        scheme,
+        actuator,
+        out,
+        data,
+        json,
+        report,
+        faults=tuple(fault or ()),
     )
     raise typer.Exit(run(request, _began_at))
+
+
+@app.command("timing", epilog="Example: heliarch timing oahu --rate 20 --duration 60s --report")
+def timing_command(
+    scenario: Annotated[
+        str | None,
+        typer.Argument(
+            help="A shipped scenario or a TOML file; default oahu, oahu-day for a study.",
+            show_default=False,
+        ),
+    ] = None,
+    rate: Annotated[
+        str | None,
+        typer.Option(
+            help="Cycles a second: 20; several: 5,10,20; a range or auto: find the highest rate "
+            "that the plant keeps up with. Default 1.",
+            metavar="RATES",
+        ),
+    ] = None,
+    duration: Annotated[
+        str | None,
+        typer.Option(
+            help="Length of the run, simulated and real: seconds, or 90s, 10m; default 60s, 15s "
+            "for each of several rates.",
+            metavar="TIME",
+        ),
+    ] = None,
+    start: StartOption = None,
+    seed: SeedOption = None,
+    scheme: SchemeOption = None,
+    actuator: ActuatorOption = None,
+    out: OutOption = None,
+    data: DataOption = None,
+    json: JsonOption = None,
+    report: Annotated[
+        bool, typer.Option("--report", help="Write an HTML page into the run's folder.")
+    ] = False,
+    processes: Annotated[
+        bool, typer.Option("--processes", help="Show each process, not the tiers alone.")
+    ] = False,
+    fault: FaultOption = None,
+    external: ExternalOption = None,
+    external_timeout: ExternalTimeoutOption = 60.0,
+    base_port: BasePortOption = None,
+    cpus: CpusOption = None,
+    priority: PriorityOption = None,
+    study: Annotated[
+        bool,
+        typer.Option(
+            "--study",
+            help="In memory instead: how much delay and loss the control survives, and how slow a "
+            "central controller.",
+        ),
+    ] = False,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="For a study: a field of the scenario.", metavar="FIELD=VALUE"),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="For a study: processes that share it; default 2.")
+    ] = None,
+) -> None:
+    """Run a plant in real time and report whether every tier meets its deadlines, and by how much.
+
+    Exit status 1: a budget was not kept, or the run failed. A scenario states its own budgets in
+    its table timing.budgets; see docs/timing.md.
+    """
+    from launch_scripts.externals import ExternalOptions
+    from launch_scripts.machine_table import MachineOptions
+    from launch_scripts.run_command import RunRequest
+    from launch_scripts.timing.timing_command import TimingRequest, timing
+
+    run = RunRequest(
+        "launch",
+        scenario or "oahu",
+        start,
+        None,
+        None,
+        seed,
+        scheme,
+        actuator,
+        out,
+        data,
+        json,
+        report=False,
+        faults=tuple(fault or ()),
+        external=ExternalOptions(tuple(external or ()), external_timeout, base_port),
+        machine=MachineOptions(tuple(cpus or ()), priority),
+    )
+    request = TimingRequest(
+        run, scenario, rate, duration, processes, report, study, tuple(settings or ()), workers
+    )
+    raise typer.Exit(timing(request))
 
 
 @app.command("report", epilog="Example: heliarch report recordings/runs/oahu-20261121-120000-4711")

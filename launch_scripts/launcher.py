@@ -3,32 +3,50 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Final
 
-from agents.lifeline import AnyEvent, Armed, Recorded, RecordingEnded, Status, Waiting
+from agents.lifeline import (
+    AnyEvent,
+    Armed,
+    Complaint,
+    Over,
+    Presence,
+    Recorded,
+    RecordingEnded,
+    Status,
+    Waiting,
+)
+from agents.machine import refusals
 from agents.plan import RunPlan
 from bus_schemas.links import explicit_links
 from bus_schemas.tree import PLANT, RECORDER
+from launch_scripts.externals import ExternalWatch
 from launch_scripts.interruption import Interruption, interruptible
 from launch_scripts.live_view import View
 from launch_scripts.preparation import Preparation
 from launch_scripts.processes import processes
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.summary import (
+    ProcessAccount,
     RunSummary,
     count_messages,
     memory_use,
     merge_counts,
     plant_metrics,
+    without_external,
 )
 from launch_scripts.supervision import (
+    Child,
     Children,
     Memory,
     RunFailure,
+    blame,
     explain_stall,
     with_log,
 )
 from launch_scripts.tcp_ports import reserved_ports
+from launch_scripts.wrong_messages import wrong_messages
 
 _GATHER_S: Final = 0.5
 """After the first word of a stall: time for the others to say what they wait for."""
@@ -54,12 +72,21 @@ class Launch:
         Where it goes.
     began_at
         Monotonic time at which the user asked for it [s]: start-up counts from there.
+    on_armed
+        Called when everybody is there: in real time just before cycle 0 begins.
     """
 
-    def __init__(self, preparation: Preparation, folder: RunFolder, began_at: float) -> None:
+    def __init__(
+        self,
+        preparation: Preparation,
+        folder: RunFolder,
+        began_at: float,
+        on_armed: Callable[[], None] = lambda: None,
+    ) -> None:
         self._preparation = preparation
         self._folder = folder
         self._began_at = began_at
+        self._on_armed = on_armed
         self._armed_at = began_at
         self._heartbeat_at = self._progress_at = began_at
         self._shown_cycle = -1
@@ -67,7 +94,10 @@ class Launch:
         self._stalled_at: float | None = None
         self._asked_at: float | None = None
         self._rounds = 0
+        self._over = False
+        self._external = ExternalWatch(preparation.plan, folder.plan, 0.0, began_at)
         self._interruption = Interruption()
+        self._refusals: tuple[str, ...] = ()
 
     def run(self, plan: RunPlan, view: View) -> RunSummary:
         """Start the processes, see them through the run, compare what they say at its end.
@@ -77,25 +107,50 @@ class Launch:
         RunFailure
             A process died or gave up, a cycle stalled, or messages got lost.
         """
-        specs = processes(plan.tree, self._folder.plan)
+        patience_s = self._preparation.external.timeout_s if plan.external else 0.0
+        self._refusals = refusals(plan.machine, lockstep=plan.lockstep)
+        for refusal in self._refusals:
+            view.say(refusal)
+        specs = processes(plan.tree, self._folder.plan, plan.external, patience_s)
         view.say(f"starting {len(specs)} processes, logs in {self._folder.logs}")
+        self._external = ExternalWatch(plan, self._folder.plan, patience_s, time.monotonic())
+        for line in self._external.directions():
+            view.say(line)
         with (
             interruptible() as self._interruption,
             Children(specs, self._folder.logs) as children,
         ):
-            self._follow(children, plan, view)
+            self._follow_or_explain(children, plan, view)
             ended_at = time.monotonic()
             recorded = self._finish(children)
             return self._summarise(children, plan, recorded, ended_at)
 
+    def _follow_or_explain(self, children: Children, plan: RunPlan, view: View) -> None:
+        """Follow the run; where it fails, say what external agents may have to do with it."""
+        try:
+            self._follow(children, plan, view)
+        except RunFailure as failure:
+            suspicion = self._external.suspicion()
+            if not suspicion:
+                raise
+            raise RunFailure(f"{failure}\n{suspicion}") from failure
+
     def _follow(self, children: Children, plan: RunPlan, view: View) -> None:
         """Show the run until the plant says that it is over."""
-        while children[PLANT].finished is None:
+        while not self._is_over(children):
             for _, event in children.events(0.1):
                 self._hear(event, view)
             self._check_progress(children)
             if self._interruption:
                 self._ask_stop(children, plan, view)
+
+    def _is_over(self, children: Children) -> bool:
+        """Whether the run is over: of an external plant the recorder says so."""
+        if PLANT in children.by_agent:
+            return children[PLANT].finished is not None
+        # Nobody can stop an external plant: after Ctrl-C the controllers end by themselves.
+        left = [child for child in children.controllers() if child.finished is None]
+        return self._over or (self._asked_at is not None and not left)
 
     def _hear(self, event: AnyEvent, view: View) -> None:
         now = time.monotonic()
@@ -103,23 +158,29 @@ class Launch:
             case Armed():
                 self._armed_at = self._heartbeat_at = self._progress_at = now
                 self._rounds = event.rounds
+                self._on_armed()
                 view.say(f"armed: cycle 0 began {now - self._began_at:.1f} s after the start")
             case Status():
                 self._heartbeat_at = now
+                self._external.note(event)
                 if event.cycle != self._shown_cycle:
                     self._shown_cycle, self._progress_at = event.cycle, now
                 view.show(event)
             case Waiting():
                 self._stalled_at = self._stalled_at or now
+            case Presence():
+                view.say(self._external.hear(event, now, running=bool(self._rounds)))
+            case Over():
+                self._over = True
+            case Complaint():
+                view.say(f"wrong message on {event.key}: {event.example}")
             case RecordingEnded():
                 view.say(f"{event.text}; the run goes on without it")
 
     def _check_progress(self, children: Children) -> None:
         now = time.monotonic()
-        if not self._rounds and now > self._began_at + _ARMING_S:
-            absent = [child.spec.agent for child in children if not child.ready] or [PLANT]
-            text = f"not armed after {_ARMING_S:g} s: nothing came from {', '.join(absent)}"
-            raise RunFailure(with_log(children[absent[0]], text))
+        if not self._rounds:
+            self._check_arming(children, now)
         if self._stalled_at is not None and now > self._stalled_at + _GATHER_S:
             raise RunFailure(explain_stall(children))
         if self._rounds and now > self._heartbeat_at + _HEARTBEAT_S:
@@ -128,19 +189,39 @@ class Launch:
         longest_s = max(_PATIENCE_S, 3.0 * self._cycle_wall_s)
         if self._rounds and now > self._progress_at + longest_s:
             text = f"plant has not completed a cycle for {longest_s:g} s"
-            raise RunFailure(with_log(children[PLANT], text))
+            raise RunFailure(blame(children, PLANT, text))
+        gone_at = self._external.plant_gone_at
+        if self._rounds and gone_at is not None and now > gone_at + _HEARTBEAT_S:
+            raise RunFailure("the plant (external) is gone and did not say that the run is over")
+
+    def _check_arming(self, children: Children, now: float) -> None:
+        if late := self._external.late(now):
+            raise RunFailure(late)
+        complete_at = self._external.complete_at
+        if complete_at is not None and now > complete_at + _ARMING_S:
+            absent = [child.spec.agent for child in children if not child.ready] or [PLANT]
+            text = f"not armed after {_ARMING_S:g} s: nothing came from {', '.join(absent)}"
+            raise RunFailure(blame(children, absent[0], text))
 
     def _ask_stop(self, children: Children, plan: RunPlan, view: View) -> None:
         """Let the plant end the run; lose patience after a while, or at the second Ctrl-C."""
         if not self._rounds:
             raise KeyboardInterrupt  # There is no cycle yet that could be completed.
         if self._asked_at is None:
-            view.say("interrupted: ending after this cycle")
-            children[PLANT].tell("stop")
+            self._tell_stop(children, view)
             self._asked_at = time.monotonic()
         longest_s = _PATIENCE_S + 2.0 * plan.cycle_wall_ns / 1e9
         if self._interruption.count > 1 or time.monotonic() > self._asked_at + longest_s:
             raise KeyboardInterrupt
+
+    def _tell_stop(self, children: Children, view: View) -> None:
+        if PLANT in children.by_agent:
+            view.say("interrupted: ending after this cycle")
+            children[PLANT].tell("stop")
+            return
+        view.say("interrupted: the controllers end now; the plant is external and goes on")
+        for child in children.controllers():
+            child.tell("stop")
 
     def _finish(self, children: Children) -> Recorded:
         """Let everybody end; then let the recorder close its file with all that was published."""
@@ -177,7 +258,8 @@ class Launch:
             arming_rounds=self._rounds,
             metrics=plant_metrics(plan, recorded.plant),
             messages=count_messages(
-                merge_counts([account.published for account in accounts]), recorded.recorded
+                merge_counts([account.published for account in accounts]),
+                without_external(recorded),
             ),
             dropped=merge_counts(
                 [account.dropped for account in accounts]
@@ -186,14 +268,45 @@ class Launch:
             missing_inputs=sum(account.missing_inputs for account in accounts),
             memory=memory_use(samples),
             hindsight_neighbours=self._preparation.hindsight,
-            remarks=self._preparation.remarks,
+            remarks=(*self._preparation.remarks, *self._refusals),
             interrupted=bool(self._interruption),
             recording_ended=recorded.ended_early,
+            faults=merge_counts([account.faults for account in accounts]),
+            late_used=sum(account.late_used for account in accounts),
+            processes=tuple(_account(child) for child in children),
+            external=recorded.external,
+            wrong=wrong_messages(
+                plan, recorded.complaints, [account.dropped_ports for account in accounts]
+            ),
         )
 
 
-def launch(preparation: Preparation, folder: RunFolder, view: View, began_at: float) -> RunSummary:
+def _account(child: Child) -> ProcessAccount:
+    finished = child.finished
+    return ProcessAccount(
+        child.spec.agent,
+        child.spec.kind,
+        dropped=finished.dropped if finished else {},
+        resident_mb=child.memory.resident_mb,
+        timing=finished.timing if finished else None,
+    )
+
+
+def launch(
+    preparation: Preparation,
+    folder: RunFolder,
+    view: View,
+    began_at: float,
+    on_armed: Callable[[], None] = lambda: None,
+) -> RunSummary:
     """Run a plant as processes over Zenoh, recorded.
+
+    Parameters
+    ----------
+    preparation, folder, began_at, on_armed
+        See `Launch`.
+    view
+        Shows the run.
 
     Raises
     ------
@@ -201,6 +314,6 @@ def launch(preparation: Preparation, folder: RunFolder, view: View, began_at: fl
         See `Launch.run`.
     """
     agents = explicit_links(preparation.plan.tree).listening
-    with reserved_ports(agents) as tcp_ports:
+    with reserved_ports(agents, preparation.external.base_port) as tcp_ports:
         plan = folder.fill(preparation, tcp_ports)
-        return Launch(preparation, folder, began_at).run(plan, view)
+        return Launch(preparation, folder, began_at, on_armed).run(plan, view)

@@ -9,6 +9,7 @@ from typing import Final, Literal
 
 import numpy as np
 import pandas as pd
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agents.control.correlation import HourlyMatrices, hourly_covariance
@@ -17,7 +18,11 @@ from agents.plan import Actuator, RunPlan, Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree, depth
 from launch_scripts.clustering import control_tree, in_order, neighbourhoods
+from launch_scripts.externals import NO_EXTERNALS, ExternalOptions, check_externals
+from launch_scripts.fault_rules import fault_rules
+from launch_scripts.machine_table import AS_THE_SCENARIO_SAYS, MachineOptions, machine_settings
 from launch_scripts.power_sources import power_source
+from launch_scripts.real_time import cycle_wall_ns, tier_deadlines_ns
 from launch_scripts.scenario import (
     LARGEST_SEED,
     PlantTable,
@@ -47,6 +52,10 @@ class RunOptions:
     seed: int | None = None
     scheme: Scheme | None = None
     actuator: Actuator | None = None
+    cycle_s: float | None = None
+    faults: tuple[str, ...] = ()
+    external: ExternalOptions = NO_EXTERNALS
+    machine: MachineOptions = AS_THE_SCENARIO_SAYS
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +67,7 @@ class Preparation:
     scenario: ScenarioFile
     hindsight: bool
     remarks: tuple[str, ...]
+    external: ExternalOptions = NO_EXTERNALS
 
     def local_start(self) -> str:
         """Return the local time of cycle 0, to be read."""
@@ -73,7 +83,9 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
     InputError
         Scenario, options and data do not go together.
     """
-    scenario = scenario_file.scenario
+    own = scenario_file.scenario
+    scenario = _with_cycle(own, options.cycle_s)
+    pace = options.pace or scenario.pace
     if options.seed is not None and not 0 <= options.seed <= LARGEST_SEED:
         raise InputError(f"--seed {options.seed}: accepted is 0 to {LARGEST_SEED}")
     try:
@@ -87,20 +99,24 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
             source.clear_sky_kw,
             scenario_file.data_path,
         )
-        covariance = _covariance(scenario, source, times)
+        covariance = _covariance(own, source, times)
         tree = control_tree(
             scenario.control,
             source.sites,
             covariance,
-            _hours_of(_times(scenario, RunOptions()), covariance, scenario),
+            _hours_of(_times(own, RunOptions()), covariance, own),
         )
         periods = _periods(scenario, tree)
+        wall_ns = cycle_wall_ns(scenario.time.cycle_s, pace, "--pace" if options.pace else "pace")
+        deadlines_ns = tier_deadlines_ns(scenario.control.deadlines_ms, tree, wall_ns)
+        external = check_externals(options.external, tree)
+        faults = fault_rules(scenario_file, options.faults, tree, external)
+        machine = machine_settings(scenario.machine, options.machine, lockstep=pace == "max")
         regulation = _regulation_kw(scenario_file, times)
     except InputError as error:
         raise InputError(_with_file(scenario_file, str(error))) from None
     # The plant's order is the tree's: clusters may have mixed the inverters up.
     order = [source.sites.names.index(leaf.rpartition("/")[2]) for leaf in tree.leaves]
-    pace = options.pace or scenario.pace
     plan = RunPlan(
         run_id=run_id,
         plant=scenario.name,
@@ -110,7 +126,7 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         cycles=len(times),
         timezone=scenario.time.timezone,
         regulation_capacity_kw=scenario.regulation.capacity_kw if scenario.regulation else 0.0,
-        cycle_wall_ns=0 if pace == "max" else round(scenario.time.cycle_s / pace * 1e9),
+        cycle_wall_ns=wall_ns,
         period_cycles=periods.cycles,
         scheme=options.scheme or scenario.control.scheme,
         actuator=options.actuator or scenario.plant.actuator,
@@ -122,6 +138,14 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         ),
         tcp_ports={},
         ramp_limit_percent_per_min=scenario.plant.ramp_limit_percent_per_min,
+        external=external,
+        # Where the ports stay the same from run to run, all that a device is told does.
+        namespace=scenario.name if options.external.base_port is not None else "",
+        faults=faults,
+        faults_seed=scenario.faults_seed,
+        machine=machine,
+        late=scenario.control.late,
+        tier_deadlines_ns=deadlines_ns,
     )
     profile = Profile(
         np.ascontiguousarray(possible_kw[:, order]),
@@ -141,6 +165,7 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
             *(() if of_commitment is None else (of_commitment,)),
             *_regulation_remarks(scenario_file),
         ),
+        external=options.external,
     )
 
 
@@ -163,6 +188,12 @@ def _meter_error(plant: PlantTable, shape: tuple[int, ...]) -> NDArray[np.float6
     """Relative errors of the inverters' meters: normal, independent, the same for each run."""
     generator = np.random.default_rng(plant.meter_seed)
     return plant.meter_noise * generator.standard_normal(shape)
+
+
+def _with_cycle(scenario: Scenario, cycle_s: float | None) -> Scenario:
+    if cycle_s is None:
+        return scenario
+    return replace(scenario, time=replace(scenario.time, cycle_s=cycle_s))
 
 
 def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
@@ -205,26 +236,28 @@ def _start(table: TimeTable, option: str | None) -> datetime:
 def _covariance(scenario: Scenario, source: PowerSource, times: pd.DatetimeIndex) -> HourlyMatrices:
     """Covariance of the inverters' power in the past, for the hours of scenario and run.
 
-    The past does not depend on which part of the scenario is run: the same plant keeps its
-    clusters and neighbours.
+    The past does not depend on which part of the scenario is run, nor at which rate: the same
+    plant keeps its clusters and neighbours.
     """
     measured = source.measured_times
     if scenario.neighbours.history == "hindsight":
         past = times if measured is None else measured
         history_kw = source.possible_kw(past)
     else:
-        whole_hours = _whole_hours(_times(scenario, RunOptions())).union(_whole_hours(times))
+        step = pd.Timedelta(seconds=scenario.time.cycle_s)
+        of_scenario = _whole_hours(_times(scenario, RunOptions()), step)
+        whole_hours = of_scenario.union(_whole_hours(times, step))
         past = whole_hours if measured is None else measured
         history_kw = source.earlier_day_kw(past)
     return hourly_covariance(history_kw, _local_hours(past, scenario.time.timezone))
 
 
-def _whole_hours(times: pd.DatetimeIndex) -> pd.DatetimeIndex:
-    """Extend times, in their own step, over the whole of the hours that they touch."""
+def _whole_hours(times: pd.DatetimeIndex, step: pd.Timedelta) -> pd.DatetimeIndex:
+    """Return times, in steps, over the whole of the hours that these times touch."""
     return pd.date_range(
         times[0].floor("h"),
         times[-1].floor("h") + pd.Timedelta(hours=1),
-        freq=times.freq,
+        freq=step,
         inclusive="left",
         unit="ns",
     )
@@ -261,6 +294,8 @@ def _periods(scenario: Scenario, tree: ControlTree) -> Periods:
 
 def _with_file(scenario_file: ScenarioFile, text: str) -> str:
     """Name the scenario where the text speaks of one of its fields."""
-    tables = {"commitment", "control", "plant", "neighbours", "regulation", "time"}
-    of_a_field = text.split(".", 1)[0] in tables or text.startswith(("plant:", "stations:"))
+    tables = {"commitment", "control", "machine", "plant", "neighbours", "regulation", "time"}
+    of_a_field = text.split(".", 1)[0] in tables or text.startswith(
+        ("plant:", "stations:", "pace ")
+    )
     return f"{scenario_file.path}: {text}" if of_a_field else text

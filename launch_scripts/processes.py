@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -16,6 +17,9 @@ ZENOH_RUNTIME: Final = (
 )
 """One worker thread for all of Zenoh's work: see docs/decisions/0003-zenoh-tuning.md."""
 
+
+PLANT_PATIENCE_S: Final = 30.0
+"""How long the plant waits for processes to appear."""
 
 _PYTHON: Final = (sys.executable, "-P")
 """Without the current folder on the path: a user's `signal.py` there is none of ours."""
@@ -45,9 +49,28 @@ class ProcessSpec:
         return f"{self.agent.replace('/', '.')}.log"
 
 
-def processes(tree: ControlTree, plan: Path) -> tuple[ProcessSpec, ...]:
-    """List the processes of a run, those first that the others connect to."""
-    return tuple(_process(agent, tree, plan) for agent in tree.agents())
+def processes(
+    tree: ControlTree, plan: Path, external: Collection[str] = (), patience_s: float = 0.0
+) -> tuple[ProcessSpec, ...]:
+    """List the processes of a run, those first that the others connect to.
+
+    Parameters
+    ----------
+    tree, plan
+        Control tree of the run, and where its plan lies.
+    external
+        Agents that are no processes of this run.
+    patience_s
+        How much longer than for processes the plant waits for them [s].
+    """
+    specs = tuple(_process(agent, tree, plan) for agent in tree.agents() if agent not in external)
+    if not patience_s:
+        return specs
+    words = ("--patience", str(PLANT_PATIENCE_S + patience_s))
+    return tuple(
+        replace(spec, command=(*spec.command, *words)) if spec.agent == PLANT else spec
+        for spec in specs
+    )
 
 
 def environment() -> dict[str, str]:

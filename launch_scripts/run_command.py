@@ -13,8 +13,10 @@ from rich.console import Console
 
 from agents.plan import Actuator, Scheme
 from bus_schemas.errors import InputError
+from launch_scripts.externals import NO_EXTERNALS, ExternalOptions
 from launch_scripts.launcher import launch
 from launch_scripts.live_view import View, view_for
+from launch_scripts.machine_table import AS_THE_SCENARIO_SAYS, MachineOptions
 from launch_scripts.preparation import Preparation, RunOptions, prepare
 from launch_scripts.run_folder import RunFolder, new_run_id, run_folder
 from launch_scripts.scenario import FASTEST_PACE, SLOWEST_PACE, load_scenario
@@ -48,6 +50,10 @@ class RunRequest:
     data: Path | None
     json: str | None
     report: bool
+    cycle_s: float | None = None
+    faults: tuple[str, ...] = ()
+    external: ExternalOptions = NO_EXTERNALS
+    machine: MachineOptions = AS_THE_SCENARIO_SAYS
 
 
 def run(request: RunRequest, began_at: float) -> int:
@@ -63,11 +69,9 @@ def run(request: RunRequest, began_at: float) -> int:
     # With the JSON on standard output, nothing else may go there.
     console = Console(stderr=request.json == "-")
     try:
-        preparation, folder = _prepare(request)
-    except InputError as error:
-        return _complain(error, BAD_INPUT)
+        preparation, folder = prepare_run(request)
     except (OSError, ValueError) as error:
-        # A file that may not be read, or a name that no file can have.
+        # Bad input; a file that may not be read, or a name that no file can have.
         return _complain(error, BAD_INPUT)
     try:
         summary = _drive(request.driver, preparation, folder, console, began_at)
@@ -75,6 +79,8 @@ def run(request: RunRequest, began_at: float) -> int:
         if request.report and summary.cycles:
             _report(folder, console)
         return status
+    except InputError as error:
+        return _complain(error, BAD_INPUT)
     except OSError as error:
         return _complain(f"{error.filename or folder.path}: {error.strerror}", FAILED)
     except RunFailure as error:
@@ -115,7 +121,14 @@ def _report(folder: RunFolder, console: Console) -> None:
     console.print(f"report: {path}", highlight=False, soft_wrap=True, markup=False)
 
 
-def _prepare(request: RunRequest) -> tuple[Preparation, RunFolder]:
+def prepare_run(request: RunRequest) -> tuple[Preparation, RunFolder]:
+    """Work out the run and its folder, of which nothing is made yet.
+
+    Raises
+    ------
+    InputError
+        The words of the command line, the scenario and its data do not go together.
+    """
     if request.json not in (None, "-"):
         _check_json_path(Path(request.json))
     scenario = load_scenario(request.scenario, request.data)
@@ -128,8 +141,24 @@ def _prepare(request: RunRequest) -> tuple[Preparation, RunFolder]:
         request.seed,
         request.scheme,
         request.actuator,
+        request.cycle_s,
+        request.faults,
+        request.external,
+        request.machine,
     )
-    return prepare(scenario, options, run_id), folder
+    preparation = prepare(scenario, options, run_id)
+    _check_faults(request, preparation)
+    return preparation, folder
+
+
+def _check_faults(request: RunRequest, preparation: Preparation) -> None:
+    plan = preparation.plan
+    if request.driver == "launch" and plan.lockstep and plan.faults:
+        where = f"--fault {request.faults[0]}" if request.faults else "faults of the scenario"
+        raise InputError(
+            f"{where}: a message that is lost in lockstep is waited for without end, accepted is "
+            "a --pace such as 1"
+        )
 
 
 def _check_json_path(path: Path) -> None:

@@ -13,8 +13,12 @@ from zoneinfo import ZoneInfo, available_timezones
 import msgspec
 
 from agents.plan import Actuator, Scheme
+from agents.sequencer import LateWords
 from bus_schemas.errors import InputError
+from bus_schemas.faults import FaultRule
 from bus_schemas.tree import check_name
+from launch_scripts.machine_table import MachineTable
+from launch_scripts.timing.budget_table import TimingTable
 from sim_plant.clouds import CloudSettings
 from sim_plant.commitment import CommitmentSettings
 from sim_plant.pv import PvSettings
@@ -181,6 +185,13 @@ class ControlTable(_Table, frozen=True):
         For how many cycles the last report of a silent child holds.
     stall_timeout_s
         How long a stalled cycle is waited for in lockstep [s].
+    late
+        In real time: whether a message that comes after its deadline is used in place of the next
+        one that does not come in time, or dropped.
+    deadlines_ms
+        In real time: how long after the beginning of a cycle the last word of each tier must be
+        out [ms of the wall clock], the central controller's first and the direct controllers' last.
+        Default: each stage has the same share of the cycle. In lockstep there are no deadlines.
     """
 
     cluster_sizes: tuple[tuple[Annotated[int, msgspec.Meta(ge=1)], ...], ...] | None = None
@@ -192,6 +203,8 @@ class ControlTable(_Table, frozen=True):
     alpha_min: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.05
     hold_cycles: Annotated[int, msgspec.Meta(ge=0)] = 3
     stall_timeout_s: Patience = 3.0
+    late: LateWords = "use"
+    deadlines_ms: tuple[float, ...] | None = None
 
 
 class NeighboursTable(_Table, frozen=True):
@@ -205,7 +218,11 @@ class NeighboursTable(_Table, frozen=True):
 
 
 class Scenario(_Table, frozen=True):
-    """A run, as its file describes it."""
+    """A run, as its file describes it.
+
+    `faults` are the ways in which its network is imperfect, `faults_seed` the seed of what is
+    drawn for them.
+    """
 
     name: str
     title: str
@@ -218,6 +235,10 @@ class Scenario(_Table, frozen=True):
     regulation: RegulationSettings | None = None
     pv: PvSettings = PvSettings()
     pace: Pace | Literal["max"] = "max"
+    faults: tuple[FaultRule, ...] = ()
+    faults_seed: Seed = 0
+    machine: MachineTable = MachineTable()
+    timing: TimingTable = TimingTable()
 
 
 class ScenarioFile(msgspec.Struct, frozen=True):

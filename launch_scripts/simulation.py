@@ -1,7 +1,11 @@
-"""`heliarch simulate`: the same agents as in `launch`, in one process, in lockstep."""
+"""`heliarch simulate`: the same agents as in `launch`, in one process.
+
+They run in lockstep; where the network is to be imperfect, on a virtual clock with deadlines.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import time
 from collections import Counter
@@ -23,9 +27,10 @@ from launch_scripts.preparation import Preparation
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.summary import RunSummary, count_messages, memory_use, plant_metrics
 from launch_scripts.supervision import RunFailure, memory_of
+from launch_scripts.timed_simulation import TimedRun, on_the_clock
 from recordings.lasting_writer import LastingWriter
 from recordings.monitor import RunMonitor
-from recordings.writer import RunWriter
+from recordings.writer import ClockAnchor, RunWriter
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
 
@@ -84,6 +89,16 @@ class MemoryRun:
         if not plant.finished:
             raise RunFailure(f"stalled in cycle {plant.cycle}: {self._who_waits()}")
 
+    @property
+    def published(self) -> Counter[str]:
+        """Messages published so far, by signal."""
+        return self.bus.published
+
+    @property
+    def faults(self) -> dict[str, int]:
+        """What an imperfect network did to messages: here there is none."""
+        return {}
+
     def stop(self) -> None:
         """End the run after the cycle under way."""
         plant = self.sequencers[PLANT]
@@ -117,19 +132,24 @@ def simulate(
     RunFailure
         The agents wait for each other.
     """
+    if preparation.plan.faults:
+        preparation = dataclasses.replace(preparation, plan=on_the_clock(preparation.plan))
     plan = folder.fill(preparation, tcp_ports={})
     monitor = RunMonitor()
+    # A virtual clock stands at 0 when the run begins.
+    anchor = ClockAnchor(0, time.time_ns()) if plan.faults else ClockAnchor.now()
     writer = LastingWriter(
-        RunWriter(folder.recording, plan, preparation.scenario.text, driver="simulate"),
+        RunWriter(folder.recording, plan, preparation.scenario.text, "simulate", anchor),
         on_end=lambda text: view.say(f"{text}; the run goes on without it"),
     )
 
     def record(port: Port[Message], message: Message) -> None:
         if port.signal.logged:
-            writer.add(port, message, encode(message), time.monotonic_ns())
+            writer.add(port, message, encode(message), message.publish_time_ns)
             monitor.see(port, message)
 
-    run = MemoryRun(plan, preparation.profile, record)
+    kind = TimedRun if plan.faults else MemoryRun
+    run = kind(plan, preparation.profile, record)
     started_at = time.monotonic()
     try:
         interrupted = _follow(run, monitor, writer, view)
@@ -152,9 +172,11 @@ def simulate(
         startup_s=started_at - began_at,
         arming_rounds=0,
         metrics=plant_metrics(plan, monitor.plant),
-        messages=count_messages(run.bus.published, writer.recorded),
+        messages=count_messages(run.published, writer.recorded),
         dropped={cause: count for cause, count in drops.items() if count},
-        missing_inputs=0,
+        missing_inputs=sum(one.missing_inputs for one in run.sequencers.values()),
+        faults=run.faults,
+        late_used=sum(one.late_used for one in run.sequencers.values()),
         memory=memory_use({"simulation": [memory_of(os.getpid())]}),
         hindsight_neighbours=preparation.hindsight,
         remarks=preparation.remarks,
@@ -163,10 +185,13 @@ def simulate(
     )
 
 
-def _follow(run: MemoryRun, monitor: RunMonitor, writer: LastingWriter, view: View) -> bool:
+def _follow(
+    run: MemoryRun | TimedRun, monitor: RunMonitor, writer: LastingWriter, view: View
+) -> bool:
     """Run to the end, or to Ctrl-C. Return whether it was interrupted."""
     began_at = status_at = time.monotonic()
-    cycle_s = run.plan.cycle_wall_ns / 1e9
+    # On a virtual clock the pace says how long a cycle is, and nobody waits for it to pass.
+    cycle_s = run.plan.cycle_wall_ns / 1e9 if isinstance(run, MemoryRun) else 0.0
     with interruptible() as interruption:
         for cycle in run.cycles():
             if interruption:

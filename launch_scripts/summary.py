@@ -5,14 +5,17 @@ from __future__ import annotations
 import statistics
 from collections import Counter
 from collections.abc import Mapping
+from typing import Final
 
 import msgspec
 from rich.console import Console
 from rich.table import Table
 
-from agents.lifeline import PlantPower
+from agents.lifeline import ExternalAccount, PlantPower, Recorded
 from agents.plan import RunPlan
+from agents.stopwatch import ProcessTiming
 from launch_scripts.supervision import Memory
+from launch_scripts.wrong_messages import WrongMessages
 from recordings.metrics import (
     CommitmentMetrics,
     RampMetrics,
@@ -21,6 +24,9 @@ from recordings.metrics import (
     run_metrics,
 )
 from recordings.series import plant_series
+
+_MOST_WRONG: Final = 12
+"""Kinds of wrong messages that the table names one by one."""
 
 
 class MessageCount(msgspec.Struct, frozen=True):
@@ -46,10 +52,34 @@ class MemoryUse(msgspec.Struct, frozen=True):
     own_median_mb: float
 
 
+class ProcessAccount(msgspec.Struct, frozen=True):
+    """What one process of a run over processes said at its end, and what it took.
+
+    Attributes
+    ----------
+    agent, kind
+        Its name, and `recorder`, `plant`, `central`, `supervisor` or `direct`.
+    dropped
+        Messages that it could not use, by cause.
+    resident_mb
+        Most memory that was seen resident [MB].
+    timing
+        What it measured of itself in real time; None in lockstep, and of the recorder.
+    """
+
+    agent: str
+    kind: str
+    dropped: dict[str, int]
+    resident_mb: float
+    timing: ProcessTiming | None = None
+
+
 class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     """The figures of a run.
 
     `recording_ended` says why its recording does not go up to its end; it is empty if it does.
+    `processes` is empty where the run was in one process. `messages` are those of the processes;
+    of external agents, which give no account of themselves, `external` tells what was heard.
     """
 
     run_id: str
@@ -71,6 +101,11 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     remarks: tuple[str, ...]
     interrupted: bool
     recording_ended: str = ""
+    faults: dict[str, int] = msgspec.field(default_factory=dict)
+    late_used: int = 0
+    processes: tuple[ProcessAccount, ...] = ()
+    external: tuple[ExternalAccount, ...] = ()
+    wrong: tuple[WrongMessages, ...] = ()
 
     @property
     def cycles_per_s(self) -> float:
@@ -83,8 +118,14 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
         return sum(abs(count.lost) for count in self.messages)
 
     def as_json(self) -> bytes:
-        """Return the summary as JSON, with the figures that follow from others."""
+        """Return the summary as JSON, with the figures that follow from others.
+
+        Histograms are left out: they would be most of it, and `heliarch timing` reports on them.
+        """
         document = msgspec.to_builtins(self)
+        for process in document["processes"]:
+            if process["timing"] is not None:
+                process["timing"]["histograms"] = {}
         document["cycles_per_s"] = self.cycles_per_s
         if self.metrics is not None:
             energy = self.metrics.commitment
@@ -107,6 +148,15 @@ def count_messages(
         MessageCount(signal, published.get(signal, 0), recorded.get(signal, 0))
         for signal in signals
     )
+
+
+def without_external(recorded: Recorded) -> dict[str, int]:
+    """Return how many messages of each signal were recorded, those of external agents set aside."""
+    counts = Counter(recorded.recorded)
+    for account in recorded.external:
+        counts.subtract(account.recorded)
+    # A recording that had to end early may hold less than was heard.
+    return {signal: max(count, 0) for signal, count in counts.items()}
 
 
 def memory_use(samples: Mapping[str, list[Memory]]) -> tuple[MemoryUse, ...]:
@@ -134,6 +184,10 @@ def print_summary(summary: RunSummary, console: Console) -> None:
         table.add_row(name, value, note)
     table.add_section()
     for name, value, note in (*_message_rows(summary), *_memory_rows(summary)):
+        table.add_row(name, value, note)
+    if summary.external or summary.wrong:
+        table.add_section()
+    for name, value, note in (*_external_rows(summary), *_wrong_rows(summary)):
         table.add_row(name, value, note)
     console.print(table)
     if summary.hindsight_neighbours:
@@ -222,13 +276,40 @@ def _message_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
     recorded = sum(count.recorded for count in summary.messages)
     help_calls = sum(count.recorded for count in summary.messages if count.signal == "help")
     dropped = ", ".join(f"{count:,} {cause}" for cause, count in summary.dropped.items())
+    in_place = f"{summary.late_used:,} late words used instead" if summary.late_used else ""
     return [
         ("messages published", f"{published:,}", f"{help_calls:,} of them calls for help"),
         ("messages recorded", f"{recorded:,}", ""),
         ("messages lost", f"{summary.lost:,}", ""),
         ("messages dropped", f"{sum(summary.dropped.values()):,}", dropped),
-        ("inputs missed at deadlines", f"{summary.missing_inputs:,}", ""),
+        ("inputs missed at deadlines", f"{summary.missing_inputs:,}", in_place),
+        *_timing_rows(summary),
+        *_fault_rows(summary),
     ]
+
+
+def _timing_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
+    """Rows of a run in real time over processes: what was late, and where most of it."""
+    timings = [process.timing for process in summary.processes if process.timing is not None]
+    if not timings:
+        return []
+    counted = {
+        "deadlines missed": {t.agent: sum(t.missed_deadlines.values()) for t in timings},
+        "late words used": {t.agent: t.late_used for t in timings},
+        "overruns": {t.agent: sum(t.overruns.values()) for t in timings},
+    }
+    return [(name, f"{sum(of.values()):,}", _most(of)) for name, of in counted.items()]
+
+
+def _most(count_of: Mapping[str, int]) -> str:
+    agent, most = max(count_of.items(), key=lambda entry: entry[1])
+    return f"most by {agent}: {most:,}" if most else ""
+
+
+def _fault_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
+    counts = ", ".join(f"{count:,} {what}" for what, count in summary.faults.items())
+    total = sum(summary.faults.values())
+    return [("faults of the network", f"{total:,}", counts)] if summary.faults else []
 
 
 def _memory_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
@@ -240,6 +321,30 @@ def _memory_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
         )
         for use in summary.memory
     ]
+
+
+def _external_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
+    return [
+        (
+            f"external {account.agent}",
+            f"{sum(account.recorded.values()):,}",
+            f"messages recorded, {account.lost:,} lost by their numbers; answered "
+            f"{account.answered:,} times of {account.expected:,}",
+        )
+        for account in summary.external
+    ]
+
+
+def _wrong_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
+    rows = [
+        (f"wrong: {wrong.key}", f"{wrong.count:,}", f"{wrong.cause}: {wrong.example}")
+        for wrong in summary.wrong[:_MOST_WRONG]
+    ]
+    rest = summary.wrong[_MOST_WRONG:]
+    if rest:
+        count = sum(wrong.count for wrong in rest)
+        rows.append(("wrong: other keys", f"{count:,}", f"{len(rest)} more kinds, see --json"))
+    return rows
 
 
 def merge_counts(counts: list[dict[str, int]]) -> dict[str, int]:

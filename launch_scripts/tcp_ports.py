@@ -1,4 +1,4 @@
-"""Free TCP ports on the loopback address, kept free for the run that asked for them."""
+"""TCP ports on the loopback address, kept free for the run that asked for them."""
 
 from __future__ import annotations
 
@@ -6,20 +6,41 @@ import socket
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 
+from bus_schemas.errors import InputError
+
 
 @contextmanager
-def reserved_ports(agents: Sequence[str]) -> Iterator[dict[str, int]]:
+def reserved_ports(agents: Sequence[str], base_port: int | None = None) -> Iterator[dict[str, int]]:
     """Reserve a port for each agent, as long as the context lasts.
 
     The launcher keeps a socket bound to each port without listening on it. So no other launcher
     gets the same port from the kernel, while Zenoh, which sets SO_REUSEADDR as this does, can
     listen on it.
+
+    Parameters
+    ----------
+    agents
+        Who needs one.
+    base_port
+        Port of the first agent; the others get the next ones. None: whatever is free.
+
+    Raises
+    ------
+    InputError
+        One of the ports that were asked for is taken.
     """
     with ExitStack() as sockets:
         ports: dict[str, int] = {}
-        for agent in agents:
+        for place, agent in enumerate(agents):
+            wanted = 0 if base_port is None else base_port + place
             holder = sockets.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
             holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            holder.bind(("127.0.0.1", 0))
+            try:
+                holder.bind(("127.0.0.1", wanted))
+            except OSError as error:
+                raise InputError(
+                    f"--base-port {base_port}: port {wanted} of {agent} cannot be had: "
+                    f"{error.strerror}"
+                ) from None
             ports[agent] = holder.getsockname()[1]
         yield ports

@@ -9,27 +9,25 @@ themselves, so the document cannot differ from what runs. A test holds the file 
 from __future__ import annotations
 
 import inspect
-import struct
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from msgspec.structs import fields
 
+from agents.agent import Agent, Stage, Turn
 from agents.central import CentralController
-from agents.deadlines import USED_SHARE, stage_place
+from agents.deadlines import deadline_ns
 from agents.direct import DirectController
 from agents.family import Family
 from agents.periods import Periods
 from agents.supervisor import Supervisor
-from bus_schemas.codec import encode
-from bus_schemas.messages import Command, Message, Telemetry
-from bus_schemas.signals import SIGNALS
-from bus_schemas.tree import CENTRAL, PLANT, ROOT, ControlTree
+from bus_schemas.messages import Message
+from bus_schemas.signals import HELP, RESIDUAL, SIGNALS
+from bus_schemas.tree import ROOT, ControlTree
+from launch_scripts.wire_layout import INVERTER, layout
 
-_INVERTER: Final = "c1/inv07"
-_TREE: Final = ControlTree((("c1/inv01", 470.0), (_INVERTER, 470.0), ("c2/inv02", 470.0)))
+_TREE: Final = ControlTree((("c1/inv01", 470.0), (INVERTER, 470.0), ("c2/inv02", 470.0)))
 _UNITS: Final = {"_kw": "kW", "_ns": "ns"}
 _TYPES: Final = {
     "int": "integer",
@@ -41,7 +39,19 @@ _TYPES: Final = {
 
 def wire_document() -> str:
     """Return the document as Markdown."""
-    return "\n".join([*_opening(), *_signal_table(), *_types(), *_layout(), *_cycle(), *_closing()])
+    parts = (
+        _opening(),
+        _signal_table(),
+        _types(),
+        layout(),
+        _cycle(),
+        _direct_controller(),
+        _real_time(),
+        _arming(),
+        _rules(),
+        _wrong_answers(),
+    )
+    return "\n".join(line for part in parts for line in part)
 
 
 def _opening() -> Iterator[str]:
@@ -55,20 +65,47 @@ launch_scripts.wire_document`; where the two differ, a test fails.
 
 ## Joining
 
-The transport is [Zenoh](https://zenoh.io) 1.x in peer mode over TCP, without multicast and
-without gossip: each pair of agents that talk has one link. The run's `plan.json` has all that is
-to be known: `run_id` is the Zenoh *namespace* of every session, `plant` is the first part of
-every key, `tcp_ports` are the ports on 127.0.0.1 on which some agents listen. An agent listens if
-`tcp_ports` has its name, and connects to every listening agent that it exchanges messages with,
-and to `recorder`. A direct controller never listens; it connects to its supervisor, to `plant`
-and to `recorder`.
+    heliarch launch oahu --pace 1 --external c1/inv07 --base-port 7500 --out my-run
 
-Each agent declares a liveliness token on `<plant>/<name>/alive`. Names are `plant`, `central`,
-`recorder` and the paths of the control tree's other nodes, for instance `c1` and `c1/inv07`.
+leaves `c1/inv07` out and waits for it, 60 s or as long as `--external-timeout` says. `plant`,
+`central` and supervisors can be left out in the same way, several at once; the recorder cannot.
+The launcher says where each of them finds the bus, and so does `my-run/plan.json`:
 
-A payload is one msgpack map from field name to value, its encoding `application/msgpack`. A
-reader must accept the fields in any order, integers in any of msgpack's widths, and must not
-accept a field that it does not know. Publish reliably; in lockstep with congestion control BLOCK.
+| field of `plan.json` | what it is |
+|---|---|
+| `namespace`, or if that is empty `run_id` | the Zenoh *namespace* of the run |
+| `plant` | first part of every key |
+| `inverters` | `[path, rating_kw]` of each inverter; the paths make the control tree |
+| `tcp_ports` | the port on 127.0.0.1 of each agent that listens |
+| `start_time_ns`, `cycle_ns`, `cycles` | simulated time of cycle 0, length and number of cycles |
+| `cycle_wall_ns` | length of a cycle on the wall clock; 0 is lockstep |
+| `period_cycles` | how often each tier acts, see *Within a cycle* |
+| `tier_deadlines_ns` | deadline of each tier, see *Real time*; empty: the shares given there |
+| `actuator`, `alpha_min` | what inverters do with a command, and the lowest alpha |
+| `external` | the agents that the launcher did not start |
+
+With `--base-port` the ports are 7500, 7501, ... in the order recorder, plant, central,
+supervisors, and the namespace is the plant's name: a device is set up once, for every run.
+
+**Transport.** [Zenoh](https://zenoh.io) 1.x, peer mode, TCP, without multicast and without
+gossip. Peers do not relay, so each pair of agents that exchange messages has a link of its own,
+and everybody has one with the recorder. Of a pair the one nearer to the top of the list recorder,
+plant, central, supervisors, inverters listens, the other connects, and tries again until it
+succeeds. So a direct controller listens nowhere and connects to `recorder`, `plant` and its
+parent; a plant listens, and connects to `recorder` alone. Agents listen on 127.0.0.1: a device on
+another host reaches them through a forwarder of TCP ports, such as `ssh -L`.
+
+**Namespace.** Set it in Zenoh's configuration (`namespace`), or, where a library has no such
+setting, put it before every key: `<namespace>/<plant>/c1/inv07/impp`.
+
+**Liveliness.** Declare a liveliness token on `<plant>/<name>/alive`, once your subscriptions stand.
+Names are `plant`, `central`, `recorder` and the paths of the control tree's other nodes, such as
+`c1` and `c1/inv07`. No run begins before all tokens are seen. A token that goes away in mid-run is
+named with its cycle; in real time the run goes on, and a device that comes back is taken up again
+where the run stands.
+
+**Payload.** One msgpack map from field name to value, encoding `application/msgpack`. Publish
+reliably; in lockstep with congestion control BLOCK.
 """
     )
 
@@ -103,15 +140,12 @@ def _types() -> Iterator[str]:
     for field in fields(Message):
         yield f"| `{field.name}` | {_type_name(field.type)} | {meanings[field.name]} |"
     yield ""
-    for signal in SIGNALS:
-        yield f"### {signal.type.__name__}"
+    for kind in dict.fromkeys(signal.type for signal in SIGNALS):
+        yield f"### {kind.__name__}"
         yield ""
-        yield from _doc(signal.type)
-        own = [
-            field for field in fields(signal.type) if field.name not in Message.__struct_fields__
-        ]
-        if own:
-            yield from _field_table(signal.type)
+        yield from _doc(kind)
+        if len(fields(kind)) > len(Message.__struct_fields__):
+            yield from _field_table(kind)
 
 
 def _field_table(kind: type[Message]) -> Iterator[str]:
@@ -156,142 +190,211 @@ def _attributes(kind: type[Message]) -> dict[str, str]:
     return found
 
 
-def _layout() -> Iterator[str]:
-    yield "## Byte by byte"
-    yield ""
-    yield "Telemetry of `c1/inv07` in cycle 2, after 120.5 kW at alpha 0.5:"
-    yield ""
-    telemetry = Telemetry(
-        2, 1_270_159_202_000_000_000, PLANT, (), 5_000_000_000, 2,
-        power_kw=120.5, alpha=0.5, limit_kw=470.0,
-    )  # fmt: skip
-    yield from _bytes_table(telemetry)
-    yield "And the command that answers a setpoint of 100 kW:"
-    yield ""
-    command = Command(
-        2, 1_270_159_202_000_000_000, _INVERTER, (), 5_004_000_000, 2,
-        alpha=100.0 / 241.0, power_kw=100.0,
-    )  # fmt: skip
-    yield from _bytes_table(command)
-
-
-def _bytes_table(message: Message) -> Iterator[str]:
-    yield "| bytes (hex) | what they are |"
-    yield "|---|---|"
-    for part in _parts(encode(message)):
-        yield f"| `{part.data.hex(' ')}` | {part.meaning} |"
-    yield ""
-
-
-@dataclass(frozen=True, slots=True)
-class _Part:
-    data: bytes
-    meaning: str
-
-
-def _parts(payload: bytes) -> Iterator[_Part]:
-    """Take a flat msgpack map apart: its head, then each key and each value."""
-    count = payload[0] & 0x0F
-    yield _Part(payload[:1], f"a map of {count} entries")
-    place = 1
-    for _ in range(2 * count):
-        part = _value(payload, place)
-        yield part
-        place += len(part.data)
-    if place != len(payload):
-        raise ValueError(f"{len(payload) - place} bytes are left over")
-
-
-_FIXED: Final = {
-    0xCB: (8, ">d", "float 64"),
-    0xCC: (1, ">B", "unsigned integer of 1 byte"),
-    0xCD: (2, ">H", "unsigned integer of 2 bytes"),
-    0xCE: (4, ">I", "unsigned integer of 4 bytes"),
-    0xCF: (8, ">Q", "unsigned integer of 8 bytes"),
-}
-
-
-def _value(payload: bytes, place: int) -> _Part:
-    first = payload[place]
-    if first in _FIXED:
-        length, layout, name = _FIXED[first]
-        data = payload[place : place + 1 + length]
-        return _Part(data, f"{name}: {struct.unpack(layout, data[1:])[0]!r}")
-    if first < 0x80:
-        return _Part(payload[place : place + 1], f"integer {first}")
-    if 0xA0 <= first < 0xC0:
-        data = payload[place : place + 1 + (first & 0x1F)]
-        return _Part(data, f'string "{data[1:].decode()}"')
-    if first == 0x90:
-        return _Part(payload[place : place + 1], "an array of 0 entries")
-    raise ValueError(f"no example has the msgpack type {first:#x}")
-
-
 def _cycle() -> Iterator[str]:
     yield from _paragraphs(
         """
 ## Within a cycle
 
-An agent goes through its stages in their order. A stage closes when all messages of this cycle
-that it awaits have come, or at its deadline; then the agent publishes what the stage yields.
-Between the turns of a parent (`period_cycles` in the plan) its children do without its request
-and setpoint.
+The plant begins a cycle: `telemetry` to each inverter, `dispatch` to the central controller. It
+ends it when all commands are there, and says what happened: `production`. In between an agent goes
+through its stages in their order. A stage closes when all messages of this cycle that it awaits
+have come, or, in real time, at its deadline; then the agent publishes, in this order:
 """
     )
-    yield "| agent | stage | awaits | and, where announced | deadline, share of the cycle |"
-    yield "|---|---|---|---|---|"
-    family = Family("c1", ("c1/inv01", _INVERTER), (470.0, 470.0), (), 0)
-    periods = Periods((1, 1))
-    agents = (
-        (
-            "direct controller",
-            DirectController(_INVERTER, 470.0, 0.05, periods, "paper", "fraction"),
-        ),
-        ("supervisor", Supervisor(family, periods)),
-        (
-            "central controller",
-            CentralController(Family(ROOT, ("c1", "c2"), (1.0, 1.0), (), 0), periods),
-        ),
-    )
-    for kind, agent in agents:
+    yield "| agent | stage | awaits | and, where announced | publishes | deadline |"
+    yield "|---|---|---|---|---|---|"
+    for kind, agent in _agents():
         for stage in agent.stages(0):
-            name = CENTRAL if kind == "central controller" else agent.name
             awaits = ", ".join(sorted({port.signal.name for port in stage.awaits}))
             announced = ", ".join(sorted({port.signal.name for port in stage.on_need}))
-            share = USED_SHARE * stage_place(name, stage.name, _TREE)
-            share /= stage_place(PLANT, "advance", _TREE)
-            yield f"| {kind} | {stage.name} | {awaits} | {announced} | {share:.3f} |"
+            share = deadline_ns(agent.name, stage.name, _TREE, 1_000_000) / 1e6
+            says = ", ".join(_says(agent, stage))
+            yield f"| {kind} | {stage.name} | {awaits} | {announced} | {says} | {share:.3f} |"
     yield ""
     yield from _paragraphs(
         """
-A negative `residual` announces a `help` of the same node and cycle: the parent waits for it. The
-deadlines are those of three tiers; they count in real time only (`cycle_wall_ns` above 0 in the
-plan), from the beginning of the cycle on the host's monotonic clock. In lockstep there is none.
+The plant awaits every `command`, up to 0.900 of the cycle. A deadline is a share of the cycle on
+the wall clock, here that of three tiers; see *Real time*.
+
+- A negative `residual` announces a `help` of the same node and cycle: the parent waits for it. A
+  residual that is not negative comes without one.
+- `period_cycles` has an entry for each tier that has children, the central controller's first. A
+  parent gives `request` and `setpoint` in cycles that are a multiple of its tier's entry. In the
+  others its children await neither, go on with the last ones, and publish all the same.
+- Each key has one message a cycle at most. Of two the first one holds.
+- In lockstep nobody has a deadline, and nothing goes on before you have answered. After a few
+  seconds without an answer the run ends and names whom it waited for.
 """
     )
 
 
-def _closing() -> Iterator[str]:
+def _agents() -> tuple[tuple[str, Agent[Any]], ...]:
+    family = Family("c1", ("c1/inv01", INVERTER), (470.0, 470.0), (), 0)
+    periods = Periods((1, 1))
+    direct = DirectController(INVERTER, 470.0, 0.05, periods, "paper", "fraction")
+    plant = Family(ROOT, ("c1", "c2"), (1.0, 1.0), (), 0)
+    return (
+        ("direct controller", direct),
+        ("supervisor", Supervisor(family, periods)),
+        ("central controller", CentralController(plant, periods)),
+    )
+
+
+def _says(agent: Agent[Any], stage: Stage) -> Iterator[str]:
+    """Yield the signals that a stage publishes: it does so even if nothing has come."""
+    turn = Turn(stage.name, 0, 0, (0, 0, agent.name, ()), {})
+    _, outputs = agent.step(agent.initial_state(), turn)
+    names = dict.fromkeys(port.signal.name for port, _ in outputs if port.signal is not HELP)
+    for name in names:
+        yield name
+        if name == RESIDUAL.name:
+            yield "`help` if it is negative"
+
+
+def _direct_controller() -> Iterator[str]:
     yield from _paragraphs(
         """
-## Before cycle 0
+### What a direct controller works out
 
-Cycles with numbers below 0 are *arming rounds*: whole cycles that prove all links. Answer every
-message of one as in the run, with the cycle number of the message, beginning each round from your
-initial state; a message of a later round ends the round under way. Their messages have `sequence`
-0. Cycle 0 begins with its first message, or with `run` of state `start`; `run` of state `stop`
-names the first cycle that does not take place.
+By the paper's rule (`scheme` is `paper`; a device may know better), with the rating from the plan:
 
+- `impp.power_kw` = min(telemetry.power_kw / telemetry.alpha, rating), and `stale_cycles` = 0. A
+  measurement that cannot be right (NaN, negative, above 1.05 times the rating, alpha outside
+  (0, 1]) or did not come leaves the last value, and `stale_cycles` counts up.
+- `residual.power_kw` = IMPP less request; `help.missing_kw` = less the residual, if it is negative.
+- `command.alpha` = setpoint / IMPP, at least `alpha_min`; 1 where the setpoint is not below the
+  IMPP. `command.power_kw` = alpha times IMPP; the rating where alpha is 1.
+- Before the first words of its parent the request is 0 and the setpoint is the rating. A word that
+  does not come, or is outside 0 to the rating, leaves the last one.
+"""
+    )
+
+
+def _real_time() -> Iterator[str]:
+    yield from _paragraphs(
+        """
+## Real time
+
+`cycle_wall_ns` above 0: cycle k begins `start_time_ns` + k times `cycle_wall_ns`, on the
+CLOCK_MONOTONIC of the launcher's host, which all processes of one host share. `start_time_ns` comes
+with `run`. Deadlines count from the beginning of the cycle:
+
+- `tier_deadlines_ns` is empty: with h tiers below the central controller the cycle has 3 h + 2
+  places, and place p closes at 0.9 p / (3 h + 2) of it. An agent of level l (central 0, its
+  children 1) has `request` at place 1 + l, `report` at 1 + 2 h - l, `solve` at 1 + 2 h + l; a
+  direct controller has `estimate` at 1 + l and `actuate` at 1 + 2 h + l; the plant goes on at the
+  last place. Above are those of h = 2.
+- Otherwise it has an entry for each tier, the central controller's first and the direct
+  controllers' last: the time after the tick by which `solve` or `actuate` closes. The central
+  one's entry is shared evenly among the places up to its `solve`. The plant goes on halfway
+  between the last entry and the next tick.
+
+**A device needs no common clock if it answers on arrival**: telemetry (and request, in the
+parent's turns) in, `impp` and `residual` out; `setpoint` in, `command` out. Where something does
+not come it answers without: some time after its telemetry, by its own clock, well before the
+deadline of the next stage. `publish_time_ns` from a foreign clock would spoil hop latencies and the
+order of messages in time: such a device sends the `publish_time_ns` of the message that it answers
+plus the nanoseconds that the answer took it, or 0, which counts as unknown.
+
+**After a deadline** an agent goes on without what is missing, and names it in `missing`:
+
+- `c1/inv07/impp`: nothing came on it by the deadline, and nothing took its place.
+- `c1/inv07/impp@41`: the late word of cycle 41 was used in its place. If the plan's `late` is
+  `use`, Heliarch's agents keep what comes after its stage has closed, the newest of each key, and
+  use it once, where this cycle's fails to come in time. They also take up a parent's late `request`
+  or `setpoint` in a cycle in which they await none: `c1/setpoint@60` in cycle 70. A device need not
+  do so: it may drop what is late, and name the bare key.
+- `skipped@41`: the sender had fallen behind, and gave up its cycles from 41 up to the one before
+  this. Nothing is sent for them that another agent acts on.
+
+For a parent, a child that is silent for more than `hold_cycles` cycles has nothing to give. An
+inverter whose command is missing keeps its last one. A device may leave `missing` empty, but then
+its recording does not tell which inputs an answer used.
+
+**Counts.** Processes publish `timing` and `plant_timing` about themselves; nobody waits for them,
+and a device need not send them.
+"""
+    )
+
+
+def _arming() -> Iterator[str]:
+    yield from _paragraphs(
+        """
+## Before cycle 0, and the end
+
+Cycles with numbers below 0 are *arming rounds*: whole cycles that prove all links.
+
+**A controller** answers every message of one as in the run, with the cycle number of the message,
+`sequence` 0, and beginning each round from its initial state. A message of a later round ends the
+round under way. Cycle 0 begins with its first message, or with `run` of state `start`, again from
+the initial state. `run` of state `stop` names the first cycle that does not take place; what is
+under way before it is completed, and then the agent leaves. A device that joins a run under way
+begins with the first cycle that it hears of.
+
+**A plant** conducts the run:
+
+1. It waits until the liveliness tokens of all other agents are there.
+2. It sends rounds of cycle -999,999, -999,998 and so on: `telemetry` to each inverter and
+   `dispatch`, under the conditions of cycle 0; awaits every command of that round; answers with
+   `production`. A round is closed when all commands are in and the recorder has published `ready`
+   with its cycle, which it does once every signal that comes in each cycle has been heard. A round
+   that is not closed after some 0.3 s is given up for the next one.
+3. `run` of state `start`, cycle 0, `cycle_wall_ns` as in the plan; `start_time_ns` is the monotonic
+   time of the first tick, some 0.2 s ahead; in lockstep now. (`sequence` of `run`: 0.)
+4. Cycles 0 to `cycles` - 1: at the tick `dispatch` and `telemetry` with what each inverter did in
+   the interval before; at the end `production`. Where `actuator` is `fraction` an inverter gives
+   alpha times its maximum; where it is `limit` it gives its maximum up to `command.power_kw`.
+5. `run` of state `stop`, with the cycle after the last one. (`sequence`: 1.)
+
+The launcher follows an external plant through the recorder. It cannot stop one: on Ctrl-C the
+controllers end, and the plant is left to itself.
+"""
+    )
+
+
+def _rules() -> Iterator[str]:
+    yield from _paragraphs(
+        """
 ## Rules
 
 - `source` is the agent's own name, and only the one that the table of signals names may publish
-  on a key. Anything else is dropped, counted and named in the log.
-- `cycle` and `sim_time_ns` are those of the messages that the stage used. `missing` lists the
-  keys, without the plant's name, of the inputs of this cycle that did not come in time.
+  on a key.
+- `cycle` is that of the messages that the stage used, `sim_time_ns` = `start_time_ns` + `cycle`
+  times `cycle_ns` of the plan, also below 0.
+- `missing` lists the keys, without the plant's name, of the inputs of this cycle that did not come
+  in time, of the stage and those before it. Empty in lockstep.
 - `publish_time_ns` is the host's monotonic clock when the message goes out. `sequence` counts the
-  messages on the key from 0, from cycle 0 on.
-- Powers are in kW. A direct controller's `impp` lies between 0 and the rating, its `residual` is
-  IMPP less request, `alpha` lies in (0, 1]. What does not, counts as silence.
+  messages on the key from 0, from cycle 0 on: from its gaps the recorder tells what was lost. It
+  begins anew after a restart.
+- Powers are in kW. `impp` lies between 0 and the rating, `residual` between minus the rating and
+  the IMPP, `alpha` in (0, 1], `command.power_kw` between 0 and the rating.
+"""
+    )
+
+
+def _wrong_answers() -> Iterator[str]:
+    yield from _paragraphs(
+        """
+## Wrong answers
+
+None of them stops anybody else. Each is counted by key and cause, with an example in the log of who
+heard it, on the launcher's screen and in the summary.
+
+| what | cause | what becomes of it |
+|---|---|---|
+| no msgpack, a wrong type, a field too few or too many | `undecodable` | dropped |
+| a key of a node or signal that the run does not have | `unknown` | dropped |
+| `source` is not who may publish on the key | `foreign` | dropped |
+| a cycle that is over | `late` | kept as a late word in real time, else dropped |
+| a cycle ahead by more than the longest period, or before the run | `other_cycle` | dropped |
+| a second message on a key in a cycle | `duplicate` | dropped: the first one holds |
+| not due in this cycle | `unexpected` | dropped |
+| NaN, negative, above the rating; a wrong `sim_time_ns` | `absurd` | to listeners it is silence |
+| nothing | `missing` of those who waited | real time: done without; lockstep: the run ends |
+| more than can be looked at | `flooded` | of 10,000 waiting on, 100 of each key are kept |
+
+A program that gives both another's key and another's name is not told from that agent: the first
+message in a cycle holds. Who may link with the agents is for Zenoh's access control to say.
 """
     )
 

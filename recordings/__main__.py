@@ -10,7 +10,7 @@ from pathlib import Path
 
 from agents.lifeline import Failed, Lifeline, Ready, join_run
 from agents.plan import RunPlan, load_plan
-from agents.runtime import DropLog, session_settings
+from agents.runtime import DropLog, session_settings, settle_in
 from bus_schemas.errors import InputError
 from bus_schemas.tree import RECORDER
 from bus_schemas.zenoh_bus import ZenohTap
@@ -41,6 +41,7 @@ def record(plan: RunPlan, folder: Path, attached: bool) -> int:
     # Whatever ends the run, the file must be closed in order: SIGTERM, not SIGKILL.
     signal.signal(signal.SIGTERM, lambda *_: end.ask())
     join_run(attached, death_signal=signal.SIGTERM)
+    settle_in(plan, "recorder")
     scenario = (folder / "scenario.toml").read_text(encoding="utf-8")
     lifeline = Lifeline(attached, on_word=end.hear, on_orphaned=end.ask)
     try:

@@ -67,7 +67,7 @@ class NodeCycle(msgspec.Struct, omit_defaults=True):
     moved_kw
         The same: power that its children produced for each other.
     missing
-        Inputs that it had to do without.
+        Inputs that it had to do without, and what took their place, see `bus_schemas.missing`.
     notices
         What it said in words.
     """

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from bus_schemas.missing import in_words
 from bus_schemas.tree import ROOT, ControlTree, agent_name
 from recordings.story import HelpLine, NodeCycle
 
@@ -149,13 +150,13 @@ def _with_remarks(cells: str, remarks: str) -> list[str]:
 
 
 def _remarks(node: NodeCycle) -> str:
-    """Say in words what has no column: help and its givers, children in need, what was missing."""
+    """Say in words what has no column: help and its givers, children in need, missing inputs."""
     said = [
         _help_text("from", node.help_from),
         _help_text("for", node.help_for),
         "need: " + ", ".join(map(_short, node.needy)) if node.needy else "",
         f"stale for {node.stale_cycles}" if node.stale_cycles else "",
-        "without " + ", ".join(node.missing) if node.missing else "",
+        in_words(node.missing, node.cycle),
         *node.notices,
     ]
     return "; ".join(part for part in said if part)

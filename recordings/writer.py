@@ -60,6 +60,9 @@ class RunWriter:
         Text of the scenario file, attached whole.
     driver
         `launch` or `simulate`.
+    anchor
+        What the messages' clock has to do with the wall clock. Default: it is this host's
+        monotonic clock.
 
     Raises
     ------
@@ -74,10 +77,17 @@ class RunWriter:
         Messages that were added, by signal.
     """
 
-    def __init__(self, path: Path, plan: RunPlan, scenario: str, driver: str) -> None:
+    def __init__(
+        self,
+        path: Path,
+        plan: RunPlan,
+        scenario: str,
+        driver: str,
+        anchor: ClockAnchor | None = None,
+    ) -> None:
         self.path = path
         self.recorded: Counter[str] = Counter()
-        self._anchor = ClockAnchor.now()
+        self._anchor = anchor or ClockAnchor.now()
         self._file = path.open("xb")
         self._writer = Writer(self._file, compression=CompressionType.LZ4)
         self._writer.start(profile="heliarch", library=f"heliarch {version('heliarch')}")

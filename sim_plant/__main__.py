@@ -10,7 +10,7 @@ from pathlib import Path
 
 from agents.lifeline import Failed, Lifeline, Ready, join_run
 from agents.plan import RunPlan, load_plan
-from agents.runtime import DropLog, Runtime, open_bus
+from agents.runtime import DropLog, Runtime, open_bus, settle_in
 from bus_schemas.errors import InputError
 from sim_plant.conductor import ArmingError, Conductor
 from sim_plant.plant import Plant, PlantState
@@ -36,6 +36,7 @@ def main() -> int:
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         return 2
+    settle_in(plan, "plant")
     return run_plant(plan, profile, options.attached, options.patience)
 
 

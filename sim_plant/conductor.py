@@ -28,6 +28,9 @@ FIRST_ROUND: Final = -1_000_000
 _ROUND_S: Final = 0.3
 """How long an arming round may take before the next one is tried."""
 
+_ARMING_S: Final = 30.0
+"""How long the arming rounds may take, once everybody is there."""
+
 _LEAD_S: Final = 0.2
 """In real time: how long before cycle 0 everybody is told when it begins."""
 
@@ -68,7 +71,8 @@ class Conductor:
         """
         give_up_at = time.monotonic() + self._patience_s
         self._await_everybody(give_up_at)
-        rounds = self._arm(give_up_at)
+        # Who is there answers soon: an external agent may have been waited for much longer.
+        rounds = self._arm(time.monotonic() + min(self._patience_s, _ARMING_S))
         sequencer = self._runtime.sequencer
         lead_s = 0.0 if self._runtime.plan.lockstep else _LEAD_S
         start_time_ns = time.monotonic_ns() + round(lead_s * 1e9)
@@ -76,7 +80,7 @@ class Conductor:
         self._runtime.lifeline.tell(Armed(rounds))
         log.info("armed after %d rounds", rounds)
         watch = StallWatch(self._runtime)
-        spare_the_collector()
+        spare_the_collector(interludes=not self._runtime.plan.lockstep)
         self._runtime.begin(start_time_ns)
         while not sequencer.finished:
             if self._stop_asked.is_set() and sequencer.end_cycle == self._runtime.plan.cycles:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import sys
 import time
 from collections.abc import Callable
 from typing import Protocol
@@ -106,10 +104,3 @@ class PlaybackClock:
         if self.paused:
             return self._position_ns
         return self._position_ns + round((self._now_ns() - self._moment_ns) * self.rate)
-
-
-def wake_precisely() -> None:
-    """Ask the kernel to end this thread's sleeps on time: by default Linux adds up to 50 µs."""
-    if sys.platform == "linux":
-        set_timer_slack = 29  # PR_SET_TIMERSLACK of prctl(2)
-        ctypes.CDLL(None).prctl(set_timer_slack, 1)

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TextIO
 
 import msgspec
+from hdrh.histogram import HdrHistogram
 
-from launch_scripts.replay.timing_error import TimingError
+from launch_scripts.timing.distributions import distribution
 
 
 class TimingFigures(msgspec.Struct, frozen=True):
@@ -35,16 +36,13 @@ class ReplayFigures(msgspec.Struct, frozen=True):
     interrupted: bool
 
 
-def timing_figures(timing: TimingError) -> TimingFigures | None:
+def timing_figures(timing: HdrHistogram) -> TimingFigures | None:
     """Return the distribution of timing errors, None where nothing had a due time."""
-    if not timing.count:
+    found = distribution(timing)
+    if found is None:
         return None
     return TimingFigures(
-        timing.count,
-        p50_us=timing.percentile_ns(50.0) / 1e3,
-        p99_us=timing.percentile_ns(99.0) / 1e3,
-        p99_9_us=timing.percentile_ns(99.9) / 1e3,
-        max_us=timing.max_ns / 1e3,
+        found.count, found.p50_us, found.p99_us, p99_9_us=found.p99_9_us, max_us=found.max_us
     )
 
 

@@ -12,6 +12,7 @@ from collections.abc import Collection, Iterable, Iterator
 from typing import Final, Literal
 
 from agents.lifeline import Waiting
+from agents.machine import wake_precisely
 from agents.plan import RunPlan
 from agents.runtime import spare_the_collector
 from bus_schemas.bus import Outbox
@@ -20,14 +21,13 @@ from bus_schemas.messages import Clock, Message
 from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import REPLAYER, ROOT
 from launch_scripts.interruption import Interruption
-from launch_scripts.replay.clock import wake_precisely
 from launch_scripts.replay.output_comparison import OutputComparison
 from launch_scripts.replay.progress import ProgressLine
 from launch_scripts.replay.session import ReplaySession
 from launch_scripts.replay.stand_in import StandIn, steady_ports
 from launch_scripts.replay.tape import Tape
-from launch_scripts.replay.timing_error import TimingError
 from launch_scripts.supervision import Children, RunFailure, with_log
+from launch_scripts.timing.distributions import new_histogram, record_ns
 from recordings.reader import RecordedMessage
 
 _LEAD_S: Final = 0.2
@@ -84,7 +84,7 @@ class LiveReplay:
         progress: ProgressLine,
     ) -> None:
         self.comparison = OutputComparison()
-        self.timing = TimingError()
+        self.timing = new_histogram()
         self.cycles = 0
         self._tape = tape
         self._plan = plan
@@ -140,7 +140,7 @@ class LiveReplay:
             while (left_ns := due_ns - time.monotonic_ns()) > 0:
                 self._listen(1, min(left_ns / 1e9, _LOOK_S))
             if self._pass_on(record):
-                self.timing.add(max(time.monotonic_ns() - due_ns, 0))
+                record_ns(self.timing, time.monotonic_ns() - due_ns)
             self.cycles = max(self.cycles, record.cycle + 1)
             self._progress.show(record.cycle)
             if self._interruption:

@@ -223,7 +223,9 @@ def _line(difference: OutputDifference, clock: RunClock) -> str:
     where = f"{difference.agent}, cycle {difference.cycle} ({clock.text(difference.cycle)}), {key}"
     if difference.kind == "other inputs":
         lacked, lacks = len(difference.recorded), len(difference.new)
-        return f"{where}: other inputs, {lacked} were missing when recorded, {lacks} are now"
+        return (
+            f"{where}: other inputs, {lacked} were late or missing when recorded, {lacks} are now"
+        )
     if difference.kind != "differs":
         return f"{where}: {difference.kind}"
     where, recorded, new = f"{where} {difference.field}", difference.recorded, difference.new

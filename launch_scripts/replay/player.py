@@ -7,16 +7,19 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol
 
+from hdrh.histogram import HdrHistogram
+
+from agents.machine import wake_precisely
 from agents.runtime import spare_the_collector
 from bus_schemas.messages import Clock
 from bus_schemas.tree import REPLAYER
 from launch_scripts.interruption import Interruption
-from launch_scripts.replay.clock import PlaybackClock, Spacing, wake_precisely
+from launch_scripts.replay.clock import PlaybackClock, Spacing
 from launch_scripts.replay.keyboard import Key, Keyboard
 from launch_scripts.replay.progress import ProgressLine
 from launch_scripts.replay.selection import Selection
 from launch_scripts.replay.tape import Tape
-from launch_scripts.replay.timing_error import TimingError
+from launch_scripts.timing.distributions import new_histogram, record_ns
 from recordings.reader import RecordedMessage
 
 _LOOK_S: Final = 0.02
@@ -65,7 +68,7 @@ class Played:
 
     messages: int
     cycles: int
-    timing: TimingError
+    timing: HdrHistogram
 
 
 class Player:
@@ -105,7 +108,7 @@ class Player:
         interruption: Interruption,
         progress: ProgressLine,
     ) -> None:
-        self.played = Played(0, 0, TimingError())
+        self.played = Played(0, 0, new_histogram())
         self._tape = tape
         self._span = span
         self._key_of = selection.key_of
@@ -204,7 +207,7 @@ class Player:
             self._clock.move_to(self._position_ns)
         elif self._clock.rate:
             late_ns = time.monotonic_ns() - self._clock.due_ns(self._position_ns)
-            self.played.timing.add(max(late_ns, 0))
+            record_ns(self.played.timing, late_ns)
 
     def _announce(self, record: RecordedMessage) -> None:
         self._sink.announce(

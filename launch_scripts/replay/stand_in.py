@@ -8,6 +8,7 @@ from typing import NamedTuple
 import msgspec
 import zenoh
 
+from agents.machine import MachineSettings
 from agents.plan import RunPlan
 from bus_schemas.codec import decode, encode
 from bus_schemas.links import explicit_links
@@ -43,7 +44,7 @@ class StandIn:
         self._plan = plan
         self._live = frozenset(live)
         self._inbox = Inbox()
-        settings = SessionSettings(plan.run_id, [f"tcp/127.0.0.1:{tcp_port}"], [])
+        settings = SessionSettings(plan.bus_namespace, [f"tcp/127.0.0.1:{tcp_port}"], [])
         self._session = zenoh.open(settings.config())
         self._put = {port: self._declare(port).put for port in ports(plan.tree) if self._is(port)}
         self._subscriber = self._session.declare_subscriber(
@@ -131,7 +132,9 @@ def live_plan(
     for agent in live:
         if agent in everybody:
             everybody[agent] = tcp_ports[agent]
-    return msgspec.structs.replace(plan, tcp_ports=everybody)
+    return msgspec.structs.replace(
+        plan, tcp_ports=everybody, namespace="", external=(), machine=MachineSettings()
+    )
 
 
 def steady_ports(plan: RunPlan, live: Collection[str], cycle: int) -> set[Port[Message]]:

@@ -47,7 +47,7 @@ class Difference:
     inputs
         What the agent was given in that cycle.
     missing
-        Keys of the inputs that it had to do without.
+        What it had to do without, and what took its place, see `bus_schemas.missing`.
     text
         What went wrong, of kind `fails`; both orders, of kind `other order`.
     """
@@ -94,7 +94,9 @@ class Account:
     compared
         Pairs of messages that were held against each other.
     missed_inputs
-        Inputs that the agent had to do without.
+        Inputs that were not there in time.
+    late_used
+        Late words that it used, most of them in their place.
     counts
         Differences by kind.
     first
@@ -108,6 +110,7 @@ class Account:
     recorded: int = 0
     compared: int = 0
     missed_inputs: int = 0
+    late_used: int = 0
     counts: Counter[Kind] = field(default_factory=Counter)
     first: Difference | None = None
     failure: Difference | None = None

@@ -25,7 +25,7 @@ COMPARED_FIELDS: Final = tuple(
         {
             name
             for signal in SIGNALS
-            if signal.logged
+            if signal.logged and signal.decided
             for name in signal.type.__struct_fields__
             if name not in NOT_COMPARED
         }

@@ -12,6 +12,8 @@ import msgspec
 
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
+from bus_schemas.missing import in_words
+from bus_schemas.tree import PLANT
 from launch_scripts.verification.account import Account, Difference, Gap, Kind
 from launch_scripts.verification.comparison import NOT_COMPARED, Comparison, Value
 from launch_scripts.verification.verification import PROFILE_NAME, Verification
@@ -47,7 +49,8 @@ class Outcome:
         yield f"{found.recording}"
         yield (
             f"{found.cycles:,} cycles, {_agents(len(found.accounts))} re-run, "
-            f"{found.compared:,} of {found.recorded:,} messages compared"
+            f"{found.compared:,} of {found.recorded:,} messages compared, "
+            f"{found.not_decided:,} no decisions"
         )
         yield f"{self.wall_s:.1f} s, {self._speed():,.0f} x the run's simulated time"
         yield from self._remarks()
@@ -76,16 +79,19 @@ class Outcome:
             "stop_cycle": found.stop_cycle,
             "cycles": found.cycles,
             "recorded": found.recorded,
+            "not_decided": found.not_decided,
             "compared": found.compared,
             "not_compared": found.not_compared,
             "undecided": found.undecided,
             "differences": found.differences,
             "first_agent": found.first[0] if found.first is not None else None,
             "missed_inputs": found.missed_inputs,
+            "late_used": found.late_used,
             "strays": found.strays,
             "plant_left_out": found.plant_left_out,
             "wall_s": self.wall_s,
             "agents": [_account_data(name, entry) for name, entry in found.accounts.items()],
+            "external": [_account_data(name, entry) for name, entry in found.external.items()],
         }
 
     def _speed(self) -> float:
@@ -96,10 +102,20 @@ class Outcome:
         found = self.verification
         if found.plant_left_out:
             yield f"plant: left out, no {PROFILE_NAME} lies beside the recording"
+        if PLANT in found.plan.external and PLANT not in found.accounts:
+            yield "plant: left out, it is external"
+        for name, account in found.external.items():
+            count = account.counts.total()
+            first = f", the first in cycle {account.first.cycle}" if account.first else ""
+            yield (
+                f"{name}: external, not held to what Heliarch's own would say: "
+                f"{account.compared:,} messages compared, {count:,} differences{first}"
+            )
         if found.missed_inputs:
+            late = f"; {found.late_used:,} late words are used again" if found.late_used else ""
             yield (
                 f"{found.missed_inputs:,} inputs had not come by their deadlines: the agents do "
-                "without them again"
+                f"without them again{late}"
             )
         if found.stop_cycle is None:
             yield "the run or its recording broke off: what was under way then is not missed"
@@ -227,7 +243,7 @@ def _input_lines(first: Difference) -> Iterator[str]:
     if not named:
         yield "    none"
     if first.missing:
-        yield f"    without: {', '.join(first.missing)}"
+        yield f"    {in_words(first.missing, first.cycle)}"
 
 
 def _own_fields(message: Message) -> dict[str, Any]:
@@ -274,6 +290,7 @@ def _account_data(name: str, account: Account) -> dict[str, Any]:
             for gap in account.gaps
         ],
         "missed_inputs": account.missed_inputs,
+        "late_used": account.late_used,
         "differences": dict(account.counts),
         "first": None if first is None else _difference_data(first),
         "failure": None if account.failure is None else _difference_data(account.failure),

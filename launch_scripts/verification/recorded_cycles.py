@@ -8,6 +8,7 @@ from typing import Final
 
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Run
+from bus_schemas.missing import skipped_cycles
 from bus_schemas.signals import Port
 from bus_schemas.tree import RECORDER, ControlTree
 
@@ -32,12 +33,15 @@ class RecordedCycle:
         The further ones.
     took_place
         False: by the plant's word the run ended before it. Some may have begun it all the same.
+    skipped_by
+        Agents that gave it up, since it was over before they came to it.
     """
 
     number: int
     messages: dict[Port[Message], Message] = field(default_factory=dict)
     repeated: list[Delivery] = field(default_factory=list)
     took_place: bool = True
+    skipped_by: frozenset[str] = frozenset()
 
 
 class CycleWalk:
@@ -61,6 +65,8 @@ class CycleWalk:
     ----------
     read
         Messages so far.
+    not_decided
+        Those of them that no agent decides: what a process says of the run, or of itself.
     newest
         Cycle of the newest message of each port.
     stop_cycle
@@ -77,6 +83,7 @@ class CycleWalk:
         most_held: int = MOST_HELD,
     ) -> None:
         self.read = 0
+        self.not_decided = 0
         self.newest: dict[Port[Message], int] = {}
         self.stop_cycle: int | None = None
         self.strays = 0
@@ -84,6 +91,7 @@ class CycleWalk:
         self._cycles = cycles
         self._most_held = most_held
         self._reached = {agent: -1 for agent in tree.agents() if agent != RECORDER}
+        self._skipped: dict[str, list[range]] = {}
         self._held: dict[int, RecordedCycle] = {}
         self._held_messages = 0
         self._next = 0
@@ -92,9 +100,10 @@ class CycleWalk:
         highest = -1
         for port, message in self._deliveries:
             self.read += 1
+            self.not_decided += not port.signal.decided
             if isinstance(message, Run):
                 self._heed(message)
-            elif self._keep(port, message) and message.cycle > highest:
+            elif port.signal.decided and self._keep(port, message) and message.cycle > highest:
                 highest = message.cycle
                 yield from self._complete()
             if self._held_messages >= self._most_held:
@@ -116,8 +125,14 @@ class CycleWalk:
         else:
             cycle.messages[port] = message
         self._held_messages += 1
+        if message.missing and (skipped := skipped_cycles(message.missing, message.cycle)):
+            # Each message of a cycle says so again.
+            ranges = self._skipped.setdefault(port.publisher, [])
+            if skipped not in ranges[-1:]:
+                ranges.append(skipped)
         self.newest[port] = max(message.cycle, self.newest.get(port, -1))
-        self._reached[port.publisher] = max(message.cycle, self._reached[port.publisher])
+        if port.signal.decided:
+            self._reached[port.publisher] = max(message.cycle, self._reached[port.publisher])
         return True
 
     def _complete(self) -> Iterator[RecordedCycle]:
@@ -130,6 +145,26 @@ class CycleWalk:
         cycle = self._held.pop(self._next, None) or RecordedCycle(self._next)
         self._held_messages -= len(cycle.messages) + len(cycle.repeated)
         # The plant's word stands at the end of the file, and the last cycles are kept until then.
+        cycle.skipped_by = self._skipped_by(self._next)
         cycle.took_place = self.stop_cycle is None or cycle.number < self.stop_cycle
         self._next += 1
         return cycle
+
+    def _skipped_by(self, cycle: int) -> frozenset[str]:
+        """Return who gave a cycle up, and forget about those before it.
+
+        They say so in the next one that they go through, and it is waited for.
+        """
+        if not self._skipped:
+            return frozenset()
+        agents = frozenset(
+            agent
+            for agent, ranges in self._skipped.items()
+            if any(cycle in skipped for skipped in ranges)
+        )
+        to_come = {
+            agent: [skipped for skipped in ranges if skipped.stop > cycle + 1]
+            for agent, ranges in self._skipped.items()
+        }
+        self._skipped = {agent: ranges for agent, ranges in to_come.items() if ranges}
+        return agents

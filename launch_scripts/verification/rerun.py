@@ -1,9 +1,10 @@
 """One agent re-run on the inputs that its recorded outputs used.
 
 Which inputs those were, the outputs tell: each carries the keys of the inputs that its sender had
-to do without in that cycle, whether they came late, were dropped or never were sent. All other
-inputs of the cycle it had, so the recording has them too. Deadlines need no clock then: a run in
-real time is re-run like one in lockstep.
+to do without in that cycle, whether they came late, were dropped or never were sent, and the cycle
+of the late word that it used in their place. All other inputs of the cycle it had, so the recording
+has them too. An output also tells of cycles that its sender gave up before it. Deadlines need no
+clock then: a run in real time is re-run like one in lockstep.
 
 Where the recording lost a message, nobody knows the state of who needed it; nor, in real time, of
 an agent of whose stage nothing is left that would tell what it had to do without. Such an agent is
@@ -14,20 +15,23 @@ on what was lost, and is compared. What depends on it is counted as not compared
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from agents.agent import Agent, Stage, Turn
 from agents.plan import RunPlan
+from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
 from bus_schemas.messages import Message
+from bus_schemas.missing import SKIPPED, Absence, absence
 from bus_schemas.signals import Port
 from launch_scripts.verification.account import Account, Difference, Kind
 from launch_scripts.verification.altered_state import altered_states
 from launch_scripts.verification.comparison import Comparison, FieldDifference
 from launch_scripts.verification.guarded_agent import AgentFailure, GuardedAgent, State
 from launch_scripts.verification.recorded_cycles import RecordedCycle
+from launch_scripts.verification.unused_inputs import UnusedInputs
 
 
 @dataclass(slots=True)
@@ -79,6 +83,7 @@ class AgentRerun:
         self.name = name
         self.account = Account()
         self._says = frozenset(says)
+        self._unused = UnusedInputs(name, plan)
         self._plan = plan
         self._comparison = comparison
         self._agent: GuardedAgent | None = None
@@ -101,11 +106,12 @@ class AgentRerun:
         if recorded:
             self.account.absorb(self._unsaid)
             self._unsaid = Account()
-        rerun = _CycleRerun(cycle, {key for said in recorded.values() for key in said.missing})
+        rerun = _CycleRerun(self.name, cycle, _absences(recorded.values()), self._unused)
         if self._agent is None:
             self.account.leave_out(cycle.number, len(recorded))
         else:
             self._take_guarded(self._agent, rerun, recorded)
+            self._unused.keep(cycle.messages, rerun.inputs)
         self.account.recorded += len(recorded)
         for port, old in cycle.repeated:
             if port in self._says:
@@ -138,7 +144,8 @@ class AgentRerun:
         try:
             stages = agent.stages(number)
             self._state, lacking = self._close_stages(agent, stages, self._state, rerun)
-            self.account.missed_inputs += len(rerun.absent)
+            self.account.missed_inputs += rerun.missed
+            self.account.late_used += rerun.late_used
             if lacking is not None and self._doubt is None:
                 self._lacks.append(rerun.difference("input not recorded", rerun.stage, lacking))
             is_lost = lacking is not None or not self._is_told(rerun, stages, recorded)
@@ -166,7 +173,7 @@ class AgentRerun:
             return ()
         if is_lost:
             return self._says
-        others = [_CycleRerun(rerun.cycle, rerun.missing) for _ in doubt.altered]
+        others = [rerun.anew() for _ in doubt.altered]
         try:
             doubt.altered = [
                 self._close_stages(agent, stages, state, other)[0]
@@ -212,14 +219,15 @@ class AgentRerun:
         for stage in stages:
             rerun.stage = stage.name
             rerun.hear(stage)
-            needed = stage.awaits.union(agent.announced(stage, rerun.inputs))
-            lacking = [port for port in needed.difference(rerun.inputs) if rerun.lacks(port)]
-            if lacking:
-                return state, min(lacking, key=str)
+            announced = frozenset(agent.announced(stage, rerun.inputs))
+            rerun.hear_announced(announced)
+            lacking = rerun.lacking(stage, announced)
+            if lacking is not None:
+                return state, lacking
             stamp = (number, sim_time_ns, self.name, rerun.absent)
             turn = Turn(stage.name, number, sim_time_ns, stamp, rerun.inputs)
             state, outputs = agent.step(state, turn)
-            rerun.said += [(stage.name, port, message) for port, message in outputs]
+            rerun.say(outputs)
         return state, None
 
     def _compare(
@@ -282,45 +290,113 @@ def _said_alike(one: _CycleRerun, other: _CycleRerun) -> list[Port[Message]]:
     return ports
 
 
+def _absences(recorded: Iterable[Message]) -> frozenset[Absence]:
+    """Return what an agent says in a cycle that it had to do without."""
+    return frozenset(absence(entry) for message in recorded for entry in message.missing)
+
+
 class _CycleRerun:
     """One agent in one cycle: what it was given, what it had to do without, what it says."""
 
-    def __init__(self, cycle: RecordedCycle, missing: set[str]) -> None:
+    def __init__(
+        self,
+        agent: str,
+        cycle: RecordedCycle,
+        absences: frozenset[Absence],
+        unused: UnusedInputs,
+    ) -> None:
         self.cycle = cycle
-        self.missing = missing
+        self.is_skipped = agent in cycle.skipped_by
         self.stage = ""
         self.inputs: dict[Port[Message], Message] = {}
-        self.absent: tuple[str, ...] = ()
+        self.missed = self.late_used = 0
         self.said: list[tuple[str, Port[Message], Message]] = []
+        self._agent = agent
+        self._absences = absences
+        self._unused = unused
+        self._cycle_used = {entry.key: entry.cycle for entry in absences}
+        skipped = [entry for entry in absences if entry.key == SKIPPED]
+        self.absent = tuple(
+            map(str, [Absence(SKIPPED, cycle.number)] if self.is_skipped else skipped)
+        )
+
+    def anew(self) -> _CycleRerun:
+        """Return another rerun of the same cycle."""
+        return _CycleRerun(self._agent, self.cycle, self._absences, self._unused)
 
     def hear(self, stage: Stage) -> None:
-        """Take in what the recording has for a stage, unless it did not arrive in time."""
-        heard, messages = stage.awaits | stage.on_need, self.cycle.messages
-        if not self.missing:
-            self.inputs.update({port: messages[port] for port in heard if port in messages})
+        """Take in what the recording has for a stage, as far as the agent had it."""
+        if self.is_skipped:
+            self.absent += tuple(sorted(map(str, stage.awaits)))
             return
-        absent = self.missing.intersection(map(str, heard))
+        messages = self.cycle.messages
+        if not self._absences:
+            self.inputs.update({port: messages[port] for port in stage.awaits if port in messages})
+            return
+        absent = []
+        for port in stage.awaits | stage.on_need | stage.takes_late:
+            if self._had_in_time(port):
+                if port in stage.awaits and port in messages:
+                    self.inputs[port] = messages[port]
+                continue
+            used = self._cycle_used[str(port)]
+            absent.append(str(Absence(str(port), used)))
+            self.missed += port not in stage.takes_late
+            self.late_used += used is not None
+            late = None if used is None else self._unused.find(port, used)
+            if late is not None:
+                self.inputs[port] = late
         # Of each stage in the order of the alphabet, as the sequencer has it.
         self.absent += tuple(sorted(absent))
-        for port in heard:
-            if port in messages and str(port) not in absent:
+
+    def hear_announced(self, announced: Iterable[Port[Message]]) -> None:
+        """Take in what comes on need. Without its announcement nobody knows whether it came."""
+        messages = self.cycle.messages
+        for port in announced:
+            if port in messages and self._had_in_time(port):
                 self.inputs[port] = messages[port]
 
-    def lacks(self, port: Port[Message]) -> bool:
-        """Whether an input that was not heard must have been: nobody says that it was missing."""
-        return str(port) not in self.missing
+    def _had_in_time(self, port: Port[Message]) -> bool:
+        return str(port) not in self._cycle_used
+
+    def lacking(self, stage: Stage, announced: frozenset[Port[Message]]) -> Port[Message] | None:
+        """Return an input of a stage that the agent had and the recording lacks, if any.
+
+        It had what nobody says was missing, and the late words that it names.
+        """
+        if self.is_skipped:
+            return None
+        needed = stage.awaits.union(announced)
+        late = [port for port in stage.takes_late if self._cycle_used.get(str(port)) is not None]
+        lacking = [
+            port
+            for port in needed.union(late).difference(self.inputs)
+            if self._had_in_time(port) or self._cycle_used[str(port)] is not None
+        ]
+        return min(lacking, key=str, default=None)
+
+    def say(self, outputs: Iterable[Delivery]) -> None:
+        """Take down what the agent says; of a cycle that it skips, what nobody acts on."""
+        self.said += [
+            (self.stage, port, message)
+            for port, message in outputs
+            if not (self.is_skipped and port.signal.listeners)
+        ]
 
     def is_told(self, stages: Sequence[Stage], recorded: Collection[Port[Message]]) -> bool:
         """Whether a recorded message tells what the cycle's stages had to do without.
 
-        Each tells of its own stage and those before it.
+        Each tells of its own stage and those before it. Of a cycle that was skipped a later one
+        tells.
         """
+        if self.is_skipped:
+            return True
         stage_of = {port: stage for stage, port, _ in self.said}
         telling = {stage_of.get(port, stages[-1].name) for port in recorded}
         for stage in reversed(stages):
             if stage.name in telling:
                 return True
-            if stage.awaits:
+            if stage.awaits or stage.takes_late:
                 return False
         return True
 

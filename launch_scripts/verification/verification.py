@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,7 @@ from agents.plan import RunPlan
 from agents.team import Controller, central_controller, direct_controller, supervisor
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
-from bus_schemas.signals import RUN, Port, ports
+from bus_schemas.signals import Port, ports
 from bus_schemas.tree import CENTRAL, PLANT, agent_name
 from launch_scripts.verification.account import Account, Difference
 from launch_scripts.verification.comparison import Comparison
@@ -54,12 +54,18 @@ class Verification:
         Cycles of which the recording holds anything.
     recorded
         Messages in the recording, of all agents.
+    not_decided
+        Those of them that no agent decides: the beginning and end of the run, and what processes
+        count of themselves. They are not compared.
     strays
         Messages that belong to no cycle of the run, or that lie too far from theirs.
     accounts
         Of each agent that was re-run.
     plant_left_out
         Whether the plant would have been re-run if the run's profile were there.
+    external
+        Accounts of external agents: what Heliarch's own say in their place. Nobody holds them to
+        it, so their differences do not count, unless they were asked for by name.
     """
 
     recording: Path
@@ -69,9 +75,11 @@ class Verification:
     last_cycle: int
     cycles: int
     recorded: int
+    not_decided: int
     strays: int
     accounts: dict[str, Account]
     plant_left_out: bool
+    external: dict[str, Account] = field(default_factory=dict)
 
     @property
     def compared(self) -> int:
@@ -122,6 +130,11 @@ class Verification:
         return sum(account.missed_inputs for account in self.accounts.values())
 
     @property
+    def late_used(self) -> int:
+        """Late words that the agents used when the run was recorded."""
+        return sum(account.late_used for account in self.accounts.values())
+
+    @property
     def equal(self) -> bool:
         """Whether every agent says what it said, as far as the recording can tell."""
         return not self.differences and not self.strays and not self.undecided
@@ -154,6 +167,9 @@ def verify(
     with RunReader(run) as reader:
         plan = reader.plan
         names = select_agents(plan, nodes)
+        foreign = set() if nodes else set(plan.external)
+        if PLANT in foreign:  # Its sky is its own.
+            names = tuple(name for name in names if name != PLANT)
         team, plant_left_out = _team(plan, names, reader.path, asked_for=bool(nodes))
         says = _ports_by_publisher(plan)
         reruns = [
@@ -176,9 +192,11 @@ def verify(
             max(walk.newest.values(), default=-1),
             cycles,
             walk.read,
+            walk.not_decided,
             walk.strays,
-            {rerun.name: rerun.account for rerun in reruns},
+            {rerun.name: rerun.account for rerun in reruns if rerun.name not in foreign},
             plant_left_out,
+            {rerun.name: rerun.account for rerun in reruns if rerun.name in foreign},
         )
     if not found.compared and found.equal:
         raise InputError(f"{found.recording}: no message of {', '.join(names)}: nothing to verify")
@@ -263,9 +281,9 @@ def _controller(plan: RunPlan, name: str) -> Controller:
 
 
 def _ports_by_publisher(plan: RunPlan) -> dict[str, list[Port[Message]]]:
-    """Return for each agent the ports of its recorded outputs. Of the run the conductor speaks."""
+    """Return for each agent the ports of its recorded outputs: of what it decides."""
     found: dict[str, list[Port[Message]]] = {}
     for port in ports(plan.tree):
-        if port.signal.logged and port.signal is not RUN:
+        if port.signal.logged and port.signal.decided:
             found.setdefault(port.publisher, []).append(port)
     return found

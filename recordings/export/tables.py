@@ -25,12 +25,13 @@ from msgspec.inspect import (
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, Production, Setpoint
+from bus_schemas.missing import absence
 from bus_schemas.signals import PRODUCTION, SETPOINT, Signal
 from bus_schemas.tree import agent_name
 from recordings.export.records import Record
 from recordings.writer import ClockAnchor
 
-Cell: TypeAlias = int | float | str
+Cell: TypeAlias = int | float | str | None
 Row: TypeAlias = tuple[Cell, ...]
 Kind: TypeAlias = Literal["time", "integer", "number", "text"]
 """What is in a column. A time is ns since 1970-01-01 UTC here, each format has its own form."""
@@ -193,14 +194,19 @@ def inverters_table(plan: RunPlan) -> Table:
 
 
 def missing_inputs_table() -> Table:
-    """Return the table of what senders had to do without: a row for each input of each message."""
+    """Return the table of what senders had to do without: a row for each input of each message.
+
+    `used_cycle` is that of the late word that took its place, empty where nothing did. Where the
+    input is `skipped`, the sender gave up its own cycles from there on.
+    """
 
     def rows(record: Record) -> Iterable[Row]:
         message = record.message
         if not message.missing:
             return ()
         says = (agent_name(record.port.node), record.port.signal.name, message.sequence)
-        return ((message.sim_time_ns, message.cycle, *says, key) for key in message.missing)
+        when = (message.sim_time_ns, message.cycle)
+        return ((*when, *says, *absence(entry)) for entry in message.missing)
 
     columns = (
         *_WHEN,
@@ -208,6 +214,7 @@ def missing_inputs_table() -> Table:
         Column("signal", "text"),
         _SEQUENCE,
         Column("input", "text"),
+        Column("used_cycle", "integer"),
     )
     return Table("missing_inputs", columns, rows)
 

@@ -63,7 +63,7 @@ def write_report(
     check_comparable(series)
     figures = report_figures(series)
     text = [introduction(series), *notes, *_absent(figures)]
-    _write_whole(path, html_page(title, text, tables, figures))
+    write_whole(path, html_page(title, text, tables, figures))
 
 
 def check_destination(path: Path) -> None:
@@ -188,8 +188,14 @@ def _count(number: int, noun: str) -> str:
     return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
 
 
-def _write_whole(path: Path, text: str) -> None:
-    """Write a file under another name first, so that nobody sees half of it."""
+def write_whole(path: Path, text: str) -> None:
+    """Write a file under another name first, so that nobody sees half of it.
+
+    Raises
+    ------
+    InputError
+        It cannot be written.
+    """
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         unfinished.write_text(text, encoding="utf-8")

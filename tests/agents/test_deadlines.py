@@ -65,8 +65,48 @@ def stage_that_hears(tree: ControlTree, signal: str, agent: str) -> str:
     return "estimate" if tree.is_leaf(agent) else "request"
 
 
+@pytest.mark.parametrize(
+    ("agent", "stage", "expected_ms"),
+    [
+        ("plant", "begin", 0),
+        ("central", "request", 80),
+        ("c1", "request", 160),
+        ("c1/a", "estimate", 240),
+        ("c1", "report", 320),
+        ("central", "solve", 400),
+        ("c1", "solve", 500),
+        ("c1/a", "actuate", 550),
+        ("plant", "advance", 775),
+    ],
+)
+def test_a_tiers_deadline_is_that_of_its_last_word(
+    agent: str, stage: str, expected_ms: int
+) -> None:
+    # Up to the central controller's 400 ms there are five steps; the plant waits half the rest.
+    tiers_ns = (400_000_000, 500_000_000, 550_000_000)
+    found = deadline_ns(agent, stage, THREE_LAYERS, 1_000_000_000, tiers_ns)
+    assert found == expected_ms * 1_000_000
+
+
+def test_a_direct_controller_has_the_deadline_of_its_like_from_whatever_tier_it_hangs() -> None:
+    tiers_ns = (10_000, 20_000, 30_000, 40_000, 50_000)
+    found = {
+        agent: deadline_ns(agent, "actuate", RAGGED, 60_000, tiers_ns)
+        for agent in ("a", "c1/b", "z1/c1/d", "z1/y1/x1/e")
+    }
+    assert set(found.values()) == {50_000}
+    assert deadline_ns("z1/y1", "solve", RAGGED, 60_000, tiers_ns) == 30_000
+
+
+def evenly(tree: ControlTree) -> tuple[int, ...]:
+    """Deadlines of the tiers that follow closely upon each other late in the cycle."""
+    return tuple(800_000_000 + 10_000_000 * tier for tier in range(tree.height + 1))
+
+
 @pytest.mark.parametrize("tree", [FLAT, THREE_LAYERS, RAGGED])
-def test_whoever_listens_waits_longer_than_whoever_speaks(tree: ControlTree) -> None:
+@pytest.mark.parametrize("by_tier", [False, True])
+def test_whoever_listens_waits_longer_than_whoever_speaks(tree: ControlTree, by_tier: bool) -> None:
+    tiers_ns = evenly(tree) if by_tier else ()
     of_the_loop = {signal for signal in SIGNALS if signal.name not in {"run", "ready", "notice"}}
     compared = 0
     for port in ports(tree):
@@ -83,6 +123,9 @@ def test_whoever_listens_waits_longer_than_whoever_speaks(tree: ControlTree) -> 
                 said = stage_that_says(name, speaker)
             heard = stage_that_hears(tree, name, listener)
             assert stage_place(speaker, said, tree) < stage_place(listener, heard, tree), port
+            said_ns = deadline_ns(speaker, said, tree, 1_000_000_000, tiers_ns)
+            heard_ns = deadline_ns(listener, heard, tree, 1_000_000_000, tiers_ns)
+            assert said_ns < heard_ns < 1_000_000_000, port
             compared += 1
     assert compared > len(tree.nodes)
 

@@ -2,117 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-
 import pytest
+from clerks import (
+    HELP_A,
+    LISTEN_TO_BOTH,
+    ORDER,
+    ORDER_THEN_LISTEN,
+    TICK_THEN_LISTEN,
+    A,
+    B,
+    Desk,
+    a_message,
+    notices,
+    texts,
+)
 from plants_by_hand import CYCLE_NS, plan_of, report
 
-from agents.agent import Stage, Turn
 from agents.sequencer import BEFORE_ARMING, Drops, Sequencer
 from agents.team import central_controller, direct_controller
-from bus_schemas.bus import Delivery
-from bus_schemas.messages import (
-    Dispatch,
-    Help,
-    Message,
-    Notice,
-    Request,
-    Residual,
-    Setpoint,
-    Telemetry,
-)
-from bus_schemas.signals import (
-    DISPATCH,
-    HELP,
-    NOTICE,
-    REQUEST,
-    RESIDUAL,
-    SETPOINT,
-    TELEMETRY,
-    Port,
-)
-from bus_schemas.tree import CENTRAL, ROOT
-
-ORDER = DISPATCH.of(ROOT)
-A, B = RESIDUAL.of("a"), RESIDUAL.of("b")
-HELP_A, HELP_B = HELP.of("a"), HELP.of("b")
-SAID = NOTICE.of(ROOT)
-
-LISTEN_TO_BOTH = (Stage("listen", frozenset({A, B}), frozenset({HELP_A, HELP_B})),)
-ORDER_THEN_LISTEN = (
-    Stage("order", frozenset({ORDER})),
-    Stage("listen", frozenset({A, B}), frozenset({HELP_A, HELP_B})),
-)
-TICK_THEN_LISTEN = (Stage("tick", frozenset(), timed=True), Stage("listen", frozenset({A})))
-
-
-@dataclass(frozen=True)
-class Clerk:
-    """Says at the end of each stage what it heard, and remembers how often it spoke."""
-
-    all_stages: tuple[Stage, ...]
-    name: str = CENTRAL
-
-    def initial_state(self) -> int:
-        return 0
-
-    def stages(self, cycle: int) -> tuple[Stage, ...]:
-        return self.all_stages
-
-    def follow_up(self, port: Port[Message], message: Message) -> Port[Message] | None:
-        if isinstance(message, Residual) and message.power_kw < 0.0:
-            return HELP.of(port.node)
-        return None
-
-    def step(self, state: int, turn: Turn) -> tuple[int, list[Delivery]]:
-        heard = " ".join(sorted(str(port) for port in turn.inputs)) or "nothing"
-        text = f"{turn.cycle} {turn.stage}: {heard}"
-        return state + 1, [(SAID, Notice(*turn.stamp, text=text, count=state + 1))]
-
-
-class Desk:
-    """A clerk in a sequencer, and the messages that reach it."""
-
-    def __init__(
-        self, stages: tuple[Stage, ...], *, lockstep: bool = True, horizon: int = 2
-    ) -> None:
-        self.dropped: list[str] = []
-        self.sequencer = Sequencer(
-            Clerk(stages),
-            lambda cycle: cycle * CYCLE_NS,
-            lockstep=lockstep,
-            horizon=horizon,
-            on_drop=self.dropped.append,
-        )
-
-    def enter(self, cycle: int) -> list[str]:
-        return texts(self.sequencer.enter(cycle))
-
-    def hear(self, port: Port[Message], cycle: int, power_kw: float = 1.0) -> list[str]:
-        return texts(self.sequencer.accept(port, a_message(port, cycle, power_kw)))
-
-
-def a_message(port: Port[Message], cycle: int, power_kw: float = 1.0) -> Message:
-    time_ns = cycle * CYCLE_NS
-    if port is ORDER:
-        return Dispatch(
-            cycle, time_ns, "plant", (), power_kw=1.0, commitment_kw=1.0, regulation_kw=0.0
-        )
-    if port.signal is HELP:
-        return Help(cycle, time_ns, port.node, (), missing_kw=1.0)
-    return Residual(cycle, time_ns, port.node, (), power_kw=power_kw)
-
-
-def notices(outputs: Iterable[Delivery]) -> list[Notice]:
-    found = [message for _, message in outputs if isinstance(message, Notice)]
-    assert all(notice.sim_time_ns == notice.cycle * CYCLE_NS for notice in found)
-    return found
-
-
-def texts(outputs: Iterable[Delivery]) -> list[str]:
-    return [notice.text for notice in notices(outputs)]
-
+from bus_schemas.messages import Dispatch, Request, Residual, Setpoint, Telemetry
+from bus_schemas.signals import REQUEST, RESIDUAL, SETPOINT, TELEMETRY
+from bus_schemas.tree import CENTRAL
 
 # What closes a stage ------------------------------------------------------------------------------
 
@@ -280,7 +190,7 @@ def test_a_message_of_an_earlier_cycle_is_late() -> None:
 
 
 def test_a_message_of_a_stage_that_is_over_is_late() -> None:
-    desk = Desk(ORDER_THEN_LISTEN, lockstep=False)
+    desk = Desk(ORDER_THEN_LISTEN, lockstep=False, late="drop")
     desk.enter(0)
     desk.sequencer.close_stage()
     assert desk.hear(ORDER, 0) == []
@@ -313,6 +223,21 @@ def test_a_message_that_no_stage_awaits_is_unexpected() -> None:
     desk.hear(RESIDUAL.of("c"), 0)
     assert desk.sequencer.drops == Drops(unexpected=1)
     assert desk.dropped == ["c/residual is not expected in cycle 0"]
+
+
+def test_drops_are_counted_by_the_port_they_came_on_too() -> None:
+    desk = Desk(LISTEN_TO_BOTH)
+    desk.enter(0)
+    desk.hear(A, 0)
+    desk.hear(A, 0)
+    desk.hear(A, 5)
+    desk.hear(A, 6)
+    desk.sequencer.accept(B, Residual(0, 0, "c", (), power_kw=1.0))
+    assert desk.sequencer.dropped_ports == {
+        "a/residual": {"duplicate": 1, "other_cycle": 2},
+        "b/residual": {"foreign": 1},
+    }
+    assert desk.sequencer.drops.total() == 4
 
 
 def test_drops_of_all_causes_add_up() -> None:

@@ -27,6 +27,7 @@ from bus_schemas.messages import (
     Run,
     Setpoint,
     Telemetry,
+    Timing,
 )
 from bus_schemas.signals import IMPP, RESIDUAL, SETPOINT, SIGNALS, Signal
 
@@ -52,6 +53,14 @@ OWN_FIELDS = {
     Ready: [],
     Notice: ["text", "count"],
     Clock: ["rate", "paused"],
+    Timing: [
+        "missed_deadlines",
+        "missing_inputs",
+        "late_used",
+        "overruns",
+        "dropped",
+        "slowest_decision_ns",
+    ],
 }
 
 KW = st.floats(allow_nan=False)
@@ -75,6 +84,7 @@ FIELDS: dict[str, st.SearchStrategy[object]] = {
     "inverter_mpp_kw": KWS,
     "inverter_power_kw": KWS,
     "help_given": st.lists(st.builds(HelpGiven, st.text(), KW), max_size=4).map(tuple),
+    **dict.fromkeys(OWN_FIELDS[Timing], st.integers(0, 2**32 - 1)),
 }
 
 each_signal = pytest.mark.parametrize("signal", SIGNALS, ids=lambda signal: signal.name)
@@ -94,6 +104,7 @@ def one(signal: Signal[Message]) -> Message:
         **{"state": "start", "start_time_ns": 5, "cycle_wall_ns": 0, "text": "words"},
         **{"inverter_mpp_kw": (1.0, 2.0), "inverter_power_kw": (0.5, 2.0)},
         **{"help_given": (HelpGiven("c1/inv08", 12.5),), "paused": True},
+        **dict.fromkeys(OWN_FIELDS[Timing], 3),
     }
     names = signal.type.__struct_fields__
     return msgspec.convert({name: plain.get(name, 1.5) for name in names}, signal.type)

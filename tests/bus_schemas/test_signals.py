@@ -14,6 +14,7 @@ from bus_schemas.signals import (
     HELP,
     IMPP,
     NOTICE,
+    PLANT_TIMING,
     PRODUCTION,
     READY,
     REQUEST,
@@ -22,6 +23,7 @@ from bus_schemas.signals import (
     SETPOINT,
     SIGNALS,
     TELEMETRY,
+    TIMING,
     Port,
     listeners,
     ports,
@@ -143,6 +145,8 @@ def test_each_signal_is_about_the_nodes_that_it_makes_sense_for() -> None:
         "run": (ROOT,),
         "ready": (ROOT,),
         "clock": (ROOT,),
+        "timing": (ROOT, "c1", "c2", *leaves),
+        "plant_timing": (ROOT,),
     }
 
 
@@ -157,9 +161,31 @@ def test_all_is_logged_but_the_words_of_recorder_and_replayer() -> None:
     assert set(SIGNALS) == {
         *(TELEMETRY, DISPATCH, REQUEST, IMPP, RESIDUAL, HELP),
         *(SETPOINT, COMMAND, PRODUCTION, NOTICE, RUN, READY, CLOCK),
+        *(TIMING, PLANT_TIMING),
     }
 
 
-def test_signal_names_and_types_differ() -> None:
+def test_all_is_decided_by_agents_but_what_is_said_about_the_run_and_the_processes() -> None:
+    undecided = {RUN, READY, CLOCK, TIMING, PLANT_TIMING}
+    assert {signal for signal in SIGNALS if not signal.decided} == undecided
+
+
+def test_the_table_goes_on_at_its_end() -> None:
+    """Recordings number their channels in the order of the table: rows stay where they are."""
+    names = [signal.name for signal in SIGNALS]
+    before = ["telemetry", "dispatch", "request", "impp", "residual", "help", "setpoint"]
+    before += ["command", "production", "notice", "run", "ready", "clock"]
+    assert names[: len(before)] == before
+
+
+def test_who_says_what_a_process_has_counted() -> None:
+    assert TIMING.of(ROOT).publisher == "central"
+    assert TIMING.of("c1/inv07").publisher == "c1/inv07"
+    assert PLANT_TIMING.of(ROOT).publisher == "plant"
+    assert listeners(TIMING.of("c1"), OAHU) == ()
+
+
+def test_signal_names_differ_and_so_do_types_but_for_the_two_of_timing() -> None:
     assert len({signal.name for signal in SIGNALS}) == len(SIGNALS)
-    assert len({signal.type for signal in SIGNALS}) == len(SIGNALS)
+    types = [signal.type for signal in SIGNALS if signal is not PLANT_TIMING]
+    assert len(set(types)) == len(types)

@@ -153,6 +153,20 @@ def test_the_command_line_may_change_time_and_pace(folder: Folder) -> None:
     assert found.plan.cycle_wall_ns == 500_000_000
 
 
+def test_deadlines_and_late_words_are_as_the_scenario_says(folder: Folder) -> None:
+    found = folder.prepare(pace=1.0).plan
+    assert (found.late, found.tier_deadlines_ns) == ("use", ())
+    said = '[[2, 1]]\nlate = "drop"\ndeadlines_ms = [20, 30.5, 40]'
+    folder.write("scenario.toml", SCENARIO.replace("[[2, 1]]", said))
+    found = folder.prepare(pace=1.0).plan
+    assert (found.late, found.tier_deadlines_ns) == ("drop", (20_000_000, 30_500_000, 40_000_000))
+
+
+def test_a_cycle_too_short_for_any_clock_is_refused(folder: Folder) -> None:
+    with pytest.raises(InputError, match="beyond the clock's resolution"):
+        folder.prepare(pace=1e6)
+
+
 def test_a_moment_with_an_offset_is_that_moment(folder: Folder) -> None:
     assert folder.prepare(start="2024-05-12T10:00:00Z").local_start() == "2024-05-12 12:00:00 CEST"
 
@@ -308,6 +322,12 @@ def test_durations(text: str, seconds: float) -> None:
             "control.period_cycles has 3 entries, accepted is one for each of the 2 tiers that "
             "have children",
         ),
+        (
+            "[[2, 1]]",
+            "[[2, 1]]\ndeadlines_ms = [0, 20, 30]",
+            "control.deadlines_ms[0] is 0 ms, accepted is more than 0",
+        ),
+        ("[[2, 1]]", '[[2, 1]]\nlate = "hold"', "control.late: Invalid enum value 'hold'"),
         (
             'inverters = "plant.csv"\n',
             "",

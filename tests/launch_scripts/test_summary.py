@@ -7,9 +7,17 @@ import json
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from rich.console import Console
 
-from launch_scripts.summary import MemoryUse, MessageCount, RunSummary, print_summary
+from agents.stopwatch import ProcessTiming
+from launch_scripts.summary import (
+    MemoryUse,
+    MessageCount,
+    ProcessAccount,
+    RunSummary,
+    print_summary,
+)
 from recordings.metrics import RunMetrics, run_metrics
 from recordings.series import RunSeries
 
@@ -66,9 +74,13 @@ def summary_of(metrics: RunMetrics | None) -> RunSummary:
 
 
 def rows_of(metrics: RunMetrics | None) -> dict[str, list[str]]:
+    return rows_printed(summary_of(metrics))
+
+
+def rows_printed(summary: RunSummary) -> dict[str, list[str]]:
     """Print a summary; return its rows by name, after checking that none is cut or too long."""
     text = io.StringIO()
-    print_summary(summary_of(metrics), Console(file=text, width=200))
+    print_summary(summary, Console(file=text, width=200))
     lines = text.getvalue().splitlines()
     assert max(map(len, lines)) <= WIDTH
     cells = [line.strip("│ ").split("│") for line in lines if line.startswith("│")]
@@ -120,3 +132,34 @@ def test_the_json_has_all_metrics(regulation: bool) -> None:
     assert (found is not None) == regulation
     if regulation:
         assert found["performance"]["hours"][0]["windows"] == 12
+
+
+def account_of(agent: str, missed: int, overruns: int, late_used: int = 0) -> ProcessAccount:
+    timing = ProcessTiming(
+        agent=agent,
+        histograms={},
+        missed_deadlines={"estimate": missed, "actuate": 1} if missed else {},
+        missing_inputs={},
+        overruns={"estimate": overruns},
+        late_used=late_used,
+        cpu_s=0.1,
+        wall_s=1.0,
+        switches_voluntary=1,
+        switches_involuntary=0,
+        resident_mb=30.0,
+        policy="other on CPU 0",
+    )
+    return ProcessAccount(agent, "direct", {}, 30.0, timing)
+
+
+def test_a_run_in_real_time_tells_what_was_late_and_where_most_of_it() -> None:
+    processes = (account_of("c1/a", 3, 0), account_of("c1/b", 8, 0, 2), account_of("c1/c", 0, 0))
+    recorder = ProcessAccount("recorder", "recorder", {}, 40.0)
+    rows = rows_printed(replace(summary_of(None), processes=(*processes, recorder)))
+    assert rows["deadlines missed"] == ["13", "most by c1/b: 9"]
+    assert rows["late words used"] == ["2", "most by c1/b: 2"]
+    assert rows["overruns"] == ["0"]
+
+
+def test_a_run_in_lockstep_has_no_deadlines_to_miss() -> None:
+    assert "deadlines missed" not in rows_of(None)

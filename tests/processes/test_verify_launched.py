@@ -10,7 +10,8 @@ from running import Heliarch
 
 from agents.plan import load_plan
 from bus_schemas.errors import InputError
-from bus_schemas.signals import PRODUCTION
+from bus_schemas.missing import skipped_cycles
+from bus_schemas.signals import IMPP, PRODUCTION
 from launch_scripts.verification.comparison import Comparison
 from launch_scripts.verification.verification import Verification, verify
 from recordings.reader import RunReader
@@ -37,6 +38,17 @@ def findings(found: Verification) -> dict[str, object]:
     return {name: entry.first for name, entry in found.accounts.items() if entry.first}
 
 
+def most_skipped(run: Heliarch, agent: str) -> range:
+    """The cycles that an agent gave up in its longest pause, by its own word."""
+    with RunReader(run.folder) as reader:
+        pauses = [
+            skipped_cycles(message.missing, message.cycle)
+            for _, message in reader.messages(IMPP)
+            if message.source == agent
+        ]
+    return max(pauses, key=len)
+
+
 def test_a_run_in_real_time_with_a_supervisor_that_stood_still_verifies_equal(
     heliarch: Start,
 ) -> None:
@@ -51,6 +63,7 @@ def test_a_run_in_real_time_with_a_supervisor_that_stood_still_verifies_equal(
     found = verified(run)
     assert found.missed_inputs > 0
     assert found.compared > 0
+    assert len(most_skipped(run, "c2")) > 10, "it came back at once, not cycle by cycle"
     if status == 0:
         assert findings(found) == {}
     else:

@@ -111,6 +111,19 @@ def test_what_a_node_had_to_do_without_and_said_in_words_is_told(tmp_path: Path)
     assert line.startswith("0 12:00:00 - 40.00 60.00 -20.00 20.00 40.00 0.8000 from b 20.00;")
 
 
+def test_late_words_and_skipped_cycles_are_told_in_words(tmp_path: Path) -> None:
+    def behind(pair: Delivery) -> Delivery:
+        port, message = pair
+        if port.signal is IMPP and port.node == "c1/a":
+            message = replace(message, missing=("skipped@0", "c1/a/request@1", "c1/a/telemetry"))
+        return port, message
+
+    path = written(tmp_path, [behind(pair) for pair in cycle_of_the_plant(3)])
+    (row,) = told(path, "c1/a", range(3, 4))
+    text = " ".join(" ".join(StoryTable(PLAN.tree, "c1/a", 8).row(row)).split())
+    assert "skipped cycles 0 to 2; without c1/a/telemetry; used c1/a/request of cycle 1" in text
+
+
 # As text ------------------------------------------------------------------------------------------
 
 

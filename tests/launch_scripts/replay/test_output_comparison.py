@@ -7,8 +7,8 @@ import math
 import pytest
 from msgspec.structs import replace
 
-from bus_schemas.messages import Help, Impp
-from bus_schemas.signals import HELP, IMPP
+from bus_schemas.messages import Help, Impp, Timing
+from bus_schemas.signals import HELP, IMPP, TIMING
 from launch_scripts.replay.output_comparison import OutputComparison
 
 NODE = "c1/a"
@@ -105,3 +105,24 @@ def test_many_differences_are_counted_and_the_first_are_kept() -> None:
     comparison.conclude(1500)
     assert comparison.differing[NODE] == 1500
     assert [difference.cycle for difference in comparison.differences] == list(range(1000))
+
+
+def test_what_a_process_counts_of_itself_is_not_compared() -> None:
+    comparison = OutputComparison()
+    counts = Timing(
+        3,
+        0,
+        NODE,
+        (),
+        missed_deadlines=1,
+        missing_inputs=1,
+        late_used=0,
+        overruns=0,
+        dropped=0,
+        slowest_decision_ns=5,
+    )
+    comparison.take_recorded(TIMING.of(NODE), counts)
+    comparison.take_new(TIMING.of(NODE), replace(counts, cycle=4, overruns=7))
+    comparison.conclude(10)
+    assert comparison.compared == 0
+    assert not comparison.differing

@@ -31,7 +31,6 @@ from bus_schemas.signals import (
     HELP,
     IMPP,
     PRODUCTION,
-    RUN,
     SETPOINT,
     SIGNALS,
     TELEMETRY,
@@ -103,7 +102,7 @@ def test_a_recording_of_the_same_code_is_equal(verified: Verify) -> None:
 
 @pytest.mark.parametrize(
     "signal",
-    [signal for signal in SIGNALS if signal.logged and signal is not RUN],
+    [signal for signal in SIGNALS if signal.logged and signal.decided],
     ids=lambda signal: signal.name,
 )
 def test_a_changed_field_is_found_in_a_message_of_any_signal(

@@ -100,8 +100,8 @@ def record(
 class TroubledRun:
     """A run in real time, without a clock: stages close in the order of their deadlines.
 
-    A message may be lost on its way to a listener, or come a cycle late; the recorder hears all of
-    them. One agent may stand still for some cycles, and then catch up.
+    A message may be lost on its way to a listener, come some cycles late, or twice; the recorder
+    hears all of them once. One agent may stand still for some cycles, and then catch up.
 
     Parameters
     ----------
@@ -109,8 +109,10 @@ class TroubledRun:
         The run.
     seed
         Of the trouble.
-    lost, late
+    lost, late, doubled
         Share of the messages.
+    latest
+        How many cycles a late one may come late.
     frozen
         Agent that stands still, and in which cycles.
     """
@@ -123,17 +125,21 @@ class TroubledRun:
         *,
         lost: float = 0.03,
         late: float = 0.03,
+        doubled: float = 0.0,
+        latest: int = 1,
         frozen: tuple[str, range] = ("", range(0)),
     ) -> None:
         self.said: list[Delivery] = []
         self.plan = plan
         self.profile = profile
         self._random = random.Random(seed)
-        self._lost, self._late = lost, late
+        self._lost, self._late, self._doubled = lost, late, doubled
+        self._latest = latest
         self._frozen = frozen
+        self._now = 0
         self._outbox = Outbox()
         self._queue: deque[tuple[str, Port[Message], Message]] = deque()
-        self._next_cycle: list[tuple[str, Port[Message], Message]] = []
+        self._later: dict[int, list[tuple[str, Port[Message], Message]]] = {}
         team: list[Agent[object]] = [
             Plant(plan.tree, profile, plan.actuator),  # type: ignore[list-item]
             *controllers(plan),
@@ -141,7 +147,11 @@ class TroubledRun:
         self.sequencers: dict[str, Sequencer[object]] = {}
         for agent in team:
             sequencer = Sequencer(
-                agent, plan.sim_time_ns, lockstep=False, horizon=plan.periods.longest
+                agent,
+                plan.sim_time_ns,
+                lockstep=False,
+                horizon=plan.periods.longest,
+                late=plan.late,
             )
             sequencer.end_before(plan.cycles)
             self.sequencers[agent.name] = sequencer
@@ -150,6 +160,16 @@ class TroubledRun:
     def missing_inputs(self) -> int:
         """Inputs that the agents had to do without."""
         return sum(sequencer.missing_inputs for sequencer in self.sequencers.values())
+
+    @property
+    def late_used(self) -> int:
+        """Late words that the agents used."""
+        return sum(sequencer.late_used for sequencer in self.sequencers.values())
+
+    @property
+    def skipped_cycles(self) -> int:
+        """Cycles that an agent gave up after it had stood still."""
+        return sum(sequencer.skipped_cycles for sequencer in self.sequencers.values())
 
     def run(self) -> list[Delivery]:
         """Run all cycles; return what the recorder heard."""
@@ -163,8 +183,11 @@ class TroubledRun:
 
     def _run_until(self, cycle: int) -> None:
         """Let the agents that move come to the end of a cycle: the last one lets all end."""
-        self._queue.extend(self._next_cycle)
-        self._next_cycle.clear()
+        self._now = cycle
+        self._queue.extend(self._later.pop(cycle, ()))
+        for agent, sequencer in self.sequencers.items():
+            if cycle - sequencer.cycle >= 2 and self._moves(agent, cycle):
+                self._publish(sequencer.catch_up(cycle))
         while True:
             self._deliver(cycle)
             open_agents = [
@@ -203,10 +226,17 @@ class TroubledRun:
                 continue
             for agent in listeners(port, self.plan.tree):
                 fate = self._random.random()
+                copies = 1 + (self._random.random() < self._doubled)
                 if fate < self._late:
-                    self._next_cycle.append((agent, port, stamped))
+                    self._send_later([(agent, port, stamped)] * copies)
                 elif fate > self._lost + self._late:
                     self._queue.append((agent, port, stamped))
+                    self._send_later([(agent, port, stamped)] * (copies - 1))
+
+    def _send_later(self, deliveries: list[tuple[str, Port[Message], Message]]) -> None:
+        for delivery in deliveries:
+            cycle = self._now + self._random.randint(1, self._latest)
+            self._later.setdefault(cycle, []).append(delivery)
 
 
 def of_publisher(said: Iterable[Delivery], agent: str) -> list[Delivery]:

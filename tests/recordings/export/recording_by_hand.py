@@ -23,6 +23,7 @@ from bus_schemas.messages import (
     Residual,
     Setpoint,
     Telemetry,
+    Timing,
 )
 from bus_schemas.tree import ROOT
 from recordings.writer import RunWriter
@@ -110,7 +111,7 @@ def _of_the_tree(cycle: int) -> Iterator[Delivery]:
         parent = node.rpartition("/")[0] or "central"
         yield signals.REQUEST.of(node), Request(cycle, time_ns, parent, (), power_kw=hard)
     for node in PLAN.tree.nodes:
-        missing = ("oahu/c1/b/impp", "oahu/c1/b/residual") if node == "c1" and cycle else ()
+        missing = ("c1/b/impp@0", "c1/b/residual", "skipped@0") if node == "c1" and cycle else ()
         stamp = (cycle, time_ns, node or "central", missing)
         yield signals.IMPP.of(node), Impp(*stamp, power_kw=hard, stale_cycles=cycle)
         yield signals.RESIDUAL.of(node), Residual(*stamp, power_kw=-hard)
@@ -129,3 +130,20 @@ def _of_the_tree(cycle: int) -> Iterator[Delivery]:
             signals.NOTICE.of("c2"),
             Notice(cycle, time_ns, "c2", (), text=QUOTED, count=2**53 + 1),
         )
+        yield signals.TIMING.of("c2"), _timing(cycle, time_ns, "c2")
+        yield signals.PLANT_TIMING.of(ROOT), _timing(cycle, time_ns, "plant")
+
+
+def _timing(cycle: int, time_ns: int, source: str) -> Timing:
+    return Timing(
+        cycle,
+        time_ns,
+        source,
+        (),
+        missed_deadlines=2,
+        missing_inputs=5,
+        late_used=3,
+        overruns=0,
+        dropped=1,
+        slowest_decision_ns=2**53 + 1,
+    )

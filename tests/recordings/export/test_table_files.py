@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from math import isnan
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import HelpGiven, Message, Production
+from bus_schemas.missing import Absence
 from bus_schemas.signals import PRODUCTION, SIGNALS, TELEMETRY, Signal
 from bus_schemas.tree import ROOT, agent_name
 from recordings.export import parquet_table
@@ -72,7 +74,9 @@ def rebuilt(frames: Frames) -> Iterator[tuple[str, str, Message]]:
     for row in frames["help_given"]:
         help_given[row["donor"], row["sequence"]].append(HelpGiven(row["needy"], row["power_kw"]))
     for row in frames["missing_inputs"]:
-        missing[row["signal"], row["node"], row["sequence"]].append(row["input"])
+        missing[row["signal"], row["node"], row["sequence"]].append(
+            str(Absence(row["input"], None if isnan(row["used_cycle"]) else int(row["used_cycle"])))
+        )
     for row in frames["production_inverters"]:
         mpp_kw[row["sequence"]].append(row["mpp_kw"])
         power_kw[row["sequence"]].append(row["power_kw"])

@@ -1,0 +1,194 @@
+"""The machine below a process: what the process takes of it, and how the kernel treats it."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import resource
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, Literal, NamedTuple, TypeAlias
+
+import msgspec
+
+Kind: TypeAlias = Literal["recorder", "plant", "central", "supervisor", "direct"]
+"""Kinds of processes of a run."""
+
+LOWEST_PRIORITY: Final = 1
+HIGHEST_PRIORITY: Final = 99
+"""Of the policy SCHED_FIFO, see sched(7)."""
+
+_RECORDER_NICE: Final = 5
+"""In real time the recorder may lag behind: its messages wait in a queue, and lose nothing."""
+
+_SET_TIMER_SLACK: Final = 29
+"""PR_SET_TIMERSLACK of prctl(2)."""
+
+_LOCK_ALL: Final = 1 | 2 | 4
+"""MCL_CURRENT, MCL_FUTURE and MCL_ONFAULT of mlockall(2): each page, once it is in use."""
+
+_POLICIES: Final = {
+    getattr(os, f"SCHED_{name.upper()}", None): name
+    for name in ("other", "batch", "idle", "fifo", "rr")
+}
+
+
+class MachineSettings(msgspec.Struct, frozen=True):
+    """What the processes of a run may take of the machine. By default nothing special.
+
+    Attributes
+    ----------
+    cpus
+        Processors that all processes run on. Empty: any.
+    cpus_of
+        Processors of the processes of one kind, instead of those.
+    priority
+        In real time: the plant and the controllers run under SCHED_FIFO with this priority, 1 to
+        99, so that nothing of the normal policy takes the processor from them. 0: they do not.
+    lock_memory
+        In real time: whether the memory of plant and controllers is never paged out.
+    """
+
+    cpus: tuple[int, ...] = ()
+    cpus_of: dict[Kind, tuple[int, ...]] = {}
+    priority: int = 0
+    lock_memory: bool = False
+
+
+def take_machine(settings: MachineSettings, kind: Kind, *, lockstep: bool) -> tuple[str, ...]:
+    """Set this process up as the settings say. Threads that it starts later do likewise.
+
+    To be called before the bus is opened, since that starts threads.
+
+    Returns
+    -------
+    tuple of str
+        What the machine does not permit, and why. The process goes on without it.
+    """
+    return tuple(
+        refusal for refusal in (step() for step in _steps(settings, kind, lockstep)) if refusal
+    )
+
+
+def refusals(settings: MachineSettings, *, lockstep: bool) -> tuple[str, ...]:
+    """Return what this machine would not permit to a controller, by trying it in a thread.
+
+    The kernel keeps policy and processors thread by thread, and the thread ends at once.
+    """
+    found: list[str] = []
+
+    def attempt() -> None:
+        found.extend(take_machine(settings, "direct", lockstep=lockstep))
+
+    if settings.lock_memory:
+        # Locks are of the whole process, which here is the launcher: it may be spared that.
+        settings = msgspec.structs.replace(settings, lock_memory=False)
+    thread = threading.Thread(target=attempt, name="machine")
+    thread.start()
+    thread.join()
+    return tuple(found)
+
+
+def wake_precisely() -> None:
+    """Ask the kernel to end this thread's sleeps on time: by default Linux adds up to 50 µs."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_SET_TIMER_SLACK, 1)
+
+
+def _steps(settings: MachineSettings, kind: Kind, lockstep: bool) -> list[Callable[[], str | None]]:
+    steps: list[Callable[[], str | None]] = []
+    cpus = settings.cpus_of.get(kind, settings.cpus)
+    if cpus:
+        steps.append(lambda: _run_on(cpus))
+    if lockstep:
+        return steps
+    if kind == "recorder":
+        return [*steps, _stand_back]
+    steps.append(wake_precisely)
+    if settings.priority:
+        steps.append(lambda: _run_first(settings.priority))
+    if settings.lock_memory:
+        steps.append(_lock_memory)
+    return steps
+
+
+def _run_on(cpus: tuple[int, ...]) -> str | None:
+    listed = ", ".join(map(str, cpus))
+    if sys.platform != "linux":
+        return f"CPU {listed}: processes are bound to processors on Linux only"
+    try:
+        os.sched_setaffinity(0, cpus)
+    except OSError as error:
+        return f"CPU {listed}: not taken ({error.strerror})"
+    return None
+
+
+def _stand_back() -> None:
+    os.setpriority(os.PRIO_PROCESS, 0, os.getpriority(os.PRIO_PROCESS, 0) + _RECORDER_NICE)
+
+
+def _run_first(priority: int) -> str | None:
+    if sys.platform != "linux":
+        return f"priority {priority}: SCHED_FIFO is set on Linux only"
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError as error:
+        return (
+            f"priority {priority}: the kernel refuses SCHED_FIFO ({error.strerror}), so the run "
+            f"keeps the normal policy; it takes CAP_SYS_NICE, or `ulimit -r {priority}`"
+        )
+    return None
+
+
+def _lock_memory() -> str | None:
+    if sys.platform != "linux":
+        return "memory: locked on Linux only"
+    if ctypes.CDLL(None, use_errno=True).mlockall(_LOCK_ALL):
+        why = os.strerror(ctypes.get_errno())
+        return f"memory: not locked ({why}); it takes CAP_IPC_LOCK, or `ulimit -l unlimited`"
+    return None
+
+
+class ResourcesUsed(NamedTuple):
+    """What a process has taken so far, with all its threads."""
+
+    cpu_s: float
+    switches_voluntary: int
+    switches_involuntary: int
+    resident_mb: float
+
+
+def resources_used() -> ResourcesUsed:
+    """Return what this process has taken so far. `resident_mb` is the most it ever had."""
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return ResourcesUsed(
+        usage.ru_utime + usage.ru_stime,
+        usage.ru_nvcsw,
+        usage.ru_nivcsw,
+        _most_resident_bytes(usage.ru_maxrss) / 1e6,
+    )
+
+
+def _most_resident_bytes(maxrss: int) -> int:
+    # On Linux what getrusage knows goes back to before the program was started: to its parent.
+    try:
+        status = Path("/proc/self/status").read_text(encoding="ascii")
+    except OSError:
+        return maxrss * (1 if sys.platform == "darwin" else 1024)
+    found = re.search(r"^VmHWM:\s*(\d+) kB", status, re.MULTILINE)
+    return int(found[1]) * 1024 if found else maxrss * 1024
+
+
+def scheduling_policy() -> str:
+    """Return policy and processors of this thread as the kernel has them: `fifo 20 on CPU 0, 1`."""
+    if sys.platform != "linux":
+        return "unknown"
+    policy = _POLICIES.get(os.sched_getscheduler(0), "unknown")
+    priority = os.sched_getparam(0).sched_priority
+    nice = os.getpriority(os.PRIO_PROCESS, 0)
+    rank = f" {priority}" if priority else f", nice {nice}" if nice else ""
+    cpus = ", ".join(map(str, sorted(os.sched_getaffinity(0))))
+    return f"{policy}{rank} on CPU {cpus}"

@@ -1,0 +1,389 @@
+"""What a real-time process measures of itself: when it heard, closed a stage, and had answered.
+
+While a cycle runs, the stopwatch only notes moments. What they mean is worked out between the
+cycles, when nobody waits for this process (`settle`). All is measured from SCHEDULED times, so that
+a stall counts in every cycle that it delayed.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+from typing import Final, Generic, NamedTuple, TypeVar
+
+import msgspec
+from hdrh.histogram import HdrHistogram
+
+from agents.agent import Agent, Stage, Turn
+from agents.machine import resources_used, scheduling_policy
+from bus_schemas.bus import Arrival, Delivery
+from bus_schemas.messages import Message, Stamp, Timing
+from bus_schemas.missing import SKIPPED, Absence, absence
+from bus_schemas.signals import Occurrence, Port
+from bus_schemas.tree import PLANT
+
+S = TypeVar("S")
+
+LOWEST_NS: Final = 1_000
+HIGHEST_NS: Final = 3_600_000_000_000
+SIGNIFICANT_FIGURES: Final = 2
+"""What a histogram tells apart: 1 us to 1 h, to 1 %."""
+
+_MOST_NOTED: Final = 5_000
+"""Moments that are noted at most before they are settled, whether there is time for it or not."""
+
+_CYCLIC: Final = frozenset({Occurrence.CYCLE, Occurrence.TURN, Occurrence.NEED})
+
+
+class ProcessTiming(msgspec.Struct, frozen=True):
+    """What a process measured of itself in a run in real time, from cycle 0 on.
+
+    Attributes
+    ----------
+    agent
+        Name of the agent.
+    histograms
+        For each measure an HdrHistogram of nanoseconds (1 us to 1 h, two significant figures),
+        encoded as text. `decision/STAGE`: from the moment at which the stage could close to its
+        last message handed to the bus. `hop/PORT`: from publishing to arrival. `lateness/STAGE`:
+        how long after its scheduled time a stage closed that the clock drives. `jitter/STAGE`: by
+        how much the time between two closings differs from the cycles between them. `age/STAGE`:
+        age of the oldest input that a decision used. At the plant `loop` and `loop/INVERTER`: from
+        the scheduled tick to the applied commands.
+    missed_deadlines
+        By stage: how often its deadline passed with inputs absent.
+    missing_inputs
+        By port: how often its message was absent at the deadline.
+    overruns
+        By stage: how often it closed after its deadline although nothing was absent, or later
+        than its deadline by more than the time between two tiers' deadlines, or was given up.
+    late_used
+        How often a message of an earlier cycle was used in place of an absent one.
+    cpu_s, wall_s
+        Processor time of all threads, and wall time that it took.
+    switches_voluntary, switches_involuntary
+        How often it gave the processor up, and how often it was taken from it.
+    resident_mb
+        Most memory that was resident [MB of 1,000,000 bytes].
+    policy
+        Scheduling policy and processors as they really are: `fifo 20 on CPU 0, 1`.
+    """
+
+    agent: str
+    histograms: dict[str, str]
+    missed_deadlines: dict[str, int]
+    missing_inputs: dict[str, int]
+    overruns: dict[str, int]
+    late_used: int
+    cpu_s: float
+    wall_s: float
+    switches_voluntary: int
+    switches_involuntary: int
+    resident_mb: float
+    policy: str
+
+
+class Closing(NamedTuple):
+    """A stage that closed: what the agent saw, when, and what it answered."""
+
+    turn: Turn
+    time_ns: int
+    outputs: list[Delivery]
+
+
+class Histograms:
+    """Histograms of durations by measure, made as they are needed."""
+
+    def __init__(self) -> None:
+        self._by_measure: dict[str, HdrHistogram] = {}
+
+    def record(self, measure: str, duration_ns: int) -> None:
+        """Take in a duration; what is longer than an hour counts as an hour."""
+        histogram = self._by_measure.get(measure)
+        if histogram is None:
+            histogram = HdrHistogram(LOWEST_NS, HIGHEST_NS, SIGNIFICANT_FIGURES)
+            self._by_measure[measure] = histogram
+        histogram.record_value(min(max(duration_ns, 0), HIGHEST_NS))
+
+    def encoded(self) -> dict[str, str]:
+        """Return them as text, by measure in the order of the alphabet."""
+        items = sorted(self._by_measure.items())
+        return {measure: histogram.encode().decode("ascii") for measure, histogram in items}
+
+
+class Schedule(NamedTuple):
+    """When a process must do what.
+
+    Attributes
+    ----------
+    cycle_ns
+        Length of a cycle.
+    slice_ns
+        Time between the deadlines of two stages that follow one another.
+    deadline_ns
+        Deadline of a stage after the beginning of its cycle, by its name.
+    horizon
+        How many cycles ahead of this process another one may be.
+    """
+
+    cycle_ns: int
+    slice_ns: int
+    deadline_ns: Callable[[str], int]
+    horizon: int
+
+
+class Stopwatch:
+    """Measures one agent of a run in real time.
+
+    Parameters
+    ----------
+    agent
+        The agent.
+    schedule
+        Of its process.
+    now_ns
+        The clock: monotonic nanoseconds.
+    """
+
+    def __init__(
+        self,
+        agent: Agent[S],
+        schedule: Schedule,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self.missed_deadlines: Counter[str] = Counter()
+        self.missing_inputs: Counter[str] = Counter()
+        self.overruns: Counter[str] = Counter()
+        self.slowest_decision_ns = 0
+        self.last_cycle = 0
+        self._name = agent.name
+        self._stages = agent.stages
+        self._schedule = schedule
+        self._now_ns = now_ns
+        self._start_ns = 0
+        self._used_at_start = resources_used()
+        self._arrivals: list[Arrival] = []
+        self._closings: list[Closing] = []
+        self._handed: list[tuple[Message, int]] = []
+        self._histograms = Histograms()
+        self._came_ns: dict[int, dict[Port[Message], int]] = {}
+        self._published_ns: dict[Port[Message], int] = {}
+        self._inputs = _inputs_by_stage(
+            stage for cycle in range(schedule.horizon) for stage in agent.stages(cycle)
+        )
+        self._closed: dict[str, tuple[int, int]] = {}
+        self._cycle = -1
+        self._absent = 0
+        self._answered_ns = 0
+
+    def begin(self, start_time_ns: int) -> None:
+        """Let cycle 0 begin at a time of the clock: before it nothing counts."""
+        self._start_ns = start_time_ns
+        self._used_at_start = resources_used()
+
+    def arrived(self, arrivals: list[Arrival]) -> None:
+        """Note what has come in."""
+        self._arrivals += arrivals
+
+    def closed(self, turn: Turn, time_ns: int, outputs: list[Delivery]) -> None:
+        """Note that a stage closed at a time, and what came of it."""
+        self._closings.append(Closing(turn, time_ns, outputs))
+
+    def handed_over(self, message: Message) -> None:
+        """Note that one of these messages has been handed to the bus."""
+        self._handed.append((message, self._now_ns()))
+
+    @property
+    def overfull(self) -> bool:
+        """Whether so much is noted that it must be settled, though it cost a deadline."""
+        return len(self._arrivals) + len(self._handed) > _MOST_NOTED
+
+    def settle(self) -> None:
+        """Work out what the noted moments mean. For when nobody waits for this process."""
+        for arrival in self._arrivals:
+            self._settle_arrival(arrival)
+        handed = iter([*self._handed, (None, 0)])
+        message, time_ns = next(handed)
+        for closing in self._closings:
+            # Not all that an agent answers is sent: of cycles that it gave up it is not.
+            handed_ns = None
+            for _, output in closing.outputs:
+                if output is message:
+                    handed_ns = time_ns
+                    message, time_ns = next(handed)
+            if closing.turn.cycle >= 0:
+                self._settle_closing(closing, handed_ns)
+        self._arrivals, self._closings, self._handed = [], [], []
+        self._forget_cycles()
+
+    def message(self, stamp: Stamp, late_used: int, dropped: int) -> Timing:
+        """Return what is counted up to now as a message."""
+        return Timing(
+            *stamp,
+            missed_deadlines=self.missed_deadlines.total(),
+            missing_inputs=self.missing_inputs.total(),
+            late_used=late_used,
+            overruns=self.overruns.total(),
+            dropped=dropped,
+            slowest_decision_ns=self.slowest_decision_ns,
+        )
+
+    def account(self, late_used: int) -> ProcessTiming:
+        """Return what was measured up to now."""
+        self.settle()
+        used, before = resources_used(), self._used_at_start
+        return ProcessTiming(
+            agent=self._name,
+            histograms=self._histograms.encoded(),
+            missed_deadlines=dict(self.missed_deadlines),
+            missing_inputs=dict(self.missing_inputs),
+            overruns=dict(self.overruns),
+            late_used=late_used,
+            cpu_s=used.cpu_s - before.cpu_s,
+            wall_s=(self._now_ns() - self._start_ns) / 1e9,
+            switches_voluntary=used.switches_voluntary - before.switches_voluntary,
+            switches_involuntary=used.switches_involuntary - before.switches_involuntary,
+            resident_mb=used.resident_mb,
+            policy=scheduling_policy(),
+        )
+
+    def _settle_arrival(self, arrival: Arrival) -> None:
+        port, message, time_ns = arrival
+        genuine = message.source == port.publisher
+        if not genuine or message.cycle < 0 or port.signal.occurrence not in _CYCLIC:
+            return
+        self._came_ns.setdefault(message.cycle, {}).setdefault(port, time_ns)
+        # A device that does not say when it published, or has another clock, has no hop.
+        if 0 < message.publish_time_ns <= time_ns:
+            self._histograms.record(f"hop/{port}", time_ns - message.publish_time_ns)
+
+    def _settle_closing(self, closing: Closing, handed_ns: int | None) -> None:
+        turn, time_ns, _ = closing
+        if turn.cycle != self._cycle:
+            self._cycle, self.last_cycle, self._absent = turn.cycle, turn.cycle, 0
+            self._answered_ns = 0
+        stage = self._stage(turn)
+        absent = self._absent_here(turn, stage)
+        deadline_ns = self._tick_ns(turn.cycle) + self._schedule.deadline_ns(turn.stage)
+        by_the_clock = stage.timed or bool(absent)
+        self._count(turn, absent, time_ns - deadline_ns, by_the_clock=by_the_clock)
+        if by_the_clock:
+            self._histograms.record(f"lateness/{turn.stage}", time_ns - deadline_ns)
+        self._record_jitter(turn, time_ns)
+        self._record_age(turn, time_ns)
+        if turn.stage == "advance" and self._name == PLANT:
+            self._record_loop(turn, stage, time_ns)
+        if handed_ns is not None:
+            could_ns = deadline_ns if by_the_clock else self._could_close_ns(turn, stage, time_ns)
+            decision_ns = handed_ns - could_ns
+            self._histograms.record(f"decision/{turn.stage}", decision_ns)
+            self.slowest_decision_ns = max(self.slowest_decision_ns, decision_ns)
+            self._answered_ns = handed_ns
+
+    def _stage(self, turn: Turn) -> Stage:
+        return next(stage for stage in self._stages(turn.cycle) if stage.name == turn.stage)
+
+    def _tick_ns(self, cycle: int) -> int:
+        return self._start_ns + cycle * self._schedule.cycle_ns
+
+    def _absent_here(self, turn: Turn, stage: Stage) -> tuple[str, ...]:
+        """Keys of the messages that this stage waited for up to its deadline, and did not get."""
+        # The stamp goes on with what the stages before it lacked, and names late words also where
+        # nothing was waited for.
+        entries = turn.stamp[3][self._absent :]
+        self._absent = len(turn.stamp[3])
+        if not entries:
+            return ()
+        awaited = set(map(str, stage.awaits | stage.on_need))
+        return tuple(key for key, _ in map(absence, entries) if key in awaited)
+
+    def _count(
+        self, turn: Turn, absent: tuple[str, ...], past_ns: int, *, by_the_clock: bool
+    ) -> None:
+        """Count what a stage did without, and whether it closed later than it had to."""
+        given_up = str(Absence(SKIPPED, turn.cycle)) in turn.stamp[3]
+        if absent and not given_up:
+            self.missed_deadlines[turn.stage] += 1
+            self.missing_inputs.update(absent)
+        grace_ns = self._schedule.slice_ns if by_the_clock else 0
+        if given_up or past_ns > grace_ns:
+            self.overruns[turn.stage] += 1
+
+    def _could_close_ns(self, turn: Turn, stage: Stage, time_ns: int) -> int:
+        """When the last input came that a complete stage needed, or the stage before it was done.
+
+        The stage before it counts within a cycle only: a process that lags behind by whole cycles
+        is late from the moment that its inputs came.
+        """
+        came_ns = self._came_ns.get(turn.cycle, {})
+        inputs = stage.awaits | stage.on_need
+        last_ns = max((came_ns.get(port, 0) for port in inputs), default=0)
+        return max(min(last_ns, time_ns), self._answered_ns) or time_ns
+
+    def _record_jitter(self, turn: Turn, time_ns: int) -> None:
+        last = self._closed.get(turn.stage)
+        self._closed[turn.stage] = (turn.cycle, time_ns)
+        if last is not None:
+            expected_ns = (turn.cycle - last[0]) * self._schedule.cycle_ns
+            self._histograms.record(f"jitter/{turn.stage}", abs(time_ns - last[1] - expected_ns))
+
+    def _record_age(self, turn: Turn, time_ns: int) -> None:
+        """Record the age of the oldest input; of a silent port the last word holds."""
+        published_ns, oldest_ns = self._published_ns, sys.maxsize
+        for port in self._inputs.get(turn.stage, ()):
+            message = turn.inputs.get(port)
+            if message is not None:
+                published_ns[port] = message.publish_time_ns
+            oldest_ns = min(oldest_ns, published_ns.get(port) or sys.maxsize)
+        if oldest_ns <= time_ns:
+            self._histograms.record(f"age/{turn.stage}", time_ns - oldest_ns)
+
+    def _record_loop(self, turn: Turn, stage: Stage, time_ns: int) -> None:
+        tick_ns, came_ns = self._tick_ns(turn.cycle), self._came_ns.get(turn.cycle, {})
+        self._histograms.record("loop", time_ns - tick_ns)
+        for port in stage.awaits:
+            applied_ns = min(came_ns.get(port, time_ns), time_ns)
+            self._histograms.record(f"loop/{port.node}", applied_ns - tick_ns)
+
+    def _forget_cycles(self) -> None:
+        """Forget arrivals of cycles that are over, and of those that nobody can be in yet."""
+        first, last = self._cycle, self._cycle + self._schedule.horizon
+        for cycle in [cycle for cycle in self._came_ns if not first <= cycle <= last]:
+            del self._came_ns[cycle]
+
+
+class TimedAgent(Generic[S]):
+    """An agent that has a stopwatch beside it: each of its steps is noted.
+
+    Parameters
+    ----------
+    agent
+        The agent, which knows nothing of it.
+    stopwatch
+        Its stopwatch.
+    """
+
+    def __init__(self, agent: Agent[S], stopwatch: Stopwatch) -> None:
+        self.name = agent.name
+        self.initial_state = agent.initial_state
+        self.stages = agent.stages
+        self.follow_up = agent.follow_up
+        self._step = agent.step
+        self._closed = stopwatch.closed
+
+    def step(self, state: S, turn: Turn) -> tuple[S, list[Delivery]]:
+        """Close a stage, and note when that began and what came of it."""
+        time_ns = time.monotonic_ns()
+        state, outputs = self._step(state, turn)
+        self._closed(turn, time_ns, outputs)
+        return state, outputs
+
+
+def _inputs_by_stage(stages: Iterable[Stage]) -> dict[str, frozenset[Port[Message]]]:
+    """Ports that a stage needs in any cycle: in the others it goes by their last word."""
+    inputs: dict[str, frozenset[Port[Message]]] = {}
+    for stage in stages:
+        inputs[stage.name] = inputs.get(stage.name, frozenset()) | stage.awaits
+    return inputs

@@ -1,0 +1,360 @@
+"""Imperfect networks: rules that delay, lose, double or hold back messages on links, from a seed.
+
+A link goes from the publisher of a port to one of its listeners. What becomes of a message on a
+link is drawn from a hash of the seed, the rule, the link and the message's cycle, and from nothing
+else: not from the order in which things happen. So a message has the same fate over processes, in
+memory, and when the run is repeated. The faults act on the way to the listener who acts on the
+message. The recorder hears everything: a recording says what was sent, and the inputs that its
+messages name as `missing` say what did not come.
+
+The words are those of network emulation in Linux, `tc netem` [1]_: delay, jitter, distribution,
+loss, duplicate, reorder. Two differ. `reorder` there lets a share of delayed packets pass at once;
+here it holds a share back, so that later messages overtake them, since a message of each cycle
+that came early would overtake nothing. And `silent` is not there: netem is switched from outside.
+
+References
+----------
+.. [1] tc-netem(8), iproute2 manual pages.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Collection
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from hashlib import blake2b
+from math import cos, inf, log, pi, sqrt
+from typing import Final, Literal
+
+import msgspec
+
+from bus_schemas.errors import InputError
+from bus_schemas.messages import Message
+from bus_schemas.signals import SIGNALS, Occurrence, Port, listeners, ports
+from bus_schemas.tree import RECORDER, ControlTree
+
+LONGEST_MS: Final = 3_600_000.0
+"""Longest delay, jitter or holding back that is accepted: an hour."""
+
+UNHARMED: Final[tuple[int, ...]] = (0,)
+"""Fate of a message that one copy of arrives at once."""
+
+_LOST: Final[tuple[int, ...]] = ()
+_CYCLIC: Final = frozenset({Occurrence.CYCLE, Occurrence.TURN, Occurrence.NEED})
+_LISTED: Final = 12
+
+
+class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One way in which links are imperfect.
+
+    Attributes
+    ----------
+    source, listener
+        Names of the agents at the two ends of the links: `plant`, `central`, `c1/inv07`, or a
+        pattern such as `c1/*` (all below `c1`). Default: any.
+    signal
+        Name of a cyclic signal. Default: any.
+    delay_ms, jitter_ms, distribution
+        Delay of each message [ms], never below 0: `uniform` in delay_ms ± jitter_ms, `normal` with
+        jitter_ms as its standard deviation, or `fixed`. Without jitter all are fixed.
+    loss
+        Share of the messages that do not arrive.
+    duplicate
+        Share of the messages that arrive twice. The copy has a delay, and a loss, of its own.
+    reorder, reorder_ms
+        Share of the messages that are held back, and for how long besides their delay [ms], so
+        that later ones overtake them. Default: for one more `delay_ms`.
+    silent
+        Intervals in which nothing arrives, each from and to in seconds since cycle 0 on the clock
+        that the cycles go by. A message belongs to one by the beginning of its cycle.
+    """
+
+    source: str = "*"
+    listener: str = "*"
+    signal: str | None = None
+    delay_ms: float = 0.0
+    jitter_ms: float = 0.0
+    distribution: Literal["fixed", "uniform", "normal"] = "uniform"
+    loss: float = 0.0
+    duplicate: float = 0.0
+    reorder: float = 0.0
+    reorder_ms: float | None = None
+    silent: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def held_back_ms(self) -> float:
+        """How much longer than the others a message takes that is held back [ms]."""
+        return self.delay_ms if self.reorder_ms is None else self.reorder_ms
+
+    def acts_on(self, port: Port[Message], listener: str) -> bool:
+        """Whether this link of a port is one of the rule's."""
+        return (
+            port.signal.occurrence in _CYCLIC
+            and (self.signal is None or self.signal == port.signal.name)
+            and fnmatchcase(port.publisher, self.source)
+            and fnmatchcase(listener, self.listener)
+        )
+
+
+@dataclass(slots=True)
+class FaultTally:
+    """What faults did to the messages that were seen: of a lost one no copy arrived."""
+
+    seen: int = 0
+    lost: int = 0
+    duplicated: int = 0
+    delayed: int = 0
+
+    def count(self, fate: tuple[int, ...]) -> None:
+        """Count the fate of one message."""
+        self.seen += 1
+        self.lost += not fate
+        self.duplicated += len(fate) > 1
+        self.delayed += any(fate)
+
+    def as_counts(self) -> dict[str, int]:
+        """Return what was done to messages and how often, as far as it was done."""
+        counts = {"lost": self.lost, "duplicated": self.duplicated, "delayed": self.delayed}
+        return {name: count for name, count in counts.items() if count}
+
+
+class NetworkFaults:
+    """The rules of a run, at work on its links.
+
+    Several rules on one link add up as if it were several imperfect pieces of cable, one after the
+    other: their delays add, a message must survive the losses of all, and each may double it.
+
+    Parameters
+    ----------
+    rules, seed
+        The rules, and the seed of all that is drawn.
+    tree
+        Control tree of the run.
+    cycle_ns
+        Length of a cycle on the clock that the cycles go by [ns].
+    """
+
+    def __init__(
+        self, rules: tuple[FaultRule, ...], seed: int, tree: ControlTree, cycle_ns: int
+    ) -> None:
+        self._links = {
+            (port, listener): _Link(numbered, seed, port, listener, cycle_ns)
+            for port, listener in links(tree)
+            if (
+                numbered := [
+                    entry for entry in enumerate(rules) if entry[1].acts_on(port, listener)
+                ]
+            )
+        }
+        self._listeners = {listener for _, listener in self._links}
+
+    def concern(self, listener: str) -> bool:
+        """Whether any rule acts on a link to this listener."""
+        return listener in self._listeners
+
+    def fates(self, port: Port[Message], listener: str, message: Message) -> tuple[int, ...]:
+        """Return the delays [ns] of the copies of a message that arrive, none if it is lost.
+
+        Arming rounds and rare events, such as the beginning and the end of a run, always pass.
+        """
+        link = self._links.get((port, listener))
+        if link is None or message.cycle < 0:
+            return UNHARMED
+        return link.fate(message.cycle)
+
+
+class _Link:
+    """The rules of one link: what becomes of the message of each cycle."""
+
+    def __init__(
+        self,
+        rules: list[tuple[int, FaultRule]],
+        seed: int,
+        port: Port[Message],
+        listener: str,
+        cycle_ns: int,
+    ) -> None:
+        self._stretches = [
+            _Stretch(rule, f"{seed} {number} {port} {listener}") for number, rule in rules
+        ]
+        self._silent_s = [interval for _, rule in rules for interval in rule.silent]
+        self._cycle_s = cycle_ns / 1e9
+
+    def fate(self, cycle: int) -> tuple[int, ...]:
+        """Return the delays [ns] of the copies that arrive."""
+        if self._silent_s and self._is_silent(cycle * self._cycle_s):
+            return _LOST
+        draws = [stretch.draw(cycle, 0) for stretch in self._stretches]
+        first = _delay_ns(draws)
+        copies = sum(draw.duplicated for draw in draws)
+        if not copies:
+            return _LOST if first is None else (first,)
+        delays = [first]
+        for copy in range(1, copies + 1):
+            delays.append(_delay_ns([stretch.draw(cycle, copy) for stretch in self._stretches]))
+        return tuple(delay for delay in delays if delay is not None)
+
+    def _is_silent(self, time_s: float) -> bool:
+        return any(begin_s <= time_s < end_s for begin_s, end_s in self._silent_s)
+
+
+@dataclass(slots=True)
+class _Draw:
+    """What one rule does to one copy of a message."""
+
+    lost: bool
+    duplicated: bool
+    delay_ms: float
+
+
+class _Stretch:
+    """One rule on one link. Its draws are words of a hash, so they need no memory of each other."""
+
+    def __init__(self, rule: FaultRule, name: str) -> None:
+        self._rule = rule
+        self._hash = blake2b(name.encode())
+
+    def draw(self, cycle: int, copy: int) -> _Draw:
+        """Draw what becomes of a copy of the message of a cycle."""
+        rule = self._rule
+        digest = self._hash.copy()
+        digest.update(_NUMBERS.pack(cycle, copy))
+        words = _WORDS.unpack(digest.digest())
+        # Of each word the 53 bits that a float holds: a number in [0, 1).
+        loss, duplicate, reorder, one, other = [(word >> 11) * 2.0**-53 for word in words[:5]]
+        delay_ms = max(rule.delay_ms + self._jitter_ms(one, other), 0.0)
+        if reorder < rule.reorder:
+            delay_ms += rule.held_back_ms
+        return _Draw(loss < rule.loss, duplicate < rule.duplicate, delay_ms)
+
+    def _jitter_ms(self, one: float, other: float) -> float:
+        """Return what a message takes longer than the others, from two numbers in [0, 1)."""
+        rule = self._rule
+        if rule.jitter_ms == 0.0 or rule.distribution == "fixed":
+            return 0.0
+        if rule.distribution == "uniform":
+            return rule.jitter_ms * (2.0 * one - 1.0)
+        # Box and Muller (1958), doi 10.1214/aoms/1177706645.
+        return rule.jitter_ms * sqrt(-2.0 * log(1.0 - one)) * cos(2.0 * pi * other)
+
+
+_NUMBERS: Final = struct.Struct("<qq")
+_WORDS: Final = struct.Struct("<8Q")
+
+
+def _delay_ns(draws: list[_Draw]) -> int | None:
+    """Delay of a copy over all stretches [ns], None if one of them loses it."""
+    if any(draw.lost for draw in draws):
+        return None
+    return round(sum(draw.delay_ms for draw in draws) * 1e6)
+
+
+def links(tree: ControlTree) -> list[tuple[Port[Message], str]]:
+    """Each port of a cyclic signal with each agent that acts on it."""
+    return [
+        (port, listener)
+        for port in ports(tree)
+        if port.signal.occurrence in _CYCLIC
+        for listener in listeners(port, tree)
+    ]
+
+
+def check_rule(
+    rule: FaultRule, tree: ControlTree, where: str, external: Collection[str] = ()
+) -> None:
+    """Refuse a rule that cannot be meant.
+
+    Parameters
+    ----------
+    rule, tree
+        The rule, and the control tree of the run.
+    where
+        What the user calls it.
+    external
+        Agents whose programs are not Heliarch's: nothing can be done to what comes in there.
+
+    Raises
+    ------
+    InputError
+        A share outside 0 to 1, a negative time, an interval that ends before it begins; an agent
+        or a signal that the run does not have, or agents that never talk to each other.
+    """
+    _check_numbers(rule, where)
+    _check_ends(rule, tree, where)
+    heard_by = [listener for port, listener in links(tree) if rule.acts_on(port, listener)]
+    if all(listener in external for listener in heard_by):
+        raise InputError(
+            f"{where}: messages are delayed and lost where they come in, here at external agents "
+            f"alone ({', '.join(dict.fromkeys(heard_by))}), accepted are links to other agents"
+        )
+
+
+def _check_numbers(rule: FaultRule, where: str) -> None:
+    for name in ("loss", "duplicate", "reorder"):
+        share = getattr(rule, name)
+        if not 0.0 <= share <= 1.0:
+            raise InputError(f"{where}: {name} is {share:g}, accepted is a share from 0 to 1")
+    for name in ("delay_ms", "jitter_ms", "reorder_ms"):
+        time_ms = getattr(rule, name)
+        if time_ms is not None and not 0.0 <= time_ms <= LONGEST_MS:
+            raise InputError(f"{where}: {name} is {time_ms:g}, accepted is 0 to {LONGEST_MS:.0f}")
+    if rule.distribution == "fixed" and rule.jitter_ms:
+        raise InputError(
+            f"{where}: jitter_ms is {rule.jitter_ms:g} with a fixed delay, accepted are uniform "
+            "and normal"
+        )
+    if rule.reorder and not rule.held_back_ms:
+        raise InputError(
+            f"{where}: reorder without a time to hold back for, accepted is reorder_ms or delay_ms "
+            "above 0"
+        )
+    for begin_s, end_s in rule.silent:
+        if not 0.0 <= begin_s < end_s < inf:
+            raise InputError(
+                f"{where}: silent from {begin_s:g} s to {end_s:g} s, accepted is an interval that "
+                "ends after it begins, at 0 s or later"
+            )
+    if not any(
+        (rule.delay_ms, rule.jitter_ms, rule.loss, rule.duplicate, rule.reorder, rule.silent)
+    ):
+        raise InputError(
+            f"{where}: it does nothing, accepted is a rule with a delay, jitter, loss, duplicate, "
+            "reorder or silent"
+        )
+
+
+def _check_ends(rule: FaultRule, tree: ControlTree, where: str) -> None:
+    agents = [agent for agent in tree.agents() if agent != RECORDER]
+    for end, pattern in (("source", rule.source), ("listener", rule.listener)):
+        if pattern == RECORDER:
+            raise InputError(
+                f"{where}: {end} is the recorder, which hears everything; accepted are the agents "
+                f"that act: {_some(agents)}"
+            )
+        if not any(fnmatchcase(agent, pattern) for agent in agents):
+            raise InputError(
+                f"{where}: {end} {pattern!r} is no agent of this run, accepted: {_some(agents)}, "
+                "or a pattern such as c1/*"
+            )
+    found = links(tree)
+    names = dict.fromkeys(port.signal.name for port, _ in found)
+    if rule.signal is not None and rule.signal not in names:
+        kind = "not cyclic" if rule.signal in {row.name for row in SIGNALS} else "not known"
+        raise InputError(f"{where}: signal {rule.signal!r} is {kind}, accepted: {', '.join(names)}")
+    if not any(rule.acts_on(port, listener) for port, listener in found):
+        instead = dict.fromkeys(
+            f"{port.signal.name} to {listener}"
+            for port, listener in found
+            if fnmatchcase(port.publisher, rule.source)
+        )
+        raise InputError(
+            f"{where}: {rule.source} never sends {rule.signal or 'anything'} to {rule.listener}, "
+            f"accepted from {rule.source}: {_some(list(instead))}"
+        )
+
+
+def _some(names: list[str]) -> str:
+    rest = len(names) - _LISTED
+    listed = ", ".join(names[:_LISTED])
+    return f"{listed} and {rest} more" if rest > 0 else listed

@@ -1,0 +1,248 @@
+"""A plant that shares no code with Heliarch: inverters under a simple sky, over plain Zenoh.
+
+It takes the place of the plant simulator in a run that was started with `--external plant`: it
+arms the controllers, starts the run, ticks, and stops it. Written from docs/wire.md alone; needs
+`pip install eclipse-zenoh msgpack`.
+
+    heliarch launch oahu --external plant --pace 1 --duration 60 --out my-run
+    python examples/plant.py --plan my-run/plan.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import queue
+import time
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import zenoh
+
+FIRST_ROUND = -1_000_000  # Arming rounds count upwards from here.
+ROUND_S = 0.3  # How long a round may take before the next one is tried.
+LEAD_S = 0.2  # In real time: how long before cycle 0 everybody is told when it begins.
+ADVANCE_AT = 0.9  # Share of the cycle by whose end the plant has its commands, or does without.
+
+
+class Plant:
+    """Inverters that obey commands, and the operator who wants half of their rating."""
+
+    def __init__(self, plan: dict[str, Any], session: zenoh.Session) -> None:
+        self.plan, self.session, self.name = plan, session, plan["plant"]
+        self.ratings_kw: dict[str, float] = dict(plan["inverters"])
+        self.wall_s = plan["cycle_wall_ns"] / 1e9  # 0 is lockstep.
+        self.sequences: dict[str, int] = {}
+        self.arrived: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
+        self.cycle, self.missing = FIRST_ROUND, [""]
+        self.ready_round: int | None = None
+        self.stand_still()
+
+    def stand_still(self) -> None:
+        """Go back to the initial state: no inverter is curtailed."""
+        self.alpha = dict.fromkeys(self.ratings_kw, 1.0)
+        self.limit_kw = dict(self.ratings_kw)
+        self.power_kw = self.sky_kw(0)
+
+    def sky_kw(self, cycle: int) -> dict[str, float]:
+        """Return what each inverter could give, while clouds go by from the first to the last."""
+        time_s = max(cycle, 0) * self.plan["cycle_ns"] / 1e9
+        return {
+            node: rating_kw * (0.6 + 0.4 * math.cos(time_s / 20.0 - place))
+            for place, (node, rating_kw) in enumerate(self.ratings_kw.items())
+        }
+
+    def desired_kw(self) -> float:
+        """Return the power that the operator wants from the plant."""
+        return 0.5 * sum(self.ratings_kw.values())
+
+    # One cycle -----------------------------------------------------------------------------------
+
+    def run_cycle(self, cycle: int, until: float) -> bool:
+        """Tick: telemetry and dispatch out, commands in, production out. Whether all answered."""
+        self.cycle, self.missing = cycle, []
+        desired_kw = self.desired_kw()
+        self.publish("dispatch", power_kw=desired_kw, commitment_kw=desired_kw, regulation_kw=0.0)
+        for node in self.ratings_kw:
+            self.publish(
+                f"{node}/telemetry",
+                power_kw=self.power_kw[node],
+                alpha=self.alpha[node],
+                limit_kw=self.limit_kw[node],
+            )
+        silent = self.await_commands(until)
+        if silent and cycle < 0:
+            return False  # A round that does not close leaves nothing behind.
+        self.missing = sorted(f"{node}/command" for node in silent)
+        self.advance()
+        return not silent
+
+    def await_commands(self, until: float) -> set[str]:
+        """Obey the commands of this cycle as they come. Return the inverters that got none."""
+        silent = set(self.ratings_kw)
+        while silent and (message := self.next_message(until)) is not None:
+            node = message["source"]
+            alpha, limit_kw = message.get("alpha", math.nan), message.get("power_kw", math.nan)
+            if message["cycle"] == self.cycle and node in silent and 0.0 < alpha <= 1.0:
+                self.alpha[node] = alpha
+                if self.plan["actuator"] == "limit" and limit_kw >= 0.0:
+                    self.limit_kw[node] = min(limit_kw, self.ratings_kw[node])
+                silent.discard(node)
+        return silent
+
+    def advance(self) -> None:
+        """Let the interval of this cycle pass, and say what really happened in it."""
+        sky_kw = self.sky_kw(self.cycle)
+        fraction = self.plan["actuator"] == "fraction"
+        for node, most_kw in sky_kw.items():
+            share = self.alpha[node] if fraction else 1.0
+            self.power_kw[node] = min(share * most_kw, self.limit_kw[node])
+        self.publish(
+            "production",
+            desired_kw=self.desired_kw(),
+            possible_kw=sum(sky_kw.values()),
+            delivered_kw=sum(self.power_kw.values()),
+            inverter_mpp_kw=list(sky_kw.values()),
+            inverter_power_kw=list(self.power_kw.values()),
+        )
+
+    # The run -------------------------------------------------------------------------------------
+
+    def await_everybody(self) -> None:
+        """Wait until each agent's liveliness token is seen."""
+        nodes = {path for leaf in self.ratings_kw for path in branch(leaf)}
+        absent = {f"{self.name}/{agent}/alive" for agent in {"central", "recorder", *nodes}}
+        while absent:
+            for reply in self.session.liveliness().get(f"{self.name}/**/alive", timeout=1.0):
+                if reply.ok is not None:
+                    absent.discard(str(reply.ok.key_expr))
+            time.sleep(0.05)
+
+    def arm(self) -> int:
+        """Send rounds through the loop until one closes and is recorded. Return how many."""
+        for rounds in range(1, -FIRST_ROUND):
+            self.stand_still()
+            until = time.monotonic() + ROUND_S
+            if self.run_cycle(FIRST_ROUND + rounds, until):
+                while self.ready_round != self.cycle and self.next_message(until) is not None:
+                    pass
+                if self.ready_round == self.cycle:
+                    return rounds
+        raise SystemExit("the loop does not close")
+
+    def run(self) -> None:
+        """Start the run, tick through all its cycles, stop it."""
+        self.stand_still()
+        start_ns = time.monotonic_ns() + round(LEAD_S * 1e9 if self.wall_s else 0.0)
+        self.say_run("start", 0, start_ns)
+        for cycle in range(self.plan["cycles"]):
+            until = math.inf
+            if self.wall_s:  # Ticks are absolute: a late one does not shift those after it.
+                tick_at = start_ns / 1e9 + cycle * self.wall_s
+                time.sleep(max(tick_at - time.monotonic(), 0.0))
+                until = tick_at + ADVANCE_AT * self.wall_s
+            if not self.run_cycle(cycle, until):
+                print(f"cycle {cycle}: without {', '.join(self.missing)}", flush=True)
+        self.say_run("stop", self.plan["cycles"], start_ns)
+
+    def say_run(self, state: str, cycle: int, start_ns: int) -> None:
+        """Tell everybody that the run begins at a cycle, or ends before it."""
+        self.cycle, self.missing = cycle, []
+        wall_ns = self.plan["cycle_wall_ns"]
+        self.publish("run", state=state, start_time_ns=start_ns, cycle_wall_ns=wall_ns)
+
+    # The bus -------------------------------------------------------------------------------------
+
+    def next_message(self, until: float) -> dict[str, Any] | None:
+        """Return the next command or word of the recorder; None if none comes in time."""
+        left_s = until - time.monotonic()
+        try:
+            sample = self.arrived.get(timeout=None if left_s == math.inf else max(left_s, 0.0))
+        except queue.Empty:
+            return None
+        message: dict[str, Any] = msgpack.unpackb(sample.payload.to_bytes())
+        if str(sample.key_expr) == f"{self.name}/ready":
+            self.ready_round = message["cycle"]
+        return message
+
+    def publish(self, key: str, **fields: object) -> None:
+        """Send a message of this cycle."""
+        sequence = 0
+        if self.cycle >= 0:
+            sequence = self.sequences.get(key, 0)
+            self.sequences[key] = sequence + 1
+        message = {
+            "cycle": self.cycle,
+            "sim_time_ns": self.plan["start_time_ns"] + self.cycle * self.plan["cycle_ns"],
+            "source": "plant",
+            "missing": self.missing,
+            "publish_time_ns": time.monotonic_ns(),
+            "sequence": sequence,
+            **fields,
+        }
+        self.session.put(
+            f"{self.name}/{key}",
+            msgpack.packb(message),
+            encoding="application/msgpack",
+            congestion_control=zenoh.CongestionControl.BLOCK,
+        )
+
+
+def branch(leaf: str) -> list[str]:
+    """Return the paths of an inverter and of the supervisors above it."""
+    parts = leaf.split("/")
+    return ["/".join(parts[:end]) for end in range(1, len(parts) + 1)]
+
+
+def read_plan(path: Path) -> dict[str, Any]:
+    """Return the plan of a run, as soon as the launcher has written it."""
+    while True:
+        try:
+            plan: dict[str, Any] = json.loads(path.read_text())
+            return plan
+        except (FileNotFoundError, json.JSONDecodeError):
+            time.sleep(0.1)
+
+
+def session_config(plan: dict[str, Any]) -> zenoh.Config:
+    """Zenoh as a peer that listens for the controllers and connects to the recorder alone."""
+    ports = plan["tcp_ports"]
+    config = zenoh.Config()
+    for key, value in {
+        "mode": "peer",
+        "namespace": plan["namespace"] or plan["run_id"],
+        "listen/endpoints": [f"tcp/127.0.0.1:{ports['plant']}"],
+        "connect/endpoints": [f"tcp/127.0.0.1:{ports['recorder']}"],
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+    }.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def main() -> None:
+    """Run the plant of a plan."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--plan", type=Path, required=True, help="plan.json of the run")
+    plan = read_plan(parser.parse_args().plan)
+    with zenoh.open(session_config(plan)) as session:
+        plant = Plant(plan, session)
+        # What is declared holds for as long as there is a name for it.
+        declared = [
+            session.declare_subscriber(f"{plant.name}/**/command", plant.arrived.put),
+            session.declare_subscriber(f"{plant.name}/ready", plant.arrived.put),
+            session.liveliness().declare_token(f"{plant.name}/plant/alive"),
+        ]
+        plant.await_everybody()
+        print(f"armed after {plant.arm()} rounds", flush=True)
+        plant.run()
+        print(f"{plan['cycles']} cycles are over", flush=True)
+        del declared
+
+
+if __name__ == "__main__":
+    main()

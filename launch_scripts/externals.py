@@ -1,0 +1,174 @@
+"""External agents: left out by the launcher, waited for, told where to find the bus.
+
+A device of the user's own takes the place of a process. What it is told is all in the run's
+`plan.json`, and what it must do in `docs/wire.md`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Final
+
+from agents.lifeline import Presence, Status
+from agents.plan import RunPlan
+from bus_schemas.errors import InputError
+from bus_schemas.links import explicit_links
+from bus_schemas.tree import PLANT, RECORDER, ControlTree
+
+_LONGEST_WAIT_S: Final = 86_400.0
+_PORTS: Final = range(1024, 65_536)
+
+
+@dataclass(frozen=True, slots=True)
+class ExternalOptions:
+    """What the user says of his devices.
+
+    Attributes
+    ----------
+    agents
+        Names of the agents that the launcher must not start.
+    timeout_s
+        How long it waits for them [s].
+    base_port
+        Port of the first agent that listens; the next ones follow it. None: free ports.
+    """
+
+    agents: tuple[str, ...] = ()
+    timeout_s: float = 60.0
+    base_port: int | None = None
+
+
+NO_EXTERNALS: Final = ExternalOptions()
+
+
+def check_externals(options: ExternalOptions, tree: ControlTree) -> tuple[str, ...]:
+    """Return the external agents, in the order of the tree.
+
+    Raises
+    ------
+    InputError
+        There is no such agent, or it cannot be external; a time-out or port that makes no sense.
+    """
+    team = tuple(agent for agent in tree.agents() if agent != RECORDER)
+    for agent in options.agents:
+        if agent == RECORDER:
+            raise InputError(
+                "--external recorder: the launcher follows the run through it, accepted are "
+                f"{', '.join(team[:4])} and other agents"
+            )
+        if agent not in team:
+            near = get_close_matches(agent, team, n=4, cutoff=0.5) or team[:4]
+            raise InputError(
+                f"--external {agent}: this run has no such agent, near it: {', '.join(near)}"
+            )
+    if not 0.0 < options.timeout_s <= _LONGEST_WAIT_S:
+        raise InputError(
+            f"--external-timeout {options.timeout_s:g}: accepted is a number of seconds above 0, "
+            f"up to {_LONGEST_WAIT_S:g}"
+        )
+    if options.base_port is not None:
+        last = options.base_port + len(explicit_links(tree).listening) - 1
+        if options.base_port not in _PORTS or last not in _PORTS:
+            raise InputError(
+                f"--base-port {options.base_port}: this run takes the ports "
+                f"{options.base_port} to {last}, accepted are {_PORTS[0]} to {_PORTS[-1]}"
+            )
+    return tuple(agent for agent in team if agent in options.agents)
+
+
+class ExternalWatch:
+    """Which external agents are there, and what is said of them.
+
+    Parameters
+    ----------
+    plan
+        Of the run.
+    plan_path
+        Where it lies.
+    timeout_s
+        How long they are waited for [s].
+    began_at
+        Monotonic time from which they are waited for [s].
+
+    Attributes
+    ----------
+    complete_at
+        Monotonic time at which all had been there once [s]; None before that.
+    plant_gone_at
+        Monotonic time at which an external plant went away [s]; None while it is there.
+    """
+
+    def __init__(self, plan: RunPlan, plan_path: Path, timeout_s: float, began_at: float) -> None:
+        self.complete_at = None if plan.external else began_at
+        self.plant_gone_at: float | None = None
+        self._plan = plan
+        self._plan_path = plan_path
+        self._timeout_s = timeout_s
+        self._began_at = began_at
+        self._never_seen = set(plan.external)
+        self._gone_in: dict[str, int] = {}
+        self._unheard: list[str] = []
+
+    def directions(self) -> Iterator[str]:
+        """Yield lines that say what each of them has to do to join."""
+        if not self._plan.external:
+            return
+        names = ", ".join(self._plan.external)
+        yield f"waiting up to {self._timeout_s:g} s for {names}, plan: {self._plan_path}"
+        for agent in self._plan.external:
+            yield f"  {agent}: {self._place(agent)}"
+
+    def hear(self, event: Presence, now: float, *, running: bool) -> str:
+        """Take in that one has come or gone; return what is to be said of it."""
+        agent, name = event.agent, f"{event.agent} (external)"
+        if agent == PLANT:
+            self.plant_gone_at = None if event.alive else now
+        if event.alive:
+            self._never_seen.discard(agent)
+            if not self._never_seen and self.complete_at is None:
+                self.complete_at = now
+            back = self._gone_in.pop(agent, None)
+            if back is None or not running:
+                return f"{name} is here"
+            return f"{name} is back in cycle {event.cycle}, gone since cycle {back}"
+        self._gone_in[agent] = event.cycle
+        if not running:
+            return f"{name} is gone before cycle 0"
+        goes_on = "waits for it" if self._plan.lockstep else "goes on without it"
+        rest = "" if agent == PLANT else f"; the run {goes_on}"
+        return f"{name} is gone in cycle {event.cycle}{rest}"
+
+    def note(self, status: Status) -> None:
+        """Keep what the recorder says of an arming round."""
+        self._unheard = status.unheard
+
+    def late(self, now: float) -> str:
+        """Say who has not come in time, empty while it is too early or none is missing."""
+        if self.complete_at is not None or now <= self._began_at + self._timeout_s:
+            return ""
+        absent = [agent for agent in self._plan.external if agent in self._never_seen]
+        places = "; ".join(f"{agent} {self._place(agent)}" for agent in absent)
+        return (
+            f"no sign of {', '.join(absent)} after {self._timeout_s:g} s: {places}; "
+            f"plan: {self._plan_path}"
+        )
+
+    def suspicion(self) -> str:
+        """Say what external agents have to do with a run that does not begin or go on."""
+        gone = [f"{agent} is gone since cycle {cycle}" for agent, cycle in self._gone_in.items()]
+        silent = [f"nothing came on {', '.join(self._unheard)}"] if self._unheard else []
+        reasons = "; ".join([*gone, *silent])
+        return f"of the external agents: {reasons}" if reasons else ""
+
+    def _place(self, agent: str) -> str:
+        plan = self._plan
+        listeners = {f"tcp/127.0.0.1:{port}": name for name, port in plan.tcp_ports.items()}
+        listens, connects = explicit_links(plan.tree).endpoints(agent, plan.tcp_ports)
+        targets = ", ".join(f"{end} ({listeners[end]})" for end in connects)
+        parts = [f"listens on {', '.join(listens)}"] if listens else []
+        parts += [f"connects to {targets}"] if targets else []
+        token = plan.keys.alive_key(agent)
+        return f"{', '.join(parts)}, namespace {plan.bus_namespace}, liveliness token {token}"

@@ -1,0 +1,117 @@
+"""What a run may take of the machine: from a scenario or the command line to checked settings."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable
+from typing import Annotated, Final, cast, get_args
+
+import msgspec
+
+from agents.machine import HIGHEST_PRIORITY, LOWEST_PRIORITY, Kind, MachineSettings
+from bus_schemas.errors import InputError
+
+_KINDS: Final = get_args(Kind)
+
+
+class MachineTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The table `[machine]` of a scenario.
+
+    Attributes
+    ----------
+    cpus
+        Processors of all processes, `"0-1"`, and of those of one kind, `"plant=0"`.
+    priority
+        In real time: priority of plant and controllers under SCHED_FIFO; 0 is the normal policy.
+    lock_memory
+        In real time: whether the memory of plant and controllers is never paged out.
+    """
+
+    cpus: tuple[str, ...] = ()
+    priority: Annotated[int, msgspec.Meta(ge=0, le=HIGHEST_PRIORITY)] = 0
+    lock_memory: bool = False
+
+
+class MachineOptions(msgspec.Struct, frozen=True):
+    """What the command line says instead; None and nothing leave the scenario as it is."""
+
+    cpus: tuple[str, ...] = ()
+    priority: int | None = None
+
+
+AS_THE_SCENARIO_SAYS: Final = MachineOptions()
+
+
+def machine_settings(
+    table: MachineTable, options: MachineOptions, *, lockstep: bool
+) -> MachineSettings:
+    """Return what the processes of a run may take.
+
+    Raises
+    ------
+    InputError
+        There is no such processor or kind of process, the priority is none, or there is no clock
+        that would make one useful.
+    """
+    where, words = ("--cpus", options.cpus) if options.cpus else ("machine.cpus:", table.cpus)
+    everywhere, of_kind = _cpus(where, words)
+    return MachineSettings(
+        everywhere,
+        of_kind,
+        _priority(options.priority, lockstep) if options.priority is not None else table.priority,
+        table.lock_memory,
+    )
+
+
+def _cpus(where: str, words: Iterable[str]) -> tuple[tuple[int, ...], dict[Kind, tuple[int, ...]]]:
+    everywhere: tuple[int, ...] = ()
+    of_kind: dict[Kind, tuple[int, ...]] = {}
+    for word in words:
+        kind, equals, listed = word.rpartition("=")
+        if equals and kind not in _KINDS:
+            raise InputError(
+                f"{where} {word}: there is no kind of process {kind!r}, accepted are "
+                f"{', '.join(_KINDS)}"
+            )
+        cpus = _cpu_list(f"{where} {word}", listed)
+        if equals:
+            of_kind[cast("Kind", kind)] = cpus
+        else:
+            everywhere = cpus
+    return everywhere, of_kind
+
+
+def _cpu_list(where: str, text: str) -> tuple[int, ...]:
+    """Read a list of processors as the kernel writes it: `0`, `0-3` or `0,2-3`."""
+    if not re.fullmatch(r"\d{1,4}(-\d{1,4})?(,\d{1,4}(-\d{1,4})?)*", text):
+        raise InputError(f"{where}: accepted are processors such as 0, 0-3 or plant=0")
+    cpus: set[int] = set()
+    for part in text.split(","):
+        first, _, last = part.partition("-")
+        cpus.update(range(int(first), int(last or first) + 1))
+    known = _own_cpus()
+    if not cpus or not cpus <= known:
+        listed = ", ".join(map(str, sorted(known)))
+        raise InputError(f"{where}: this machine does not give us these, accepted are {listed}")
+    return tuple(sorted(cpus))
+
+
+def _own_cpus() -> set[int]:
+    """Return the processors that this process may use, and so its children."""
+    if hasattr(os, "sched_getaffinity"):
+        return set(os.sched_getaffinity(0))
+    return set(range(os.cpu_count() or 1))
+
+
+def _priority(priority: int, lockstep: bool) -> int:
+    if not LOWEST_PRIORITY <= priority <= HIGHEST_PRIORITY:
+        raise InputError(
+            f"--priority {priority}: accepted is {LOWEST_PRIORITY} to {HIGHEST_PRIORITY}"
+        )
+    if lockstep:
+        raise InputError(
+            f"--priority {priority}: in lockstep nothing can be late, accepted is it with a --pace "
+            "such as 1"
+        )
+    return priority

@@ -1,0 +1,100 @@
+"""What a run in real time asks of the clock, checked before anything starts: cycle and deadlines.
+
+The period of a tier (`control.period_cycles`) says in which cycles it acts, its deadline when its
+last word must be out within such a cycle. So a setpoint that is in time is never older than
+period x cycle + deadline. A deadline longer than a cycle would leave the next one without its
+beginning: a controller that needs longer to decide has a period of several cycles, and what it says
+is taken up late.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from math import inf
+from typing import Final, Literal
+
+from bus_schemas.errors import InputError
+from bus_schemas.tree import ControlTree
+
+SHORTEST_CYCLE_NS: Final = 100_000
+"""Below it no clock can pace a process: one that waits for a time is woken up to so much late."""
+
+_DEADLINES: Final = "control.deadlines_ms"
+
+
+def cycle_wall_ns(cycle_s: float, pace: float | Literal["max"], where: str) -> int:
+    """Return the length of a cycle on the wall clock [ns], 0 in lockstep.
+
+    Parameters
+    ----------
+    cycle_s
+        Length of a cycle in simulated time.
+    pace
+        Simulated seconds a second.
+    where
+        Where the pace comes from, to be named.
+
+    Raises
+    ------
+    InputError
+        The cycle is too short for any clock.
+    """
+    if pace == "max":
+        return 0
+    length_ns = round(cycle_s / pace * 1e9)
+    if length_ns < SHORTEST_CYCLE_NS:
+        resolution_ns = time.get_clock_info("monotonic").resolution * 1e9
+        raise InputError(
+            f"{where} {pace:g}: a cycle of {cycle_s:g} s would last {length_ns / 1e3:g} us, beyond "
+            f"the clock's resolution (it counts in {resolution_ns:g} ns, but a process that waits "
+            f"for a time is woken some 100 us late), accepted are cycles of "
+            f"{SHORTEST_CYCLE_NS / 1e3:g} us or more"
+        )
+    return length_ns
+
+
+def tier_deadlines_ns(
+    deadlines_ms: Sequence[float] | None, tree: ControlTree, cycle_ns: int
+) -> tuple[int, ...]:
+    """Return when the last word of each tier must be out after the beginning of a cycle [ns].
+
+    Parameters
+    ----------
+    deadlines_ms
+        The scenario's, the central controller's first and the direct controllers' last. None: each
+        stage gets its share of the cycle, and nothing is returned.
+    tree
+        The control tree.
+    cycle_ns
+        Length of a cycle on the wall clock; 0 in lockstep, where deadlines lie idle.
+
+    Raises
+    ------
+    InputError
+        They are not one for each tier, above zero, rising, and within the cycle.
+    """
+    if deadlines_ms is None:
+        return ()
+    tiers = tree.height + 1
+    if len(deadlines_ms) != tiers:
+        raise InputError(
+            f"{_DEADLINES} has {len(deadlines_ms)} entries, accepted is one for each of the "
+            f"{tiers} tiers, the central controller's first and the direct controllers' last"
+        )
+    found: list[int] = []
+    for tier, deadline_ms in enumerate(deadlines_ms):
+        where = f"{_DEADLINES}[{tier}] is {deadline_ms:g} ms"
+        if not 0.0 < deadline_ms < inf:
+            raise InputError(f"{where}, accepted is more than 0")
+        found.append(round(deadline_ms * 1e6))
+        if tier and found[-1] <= found[-2]:
+            raise InputError(
+                f"{where}, accepted is more than that of the tier above it "
+                f"({deadlines_ms[tier - 1]:g} ms): each tier speaks after its parent"
+            )
+        if cycle_ns and found[-1] >= cycle_ns:
+            raise InputError(
+                f"{where}, accepted is less than the cycle on the wall clock, {cycle_ns / 1e6:g} ms"
+            )
+    return tuple(found)

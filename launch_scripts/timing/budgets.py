@@ -1,0 +1,194 @@
+"""Budgets: what a run's timing may come to at most, line by line, and whether it does.
+
+Hop latencies have their budgets in the table of signals. Those of the tiers follow the cycle's
+length, since what a controller may take depends on how often it must be ready; the paper's upper
+bounds hold besides (section II-B: direct below 1 s, supervisor within 10 s, central below 60 s). A
+scenario may put absolute ones in their place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from typing import Final
+
+import msgspec
+
+from agents.deadlines import slice_ns
+from agents.plan import RunPlan
+from bus_schemas.signals import SIGNALS
+from bus_schemas.tree import CENTRAL, PLANT
+from launch_scripts.timing.budget_table import TIERS, BudgetTable
+from launch_scripts.timing.measures import LOOP, WHOLE_LOOP, TierAccount, Times
+
+_PAPER_MS: Final = {"direct": 1_000.0, "supervisor": 10_000.0, CENTRAL: 60_000.0}
+
+_LOOP_SHARE: Final = 0.5
+"""Of the cycle: the other half is the reserve for the cycle in which something goes wrong."""
+
+_LATENESS_SHARE: Final = 0.02
+_LEAST_LATENESS_MS: Final = 1.0
+"""A tick may come late by 2 % of the cycle; a general-purpose kernel does not promise less."""
+
+_CPU_PERCENT: Final = 80.0
+"""Of one core, for each process: at more it has nothing left to catch up with."""
+
+
+class Verdict(msgspec.Struct, frozen=True):
+    """One budget, and whether the run kept it.
+
+    Attributes
+    ----------
+    line
+        What it is about: `hop impp p99`.
+    measure, of
+        The row of durations that it judges, empty where it judges a count.
+    value, limit
+        What was measured, None if nothing was, and what it may be at most.
+    unit
+        Of both: `ms`, `%`, `MB`, or empty for a count.
+    passed
+        Whether the budget was kept. Where nothing was measured it was not.
+    """
+
+    line: str
+    measure: str
+    of: str
+    value: float | None
+    limit: float
+    unit: str
+    passed: bool
+
+
+class Budgets(msgspec.Struct, frozen=True):
+    """All budgets of one run at one rate.
+
+    Attributes
+    ----------
+    times_p99_ms
+        By measure, then by kind of process or signal.
+    loop_p99_ms, loop_max_ms
+        Of the whole loop.
+    table
+        The scenario's table, for the counts.
+    """
+
+    times_p99_ms: dict[str, dict[str, float]]
+    loop_p99_ms: float
+    loop_max_ms: float | None
+    table: BudgetTable
+
+
+def budgets_of(plan: RunPlan, table: BudgetTable) -> Budgets:
+    """Return the budgets of a run: the scenario's, and defaults that follow the cycle."""
+    cycle_ms = plan.cycle_wall_ns / 1e6
+    slice_ms = slice_ns(plan.tree, plan.cycle_wall_ns) / 1e6
+    decision = {tier: min(slice_ms, _PAPER_MS.get(tier, slice_ms)) for tier in TIERS}
+    decision |= table.decision_p99_ms
+    lateness = {PLANT: max(_LATENESS_SHARE * cycle_ms, _LEAST_LATENESS_MS)}
+    hop = {signal.name: signal.hop_p99_ms for signal in SIGNALS if signal.hop_p99_ms is not None}
+    return Budgets(
+        times_p99_ms={
+            "decision": decision,
+            "response": decision,
+            "lateness": lateness | table.lateness_p99_ms,
+            "jitter": table.jitter_p99_ms,
+            "age": table.age_p99_ms,
+            "hop": hop | table.hop_p99_ms,
+        },
+        loop_p99_ms=table.loop_p99_ms or _LOOP_SHARE * cycle_ms,
+        loop_max_ms=table.loop_max_ms,
+        table=table,
+    )
+
+
+def judge(
+    budgets: Budgets,
+    times: Sequence[Times],
+    tiers: Sequence[TierAccount],
+    lost_messages: int,
+    expected: Collection[tuple[str, str]],
+) -> tuple[Verdict, ...]:
+    """Hold what was measured against the budgets.
+
+    Parameters
+    ----------
+    budgets
+        Of the run.
+    times, tiers
+        What was measured.
+    lost_messages
+        How many messages are not in the recording.
+    expected
+        Measure, and kind or signal, of what must have been measured: of these no row is a failure,
+        a row that is not there being no row that is good.
+    """
+    return (
+        *_loop_verdicts(budgets, times),
+        *_time_verdicts(budgets, times),
+        *_absent_verdicts(budgets, times, expected),
+        *_count_verdicts(budgets.table, tiers, lost_messages),
+        *_share_verdicts(budgets.table, tiers),
+    )
+
+
+def _loop_verdicts(budgets: Budgets, times: Iterable[Times]) -> Iterator[Verdict]:
+    row = next((row for row in times if (row.measure, row.of) == (LOOP, WHOLE_LOOP)), None)
+    if row is None:
+        return
+    limits = (
+        ("p99", row.times.p99_us, budgets.loop_p99_ms),
+        ("max", row.times.max_us, budgets.loop_max_ms),
+    )
+    for statistic, value_us, limit_ms in limits:
+        if limit_ms is not None:
+            yield _verdict(row, statistic, value_us, limit_ms)
+
+
+def _time_verdicts(budgets: Budgets, times: Iterable[Times]) -> Iterator[Verdict]:
+    for row in times:
+        limits_ms = budgets.times_p99_ms.get(row.measure, {})
+        limit_ms = limits_ms.get(row.kind or row.of)
+        if limit_ms is not None:
+            yield _verdict(row, "p99", row.times.p99_us, limit_ms)
+
+
+def _verdict(row: Times, statistic: str, value_us: float, limit_ms: float) -> Verdict:
+    line = f"{row.measure} {row.of} {statistic}"
+    value_ms = value_us / 1e3
+    return Verdict(line, row.measure, row.of, value_ms, limit_ms, "ms", value_ms <= limit_ms)
+
+
+def _absent_verdicts(
+    budgets: Budgets, times: Sequence[Times], expected: Collection[tuple[str, str]]
+) -> Iterator[Verdict]:
+    there = {(row.measure, row.kind or row.of) for row in times}
+    for measure, of in sorted(set(expected) - there):
+        limits_ms = budgets.times_p99_ms.get(measure, {of: budgets.loop_p99_ms})
+        if of in limits_ms:
+            line = f"{measure} {of} p99"
+            yield Verdict(line, measure, of, None, limits_ms[of], "ms", passed=False)
+
+
+def _count_verdicts(
+    table: BudgetTable, tiers: Sequence[TierAccount], lost_messages: int
+) -> Iterator[Verdict]:
+    counts = (
+        ("missed deadlines", sum(tier.missed_deadlines for tier in tiers), table.missed_deadlines),
+        ("overruns", sum(tier.overruns for tier in tiers), table.overruns),
+        ("lost messages", lost_messages, table.lost_messages),
+        ("dropped messages", sum(tier.dropped for tier in tiers), table.dropped_messages),
+    )
+    for line, count, limit in counts:
+        if limit is not None:
+            yield Verdict(line, "", "", count, limit, "", count <= limit)
+
+
+def _share_verdicts(table: BudgetTable, tiers: Sequence[TierAccount]) -> Iterator[Verdict]:
+    for tier in tiers:
+        limit = table.cpu_percent.get(tier.kind, _CPU_PERCENT)
+        share = tier.cpu_highest_percent
+        yield Verdict(f"CPU of a {tier.tier}", "", "", share, limit, "%", share <= limit)
+        limit_mb = table.resident_mb.get(tier.kind)
+        if limit_mb is not None:
+            line, size_mb = f"memory of a {tier.tier}", tier.resident_mb
+            yield Verdict(line, "", "", size_mb, limit_mb, "MB", size_mb <= limit_mb)

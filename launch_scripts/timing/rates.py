@@ -1,0 +1,77 @@
+"""Rates of a plant, as the user states them: one, several, or the highest that is clean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from bus_schemas.errors import InputError
+
+HIGHEST_HZ: Final = 1000.0
+LOWEST_HZ: Final = 1.0 / 3600.0
+_AUTO_FROM_HZ: Final = 5.0
+
+_ACCEPTED: Final = (
+    "accepted are a number of cycles a second such as 20, several such as 5,10,20, a range such as "
+    "1..200, or auto"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """What rates to run at.
+
+    Attributes
+    ----------
+    listed_hz
+        These, one after another.
+    search_hz
+        Instead: the highest clean one in this range.
+    """
+
+    listed_hz: tuple[float, ...] = ()
+    search_hz: tuple[float, float] | None = None
+
+    @property
+    def single_hz(self) -> float | None:
+        """The rate, if it is one; None if this is a sweep."""
+        return self.listed_hz[0] if len(self.listed_hz) == 1 else None
+
+
+def parse_rates(text: str) -> Rates:
+    """Read what was given with `--rate`.
+
+    Raises
+    ------
+    InputError
+        It is no rate, or one that no clock of this kind can keep.
+    """
+    if text == "auto":
+        return Rates(search_hz=(_AUTO_FROM_HZ, HIGHEST_HZ))
+    if ".." in text:
+        low, _, high = text.partition("..")
+        search = _rate_hz(low, text), _rate_hz(high, text)
+        if search[0] >= search[1]:
+            raise InputError(f"--rate {text}: the range is empty, accepted is for instance 1..200")
+        return Rates(search_hz=search)
+    listed = tuple(_rate_hz(part, text) for part in text.split(","))
+    if len(set(listed)) < len(listed):
+        raise InputError(f"--rate {text}: a rate stands there twice, accepted is each once")
+    return Rates(listed_hz=listed)
+
+
+def _rate_hz(part: str, text: str) -> float:
+    try:
+        rate_hz = float(part)
+    except ValueError:
+        raise InputError(f"--rate {text}: {part.strip()!r} is no number, {_ACCEPTED}") from None
+    if rate_hz > HIGHEST_HZ:
+        raise InputError(
+            f"--rate {text}: accepted is at most {HIGHEST_HZ:g} cycles/s; timers wake a process "
+            "some 0.1 ms late, so that a cycle below 1 ms would have no time left for its stages"
+        )
+    if not rate_hz >= LOWEST_HZ:
+        raise InputError(
+            f"--rate {text}: accepted is a number above 0, at least one cycle an hour (0.000278)"
+        )
+    return rate_hz

@@ -1,0 +1,203 @@
+"""Runs at several rates, one after another: how fast a plant can go on this machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from typing import Final, TypeAlias
+
+import msgspec
+from rich.console import Console
+from rich.table import Table
+
+from launch_scripts.timing.measures import LOOP, WHOLE_LOOP
+from launch_scripts.timing.rates import Rates
+from launch_scripts.timing.timing_report import TimingReport
+
+_CLOSE_ENOUGH: Final = 1.1
+"""The search ends where the lowest rate that fails is no further above the highest clean one."""
+
+
+class RateRow(msgspec.Struct, frozen=True):
+    """What a plant came to at one rate.
+
+    Attributes
+    ----------
+    rate_hz, cycles
+        Cycles a second, and how many there were.
+    loop_p50_us, loop_p99_us, loop_max_us
+        Loop time [us]; None where no loop closed.
+    missed_deadlines, overruns, lost_messages
+        Of all processes together.
+    cpu_percent
+        Processor time of all processes but the recorder together [% of one core].
+    clean
+        Whether none was missed, none overran and nothing was lost.
+    failed
+        Why the run failed; empty if it did not.
+    """
+
+    rate_hz: float
+    cycles: int = 0
+    loop_p50_us: float | None = None
+    loop_p99_us: float | None = None
+    loop_max_us: float | None = None
+    missed_deadlines: int = 0
+    overruns: int = 0
+    lost_messages: int = 0
+    cpu_percent: float = 0.0
+    clean: bool = False
+    failed: str = ""
+
+
+class Sweep(msgspec.Struct, frozen=True):
+    """Runs at several rates.
+
+    Attributes
+    ----------
+    rows
+        By rate, ascending.
+    highest_clean_hz
+        The highest rate at which the plant kept up; None: it never did.
+    interrupted
+        Whether the user ended it early.
+    """
+
+    rows: tuple[RateRow, ...]
+    highest_clean_hz: float | None
+    interrupted: bool
+
+    def as_json(self) -> bytes:
+        """Return the sweep as JSON."""
+        return msgspec.json.format(msgspec.json.encode(self), indent=1)
+
+
+_COLUMNS: Final = (
+    "cycles/s",
+    "cycles",
+    "cycle\n\\[ms]",
+    "loop p50\n\\[ms]",
+    "loop p99\n\\[ms]",
+    "loop max\n\\[ms]",
+    "missed\ndeadlines",
+    "overruns",
+    "lost",
+    "CPU \\[%]\nof a core",
+    "",
+)
+
+Timed: TypeAlias = Callable[[float], tuple[RateRow, bool]]
+"""Runs the plant at a rate; tells what it came to, and whether the user interrupted it."""
+
+
+def sweep(rates: Rates, timed: Timed) -> Sweep:
+    """Run at the listed rates; or look for the highest clean one, doubling and then halving steps.
+
+    Parameters
+    ----------
+    rates
+        The rates.
+    timed
+        Runs the plant at one of them.
+    """
+    rows: dict[float, RateRow] = {}
+    interrupted = False
+    for rate_hz in _search(rates.search_hz, rows) if rates.search_hz else rates.listed_hz:
+        rows[rate_hz], interrupted = timed(rate_hz)
+        if interrupted:
+            break
+    clean = [rate_hz for rate_hz, row in rows.items() if row.clean]
+    return Sweep(
+        tuple(rows[rate_hz] for rate_hz in sorted(rows)), max(clean, default=None), interrupted
+    )
+
+
+def rate_row(report: TimingReport) -> RateRow:
+    """Return what a run says of its rate. One that was interrupted proves nothing."""
+    loop = next(
+        (row.times for row in report.times if (row.measure, row.of) == (LOOP, WHOLE_LOOP)), None
+    )
+    return RateRow(
+        rate_hz=report.rate_hz,
+        cycles=report.cycles,
+        loop_p50_us=loop.p50_us if loop else None,
+        loop_p99_us=loop.p99_us if loop else None,
+        loop_max_us=loop.max_us if loop else None,
+        missed_deadlines=sum(tier.missed_deadlines for tier in report.tiers),
+        overruns=sum(tier.overruns for tier in report.tiers),
+        lost_messages=report.lost_messages,
+        cpu_percent=sum(tier.cpu_percent for tier in report.tiers),
+        clean=report.clean and not report.interrupted,
+    )
+
+
+def print_sweep(found: Sweep, console: Console) -> None:
+    """Print the rates, and the highest clean one."""
+    table = Table(
+        title="\nLoop time against rate",
+        title_justify="left",
+        title_style="",
+        box=None,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+        header_style="",
+    )
+    for column in _COLUMNS:
+        table.add_column(column, justify="right", no_wrap=True)
+    for row in found.rows:
+        table.add_row(*_cells(row))
+    console.print(table)
+    for row in found.rows:
+        if row.failed:
+            text = f"{row.rate_hz:g} cycles/s failed: {row.failed}"
+            console.print(text, highlight=False, markup=False)
+    console.print(conclusion(found), highlight=False, markup=False)
+
+
+def _search(search_hz: tuple[float, float], rows: dict[float, RateRow]) -> Iterator[float]:
+    """Yield rates to try, of which the rows so far tell how they went."""
+    rate_hz, highest_hz = search_hz
+    yield rate_hz
+    while rows[rate_hz].clean and rate_hz < highest_hz:
+        rate_hz = min(2.0 * rate_hz, highest_hz)
+        yield rate_hz
+    while bounds := _bounds(rows.values()):
+        clean_hz, failed_hz = bounds
+        if failed_hz <= clean_hz * _CLOSE_ENOUGH:
+            return
+        yield float(f"{(clean_hz * failed_hz) ** 0.5:.3g}")
+
+
+def _bounds(rows: Collection[RateRow]) -> tuple[float, float] | None:
+    """Return the highest clean rate and the lowest above it that is not; None if either lacks."""
+    clean_hz = max((row.rate_hz for row in rows if row.clean), default=None)
+    if clean_hz is None:
+        return None
+    failed = [row.rate_hz for row in rows if not row.clean and row.rate_hz > clean_hz]
+    return (clean_hz, min(failed)) if failed else None
+
+
+def _cells(row: RateRow) -> tuple[str, ...]:
+    loops = (row.loop_p50_us, row.loop_p99_us, row.loop_max_us)
+    return (
+        f"{row.rate_hz:.4g}",
+        f"{row.cycles:,}",
+        f"{1e3 / row.rate_hz:,.2f}",
+        *("-" if value_us is None else f"{value_us / 1e3:,.2f}" for value_us in loops),
+        f"{row.missed_deadlines:,}",
+        f"{row.overruns:,}",
+        f"{row.lost_messages:,}",
+        f"{row.cpu_percent:.0f}",
+        "clean" if row.clean else "[bold red]not clean[/]",
+    )
+
+
+def conclusion(found: Sweep) -> str:
+    """Say how fast the plant can go."""
+    if found.highest_clean_hz is None and found.interrupted:
+        return "interrupted before a rate was found to be clean"
+    if found.highest_clean_hz is None:
+        return "no rate was clean: at each a deadline was missed, a stage overran or a message lost"
+    return (
+        f"highest clean rate: {found.highest_clean_hz:.4g} cycles/s (no deadline missed, no stage "
+        "overrun, no message lost)"
+    )

@@ -1,0 +1,282 @@
+"""The timing of a run, or of several rates, as one HTML page in the style of the run's report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Final
+
+from bus_schemas.tree import ControlTree
+from launch_scripts.timing.distributions import curve_ms
+from launch_scripts.timing.measures import LOOP, Times
+from launch_scripts.timing.sweep import Sweep, conclusion
+from launch_scripts.timing.timing_report import TimingReport
+from launch_scripts.timing.timing_table import (
+    MEANINGS,
+    cycle_lines,
+    failure,
+    header_lines,
+    network_lines,
+    percentiles,
+    row_name,
+    verdict_line,
+)
+from recordings.report.page import html_page
+from recordings.report.run_report import write_whole
+from recordings.report.style import ReportFigure
+from recordings.report.tables import ReportTable
+from recordings.report.timing_figures import (
+    PercentileCurve,
+    RatePoint,
+    percentile_curves,
+    rate_figure,
+    waits_figure,
+)
+from recordings.waits import CycleWaits
+
+PAGE_NAME: Final = "timing.html"
+
+_COLUMNS: Final = ("count", "min", "p50", "p99", "p99.9", "max", "p99 at most", "")
+_VERDICT: Final = {True: "PASS", False: "FAIL"}
+
+_CAPTION: Final = (
+    "Each step to the right leaves a tenth of the durations: at 99 % one in a hundred is longer. "
+    "Grey: what this machine needs by itself, measured beside the plant at the same rate."
+)
+
+
+def write_page(
+    path: Path, report: TimingReport, slowest: Sequence[CycleWaits], tree: ControlTree
+) -> None:
+    """Write the page of one run.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    title = f"{report.scenario}: timing of run {report.run_id}"
+    figures = [
+        *percentile_figures(report),
+        *(
+            waits_figure(f"waits-{place}", cycle, tree)
+            for place, cycle in enumerate(slowest, start=1)
+        ),
+    ]
+    first, *machine = header_lines(report)
+    text = [
+        f"{first}.",
+        f"{'; '.join([verdict_line(report), *_failures(report)])}.",
+        f"{'; '.join(machine)}.",
+        *(f"{line}." for line in cycle_lines(report)),
+        *(f"{line}." for line in network_lines(report)),
+    ]
+    write_whole(path, html_page(title, text, page_tables(report), figures))
+
+
+def write_sweep_page(path: Path, found: Sweep, last: TimingReport) -> None:
+    """Write the page of a sweep over rates.
+
+    Parameters
+    ----------
+    path
+        The file.
+    found
+        What the plant came to at each rate.
+    last
+        The report of one of the runs: it says on what they were.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    points = [
+        RatePoint(
+            row.rate_hz,
+            row.loop_p50_us / 1e3,
+            row.loop_p99_us / 1e3,
+            row.loop_max_us / 1e3,
+            row.clean,
+        )
+        for row in found.rows
+        if row.loop_p50_us is not None
+        and row.loop_p99_us is not None
+        and row.loop_max_us is not None
+    ]
+    text = [f"{conclusion(found)}.", f"{'; '.join(header_lines(last)[1:])}."]
+    title = f"{last.scenario}: loop time against rate"
+    write_whole(path, html_page(title, text, [_rates_table(found)], [rate_figure(points)]))
+
+
+def page_tables(report: TimingReport) -> list[ReportTable]:
+    """Return the tables of a run: durations, counts, other budgets, and each process."""
+    return [_times_table(report), _counts_table(report), _budgets_table(report), _processes(report)]
+
+
+def percentile_figures(report: TimingReport) -> list[ReportFigure]:
+    """Return the distributions, a figure for each kind of measure, the floor in each."""
+    return [
+        percentile_curves(f"percentiles-{name}", heading, _CAPTION, curves)
+        for name, heading, measures in (
+            ("loop", "Loop time and lateness", (LOOP, "lateness", "response")),
+            ("decision", "Decision time by tier", ("decision",)),
+            ("hop", "Hop latency by signal", ("hop",)),
+        )
+        if (curves := _curves(report, measures))
+    ]
+
+
+def _curves(report: TimingReport, measures: Sequence[str]) -> list[PercentileCurve]:
+    rows = [row for row in report.times if row.measure in measures]
+    curves = [PercentileCurve(_name(row), *curve_ms(row.times.histogram)) for row in rows]
+    floor = [
+        PercentileCurve(f"floor: {entry.name}", *curve_ms(entry.times.histogram), floor=True)
+        for entry in report.floor
+        if entry.times is not None
+    ]
+    return curves + floor if curves else []
+
+
+def _name(row: Times) -> str:
+    return row_name(row) if row.measure in {"decision", "hop"} else f"{row.measure} {row_name(row)}"
+
+
+def _times_table(report: TimingReport) -> ReportTable:
+    verdicts = {(entry.measure, entry.of): entry for entry in reversed(report.verdicts)}
+    rows = []
+    for row in report.times:
+        verdict = verdicts.get((row.measure, row.of))
+        judged = ("", "") if verdict is None else (_ms(verdict.limit), _VERDICT[verdict.passed])
+        figures = (f"{row.times.count:,}", *_figures(percentiles(row.times)), *judged)
+        rows.append((f"{row.measure}: {row_name(row)}", "ms", figures))
+    for floor in report.floor:
+        figures = ("",) * len(_COLUMNS)
+        if floor.times is not None:
+            shown = _figures(percentiles(floor.times))
+            figures = (f"{floor.times.count:,}", *shown, "", "")
+        note = f", {floor.note}" if floor.note else ""
+        rows.append((f"floor: {floor.name}{note}", "ms", figures))
+    meanings = "; ".join(f"{measure}: {meaning}" for measure, meaning in MEANINGS.items())
+    return ReportTable("Durations", _COLUMNS, tuple(rows), f"What they are of. {meanings}.")
+
+
+def _rates_table(found: Sweep) -> ReportTable:
+    columns = (
+        "cycles",
+        "loop p50 [ms]",
+        "loop p99 [ms]",
+        "loop max [ms]",
+        "missed deadlines",
+        "overruns",
+        "lost messages",
+        "CPU [% of a core]",
+        "",
+    )
+    rows = tuple(
+        (
+            f"{row.rate_hz:.4g}",
+            "cycles/s",
+            (
+                f"{row.cycles:,}",
+                *(
+                    "-" if value_us is None else _ms(value_us / 1e3)
+                    for value_us in (row.loop_p50_us, row.loop_p99_us, row.loop_max_us)
+                ),
+                f"{row.missed_deadlines:,}",
+                f"{row.overruns:,}",
+                f"{row.lost_messages:,}",
+                f"{row.cpu_percent:.0f}",
+                "clean" if row.clean else row.failed or "not clean",
+            ),
+        )
+        for row in found.rows
+    )
+    return ReportTable("Rates", columns, rows)
+
+
+def _counts_table(report: TimingReport) -> ReportTable:
+    columns = tuple(tier.tier for tier in report.tiers)
+    rows: Iterable[tuple[str, str, list[str]]] = (
+        ("Processes", "", [f"{tier.processes}" for tier in report.tiers]),
+        ("Missed deadlines", "", [f"{tier.missed_deadlines:,}" for tier in report.tiers]),
+        ("Missing inputs", "", [f"{tier.missing_inputs:,}" for tier in report.tiers]),
+        ("Late words used", "", [f"{tier.late_used:,}" for tier in report.tiers]),
+        ("Dropped messages", "", [f"{tier.dropped:,}" for tier in report.tiers]),
+        ("Overruns", "", [f"{tier.overruns:,}" for tier in report.tiers]),
+        ("Processor time, all", "% of a core", [f"{t.cpu_percent:.1f}" for t in report.tiers]),
+        (
+            "Processor time, highest",
+            "% of a core",
+            [f"{tier.cpu_highest_percent:.1f}" for tier in report.tiers],
+        ),
+        ("Memory, largest", "MB", [f"{tier.resident_mb:.1f}" for tier in report.tiers]),
+    )
+    return ReportTable(
+        "Counts and shares by tier",
+        columns,
+        tuple((name, unit, tuple(values)) for name, unit, values in rows),
+    )
+
+
+def _budgets_table(report: TimingReport) -> ReportTable:
+    rows = tuple(
+        (
+            verdict.line,
+            verdict.unit,
+            (
+                "nothing" if verdict.value is None else f"{verdict.value:,.4g}",
+                f"{verdict.limit:,.4g}",
+                _VERDICT[verdict.passed],
+            ),
+        )
+        for verdict in report.verdicts
+    )
+    return ReportTable("Budgets", ("measured", "at most", ""), rows)
+
+
+def _failures(report: TimingReport) -> list[str]:
+    return [failure(verdict) for verdict in report.verdicts if not verdict.passed]
+
+
+def _processes(report: TimingReport) -> ReportTable:
+    columns = (
+        "slowest decision [ms]",
+        "CPU [% of a core]",
+        "memory [MB]",
+        "times preempted",
+        "missed deadlines",
+        "overruns",
+        "dropped",
+    )
+    rows = tuple(
+        (
+            process.agent if process.agent == process.tier else f"{process.agent} ({process.tier})",
+            "",
+            (
+                _ms(
+                    max(
+                        (row.times.max_us for row in process.times if row.measure == "decision"),
+                        default=0.0,
+                    )
+                    / 1e3
+                ),
+                f"{process.cpu_percent:.1f}",
+                f"{process.resident_mb:.1f}",
+                f"{process.switches_involuntary:,}",
+                f"{sum(process.missed_deadlines.values()):,}",
+                f"{sum(process.overruns.values()):,}",
+                f"{sum(process.dropped.values()):,}",
+            ),
+        )
+        for process in report.processes
+    )
+    return ReportTable("Processes", columns, rows)
+
+
+def _figures(values_us: Sequence[float]) -> list[str]:
+    return [_ms(value_us / 1e3) for value_us in values_us]
+
+
+def _ms(value_ms: float) -> str:
+    return f"{value_ms:,.3f}"

@@ -1,0 +1,77 @@
+"""What the recorder hears of external agents: nobody else can give an account of them.
+
+It is linked with everybody, so it sees whether they are there, and counts what they send.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from agents.lifeline import ExternalAccount
+from agents.plan import RunPlan
+from bus_schemas.messages import Message
+from bus_schemas.signals import Occurrence, Port, ports
+from bus_schemas.tree import CENTRAL, ROOT, depth
+
+
+class ExternalAgents:
+    """The external agents of a run and their messages.
+
+    Parameters
+    ----------
+    plan
+        Of the run.
+
+    Attributes
+    ----------
+    heard
+        Their messages that belong into the recording.
+    """
+
+    def __init__(self, plan: RunPlan) -> None:
+        self.heard = 0
+        self._plan = plan
+        self._agent_of = {plan.keys.alive_key(agent): agent for agent in plan.external}
+        self._recorded: dict[str, Counter[str]] = {agent: Counter() for agent in plan.external}
+        self._lost: Counter[str] = Counter()
+        self._answers: Counter[Port[Message]] = Counter()
+
+    def named(self, alive_key: str) -> str | None:
+        """Return which of them a liveliness token is of, if any."""
+        return self._agent_of.get(alive_key)
+
+    def hear(self, port: Port[Message], gap: int) -> None:
+        """Count a message of the run, and how many its number shows to be missing before it."""
+        recorded = self._recorded.get(port.publisher)
+        if recorded is not None:
+            self.heard += 1
+            recorded[port.signal.name] += 1
+            self._answers[port] += 1
+            self._lost[port.publisher] += gap
+
+    def accounts(self, cycles: int) -> tuple[ExternalAccount, ...]:
+        """Return an account of each of them, after so many cycles."""
+        expected: Counter[str] = Counter()
+        answered: Counter[str] = Counter()
+        for port in ports(self._plan.tree):
+            if port.publisher in self._recorded:
+                due = self._due(port, cycles)
+                expected[port.publisher] += due
+                answered[port.publisher] += min(self._answers[port], due)
+        return tuple(
+            ExternalAccount(
+                agent, dict(recorded), self._lost[agent], expected[agent], answered[agent]
+            )
+            for agent, recorded in self._recorded.items()
+        )
+
+    def _due(self, port: Port[Message], cycles: int) -> int:
+        """How many messages must come on a port in the first cycles, whatever is decided."""
+        match port.signal.occurrence:
+            case Occurrence.CYCLE:
+                return cycles
+            case Occurrence.TURN:
+                node = ROOT if port.publisher == CENTRAL else port.publisher
+                return -(-cycles // self._plan.periods.cycles[depth(node)])
+            case _:
+                return 0

@@ -1,0 +1,156 @@
+"""What processes take of the machine, tried in processes and threads of their own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from typing import TypeVar
+
+import pytest
+
+from agents.machine import (
+    Kind,
+    MachineSettings,
+    refusals,
+    resources_used,
+    scheduling_policy,
+    take_machine,
+)
+
+T = TypeVar("T")
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="policies and CPUs are set on Linux")
+
+
+def in_a_thread(work: Callable[[], T]) -> T:
+    """Do something in a thread of its own: the kernel keeps policy and CPUs thread by thread."""
+    results: list[T] = []
+    thread = threading.Thread(target=lambda: results.append(work()))
+    thread.start()
+    thread.join()
+    return results[0]
+
+
+def place_of(
+    settings: MachineSettings, kind: Kind = "direct", *, lockstep: bool = False
+) -> tuple[tuple[str, ...], str]:
+    """Return what was refused, and policy and CPUs as the kernel has them then."""
+    return in_a_thread(
+        lambda: (take_machine(settings, kind, lockstep=lockstep), scheduling_policy())
+    )
+
+
+def may_run_first() -> bool:
+    return not refusals(MachineSettings(priority=1), lockstep=False)
+
+
+def test_by_default_nothing_is_taken() -> None:
+    refused, policy = place_of(MachineSettings())
+    assert refused == ()
+    assert policy == scheduling_policy()
+
+
+@linux
+def test_a_process_runs_on_its_cpus() -> None:
+    cpu = min(os.sched_getaffinity(0))
+    refused, policy = place_of(MachineSettings(cpus=(cpu,)), lockstep=True)
+    assert refused == ()
+    assert policy == f"other on CPU {cpu}"
+
+
+@linux
+def test_a_kind_of_its_own_cpus_goes_before_those_of_all() -> None:
+    first, last = min(os.sched_getaffinity(0)), max(os.sched_getaffinity(0))
+    settings = MachineSettings(cpus=(first,), cpus_of={"plant": (last,)})
+    assert place_of(settings, "plant")[1] == f"other on CPU {last}"
+    assert place_of(settings, "direct")[1] == f"other on CPU {first}"
+
+
+@linux
+def test_a_cpu_that_is_not_there_is_said_and_the_process_goes_on() -> None:
+    (refused,), policy = place_of(MachineSettings(cpus=(1023,)))
+    assert refused.startswith("CPU 1023: not taken (")
+    assert policy == scheduling_policy()
+
+
+@linux
+def test_priority_is_taken_where_the_machine_permits_it_else_it_is_said() -> None:
+    refused, policy = place_of(MachineSettings(priority=7))
+    if may_run_first():
+        assert (refused, policy.partition(" on")[0]) == ((), "fifo 7")
+    else:
+        assert "CAP_SYS_NICE" in refused[0]
+        assert policy == scheduling_policy()
+
+
+@linux
+def test_without_permission_the_policy_stays_and_the_text_says_what_it_takes() -> None:
+    """A process without privileges, and with a limit of 0, may not run first."""
+    if os.geteuid() != 0:
+        pytest.skip("privileges can be given up by root alone")
+    code = (
+        "import os, resource; resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0)); "
+        "os.setgroups([]); os.setgid(65534); os.setuid(65534); "
+        "from agents.machine import *; "
+        "print(take_machine(MachineSettings(priority=20), 'direct', lockstep=False)); "
+        "print(scheduling_policy())"
+    )
+    # Modules are imported before the privileges go: the folder may be closed to strangers.
+    code = "import agents.machine, traceback; " + code
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    refused, policy = done.stdout.splitlines()
+    assert "priority 20: the kernel refuses SCHED_FIFO (Operation not permitted)" in refused
+    assert "`ulimit -r 20`" in refused
+    assert policy.startswith("other on CPU")
+
+
+@linux
+def test_the_recorder_stands_back_in_real_time() -> None:
+    settings = MachineSettings(priority=7)
+    before = os.getpriority(os.PRIO_PROCESS, 0)
+    _, policy = place_of(settings, "recorder")
+    assert policy.startswith(f"other, nice {before + 5}")
+    assert place_of(settings, "recorder", lockstep=True)[1] == scheduling_policy()
+
+
+@linux
+def test_timers_are_exact_in_real_time() -> None:
+    code = (
+        "import ctypes; from agents.machine import *; "
+        "take_machine(MachineSettings(), 'direct', lockstep=False); "
+        "print(ctypes.CDLL(None).prctl(30))"  # PR_GET_TIMERSLACK
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout.strip() == "1"
+
+
+@linux
+def test_trying_what_is_refused_leaves_this_process_as_it_is() -> None:
+    before = scheduling_policy()
+    cpu = min(os.sched_getaffinity(0))
+    refusals(MachineSettings(cpus=(cpu,), priority=7), lockstep=False)
+    assert scheduling_policy() == before
+
+
+def test_memory_is_that_of_this_process_not_of_the_one_that_started_it() -> None:
+    hoard = bytearray(b"x" * 300_000_000)
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "from agents.machine import resources_used; print(resources_used().resident_mb)",
+        ],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert resources_used().resident_mb > len(hoard) / 1e6
+    assert 5.0 < float(done.stdout) < 150.0

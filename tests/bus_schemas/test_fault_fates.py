@@ -1,0 +1,257 @@
+"""Imperfect links: what becomes of a message is drawn from seed, rule, link and cycle alone."""
+
+from __future__ import annotations
+
+from hashlib import blake2b
+from itertools import pairwise
+from math import nan
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from bus_schemas.errors import InputError
+from bus_schemas.faults import FaultRule, FaultTally, NetworkFaults, check_rule, links
+from bus_schemas.messages import Impp, Run, Telemetry
+from bus_schemas.signals import COMMAND, DISPATCH, IMPP, RUN, SETPOINT, TELEMETRY
+from bus_schemas.tree import CENTRAL, PLANT, ROOT, ControlTree
+
+TREE = ControlTree((("c1/a", 100.0), ("c1/b", 100.0), ("c2/d", 100.0), ("c2/e", 100.0)))
+SECOND_NS = 1_000_000_000
+MANY = 20_000
+"""Messages over which shares are looked at: five standard deviations are below 1.8 % of them."""
+
+
+def at_work(*rules: FaultRule, seed: int = 1) -> NetworkFaults:
+    for rule in rules:
+        check_rule(rule, TREE, "rule")
+    return NetworkFaults(rules, seed, TREE, SECOND_NS)
+
+
+def impp(cycle: int) -> Impp:
+    return Impp(cycle, cycle * SECOND_NS, "c1/a", (), power_kw=5.0, stale_cycles=0)
+
+
+def fates(faults: NetworkFaults, cycles: int = MANY) -> list[tuple[int, ...]]:
+    """What becomes of the IMPP of c1/a on its way to c1."""
+    port = IMPP.of("c1/a")
+    return [faults.fates(port, "c1", impp(cycle)) for cycle in range(cycles)]
+
+
+def delays_ms(faults: NetworkFaults, cycles: int = MANY) -> NDArray[np.float64]:
+    return np.array([delay for fate in fates(faults, cycles) for delay in fate]) / 1e6
+
+
+def test_without_a_rule_for_its_link_a_message_passes_at_once() -> None:
+    faults = at_work(FaultRule(source="c2/*", loss=1.0))
+    assert fates(faults, 3) == [(0,), (0,), (0,)]
+    assert faults.concern("c2")
+    assert not faults.concern("c1")
+
+
+def test_a_share_is_lost_that_is_near_the_one_asked_for() -> None:
+    lost = sum(not fate for fate in fates(at_work(FaultRule(loss=0.1))))
+    assert lost / MANY == pytest.approx(0.1, abs=5 * np.sqrt(0.1 * 0.9 / MANY))
+
+
+def test_losses_of_several_rules_combine_as_independent_ones() -> None:
+    faults = at_work(FaultRule(loss=0.3), FaultRule(listener="c1", loss=0.5))
+    lost = sum(not fate for fate in fates(faults))
+    assert lost / MANY == pytest.approx(1.0 - 0.7 * 0.5, abs=5 * np.sqrt(0.25 / MANY))
+
+
+def test_delays_of_several_rules_add_up() -> None:
+    faults = at_work(FaultRule(delay_ms=20.0), FaultRule(signal="impp", delay_ms=1.5))
+    assert set(fates(faults, 10)) == {(21_500_000,)}
+    command = faults.fates(COMMAND.of("c1/a"), PLANT, impp(0))
+    assert command == (20_000_000,)
+
+
+def test_uniform_delays_fill_their_interval_evenly() -> None:
+    found = delays_ms(at_work(FaultRule(delay_ms=50.0, jitter_ms=20.0)))
+    assert 30.0 <= found.min() < 30.1
+    assert 69.9 < found.max() < 70.0
+    assert found.mean() == pytest.approx(50.0, abs=5 * 20.0 / np.sqrt(3.0 * MANY))
+    assert found.std() == pytest.approx(20.0 / np.sqrt(3.0), rel=0.03)
+
+
+def test_normal_delays_have_their_mean_and_spread() -> None:
+    rule = FaultRule(delay_ms=100.0, jitter_ms=10.0, distribution="normal")
+    found = delays_ms(at_work(rule))
+    assert found.mean() == pytest.approx(100.0, abs=5 * 10.0 / np.sqrt(MANY))
+    assert found.std() == pytest.approx(10.0, rel=0.03)
+    within = np.mean(np.abs(found - 100.0) < 10.0)
+    assert within == pytest.approx(0.6827, abs=5 * np.sqrt(0.25 / MANY))
+
+
+def test_no_delay_is_below_zero() -> None:
+    found = delays_ms(at_work(FaultRule(delay_ms=1.0, jitter_ms=10.0, distribution="normal")))
+    assert found.min() == 0.0
+    assert 0.3 < np.mean(found == 0.0) < 0.6
+
+
+def test_a_doubled_message_comes_twice_each_with_a_delay_of_its_own() -> None:
+    found = fates(at_work(FaultRule(delay_ms=10.0, jitter_ms=10.0, duplicate=0.25)))
+    twice = [fate for fate in found if len(fate) == 2]
+    assert len(twice) / MANY == pytest.approx(0.25, abs=5 * np.sqrt(0.25 * 0.75 / MANY))
+    assert all(first != other for first, other in twice)
+
+
+def test_a_message_held_back_is_overtaken_by_a_later_one() -> None:
+    faults = at_work(FaultRule(delay_ms=10.0, reorder=0.2, reorder_ms=1500.0))
+    arrivals = [cycle * SECOND_NS + delay for cycle, (delay,) in enumerate(fates(faults, 1000))]
+    overtaken = sum(early > late for early, late in pairwise(arrivals))
+    # Held back and followed by one that is not: 0.2 x 0.8.
+    assert 100 < overtaken < 220
+    assert fates(at_work(FaultRule(delay_ms=10.0, reorder=1.0)), 1) == [(20_000_000,)]
+
+
+def test_nothing_arrives_in_a_silent_interval_and_all_outside_of_it() -> None:
+    faults = at_work(FaultRule(silent=((3.0, 5.0), (8.0, 8.5))))
+    silent = [cycle for cycle, fate in enumerate(fates(faults, 12)) if not fate]
+    assert silent == [3, 4, 8]
+
+
+def test_a_silent_interval_counts_on_the_clock_of_the_cycles() -> None:
+    rule = FaultRule(silent=((1.0, 2.0),))
+    faults = NetworkFaults((rule,), 0, TREE, SECOND_NS // 10)
+    silent = [cycle for cycle, fate in enumerate(fates(faults, 40)) if not fate]
+    assert silent == list(range(10, 20))
+
+
+def test_arming_rounds_and_rare_events_always_pass() -> None:
+    faults = at_work(FaultRule(loss=1.0))
+    assert fates(faults, 1) == [()]
+    assert faults.fates(IMPP.of("c1/a"), "c1", impp(-5)) == (0,)
+    start = Run(0, 0, PLANT, (), state="start", start_time_ns=0, cycle_wall_ns=1)
+    assert faults.fates(RUN.of(ROOT), "c1", start) == (0,)
+
+
+@given(
+    seed=st.integers(0, 2**32),
+    order=st.permutations(range(30)),
+    jitter_ms=st.floats(0.0, 1000.0),
+    loss=st.floats(0.0, 1.0),
+    duplicate=st.floats(0.0, 1.0),
+)
+def test_the_fate_of_a_message_does_not_depend_on_what_was_asked_before(
+    seed: int, order: list[int], jitter_ms: float, loss: float, duplicate: float
+) -> None:
+    rule = FaultRule(delay_ms=5.0, jitter_ms=jitter_ms, loss=loss, duplicate=duplicate)
+    one, other = (at_work(rule, seed=seed) for _ in range(2))
+    port = IMPP.of("c1/a")
+    in_order = [one.fates(port, "c1", impp(cycle)) for cycle in range(30)]
+    shuffled = {cycle: other.fates(port, "c1", impp(cycle)) for cycle in order}
+    assert in_order == [shuffled[cycle] for cycle in range(30)]
+
+
+def test_fates_are_the_same_whenever_and_wherever_they_are_drawn() -> None:
+    rule = FaultRule(delay_ms=50.0, jitter_ms=10.0, loss=0.25)
+    # Of the hash of "seed rule link cycle copy" the first word decides on the loss, the fourth on
+    # the jitter. It must be so for ever: recordings are compared with runs of other versions.
+    for cycle, fate in enumerate(fates(at_work(rule), 20)):
+        head = b"1 0 c1/a/impp c1"
+        digest = blake2b(head + cycle.to_bytes(8, "little") + bytes(8)).digest()
+        loss, jitter = (int.from_bytes(digest[at : at + 8], "little") / 2**64 for at in (0, 24))
+        delay_ms = 50.0 + 10.0 * (2.0 * jitter - 1.0)
+        assert fate == (() if loss < 0.25 else (pytest.approx(delay_ms * 1e6, abs=1),))
+
+
+def test_seed_rule_and_link_each_change_the_draw() -> None:
+    rule = FaultRule(delay_ms=50.0, jitter_ms=10.0)
+    first = fates(at_work(rule), 20)
+    assert fates(at_work(rule, seed=2), 20) != first
+    assert fates(at_work(FaultRule(source="c2", delay_ms=1.0), rule), 20) != first
+    of_b = [at_work(rule).fates(IMPP.of("c1/b"), "c1", impp(cycle)) for cycle in range(20)]
+    assert of_b != first
+
+
+def test_the_sequence_number_of_a_message_does_not_matter() -> None:
+    # Over processes a message may have another number than in memory, where another was silent.
+    faults = at_work(FaultRule(delay_ms=50.0, jitter_ms=10.0))
+    port = IMPP.of("c1/a")
+    assert faults.fates(port, "c1", impp(7)) == faults.fates(
+        port, "c1", replace(impp(7), sequence=99)
+    )
+
+
+def test_links_go_from_the_publisher_of_a_cyclic_signal_to_those_who_act_on_it() -> None:
+    found = links(TREE)
+    assert (TELEMETRY.of("c1/a"), "c1/a") in found
+    assert (DISPATCH.of(ROOT), CENTRAL) in found
+    assert (SETPOINT.of("c1"), "c1") in found
+    assert not [port for port, listener in found if listener in {"recorder", port.publisher}]
+
+
+def test_a_tally_counts_what_the_faults_did() -> None:
+    tally = FaultTally()
+    for fate in ((0,), (), (5,), (0, 0), (7, 0)):
+        tally.count(fate)
+    assert tally.as_counts() == {"lost": 1, "duplicated": 2, "delayed": 2}
+    assert FaultTally().as_counts() == {}
+
+
+@pytest.mark.parametrize(
+    ("rule", "complaint"),
+    [
+        (FaultRule(loss=1.2), "rule: loss is 1.2, accepted is a share from 0 to 1"),
+        (FaultRule(loss=nan), "rule: loss is nan, accepted is a share from 0 to 1"),
+        (FaultRule(duplicate=-0.1), "rule: duplicate is -0.1, accepted is a share from 0 to 1"),
+        (FaultRule(delay_ms=-1.0), "rule: delay_ms is -1, accepted is 0 to 3600000"),
+        (FaultRule(delay_ms=nan), "rule: delay_ms is nan, accepted is 0 to 3600000"),
+        (FaultRule(delay_ms=4e6), "rule: delay_ms is 4e\\+06, accepted is 0 to 3600000"),
+        (
+            FaultRule(delay_ms=1.0, jitter_ms=2.0, distribution="fixed"),
+            "jitter_ms is 2 with a fixed delay, accepted are uniform and normal",
+        ),
+        (FaultRule(reorder=0.5), "reorder without a time to hold back for"),
+        (FaultRule(silent=((90.0, 60.0),)), "silent from 90 s to 60 s, accepted is an interval"),
+        (FaultRule(silent=((-1.0, 60.0),)), "silent from -1 s to 60 s, accepted is an interval"),
+        (FaultRule(silent=((1.0, nan),)), "silent from 1 s to nan s, accepted is an interval"),
+        (FaultRule(source="c1/*"), "rule: it does nothing, accepted is a rule with a delay"),
+        (
+            FaultRule(source="c9/*", loss=0.1),
+            "source 'c9/\\*' is no agent of this run, accepted: plant, central, c1, c2, c1/a",
+        ),
+        (FaultRule(listener="inv01", loss=0.1), "listener 'inv01' is no agent of this run"),
+        (FaultRule(listener="recorder", loss=0.1), "listener is the recorder, which hears"),
+        (
+            FaultRule(signal="imp", loss=0.1),
+            "signal 'imp' is not known, accepted: telemetry, dispatch, request, impp, residual, "
+            "help, setpoint, command",
+        ),
+        (FaultRule(signal="run", loss=0.1), "signal 'run' is not cyclic, accepted: telemetry"),
+        (
+            FaultRule(source="c1/a", listener="c2", loss=0.1),
+            "c1/a never sends anything to c2, accepted from c1/a: impp to c1, residual to c1, "
+            "help to c1, command to plant",
+        ),
+        (
+            FaultRule(source="plant", signal="impp", loss=0.1),
+            "plant never sends impp to \\*, accepted from plant: telemetry to c1/a",
+        ),
+    ],
+)
+def test_a_rule_that_cannot_be_meant_is_refused(rule: FaultRule, complaint: str) -> None:
+    with pytest.raises(InputError, match=complaint):
+        check_rule(rule, TREE, "rule")
+
+
+def test_a_rule_for_what_comes_in_at_external_agents_alone_is_refused() -> None:
+    external = ("c1/a", "c1/b")
+    rule = FaultRule(listener="c1/*", signal="telemetry", delay_ms=5.0)
+    with pytest.raises(InputError, match=r"at external agents alone \(c1/a, c1/b\)"):
+        check_rule(rule, TREE, "rule", external)
+    check_rule(FaultRule(signal="telemetry", delay_ms=5.0), TREE, "rule", external)
+    check_rule(FaultRule(source="c1/*", delay_ms=5.0), TREE, "rule", external)
+
+
+def test_telemetry_to_all_below_a_cluster_is_one_rule() -> None:
+    faults = at_work(FaultRule(source="plant", listener="c1/*", signal="telemetry", loss=1.0))
+    telemetry = Telemetry(0, 0, PLANT, (), power_kw=1.0, alpha=1.0, limit_kw=1.0)
+    for leaf in TREE.leaves:
+        fate = faults.fates(TELEMETRY.of(leaf), leaf, telemetry)
+        assert fate == (() if leaf.startswith("c1/") else (0,))

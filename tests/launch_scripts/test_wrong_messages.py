@@ -1,0 +1,49 @@
+"""What recorder and listeners say of wrong messages is brought together by key and cause."""
+
+from __future__ import annotations
+
+from agents.lifeline import Complaint
+from launch_scripts.externals import ExternalOptions
+from launch_scripts.preparation import RunOptions, prepare
+from launch_scripts.scenario import load_scenario
+from launch_scripts.wrong_messages import wrong_messages
+from recordings.complaints import Complaints
+
+OPTIONS = RunOptions(duration="5", external=ExternalOptions(("c1/inv01",)))
+PLAN = prepare(load_scenario("oahu"), OPTIONS, "wrong").plan
+
+
+def test_of_recorder_and_listeners_the_larger_count_holds() -> None:
+    complaints = [Complaint("oahu/c1/inv01/impp", "duplicate", 5, "it came twice in cycle 3")]
+    dropped = [
+        {"c1/inv01/impp": {"duplicate": 4, "late": 2}},
+        {"c1/inv01/impp": {"late": 1}},
+    ]
+    found = wrong_messages(PLAN, complaints, dropped)
+    assert [(w.key, w.cause, w.count) for w in found] == [
+        ("c1/inv01/impp", "duplicate", 5),
+        ("c1/inv01/impp", "late", 3),
+    ]
+    assert found[0].example == "it came twice in cycle 3"
+    assert found[1].example == "of a cycle that was over"
+
+
+def test_what_comes_late_from_processes_is_no_device_s_fault() -> None:
+    assert wrong_messages(PLAN, [], [{"c1/inv04/impp": {"late": 9}}]) == ()
+
+
+def test_complaints_are_told_once_each_counted_all_and_bounded() -> None:
+    log: list[str] = []
+    told: list[Complaint] = []
+    complaints = Complaints(log.append, told.append)
+    for cycle in range(3):
+        complaints.add("oahu/c1/inv01/impp", "absurd", f"power_kw is {cycle - 9}")
+    for number in range(5000):
+        complaints.add(f"oahu/nobody{number}", "unknown", "no such node")
+    assert (log[0], len(log)) == ("oahu/c1/inv01/impp: power_kw is -9", 5003)
+    found = {(entry.key, entry.cause): entry for entry in complaints.all()}
+    assert found["oahu/c1/inv01/impp", "absurd"].count == 3
+    assert found["oahu/c1/inv01/impp", "absurd"].example == "power_kw is -9"
+    assert sum(entry.count for entry in found.values()) == 5003
+    assert len(found) == len(told) <= 202
+    assert complaints.set_aside == 5000, "absurd ones are in the recording"

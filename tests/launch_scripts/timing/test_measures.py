@@ -1,0 +1,83 @@
+"""What processes measured of themselves is gathered by tier, by signal and by process."""
+
+from __future__ import annotations
+
+import pytest
+from msgspec.structs import replace
+from timings_by_hand import TIMINGS, TREE, account, timing
+
+from bus_schemas.tree import ControlTree
+from launch_scripts.timing.measures import (
+    EVERY_COMMAND,
+    WHOLE_LOOP,
+    Tiers,
+    tier_accounts,
+    times_by_tier,
+    times_of,
+)
+
+
+def test_durations_come_in_the_order_of_measures_and_of_a_cycle() -> None:
+    assert [(row.measure, row.of) for row in times_by_tier(TIMINGS, TREE)] == [
+        ("loop", WHOLE_LOOP),
+        ("loop", EVERY_COMMAND),
+        ("decision", "plant begin"),
+        ("decision", "direct estimate"),
+        ("decision", "supervisor report"),
+        ("decision", "central solve"),
+        ("decision", "plant advance"),
+        ("hop", "impp"),
+        ("hop", "command"),
+        ("lateness", "plant begin"),
+        ("jitter", "plant begin"),
+        ("age", "direct estimate"),
+    ]
+
+
+def test_hops_of_a_signal_are_those_of_all_tiers_and_nodes() -> None:
+    rows = {(row.measure, row.of): row for row in times_by_tier(TIMINGS, TREE)}
+    impp = rows["hop", "impp"].times
+    assert impp.count == 3
+    assert impp.min_us == pytest.approx(1_000, rel=0.01)
+    assert impp.max_us == pytest.approx(4_000, rel=0.01)
+    assert rows["decision", "direct estimate"].times.count == 2
+    assert rows["loop", EVERY_COMMAND].times.count == 4
+    assert rows["decision", "direct estimate"].kind == "direct"
+
+
+def test_a_process_has_its_own_rows_port_by_port() -> None:
+    names = [(row.measure, row.of) for row in times_of(TIMINGS[0], TREE)]
+    assert names[:3] == [("loop", ""), ("loop", "c1/a"), ("loop", "c2/d")]
+    assert ("hop", "c1/a/command") in names
+    assert ("hop", "c2/d/command") in names
+
+
+def test_counts_and_shares_are_added_up_by_tier() -> None:
+    accounts = [
+        account(timing("c1/a", {}, missed=3, overruns=1, cpu_s=2.0), dropped=4),
+        account(timing("c2/d", {}, missed=1, cpu_s=5.0), dropped=1),
+        account(timing("plant", {})),
+    ]
+    plant, direct = tier_accounts(accounts, TREE)
+    assert (plant.tier, plant.processes, plant.missed_deadlines) == ("plant", 1, 0)
+    assert (direct.processes, direct.missed_deadlines, direct.overruns) == (2, 4, 1)
+    assert (direct.missing_inputs, direct.late_used, direct.dropped) == (8, 4, 5)
+    assert direct.cpu_percent == pytest.approx(70.0)
+    assert direct.cpu_highest_percent == pytest.approx(50.0)
+
+
+def test_a_process_that_measured_nothing_is_not_counted() -> None:
+    silent = replace(account(timing("c1/a", {})), timing=None)
+    assert tier_accounts([silent], TREE) == ()
+
+
+def test_supervisors_of_several_tiers_are_told_apart() -> None:
+    deep = Tiers(ControlTree((("z1/c1/a", 1.0), ("z1/c2/b", 1.0))))
+    assert [deep.tier(agent) for agent in ("plant", "central", "z1", "z1/c1", "z1/c1/a")] == [
+        "plant",
+        "central",
+        "supervisor 1",
+        "supervisor 2",
+        "direct",
+    ]
+    assert Tiers(TREE).tier("c1") == "supervisor"

@@ -1,0 +1,97 @@
+"""A sweep finds the highest rate that is clean, without trying what it need not."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import pytest
+from rich.console import Console
+from timings_by_hand import TIMINGS, report, timing
+
+from launch_scripts.timing.rates import Rates
+from launch_scripts.timing.sweep import RateRow, Sweep, Timed, print_sweep, rate_row, sweep
+
+
+class Machine:
+    """A machine that keeps up to a rate; it notes what was tried."""
+
+    def __init__(self, highest_hz: float, interrupted_at: float | None = None) -> None:
+        self.tried: list[float] = []
+        self._highest_hz = highest_hz
+        self._interrupted_at = interrupted_at
+
+    def run(self, rate_hz: float) -> tuple[RateRow, bool]:
+        self.tried.append(rate_hz)
+        row = RateRow(rate_hz, 10, 1e3, 2e3, 3e3, clean=rate_hz <= self._highest_hz)
+        return row, rate_hz == self._interrupted_at
+
+
+@pytest.mark.parametrize("highest_hz", [6.0, 37.0, 74.9, 640.0])
+def test_the_highest_clean_rate_is_found_to_ten_percent(highest_hz: float) -> None:
+    machine = Machine(highest_hz)
+    found = sweep(Rates(search_hz=(5.0, 1000.0)), machine.run)
+    assert found.highest_clean_hz is not None
+    assert highest_hz / 1.11 <= found.highest_clean_hz <= highest_hz
+    assert len(machine.tried) <= 13
+    assert [row.rate_hz for row in found.rows] == sorted(machine.tried)
+
+
+def test_the_search_ends_at_the_ends_of_its_range() -> None:
+    slow, fast = Machine(0.5), Machine(1e9)
+    assert sweep(Rates(search_hz=(5.0, 1000.0)), slow.run).highest_clean_hz is None
+    assert slow.tried == [5.0]
+    assert sweep(Rates(search_hz=(30.0, 200.0)), fast.run).highest_clean_hz == 200.0
+    assert fast.tried == [30.0, 60.0, 120.0, 200.0]
+
+
+def test_listed_rates_are_all_tried_and_a_gap_is_not_believed() -> None:
+    def bumpy(rate_hz: float) -> tuple[RateRow, bool]:
+        return RateRow(rate_hz, clean=rate_hz != 10.0), False
+
+    found = sweep(Rates(listed_hz=(5.0, 10.0, 20.0)), bumpy)
+    assert [row.clean for row in found.rows] == [True, False, True]
+
+
+def test_an_interrupted_sweep_keeps_what_it_has() -> None:
+    machine = Machine(1e9, interrupted_at=10.0)
+    found = sweep(Rates(listed_hz=(5.0, 10.0, 20.0)), machine.run)
+    assert (machine.tried, found.interrupted, len(found.rows)) == ([5.0, 10.0], True, 2)
+
+
+def test_a_rate_is_clean_if_nothing_was_missed_overrun_or_lost() -> None:
+    assert rate_row(report()).clean
+    assert rate_row(report()).loop_max_us == pytest.approx(30_000.0, rel=0.01)
+    assert rate_row(report()).cpu_percent == pytest.approx(80.0)
+    assert not rate_row(report(lost=1)).clean
+    assert not rate_row(report(cycles=0)).clean
+    for late in (timing("c2/d", {}, missed=1), timing("c2/d", {}, overruns=1)):
+        assert not rate_row(report((*TIMINGS[:-1], late))).clean
+
+
+def printed(timed: Timed, rates: Rates) -> str:
+    console = Console(file=io.StringIO(), width=100)
+    print_sweep(sweep(rates, timed), console)
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+def test_the_table_names_what_failed_and_the_highest_clean_rate() -> None:
+    def failing(rate_hz: float) -> tuple[RateRow, bool]:
+        if rate_hz > 5.0:
+            return RateRow(rate_hz, failed="recorder has not been heard of for 2 s"), False
+        return RateRow(rate_hz, 75, 10_500.0, 12_250.0, 13_000.0, clean=True), False
+
+    text = printed(failing, Rates(listed_hz=(5.0, 10.0)))
+    assert "10 cycles/s failed: recorder has not been heard of for 2 s" in text
+    assert "highest clean rate: 5 cycles/s" in text
+    assert all(figure in text for figure in ("200.00", "10.50", "12.25", "13.00"))
+    assert "no rate was clean" in printed(Machine(1.0).run, Rates(listed_hz=(5.0, 10.0)))
+
+
+def test_the_document_has_a_row_for_each_rate() -> None:
+    found = sweep(Rates(listed_hz=(5.0, 10.0)), Machine(5.0).run)
+    document = json.loads(found.as_json())
+    assert document["highest_clean_hz"] == 5.0
+    assert [row["clean"] for row in document["rows"]] == [True, False]
+    assert Sweep((), None, interrupted=True).highest_clean_hz is None

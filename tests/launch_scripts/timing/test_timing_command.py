@@ -1,0 +1,95 @@
+"""`heliarch timing` refuses what it cannot do in one line, before anything starts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+from timings_by_hand import report
+from typer.testing import CliRunner
+
+from bus_schemas.errors import InputError
+from launch_scripts.cli import app
+from launch_scripts.preparation import RunOptions, prepare
+from launch_scripts.scenario import load_scenario
+from launch_scripts.timing.timed_run import whole_cycles
+from launch_scripts.timing.timing_command import exit_status
+
+
+def refused(*words: str | Path) -> str:
+    """The one line with which it refuses."""
+    result = CliRunner().invoke(app, ["timing", *map(str, words)])
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("heliarch: ")
+    return line
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--rate", "0"), "--rate 0: accepted is a number above 0"),
+        (("--rate", "5000"), "accepted is at most 1000 cycles/s"),
+        (("--rate", "10", "--duration", "0.05"), "shorter than one cycle, accepted is 0.1 s"),
+        (("--rate", "0.1..5", "--duration", "5s"), "shorter than one cycle, accepted is 10 s"),
+        (("--duration", "soon"), "--duration soon: accepted are seconds above 0"),
+        (("--external", "c9"), "--external c9: this run has no such agent"),
+        (("--study", "--rate", "20"), "--rate: a study runs in memory"),
+        (("--study", "--fault", "loss=1%"), "--fault: a study runs in memory"),
+        (("--set", "commitment.share=0.5"), "--set: it is for a study"),
+        (("--workers", "3"), "--workers: it is for a study"),
+        (("--json", "/absent/x.json"), "accepted is a file in an existing folder, or -"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(
+    words: tuple[str, ...], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert told in refused(*words)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_holds_something_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").touch()
+    assert "it exists already" in refused("--out", tmp_path)
+    assert "it exists already" in refused("--rate", "5,10", "--out", tmp_path)
+
+
+def test_a_budget_that_there_is_none_of_is_refused_with_the_scenario_named(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(load_scenario("oahu").text + "\n[timing.budgets]\nlop_p99_ms = 3\n")
+    line = refused(path)
+    assert f"{path}: timing: budgets.lop_p99_ms: no such budget, accepted are age_p99_ms" in line
+    assert "loop_p99_ms" in line
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "duration", "cycles"),
+    [(10.0, "4s", 40), (3.0, "1m", 180), (7.0, "0.5", 4), (0.5, "2s", 1), (30.0, "10m", 18_000)],
+)
+def test_a_duration_is_a_whole_number_of_cycles(rate_hz: float, duration: str, cycles: int) -> None:
+    assert whole_cycles(rate_hz, duration) == cycles
+
+
+def test_of_less_than_a_cycle_there_is_nothing_to_measure() -> None:
+    with pytest.raises(InputError, match=r"accepted is 2 s or more at 0\.5 cycles/s"):
+        whole_cycles(0.5, "1s")
+
+
+def test_the_rate_changes_neither_clusters_nor_neighbours() -> None:
+    scenario = load_scenario("oahu")
+    slow = prepare(scenario, RunOptions("12:30", "2s"), "slow").plan
+    fast = prepare(scenario, RunOptions("12:30", "2s", pace=1.0, cycle_s=0.05), "fast").plan
+    assert (slow.cycles, fast.cycles) == (2, 40)
+    assert (fast.cycle_ns, fast.cycle_wall_ns) == (50_000_000, 50_000_000)
+    assert fast.inverters == slow.inverters
+    assert fast.neighbourhoods == slow.neighbourhoods
+
+
+def test_the_exit_status_tells_kept_not_kept_and_interrupted() -> None:
+    kept, broken = report(), report(lost=1)
+    assert exit_status(kept) == 0
+    assert exit_status(broken) == 1
+    assert exit_status(replace(kept, interrupted=True)) == 130

@@ -1,0 +1,199 @@
+"""Devices that share no code with the project, in the place of agents, as real processes."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+from misbehaving_device import FIRST_ABSURD
+from msgspec.structs import replace
+from running import Heliarch, assert_none_left
+from test_launch import decisions, summary_of
+
+from bus_schemas.messages import Message, Production
+from bus_schemas.signals import COMMAND, HELP, IMPP, PRODUCTION, RESIDUAL, SETPOINT, Port
+from launch_scripts.preparation import RunOptions, prepare
+from launch_scripts.scenario import load_scenario
+from launch_scripts.simulation import MemoryRun
+from launch_scripts.summary import RunSummary
+from launch_scripts.verification.comparison import Comparison
+from launch_scripts.verification.verification import Verification, verify
+from recordings.reader import RunReader
+
+pytestmark = pytest.mark.processes
+
+Start = Callable[..., Heliarch]
+Device = Callable[..., subprocess.Popen[bytes]]
+
+REPOSITORY = Path(__file__).parents[2]
+CONTROLLER = REPOSITORY / "examples" / "direct_controller.py"
+PLANT = REPOSITORY / "examples" / "plant.py"
+MISBEHAVING = Path(__file__).with_name("misbehaving_device.py")
+NODE = "c1/inv01"
+LOCKSTEP = ("oahu", "--duration", "25", "--seed", "3", "--scheme", "paper")
+
+Decisions = dict[tuple[str, int], Message]
+
+
+@cache
+def our_decisions() -> Decisions:
+    """What Heliarch's own controllers decide in the same run, in memory."""
+    options = RunOptions(duration="25", seed=3, scheme="paper")
+    preparation = prepare(load_scenario("oahu"), options, "ours")
+    found: Decisions = {}
+
+    def hear(port: Port[Message], message: Message) -> None:
+        if port.signal in {IMPP, RESIDUAL, HELP, SETPOINT, COMMAND}:
+            found[str(port), message.cycle] = replace(message, publish_time_ns=0)
+
+    for _ in MemoryRun(preparation.plan, preparation.profile, hear).cycles():
+        pass
+    return found
+
+
+@pytest.fixture
+def device() -> Iterator[Device]:
+    """Start programs; none outlives the test."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(program: Path, *words: object) -> subprocess.Popen[bytes]:
+        started.append(subprocess.Popen([sys.executable, str(program), *map(str, words)]))
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def controller(device: Device, run: Heliarch) -> subprocess.Popen[bytes]:
+    return device(CONTROLLER, "--plan", run.folder / "plan.json", "--node", NODE)
+
+
+def verified(run: Heliarch) -> Verification:
+    return verify(run.folder, (), Comparison())
+
+
+def wrong(summary: RunSummary) -> dict[tuple[str, str], int]:
+    return {(entry.key, entry.cause): entry.count for entry in summary.wrong}
+
+
+def test_the_example_controller_decides_bit_for_bit_what_ours_decides(
+    heliarch: Start, device: Device
+) -> None:
+    run = heliarch("launch", *LOCKSTEP, "--external", NODE)
+    process = controller(device, run)
+    right = our_decisions()
+    assert run.wait() == 0, run.error_text()
+    assert decisions(run.folder) == right
+    assert process.wait(timeout=20) == 0
+    summary = summary_of(run.folder)
+    (account,) = summary.external
+    assert (account.agent, account.lost, account.expected, account.answered) == (NODE, 0, 75, 75)
+    assert (summary.lost, summary.wrong) == (0, ())
+    found = verified(run)
+    assert found.equal
+    assert list(found.external) == [NODE]
+    assert_none_left(run.folder)
+
+
+def test_in_real_time_a_device_may_die_and_come_back(heliarch: Start, device: Device) -> None:
+    words = ("--duration", "60", "--pace", "10", "--external", NODE)
+    run = heliarch("launch", "oahu", *words)
+    first = controller(device, run)
+    run.until_running()
+    first.send_signal(signal.SIGKILL)
+    run.until(said(run, f"{NODE} (external) is gone in cycle"), "word that the device is gone")
+    controller(device, run)
+    run.until(said(run, f"{NODE} (external) is back in cycle"), "word that the device is back")
+    run.wait()  # On a slow machine messages of the others may get lost: then the run says so.
+    assert "the run goes on without it" in run.output.read_text()
+    summary = summary_of(run.folder)
+    assert summary.cycles == 60
+    (account,) = summary.external
+    assert 0 < account.answered < account.expected
+    with RunReader(run.folder) as reader:
+        last = [message for port, message in reader.messages(IMPP) if port.node == NODE][-1]
+    assert last.sequence < last.cycle, "it began to count anew when it came back"
+    assert_none_left(run.folder)
+
+
+def said(run: Heliarch, text: str) -> Callable[[], bool]:
+    return lambda: text in run.output.read_text()
+
+
+def test_the_example_plant_conducts_our_controllers(heliarch: Start, device: Device) -> None:
+    run = heliarch("launch", "oahu", "--duration", "20", "--pace", "10", "--external", "plant")
+    process = device(PLANT, "--plan", run.folder / "plan.json")
+    run.wait()
+    assert process.wait(timeout=20) == 0
+    assert "armed: cycle 0 began" in run.output.read_text()
+    summary = summary_of(run.folder)
+    assert summary.cycles == 20
+    assert [account.agent for account in summary.external] == ["plant"]
+    assert summary.wrong == ()
+    with RunReader(run.folder) as reader:
+        heard = [message for _, message in reader.messages(PRODUCTION)]
+    powers_kw = [(m.desired_kw, m.delivered_kw) for m in heard if isinstance(m, Production)]
+    assert len(powers_kw) == 20
+    assert all(0.0 < delivered <= 1.1 * desired for desired, delivered in powers_kw[1:])
+    assert "plant" not in verified(run).accounts
+    assert_none_left(run.folder)
+
+
+def test_a_device_that_does_everything_wrong_is_named_and_contained(
+    heliarch: Start, device: Device
+) -> None:
+    run = heliarch("launch", *LOCKSTEP, "--external", NODE)
+    device(MISBEHAVING, run.folder / "plan.json", NODE)
+    right = our_decisions()
+    assert run.wait() == 0, run.error_text()
+    contained(decisions(run.folder), right)
+    summary = summary_of(run.folder)
+    found = wrong(summary)
+    assert found[f"{NODE}/impp", "undecodable"] == 8
+    assert found[f"{NODE}/impp", "foreign"] == 1
+    assert found["c1/inv04/impp", "foreign"] == 1
+    assert found["c1/nobody/impp", "unknown"] == 1
+    assert found[f"{NODE}/impp", "other_cycle"] == 2
+    assert found[f"{NODE}/impp", "duplicate"] > 10
+    assert found[f"{NODE}/impp", "absurd"] == found[f"{NODE}/command", "absurd"] == 5
+    assert summary.lost == 0
+    log = (run.folder / "logs" / "c1.log").read_text()
+    for complaint in ("does not decode", "is from 'central'", "came twice", "of a node or signal"):
+        assert complaint in log
+    assert f"wrong message on oahu/{NODE}/impp: power_kw is" in run.output.read_text()
+    largest_mb = max(use.resident_median_mb for use in summary.memory)
+    assert largest_mb < 150.0, "a flood fills no memory"
+    assert verified(run).equal
+    assert_none_left(run.folder)
+
+
+def contained(launched: Decisions, right: Decisions) -> None:
+    """Up to the first absurd number in place of a right one nobody decides otherwise."""
+    early = {place: message for place, message in launched.items() if place[1] < FIRST_ABSURD}
+    assert early == {place: right[place] for place in right if place[1] < FIRST_ABSURD}
+    assert len(launched) >= len(early) > 1000
+
+
+def test_a_device_that_never_comes_is_named_with_where_it_should_have_come(
+    heliarch: Start,
+) -> None:
+    words = ("--external", NODE, "--external-timeout", "2.5")
+    run = heliarch("launch", "oahu", "--duration", "20", *words)
+    assert run.wait() == 1
+    plan = json.loads((run.folder / "plan.json").read_text())
+    text = run.error_text()
+    assert f"no sign of {NODE} after 2.5 s" in text
+    for agent in ("recorder", "plant", "c1"):
+        assert f"tcp/127.0.0.1:{plan['tcp_ports'][agent]} ({agent})" in text
+    assert f"namespace {plan['run_id']}" in text
+    assert f"liveliness token oahu/{NODE}/alive" in text
+    assert str(run.folder / "plan.json") in text
+    assert_none_left(run.folder)

@@ -1,0 +1,105 @@
+"""`heliarch timing` on a plant of real processes: every row is there, and nothing is left over."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from running import Heliarch, assert_none_left
+
+from launch_scripts.scenario import load_scenario
+from recordings.reader import RunReader
+
+pytestmark = pytest.mark.processes
+
+Start = Callable[..., Heliarch]
+
+STAGES = {
+    "plant": {"begin", "advance"},
+    "central": {"request", "solve"},
+    "supervisor": {"request", "report", "solve"},
+    "direct": {"estimate", "actuate"},
+}
+SIGNALS = {"telemetry", "dispatch", "request", "impp", "residual", "setpoint", "command"}
+
+IMPOSSIBLE = """
+[timing.budgets]
+loop_p99_ms = 0.001
+missed_deadlines = 1_000_000
+overruns = 1_000_000
+"""
+
+
+def probes_of(run_id: str) -> list[psutil.Process]:
+    """Probes of the floor beside a run: told by the namespace in their arguments."""
+    return [
+        process
+        for process in psutil.process_iter(["cmdline"])
+        if any(f"floor-{run_id}" in word for word in process.info["cmdline"] or [])
+    ]
+
+
+def test_a_timed_run_has_all_rows_its_floor_and_the_budget_that_it_broke(
+    heliarch: Start, tmp_path: Path
+) -> None:
+    scenario = tmp_path / "oahu.toml"
+    scenario.write_text(load_scenario("oahu").text + IMPOSSIBLE)
+    run = heliarch(
+        "timing", str(scenario), "--rate", "10", "--duration", "4s", "--json", "-", "--report"
+    )
+    assert run.wait() == 1, run.error_text()
+    report: dict[str, Any] = json.loads(run.output.read_bytes())
+
+    rows = {(row["measure"], row["of"]): row["times"] for row in report["times"]}
+    decided = {of for measure, of in rows if measure == "decision"}
+    assert decided == {f"{tier} {stage}" for tier in STAGES for stage in STAGES[tier]}
+    assert {of for measure, of in rows if measure == "hop"} - {"help"} == SIGNALS
+    assert {measure for measure, _ in rows} >= {"loop", "lateness", "jitter", "age"}
+    assert rows["loop", "all commands"]["count"] == report["cycles"] == 40
+    assert rows["loop", "each command"]["count"] == 40 * 17
+    assert {row["times"]["min_us"] >= 0.0 for row in report["times"]} == {True}
+
+    assert {tier["tier"]: tier["processes"] for tier in report["tiers"]} == {
+        "plant": 1,
+        "central": 1,
+        "supervisor": 3,
+        "direct": 17,
+    }
+    floor = {row["name"]: row for row in report["floor"]}
+    assert floor["timer"]["times"]["count"] >= 20
+    assert floor["Zenoh round trip"]["times"]["count"] >= 20
+    assert floor["cyclictest"]["times"] or floor["cyclictest"]["note"]
+    assert report["host"]["kernel"]
+    assert [len(report["slowest_cycles"]), len(report["processes"])] == [3, 22]
+
+    (failed,) = [v for v in report["verdicts"] if v["line"] == "loop all commands p99"]
+    assert (failed["passed"], report["passed"]) == (False, False)
+    assert "FAIL: " in run.error_text()
+    assert "loop all commands p99" in run.error_text()
+
+    page = (run.folder / "timing.html").read_text(encoding="utf-8")
+    assert "Who waited for whom in cycle" in page
+    with RunReader(run.folder) as reader:
+        assert reader.last_cycle == 39
+    assert_none_left(run.folder)
+    assert probes_of(report["run_id"]) == []
+
+
+def test_what_was_measured_up_to_an_interruption_is_told(heliarch: Start) -> None:
+    run = heliarch("timing", "oahu", "--rate", "10", "--duration", "10m")
+    run.until_running()
+    run_id = json.loads((run.folder / "plan.json").read_bytes())["run_id"]
+    assert len(probes_of(run_id)) == 3
+    run.process.send_signal(signal.SIGINT)
+    assert run.wait() == 130, run.error_text()
+    told = run.output.read_text(encoding="utf-8")
+    assert "interrupted" in told
+    assert "decision [" in told
+    assert "floor [" in told
+    assert_none_left(run.folder)
+    assert probes_of(run_id) == []

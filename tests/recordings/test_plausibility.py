@@ -1,0 +1,102 @@
+"""Numbers that cannot be right are named; all that the plant and its controllers say is right."""
+
+from __future__ import annotations
+
+from math import inf, nan
+
+import pytest
+from msgspec.structs import replace
+
+from agents.plan import RunPlan
+from bus_schemas.messages import (
+    Command,
+    Dispatch,
+    Help,
+    Impp,
+    Message,
+    Production,
+    Residual,
+    Setpoint,
+    Telemetry,
+)
+from bus_schemas.signals import (
+    COMMAND,
+    DISPATCH,
+    HELP,
+    IMPP,
+    PRODUCTION,
+    RESIDUAL,
+    SETPOINT,
+    TELEMETRY,
+    Port,
+)
+from bus_schemas.tree import ROOT
+from launch_scripts.preparation import RunOptions, prepare
+from launch_scripts.scenario import load_scenario
+from launch_scripts.simulation import MemoryRun
+from recordings.plausibility import absurdity
+
+PREPARED = prepare(load_scenario("oahu"), RunOptions(duration="20"), "plausible")
+PLAN: RunPlan = PREPARED.plan
+LEAF = PLAN.tree.leaves[0]
+RATING_KW = PLAN.tree.rating_kw(LEAF)
+HEAD = (3, PLAN.sim_time_ns(3), "somebody", ())
+
+
+def test_nothing_that_a_run_says_is_absurd() -> None:
+    said: list[tuple[Port[Message], str]] = []
+
+    def hear(port: Port[Message], message: Message) -> None:
+        said.append((port, absurdity(PLAN, port, message)))
+
+    for _ in MemoryRun(PLAN, PREPARED.profile, hear).cycles():
+        pass
+    assert len(said) > 2000
+    assert [(str(port), what) for port, what in said if what] == []
+
+
+@pytest.mark.parametrize("power_kw", [nan, inf, -inf, -1.0, 1e9])
+def test_powers_outside_of_what_the_inverter_can_are_named(power_kw: float) -> None:
+    absurd: list[tuple[Port[Message], Message]] = [
+        (IMPP.of(LEAF), Impp(*HEAD, power_kw=power_kw, stale_cycles=0)),
+        (RESIDUAL.of(LEAF), Residual(*HEAD, power_kw=power_kw * 1e3)),
+        (HELP.of(LEAF), Help(*HEAD, missing_kw=power_kw)),
+        (SETPOINT.of(LEAF), Setpoint(*HEAD, power_kw=power_kw, share_kw=0.0, help_given=())),
+        (COMMAND.of(LEAF), Command(*HEAD, alpha=1.0, power_kw=power_kw)),
+        (TELEMETRY.of(LEAF), Telemetry(*HEAD, power_kw=power_kw, alpha=1.0, limit_kw=0.0)),
+        (
+            DISPATCH.of(ROOT),
+            Dispatch(*HEAD, power_kw=power_kw, commitment_kw=0.0, regulation_kw=0.0),
+        ),
+    ]
+    for port, message in absurd:
+        assert f"is {power_kw * (1e3 if port.signal is RESIDUAL else 1):g}, accepted is" in (
+            absurdity(PLAN, port, message)
+        )
+
+
+@pytest.mark.parametrize("alpha", [nan, 0.0, -0.1, 1.01])
+def test_an_alpha_outside_0_to_1_is_named(alpha: float) -> None:
+    command = Command(*HEAD, alpha=alpha, power_kw=0.0)
+    assert absurdity(PLAN, COMMAND.of(LEAF), command).startswith("alpha is")
+
+
+def test_a_simulated_time_that_is_not_the_cycles_is_named() -> None:
+    good = Impp(*HEAD, power_kw=RATING_KW, stale_cycles=0)
+    assert absurdity(PLAN, IMPP.of(LEAF), good) == ""
+    assert "sim_time_ns is 7" in absurdity(PLAN, IMPP.of(LEAF), replace(good, sim_time_ns=7))
+
+
+@pytest.mark.parametrize(("entries", "total_kw"), [(16, 1.0), (17, nan), (0, 1.0)])
+def test_a_production_of_other_inverters_or_without_numbers_is_named(
+    entries: int, total_kw: float
+) -> None:
+    production = Production(
+        *HEAD,
+        desired_kw=1.0,
+        possible_kw=total_kw,
+        delivered_kw=1.0,
+        inverter_mpp_kw=(1.0,) * entries,
+        inverter_power_kw=(1.0,) * entries,
+    )
+    assert absurdity(PLAN, PRODUCTION.of(ROOT), production)
