@@ -26,6 +26,9 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
 
     Attributes
     ----------
+    dispatched
+        Whether there was a dispatch that could be used. Before, nothing is asked of the children,
+        and nothing is held back.
     dispatch_kw
         The last dispatch that could be used.
     request_kw
@@ -36,6 +39,7 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
         The children's last reports.
     """
 
+    dispatched: bool
     dispatch_kw: float
     request_kw: float
     refused_dispatches: int
@@ -67,7 +71,7 @@ class CentralController:
 
     def initial_state(self) -> CentralState:
         """Nothing dispatched, nothing reported."""
-        return CentralState(0.0, 0.0, 0, self._family.no_reports())
+        return CentralState(False, 0.0, 0.0, 0, self._family.no_reports())
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages: it hears the operator and its children in every cycle."""
@@ -97,19 +101,22 @@ class CentralController:
         dispatch = turn.get(self._dispatch)
         if dispatch is None:
             return state, []
-        usable_kw, complaint = self._usable_dispatch(dispatch, state.dispatch_kw)
+        usable_kw, complaint = self._usable_dispatch(dispatch, state)
+        if usable_kw is not None:
+            state = replace(state, dispatched=True, dispatch_kw=usable_kw)
         if not complaint:
-            return replace(state, dispatch_kw=usable_kw), []
+            return state, []
         refused = state.refused_dispatches + 1
         notice = Notice(*turn.stamp, text=complaint, count=refused)
-        state = replace(state, dispatch_kw=usable_kw, refused_dispatches=refused)
-        return state, [(self._notice, notice)]
+        return replace(state, refused_dispatches=refused), [(self._notice, notice)]
 
-    def _usable_dispatch(self, dispatch: Dispatch, last_kw: float) -> tuple[float, str]:
+    def _usable_dispatch(self, dispatch: Dispatch, state: CentralState) -> tuple[float | None, str]:
         power_kw, rating_kw = dispatch.power_kw, self._family.rating_kw
         if not isfinite(power_kw):
             text = f"dispatch of {power_kw:g} kW refused, accepted is 0 to {rating_kw:g} kW: "
-            return last_kw, text + f"{last_kw:g} kW still holds"
+            if not state.dispatched:
+                return None, text + "there was none before it, nothing is held back"
+            return None, text + f"{state.dispatch_kw:g} kW still holds"
         if power_kw < 0.0:
             # Regulation downwards may ask for more than there is to take back.
             return 0.0, f"dispatch of {power_kw:.10g} kW clamped to 0 kW"
@@ -124,5 +131,6 @@ class CentralController:
         reports = self._family.listen(turn, state.reports, state.request_kw)
         outputs = self._family.report_up(turn, reports)
         if self._periods.is_turn(ROOT, turn.cycle):
-            outputs += self._family.divide(turn, state.dispatch_kw, reports)
+            target_kw = state.dispatch_kw if state.dispatched else self._family.rating_kw
+            outputs += self._family.divide(turn, target_kw, reports)
         return replace(state, reports=reports), outputs

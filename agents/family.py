@@ -12,11 +12,12 @@ from math import fsum
 from typing import Final
 
 import msgspec
+from msgspec.structs import replace
 
 from agents.agent import Turn
 from agents.control.allocation import Allocation, allocate, lent_power_kw
 from agents.control.neighbours import HelpOrder, help_order
-from agents.control.request import split_by_capacity
+from agents.control.request import residual_kw, split_by_capacity
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import (
     Help,
@@ -31,15 +32,26 @@ from bus_schemas.signals import HELP, IMPP, REQUEST, RESIDUAL, SETPOINT, Port
 
 
 class Report(msgspec.Struct, frozen=True, gc=False):
-    """What a child last said of itself, and for how many cycles it has been silent since."""
+    """What a child last said of itself.
+
+    Attributes
+    ----------
+    impp_kw, residual_kw, stale_cycles
+        What it said.
+    silent_cycles
+        For how many cycles nothing has come of it since.
+    age_cycles
+        How many cycles ago it said so. In lockstep 0.
+    """
 
     impp_kw: float
     residual_kw: float
     stale_cycles: int
     silent_cycles: int
+    age_cycles: int
 
 
-NO_REPORT: Final = Report(0.0, 0.0, 0, 1 << 30)
+NO_REPORT: Final = Report(0.0, 0.0, 0, 1 << 30, 1 << 30)
 """Of a child that never spoke: silent for longer than anything holds."""
 
 
@@ -77,7 +89,8 @@ class Family:
         For how many cycles a silent child's last report holds. Then it counts as zero, and its
         share is given to the others.
     lends
-        Whether it gives its children what they lack as well, since they act between its turns.
+        Whether it always gives its children what they lack as well, since they act between its
+        turns.
     """
 
     def __init__(
@@ -137,8 +150,8 @@ class Family:
     def listen(self, turn: Turn, last: tuple[Report, ...], request_kw: float) -> tuple[Report, ...]:
         """Take up what the children report in this cycle.
 
-        A silent one's last report holds for a while. Then it has nothing, and so lacks all that
-        is asked of it: its share of the node's request.
+        One whose IMPP does not come is silent. Its last report holds for a while. Then it has
+        nothing, and so lacks all that is asked of it: its share of the node's request.
         """
         return tuple(
             self._report(turn, place, report, request_kw) for place, report in enumerate(last)
@@ -147,13 +160,32 @@ class Family:
     def _report(self, turn: Turn, place: int, last: Report, request_kw: float) -> Report:
         impp_port, residual_port = self._child_ports[place]
         impp, residual = turn.get(impp_port), turn.get(residual_port)
-        if impp and residual and _plausible(impp, residual, self.capacities_kw[place]):
-            return Report(impp.power_kw, residual.power_kw, impp.stale_cycles, 0)
-        silent_cycles = last.silent_cycles + 1
+        if impp is not None:
+            left_kw = self._left_kw(impp, residual, place, request_kw)
+            if _plausible(impp.power_kw, left_kw, self.capacities_kw[place]):
+                age_cycles = turn.cycle - impp.cycle
+                return Report(impp.power_kw, left_kw, impp.stale_cycles, 0, age_cycles)
+        silent_cycles, age_cycles = last.silent_cycles + 1, last.age_cycles + 1
         if silent_cycles > self.hold_cycles:
-            share_kw = split_by_capacity(request_kw, self.capacities_kw)[place]
-            return Report(0.0, -share_kw, last.stale_cycles, silent_cycles)
-        return Report(last.impp_kw, last.residual_kw, last.stale_cycles, silent_cycles)
+            lacks_kw = self._share_kw(place, request_kw)
+            return Report(0.0, -lacks_kw, last.stale_cycles, silent_cycles, age_cycles)
+        return replace(last, silent_cycles=silent_cycles, age_cycles=age_cycles)
+
+    def _left_kw(
+        self, impp: Impp, residual: Residual | None, place: int, request_kw: float
+    ) -> float:
+        """Return what a child has left of its IMPP (eq. 4), worked out if it did not say so.
+
+        A residual of another cycle than the IMPP is of another IMPP. What is worked out refers to
+        the request that holds now, as the node's own residual does: whatever the child had been
+        told when it spoke, this is what it is to meet.
+        """
+        if residual is not None and residual.cycle == impp.cycle:
+            return residual.power_kw
+        return residual_kw(impp.power_kw, self._share_kw(place, request_kw))
+
+    def _share_kw(self, place: int, power_kw: float) -> float:
+        return split_by_capacity(power_kw, self.capacities_kw)[place]
 
     def report_up(self, turn: Turn, reports: tuple[Report, ...]) -> list[Delivery]:
         """Say of the node what its children say of themselves: the sums (eq. 2).
@@ -163,23 +195,28 @@ class Family:
         """
         impp_port, residual_port, help_port = self._own_ports
         impp_kw = fsum(report.impp_kw for report in reports)
-        residual_kw = fsum(report.residual_kw for report in reports)
+        left_kw = fsum(report.residual_kw for report in reports)
         stale_cycles = max(report.stale_cycles for report in reports)
         outputs: list[Delivery] = [
             (impp_port, Impp(*turn.stamp, power_kw=impp_kw, stale_cycles=stale_cycles)),
-            (residual_port, Residual(*turn.stamp, power_kw=residual_kw)),
+            (residual_port, Residual(*turn.stamp, power_kw=left_kw)),
         ]
-        if residual_kw < 0.0:
-            outputs.append((help_port, Help(*turn.stamp, missing_kw=-residual_kw)))
+        if left_kw < 0.0:
+            outputs.append((help_port, Help(*turn.stamp, missing_kw=-left_kw)))
         return outputs
 
     def divide(self, turn: Turn, target_kw: float, reports: tuple[Report, ...]) -> list[Delivery]:
-        """Give each child its setpoint out of the node's target (step 4)."""
+        """Give each child its setpoint out of the node's target (step 4).
+
+        Where a report is of an earlier cycle nobody knows what there is now, or at the beginning
+        anything at all: then too the children are lent what they seem to lack.
+        """
         impp_kw = [report.impp_kw for report in reports]
         allocation = allocate(
             target_kw, self.capacities_kw, impp_kw, self._order_at(turn.sim_time_ns)
         )
-        powers_kw = lent_power_kw(allocation, impp_kw) if self.lends else allocation.power_kw
+        lends = self.lends or any(report.age_cycles for report in reports)
+        powers_kw = lent_power_kw(allocation, impp_kw) if lends else allocation.power_kw
         help_given = self._help_given(allocation)
         return [
             (
@@ -206,10 +243,9 @@ class Family:
         return self._orders[max(place, 0)] if self._orders else self._default_order
 
 
-def _plausible(impp: Impp, residual: Residual, capacity_kw: float) -> bool:
+def _plausible(impp_kw: float, left_kw: float, capacity_kw: float) -> bool:
     # A child that claims a NaN, a negative or more than its rating counts as silent. The sum of
     # a cluster's IMPP may exceed the sum of its ratings by a rounding error. The residual is the
     # IMPP less a request between 0 and the rating.
     rating_kw = capacity_kw * (1.0 + 1e-9)
-    possible = 0.0 <= impp.power_kw <= rating_kw
-    return possible and -rating_kw <= residual.power_kw <= impp.power_kw
+    return 0.0 <= impp_kw <= rating_kw and -rating_kw <= left_kw <= impp_kw

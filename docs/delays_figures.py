@@ -51,7 +51,8 @@ def draw(study: dict[str, Any], picture: Path) -> None:
             if merit == "score":
                 panel.set_xlabel(unit)
             if merit == "mileage_kw_per_h":
-                panel.set_yscale("log")
+                panel.set_ylim(bottom=0.0)
+                panel.yaxis.set_major_formatter("{x:,.0f}")
         row[0].set_ylabel(what)
         row[0].tick_params(axis="y", labelsize=8)
     panels[0][0].legend(loc="upper left", frameon=False)

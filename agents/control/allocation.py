@@ -81,8 +81,9 @@ def lent_power_kw(allocation: Allocation, impp_kw: Sequence[float]) -> tuple[flo
 
     A child that acts between its parent's turns keeps the power it was given until the next one. If
     the children together lack power, that is all they have at this moment; once a cloud has gone,
-    nobody may use what comes back. So each needy child is given its part of what is missing, and
-    meets it as soon as it can. Together they are given the target itself, never more.
+    nobody may use what comes back. Nor does anybody know it of a child whose report is old. So each
+    needy child is given its part of what is missing, and meets it as soon as it can. Together they
+    are given the target itself, never more.
 
     Parameters
     ----------

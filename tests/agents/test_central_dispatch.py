@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import pytest
-from plants_by_hand import CYCLE_NS, plan_of
+from plants_by_hand import CYCLE_NS, at, plan_of, report, tell
 
 from agents.sequencer import Sequencer
-from agents.team import central_controller
+from agents.team import Controller, central_controller
 from bus_schemas.messages import Dispatch, Message, Notice, Request
-from bus_schemas.signals import DISPATCH, NOTICE, REQUEST, Port
+from bus_schemas.signals import DISPATCH, HELP, NOTICE, REQUEST, SETPOINT, Port
 from bus_schemas.tree import ROOT
 
 PLAN = plan_of({"a": 100.0, "b": 300.0})
@@ -68,10 +68,40 @@ def test_a_dispatch_that_makes_no_sense_is_refused_and_the_last_one_holds(
 
 
 def test_before_the_first_good_dispatch_nothing_is_asked() -> None:
-    assert asked_and_noticed(math.nan) == (
-        [0.0],
-        [("dispatch of nan kW refused, accepted is 0 to 400 kW: 0 kW still holds", 1)],
+    text = (
+        "dispatch of nan kW refused, accepted is 0 to 400 kW: there was none before it, nothing is "
+        "held back"
     )
+    assert asked_and_noticed(math.nan) == ([0.0], [(text, 1)])
+
+
+def test_a_dispatch_of_zero_is_one() -> None:
+    asked_kw, noticed = asked_and_noticed(0.0, math.nan)
+    assert asked_kw == [0.0, 0.0]
+    assert noticed[0][0].endswith(": 0 kW still holds")
+
+
+def in_cycle_0_without_dispatch() -> Sequencer[object]:
+    agent: Controller = central_controller(PLAN)
+    central: Sequencer[object] = Sequencer(agent, PLAN.sim_time_ns, lockstep=False, horizon=1)
+    central.enter(0)
+    asked = dict(central.close_stage())
+    assert at(asked, REQUEST.of("a")).power_kw == 0.0
+    assert at(asked, REQUEST.of("b")).power_kw == 0.0
+    return central
+
+
+def test_before_the_first_dispatch_nothing_is_held_back() -> None:
+    central = in_cycle_0_without_dispatch()
+    said = tell(central, *report("a", 0, 80.0, 80.0), *report("b", 0, 90.0, 90.0))
+    assert [at(said, SETPOINT.of(child)).power_kw for child in ("a", "b")] == [80.0, 90.0]
+    assert HELP.of(ROOT) not in said
+
+
+def test_before_the_first_dispatch_and_the_first_report_nothing_is_held_back() -> None:
+    said = dict(in_cycle_0_without_dispatch().close_stage())
+    assert [at(said, SETPOINT.of(child)).power_kw for child in ("a", "b")] == [100.0, 300.0]
+    assert HELP.of(ROOT) not in said
 
 
 @pytest.mark.parametrize(

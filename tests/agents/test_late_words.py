@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 from clerks import (
@@ -301,6 +303,9 @@ def in_real_time(agent: Controller | Plant, horizon: int = 60) -> Sequencer[obje
     return sequencer
 
 
+Said = Mapping[Port[Message], Message]
+
+
 def dispatch(cycle: int, power_kw: float) -> Delivery:
     stamp = (cycle, cycle * CYCLE_NS, "plant", ())
     return DISPATCH.of(ROOT), Dispatch(
@@ -335,6 +340,61 @@ def test_a_late_report_counts_as_a_word_of_a_child_that_lives() -> None:
         tell(central, dispatch(cycle, 120.0), *report("a", cycle, 80.0, 20.0))
         impps_kw.append(at(dict(central.close_stage()), IMPP.of(ROOT)).power_kw)
     assert impps_kw == [141.0, 142.0, 143.0, 144.0, 145.0]
+
+
+def reported_of_b(impp_cycle: int, impp_kw: float, residual_kw: float) -> Said:
+    """What is said in cycle 1, in which b's two words are of one cycle each: 0 and 1.
+
+    Of 120 kW b is asked for 60. It is a that could give 20 kW more.
+    """
+    central = in_real_time(central_controller(FLAT))
+    tell(central, dispatch(0, 120.0), *report("a", 0, 80.0, 20.0))
+    central.close_stage()
+    impp, _ = report("b", impp_cycle, impp_kw, 0.0)
+    _, residual = report("b", 1 - impp_cycle, 0.0, residual_kw)
+    tell(central, impp, residual, dispatch(1, 120.0), *report("a", 1, 80.0, 20.0))
+    said = dict(central.close_stage())
+    late = "impp" if impp_cycle == 0 else "residual"
+    assert f"b/{late}@0" in said[IMPP.of(ROOT)].missing
+    return said
+
+
+@pytest.mark.parametrize("impp_cycle", [0, 1])
+@pytest.mark.parametrize(("impp_kw", "residual_kw"), [(30.0, 40.0), (90.0, 20.0), (90.0, -50.0)])
+def test_a_residual_of_another_cycle_than_the_impp_is_worked_out_anew(
+    impp_cycle: int, impp_kw: float, residual_kw: float
+) -> None:
+    # No child can have 40 kW left of 30: taken together, the two words would be absurd.
+    said = reported_of_b(impp_cycle, impp_kw, residual_kw)
+    assert at(said, IMPP.of(ROOT)).power_kw == 80.0 + impp_kw
+    assert at(said, RESIDUAL.of(ROOT)).power_kw == 20.0 + (impp_kw - 60.0)
+
+
+@pytest.mark.parametrize("impp_kw", [float("nan"), -1.0, 100.1])
+def test_an_absurd_late_impp_is_not_taken(impp_kw: float) -> None:
+    assert at(reported_of_b(0, impp_kw, 20.0), IMPP.of(ROOT)).power_kw == 80.0
+
+
+def test_what_late_reports_lack_is_lent_to_their_children() -> None:
+    central = in_real_time(central_controller(FLAT))
+    tell(central, dispatch(0, 120.0))
+    central.close_stage()
+    tell(central, dispatch(1, 120.0), *report("a", 0, 20.0, -40.0), *report("b", 0, 40.0, -20.0))
+    said = dict(central.close_stage())
+    # a lacked 40 kW a cycle ago and b 20: they may have them now. Together it is the target.
+    assert [at(said, SETPOINT.of(child)).power_kw for child in ("a", "b")] == [60.0, 60.0]
+    tell(central, dispatch(2, 120.0), *report("a", 2, 20.0, -40.0), *report("b", 2, 40.0, -20.0))
+    said = dict(central.close_stage())
+    assert [at(said, SETPOINT.of(child)).power_kw for child in ("a", "b")] == [20.0, 40.0]
+
+
+def test_late_reports_that_lack_nothing_change_no_setpoint() -> None:
+    central = in_real_time(central_controller(FLAT))
+    tell(central, dispatch(0, 120.0))
+    central.close_stage()
+    tell(central, dispatch(1, 120.0), *report("a", 0, 20.0, -40.0), *report("b", 0, 100.0, 40.0))
+    said = dict(central.close_stage())
+    assert [at(said, SETPOINT.of(child)).power_kw for child in ("a", "b")] == [20.0, 100.0]
 
 
 def test_a_late_dispatch_is_followed() -> None:

@@ -117,8 +117,8 @@ def test_the_last_report_of_a_silent_child_holds_for_so_many_cycles_and_then_is_
 def test_the_share_of_a_child_that_stays_silent_is_given_to_the_others() -> None:
     central = central_after_one_cycle()
     told = [cycle_without_b(central, cycle) for cycle in (1, 2, 3)]
-    # Of 120 kW, a can give 80.
-    assert [setpoints_kw(said) for said in told] == [(60.0, 60.0), (60.0, 60.0), (80.0, 0.0)]
+    # Of 120 kW, a can give 80. Should b be there and only be unheard, it is free to give the rest.
+    assert [setpoints_kw(said) for said in told] == [(60.0, 60.0), (60.0, 60.0), (80.0, 40.0)]
     assert at(told[2], SETPOINT.of("a")).help_given == (HelpGiven("b", 20.0),)
 
 
@@ -169,13 +169,41 @@ def test_a_child_that_speaks_again_is_taken_back() -> None:
     assert setpoints_kw(cycle_without_b(central, 5)) == (60.0, 60.0)
 
 
-def test_half_a_report_is_silence() -> None:
+def test_without_its_residual_a_report_counts_and_the_residual_is_worked_out() -> None:
     central = central_after_one_cycle()
-    impp, _ = report("b", 1, 50.0, -10.0)
-    tell(central, dispatch(1, 120.0), *report("a", 1, 80.0, 20.0), impp)
+    told = []
+    # hold_cycles is 2: a child that was taken for silent would count as zero in the end.
+    for cycle in (1, 2, 3, 4):
+        impp, _ = report("b", cycle, 50.0, -30.0)
+        tell(central, dispatch(cycle, 160.0), *report("a", cycle, 80.0, 0.0), impp)
+        told.append(dict(central.close_stage()))
+    assert [at(said, IMPP.of(ROOT)).power_kw for said in told] == [130.0] * 4
+    # Half of the 160 kW is asked of b.
+    assert [at(said, RESIDUAL.of(ROOT)).power_kw for said in told] == [-30.0] * 4
+    assert [setpoints_kw(said) for said in told] == [(80.0, 50.0)] * 4
+    assert {said[IMPP.of(ROOT)].missing for said in told} == {("b/residual",)}
+
+
+def test_between_turns_it_is_worked_out_from_the_request_of_the_last_turn() -> None:
+    plan = plan_of({"a": 100.0, "b": 300.0}, period_cycles=(5,))
+    central = in_real_time(central_controller(plan), plan)
+    tell(central, dispatch(0, 200.0), *report("a", 0, 80.0, 30.0), *report("b", 0, 90.0, -60.0))
+    central.close_stage()
+    impp, _ = report("b", 1, 100.0, -50.0)
+    tell(central, dispatch(1, 400.0), *report("a", 1, 80.0, 30.0), impp)
     said = dict(central.close_stage())
-    assert at(said, IMPP.of(ROOT)).power_kw == 170.0
-    assert at(said, RESIDUAL.of(ROOT)).power_kw == 50.0
+    # Of b 150 kW are asked, up to the next turn, whatever the operator has said since.
+    assert at(said, RESIDUAL.of(ROOT)).power_kw == 30.0 + (100.0 - 150.0)
+
+
+def test_a_residual_without_impp_is_silence() -> None:
+    central = central_after_one_cycle()
+    impps_kw = []
+    for cycle in (1, 2, 3):
+        _, residual = report("b", cycle, 50.0, 10.0)
+        tell(central, dispatch(cycle, 120.0), *report("a", cycle, 80.0, 20.0), residual)
+        impps_kw.append(at(dict(central.close_stage()), IMPP.of(ROOT)).power_kw)
+    assert impps_kw == [170.0, 170.0, 80.0]
 
 
 @pytest.mark.parametrize(
@@ -248,12 +276,18 @@ def test_residuals_whose_sum_is_beyond_any_number_do_not_end_their_parent() -> N
     assert at(said, RESIDUAL.of(ROOT)).power_kw == -120.0
 
 
-def test_a_child_that_has_never_spoken_has_nothing_to_give() -> None:
+def test_a_child_that_has_never_spoken_has_nothing_to_give_but_is_let_try() -> None:
     central = in_real_time(central_controller(TWO), TWO)
     tell(central, dispatch(0, 120.0), *report("a", 0, 80.0, 20.0))
     said = dict(central.close_stage())
     assert at(said, IMPP.of(ROOT)).power_kw == 80.0
-    assert setpoints_kw(said) == (80.0, 0.0)
+    assert setpoints_kw(said) == (80.0, 40.0)
+
+
+def test_a_child_that_has_never_spoken_gets_no_setpoint_if_the_others_have_enough() -> None:
+    central = in_real_time(central_controller(TWO), TWO)
+    tell(central, dispatch(0, 80.0), *report("a", 0, 80.0, 40.0))
+    assert setpoints_kw(dict(central.close_stage())) == (80.0, 0.0)
 
 
 # A silent operator --------------------------------------------------------------------------------

@@ -81,19 +81,24 @@ def weathers(draw: st.DrawFn) -> Weather:
     )
 
 
-def usable_kw(wished_kw: float, last_kw: float, rating_kw: float) -> float:
-    """The dispatch that a controller can use."""
-    return min(max(wished_kw, 0.0), rating_kw) if isfinite(wished_kw) else last_kw
+def usable_dispatches_kw(weather: Weather, heard: Heard) -> list[float | None]:
+    """In each cycle the last dispatch that can be used, None before the first."""
+    rating_kw, last_kw = plant_rating_kw(weather.plan.tree), None
+    usable_kw: list[float | None] = []
+    for cycle in range(weather.plan.cycles):
+        wished_kw = heard.get(cycle, DISPATCH.of(ROOT)).power_kw
+        last_kw = min(max(wished_kw, 0.0), rating_kw) if isfinite(wished_kw) else last_kw
+        usable_kw.append(last_kw)
+    return usable_kw
 
 
 def targets_kw(weather: Weather, heard: Heard) -> dict[tuple[int, str], float]:
     """Each parent's target in each cycle: the dispatch for the root, its setpoint for the rest."""
     tree = weather.plan.tree
     targets: dict[tuple[int, str], float] = {}
-    last_kw = 0.0
-    for cycle in range(weather.plan.cycles):
-        wished_kw = heard.get(cycle, DISPATCH.of(ROOT)).power_kw
-        last_kw = targets[cycle, ROOT] = usable_kw(wished_kw, last_kw, plant_rating_kw(tree))
+    for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather, heard)):
+        # Before the first dispatch nothing is held back.
+        targets[cycle, ROOT] = plant_rating_kw(tree) if dispatch_kw is None else dispatch_kw
         for node in tree.parents[1:]:
             targets[cycle, node] = heard.get(cycle, SETPOINT.of(node)).power_kw
     return targets
@@ -149,10 +154,8 @@ def test_help_is_called_for_exactly_when_and_as_much_as_power_is_missing(
 @settings(max_examples=60, deadline=None)
 def test_what_the_plant_cannot_meet_is_missing_at_the_root(weather: Weather) -> None:
     heard = weather.hear()
-    for (cycle, node), target_kw in targets_kw(weather, heard).items():
-        if node != ROOT:
-            continue
-        missing_kw = target_kw - heard.get(cycle, IMPP.of(ROOT)).power_kw
+    for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather, heard)):
+        missing_kw = (dispatch_kw or 0.0) - heard.get(cycle, IMPP.of(ROOT)).power_kw
         call = heard.find(cycle, HELP.of(ROOT))
         called_kw = call.missing_kw if call else 0.0
         assert called_kw == pytest.approx(max(missing_kw, 0.0), rel=0.0, abs=TOLERANCE_KW)
@@ -163,10 +166,9 @@ def test_what_the_plant_cannot_meet_is_missing_at_the_root(weather: Weather) -> 
 def test_requests_of_the_children_add_up_to_that_of_their_parent(weather: Weather) -> None:
     heard = weather.hear()
     tree = weather.plan.tree
-    targets = targets_kw(weather, heard)
-    for cycle in range(weather.plan.cycles):
+    for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather, heard)):
         for node in tree.parents:
-            asked_kw = heard.get(cycle, REQUEST.of(node)).power_kw if node else targets[cycle, ROOT]
+            asked_kw = heard.get(cycle, REQUEST.of(node)).power_kw if node else dispatch_kw or 0.0
             requests_kw = [
                 heard.get(cycle, REQUEST.of(child)).power_kw for child in tree.children(node)
             ]

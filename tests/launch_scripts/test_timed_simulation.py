@@ -238,6 +238,39 @@ def test_a_step_is_made_good_as_many_hops_later_as_its_way_is_long(
     assert found == [of_dispatch, of_an_inverter, of_a_cluster]
 
 
+@pytest.mark.parametrize("scheme", ["paper", "predictive"])
+@pytest.mark.parametrize("delay_ms", [0.0, 100.0, 200.0, 1000.0, 5000.0])
+def test_before_anything_is_known_nothing_is_held_back(scheme: str, delay_ms: float) -> None:
+    oahu = prepare(load_scenario("oahu"), RunOptions(duration="40s"), "beginning")
+    sunny, asked = np.full((40, len(oahu.plan.tree.leaves)), 400.0), np.full(40, 5000.0)
+    plan = replace(oahu.plan, scheme=scheme, faults=(FaultRule(delay_ms=delay_ms),))
+    told = Told()
+    for _ in TimedRun(on_the_clock(plan), Profile(sunny, asked), told).cycles():
+        pass
+    given_kw = [
+        message.delivered_kw
+        for message in told.of(PRODUCTION.of(ROOT)).values()
+        if isinstance(message, Production)
+    ]
+    assert min(given_kw) >= 5000.0 - 1e-6
+    assert given_kw[-1] == pytest.approx(5000.0, abs=1e-6)
+
+
+def test_residuals_may_be_lost_without_any_harm(prepared: Preparation) -> None:
+    _, told = timed(prepared, [FaultRule(signal="residual", loss=1.0)])
+    port = PRODUCTION.of(ROOT)
+    in_time = in_lockstep(prepared, prepared.plan).of(port)
+    found = told.of(port)
+    assert [inverters_kw(found[cycle]) for cycle in range(CYCLES)] == [
+        inverters_kw(in_time[cycle]) for cycle in range(CYCLES)
+    ]
+
+
+def inverters_kw(production: Message) -> tuple[float, ...]:
+    assert isinstance(production, Production)
+    return production.inverter_power_kw
+
+
 STEP = 50
 
 

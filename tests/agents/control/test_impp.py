@@ -76,7 +76,11 @@ def test_a_good_measurement_after_bad_ones_is_fresh_again() -> None:
 
 def test_equation_2_adds_up_the_children() -> None:
     family = Family("c1", ("c1/a", "c1/b", "c1/c"), (100.0, 100.0, 100.0), (), hold_cycles=3)
-    reports = (Report(80.0, 30.0, 0, 0), Report(20.5, -29.5, 4, 0), Report(0.0, -50.0, 1, 0))
+    reports = (
+        Report(80.0, 30.0, 0, 0, 0),
+        Report(20.5, -29.5, 4, 0, 0),
+        Report(0.0, -50.0, 1, 0, 0),
+    )
     turn = Turn("report", 7, 0, (7, 0, "c1", ()), {})
     outputs = dict(family.report_up(turn, reports))
     # 80 + 20.5 + 0 kW; the oldest measurement among the children is 4 cycles old.

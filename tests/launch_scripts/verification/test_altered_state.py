@@ -14,11 +14,13 @@ from sim_plant.plant import Plant, PlantState
 
 
 def test_numbers_are_altered_in_structs_and_tuples_at_any_depth() -> None:
-    state = CentralState(5.0, 6.0, 7, (Report(1.0, -2.0, 3, 4), Report(0.0, 0.0, 0, 0)))
+    reports = (Report(1.0, -2.0, 3, 4, 5), Report(0.0, 0.0, 0, 0, 0))
+    state = CentralState(True, 5.0, 6.0, 7, reports)
     less, more = altered_states(state)
-    nothing = Report(0.0, 0.0, 0, 0)
-    assert less == CentralState(0.0, 0.0, 0, (nothing, nothing))
-    assert more.reports[0] == Report(1002.0, 996.0, 1006, 1008)
+    nothing = Report(0.0, 0.0, 0, 0, 0)
+    assert less == CentralState(False, 0.0, 0.0, 0, (nothing, nothing))
+    assert more.dispatched
+    assert more.reports[0] == Report(1002.0, 996.0, 1006, 1008, 1010)
     assert isinstance(more.reports[0].silent_cycles, int)
 
 
