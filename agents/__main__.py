@@ -1,4 +1,4 @@
-"""One controller as a process: `python -m agents direct --node c1/inv07 --plan RUN/plan.json`."""
+"""One controller as a process: `python -m agents direct --node c2/inv07 --plan RUN/plan.json`."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def _controller(plan: RunPlan, kind: str, node: str) -> Controller:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m agents", description=__doc__)
     parser.add_argument("kind", choices=["direct", "supervisor", "central"])
-    parser.add_argument("--node", default=CENTRAL, help="path in the control tree, e.g. c1/inv07")
+    parser.add_argument("--node", default=CENTRAL, help="path in the control tree, e.g. c2/inv07")
     parser.add_argument("--plan", type=Path, required=True, help="plan.json of the run")
     parser.add_argument(
         "--attached",

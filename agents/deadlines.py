@@ -59,25 +59,48 @@ def deadline_ns(
         Deadline of each tier's last word, the central controller's first and the direct
         controllers' last. Empty: each stage has the same share of the cycle.
     """
-    if tier_deadlines_ns:
-        return _by_tier_ns(agent, stage, tree, cycle_wall_ns, tier_deadlines_ns)
-    share = USED_SHARE * stage_place(agent, stage, tree) / stage_place(PLANT, "advance", tree)
-    return round(share * cycle_wall_ns)
-
-
-def _by_tier_ns(
-    agent: str, stage: str, tree: ControlTree, cycle_wall_ns: int, tiers_ns: tuple[int, ...]
-) -> int:
     place = stage_place(agent, stage, tree)
-    central_place = stage_place(CENTRAL, "solve", tree)
-    if place <= central_place:
-        return tiers_ns[0] * place // central_place
+    if not tier_deadlines_ns or place <= stage_place(CENTRAL, "solve", tree):
+        return _shared_ns(place, tree, cycle_wall_ns, tier_deadlines_ns)
+    return _by_tier_ns(agent, stage, cycle_wall_ns, tier_deadlines_ns)
+
+
+def _shared_ns(place: int, tree: ControlTree, cycle_wall_ns: int, tiers_ns: tuple[int, ...]) -> int:
+    """Return the deadline of a place among those that share a stretch of the cycle evenly."""
+    if tiers_ns:
+        return tiers_ns[0] * place // stage_place(CENTRAL, "solve", tree)
+    return round(USED_SHARE * place / stage_place(PLANT, "advance", tree) * cycle_wall_ns)
+
+
+def _by_tier_ns(agent: str, stage: str, cycle_wall_ns: int, tiers_ns: tuple[int, ...]) -> int:
+    """Return the deadline of a stage after the central controller's last word."""
     if agent == PLANT:
         return (tiers_ns[-1] + cycle_wall_ns) // 2
     # A direct controller may hang from any tier: its deadline is that of its like.
     return tiers_ns[-1] if stage == "actuate" else tiers_ns[depth(agent)]
 
 
-def slice_ns(tree: ControlTree, cycle_wall_ns: int) -> int:
-    """Return the time between the deadlines of two stages that follow one another [ns]."""
-    return round(USED_SHARE * cycle_wall_ns / stage_place(PLANT, "advance", tree))
+def slice_ns(
+    agent: str,
+    stage: str,
+    tree: ControlTree,
+    cycle_wall_ns: int,
+    tier_deadlines_ns: tuple[int, ...] = (),
+) -> int:
+    """Return a stage's slice of the cycle [ns]: what it may take once those before it have spoken.
+
+    It begins at the deadline of the stage before it, which those that it waits for must keep, and
+    ends at its own. Before the plant's beginning there is none: it has as much as the stage after
+    it.
+
+    Parameters
+    ----------
+    agent, stage, tree, cycle_wall_ns, tier_deadlines_ns
+        See `deadline_ns`.
+    """
+    place = max(stage_place(agent, stage, tree), 1)
+    if not tier_deadlines_ns or place <= stage_place(CENTRAL, "solve", tree):
+        before_ns = _shared_ns(place - 1, tree, cycle_wall_ns, tier_deadlines_ns)
+        return _shared_ns(place, tree, cycle_wall_ns, tier_deadlines_ns) - before_ns
+    before_ns = tier_deadlines_ns[-1 if agent == PLANT else depth(agent) - 1]
+    return _by_tier_ns(agent, stage, cycle_wall_ns, tier_deadlines_ns) - before_ns

@@ -84,6 +84,15 @@ class Interlude:
             return (self._next_ns - now_ns) / 1e9
         return None if self._is_busy(cycle, now_ns) else 0.0
 
+    def make_room(self) -> None:
+        """Settle at once if too much is noted, whoever may be waiting for this process."""
+        if not self._stopwatch.overfull:
+            return
+        if self._next_ns is None:
+            self._stopwatch.settle()  # Arming can take long, and what is noted then is nothing.
+        else:
+            self._take(self._now_ns())
+
     def consider(self, cycle: int) -> None:
         """Take the interlude if it is its time, and there is enough of it before the next tick.
 
@@ -93,13 +102,10 @@ class Interlude:
             Cycle that the process is in: it has done its part of those before. While that one is
             under way the process is busy, and its interlude waits until it has done its part.
         """
+        self.make_room()
         if self._next_ns is None:
-            if self._stopwatch.overfull:  # Arming can take long, and what is noted then is nothing.
-                self._stopwatch.settle()
             return
         now_ns = self._now_ns()
-        if self._stopwatch.overfull:
-            self._take(now_ns)
         if now_ns < self._next_ns or self._is_busy(cycle, now_ns):
             return
         into_ns = (now_ns - self._start_ns) % self._cycle_ns

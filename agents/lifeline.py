@@ -7,7 +7,6 @@ input ends, and the process ends with it.
 
 from __future__ import annotations
 
-import ctypes
 import logging
 import os
 import signal
@@ -18,6 +17,7 @@ from typing import TypeAlias
 
 import msgspec
 
+from agents.parent_death import on_parent_death
 from agents.stopwatch import ProcessTiming
 
 log = logging.getLogger(__name__)
@@ -301,6 +301,4 @@ def join_run(attached: bool, death_signal: signal.Signals = signal.SIGKILL) -> N
     if not attached:
         return
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if sys.platform == "linux":
-        set_parent_death_signal = 1  # PR_SET_PDEATHSIG of prctl(2)
-        ctypes.CDLL(None).prctl(set_parent_death_signal, int(death_signal))
+    on_parent_death(death_signal)

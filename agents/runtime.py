@@ -186,10 +186,15 @@ class Runtime(Generic[S]):
                 continue
             else:
                 self.send(self.sequencer.accept(port, message))
+        idle = not arrivals
         if not self.sequencer.finished and self._until_deadline_s() == 0.0:
             self.send(self.sequencer.close_stage())
-        elif self._interlude is not None and not arrivals:
+            idle = False
+        if self._interlude is not None and idle:
             self._interlude.consider(self.sequencer.cycle)
+        elif self._interlude is not None:
+            # Whoever is never idle must not note moments without end.
+            self._interlude.make_room()
 
     def _patience_s(self, longest_s: float) -> float:
         """How long to wait for messages: up to the deadline or the next interlude at most."""
@@ -282,9 +287,15 @@ class Runtime(Generic[S]):
         plan = self.plan
         return Schedule(
             plan.cycle_wall_ns,
-            slice_ns(plan.tree, plan.cycle_wall_ns),
+            self._slice_ns,
             self._deadline_ns,
             plan.periods.longest,
+        )
+
+    def _slice_ns(self, stage: str) -> int:
+        plan = self.plan
+        return slice_ns(
+            self.agent.name, stage, plan.tree, plan.cycle_wall_ns, plan.tier_deadlines_ns
         )
 
 

@@ -20,12 +20,12 @@ from agents.agent import Agent, Stage, Turn
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
 from bus_schemas.missing import SKIPPED, Absence
-from bus_schemas.signals import Port
+from bus_schemas.signals import Port, Role
 
 S = TypeVar("S")
 
 BEFORE_ARMING: Final = -(2**31)
-"""The cycle that an agent is in before its first message: any message takes it further."""
+"""The cycle that an agent is in before its first message from above: that takes it further."""
 
 LateWords: TypeAlias = Literal["use", "drop"]
 """What becomes of messages that come after their stage has closed."""
@@ -51,6 +51,8 @@ class Sequencer(Generic[S]):
 
     Arming rounds are cycles below 0. Each begins from the initial state and leaves no trace, and a
     message of a later round ends the one under way. From cycle 0 on, cycles follow one another.
+    Only what comes from above, from the plant or from its parent, takes an agent into a round or
+    into cycle 0: a child that speaks out of turn must not take its parent away from the others.
 
     Parameters
     ----------
@@ -147,15 +149,22 @@ class Sequencer(Generic[S]):
         if message.cycle < self.cycle:
             self._keep_late(port, message)
             return []
-        if self.cycle < 0 and message.cycle <= self._horizon:
+        if self.cycle < 0 and message.cycle <= self._horizon and _is_from_above(port):
             # A later arming round ends the one under way; the run's first message begins cycle 0.
             outputs = self.enter(min(message.cycle, 0))
             return outputs + self.accept(port, message)
-        if message.cycle > max(self.cycle, 0) + self._horizon:
+        if self._is_near(message.cycle):
+            self._keep_ahead(port, message)
+        else:
             self._drop("other_cycle", port, self._is_of_another_cycle(port, message))
-            return []
-        self._keep_ahead(port, message)
         return []
+
+    def _is_near(self, cycle: int) -> bool:
+        """Whether a cycle to come is so near that its messages are kept.
+
+        In a round those of the next rounds are, but none of the run, which has not begun.
+        """
+        return cycle <= self.cycle + self._horizon and (cycle < 0 or self.cycle >= 0)
 
     def _keep_ahead(self, port: Port[Message], message: Message) -> None:
         """Keep a message of a cycle to come: one of each port, however many are sent."""
@@ -403,7 +412,8 @@ class Sequencer(Generic[S]):
         self._drop("late", port, text)
 
     def _is_of_another_cycle(self, port: Port[Message], message: Message) -> str:
-        return f"{port} is of cycle {message.cycle}, this is {self.cycle}"
+        here = "before all cycles" if self.cycle == BEFORE_ARMING else str(self.cycle)
+        return f"{port} is of cycle {message.cycle}, this is {here}"
 
     def _drop_unexpected(self, port: Port[Message], message: Message) -> None:
         self._drop("unexpected", port, f"{port} is not expected in cycle {message.cycle}")
@@ -415,3 +425,8 @@ class Sequencer(Generic[S]):
         causes = self.dropped_ports.setdefault(str(port), {})
         causes[cause] = causes.get(cause, 0) + 1
         self._on_drop(text)
+
+
+def _is_from_above(port: Port[Message]) -> bool:
+    """Whether a port's messages come down the tree; the plant takes itself into its rounds."""
+    return port.signal.publisher in {Role.PLANT, Role.PARENT}

@@ -34,6 +34,8 @@ SIGNIFICANT_FIGURES: Final = 2
 _MOST_NOTED: Final = 5_000
 """Moments that are noted at most before they are settled, whether there is time for it or not."""
 
+_NEVER_NS: Final = sys.maxsize
+
 _CYCLIC: Final = frozenset({Occurrence.CYCLE, Occurrence.TURN, Occurrence.NEED})
 
 
@@ -47,18 +49,20 @@ class ProcessTiming(msgspec.Struct, frozen=True):
     histograms
         For each measure an HdrHistogram of nanoseconds (1 us to 1 h, two significant figures),
         encoded as text. `decision/STAGE`: from the moment at which the stage could close to its
-        last message handed to the bus. `hop/PORT`: from publishing to arrival. `lateness/STAGE`:
-        how long after its scheduled time a stage closed that the clock drives. `jitter/STAGE`: by
-        how much the time between two closings differs from the cycles between them. `age/STAGE`:
-        age of the oldest input that a decision used. At the plant `loop` and `loop/INVERTER`: from
-        the scheduled tick to the applied commands.
+        last message handed to the bus; of one that was given up, from its deadline to that moment.
+        `hop/PORT`: from publishing to arrival. `lateness/STAGE`: how long after its scheduled time
+        a stage closed that the clock drives. `jitter/STAGE`: by how much the time between two
+        closings differs from the cycles between them. `age/STAGE`: age of the oldest input that a
+        decision used. At the plant `loop` and `loop/INVERTER`: from the scheduled tick to the
+        applied commands.
     missed_deadlines
-        By stage: how often its deadline passed with inputs absent.
+        By stage: how often its deadline passed before all its inputs had arrived.
     missing_inputs
-        By port: how often its message was absent at the deadline.
+        By port: how often its message had not arrived by the deadline.
     overruns
-        By stage: how often it closed after its deadline although nothing was absent, or later
-        than its deadline by more than the time between two tiers' deadlines, or was given up.
+        By stage: how often the process itself was late. All inputs had come by the deadline, and
+        it closed after it; or they had not, and it closed later than its deadline by more than its
+        slice of the cycle; or it was given up.
     late_used
         How often a message of an earlier cycle was used in place of an absent one.
     cpu_s, wall_s
@@ -121,7 +125,7 @@ class Schedule(NamedTuple):
     cycle_ns
         Length of a cycle.
     slice_ns
-        Time between the deadlines of two stages that follow one another.
+        Length of a stage's slice of the cycle, by its name.
     deadline_ns
         Deadline of a stage after the beginning of its cycle, by its name.
     horizon
@@ -129,7 +133,7 @@ class Schedule(NamedTuple):
     """
 
     cycle_ns: int
-    slice_ns: int
+    slice_ns: Callable[[str], int]
     deadline_ns: Callable[[str], int]
     horizon: int
 
@@ -198,7 +202,7 @@ class Stopwatch:
     @property
     def overfull(self) -> bool:
         """Whether so much is noted that it must be settled, though it cost a deadline."""
-        return len(self._arrivals) + len(self._handed) > _MOST_NOTED
+        return len(self._arrivals) + len(self._handed) + len(self._closings) > _MOST_NOTED
 
     def settle(self) -> None:
         """Work out what the noted moments mean. For when nobody waits for this process."""
@@ -267,20 +271,29 @@ class Stopwatch:
         stage = self._stage(turn)
         absent = self._absent_here(turn, stage)
         deadline_ns = self._tick_ns(turn.cycle) + self._schedule.deadline_ns(turn.stage)
-        by_the_clock = stage.timed or bool(absent)
-        self._count(turn, absent, time_ns - deadline_ns, by_the_clock=by_the_clock)
+        given_up = str(Absence(SKIPPED, turn.cycle)) in turn.stamp[3]
+        missing = () if given_up else self._missing(turn.cycle, stage, absent, deadline_ns)
+        by_the_clock = stage.timed or given_up or bool(missing)
+        if missing:
+            self.missed_deadlines[turn.stage] += 1
+            self.missing_inputs.update(map(str, missing))
+        grace_ns = self._schedule.slice_ns(turn.stage) if by_the_clock else 0
+        if given_up or time_ns - deadline_ns > grace_ns:
+            self.overruns[turn.stage] += 1
         if by_the_clock:
             self._histograms.record(f"lateness/{turn.stage}", time_ns - deadline_ns)
         self._record_jitter(turn, time_ns)
         self._record_age(turn, time_ns)
         if turn.stage == "advance" and self._name == PLANT:
             self._record_loop(turn, stage, time_ns)
-        if handed_ns is not None:
+        # Who gave a stage up owed its words all the same, up to the moment at which it did so.
+        ended_ns = time_ns if given_up and handed_ns is None else handed_ns
+        if ended_ns is not None:
             could_ns = deadline_ns if by_the_clock else self._could_close_ns(turn, stage, time_ns)
-            decision_ns = handed_ns - could_ns
+            decision_ns = ended_ns - could_ns
             self._histograms.record(f"decision/{turn.stage}", decision_ns)
             self.slowest_decision_ns = max(self.slowest_decision_ns, decision_ns)
-            self._answered_ns = handed_ns
+            self._answered_ns = ended_ns
 
     def _stage(self, turn: Turn) -> Stage:
         return next(stage for stage in self._stages(turn.cycle) if stage.name == turn.stage)
@@ -288,28 +301,31 @@ class Stopwatch:
     def _tick_ns(self, cycle: int) -> int:
         return self._start_ns + cycle * self._schedule.cycle_ns
 
-    def _absent_here(self, turn: Turn, stage: Stage) -> tuple[str, ...]:
-        """Keys of the messages that this stage waited for up to its deadline, and did not get."""
+    def _absent_here(self, turn: Turn, stage: Stage) -> frozenset[Port[Message]]:
+        """Ports whose messages this stage waited for, and closed without."""
         # The stamp goes on with what the stages before it lacked, and names late words also where
         # nothing was waited for.
         entries = turn.stamp[3][self._absent :]
         self._absent = len(turn.stamp[3])
         if not entries:
-            return ()
-        awaited = set(map(str, stage.awaits | stage.on_need))
-        return tuple(key for key, _ in map(absence, entries) if key in awaited)
+            return frozenset()
+        absent = {key for key, _ in map(absence, entries)}
+        return frozenset(port for port in stage.awaits | stage.on_need if str(port) in absent)
 
-    def _count(
-        self, turn: Turn, absent: tuple[str, ...], past_ns: int, *, by_the_clock: bool
-    ) -> None:
-        """Count what a stage did without, and whether it closed later than it had to."""
-        given_up = str(Absence(SKIPPED, turn.cycle)) in turn.stamp[3]
-        if absent and not given_up:
-            self.missed_deadlines[turn.stage] += 1
-            self.missing_inputs.update(absent)
-        grace_ns = self._schedule.slice_ns if by_the_clock else 0
-        if given_up or past_ns > grace_ns:
-            self.overruns[turn.stage] += 1
+    def _missing(
+        self, cycle: int, stage: Stage, absent: frozenset[Port[Message]], deadline_ns: int
+    ) -> tuple[Port[Message], ...]:
+        """Ports whose messages a stage waited for and that had not arrived by its deadline.
+
+        That is not quite what it closed without. A process that wakes late may find what came after
+        the deadline, and use it; or it was busy when a message came in time, and closed without.
+        """
+        came_ns = self._came_ns.get(cycle, {})
+        return tuple(
+            port
+            for port in stage.awaits | stage.on_need
+            if came_ns.get(port, _NEVER_NS if port in absent else 0) > deadline_ns
+        )
 
     def _could_close_ns(self, turn: Turn, stage: Stage, time_ns: int) -> int:
         """When the last input came that a complete stage needed, or the stage before it was done.

@@ -16,9 +16,14 @@ Stamp: TypeAlias = tuple[int, int, str, tuple[str, ...]]
 """The first fields of a message, known before an agent decides: cycle, time, source, missing."""
 
 
+# Numbers are bounded, so that whatever comes from elsewhere can be counted with: a message with a
+# number beyond does not decode.
+Cycle: TypeAlias = Annotated[int, msgspec.Meta(gt=-(2**31), lt=10**18)]
+SimTime: TypeAlias = Annotated[int, msgspec.Meta(ge=-(2**62), lt=2**62)]
 Nanoseconds: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
 Sequence: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
+LongCount: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
 
 
 class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
@@ -43,8 +48,8 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False)
         Number of the message on its key, from 0 in cycle 0 on; 0 in arming rounds. Set by the bus.
     """
 
-    cycle: int
-    sim_time_ns: int
+    cycle: Cycle
+    sim_time_ns: SimTime
     source: str
     missing: tuple[str, ...]
     publish_time_ns: Nanoseconds = 0
@@ -88,7 +93,7 @@ class Impp(Message, kw_only=True, frozen=True):
     """
 
     power_kw: float
-    stale_cycles: int
+    stale_cycles: Count
 
 
 class Residual(Message, kw_only=True, frozen=True):
@@ -156,8 +161,8 @@ class Run(Message, kw_only=True, frozen=True):
     """
 
     state: Literal["start", "stop"]
-    start_time_ns: int
-    cycle_wall_ns: int
+    start_time_ns: Nanoseconds
+    cycle_wall_ns: Nanoseconds
 
 
 class Ready(Message, kw_only=True, frozen=True):
@@ -168,7 +173,7 @@ class Notice(Message, kw_only=True, frozen=True):
     """Something that an agent had to refuse or to mend, in words, with how often it did so far."""
 
     text: str
-    count: int
+    count: LongCount
 
 
 class Clock(Message, kw_only=True, frozen=True):

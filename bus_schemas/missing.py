@@ -8,11 +8,15 @@ the one before the message's; or the message's own, where it names that one.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 SKIPPED: Final = "skipped"
 """Stands in the place of a key for an agent's own cycles."""
+
+_CYCLE: Final = re.compile(r"0|[1-9][0-9]{0,17}")
+"""A cycle as it is written: below 10^18, as cycles are."""
 
 
 class Absence(NamedTuple):
@@ -35,9 +39,12 @@ class Absence(NamedTuple):
 
 
 def absence(entry: str) -> Absence:
-    """Take an entry apart. What ends in no cycle is a key as a whole."""
+    """Take an entry apart. What ends in no cycle is a key as a whole.
+
+    A device may write anything: each entry, put together again, is what it was.
+    """
     key, at, cycle = entry.rpartition("@")
-    return Absence(key, int(cycle)) if at and cycle.isdecimal() else Absence(entry, None)
+    return Absence(key, int(cycle)) if at and _CYCLE.fullmatch(cycle) else Absence(entry, None)
 
 
 def skipped_cycles(missing: Iterable[str], cycle: int) -> range:
@@ -56,7 +63,7 @@ def in_words(missing: Iterable[str], cycle: int) -> str:
     For instance `without c1/impp; used c2/impp of cycle 41`. Empty: it had all of them.
     """
     missing = tuple(missing)
-    inputs = [entry for entry in map(absence, missing) if entry.key != SKIPPED]
+    inputs = [entry for entry in map(absence, missing) if not _tells_of_own_cycles(entry)]
     skipped = skipped_cycles(missing, cycle)
     without = [key for key, used in inputs if used is None]
     late = [f"{key} of cycle {used:,}" for key, used in inputs if used is not None]
@@ -68,6 +75,10 @@ def in_words(missing: Iterable[str], cycle: int) -> str:
     if late:
         parts.append("used " + ", ".join(late))
     return "; ".join(parts)
+
+
+def _tells_of_own_cycles(entry: Absence) -> bool:
+    return entry.key == SKIPPED and entry.cycle is not None
 
 
 def _skipped_in_words(skipped: range) -> str:

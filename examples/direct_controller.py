@@ -3,8 +3,8 @@
 It takes the place of one inverter's controller in a run that was started with `--external`.
 Written from docs/wire.md alone; needs `pip install eclipse-zenoh msgpack`.
 
-    heliarch launch oahu --external c1/inv07 --base-port 7500 --pace 1 --out my-run
-    python examples/direct_controller.py --plan my-run/plan.json --node c1/inv07
+    heliarch launch oahu --external c2/inv07 --base-port 7500 --pace 1 --out my-run
+    python examples/direct_controller.py --plan my-run/plan.json --node c2/inv07
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ def main() -> None:
     """Join the run of a plan, and control the inverter until the plant says that it is over."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--plan", type=Path, required=True, help="plan.json of the run")
-    parser.add_argument("--node", required=True, help="the inverter, for instance c1/inv07")
+    parser.add_argument("--node", required=True, help="the inverter, for instance c2/inv07")
     parser.add_argument(
         "--connect", action="append", default=[], help="instead of the plan's ports"
     )

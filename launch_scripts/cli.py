@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from pathlib import Path
 from typing import Annotated, TypeAlias
@@ -60,13 +61,18 @@ ExternalOption: TypeAlias = Annotated[
     list[str] | None,
     typer.Option(
         "--external",
-        help="Leave this agent out and wait for a device of your own: c1/inv07, c1, central or "
+        help="Leave this agent out and wait for a device of your own: c2/inv07, c2, central or "
         "plant. May be given several times.",
         metavar="AGENT",
     ),
 ]
 ExternalTimeoutOption: TypeAlias = Annotated[
-    float, typer.Option(help="Seconds to wait for external agents.", metavar="SECONDS")
+    float,
+    typer.Option(
+        help="Seconds to wait for external agents to appear. Once all are there, they have 30 s to "
+        "answer the arming rounds.",
+        metavar="SECONDS",
+    ),
 ]
 BasePortOption: TypeAlias = Annotated[
     int | None,
@@ -444,7 +450,7 @@ def export_command(
     ] = None,
     nodes: Annotated[
         str | None,
-        typer.Option(help="Only about these: c1/inv07,c1,central.", metavar="NODES"),
+        typer.Option(help="Only about these: c2/inv07,c2,central.", metavar="NODES"),
     ] = None,
     start: Annotated[
         str | None,
@@ -485,7 +491,7 @@ def verify_command(
         list[str] | None,
         typer.Option(
             "--node",
-            help="Agents to re-run: plant, central, c2, c1/inv07; c2/*: c2 and all below it.",
+            help="Agents to re-run: plant, central, c2, c2/inv07; c2/*: c2 and all below it.",
             metavar="NAMES",
         ),
     ] = None,
@@ -571,7 +577,7 @@ def replay_command(
     live: Annotated[
         str | None,
         typer.Option(
-            help="Controllers that run live, and are compared: c1/inv07,c2.", metavar="NODES"
+            help="Controllers that run live, and are compared: c1/inv01,c2.", metavar="NODES"
         ),
     ] = None,
     plan: Annotated[
@@ -612,7 +618,7 @@ def replay_command(
 
 @app.command(
     "inspect",
-    epilog="Example: heliarch inspect RUN --node c1/inv07 --from 13:49:00 --to 13:50:30",
+    epilog="Example: heliarch inspect RUN --node c2/inv07 --from 13:49:00 --to 13:50:30",
 )
 def inspect_command(
     run: Annotated[
@@ -621,7 +627,7 @@ def inspect_command(
     node: Annotated[
         str | None,
         typer.Option(
-            help="Tell this node's story, cycle by cycle: c1/inv07, c1 or central.", metavar="NODE"
+            help="Tell this node's story, cycle by cycle: c2/inv07, c1 or central.", metavar="NODE"
         ),
     ] = None,
     start: Annotated[
@@ -681,5 +687,9 @@ def scenarios_command() -> None:
 
 
 def main() -> None:
-    """Run the command line."""
-    app()
+    """Run the command line. Ctrl-C while a command is still being loaded ends it in one line."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        sys.stderr.write("heliarch: interrupted\n")
+        sys.exit(130)

@@ -12,10 +12,11 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
-from agents.lifeline import Presence, Status
+from agents.lifeline import Complaint, Presence, Status
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.links import explicit_links
+from bus_schemas.signals import ports
 from bus_schemas.tree import PLANT, RECORDER, ControlTree
 
 _LONGEST_WAIT_S: Final = 86_400.0
@@ -31,7 +32,7 @@ class ExternalOptions:
     agents
         Names of the agents that the launcher must not start.
     timeout_s
-        How long it waits for them [s].
+        How long it waits for them to appear [s]; arming then takes 30 s at most.
     base_port
         Port of the first agent that listens; the next ones follow it. None: free ports.
     """
@@ -111,6 +112,12 @@ class ExternalWatch:
         self._never_seen = set(plan.external)
         self._gone_in: dict[str, int] = {}
         self._unheard: list[str] = []
+        self._complaints: dict[str, str] = {}
+        self._publisher_of = {
+            str(port): port.publisher
+            for port in ports(plan.tree)
+            if port.publisher in plan.external
+        }
 
     def directions(self) -> Iterator[str]:
         """Yield lines that say what each of them has to do to join."""
@@ -156,12 +163,39 @@ class ExternalWatch:
             f"plan: {self._plan_path}"
         )
 
-    def suspicion(self) -> str:
-        """Say what external agents have to do with a run that does not begin or go on."""
+    def complain(self, complaint: Complaint) -> None:
+        """Keep what is wrong with messages of theirs: the first of each key."""
+        if complaint.key.removeprefix(f"{self._plan.plant}/") in self._publisher_of:
+            self._complaints.setdefault(complaint.key, complaint.example)
+
+    def explain(self, failure: str, *, running: bool) -> str:
+        """Say what external agents have to do with a run that does not begin or go on.
+
+        Before cycle 0 one that does not answer is the likely reason, and named first; what the
+        others wait for then follows from it.
+        """
+        if not running and self._unheard:
+            return "\n".join([self._silence(), failure, *self._wrong()])
         gone = [f"{agent} is gone since cycle {cycle}" for agent, cycle in self._gone_in.items()]
-        silent = [f"nothing came on {', '.join(self._unheard)}"] if self._unheard else []
-        reasons = "; ".join([*gone, *silent])
-        return f"of the external agents: {reasons}" if reasons else ""
+        if not gone:
+            return failure
+        return f"{failure}\nof the external agents: {'; '.join(gone)}"
+
+    def _silence(self) -> str:
+        """Say who does not answer the arming rounds, the most silent one first."""
+        silent: dict[str, list[str]] = {}
+        for port in self._unheard:
+            silent.setdefault(self._publisher_of.get(port, "one of them"), []).append(port)
+        ranked = sorted(silent.items(), key=lambda entry: -len(entry[1]))
+        gone = dict.fromkeys(self._gone_in, " and is gone")
+        return "; ".join(
+            f"{agent} (external) does not answer the arming rounds{gone.get(agent, '')}: "
+            f"nothing came on {', '.join(silent_ports)}"
+            for agent, silent_ports in ranked
+        )
+
+    def _wrong(self) -> list[str]:
+        return [f"wrong message on {key}: {text}" for key, text in self._complaints.items()]
 
     def _place(self, agent: str) -> str:
         plan = self._plan

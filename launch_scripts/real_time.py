@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from math import inf
 from typing import Final, Literal
 
 from bus_schemas.errors import InputError
@@ -19,6 +18,10 @@ from bus_schemas.tree import ControlTree
 
 SHORTEST_CYCLE_NS: Final = 100_000
 """Below it no clock can pace a process: one that waits for a time is woken up to so much late."""
+
+SHORTEST_DEADLINE_MS: Final = SHORTEST_CYCLE_NS / 1e6
+LONGEST_DEADLINE_MS: Final = 3.6e9
+"""A cycle of an hour at the slowest pace: a scenario may state deadlines and run in lockstep."""
 
 _DEADLINES: Final = "control.deadlines_ms"
 
@@ -72,7 +75,8 @@ def tier_deadlines_ns(
     Raises
     ------
     InputError
-        They are not one for each tier, above zero, rising, and within the cycle.
+        They are not one for each tier, rising by what a process is woken late at the least, and
+        within the cycle.
     """
     if deadlines_ms is None:
         return ()
@@ -85,13 +89,17 @@ def tier_deadlines_ns(
     found: list[int] = []
     for tier, deadline_ms in enumerate(deadlines_ms):
         where = f"{_DEADLINES}[{tier}] is {deadline_ms:g} ms"
-        if not 0.0 < deadline_ms < inf:
-            raise InputError(f"{where}, accepted is more than 0")
-        found.append(round(deadline_ms * 1e6))
-        if tier and found[-1] <= found[-2]:
+        if not SHORTEST_DEADLINE_MS <= deadline_ms <= LONGEST_DEADLINE_MS:
             raise InputError(
-                f"{where}, accepted is more than that of the tier above it "
-                f"({deadlines_ms[tier - 1]:g} ms): each tier speaks after its parent"
+                f"{where}, accepted is a number from {SHORTEST_DEADLINE_MS:g} to "
+                f"{LONGEST_DEADLINE_MS:g}"
+            )
+        found.append(round(deadline_ms * 1e6))
+        if tier and found[-1] - found[-2] < SHORTEST_CYCLE_NS:
+            raise InputError(
+                f"{where}, accepted is {SHORTEST_DEADLINE_MS:g} ms more than that of the tier "
+                f"above it ({deadlines_ms[tier - 1]:g} ms), or later: each tier speaks after its "
+                f"parent"
             )
         if cycle_ns and found[-1] >= cycle_ns:
             raise InputError(

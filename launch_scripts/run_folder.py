@@ -42,13 +42,32 @@ class RunFolder:
         return self.path / "summary.json"
 
     def fill(self, preparation: Preparation, tcp_ports: dict[str, int]) -> RunPlan:
-        """Write what the processes need; return the plan with its ports."""
-        self.logs.mkdir(parents=True)
+        """Write what the processes need; return the plan with its ports.
+
+        The plan comes last and at one blow: a device may be waiting for it to appear.
+
+        Raises
+        ------
+        InputError
+            No folder can be made there.
+        """
+        try:
+            self.logs.mkdir(parents=True)
+        except OSError as error:
+            raise _no_folder(self.path, error.strerror) from None
         plan = msgspec.structs.replace(preparation.plan, tcp_ports=tcp_ports)
-        self.plan.write_bytes(plan.as_json())
         preparation.profile.save(self.path / "profile.npz")
         (self.path / "scenario.toml").write_text(preparation.scenario.text, encoding="utf-8")
+        unfinished = self.plan.with_suffix(".json.part")
+        unfinished.write_bytes(plan.as_json())
+        unfinished.replace(self.plan)
         return plan
+
+
+def _no_folder(path: Path, reason: str | None) -> InputError:
+    return InputError(
+        f"--out {path}: no folder can be made there ({reason}), accepted is a new or empty folder"
+    )
 
 
 def new_run_id(scenario: str) -> str:
@@ -62,9 +81,12 @@ def run_folder(run_id: str, out: Path | None) -> RunFolder:
     Raises
     ------
     InputError
-        It holds something already.
+        It holds something already, or no folder can be made there.
     """
     path = out or Path("recordings") / "runs" / run_id
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise InputError(f"--out {path}: it exists already, accepted is a new or empty folder")
+    parent = next(folder for folder in path.absolute().parents if folder.exists())
+    if not parent.is_dir() or not os.access(parent, os.W_OK):
+        raise _no_folder(path, f"{parent} is no folder that may be written to")
     return RunFolder(path)

@@ -17,6 +17,7 @@ from agents.sequencer import LateWords
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule
 from bus_schemas.tree import check_name
+from launch_scripts.accepted_words import accepted_words
 from launch_scripts.machine_table import MachineTable
 from launch_scripts.timing.budget_table import TimingTable
 from sim_plant.clouds import CloudSettings
@@ -182,7 +183,8 @@ class ControlTable(_Table, frozen=True):
     alpha_min
         Lowest curtailment level.
     hold_cycles
-        For how many cycles the last report of a silent child holds.
+        For how many cycles the last report of a silent child holds. A longer time survives more
+        losses; a controller that is dead is noticed later.
     stall_timeout_s
         How long a stalled cycle is waited for in lockstep [s].
     late
@@ -201,7 +203,7 @@ class ControlTable(_Table, frozen=True):
     clusters_seed: Seed = 0
     period_cycles: tuple[int, ...] | None = None
     alpha_min: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.05
-    hold_cycles: Annotated[int, msgspec.Meta(ge=0)] = 3
+    hold_cycles: Annotated[int, msgspec.Meta(ge=0)] = 10
     stall_timeout_s: Patience = 3.0
     late: LateWords = "use"
     deadlines_ms: tuple[float, ...] | None = None
@@ -338,9 +340,12 @@ def _find(name_or_path: str) -> Path:
 
 
 def _readable(error: str) -> str:
-    """Turn msgspec's `... - at `$.a.b`` around: the field first."""
+    """Turn msgspec's `... - at `$.a.b`` around: the field first, and at last what it accepts."""
     found = re.fullmatch(r"(.*) - at `\$\.?(.*)`", error)
-    return f"{found[2]}: {found[1]}" if found else error
+    if not found:
+        return error
+    words = accepted_words(Scenario, found[2]) if "enum value" in found[1] else ()
+    return f"{found[2]}: {found[1]}" + (f", accepted: {', '.join(words)}" if words else "")
 
 
 def parse_duration_s(text: str, where: str) -> float:

@@ -65,6 +65,11 @@ class ProcessAccount(msgspec.Struct, frozen=True):
         Most memory that was seen resident [MB].
     timing
         What it measured of itself in real time; None in lockstep, and of the recorder.
+    cycles_given_up
+        Cycles that it gave up, since they were over before it came to them.
+    cpu_percent
+        Processor time during the run [% of one core] of one that does not measure itself, the
+        recorder, as its launcher saw it; None of the others.
     """
 
     agent: str
@@ -72,6 +77,8 @@ class ProcessAccount(msgspec.Struct, frozen=True):
     dropped: dict[str, int]
     resident_mb: float
     timing: ProcessTiming | None = None
+    cycles_given_up: int = 0
+    cpu_percent: float | None = None
 
 
 class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -103,6 +110,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     recording_ended: str = ""
     faults: dict[str, int] = msgspec.field(default_factory=dict)
     late_used: int = 0
+    cycles_given_up: int = 0
     processes: tuple[ProcessAccount, ...] = ()
     external: tuple[ExternalAccount, ...] = ()
     wrong: tuple[WrongMessages, ...] = ()
@@ -297,6 +305,7 @@ def _timing_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
         "deadlines missed": {t.agent: sum(t.missed_deadlines.values()) for t in timings},
         "late words used": {t.agent: t.late_used for t in timings},
         "overruns": {t.agent: sum(t.overruns.values()) for t in timings},
+        "cycles given up": {p.agent: p.cycles_given_up for p in summary.processes},
     }
     return [(name, f"{sum(of.values()):,}", _most(of)) for name, of in counted.items()]
 

@@ -95,10 +95,18 @@ class Child:
                 self.process.stdin.write(f"{word}\n".encode())
                 self.process.stdin.flush()
 
+    def cpu_s(self) -> float | None:
+        """Return the processor time of all its threads so far; None once it has ended."""
+        try:
+            times = psutil.Process(self.process.pid).cpu_times()
+        except psutil.Error:
+            return None
+        return float(times.user + times.system)
+
     def last_log_lines(self) -> str:
-        """Return the end of its log."""
+        """Return the end of its log, empty if it said nothing."""
         lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()
-        return "\n".join(f"  | {line}" for line in lines[-_LOG_LINES:]) or "  | (empty)"
+        return "\n".join(f"  | {line}" for line in lines[-_LOG_LINES:])
 
 
 class Children:
@@ -263,7 +271,8 @@ class Children:
 
 def with_log(child: Child, text: str) -> str:
     """Return a text with the last log lines of the process that it is about."""
-    return f"{text}; last lines of {child.log}:\n{child.last_log_lines()}"
+    lines = child.last_log_lines()
+    return f"{text}; last lines of {child.log}:\n{lines}" if lines else text
 
 
 def blame(children: Children, agent: str, text: str) -> str:

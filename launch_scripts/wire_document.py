@@ -27,7 +27,7 @@ from bus_schemas.signals import HELP, RESIDUAL, SIGNALS
 from bus_schemas.tree import ROOT, ControlTree
 from launch_scripts.wire_layout import INVERTER, layout
 
-_TREE: Final = ControlTree((("c1/inv01", 470.0), (INVERTER, 470.0), ("c2/inv02", 470.0)))
+_TREE: Final = ControlTree((("c1/inv01", 470.0), ("c2/inv05", 470.0), (INVERTER, 470.0)))
 _UNITS: Final = {"_kw": "kW", "_ns": "ns"}
 _TYPES: Final = {
     "int": "integer",
@@ -65,11 +65,13 @@ launch_scripts.wire_document`; where the two differ, a test fails.
 
 ## Joining
 
-    heliarch launch oahu --pace 1 --external c1/inv07 --base-port 7500 --out my-run
+    heliarch launch oahu --pace 1 --external c2/inv07 --base-port 7500 --out my-run
 
-leaves `c1/inv07` out and waits for it, 60 s or as long as `--external-timeout` says. `plant`,
+leaves `c2/inv07` out and waits for it to appear, 60 s or as long as `--external-timeout` says; once
+all are there, they have 30 s to answer the arming rounds. `plant`,
 `central` and supervisors can be left out in the same way, several at once; the recorder cannot.
-The launcher says where each of them finds the bus, and so does `my-run/plan.json`:
+The launcher says where each of them finds the bus, and so does `my-run/plan.json`, which appears
+whole or not at all:
 
 | field of `plan.json` | what it is |
 |---|---|
@@ -83,6 +85,15 @@ The launcher says where each of them finds the bus, and so does `my-run/plan.jso
 | `tier_deadlines_ns` | deadline of each tier, see *Real time*; empty: the shares given there |
 | `actuator`, `alpha_min` | what inverters do with a command, and the lowest alpha |
 | `external` | the agents that the launcher did not start |
+| `scheme` | what the direct controllers' `impp` means, see *What a direct controller works out* |
+| `neighbourhoods`, `hold_cycles` | for parents, see *What a parent works out* |
+| `late` | `use` or `drop`: what becomes of messages that come too late, see *Real time* |
+| `stall_timeout_s` | lockstep: after so long a wait an agent says for what, and the run ends |
+| `faults`, `faults_seed` | what Heliarch's agents do to their own messages; a device does nothing |
+| `machine` | processors and priorities of the launcher's processes |
+| `timezone`, `regulation_capacity_kw`, `ramp_limit_percent_per_min` | for reports, not for agents |
+
+A later version may add fields: pass over those that you do not know.
 
 With `--base-port` the ports are 7500, 7501, ... in the order recorder, plant, central,
 supervisors, and the namespace is the plant's name: a device is set up once, for every run.
@@ -92,15 +103,25 @@ gossip. Peers do not relay, so each pair of agents that exchange messages has a 
 and everybody has one with the recorder. Of a pair the one nearer to the top of the list recorder,
 plant, central, supervisors, inverters listens, the other connects, and tries again until it
 succeeds. So a direct controller listens nowhere and connects to `recorder`, `plant` and its
-parent; a plant listens, and connects to `recorder` alone. Agents listen on 127.0.0.1: a device on
+parent; a plant listens, and connects to `recorder` alone. Two devices of one run link by the same
+list: an external supervisor listens on its port of `tcp_ports`, and an external inverter of its
+cluster connects there. In Zenoh's configuration, with the ports of the plan:
+
+    mode: "peer", namespace: "oahu",
+    listen/endpoints: [], connect/endpoints: ["tcp/127.0.0.1:7500", "tcp/127.0.0.1:7501", ...],
+    connect/timeout_ms: -1, connect/exit_on_failure: false,
+    scouting/multicast/enabled: false, scouting/gossip/enabled: false
+
+`listen/endpoints` has to be given, also empty: by default a peer listens on a port of its own
+choice. Agents listen on 127.0.0.1: a device on
 another host reaches them through a forwarder of TCP ports, such as `ssh -L`.
 
 **Namespace.** Set it in Zenoh's configuration (`namespace`), or, where a library has no such
-setting, put it before every key: `<namespace>/<plant>/c1/inv07/impp`.
+setting, put it before every key: `<namespace>/<plant>/c2/inv07/impp`.
 
 **Liveliness.** Declare a liveliness token on `<plant>/<name>/alive`, once your subscriptions stand.
 Names are `plant`, `central`, `recorder` and the paths of the control tree's other nodes, such as
-`c1` and `c1/inv07`. No run begins before all tokens are seen. A token that goes away in mid-run is
+`c2` and `c2/inv07`. No run begins before all tokens are seen. A token that goes away in mid-run is
 named with its cycle; in real time the run goes on, and a device that comes back is taken up again
 where the run stands.
 
@@ -220,7 +241,8 @@ the wall clock, here that of three tiers; see *Real time*.
   residual that is not negative comes without one.
 - `period_cycles` has an entry for each tier that has children, the central controller's first. A
   parent gives `request` and `setpoint` in cycles that are a multiple of its tier's entry. In the
-  others its children await neither, go on with the last ones, and publish all the same.
+  others its children await neither, go on with the last ones, and publish all the same. In arming
+  rounds, below 0, every parent acts whatever its period.
 - Each key has one message a cycle at most. Of two the first one holds.
 - In lockstep nobody has a deadline, and nothing goes on before you have answered. After a few
   seconds without an answer the run ends and names whom it waited for.
@@ -229,7 +251,7 @@ the wall clock, here that of three tiers; see *Real time*.
 
 
 def _agents() -> tuple[tuple[str, Agent[Any]], ...]:
-    family = Family("c1", ("c1/inv01", INVERTER), (470.0, 470.0), (), 0)
+    family = Family("c2", ("c2/inv05", INVERTER), (470.0, 470.0), (), 0)
     periods = Periods((1, 1))
     direct = DirectController(INVERTER, 470.0, 0.05, periods, "paper", "fraction")
     plant = Family(ROOT, ("c1", "c2"), (1.0, 1.0), (), 0)
@@ -256,7 +278,7 @@ def _direct_controller() -> Iterator[str]:
         """
 ### What a direct controller works out
 
-By the paper's rule (`scheme` is `paper`; a device may know better), with the rating from the plan:
+To the last digit, by the paper's rule (`scheme` is `paper`), with the rating from the plan:
 
 - `impp.power_kw` = min(telemetry.power_kw / telemetry.alpha, rating), and `stale_cycles` = 0. A
   measurement that cannot be right (NaN, negative, above 1.05 times the rating, alpha outside
@@ -266,6 +288,39 @@ By the paper's rule (`scheme` is `paper`; a device may know better), with the ra
   IMPP. `command.power_kw` = alpha times IMPP; the rating where alpha is 1.
 - Before the first words of its parent the request is 0 and the setpoint is the rating. A word that
   does not come, or is outside 0 to the rating, leaves the last one.
+- Before the first usable measurement the IMPP is 0, with `stale_cycles` counting from 1.
+
+Where `scheme` is `predictive`, Heliarch's own forecast the maximum of the interval that now begins,
+rather than state that of the last one (docs/decisions/0006, `agents/control/forecast.py`). To a
+parent it is one and the same: it takes an `impp` for what the node can give in this cycle. A device
+may state what it knows best, and follow the rule above whatever the scheme.
+
+### What a parent works out
+
+The central controller and supervisors alike, with children in the order of `inverters` and a node's
+rating the sum of its inverters'. This is the arithmetic of a cycle in which all answer; order of
+sums, what holds after silence and what is lent between turns are, to the last digit, in
+`agents/family.py`, `agents/control/request.py` and `agents/control/allocation.py`, and what is a
+supervisor's or the central controller's own in `agents/supervisor.py` and `agents/central.py`.
+
+- What is asked: of a supervisor the last usable `request` (before the first 0); of the central
+  controller the last usable `dispatch`, held between 0 and the rating (before the first 0). Each
+  child's `request` is the part of it that is the child's part of the rating.
+- `impp.power_kw` and `residual.power_kw` are the sums of the children's, `stale_cycles` the largest
+  of theirs, `help.missing_kw` is less the residual, if it is negative. A report that cannot be
+  right (IMPP outside 0 to the rating, residual outside minus the rating to the IMPP) counts as
+  silence. For `hold_cycles` cycles a silent child's last report holds; then it has an IMPP of 0,
+  and lacks its part of the request.
+- The target: the last usable `setpoint` or `dispatch`; before the first the node's rating. A
+  child's `share_kw` is its part of the target by rating, its headroom IMPP less share. If the
+  target is the sum of all IMPP or more, each child's `power_kw` is its IMPP. Else the needy, those
+  with negative headroom, in their order, ask their siblings one by one for what they lack, and each
+  gives what is left of its headroom. `power_kw` is the lesser of share and IMPP, plus what the
+  child gives. `help_given` lists what it gives, the needy first to last, in both cases.
+- Siblings are asked in the order of their correlation with the needy, the lowest first, equals in
+  the order of the children. `neighbourhoods` has it: for each `node` the `hours`, of which that
+  with the last `from_time_ns` up to `sim_time_ns` holds, with `correlation` as rows of a matrix
+  over the children. Without an entry all are equal.
 """
     )
 
@@ -291,25 +346,29 @@ with `run`. Deadlines count from the beginning of the cycle:
 
 **A device needs no common clock if it answers on arrival**: telemetry (and request, in the
 parent's turns) in, `impp` and `residual` out; `setpoint` in, `command` out. Where something does
-not come it answers without: some time after its telemetry, by its own clock, well before the
-deadline of the next stage. `publish_time_ns` from a foreign clock would spoil hop latencies and the
+not come it answers without, by its own clock, at the deadline of its stage or a little earlier: in
+a tree as above, 0.3 of the cycle after its telemetry it no longer waits for the `request`, and 0.75
+after it no longer for the `setpoint`. Without telemetry it does as in the cycle before, if it has a
+clock, or is silent. `publish_time_ns` from a foreign clock would spoil hop latencies and the
 order of messages in time: such a device sends the `publish_time_ns` of the message that it answers
 plus the nanoseconds that the answer took it, or 0, which counts as unknown.
 
 **After a deadline** an agent goes on without what is missing, and names it in `missing`:
 
-- `c1/inv07/impp`: nothing came on it by the deadline, and nothing took its place.
-- `c1/inv07/impp@41`: the late word of cycle 41 was used in its place. If the plan's `late` is
+- `c2/inv07/impp`: nothing came on it by the deadline, and nothing took its place.
+- `c2/inv07/impp@41`: the late word of cycle 41 was used in its place. If the plan's `late` is
   `use`, Heliarch's agents keep what comes after its stage has closed, the newest of each key, and
   use it once, where this cycle's fails to come in time. They also take up a parent's late `request`
-  or `setpoint` in a cycle in which they await none: `c1/setpoint@60` in cycle 70. A device need not
+  or `setpoint` in a cycle in which they await none: `c2/setpoint@60` in cycle 70. A device need not
   do so: it may drop what is late, and name the bare key.
 - `skipped@41`: the sender had fallen behind, and gave up its cycles from 41 up to the one before
   this. Nothing is sent for them that another agent acts on.
 
-For a parent, a child that is silent for more than `hold_cycles` cycles has nothing to give. An
-inverter whose command is missing keeps its last one. A device may leave `missing` empty, but then
-its recording does not tell which inputs an answer used.
+For a parent, a child is silent whose `impp` does not come; what is silent for more than
+`hold_cycles` cycles has nothing to give. A `residual` that does not come, or is of another cycle
+than the `impp`, it works out itself, from the request that it made. An inverter whose command is
+missing keeps its last one. A device may leave `missing` empty, but then its recording does not tell
+which inputs an answer used.
 
 **Counts.** Processes publish `timing` and `plant_timing` about themselves; nobody waits for them,
 and a device need not send them.
@@ -325,11 +384,13 @@ def _arming() -> Iterator[str]:
 Cycles with numbers below 0 are *arming rounds*: whole cycles that prove all links.
 
 **A controller** answers every message of one as in the run, with the cycle number of the message,
-`sequence` 0, and beginning each round from its initial state. A message of a later round ends the
-round under way. Cycle 0 begins with its first message, or with `run` of state `start`, again from
-the initial state. `run` of state `stop` names the first cycle that does not take place; what is
-under way before it is completed, and then the agent leaves. A device that joins a run under way
-begins with the first cycle that it hears of.
+`sequence` 0, and beginning each round from its initial state. A round begins with its first message
+from above: `telemetry`, `dispatch`, `request` or `setpoint`, and ends the one under way. What a
+child says of a round before that is kept or dropped, and begins nothing. Cycle 0 begins with its
+first message from above, or with `run` of state `start`, whichever comes first, for they are on
+keys of their own; again from the initial state. `run` of state `stop` names the first cycle that
+does not take place; what is under way before it is completed, and then the agent leaves. A device
+that joins a run under way begins with the first cycle that it hears of.
 
 **A plant** conducts the run:
 
@@ -366,6 +427,8 @@ def _rules() -> Iterator[str]:
 - `publish_time_ns` is the host's monotonic clock when the message goes out. `sequence` counts the
   messages on the key from 0, from cycle 0 on: from its gaps the recorder tells what was lost. It
   begins anew after a restart.
+- Integers have bounds: `cycle` above -2^31 and below 10^18, times [ns] between -2^62 and 2^62,
+  those of the host's clock not below 0, counts from 0 to below 2^32, that of a notice below 2^62.
 - Powers are in kW. `impp` lies between 0 and the rating, `residual` between minus the rating and
   the IMPP, `alpha` in (0, 1], `command.power_kw` between 0 and the rating.
 """
@@ -383,11 +446,13 @@ heard it, on the launcher's screen and in the summary.
 | what | cause | what becomes of it |
 |---|---|---|
 | no msgpack, a wrong type, a field too few or too many | `undecodable` | dropped |
+| an integer beyond its bounds | `undecodable` | dropped |
 | a key of a node or signal that the run does not have | `unknown` | dropped |
 | `source` is not who may publish on the key | `foreign` | dropped |
 | a cycle that is over | `late` | kept as a late word in real time, else dropped |
 | a cycle ahead by more than the longest period, or before the run | `other_cycle` | dropped |
 | a second message on a key in a cycle | `duplicate` | dropped: the first one holds |
+| the same, and it says something else | `repeated` | dropped as well, but recorded |
 | not due in this cycle | `unexpected` | dropped |
 | NaN, negative, above the rating; a wrong `sim_time_ns` | `absurd` | to listeners it is silence |
 | nothing | `missing` of those who waited | real time: done without; lockstep: the run ends |

@@ -20,7 +20,7 @@ from bus_schemas.messages import (
 )
 from bus_schemas.tree import PLANT
 
-INVERTER: Final = "c1/inv07"
+INVERTER: Final = "c2/inv07"
 
 _RULES: Final = """\
 ## Byte by byte
@@ -61,13 +61,13 @@ def layout() -> Iterator[str]:
 def _examples() -> Iterator[tuple[str, Message]]:
     time_ns = 1_270_159_202_000_000_000
     yield (
-        "Telemetry of `c1/inv07` in cycle 2, after 120.5 kW at alpha 0.5:",
+        "Telemetry of `c2/inv07` in cycle 2, after 120.5 kW at alpha 0.5:",
         Telemetry(
             2, time_ns, PLANT, (), 5_000_000_000, 2, power_kw=120.5, alpha=0.5, limit_kw=470.0
         ),
     )
     yield (
-        "IMPP of `c1/inv07` in an arming round, so with a negative cycle and number 0:",
+        "IMPP of `c2/inv07` in an arming round, so with a negative cycle and number 0:",
         Impp(
             -999_999,
             time_ns - 1_000_001_000_000_000,
@@ -84,17 +84,17 @@ def _examples() -> Iterator[tuple[str, Message]]:
         Residual(2, time_ns, INVERTER, (f"{INVERTER}/request",), 5_003_000_000, 2, power_kw=-20.0),
     )
     yield (
-        "Setpoint of 100 kW: the share of 80 kW, and 20 kW more for `c1/inv01`:",
+        "Setpoint of 100 kW: the share of 80 kW, and 20 kW more for `c2/inv05`:",
         Setpoint(
             2,
             time_ns,
-            "c1",
+            "c2",
             (),
             5_003_500_000,
             2,
             power_kw=100.0,
             share_kw=80.0,
-            help_given=(HelpGiven("c1/inv01", 20.0),),
+            help_given=(HelpGiven("c2/inv05", 20.0),),
         ),
     )
     yield (

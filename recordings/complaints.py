@@ -7,9 +7,13 @@ from collections.abc import Callable
 from typing import Final
 
 from agents.lifeline import Complaint
+from recordings.spoken_words import REPEATED
 
 ABSURD: Final = "absurd"
 """The cause of complaints about messages of the run whose numbers cannot be right."""
+
+_RECORDED: Final = frozenset({ABSURD, REPEATED})
+"""Causes of complaints about messages that are in the recording."""
 
 _MOST_NAMED: Final = 200
 """A device that makes up keys must not fill the memory: beyond this they are counted together."""
@@ -49,7 +53,7 @@ class Complaints:
     @property
     def set_aside(self) -> int:
         """Messages that were complained of and are not in the recording."""
-        return sum(count for (_, cause), count in self._counts.items() if cause != ABSURD)
+        return sum(count for (_, cause), count in self._counts.items() if cause not in _RECORDED)
 
     def all(self) -> tuple[Complaint, ...]:
         """Return each complaint with its count, sorted by key."""

@@ -40,13 +40,16 @@ class ExternalAgents:
         """Return which of them a liveliness token is of, if any."""
         return self._agent_of.get(alive_key)
 
-    def hear(self, port: Port[Message], gap: int) -> None:
-        """Count a message of the run, and how many its number shows to be missing before it."""
+    def hear(self, port: Port[Message], gap: int, *, is_answer: bool) -> None:
+        """Count a message of the run, and how many its number shows to be missing before it.
+
+        Of several in a cycle only one is an answer.
+        """
         recorded = self._recorded.get(port.publisher)
         if recorded is not None:
             self.heard += 1
             recorded[port.signal.name] += 1
-            self._answers[port] += 1
+            self._answers[port] += is_answer
             self._lost[port.publisher] += gap
 
     def accounts(self, cycles: int) -> tuple[ExternalAccount, ...]:

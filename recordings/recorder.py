@@ -31,6 +31,7 @@ from recordings.external_agents import ExternalAgents
 from recordings.lasting_writer import LastingWriter
 from recordings.monitor import RunMonitor
 from recordings.plausibility import absurdity
+from recordings.spoken_words import Objection, SpokenWords
 from recordings.writer import RunWriter
 
 log = logging.getLogger(__name__)
@@ -41,17 +42,6 @@ FLUSH_S: Final = 0.5
 _NAP_S: Final = 0.005
 _STATUS_S: Final = 0.25
 _MOST_AT_ONCE: Final = 2000
-_CYCLE_WINDOW: Final = 1000
-"""How many cycles ahead of the plant's last word a message can be on another link, generously."""
-
-_EXTERNAL_WINDOW: Final = 20
-"""The same of a message of an external agent, which may be of a wrong cycle."""
-
-_REMEMBERED_CYCLES: Final = 100
-"""For so many cycles it is known on which ports there was a message: there must be no second."""
-
-_ONCE_A_CYCLE: Final = frozenset({Occurrence.CYCLE, Occurrence.TURN, Occurrence.NEED})
-
 _QUIET_S: Final = 2.0
 """How long nothing must have come before the recorder stops waiting for what it was told of."""
 
@@ -125,7 +115,7 @@ class Recorder:
         self._external = ExternalAgents(plan)
         self._newest_cycle = -1
         self._stop_cycle: int | None = None
-        self._spoken: dict[int, set[Port[Message]]] = {}
+        self._spoken = SpokenWords(plan)
         self._next_sequence: dict[Port[Message], int] = {}
         self._ready_port = READY.of(ROOT)
         self._round = Round(plan)
@@ -179,52 +169,40 @@ class Recorder:
         except msgspec.DecodeError as error:
             self.complaints.add(key, "undecodable", str(error))
             return
-        if not self._belongs(port, message, key):
-            return
+        objection = self._objection(port, message)
+        if objection is not None:
+            self.complaints.add(key, objection.cause, objection.text)
+            if not objection.is_recorded:
+                return
         if message.cycle < 0:
             if self._round.sees(port, message.cycle):
                 self._answer_round(message)
         elif port.signal.logged:
-            self._record(port, message, payload)
+            self._record(port, message, payload, is_first=objection is None)
 
-    def _belongs(self, port: Port[Message], message: Message, key: str) -> bool:
-        """Whether a message is one of the run; else it is complained of."""
-        cycle, newest = message.cycle, self._newest_cycle
-        external = port.publisher in self._plan.external
-        if message.source != port.publisher:
-            self.complaints.add(key, "foreign", f"it is from {message.source!r}")
-        elif cycle > newest + (_EXTERNAL_WINDOW if external else _CYCLE_WINDOW):
-            self.complaints.add(key, "other_cycle", f"it is of cycle {cycle}, this is {newest}")
-        elif external and cycle >= 0 and port.publisher != PLANT and not self._round.answered:
-            self.complaints.add(key, "other_cycle", f"it is of cycle {cycle}, before the run")
-        elif (
-            cycle >= 0 and port.signal.occurrence in _ONCE_A_CYCLE and self._is_second(port, cycle)
-        ):
-            self.complaints.add(key, "duplicate", f"it came twice in cycle {cycle}")
-        else:
-            return True
-        return False
+    def _objection(self, port: Port[Message], message: Message) -> Objection | None:
+        """Say what is wrong with a message, None if nothing."""
+        cycle, publisher = message.cycle, port.publisher
+        if message.source != publisher:
+            return Objection("foreign", f"it is from {message.source!r}")
+        if cycle < 0:
+            return None
+        if publisher in self._plan.external and publisher != PLANT and not self._round.answered:
+            return Objection("other_cycle", f"it is of cycle {cycle}, before the run")
+        return self._spoken.objection(port, message, self._newest_cycle)
 
-    def _is_second(self, port: Port[Message], cycle: int) -> bool:
-        """Whether there was a message of this cycle already, as far as it is remembered."""
-        spoken = self._spoken.get(cycle)
-        if spoken is None:
-            spoken = self._spoken[cycle] = set()
-            if len(self._spoken) > _REMEMBERED_CYCLES:
-                del self._spoken[min(self._spoken)]
-        if port in spoken:
-            return True
-        spoken.add(port)
-        return False
-
-    def _record(self, port: Port[Message], message: Message, payload: bytes) -> None:
-        """Write down a message of the run, and follow the run by it."""
+    def _record(
+        self, port: Port[Message], message: Message, payload: bytes, *, is_first: bool
+    ) -> None:
+        """Write down a message of the run, and follow the run by the first one of each cycle."""
         if port.signal is DISPATCH:
             self._newest_cycle = max(message.cycle, self._newest_cycle)
         elif isinstance(message, Run):
             self._follow(message)
-        self._external.hear(port, self._count_gap(port, message))
+        self._external.hear(port, self._count_gap(port, message), is_answer=is_first)
         self._writer.add(port, message, payload, time.monotonic_ns())
+        if not is_first:
+            return
         if port.publisher in self._plan.external:
             absurd = absurdity(self._plan, port, message)
             if absurd:
@@ -304,12 +282,19 @@ class Round:
         self.answered = False
         self._cycle: int | None = None
         self._open: set[Port[Message]] = set()
+        self._last: dict[Port[Message], int] = {}
 
     def sees(self, port: Port[Message], cycle: int) -> bool:
-        """Take in a message of a round; return whether it was the last one that was missing."""
-        if self._cycle is None or cycle > self._cycle:
-            self._cycle, self._open = cycle, set(self._all)
+        """Take in a message of a round; return whether it was the last one that was missing.
+
+        Only the plant begins a round: what another one says of a later round is remembered, in case
+        it has overtaken the plant's words.
+        """
+        if port.publisher == PLANT and (self._cycle is None or cycle > self._cycle):
+            self._cycle = cycle
+            self._open = {port for port in self._all if self._last.get(port) != cycle}
             self.count += 1
+        self._last[port] = cycle
         if cycle != self._cycle or port not in self._open:
             return False
         self._open.discard(port)

@@ -133,7 +133,7 @@ class SeriesCollector:
     def __init__(self, plan: RunPlan) -> None:
         self._plan = plan
         self._productions: list[Production] = []
-        self._dispatches: list[Dispatch] = []
+        self._dispatches: dict[int, Dispatch] = {}
         self._of_inverters = {
             signal.of(leaf): _History() for signal in _OF_INVERTERS for leaf in plan.tree.leaves
         }
@@ -147,7 +147,7 @@ class SeriesCollector:
         elif port.signal is PRODUCTION:
             self._productions.append(message)  # type: ignore[arg-type]
         elif port.signal is DISPATCH:
-            self._dispatches.append(message)  # type: ignore[arg-type]
+            self._dispatches.setdefault(message.cycle, message)  # type: ignore[arg-type]
 
     def series(self, label: str) -> RunSeries:
         """Return the cycles that are complete so far.
@@ -161,7 +161,7 @@ class SeriesCollector:
         if not cycles:
             raise InputError("the run has no complete cycle, accepted is one with at least one")
         tree = self._plan.tree
-        dispatched = [message for message in self._dispatches if 0 <= message.cycle < cycles]
+        dispatched = [message for cycle, message in self._dispatches.items() if 0 <= cycle < cycles]
         return RunSeries(
             label=label,
             inverters=tree.leaves,
@@ -188,7 +188,8 @@ class SeriesCollector:
             history = self._of_inverters[signal.of(leaf)]
             cycle, value = np.array(history.cycle, dtype=np.int64), np.array(history.value)
             kept = (cycle >= 0) & (cycle < cycles)
-            found[cycle[kept], place] = value[kept]
+            # An external agent may say several things in a cycle: the first one stands here.
+            found[cycle[kept][::-1], place] = value[kept][::-1]
         return found
 
 

@@ -7,18 +7,27 @@ it was, whatever happened beside it.
 
 A wait lasts from the publishing of the cause to the publishing of the message. That holds the hop
 between the two agents as well as the decision: a recording is a view from outside.
+
+A device may not know this host's clock, and says so with a publish time of 0. What it publishes
+then has no place here, nor has what claims to be from before the cycle before its own, or to have
+been published after the recorder had it.
 """
 
 from __future__ import annotations
 
+import sys
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from heapq import nlargest
 from typing import Final, NamedTuple, TypeAlias
 
+from msgspec import DecodeError
+
+from bus_schemas.bus import Delivery
+from bus_schemas.codec import decode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
-from bus_schemas.missing import SKIPPED, absence
+from bus_schemas.missing import SKIPPED, absence, skipped_cycles
 from bus_schemas.signals import (
     COMMAND,
     DISPATCH,
@@ -90,6 +99,8 @@ class Wait(NamedTuple):
         When the two were published, after the cycle's scheduled tick [ns].
     without
         Keys of inputs that it waited for in vain, up to its deadline.
+    given_up
+        Whether it had fallen behind, and gave the cycle up: it waited for nobody.
     """
 
     agent: str
@@ -99,6 +110,7 @@ class Wait(NamedTuple):
     began_ns: int
     ended_ns: int
     without: tuple[str, ...]
+    given_up: bool = False
 
     @property
     def length_ns(self) -> int:
@@ -107,6 +119,8 @@ class Wait(NamedTuple):
 
     def in_words(self) -> str:
         """Say it: `c2/inv09 took 18.4 ms to estimate`."""
+        if self.given_up:
+            return f"{self.agent} gave the cycle up"
         took = f"{self.agent} took {self.length_ns / 1e6:.1f} ms {_DOING[self.stage]}"
         return f"{took}, without {', '.join(self.without)}" if self.without else took
 
@@ -202,6 +216,8 @@ class WaitFinder:
     ) -> Wait:
         tick_ns = self.tick_ns(cycle)
         ended_ns = messages[port].publish_time_ns
+        if _gave_up(messages[port]):
+            return Wait(agent, stage, None, port, 0, ended_ns - tick_ns, (), given_up=True)
         without = self._without(agent, stage, port, messages)
         cause = self._cause(agent, port, messages)
         began_ns = tick_ns if cause is None else messages[cause].publish_time_ns
@@ -253,7 +269,10 @@ class WaitFinder:
             seen.add(place)
             wait = waits[place]._replace(message=followed)
             ended_ns = messages[followed].publish_time_ns - self.tick_ns(messages[followed].cycle)
-            cause = self._late_cause(wait, messages) or self._cause(wait.agent, followed, messages)
+            cause = None
+            if not wait.given_up:
+                cause = self._late_cause(wait, messages)
+                cause = cause or self._cause(wait.agent, followed, messages)
             began_ns = 0
             if cause is not None:
                 began_ns = messages[cause].publish_time_ns - self.tick_ns(messages[cause].cycle)
@@ -276,8 +295,10 @@ def stage_of(port: Port[Message], tree: ControlTree) -> str:
     return "estimate" if tree.is_leaf(port.node) else "report"
 
 
-def slowest_cycles(reader: RunReader, count: int) -> list[CycleWaits]:
-    """Return the slowest cycles of a run in real time, the slowest first.
+def slowest_cycles(
+    reader: RunReader, count: int, last_cycle: int | None = None
+) -> list[CycleWaits]:
+    """Return the slowest cycles of a run in real time, up to a cycle, the slowest first.
 
     Raises
     ------
@@ -285,37 +306,40 @@ def slowest_cycles(reader: RunReader, count: int) -> list[CycleWaits]:
         The run was not in real time, or its recording does not say when it began.
     """
     finder = wait_finder(reader)
-    loops_ns = {
-        message.cycle: message.publish_time_ns - finder.tick_ns(message.cycle)
-        for _, message in reader.messages(PRODUCTION)
-        if message.cycle >= 0
-    }
+    loops_ns = _loops_ns(reader, finder, last_cycle)
     slowest = nlargest(count, loops_ns, key=lambda cycle: loops_ns[cycle])
-    return [finder.of_cycle(cycle, _messages_of(reader, cycle)) for cycle in slowest]
+    return [finder.of_cycle(cycle, _messages_of(reader, finder, cycle)) for cycle in slowest]
 
 
-def loop_times_ns(reader: RunReader) -> list[int]:
-    """Return from each cycle the time from its scheduled tick to the plant's production [ns]."""
-    finder = wait_finder(reader)
-    return [
-        message.publish_time_ns - finder.tick_ns(message.cycle)
-        for _, message in reader.messages(PRODUCTION)
-        if message.cycle >= 0
-    ]
+def loop_times_ns(reader: RunReader, last_cycle: int | None = None) -> list[int]:
+    """Return from each cycle the time from its scheduled tick to the plant's production [ns].
+
+    Those are left out in which the plant does not tell a possible time.
+    """
+    return list(_loops_ns(reader, wait_finder(reader), last_cycle).values())
+
+
+def last_cycle_with_all(reader: RunReader, agents: Collection[str]) -> int:
+    """Return the last cycle in which each of these inverters gave a command; -1: there is none."""
+    last = dict.fromkeys(agents, -1)
+    for record in reader.records([COMMAND.of(agent) for agent in agents]):
+        last[record.port.node] = max(last[record.port.node], record.cycle)
+    return min(last.values(), default=-1)
 
 
 def response_times_ns(
-    reader: RunReader, agents: Collection[str]
+    reader: RunReader, agents: Collection[str], last_cycle: int | None = None
 ) -> dict[tuple[str, str], list[int]]:
     """Return how long some agents took to answer, by agent and stage [ns].
 
-    That is from the last input that was published before their own last message of a stage.
+    That is from the last input that was published before their own last message of a stage. Where
+    their publish times are not known or impossible there is nothing to tell.
     """
     finder = wait_finder(reader)
     found: dict[tuple[str, str], list[int]] = defaultdict(list)
     if not agents:
         return found
-    for cycle, messages in _by_cycle(reader):
+    for cycle, messages in _by_cycle(reader, finder, last_cycle):
         for wait in finder.waits(cycle, messages, agents):
             found[wait.agent, wait.stage].append(wait.length_ns)
     return found
@@ -342,19 +366,29 @@ def wait_finder(reader: RunReader) -> WaitFinder:
     )
 
 
-def _messages_of(reader: RunReader, cycle: int) -> CycleMessages:
+def _loops_ns(reader: RunReader, finder: WaitFinder, last_cycle: int | None) -> dict[int, int]:
+    """Return the time from the scheduled tick to the plant's production, by cycle [ns]."""
+    found: dict[int, int] = {}
+    for _, message in _in_time(reader, finder, [PRODUCTION.of(ROOT)], _up_to(last_cycle)):
+        loop_ns = message.publish_time_ns - finder.tick_ns(message.cycle)
+        found.setdefault(message.cycle, loop_ns)  # Of one that came twice the first counts.
+    return found
+
+
+def _messages_of(reader: RunReader, finder: WaitFinder, cycle: int) -> CycleMessages:
     messages: CycleMessages = {}
-    for port, message in reader.on(_cyclic_ports(reader), range(cycle, cycle + 1)):
+    cycles = range(cycle, cycle + 1)
+    for port, message in _in_time(reader, finder, _cyclic_ports(reader), cycles):
         messages.setdefault(port, message)  # Of one that came twice the first counts.
     return messages
 
 
-def _by_cycle(reader: RunReader) -> Iterator[tuple[int, CycleMessages]]:
+def _by_cycle(
+    reader: RunReader, finder: WaitFinder, last_cycle: int | None
+) -> Iterator[tuple[int, CycleMessages]]:
     """Yield the messages of each cycle. What comes late is still found: memory holds few cycles."""
     held: dict[int, CycleMessages] = defaultdict(dict)
-    for port, message in reader.on(_cyclic_ports(reader)):
-        if message.cycle < 0:
-            continue
+    for port, message in _in_time(reader, finder, _cyclic_ports(reader), _up_to(last_cycle)):
         held[message.cycle].setdefault(port, message)
         if len(held) > _HELD_CYCLES:
             oldest = min(held)
@@ -362,8 +396,35 @@ def _by_cycle(reader: RunReader) -> Iterator[tuple[int, CycleMessages]]:
     yield from sorted(held.items())
 
 
+def _in_time(
+    reader: RunReader, finder: WaitFinder, ports: Collection[Port[Message]], cycles: range
+) -> Iterator[Delivery]:
+    """Yield the messages of some cycles whose publish times are known and possible."""
+    for record in reader.records(ports, cycles):
+        if record.publish_time_ns > record.log_time_ns:
+            continue
+        try:
+            message = decode(record.port.signal, record.payload)
+        except DecodeError as error:
+            raise InputError(
+                f"{reader.path}: {record.port}: {error}, accepted is a "
+                f"{record.port.signal.type.__name__}"
+            ) from None
+        if message.publish_time_ns >= max(finder.tick_ns(message.cycle - 1), 1):
+            yield record.port, message
+
+
+def _up_to(last_cycle: int | None) -> range:
+    return range(sys.maxsize if last_cycle is None else last_cycle + 1)
+
+
 def _cyclic_ports(reader: RunReader) -> Sequence[Port[Message]]:
     return [signal.of(node) for signal in _CYCLIC for node in signal.nodes(reader.plan.tree)]
+
+
+def _gave_up(message: Message) -> bool:
+    """Whether the sender says that it gave up the cycle of this very message."""
+    return message.cycle in skipped_cycles(message.missing, message.cycle)
 
 
 def _absent(message: Message) -> set[str]:

@@ -31,6 +31,9 @@ _ROUND_S: Final = 0.3
 _ARMING_S: Final = 30.0
 """How long the arming rounds may take, once everybody is there."""
 
+_MOST_NAMED: Final = 3
+"""One agent that does not answer holds up all: more names than that say nothing more."""
+
 _LEAD_S: Final = 0.2
 """In real time: how long before cycle 0 everybody is told when it begins."""
 
@@ -111,8 +114,10 @@ class Conductor:
                 return round_number
             if time.monotonic() > give_up_at:
                 break
-        needs = ", ".join(sorted(str(port) for port in sequencer.waiting_for))
-        raise ArmingError(f"no arming round closed; the plant waits for {needs or 'the recorder'}")
+        needs = sorted(str(port) for port in sequencer.waiting_for) or ["the recorder"]
+        named, others = needs[:_MOST_NAMED], len(needs) - _MOST_NAMED
+        rest = f" and {others} more" if others > 0 else ""
+        raise ArmingError(f"no arming round closed; the plant waits for {', '.join(named)}{rest}")
 
     def _round_closes(self, cycle: int, until: float) -> bool:
         sequencer = self._runtime.sequencer

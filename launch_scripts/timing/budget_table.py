@@ -9,19 +9,25 @@ from typing import Any, Final
 import msgspec
 
 from bus_schemas.signals import SIGNALS
-from bus_schemas.tree import CENTRAL, PLANT
+from bus_schemas.tree import CENTRAL, PLANT, RECORDER
 
 TIERS: Final = (PLANT, CENTRAL, "supervisor", "direct")
 _SIGNALS: Final = tuple(signal.name for signal in SIGNALS if signal.hop_p99_ms is not None)
 
 _BY_NAME: Final = {
     **dict.fromkeys(("decision_p99_ms", "lateness_p99_ms", "jitter_p99_ms", "age_p99_ms"), TIERS),
-    **dict.fromkeys(("cpu_percent", "resident_mb"), TIERS),
+    **dict.fromkeys(("cpu_percent", "resident_mb"), (*TIERS, RECORDER)),
     "hop_p99_ms": _SIGNALS,
 }
 """Budgets that are tables, and the names that they may have in them."""
 
-_COUNTS: Final = ("missed_deadlines", "overruns", "lost_messages", "dropped_messages")
+_COUNTS: Final = (
+    "missed_deadlines",
+    "overruns",
+    "cycles_given_up",
+    "lost_messages",
+    "dropped_messages",
+)
 _OF_THE_RUN: Final = ("loop_p99_ms", "loop_max_ms", *_COUNTS)
 
 
@@ -34,22 +40,22 @@ class BudgetTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         From the plant's scheduled tick to the last command applied. Default of the first: half
         the cycle; the second has none.
     decision_p99_ms
-        By tier (`plant`, `central`, `supervisor`, `direct`). Default: the time between two tiers'
-        deadlines, and the paper's upper bounds.
+        By tier (`plant`, `central`, `supervisor`, `direct`). Default: each stage's slice of the
+        cycle, and the paper's upper bounds.
     lateness_p99_ms
         By tier. Default: the plant's tick, 2 % of the cycle, not below 1 ms.
     jitter_p99_ms, age_p99_ms
-        By tier. Default: none.
+        By tier, for each of its stages. Default: none.
     hop_p99_ms
         By signal. Default: as the table of signals says.
-    missed_deadlines, overruns, lost_messages
+    missed_deadlines, overruns, cycles_given_up, lost_messages
         How many in the whole run, of all tiers together. Default: 0.
     dropped_messages
         The same. Default: none.
     cpu_percent
-        By tier, of one core, for each process. Default: 80.
+        By tier, or of the `recorder`; of one core, for each process. Default: 80.
     resident_mb
-        By tier, for each process. Default: none.
+        The same. Default: none.
     """
 
     loop_p99_ms: float | None = None
@@ -61,6 +67,7 @@ class BudgetTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     hop_p99_ms: dict[str, float] = {}
     missed_deadlines: int = 0
     overruns: int = 0
+    cycles_given_up: int = 0
     lost_messages: int = 0
     dropped_messages: int | None = None
     cpu_percent: dict[str, float] = {}

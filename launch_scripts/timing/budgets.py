@@ -9,6 +9,7 @@ scenario may put absolute ones in their place.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from math import inf
 from typing import Final
 
 import msgspec
@@ -17,8 +18,15 @@ from agents.deadlines import slice_ns
 from agents.plan import RunPlan
 from bus_schemas.signals import SIGNALS
 from bus_schemas.tree import CENTRAL, PLANT
-from launch_scripts.timing.budget_table import TIERS, BudgetTable
-from launch_scripts.timing.measures import LOOP, WHOLE_LOOP, TierAccount, Times
+from launch_scripts.timing.budget_table import BudgetTable
+from launch_scripts.timing.measures import (
+    LOOP,
+    STAGES,
+    WHOLE_LOOP,
+    TierAccount,
+    Tiers,
+    Times,
+)
 
 _PAPER_MS: Final = {"direct": 1_000.0, "supervisor": 10_000.0, CENTRAL: 60_000.0}
 
@@ -65,7 +73,7 @@ class Budgets(msgspec.Struct, frozen=True):
     Attributes
     ----------
     times_p99_ms
-        By measure, then by kind of process or signal.
+        By measure, then by row, or else by kind of process or signal.
     loop_p99_ms, loop_max_ms
         Of the whole loop.
     table
@@ -81,15 +89,12 @@ class Budgets(msgspec.Struct, frozen=True):
 def budgets_of(plan: RunPlan, table: BudgetTable) -> Budgets:
     """Return the budgets of a run: the scenario's, and defaults that follow the cycle."""
     cycle_ms = plan.cycle_wall_ns / 1e6
-    slice_ms = slice_ns(plan.tree, plan.cycle_wall_ns) / 1e6
-    decision = {tier: min(slice_ms, _PAPER_MS.get(tier, slice_ms)) for tier in TIERS}
-    decision |= table.decision_p99_ms
     lateness = {PLANT: max(_LATENESS_SHARE * cycle_ms, _LEAST_LATENESS_MS)}
     hop = {signal.name: signal.hop_p99_ms for signal in SIGNALS if signal.hop_p99_ms is not None}
     return Budgets(
         times_p99_ms={
-            "decision": decision,
-            "response": decision,
+            "decision": _decision_limits_ms(plan, table),
+            "response": _response_limits_ms(plan, table),
             "lateness": lateness | table.lateness_p99_ms,
             "jitter": table.jitter_p99_ms,
             "age": table.age_p99_ms,
@@ -99,6 +104,43 @@ def budgets_of(plan: RunPlan, table: BudgetTable) -> Budgets:
         loop_max_ms=table.loop_max_ms,
         table=table,
     )
+
+
+def _decision_limits_ms(plan: RunPlan, table: BudgetTable) -> dict[str, float]:
+    """Return the limits of decision times: by tier and stage, and by kind, that of its first stage.
+
+    A row of a tier is of all its processes, so the shortest of their slices holds.
+    """
+    tiers = Tiers(plan.tree)
+    found: dict[str, float] = {}
+    for agent in plan.tree.agents():
+        for stage in STAGES.get(tiers.kind(agent), ()):
+            limit_ms = _decision_limit_ms(agent, stage, plan, table)
+            row, kind = f"{tiers.tier(agent)} {stage}", tiers.kind(agent)
+            found[row] = min(limit_ms, found.get(row, limit_ms))
+            found.setdefault(kind, limit_ms)
+    return found
+
+
+def _response_limits_ms(plan: RunPlan, table: BudgetTable) -> dict[str, float]:
+    """Return the limits of the response times of external agents: by agent and stage, and kind."""
+    tiers = Tiers(plan.tree)
+    found: dict[str, float] = {}
+    for agent in plan.external:
+        for stage in STAGES.get(tiers.kind(agent), ()):
+            limit_ms = _decision_limit_ms(agent, stage, plan, table)
+            found[f"{agent} {stage}"] = limit_ms
+            found.setdefault(tiers.kind(agent), limit_ms)
+    return found
+
+
+def _decision_limit_ms(agent: str, stage: str, plan: RunPlan, table: BudgetTable) -> float:
+    kind = Tiers(plan.tree).kind(agent)
+    stated_ms = table.decision_p99_ms.get(kind)
+    if stated_ms is not None:
+        return stated_ms
+    own_ns = slice_ns(agent, stage, plan.tree, plan.cycle_wall_ns, plan.tier_deadlines_ns)
+    return min(own_ns / 1e6, _PAPER_MS.get(kind, inf))
 
 
 def judge(
@@ -119,8 +161,8 @@ def judge(
     lost_messages
         How many messages are not in the recording.
     expected
-        Measure, and kind or signal, of what must have been measured: of these no row is a failure,
-        a row that is not there being no row that is good.
+        Measure, and row, kind or signal, of what must have been measured: of these no row is a
+        failure, a row that is not there being no row that is good.
     """
     return (
         *_loop_verdicts(budgets, times),
@@ -147,7 +189,7 @@ def _loop_verdicts(budgets: Budgets, times: Iterable[Times]) -> Iterator[Verdict
 def _time_verdicts(budgets: Budgets, times: Iterable[Times]) -> Iterator[Verdict]:
     for row in times:
         limits_ms = budgets.times_p99_ms.get(row.measure, {})
-        limit_ms = limits_ms.get(row.kind or row.of)
+        limit_ms = limits_ms.get(row.of, limits_ms.get(row.kind))
         if limit_ms is not None:
             yield _verdict(row, "p99", row.times.p99_us, limit_ms)
 
@@ -161,7 +203,7 @@ def _verdict(row: Times, statistic: str, value_us: float, limit_ms: float) -> Ve
 def _absent_verdicts(
     budgets: Budgets, times: Sequence[Times], expected: Collection[tuple[str, str]]
 ) -> Iterator[Verdict]:
-    there = {(row.measure, row.kind or row.of) for row in times}
+    there = {(row.measure, of) for row in times for of in (row.kind, row.of)}
     for measure, of in sorted(set(expected) - there):
         limits_ms = budgets.times_p99_ms.get(measure, {of: budgets.loop_p99_ms})
         if of in limits_ms:
@@ -175,7 +217,12 @@ def _count_verdicts(
     counts = (
         ("missed deadlines", sum(tier.missed_deadlines for tier in tiers), table.missed_deadlines),
         ("overruns", sum(tier.overruns for tier in tiers), table.overruns),
-        ("lost messages", lost_messages, table.lost_messages),
+        (
+            "cycles given up",
+            sum(tier.cycles_given_up for tier in tiers),
+            table.cycles_given_up,
+        ),
+        ("messages not recorded", lost_messages, table.lost_messages),
         ("dropped messages", sum(tier.dropped for tier in tiers), table.dropped_messages),
     )
     for line, count, limit in counts:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
+from math import ceil
 from pathlib import Path
 from typing import Final
 
@@ -13,12 +16,16 @@ import msgspec
 from hdrh.histogram import HdrHistogram
 
 from agents.machine import MachineSettings
+from launch_scripts.processes import environment
 from launch_scripts.timing.distributions import new_histogram
 
 _LONGEST_US: Final = 100_000
 """What its histogram reaches to; what is later is only in its maximum."""
 
 _PATIENCE_S: Final = 2.0
+
+_LONGER_S: Final = 60
+"""By so much it may outlast the run, whatever becomes of who should end it."""
 
 
 class _Thread(msgspec.Struct):
@@ -60,18 +67,27 @@ class Cyclictest:
         """Whether there is a cyclictest on this machine."""
         return self._program is not None
 
-    def begin(self) -> None:
-        """Start it; it goes on until `finish`."""
+    def begin(self, duration_s: float) -> None:
+        """Start it; it goes on until `finish`, for not much longer than so long at most.
+
+        It dies with this process too, however that ends.
+        """
         if self._program is None:
             return
         command = [
+            *(sys.executable, "-P", "-m", "agents.parent_death", f"{os.getpid()}"),
             self._program,
+            f"--duration={ceil(duration_s) + _LONGER_S}",
             *("--quiet", "--default-system", "--threads=1", *self._policy, *self._affinity),
             *(f"--interval={self._period_us}", f"--histogram={_LONGEST_US}"),
             f"--json={self._results}",
         ]
         self._process = subprocess.Popen(
-            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, process_group=0
+            command,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            env=environment(),
+            process_group=0,
         )
 
     def finish(self) -> HdrHistogram | None:

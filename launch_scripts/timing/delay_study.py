@@ -19,6 +19,7 @@ from typing import Final, Literal, TypeAlias, get_args
 import msgspec
 from msgspec.structs import replace
 
+from agents.parent_death import on_parent_death
 from agents.plan import RunPlan, Scheme
 from agents.sequencer import LateWords
 from bus_schemas.faults import FaultRule
@@ -109,7 +110,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     lost: int
 
 
-def conditions(cycle_s: float) -> list[Condition]:
+def conditions(cycle_s: float, counted_s: float) -> list[Condition]:
     """List the runs of the study: each value with each scheme.
 
     With delays there are late messages: those runs come twice, with late messages used and dropped.
@@ -118,12 +119,17 @@ def conditions(cycle_s: float) -> list[Condition]:
     ----------
     cycle_s
         Length of a cycle [s]. Central periods that are no whole number of cycles are left out.
+    counted_s
+        How much of each run counts [s]. Left out are central periods of which it does not hold two:
+        nothing could be said of them.
     """
     found = []
     for trouble, values in VALUES.items():
         lates: Sequence[LateWords] = ("use", "drop") if trouble == "delay" else ("use",)
         for value in values:
             if trouble == "period" and not (value / cycle_s).is_integer():
+                continue
+            if trouble == "period" and 2.0 * value > counted_s:
                 continue
             found += [
                 Condition(trouble, value, scheme, late)
@@ -189,6 +195,11 @@ def _outcome(condition: Condition, run: TimedRun, metrics: RunMetrics) -> Outcom
     )
 
 
+def _begin_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    on_parent_death()
+
+
 def run_study_over(
     plan: RunPlan, profile: Profile, chosen: Sequence[Condition], workers: int
 ) -> Iterator[tuple[int, Outcome]]:
@@ -197,12 +208,11 @@ def run_study_over(
         for number, condition in enumerate(chosen):
             yield number, run_under(plan, profile, condition)
         return
-    # Ctrl-C reaches every process of a terminal: workers then just end.
+    # Ctrl-C reaches every process of a terminal: workers then just end, as they do with us.
     pool = ProcessPoolExecutor(
         workers,
         mp_context=multiprocessing.get_context("spawn"),
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_DFL),
+        initializer=_begin_worker,
     )
     try:
         futures = {

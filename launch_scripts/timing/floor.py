@@ -99,7 +99,7 @@ class Floor:
         self._begun = True
         for role in _ROLES:
             self._tell(role, f"begin {duration_s}")
-        self._cyclictest.begin()
+        self._cyclictest.begin(duration_s)
 
     def finish(self) -> tuple[FloorTimes, ...]:
         """End the measurement and return what it came to."""

@@ -25,6 +25,14 @@ MEASURES: Final = (LOOP, "decision", "hop", "lateness", "jitter", "age", "respon
 KINDS: Final = (PLANT, CENTRAL, "supervisor", "direct", RECORDER)
 """Kinds of processes, from the top."""
 
+STAGES: Final = {
+    PLANT: ("begin", "advance"),
+    CENTRAL: ("request", "solve"),
+    "supervisor": ("request", "report", "solve"),
+    "direct": ("estimate", "actuate"),
+}
+"""Stages of a cycle, by kind of process."""
+
 
 class Times(msgspec.Struct, frozen=True):
     """A row of durations.
@@ -60,15 +68,17 @@ class TierAccount(msgspec.Struct, frozen=True):
     processes
         How many processes measured themselves.
     missed_deadlines
-        How often a stage's deadline passed with inputs absent.
+        How often a stage's deadline passed before all its inputs had arrived.
     missing_inputs
-        How many inputs were absent then.
+        How many inputs had not arrived then.
     late_used
         How often a word of an earlier cycle stood in for one that was absent.
     dropped
         Messages that could not be used.
     overruns
-        How often a stage closed later than it had to.
+        How often a stage closed late by the process's own fault, or not at all.
+    cycles_given_up
+        Cycles that a process gave up as a whole, since they were over before it came to them.
     cpu_percent, cpu_highest_percent
         Processor time [% of one core]: of all of them, and of the one that took most.
     resident_mb
@@ -83,6 +93,7 @@ class TierAccount(msgspec.Struct, frozen=True):
     late_used: int
     dropped: int
     overruns: int
+    cycles_given_up: int
     cpu_percent: float
     cpu_highest_percent: float
     resident_mb: float
@@ -147,11 +158,15 @@ def times_of(timing: ProcessTiming, tree: ControlTree) -> tuple[Times, ...]:
 
 
 def tier_accounts(accounts: Iterable[ProcessAccount], tree: ControlTree) -> tuple[TierAccount, ...]:
-    """Add up what the processes of each tier counted; those that measured nothing are left out."""
+    """Add up what the processes of each tier counted and took.
+
+    Those of which nothing was measured are left out. The recorder has no stages and counts nothing
+    here, but takes its share of the processors.
+    """
     tiers = Tiers(tree)
     by_tier: dict[str, list[ProcessAccount]] = defaultdict(list)
     for account in accounts:
-        if account.timing is not None:
+        if account.timing is not None or account.cpu_percent is not None:
             by_tier[tiers.tier(account.agent)].append(account)
     found = [_tier_account(tier, members) for tier, members in by_tier.items()]
     return tuple(sorted(found, key=lambda entry: (KINDS.index(entry.kind), entry.tier)))
@@ -197,17 +212,29 @@ def _rows(entries: Iterable[tuple[str, str, str, list[str]]]) -> Iterator[Times]
 
 def _tier_account(tier: str, members: Sequence[ProcessAccount]) -> TierAccount:
     timings = [account.timing for account in members if account.timing is not None]
-    shares = [cpu_percent(timing) for timing in timings]
+    shares = [_share_percent(account) for account in members]
     return TierAccount(
         tier=tier,
         kind=tier.partition(" ")[0],
-        processes=len(timings),
+        processes=len(members),
         missed_deadlines=sum(sum(timing.missed_deadlines.values()) for timing in timings),
         missing_inputs=sum(sum(timing.missing_inputs.values()) for timing in timings),
         late_used=sum(timing.late_used for timing in timings),
         dropped=sum(sum(account.dropped.values()) for account in members),
         overruns=sum(sum(timing.overruns.values()) for timing in timings),
+        cycles_given_up=sum(account.cycles_given_up for account in members),
         cpu_percent=sum(shares),
         cpu_highest_percent=max(shares),
-        resident_mb=max(timing.resident_mb for timing in timings),
+        resident_mb=max(_resident_mb(account) for account in members),
     )
+
+
+def _share_percent(account: ProcessAccount) -> float:
+    """Return its processor time: as it measured itself, or else as its launcher saw it."""
+    if account.timing is not None:
+        return cpu_percent(account.timing)
+    return account.cpu_percent or 0.0
+
+
+def _resident_mb(account: ProcessAccount) -> float:
+    return account.resident_mb if account.timing is None else account.timing.resident_mb

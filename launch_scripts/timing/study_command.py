@@ -18,7 +18,7 @@ from rich.table import Table
 from agents.plan import Scheme
 from bus_schemas.errors import InputError
 from launch_scripts.preparation import Preparation, RunOptions, prepare
-from launch_scripts.scenario import load_scenario
+from launch_scripts.scenario import load_scenario, parse_duration_s
 from launch_scripts.study.cases import cases, parse_setting
 from launch_scripts.study.compare_command import check_json_path
 from launch_scripts.study.study import remarks_of
@@ -135,6 +135,8 @@ def _complain(error: object, status: int) -> int:
 def _with_defaults(request: StudyRequest) -> StudyRequest:
     if not 1 <= request.workers <= _MOST_WORKERS:
         raise InputError(f"--workers {request.workers}: accepted are 1 to {_MOST_WORKERS}")
+    if request.duration is not None:
+        _check_duration(request.duration)
     if request.json not in (None, "-"):
         check_json_path(Path(request.json))
     if request.page is not None:
@@ -152,6 +154,15 @@ def _with_defaults(request: StudyRequest) -> StudyRequest:
         request.json,
         request.page,
     )
+
+
+def _check_duration(duration: str) -> None:
+    """Refuse a study of which nothing would count, before its weather is worked out."""
+    if parse_duration_s(duration, "--duration") <= WARM_UP_S:
+        raise InputError(
+            f"--duration {duration}: accepted for a study is more than the {WARM_UP_S:g} s at the "
+            "beginning of each run that do not count"
+        )
 
 
 def _check_page(path: Path) -> None:
@@ -187,7 +198,7 @@ def _prepare(request: StudyRequest) -> Preparation:
 
 def _run(preparation: Preparation, workers: int, console: Console) -> list[Outcome]:
     plan = preparation.plan
-    chosen = conditions(plan.cycle_ns / 1e9)
+    chosen = conditions(plan.cycle_ns / 1e9, _counted_s(preparation))
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -203,6 +214,22 @@ def _run(preparation: Preparation, workers: int, console: Console) -> list[Outco
     return [found[number] for number in sorted(found)]
 
 
+def _counted_s(preparation: Preparation) -> float:
+    plan = preparation.plan
+    return plan.cycles * plan.cycle_ns / 1e9 - WARM_UP_S
+
+
+def _notes(preparation: Preparation) -> tuple[str, ...]:
+    """Say what is to be known besides the tables."""
+    longest_s = _counted_s(preparation) / 2.0
+    too_long = (
+        f"central periods above {longest_s:g} s are left out: of each run {2.0 * longest_s:g} s "
+        "count, which do not hold two of them",
+    )
+    shorter = longest_s < max(VALUES.get("period", (0.0,)))
+    return (*remarks_of(preparation), *_LEGEND, *(too_long if shorter else ()))
+
+
 def _title(preparation: Preparation) -> str:
     plan = preparation.plan
     length = f"{plan.cycles:,} cycles of {plan.cycle_ns / 1e9:g} s"
@@ -210,7 +237,7 @@ def _title(preparation: Preparation) -> str:
 
 
 def _print(preparation: Preparation, outcomes: Sequence[Outcome], console: Console) -> None:
-    for line in (_title(preparation), *remarks_of(preparation), *_LEGEND):
+    for line in (_title(preparation), *_notes(preparation)):
         console.print(line, highlight=False)
     for trouble in VALUES:
         console.print(_table(trouble, outcomes))
@@ -301,7 +328,7 @@ def _write(
 def _page(preparation: Preparation, outcomes: Sequence[Outcome]) -> str:
     title = f"{_title(preparation)}: delay, loss and a slow central controller"
     figure = study_figure("study", "What each trouble costs", _CAPTION, _curves(outcomes))
-    notes = [*remarks_of(preparation), *_LEGEND, *survived(outcomes)]
+    notes = [*_notes(preparation), *survived(outcomes)]
     tables = [_page_table(trouble, outcomes) for trouble in VALUES]
     return html_page(title, notes, tables, [figure])
 

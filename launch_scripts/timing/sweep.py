@@ -29,11 +29,13 @@ class RateRow(msgspec.Struct, frozen=True):
     missed_deadlines, overruns, lost_messages
         Of all processes together.
     cpu_percent
-        Processor time of all processes but the recorder together [% of one core].
+        Processor time of all processes together, the recorder too [% of one core].
     clean
         Whether none was missed, none overran and nothing was lost.
     failed
         Why the run failed; empty if it did not.
+    interrupted
+        Whether the user ended it early: then it proves nothing.
     """
 
     rate_hz: float
@@ -47,6 +49,14 @@ class RateRow(msgspec.Struct, frozen=True):
     cpu_percent: float = 0.0
     clean: bool = False
     failed: str = ""
+    interrupted: bool = False
+
+    @property
+    def outcome(self) -> str:
+        """What became of it, in a word or two."""
+        if self.interrupted:
+            return "interrupted"
+        return "clean" if self.clean else "not clean"
 
 
 class Sweep(msgspec.Struct, frozen=True):
@@ -127,6 +137,7 @@ def rate_row(report: TimingReport) -> RateRow:
         lost_messages=report.lost_messages,
         cpu_percent=sum(tier.cpu_percent for tier in report.tiers),
         clean=report.clean and not report.interrupted,
+        interrupted=report.interrupted,
     )
 
 
@@ -187,7 +198,7 @@ def _cells(row: RateRow) -> tuple[str, ...]:
         f"{row.overruns:,}",
         f"{row.lost_messages:,}",
         f"{row.cpu_percent:.0f}",
-        "clean" if row.clean else "[bold red]not clean[/]",
+        row.outcome if row.clean else f"[bold red]{row.outcome}[/]",
     )
 
 
@@ -197,7 +208,9 @@ def conclusion(found: Sweep) -> str:
         return "interrupted before a rate was found to be clean"
     if found.highest_clean_hz is None:
         return "no rate was clean: at each a deadline was missed, a stage overran or a message lost"
+    known = any(row.rate_hz > found.highest_clean_hz and not row.interrupted for row in found.rows)
+    at_least = "" if known else "at least "
     return (
-        f"highest clean rate: {found.highest_clean_hz:.4g} cycles/s (no deadline missed, no stage "
-        "overrun, no message lost)"
+        f"highest clean rate: {at_least}{found.highest_clean_hz:.4g} cycles/s (no deadline missed, "
+        "no stage overrun, no message lost)"
     )

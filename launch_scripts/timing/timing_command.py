@@ -11,6 +11,7 @@ from rich.console import Console
 
 from bus_schemas.errors import InputError
 from launch_scripts.json_rows import check_json_destination
+from launch_scripts.lasting_console import LastingConsole, write_if_read
 from launch_scripts.run_command import BAD_INPUT, FAILED, INTERRUPTED, OK, RunRequest
 from launch_scripts.run_folder import new_run_id, run_folder
 from launch_scripts.supervision import RunFailure
@@ -68,9 +69,9 @@ def timing(request: TimingRequest) -> int:
     """Time a plant; print what it came to. Returns the exit status."""
     # With the JSON on standard output, nothing else may go there.
     to_stdout = request.run.json == "-"
-    console = Console(stderr=to_stdout)
+    console = LastingConsole(stderr=to_stdout)
     if not console.is_terminal:
-        console = Console(stderr=to_stdout, width=WIDTH)
+        console = LastingConsole(stderr=to_stdout, width=WIDTH)
     try:
         if request.study:
             return run_study(_study(request))
@@ -101,7 +102,7 @@ def _study(request: TimingRequest) -> StudyRequest:
         "--processes": request.processes,
     }
     for option, given in lost.items():
-        if given:
+        if given or given == "":
             raise InputError(
                 f"{option}: a study runs in memory, each scheme with delays and losses of its own; "
                 "accepted beside --study are --start, --duration, --seed, --set, --data, "
@@ -115,7 +116,7 @@ def _study(request: TimingRequest) -> StudyRequest:
         run.seed,
         request.settings,
         run.data,
-        request.workers or _STUDY_WORKERS,
+        _STUDY_WORKERS if request.workers is None else request.workers,
         run.json,
         page,
     )
@@ -125,7 +126,7 @@ def _check(request: TimingRequest) -> Rates:
     if request.settings or request.workers is not None:
         option = "--set" if request.settings else "--workers"
         raise InputError(f"{option}: it is for a study, accepted is with --study")
-    rates = parse_rates(request.rate or _RATE)
+    rates = parse_rates(_RATE if request.rate is None else request.rate)
     check_json_destination(request.run.json)
     for rate_hz in rates.listed_hz or (rates.search_hz or ())[:1]:
         whole_cycles(rate_hz, request.duration or _DURATION)
@@ -159,7 +160,7 @@ def _time_several(rates: Rates, request: TimingRequest, console: Console) -> int
             _say(console, f"{rate_hz:g} cycles/s: {failure}")
             return RateRow(rate_hz, failed=str(failure).splitlines()[0]), False
         except KeyboardInterrupt:
-            return RateRow(rate_hz, failed="interrupted"), True
+            return RateRow(rate_hz, interrupted=True), True
         report, _ = report_on(run, table)
         reports.append(report)
         return rate_row(report), report.interrupted
@@ -189,7 +190,7 @@ def exit_status(report: TimingReport) -> int:
 
 def _write_json(document: bytes, json: str | None) -> None:
     if json == "-":
-        sys.stdout.write(document.decode() + "\n")
+        write_if_read(document.decode() + "\n")
     elif json is not None:
         Path(json).write_bytes(document + b"\n")
 

@@ -187,7 +187,7 @@ def _rates_table(found: Sweep) -> ReportTable:
                 f"{row.overruns:,}",
                 f"{row.lost_messages:,}",
                 f"{row.cpu_percent:.0f}",
-                "clean" if row.clean else row.failed or "not clean",
+                row.failed or row.outcome,
             ),
         )
         for row in found.rows
@@ -204,6 +204,7 @@ def _counts_table(report: TimingReport) -> ReportTable:
         ("Late words used", "", [f"{tier.late_used:,}" for tier in report.tiers]),
         ("Dropped messages", "", [f"{tier.dropped:,}" for tier in report.tiers]),
         ("Overruns", "", [f"{tier.overruns:,}" for tier in report.tiers]),
+        ("Cycles given up", "", [f"{tier.cycles_given_up:,}" for tier in report.tiers]),
         ("Processor time, all", "% of a core", [f"{t.cpu_percent:.1f}" for t in report.tiers]),
         (
             "Processor time, highest",
@@ -247,6 +248,7 @@ def _processes(report: TimingReport) -> ReportTable:
         "times preempted",
         "missed deadlines",
         "overruns",
+        "cycles given up",
         "dropped",
     )
     rows = tuple(
@@ -266,6 +268,7 @@ def _processes(report: TimingReport) -> ReportTable:
                 f"{process.switches_involuntary:,}",
                 f"{sum(process.missed_deadlines.values()):,}",
                 f"{sum(process.overruns.values()):,}",
+                f"{process.cycles_given_up:,}",
                 f"{sum(process.dropped.values()):,}",
             ),
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -25,6 +25,7 @@ from launch_scripts.timing.host import Host
 from launch_scripts.timing.measures import (
     LOOP,
     MEASURES,
+    STAGES,
     WHOLE_LOOP,
     TierAccount,
     Tiers,
@@ -36,7 +37,13 @@ from launch_scripts.timing.measures import (
 )
 from launch_scripts.wrong_messages import WrongMessages
 from recordings.reader import RunReader
-from recordings.waits import CycleWaits, loop_times_ns, response_times_ns, slowest_cycles
+from recordings.waits import (
+    CycleWaits,
+    last_cycle_with_all,
+    loop_times_ns,
+    response_times_ns,
+    slowest_cycles,
+)
 
 SLOWEST: Final = 3
 """How many of the slowest cycles are looked into."""
@@ -63,6 +70,8 @@ class ProcessTimes(msgspec.Struct, frozen=True):
         By port.
     late_used
         Words of earlier cycles that stood in for absent ones.
+    cycles_given_up
+        Cycles that were over before it came to them.
     dropped
         Messages that could not be used, by cause.
     times
@@ -80,6 +89,7 @@ class ProcessTimes(msgspec.Struct, frozen=True):
     overruns: dict[str, int]
     missing_inputs: dict[str, int]
     late_used: int
+    cycles_given_up: int
     dropped: dict[str, int]
     times: tuple[Times, ...]
 
@@ -160,8 +170,10 @@ class TimingReport(msgspec.Struct, frozen=True):
 
     @property
     def clean(self) -> bool:
-        """Whether the plant kept up: no deadline missed, no overrun, nothing lost."""
-        late = sum(tier.missed_deadlines + tier.overruns for tier in self.tiers)
+        """Whether the plant kept up: no deadline missed, no overrun, nothing given up or lost."""
+        late = sum(
+            tier.missed_deadlines + tier.overruns + tier.cycles_given_up for tier in self.tiers
+        )
         return self.cycles > 0 and late == 0 and self.lost_messages == 0
 
     def as_json(self) -> bytes:
@@ -192,8 +204,13 @@ def report_on(run: TimedRun, table: BudgetTable) -> tuple[TimingReport, tuple[Cy
     timings = [account.timing for account in summary.processes if account.timing is not None]
     try:
         with RunReader(run.recording) as reader:
-            slowest = tuple(slowest_cycles(reader, SLOWEST))
-            outside = (*_hops_from(timings, plan), *_seen_from_outside(reader, plan))
+            last_cycle = _last_cycle(reader, plan, interrupted=summary.interrupted)
+            slowest = tuple(slowest_cycles(reader, SLOWEST, last_cycle))
+            responses_ns = response_times_ns(reader, plan.external, last_cycle)
+            outside = [*_hops_from(timings, plan), *_responses(responses_ns, plan)]
+            if PLANT in plan.external:
+                loops_ns = loop_times_ns(reader, last_cycle)
+                outside += _outside_rows(LOOP, WHOLE_LOOP, "", loops_ns)
     except InputError as error:
         raise RunFailure(str(error)) from None
     times = _in_order((*times_by_tier(timings, plan.tree), *outside))
@@ -218,17 +235,25 @@ def report_on(run: TimedRun, table: BudgetTable) -> tuple[TimingReport, tuple[Cy
         floor=run.floor,
         slowest_cycles=tuple(_slow_cycle(cycle) for cycle in slowest),
         verdicts=judge(
-            budgets_of(plan, table), times, tiers, summary.lost, _expected(plan, timings)
+            budgets_of(plan, table),
+            times,
+            tiers,
+            summary.lost,
+            _expected(plan, timings),
         ),
     )
     return report, slowest
 
 
 def _expected(plan: RunPlan, timings: Sequence[ProcessTiming]) -> set[tuple[str, str]]:
-    """Measure, and kind or signal, of what this run must have measured if it was at work."""
+    """Measure, and row, kind or signal, of what this run must have measured if it was at work."""
     tiers = Tiers(plan.tree)
     expected = {("decision", tiers.kind(timing.agent)) for timing in timings}
-    expected |= {("response", tiers.kind(agent)) for agent in plan.external}
+    expected |= {
+        ("response", f"{agent} {stage}")
+        for agent in plan.external
+        for stage in STAGES.get(tiers.kind(agent), ())
+    }
     expected.add((LOOP, WHOLE_LOOP))
     own = set(plan.tree.agents()) - set(plan.external) - {RECORDER}
     for port in ports(plan.tree):
@@ -236,6 +261,16 @@ def _expected(plan: RunPlan, timings: Sequence[ProcessTiming]) -> set[tuple[str,
         if regular and port.publisher in own and own.intersection(listeners(port, plan.tree)):
             expected.add(("hop", port.signal.name))
     return expected
+
+
+def _last_cycle(reader: RunReader, plan: RunPlan, *, interrupted: bool) -> int | None:
+    """Return the last cycle that counts; None: all do.
+
+    An external plant goes on after Ctrl-C, when the controllers have left it.
+    """
+    if not interrupted or PLANT not in plan.external:
+        return None
+    return last_cycle_with_all(reader, set(plan.tree.leaves) - set(plan.external))
 
 
 def _hops_from(timings: Sequence[ProcessTiming], plan: RunPlan) -> Iterator[Times]:
@@ -255,23 +290,23 @@ def _hops_from(timings: Sequence[ProcessTiming], plan: RunPlan) -> Iterator[Time
             yield Times("hop", f"{signal} of {agent}", signal, hops)
 
 
-def _seen_from_outside(reader: RunReader, plan: RunPlan) -> tuple[Times, ...]:
-    """Return the rows of external agents, which the recording tells of them."""
+def _responses(
+    responses_ns: Mapping[tuple[str, str], Sequence[int]], plan: RunPlan
+) -> Iterator[Times]:
+    """Yield the rows of external agents, which the recording tells of them."""
     tiers = Tiers(plan.tree)
-    rows = []
-    for (agent, stage), times_ns in sorted(response_times_ns(reader, plan.external).items()):
-        rows.append(_outside_row("response", f"{agent} {stage}", tiers.kind(agent), times_ns))
-    if PLANT in plan.external:
-        rows.append(_outside_row(LOOP, WHOLE_LOOP, "", loop_times_ns(reader)))
-    return tuple(row for row in rows if row is not None)
+    for (agent, stage), times_ns in sorted(responses_ns.items()):
+        yield from _outside_rows("response", f"{agent} {stage}", tiers.kind(agent), times_ns)
 
 
-def _outside_row(measure: str, of: str, kind: str, times_ns: Sequence[int]) -> Times | None:
+def _outside_rows(measure: str, of: str, kind: str, times_ns: Sequence[int]) -> Iterator[Times]:
+    """Yield the row of these durations, if there are any."""
     histogram = new_histogram()
     for time_ns in times_ns:
         record_ns(histogram, time_ns)
     found = distribution(histogram)
-    return None if found is None else Times(measure, of, kind, found, outside=True)
+    if found is not None:
+        yield Times(measure, of, kind, found, outside=True)
 
 
 def _in_order(times: Sequence[Times]) -> tuple[Times, ...]:
@@ -294,6 +329,7 @@ def _process_times(accounts: Sequence[ProcessAccount], plan: RunPlan) -> tuple[P
             overruns=timing.overruns,
             missing_inputs=timing.missing_inputs,
             late_used=timing.late_used,
+            cycles_given_up=account.cycles_given_up,
             dropped=account.dropped,
             times=times_of(timing, plan.tree),
         )

@@ -40,6 +40,8 @@ _TIMES: Final = (
 _MOST_US: Final = 10e6
 """What is longer needs milliseconds."""
 
+_HOPS: Final = "(from the publishing of what each waited for: the hop to it is part of its time)"
+
 _PASSED: Final = {True: "PASS", False: "[bold red]FAIL[/]"}
 
 _Format: TypeAlias = Callable[[float], str]
@@ -107,7 +109,7 @@ def network_lines(report: TimingReport) -> list[str]:
     """Say what external agents sent, what of it was wrong, and what faults did to messages."""
     external = [
         f"external {account.agent}: answered {account.answered:,} times of {account.expected:,}, "
-        f"{account.lost:,} messages lost by their numbers"
+        f"{account.lost:,} of its messages never came, which gaps in their numbers tell"
         for account in report.external
     ]
     wrong = [
@@ -115,15 +117,20 @@ def network_lines(report: TimingReport) -> list[str]:
         for entry in report.wrong
     ]
     faults = ", ".join(f"{count:,} {name}" for name, count in report.faults.items())
-    return [*external, *wrong, *([f"faults of the network: {faults}"] if faults else [])]
+    return [
+        *external,
+        *wrong,
+        *([f"faults of the network, as was asked for: {faults}"] if faults else []),
+    ]
 
 
 def cycle_lines(report: TimingReport) -> list[str]:
     """Say what made the slowest cycles slow."""
-    return [
+    told = [
         f"{'slowest' if place == 0 else 'next'} {cycle.text}"
         for place, cycle in enumerate(report.slowest_cycles)
     ]
+    return [*told, *([_HOPS] if told else [])]
 
 
 def verdict_line(report: TimingReport) -> str:
@@ -131,7 +138,8 @@ def verdict_line(report: TimingReport) -> str:
     failed = sum(not verdict.passed for verdict in report.verdicts)
     if not failed:
         return f"PASS: all {len(report.verdicts)} budgets were kept"
-    return f"FAIL: {failed} of {len(report.verdicts)} budgets were not kept"
+    were = "was" if failed == 1 else "were"
+    return f"FAIL: {failed} of {len(report.verdicts)} budgets {were} not kept"
 
 
 def failure(verdict: Verdict) -> str:
@@ -224,6 +232,7 @@ def _tier_table(tiers: Iterable[TierAccount]) -> Table:
         ("late\nused", 6),
         ("dropped", 7),
         ("overruns", 8),
+        ("given\nup", 6),
         ("CPU \\[%]\nall", 7),
         ("CPU \\[%]\nhighest", 8),
         ("memory\n\\[MB]", 7),
@@ -241,6 +250,7 @@ def _tier_table(tiers: Iterable[TierAccount]) -> Table:
             f"{tier.late_used:,}",
             f"{tier.dropped:,}",
             f"{tier.overruns:,}",
+            f"{tier.cycles_given_up:,}",
             f"{tier.cpu_percent:.1f}",
             f"{tier.cpu_highest_percent:.1f}",
             f"{tier.resident_mb:.1f}",
@@ -273,6 +283,8 @@ def _counts(process: ProcessTimes) -> str:
         for name, found in counts
         if found
     ]
+    if process.cycles_given_up:
+        told.append(f"{process.cycles_given_up:,} cycles given up")
     return "; ".join(told) or "kept every deadline"
 
 

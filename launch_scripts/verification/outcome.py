@@ -88,6 +88,8 @@ class Outcome:
             "missed_inputs": found.missed_inputs,
             "late_used": found.late_used,
             "strays": found.strays,
+            "external_strays": found.external_strays,
+            "not_awaited": found.not_awaited,
             "plant_left_out": found.plant_left_out,
             "wall_s": self.wall_s,
             "agents": [_account_data(name, entry) for name, entry in found.accounts.items()],
@@ -121,6 +123,16 @@ class Outcome:
             yield "the run or its recording broke off: what was under way then is not missed"
         if found.strays:
             yield f"{found.strays:,} messages lie too far from their cycle to be compared"
+        if found.not_awaited:
+            yield (
+                f"{found.not_awaited:,} messages come so long after those of their cycle that it "
+                "was not kept for them: not compared"
+            )
+        for name, count in found.external_strays.items():
+            yield (
+                f"{name}: external, {count:,} messages lie too far from their cycle: nobody uses "
+                "them, and they decide nothing"
+            )
 
     def _finding(self, name: str, account: Account, first: Difference) -> Iterator[str]:
         clock = RunClock(self.verification.plan, self.verification.plan.cycles - 1)
@@ -153,6 +165,8 @@ class Outcome:
     def _verdict_on_differences(self) -> str:
         found = self.verification
         count = sum(account.first is not None for account in found.accounts.values())
+        if not count:
+            return f"NOT equal: {found.strays:,} messages of no cycle, otherwise no difference"
         text = f"NOT equal: {found.differences:,} differences of {_agents(count)}"
         if found.first is None:
             return text

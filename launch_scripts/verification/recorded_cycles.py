@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -28,13 +29,15 @@ class RecordedCycle:
     number
         Number of the cycle.
     messages
-        The message of each port; of a port that spoke twice the first, which listeners use.
+        The message of each port; of a port that spoke twice the first one.
     repeated
         The further ones.
     took_place
         False: by the plant's word the run ended before it. Some may have begun it all the same.
     skipped_by
         Agents that gave it up, since it was over before they came to it.
+    not_awaited
+        Agents whose words of this cycle may lie further on in the file, too far to be waited for.
     """
 
     number: int
@@ -42,6 +45,13 @@ class RecordedCycle:
     repeated: list[Delivery] = field(default_factory=list)
     took_place: bool = True
     skipped_by: frozenset[str] = frozenset()
+    not_awaited: frozenset[str] = frozenset()
+
+    def words(self, port: Port[Message]) -> tuple[Message, ...]:
+        """Return all messages of a port, the first one first."""
+        if port not in self.messages:
+            return ()
+        return (self.messages[port], *(word for other, word in self.repeated if other is port))
 
 
 class CycleWalk:
@@ -60,6 +70,8 @@ class CycleWalk:
     most_held
         When so many messages wait for an agent that lags behind or is dead, it is waited for no
         longer.
+    external
+        External agents: they may say anything of any cycle.
 
     Attributes
     ----------
@@ -72,7 +84,11 @@ class CycleWalk:
     stop_cycle
         The first cycle that did not take place, by the plant's own word; None if there is none.
     strays
-        Messages that belong to no cycle of the run, or to one that was walked past.
+        Messages that belong to no cycle of the run, or lie behind the end of theirs.
+    external_strays
+        Those of external agents, by agent.
+    not_awaited
+        Messages, by agent, of cycles in which it was not waited for any longer.
     """
 
     def __init__(
@@ -81,15 +97,20 @@ class CycleWalk:
         tree: ControlTree,
         cycles: int,
         most_held: int = MOST_HELD,
+        external: Collection[str] = (),
     ) -> None:
         self.read = 0
         self.not_decided = 0
         self.newest: dict[Port[Message], int] = {}
         self.stop_cycle: int | None = None
         self.strays = 0
+        self.external_strays: Counter[str] = Counter()
+        self.not_awaited: Counter[str] = Counter()
         self._deliveries = deliveries
         self._cycles = cycles
         self._most_held = most_held
+        self._external = frozenset(external)
+        self._left_behind: dict[str, int] = {}
         self._reached = {agent: -1 for agent in tree.agents() if agent != RECORDER}
         self._skipped: dict[str, list[range]] = {}
         self._held: dict[int, RecordedCycle] = {}
@@ -107,7 +128,7 @@ class CycleWalk:
                 highest = message.cycle
                 yield from self._complete()
             if self._held_messages >= self._most_held:
-                yield self._pop()
+                yield self._leave_behind()
         while self._next <= highest:
             yield self._pop()
 
@@ -117,7 +138,7 @@ class CycleWalk:
 
     def _keep(self, port: Port[Message], message: Message) -> bool:
         if not self._next <= message.cycle < self._cycles:
-            self.strays += 1
+            self._count_stray(port.publisher, message.cycle)
             return False
         cycle = self._held.setdefault(message.cycle, RecordedCycle(message.cycle))
         if port in cycle.messages:
@@ -135,11 +156,28 @@ class CycleWalk:
             self._reached[port.publisher] = max(message.cycle, self._reached[port.publisher])
         return True
 
+    def _count_stray(self, agent: str, cycle: int) -> None:
+        if agent in self._external:
+            self.external_strays[agent] += 1
+        elif 0 <= cycle <= self._left_behind.get(agent, -1):
+            self.not_awaited[agent] += 1
+        else:
+            self.strays += 1
+
     def _complete(self) -> Iterator[RecordedCycle]:
         """Yield the cycles that every agent has left behind."""
         slowest = min(self._reached.values())
         while self._next < slowest - _MARGIN:
             yield self._pop()
+
+    def _leave_behind(self) -> RecordedCycle:
+        """Return the next cycle, although some have not left it: they are waited for no longer."""
+        cycle = self._pop()
+        cycle.not_awaited = frozenset(
+            agent for agent, reached in self._reached.items() if reached <= cycle.number + _MARGIN
+        )
+        self._left_behind.update(dict.fromkeys(cycle.not_awaited, cycle.number))
+        return cycle
 
     def _pop(self) -> RecordedCycle:
         cycle = self._held.pop(self._next, None) or RecordedCycle(self._next)

@@ -11,13 +11,17 @@ an agent of whose stage nothing is left that would tell what it had to do withou
 re-run from several states: the one that it would have otherwise, and that one with every number in
 it altered. Once it has heard each of its inputs anew, what it says from all alike does not depend
 on what was lost, and is compared. What depends on it is counted as not compared.
+
+An external agent may say several things in a cycle. Its listener used one of them: the agent is
+re-run on those with which it says most of what it said.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import chain, islice, product
+from typing import Any, Final, TypeAlias
 
 from agents.agent import Agent, Stage, Turn
 from agents.plan import RunPlan
@@ -32,6 +36,12 @@ from launch_scripts.verification.comparison import Comparison, FieldDifference
 from launch_scripts.verification.guarded_agent import AgentFailure, GuardedAgent, State
 from launch_scripts.verification.recorded_cycles import RecordedCycle
 from launch_scripts.verification.unused_inputs import UnusedInputs
+
+_Choice: TypeAlias = dict[tuple[Port[Message], int], Message]
+"""Of a port and a cycle of which there are several words the one that was used."""
+
+_MOST_CHOICES: Final = 256
+"""So many are tried: with a few devices that say two things each all, otherwise the likely ones."""
 
 
 @dataclass(slots=True)
@@ -92,6 +102,9 @@ class AgentRerun:
         # What the recording lacks was lost, or never said because the agent had come to its end:
         # to be told apart once it speaks again, or not.
         self._unsaid = Account()
+        # The same of cycles in which it was not waited for: its words may lie further on.
+        self._unsaid_behind = Account()
+        self._left_behind: dict[str, int] = {}
         self._lacks: list[Difference] = []
         try:
             self._agent = GuardedAgent(make)
@@ -105,13 +118,15 @@ class AgentRerun:
         recorded = {port: cycle.messages[port] for port in self._says.intersection(cycle.messages)}
         if recorded:
             self.account.absorb(self._unsaid)
-            self._unsaid = Account()
+            self._unsaid, self._unsaid_behind = Account(), Account()
+        self._left_behind.update(dict.fromkeys(cycle.not_awaited, cycle.number))
         rerun = _CycleRerun(self.name, cycle, _absences(recorded.values()), self._unused)
         if self._agent is None:
             self.account.leave_out(cycle.number, len(recorded))
         else:
+            rerun = self._on_words_used(self._agent, rerun, recorded)
             self._take_guarded(self._agent, rerun, recorded)
-            self._unused.keep(cycle.messages, rerun.inputs)
+            self._unused.keep(cycle, rerun.inputs)
         self.account.recorded += len(recorded)
         for port, old in cycle.repeated:
             if port in self._says:
@@ -131,10 +146,44 @@ class AgentRerun:
         """
         if stop_cycle is not None:
             self.account.absorb(self._unsaid)
+            self.account.absorb(self._unsaid_behind)
         for lack in self._lacks:
             took_place = stop_cycle is not None and lack.cycle < stop_cycle
             if took_place or (lack.port is not None and newest.get(lack.port, -1) > lack.cycle):
                 self.account.add(lack)
+
+    def _on_words_used(
+        self, agent: GuardedAgent, first: _CycleRerun, recorded: Mapping[Port[Message], Message]
+    ) -> _CycleRerun:
+        """Return a rerun on those words of external agents with which it says most of what it said.
+
+        There may be a true difference besides: it is to be told by itself.
+        """
+        if not self._plan.external:
+            return first
+        best, fewest = first, len(recorded) + 1
+        try:
+            stages = agent.stages(first.cycle.number)
+            several = first.several_words(stages, self._plan.external)
+            for choice in islice(_choices(several), _MOST_CHOICES):
+                tried = first.anew(choice)
+                self._close_stages(agent, stages, self._state, tried)
+                others = self._said_otherwise(tried, recorded)
+                if others < fewest:
+                    best, fewest = first.anew(choice), others
+                if not fewest:
+                    break
+        except AgentFailure:
+            pass  # It is found again, and told.
+        return best
+
+    def _said_otherwise(self, rerun: _CycleRerun, recorded: Mapping[Port[Message], Message]) -> int:
+        """Count the recorded messages that a rerun does not say as they were."""
+        said = {port: message for _, port, message in rerun.said}
+        return sum(
+            port not in said or bool(self._comparison.differences(port, old, said[port]))
+            for port, old in recorded.items()
+        )
 
     def _take_guarded(
         self, agent: GuardedAgent, rerun: _CycleRerun, recorded: dict[Port[Message], Message]
@@ -146,7 +195,11 @@ class AgentRerun:
             self._state, lacking = self._close_stages(agent, stages, self._state, rerun)
             self.account.missed_inputs += rerun.missed
             self.account.late_used += rerun.late_used
-            if lacking is not None and self._doubt is None:
+            if (
+                lacking is not None
+                and self._doubt is None
+                and not self._lies_behind(rerun, lacking)
+            ):
                 self._lacks.append(rerun.difference("input not recorded", rerun.stage, lacking))
             is_lost = lacking is not None or not self._is_told(rerun, stages, recorded)
             doubtful = self._doubtful_ports(agent, stages, rerun, is_lost=is_lost)
@@ -201,6 +254,10 @@ class AgentRerun:
         }
         return _Doubt(altered_states(state), awaited)
 
+    def _lies_behind(self, rerun: _CycleRerun, lacking: Port[Message]) -> bool:
+        """Whether an input may lie further on in the file, since nobody waited for its sender."""
+        return rerun.cycle_wanted(lacking) <= self._left_behind.get(lacking.publisher, -1)
+
     def _is_told(
         self, rerun: _CycleRerun, stages: Sequence[Stage], recorded: Collection[Port[Message]]
     ) -> bool:
@@ -238,6 +295,8 @@ class AgentRerun:
     ) -> None:
         """Compare what was said and is said again, and take it out of the rest."""
         pairs = []
+        is_behind = self.name in rerun.cycle.not_awaited
+        unsaid = self._unsaid_behind if is_behind else self._unsaid
         for stage, port, message in rerun.said:
             if port in doubtful:
                 continue
@@ -246,7 +305,7 @@ class AgentRerun:
                 pairs.append((port, old))
                 self._compare_pair(rerun, stage, port, old, message)
             elif rerun.cycle.took_place:
-                self._unsaid.add(rerun.difference("only new", stage, port, message=message))
+                unsaid.add(rerun.difference("only new", stage, port, message=message))
         rerun.said = []
         # One clock stamped them all. Their order in the file would be the order of arrival.
         in_time = sorted(pairs, key=lambda pair: pair[1].publish_time_ns)
@@ -290,6 +349,20 @@ def _said_alike(one: _CycleRerun, other: _CycleRerun) -> list[Port[Message]]:
     return ports
 
 
+def _choices(several: Mapping[tuple[Port[Message], int], Sequence[Message]]) -> Iterator[_Choice]:
+    """Yield ways to choose one of several words of each place, the likely ones first.
+
+    A device has its own manner: of all that it says the first one is used, or the second.
+    """
+    most = max(map(len, several.values()), default=0)
+    alike = (
+        tuple(words[min(place, len(words) - 1)] for words in several.values())
+        for place in range(most)
+    )
+    for words in chain(alike, product(*several.values()) if several else ()):
+        yield dict(zip(several, words, strict=True))
+
+
 def _absences(recorded: Iterable[Message]) -> frozenset[Absence]:
     """Return what an agent says in a cycle that it had to do without."""
     return frozenset(absence(entry) for message in recorded for entry in message.missing)
@@ -304,6 +377,7 @@ class _CycleRerun:
         cycle: RecordedCycle,
         absences: frozenset[Absence],
         unused: UnusedInputs,
+        choice: _Choice | None = None,
     ) -> None:
         self.cycle = cycle
         self.is_skipped = agent in cycle.skipped_by
@@ -314,15 +388,46 @@ class _CycleRerun:
         self._agent = agent
         self._absences = absences
         self._unused = unused
+        self._choice = choice or {}
         self._cycle_used = {entry.key: entry.cycle for entry in absences}
         skipped = [entry for entry in absences if entry.key == SKIPPED]
         self.absent = tuple(
             map(str, [Absence(SKIPPED, cycle.number)] if self.is_skipped else skipped)
         )
 
-    def anew(self) -> _CycleRerun:
-        """Return another rerun of the same cycle."""
-        return _CycleRerun(self._agent, self.cycle, self._absences, self._unused)
+    def anew(self, choice: _Choice | None = None) -> _CycleRerun:
+        """Return another rerun of the same cycle, on the same words or on others."""
+        choice = self._choice if choice is None else choice
+        return _CycleRerun(self._agent, self.cycle, self._absences, self._unused, choice)
+
+    def several_words(
+        self, stages: Sequence[Stage], speakers: Collection[str]
+    ) -> dict[tuple[Port[Message], int], tuple[Message, ...]]:
+        """Return the inputs, by port and cycle, of which some agents said more than one thing."""
+        found = {}
+        for stage in stages if speakers else ():
+            for port in stage.awaits | stage.on_need | stage.takes_late:
+                words = self._words(port) if port.publisher in speakers else ()
+                if len(words) > 1:
+                    found[port, words[0].cycle] = words
+        return dict(sorted(found.items(), key=lambda entry: str(entry[0])))
+
+    def cycle_wanted(self, port: Port[Message]) -> int:
+        """Return the cycle of the word that was used of a port."""
+        used = self._cycle_used.get(str(port))
+        return self.cycle.number if used is None else used
+
+    def _words(self, port: Port[Message]) -> tuple[Message, ...]:
+        """Return what the recording holds of an input that the agent had, in time or late."""
+        if self._had_in_time(port):
+            return self.cycle.words(port)
+        used = self._cycle_used[str(port)]
+        return () if used is None else self._unused.find(port, used)
+
+    def _word(self, port: Port[Message]) -> Message | None:
+        """Return the word of an input that the agent used, None if the recording lacks it."""
+        words = self._words(port)
+        return self._choice.get((port, words[0].cycle), words[0]) if words else None
 
     def hear(self, stage: Stage) -> None:
         """Take in what the recording has for a stage, as far as the agent had it."""
@@ -332,29 +437,34 @@ class _CycleRerun:
         messages = self.cycle.messages
         if not self._absences:
             self.inputs.update({port: messages[port] for port in stage.awaits if port in messages})
+            for (port, _), word in self._choice.items():
+                if port in stage.awaits:
+                    self.inputs[port] = word
             return
         absent = []
         for port in stage.awaits | stage.on_need | stage.takes_late:
             if self._had_in_time(port):
-                if port in stage.awaits and port in messages:
-                    self.inputs[port] = messages[port]
+                if port in stage.awaits:
+                    self._take(port)
                 continue
             used = self._cycle_used[str(port)]
             absent.append(str(Absence(str(port), used)))
             self.missed += port not in stage.takes_late
             self.late_used += used is not None
-            late = None if used is None else self._unused.find(port, used)
-            if late is not None:
-                self.inputs[port] = late
+            self._take(port)
         # Of each stage in the order of the alphabet, as the sequencer has it.
         self.absent += tuple(sorted(absent))
 
     def hear_announced(self, announced: Iterable[Port[Message]]) -> None:
         """Take in what comes on need. Without its announcement nobody knows whether it came."""
-        messages = self.cycle.messages
         for port in announced:
-            if port in messages and self._had_in_time(port):
-                self.inputs[port] = messages[port]
+            if self._had_in_time(port):
+                self._take(port)
+
+    def _take(self, port: Port[Message]) -> None:
+        word = self._word(port)
+        if word is not None:
+            self.inputs[port] = word
 
     def _had_in_time(self, port: Port[Message]) -> bool:
         return str(port) not in self._cycle_used

@@ -8,6 +8,7 @@ from typing import Final
 from agents.plan import RunPlan
 from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, Port, listeners, ports
+from launch_scripts.verification.recorded_cycles import RecordedCycle
 
 MOST_KEPT: Final = 5_000
 """Messages that are kept at most of one port. Only the newest ones can still be of use."""
@@ -30,28 +31,27 @@ class UnusedInputs:
         self._most_kept = most_kept
         # In lockstep nothing is late.
         heard = () if plan.lockstep else ports(plan.tree)
-        self._by_cycle: dict[Port[Message], dict[int, Message]] = {
+        self._by_cycle: dict[Port[Message], dict[int, tuple[Message, ...]]] = {
             port: {}
             for port in heard
             if port.signal is not RUN and agent in listeners(port, plan.tree)
         }
 
-    def find(self, port: Port[Message], cycle: int) -> Message | None:
-        """Return the message of a port and a cycle, None if it was used or never recorded."""
-        return self._by_cycle.get(port, {}).get(cycle)
+    def find(self, port: Port[Message], cycle: int) -> tuple[Message, ...]:
+        """Return the messages of a port and a cycle, none if it was used or never recorded.
 
-    def keep(
-        self,
-        sent: Mapping[Port[Message], Message],
-        used: Mapping[Port[Message], Message],
-    ) -> None:
+        Only an external agent has several: nobody knows yet which one could be used.
+        """
+        return self._by_cycle.get(port, {}).get(cycle, ())
+
+    def keep(self, sent: RecordedCycle, used: Mapping[Port[Message], Message]) -> None:
         """Take in what was sent in a cycle. What is not newer than what was used is forgotten."""
         for port, kept in self._by_cycle.items():
-            message, input_used = sent.get(port), used.get(port)
+            words, input_used = sent.words(port), used.get(port)
             if kept and input_used is not None:
                 for cycle in [cycle for cycle in kept if cycle <= input_used.cycle]:
                     del kept[cycle]
-            if message is not None and message is not input_used:
-                kept[message.cycle] = message
+            if words and not any(word is input_used for word in words):
+                kept[sent.number] = words
                 if len(kept) > self._most_kept:
                     del kept[next(iter(kept))]

@@ -59,6 +59,11 @@ class Verification:
         count of themselves. They are not compared.
     strays
         Messages that belong to no cycle of the run, or that lie too far from theirs.
+    external_strays
+        Those of external agents, by agent: they decide nothing.
+    not_awaited
+        Messages of agents that were re-run that lie too far behind their cycle, after others had
+        been held back for them as long as memory allows.
     accounts
         Of each agent that was re-run.
     plant_left_out
@@ -77,6 +82,8 @@ class Verification:
     recorded: int
     not_decided: int
     strays: int
+    external_strays: dict[str, int]
+    not_awaited: int
     accounts: dict[str, Account]
     plant_left_out: bool
     external: dict[str, Account] = field(default_factory=dict)
@@ -94,12 +101,13 @@ class Verification:
     @property
     def not_compared(self) -> int:
         """Messages that could not be compared, since others are lost or their agent failed."""
-        return sum(account.not_compared for account in self.accounts.values())
+        left_out = sum(account.not_compared for account in self.accounts.values())
+        return left_out + self.not_awaited
 
     @property
     def undecided(self) -> bool:
         """Whether messages could not be compared other than where a run broke off."""
-        if self.stop_cycle is not None:
+        if self.stop_cycle is not None or self.not_awaited:
             return self.not_compared > 0
         froms = [account.not_compared_from for account in self.accounts.values()]
         cut_off_from = self.last_cycle - _CUT_OFF_CYCLES
@@ -175,7 +183,8 @@ def verify(
         reruns = [
             AgentRerun(name, make, says[name], plan, comparison) for name, make in team.items()
         ]
-        walk = CycleWalk(reader.messages(by_time=False), plan.tree, plan.cycles)
+        messages = reader.messages(by_time=False)
+        walk = CycleWalk(messages, plan.tree, plan.cycles, external=plan.external)
         cycles = 0
         for cycle in walk:
             for rerun in reruns:
@@ -194,6 +203,8 @@ def verify(
             walk.read,
             walk.not_decided,
             walk.strays,
+            dict(walk.external_strays),
+            sum(walk.not_awaited[rerun.name] for rerun in reruns),
             {rerun.name: rerun.account for rerun in reruns if rerun.name not in foreign},
             plant_left_out,
             {rerun.name: rerun.account for rerun in reruns if rerun.name in foreign},

@@ -10,16 +10,18 @@ from plants_by_hand import CYCLE_NS
 from agents.agent import Stage, Turn
 from agents.sequencer import LateWords, Sequencer
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Dispatch, Help, Message, Notice, Residual
-from bus_schemas.signals import DISPATCH, HELP, NOTICE, RESIDUAL, Port
+from bus_schemas.messages import Dispatch, Help, Message, Notice, Request, Residual, Setpoint
+from bus_schemas.signals import DISPATCH, HELP, NOTICE, REQUEST, RESIDUAL, SETPOINT, Port
 from bus_schemas.tree import CENTRAL, ROOT
 
 ORDER = DISPATCH.of(ROOT)
 A, B = RESIDUAL.of("a"), RESIDUAL.of("b")
 HELP_A, HELP_B = HELP.of("a"), HELP.of("b")
+ASK, SET = REQUEST.of("a"), SETPOINT.of("a")
 SAID = NOTICE.of(ROOT)
 
 LISTEN_TO_BOTH = (Stage("listen", frozenset({A, B}), frozenset({HELP_A, HELP_B})),)
+LISTEN_TO_PARENT = (Stage("listen", frozenset({ASK, SET})),)
 ORDER_THEN_LISTEN = (
     Stage("order", frozenset({ORDER})),
     Stage("listen", frozenset({A, B}), frozenset({HELP_A, HELP_B})),
@@ -91,6 +93,12 @@ def a_message(port: Port[Message], cycle: int, power_kw: float = 1.0) -> Message
         )
     if port.signal is HELP:
         return Help(cycle, time_ns, port.node, (), missing_kw=1.0)
+    if port is ASK:
+        return Request(cycle, time_ns, CENTRAL, (), power_kw=power_kw)
+    if port is SET:
+        return Setpoint(
+            cycle, time_ns, CENTRAL, (), power_kw=power_kw, share_kw=power_kw, help_given=()
+        )
     return Residual(cycle, time_ns, port.node, (), power_kw=power_kw)
 
 

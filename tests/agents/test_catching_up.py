@@ -124,7 +124,7 @@ def test_who_is_there_already_skips_nothing(cycle: int) -> None:
 
 def test_neither_a_round_nor_lockstep_is_caught_up_with() -> None:
     desk = Desk(LISTEN_TO_BOTH, lockstep=False)
-    desk.hear(A, -7)
+    desk.enter(-7)
     assert desk.sequencer.catch_up(5) == []
     assert desk.sequencer.cycle == -7
     desk = Desk(LISTEN_TO_BOTH, lockstep=True)

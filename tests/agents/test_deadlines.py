@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agents.deadlines import USED_SHARE, deadline_ns, stage_place
+from agents.deadlines import USED_SHARE, deadline_ns, slice_ns, stage_place
 from bus_schemas.signals import SIGNALS, listeners, ports
 from bus_schemas.tree import ControlTree
 
@@ -96,6 +96,36 @@ def test_a_direct_controller_has_the_deadline_of_its_like_from_whatever_tier_it_
     }
     assert set(found.values()) == {50_000}
     assert deadline_ns("z1/y1", "solve", RAGGED, 60_000, tiers_ns) == 30_000
+
+
+@pytest.mark.parametrize(
+    ("agent", "stage", "even_ms", "by_tier_ms"),
+    [
+        ("plant", "begin", 90, 1),  # as much as the stage after it
+        ("central", "request", 90, 1),
+        ("c1", "report", 90, 1),
+        ("central", "solve", 90, 1),
+        ("c1", "solve", 90, 495),
+        ("c1/a", "actuate", 90, 50),
+        ("plant", "advance", 90, 125),
+    ],
+)
+def test_a_stages_slice_lies_between_the_deadline_before_it_and_its_own(
+    agent: str, stage: str, even_ms: int, by_tier_ms: int
+) -> None:
+    assert slice_ns(agent, stage, THREE_LAYERS, 800_000_000) == even_ms * 1_000_000
+    tiers_ns = (5_000_000, 500_000_000, 550_000_000)
+    found = slice_ns(agent, stage, THREE_LAYERS, 800_000_000, tiers_ns)
+    assert found == by_tier_ms * 1_000_000
+
+
+def test_a_direct_controllers_slice_begins_at_the_deadline_of_its_own_parent() -> None:
+    tiers_ns = (10_000, 20_000, 30_000, 40_000, 50_000)
+    found = [
+        slice_ns(agent, "actuate", RAGGED, 60_000, tiers_ns)
+        for agent in ("a", "c1/b", "z1/c1/d", "z1/y1/x1/e")
+    ]
+    assert found == [40_000, 30_000, 20_000, 10_000]
 
 
 def evenly(tree: ControlTree) -> tuple[int, ...]:

@@ -142,6 +142,17 @@ def test_it_comes_all_the_same_when_too_much_is_noted() -> None:
     assert process.stopwatch.settled_ms == [0.0]
 
 
+def test_whoever_is_never_idle_makes_room_only_when_too_much_is_noted() -> None:
+    process = Process(cycle_ms=50.0, busy_ms=12.0)
+    process.interlude.begin(START)
+    process.clock.now_ns = START + 30 * MS
+    process.interlude.make_room()
+    assert process.stopwatch.settled_ms == []
+    process.stopwatch.overfull = True
+    process.interlude.make_room()
+    assert process.stopwatch.settled_ms == [30.0]
+
+
 def test_what_arming_notes_is_settled_and_nothing_said() -> None:
     process = Process(cycle_ms=50.0, busy_ms=50.0)
     process.stopwatch.overfull = True

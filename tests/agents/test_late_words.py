@@ -232,7 +232,9 @@ def test_in_lockstep_nothing_is_ever_late_but_what_comes_twice() -> None:
 
 def test_no_word_of_an_arming_round_is_used_in_the_run() -> None:
     desk = Desk(LISTEN_TO_BOTH, lockstep=False)
+    desk.enter(-7)
     desk.hear(A, -7)
+    desk.enter(-6)
     desk.hear(A, -6)
     desk.hear(B, -7)
     desk.enter(0)

@@ -134,6 +134,17 @@ def test_in_lockstep_there_is_nothing_to_say() -> None:
     assert len(bus.sent) >= 5 * 3
 
 
+def test_a_process_that_is_never_idle_does_not_note_moments_without_end() -> None:
+    runtime, bus, _ = process_of(direct_controller(PLAN, NODE))
+    runtime.begin(time.monotonic_ns())
+    stopwatch = runtime._stopwatch
+    assert stopwatch is not None
+    for number in range(6_000):
+        feed(bus, number // 10)
+        runtime.turn()
+        assert len(stopwatch._arrivals) <= 5_010
+
+
 def feed(bus: FedBus, cycle: int) -> None:
     now_ns = time.monotonic_ns()
     head = {"publish_time_ns": now_ns, "sequence": cycle}

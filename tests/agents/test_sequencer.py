@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import pytest
 from clerks import (
+    ASK,
     HELP_A,
     LISTEN_TO_BOTH,
+    LISTEN_TO_PARENT,
     ORDER,
     ORDER_THEN_LISTEN,
+    SET,
     TICK_THEN_LISTEN,
     A,
     B,
+    Clerk,
     Desk,
     a_message,
     notices,
@@ -18,10 +22,11 @@ from clerks import (
 )
 from plants_by_hand import CYCLE_NS, plan_of, report
 
+from agents.agent import Stage
 from agents.sequencer import BEFORE_ARMING, Drops, Sequencer
 from agents.team import central_controller, direct_controller
-from bus_schemas.messages import Dispatch, Request, Residual, Setpoint, Telemetry
-from bus_schemas.signals import REQUEST, RESIDUAL, SETPOINT, TELEMETRY
+from bus_schemas.messages import Command, Dispatch, Request, Residual, Setpoint, Telemetry
+from bus_schemas.signals import COMMAND, REQUEST, RESIDUAL, SETPOINT, TELEMETRY
 from bus_schemas.tree import CENTRAL
 
 # What closes a stage ------------------------------------------------------------------------------
@@ -247,37 +252,37 @@ def test_drops_of_all_causes_add_up() -> None:
 # Arming rounds ------------------------------------------------------------------------------------
 
 
-def test_the_first_message_takes_an_agent_into_its_round() -> None:
-    desk = Desk(LISTEN_TO_BOTH)
+def test_the_first_message_from_above_takes_an_agent_into_its_round() -> None:
+    desk = Desk(LISTEN_TO_PARENT)
     assert desk.sequencer.cycle == BEFORE_ARMING
-    desk.hear(A, -7)
+    desk.hear(ASK, -7)
     assert desk.sequencer.cycle == -7
-    assert desk.sequencer.waiting_for == {B}
+    assert desk.sequencer.waiting_for == {SET}
 
 
 def test_a_round_ends_where_its_last_stage_closes() -> None:
-    desk = Desk(LISTEN_TO_BOTH)
-    desk.hear(A, -7)
-    assert desk.hear(B, -7) == ["-7 listen: a/residual b/residual"]
+    desk = Desk(LISTEN_TO_PARENT)
+    desk.hear(ASK, -7)
+    assert desk.hear(SET, -7) == ["-7 listen: a/request a/setpoint"]
     assert (desk.sequencer.cycle, desk.sequencer.stage) == (-7, "")
     assert desk.sequencer.waiting_for == frozenset()
 
 
 def test_a_later_round_supersedes_an_open_one() -> None:
-    desk = Desk(LISTEN_TO_BOTH)
-    desk.hear(A, -7)
-    assert desk.hear(B, -6) == []
+    desk = Desk(LISTEN_TO_PARENT)
+    desk.hear(ASK, -7)
+    assert desk.hear(SET, -6) == []
     assert desk.sequencer.cycle == -6
-    assert desk.sequencer.waiting_for == {A}
-    assert desk.hear(A, -6) == ["-6 listen: a/residual b/residual"]
+    assert desk.sequencer.waiting_for == {ASK}
+    assert desk.hear(ASK, -6) == ["-6 listen: a/request a/setpoint"]
 
 
 def test_what_is_left_of_an_earlier_round_is_dropped_without_a_word() -> None:
-    desk = Desk(LISTEN_TO_BOTH)
-    desk.hear(A, -6)
-    desk.hear(B, -7)
-    desk.hear(A, -6)
-    assert desk.sequencer.waiting_for == {B}
+    desk = Desk(LISTEN_TO_PARENT)
+    desk.hear(ASK, -6)
+    desk.hear(SET, -7)
+    desk.hear(ASK, -6)
+    assert desk.sequencer.waiting_for == {SET}
     assert desk.sequencer.drops == Drops()
     assert desk.dropped == []
 
@@ -314,52 +319,99 @@ def test_a_central_controller_forgets_the_dispatch_of_a_round() -> None:
 
 
 def test_messages_of_the_run_that_come_before_its_beginning_is_told_are_not_lost() -> None:
-    desk = Desk(LISTEN_TO_BOTH)
-    desk.hear(A, -7)
-    desk.hear(B, -7)
-    desk.hear(A, 0)
+    desk = Desk(LISTEN_TO_PARENT)
+    desk.hear(ASK, -7)
+    desk.hear(SET, -7)
+    desk.hear(ASK, 0)
     assert desk.sequencer.cycle == 0
-    assert desk.hear(B, 0) == ["0 listen: a/residual b/residual"]
+    assert desk.hear(SET, 0) == ["0 listen: a/request a/setpoint"]
 
 
 @pytest.mark.parametrize("rounds", [(), (-7,), (-7, -6)])
 def test_a_run_that_is_first_heard_of_in_a_later_cycle_begins_at_cycle_0_all_the_same(
     rounds: tuple[int, ...],
 ) -> None:
-    desk = Desk(LISTEN_TO_BOTH)
+    desk = Desk(LISTEN_TO_PARENT)
     for cycle in rounds:
-        desk.hear(A, cycle)
-        desk.hear(B, cycle)
-    assert desk.hear(A, 1) == []
+        desk.hear(ASK, cycle)
+        desk.hear(SET, cycle)
+    assert desk.hear(ASK, 1) == []
     assert desk.sequencer.cycle == 0
-    assert desk.sequencer.waiting_for == {A, B}
-    desk.hear(A, 0)
-    outputs = desk.sequencer.accept(B, a_message(B, 0))
-    outputs += desk.sequencer.accept(B, a_message(B, 1))
+    assert desk.sequencer.waiting_for == {ASK, SET}
+    desk.hear(ASK, 0)
+    outputs = desk.sequencer.accept(SET, a_message(SET, 0))
+    outputs += desk.sequencer.accept(SET, a_message(SET, 1))
     # From the initial state, and with the message that came ahead.
     assert [(notice.text, notice.count) for notice in notices(outputs)] == [
-        ("0 listen: a/residual b/residual", 1),
-        ("1 listen: a/residual b/residual", 2),
+        ("0 listen: a/request a/setpoint", 1),
+        ("1 listen: a/request a/setpoint", 2),
     ]
     assert desk.sequencer.drops == Drops()
 
 
 def test_an_open_round_leaves_nothing_in_a_run_first_heard_of_in_a_later_cycle() -> None:
-    desk = Desk(LISTEN_TO_BOTH)
-    desk.hear(A, -7)
-    desk.hear(B, 1)
+    desk = Desk(LISTEN_TO_PARENT)
+    desk.hear(ASK, -7)
+    desk.hear(SET, 1)
     assert desk.sequencer.cycle == 0
-    assert desk.sequencer.waiting_for == {A, B}
+    assert desk.sequencer.waiting_for == {ASK, SET}
 
 
 def test_a_message_of_the_run_beyond_the_horizon_does_not_begin_it() -> None:
-    desk = Desk(LISTEN_TO_BOTH, horizon=2)
-    desk.hear(A, -7)
-    desk.hear(B, -7)
-    assert desk.hear(A, 3) == []
+    desk = Desk(LISTEN_TO_PARENT, horizon=2)
+    desk.hear(ASK, -7)
+    desk.hear(SET, -7)
+    assert desk.hear(ASK, 3) == []
     assert desk.sequencer.cycle == -7
     assert desk.sequencer.drops == Drops(other_cycle=1)
-    assert desk.dropped == ["a/residual is of cycle 3, this is -7"]
+    assert desk.dropped == ["a/request is of cycle 3, this is -7"]
+
+
+@pytest.mark.parametrize("cycle", [-8, -5, -1, 0, 2])
+def test_a_child_that_speaks_out_of_turn_takes_its_parent_nowhere(cycle: int) -> None:
+    desk = Desk(ORDER_THEN_LISTEN, horizon=2)
+    for first_round in (-7, -6):
+        before = desk.sequencer.cycle
+        assert desk.hear(A, cycle) == []
+        assert desk.sequencer.cycle == before
+        desk.hear(ORDER, first_round)
+        assert desk.hear(A, first_round) == []
+        assert desk.hear(B, first_round) == [
+            f"{first_round} listen: a/residual b/residual dispatch"
+        ]
+    desk.hear(ORDER, 0)
+    assert desk.sequencer.cycle == 0
+    assert desk.sequencer.waiting_for == {A, B}, "what came before the run is not of the run"
+
+
+def test_a_child_that_answers_a_round_before_its_parent_has_heard_of_it_is_heard_all_the_same() -> (
+    None
+):
+    desk = Desk(ORDER_THEN_LISTEN)
+    desk.hear(ORDER, -7)
+    desk.hear(A, -6)
+    assert desk.sequencer.cycle == -7
+    desk.hear(ORDER, -6)
+    assert desk.sequencer.waiting_for == {B}
+
+
+def test_a_round_that_nobody_from_above_has_begun_is_named() -> None:
+    desk = Desk(ORDER_THEN_LISTEN)
+    desk.hear(A, -5)
+    assert desk.dropped == ["a/residual is of cycle -5, this is before all cycles"]
+
+
+def test_a_plant_is_taken_into_its_rounds_by_nobody() -> None:
+    plan = plan_of({"a": 100.0})
+    desk: Sequencer[int] = Sequencer(
+        Clerk((Stage("advance", frozenset({COMMAND.of("a")})),), "plant"),
+        plan.sim_time_ns,
+        lockstep=True,
+        horizon=1,
+    )
+    desk.enter(-7)
+    desk.accept(COMMAND.of("a"), Command(0, 0, "a", (), alpha=0.5, power_kw=1.0))
+    assert desk.cycle == -7
 
 
 # Deadlines ----------------------------------------------------------------------------------------
@@ -409,9 +461,9 @@ def test_a_complete_cycle_names_nothing_as_missing() -> None:
 
 
 def test_a_deadline_between_rounds_closes_nothing() -> None:
-    desk = Desk(LISTEN_TO_BOTH, lockstep=False)
-    desk.hear(A, -7)
-    desk.hear(B, -7)
+    desk = Desk(LISTEN_TO_PARENT, lockstep=False)
+    desk.hear(ASK, -7)
+    desk.hear(SET, -7)
     assert desk.sequencer.close_stage() == []
     assert desk.sequencer.cycle == -7
 

@@ -22,6 +22,7 @@ CYCLE = 100 * MS
 ASKED, MEASURED = REQUEST.of(NODE), TELEMETRY.of(NODE)
 COMMANDS = (COMMAND.of("c1/inv07"), COMMAND.of("c1/inv08"))
 DEADLINES = {"begin": 0, "work": 30 * MS, "answer": 60 * MS, "advance": 90 * MS}
+SLICES = {"begin": 5 * MS, "work": 10 * MS, "answer": 20 * MS, "advance": 30 * MS}
 
 
 @dataclass
@@ -42,7 +43,7 @@ class Team:
     cycle_ns: int = CYCLE
 
     def __post_init__(self) -> None:
-        schedule = Schedule(self.cycle_ns, 10 * MS, DEADLINES.__getitem__, 1)
+        schedule = Schedule(self.cycle_ns, SLICES.__getitem__, DEADLINES.__getitem__, 1)
         self.stopwatch = Stopwatch(self, schedule, self.clock)
         self.stopwatch.begin(START)
         self.inputs: dict[Port[Message], Message] = {}
@@ -208,6 +209,40 @@ def test_a_stage_closed_by_its_deadline_has_a_slice_of_grace(
     assert team.account().overruns == overruns
 
 
+def test_each_stage_has_its_own_grace() -> None:
+    advance = Stage("advance", frozenset({COMMANDS[0]}))
+    team = Team([WORK, advance])
+    lacked = (f"{NODE}/request", f"{NODE}/telemetry")
+    team.close("work", 0, 45.0, missing=lacked)
+    team.close("advance", 0, 105.0, missing=(*lacked, "c1/inv07/command"))
+    assert team.account().overruns == {"work": 1}
+
+
+def test_an_input_that_came_after_the_deadline_misses_it_though_it_was_used() -> None:
+    """It came 20 us after the deadline, and 30 us before the process woke."""
+    team = Team([WORK])
+    team.hear(MEASURED, 0, 1.0, 2.0)
+    team.hear(ASKED, 0, 29.9, 30.02)
+    team.close("work", 0, 30.05, sent_ms=[31.0])
+    account = team.account()
+    assert account.missed_deadlines == {"work": 1}
+    assert account.missing_inputs == {f"{NODE}/request": 1}
+    assert account.overruns == {}
+    assert in_ms(account, "decision/work") == near(1.0)
+    assert in_ms(account, "lateness/work") == near(0.05)
+
+
+def test_an_input_that_came_in_time_is_not_missing_though_the_process_did_not_look() -> None:
+    team = Team([WORK])
+    team.hear(MEASURED, 0, 1.0, 2.0)
+    team.hear(ASKED, 0, 1.0, 29.9)
+    team.close("work", 0, 30.5, sent_ms=[31.0], missing=(f"{NODE}/request",))
+    account = team.account()
+    assert account.missed_deadlines == account.missing_inputs == {}
+    assert account.overruns == {"work": 1}
+    assert in_ms(account, "decision/work") == near(1.1)
+
+
 def test_cycles_that_were_given_up_are_overruns_and_nobody_is_blamed_for_them() -> None:
     team = Team([WORK])
     words = ("skipped@0", f"{NODE}/request", f"{NODE}/telemetry")
@@ -220,8 +255,28 @@ def test_cycles_that_were_given_up_are_overruns_and_nobody_is_blamed_for_them() 
     account = team.account()
     assert account.overruns == {"work": 1}
     assert account.missed_deadlines == account.missing_inputs == {}
-    # Only what was sent is a decision, and it is not taken for what was not.
-    assert in_ms(account, "decision/work") == near(2.0)
+    # Its words of cycle 0 were due at 30 ms, and at 201 ms it knew that there would be none.
+    assert in_ms(account, "decision/work") == near(2.0, 171.0)
+    assert in_ms(account, "lateness/work") == near(171.0)
+
+
+def test_a_process_that_stood_still_has_a_decision_for_each_cycle_that_it_gave_up() -> None:
+    """Coordinated omission: it stood for 9 of 20 cycles, so the median is not that of the rest."""
+    team = Team([WORK])
+    words = (f"{NODE}/request", f"{NODE}/telemetry")
+    woke_ms = 14 * 100.0 + 1.0
+    for cycle in range(20):
+        if 5 <= cycle < 14:
+            stamp = (cycle, 0, NODE, (f"skipped@{cycle}", *words))
+            turn = Turn("work", cycle, 0, stamp, {})
+            team.stopwatch.closed(turn, START + round(woke_ms * MS), [])
+            continue
+        team.hear(MEASURED, cycle, 1.0, 2.0)
+        team.hear(ASKED, cycle, 1.0, 2.0)
+        team.close("work", cycle, 3.0, sent_ms=[3.0])
+    decisions_ms = in_ms(team.account(), "decision/work")
+    assert decisions_ms == near(*[1.0] * 11, *(71.0 + 100.0 * late for late in range(9)))
+    assert team.stopwatch.slowest_decision_ns == 871 * MS
 
 
 def test_jitter_is_how_far_two_closings_are_from_whole_cycles_apart() -> None:
@@ -314,6 +369,10 @@ def test_what_is_noted_does_not_pile_up() -> None:
     assert team.stopwatch.overfull
     team.stopwatch.settle()
     assert not team.stopwatch.overfull
+    # Of cycles that it gives up it hears and says nothing.
+    for cycle in range(5_001):
+        team.close("work", cycle, 3.0)
+    assert team.stopwatch.overfull
 
 
 def test_the_message_has_the_sums_and_the_slowest_decision() -> None:

@@ -64,27 +64,28 @@ OWN_FIELDS = {
 }
 
 KW = st.floats(allow_nan=False)
-INT64 = st.integers(-(2**63), 2**63 - 1)
+CLOCK_NS = st.integers(0, 2**62 - 1)
+COUNT = st.integers(0, 2**32 - 1)
 KWS = st.lists(KW, max_size=5).map(tuple)
 
 FIELDS: dict[str, st.SearchStrategy[object]] = {
-    "cycle": INT64,
-    "sim_time_ns": INT64,
+    "cycle": st.integers(1 - 2**31, 10**18 - 1),
+    "sim_time_ns": st.integers(-(2**62), 2**62 - 1),
     "source": st.text(),
     "missing": st.lists(st.text(), max_size=3).map(tuple),
-    "publish_time_ns": st.integers(0, 2**62 - 1),
-    "sequence": st.integers(0, 2**32 - 1),
-    "stale_cycles": INT64,
-    "start_time_ns": INT64,
-    "cycle_wall_ns": INT64,
-    "count": INT64,
+    "publish_time_ns": CLOCK_NS,
+    "sequence": COUNT,
+    "stale_cycles": COUNT,
+    "start_time_ns": CLOCK_NS,
+    "cycle_wall_ns": CLOCK_NS,
+    "count": COUNT,
     "state": st.sampled_from(["start", "stop"]),
     "text": st.text(),
     "paused": st.booleans(),
     "inverter_mpp_kw": KWS,
     "inverter_power_kw": KWS,
     "help_given": st.lists(st.builds(HelpGiven, st.text(), KW), max_size=4).map(tuple),
-    **dict.fromkeys(OWN_FIELDS[Timing], st.integers(0, 2**32 - 1)),
+    **dict.fromkeys(OWN_FIELDS[Timing], COUNT),
 }
 
 each_signal = pytest.mark.parametrize("signal", SIGNALS, ids=lambda signal: signal.name)
@@ -171,6 +172,19 @@ def test_a_field_of_the_wrong_type_is_refused(signal: Signal[Message]) -> None:
     for name in whole:
         with pytest.raises(msgspec.DecodeError, match=rf"at `\$\.{name}`"):
             decode(signal, msgpack.packb({**whole, name: None}))
+
+
+@each_signal
+@pytest.mark.parametrize("number", [-(2**63), -(2**62) - 1, 2**62, 2**63, 2**64 - 1])
+def test_a_whole_number_that_cannot_be_counted_with_is_refused(
+    signal: Signal[Message], number: int
+) -> None:
+    whole = msgpack.unpackb(encode(one(signal)))
+    names = [name for name, value in whole.items() if type(value) is int]
+    assert {"cycle", "sim_time_ns", "publish_time_ns", "sequence"} <= set(names)
+    for name in names:
+        with pytest.raises(msgspec.DecodeError, match=rf"at `\$\.{name}`"):
+            decode(signal, msgpack.packb({**whole, name: number}))
 
 
 def test_a_message_of_another_signal_is_refused() -> None:

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import DecodeError
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from bus_schemas.codec import decode, encode
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule, FaultTally, NetworkFaults, check_rule, links
 from bus_schemas.messages import Impp, Run, Telemetry
@@ -43,6 +45,16 @@ def fates(faults: NetworkFaults, cycles: int = MANY) -> list[tuple[int, ...]]:
 
 def delays_ms(faults: NetworkFaults, cycles: int = MANY) -> NDArray[np.float64]:
     return np.array([delay for fate in fates(faults, cycles) for delay in fate]) / 1e6
+
+
+@pytest.mark.parametrize("cycle", [1 - 2**31, 10**18 - 1])
+def test_whatever_cycle_a_message_can_be_of_it_has_a_fate(cycle: int) -> None:
+    faults = at_work(FaultRule(loss=0.1, silent=((0.0, 5.0),), duplicate=0.5, delay_ms=3.0))
+    message = decode(IMPP, encode(impp(0)))
+    message = decode(IMPP, encode(replace(message, cycle=cycle)))
+    faults.fates(IMPP.of("c1/a"), "c1", message)
+    with pytest.raises(DecodeError):
+        decode(IMPP, encode(replace(message, cycle=2**63)))
 
 
 def test_without_a_rule_for_its_link_a_message_passes_at_once() -> None:

@@ -10,10 +10,10 @@ import pytest
 
 from bus_schemas.bus import Arrival
 from bus_schemas.faults import FaultRule, NetworkFaults
-from bus_schemas.faulty_bus import FaultyBus
+from bus_schemas.faulty_bus import FaultyBus, UnderWay
 from bus_schemas.keys import KeyTable
-from bus_schemas.messages import Run, Telemetry
-from bus_schemas.signals import RUN, TELEMETRY
+from bus_schemas.messages import Message, Run, Telemetry
+from bus_schemas.signals import RUN, SETPOINT, TELEMETRY, Port
 from bus_schemas.tree import PLANT, ROOT, ControlTree
 from bus_schemas.zenoh_bus import SessionSettings, ZenohBus
 from launch_scripts.tcp_ports import reserved_ports
@@ -41,6 +41,42 @@ def copies(cycle: int) -> int:
 
 
 ONCE, TWICE = (next(cycle for cycle in range(10) if copies(cycle) == wanted) for wanted in (1, 2))
+
+
+def arrival(time_ns: int, port: Port[Message] = PORT) -> Arrival:
+    return Arrival(port, telemetry(0), time_ns)
+
+
+def test_a_flood_that_is_under_way_is_bounded_and_counted() -> None:
+    under_way = UnderWay()
+    for number in range(200_000):
+        under_way.put(arrival(number))
+    assert len(under_way) == 10_000
+    assert under_way.flooded == 190_000
+    # Others are heard through it, and what has arrived leaves room.
+    under_way.put(arrival(5, SETPOINT.of("a")))
+    assert under_way.flooded == 190_000
+    assert len(under_way.take_due(9_600)) == 9_602
+    under_way.put(arrival(1))
+    assert under_way.flooded == 190_000
+    assert under_way.next_due_ns == 1
+
+
+def test_many_keys_are_all_heard_however_many_are_under_way() -> None:
+    under_way = UnderWay()
+    ports = [TELEMETRY.of(f"a{number}") for number in range(200)]
+    for number in range(900):
+        for port in ports:
+            under_way.put(arrival(number, port))
+    assert (len(under_way), under_way.flooded) == (180_000, 0)
+
+
+def test_what_is_due_comes_in_the_order_of_its_time() -> None:
+    under_way = UnderWay()
+    for time_ns in (30, 10, 20, 10):
+        under_way.put(arrival(time_ns))
+    assert [found.time_ns for found in under_way.take_due(25)] == [10, 10, 20]
+    assert (len(under_way), under_way.next_due_ns) == (1, 30)
 
 
 class Pair:

@@ -17,6 +17,13 @@ from bus_schemas.missing import SKIPPED, Absence, absence, in_words, skipped_cyc
         ("c1/impp@", Absence("c1/impp@", None)),
         ("c1/impp@-3", Absence("c1/impp@-3", None)),
         ("", Absence("", None)),
+        ("skipped@" + "9" * 5000, Absence("skipped@" + "9" * 5000, None)),
+        ("c1/impp@" + "9" * 18, Absence("c1/impp", 10**18 - 1)),
+        ("c1/impp@1" + "0" * 18, Absence("c1/impp@1" + "0" * 18, None)),
+        ("c1/impp@007", Absence("c1/impp@007", None)),
+        ("c1/impp@\u0661\u0662", Absence("c1/impp@\u0661\u0662", None)),
+        ("c1/impp@\u00b2", Absence("c1/impp@\u00b2", None)),
+        ("@1", Absence("", 1)),
     ],
 )
 def test_an_entry_is_a_key_with_or_without_a_cycle(entry: str, expected: Absence) -> None:
@@ -54,6 +61,7 @@ def test_the_skipped_cycles_are_those_up_to_the_message_or_its_own(
         ),
         (("skipped@1233",), "skipped cycle 1,233"),
         (("skipped@1234",), "skipped cycle 1,234"),
+        (("skipped@" + "9" * 30,), "without skipped@" + "9" * 30),
     ],
 )
 def test_in_words(missing: tuple[str, ...], expected: str) -> None:

@@ -10,7 +10,7 @@ from typing import Literal
 import pytest
 from msgspec.structs import replace
 
-from agents.lifeline import Presence, Status
+from agents.lifeline import Complaint, Presence, Status
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.links import explicit_links
@@ -146,10 +146,12 @@ def test_who_goes_in_mid_run_is_named_with_the_cycle(
     gone = externals.hear(Presence(NODE, False, 41), 150.0, running=True)
     assert gone.startswith(f"{NODE} (external) is gone in cycle 41; the run")
     assert rest in gone
-    assert externals.suspicion() == f"of the external agents: {NODE} is gone since cycle 41"
+    assert externals.explain("stalled", running=True) == (
+        f"stalled\nof the external agents: {NODE} is gone since cycle 41"
+    )
     back = externals.hear(Presence(NODE, True, 60), 170.0, running=True)
     assert back == f"{NODE} (external) is back in cycle 60, gone since cycle 41"
-    assert externals.suspicion() == ""
+    assert externals.explain("stalled", running=True) == "stalled"
 
 
 def test_an_external_plant_that_goes_is_remembered_with_the_time() -> None:
@@ -160,11 +162,25 @@ def test_an_external_plant_that_goes_is_remembered_with_the_time() -> None:
     assert externals.plant_gone_at == 150.0
 
 
-def test_who_says_nothing_in_arming_rounds_is_suspected() -> None:
-    externals = watch(NODE)
-    externals.note(
-        Status(-1, 0, 0.0, 0.0, 0.0, [], 0, unheard=["c1/inv01/command", "c1/inv01/impp"])
+def test_who_does_not_answer_arming_rounds_is_named_first_with_what_was_wrong() -> None:
+    externals = watch(NODE, "c1")
+    externals.complain(Complaint("oahu/c1/inv01/impp", "other_cycle", 1, "it is of cycle 0"))
+    externals.complain(Complaint("oahu/c2/inv99/impp", "unknown", 1, "not of this run"))
+    unheard = ["c1/setpoint", "c1/inv01/command", "c1/inv01/impp"]
+    externals.note(Status(-1, 0, 0.0, 0.0, 0.0, [], 0, unheard=unheard))
+    first, *others = externals.explain("plant gave up", running=False).splitlines()
+    assert first.startswith(
+        "c1/inv01 (external) does not answer the arming rounds: nothing came on "
+        "c1/inv01/command, c1/inv01/impp; "
     )
-    assert externals.suspicion() == (
-        "of the external agents: nothing came on c1/inv01/command, c1/inv01/impp"
-    )
+    assert others == ["plant gave up", "wrong message on oahu/c1/inv01/impp: it is of cycle 0"]
+
+
+def test_a_port_that_another_run_has_is_refused_in_one_line() -> None:
+    with reserved_ports(("recorder",)) as found:
+        taken = found["recorder"]
+        complaint = f"--base-port {taken}: port {taken} of recorder is that of another run"
+        with pytest.raises(InputError, match=complaint), reserved_ports(("recorder",), taken):
+            pass
+    with reserved_ports(("recorder",), taken):
+        pass

@@ -57,19 +57,26 @@ def test_in_lockstep_deadlines_lie_idle_whatever_the_cycle() -> None:
             "central controller's first and the direct controllers' last",
         ),
         ([], "control.deadlines_ms has 0 entries, accepted is one for each of the 3 tiers, "),
-        ([0.0, 1.0, 2.0], "control.deadlines_ms[0] is 0 ms, accepted is more than 0"),
-        ([1.0, -1.0, 2.0], "control.deadlines_ms[1] is -1 ms, accepted is more than 0"),
-        ([1.0, nan, 2.0], "control.deadlines_ms[1] is nan ms, accepted is more than 0"),
-        ([1.0, 2.0, inf], "control.deadlines_ms[2] is inf ms, accepted is more than 0"),
+        ([0.0, 1.0, 2.0], "control.deadlines_ms[0] is 0 ms, accepted is a number from 0.1 to"),
+        ([1e-9, 500.0, 900.0], "control.deadlines_ms[0] is 1e-09 ms, accepted is a number from"),
+        ([0.0001, 1.0, 2.0], "control.deadlines_ms[0] is 0.0001 ms, accepted is a number from"),
+        ([1.0, -1.0, 2.0], "control.deadlines_ms[1] is -1 ms, accepted is a number from 0.1 to"),
+        ([1.0, nan, 2.0], "control.deadlines_ms[1] is nan ms, accepted is a number from 0.1 to"),
+        ([1.0, 2.0, inf], "control.deadlines_ms[2] is inf ms, accepted is a number from 0.1 to"),
+        ([1.0, 2.0, 1e300], "control.deadlines_ms[2] is 1e+300 ms, accepted is a number from"),
         (
             [100.0, 100.0, 200.0],
-            "control.deadlines_ms[1] is 100 ms, accepted is more than that of the tier above it "
-            "(100 ms)",
+            "control.deadlines_ms[1] is 100 ms, accepted is 0.1 ms more than that of the tier "
+            "above it (100 ms), or later",
+        ),
+        (
+            [100.0, 100.00001, 200.0],
+            "control.deadlines_ms[1] is 100 ms, accepted is 0.1 ms more than that of the tier",
         ),
         (
             [100.0, 200.0, 150.0],
-            "control.deadlines_ms[2] is 150 ms, accepted is more than that of the tier above it "
-            "(200 ms)",
+            "control.deadlines_ms[2] is 150 ms, accepted is 0.1 ms more than that of the tier "
+            "above it (200 ms), or later",
         ),
         (
             [100.0, 200.0, 1000.0],

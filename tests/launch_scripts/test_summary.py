@@ -154,11 +154,13 @@ def account_of(agent: str, missed: int, overruns: int, late_used: int = 0) -> Pr
 
 def test_a_run_in_real_time_tells_what_was_late_and_where_most_of_it() -> None:
     processes = (account_of("c1/a", 3, 0), account_of("c1/b", 8, 0, 2), account_of("c1/c", 0, 0))
+    processes = (*processes[:2], replace(processes[2], cycles_given_up=7))
     recorder = ProcessAccount("recorder", "recorder", {}, 40.0)
     rows = rows_printed(replace(summary_of(None), processes=(*processes, recorder)))
     assert rows["deadlines missed"] == ["13", "most by c1/b: 9"]
     assert rows["late words used"] == ["2", "most by c1/b: 2"]
     assert rows["overruns"] == ["0"]
+    assert rows["cycles given up"] == ["7", "most by c1/c: 7"]
 
 
 def test_a_run_in_lockstep_has_no_deadlines_to_miss() -> None:

@@ -9,8 +9,12 @@ import msgpack
 import msgspec
 import pytest
 
+from agents.plan import RunPlan
 from bus_schemas.codec import decode
 from bus_schemas.signals import REQUEST, SIGNALS
+from launch_scripts import cli
+from launch_scripts.preparation import RunOptions, prepare
+from launch_scripts.scenario import load_scenario
 from launch_scripts.wire_document import wire_document
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "wire.md"
@@ -39,9 +43,9 @@ def test_the_examples_are_whole_messages_that_any_msgpack_reader_takes_apart() -
     telemetry, impp, residual, setpoint, command, start = found
     assert (telemetry["source"], telemetry["power_kw"], telemetry["cycle"]) == ("plant", 120.5, 2)
     assert (impp["cycle"], impp["sequence"], impp["power_kw"]) == (-999_999, 0, 241.0)
-    assert (residual["missing"], residual["power_kw"]) == (["c1/inv07/request"], -20.0)
-    assert setpoint["help_given"] == [["c1/inv01", 20.0]]
-    assert (command["source"], command["power_kw"], command["missing"]) == ("c1/inv07", 100.0, [])
+    assert (residual["missing"], residual["power_kw"]) == (["c2/inv07/request"], -20.0)
+    assert setpoint["help_given"] == [["c2/inv05", 20.0]]
+    assert (command["source"], command["power_kw"], command["missing"]) == ("c2/inv07", 100.0, [])
     assert (start["state"], start["cycle_wall_ns"]) == ("start", 1_000_000_000)
 
 
@@ -72,3 +76,27 @@ def test_each_stage_says_what_it_publishes() -> None:
     assert "| estimate | request, telemetry |  | impp, residual, `help` if it is negative |" in text
     assert "| actuate | setpoint |  | command |" in text
     assert "| report | impp, residual | help | impp, residual, `help` if it is negative |" in text
+
+
+def test_the_nodes_in_the_commands_of_the_documents_are_those_of_the_scenario() -> None:
+    plan = prepare(load_scenario("oahu"), RunOptions(duration="10"), "run-1").plan
+    known = {*plan.tree.agents(), *(node for node in plan.tree.nodes if node)}
+    folder = DOCUMENT.parents[1]
+    found = set()
+    for path in (*folder.glob("*.md"), *folder.glob("docs/*.md"), *folder.glob("examples/*")):
+        if path.suffix in {".md", ".py"}:
+            text = path.read_text(encoding="utf-8")
+            words = re.findall(r"--(?:external|node|nodes|live) ([a-z0-9/,]+)", text)
+            found |= {(path.name, node) for word in words for node in word.split(",")}
+    found |= {
+        ("cli.py", node) for node in re.findall(r"c\d/inv\d+", Path(cli.__file__).read_text())
+    }
+    found |= {("wire.md", node) for node in re.findall(r"c\d/inv\d+", wire_document())}
+    assert {name for name, _ in found} >= {"README.md", "wire.md", "direct_controller.py"}
+    assert [(name, node) for name, node in sorted(found) if node not in known] == []
+
+
+def test_every_field_of_the_plan_is_in_the_document() -> None:
+    opening = wire_document().partition("## Signals")[0]
+    named = set(re.findall(r"`([a-z_]+)`", opening))
+    assert {field.name for field in msgspec.structs.fields(RunPlan)} <= named

@@ -20,12 +20,17 @@ Start = Callable[..., Heliarch]
 
 
 def decisions(folder: Path) -> dict[tuple[str, int], Message]:
-    """All that the controllers of a run decided, without the time at which it went out."""
+    """All that the controllers of a run decided, without the time at which it went out.
+
+    Of what a device says several times in a cycle, the first.
+    """
+    found: dict[tuple[str, int], Message] = {}
+    signals = (IMPP, RESIDUAL, HELP, SETPOINT, COMMAND)
     with RunReader(folder) as reader:
-        return {
-            (str(port), message.cycle): msgspec.structs.replace(message, publish_time_ns=0)
-            for port, message in reader.messages(IMPP, RESIDUAL, HELP, SETPOINT, COMMAND)
-        }
+        for port, message in reader.messages(*signals, by_time=False):
+            timeless = msgspec.structs.replace(message, publish_time_ns=0)
+            found.setdefault((str(port), message.cycle), timeless)
+    return found
 
 
 def summary_of(folder: Path) -> RunSummary:

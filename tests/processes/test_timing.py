@@ -69,7 +69,11 @@ def test_a_timed_run_has_all_rows_its_floor_and_the_budget_that_it_broke(
         "central": 1,
         "supervisor": 3,
         "direct": 17,
+        "recorder": 1,
     }
+    (recorder,) = [tier for tier in report["tiers"] if tier["tier"] == "recorder"]
+    assert 0.0 < recorder["cpu_percent"] < 100.0
+    assert recorder["resident_mb"] > 10.0
     floor = {row["name"]: row for row in report["floor"]}
     assert floor["timer"]["times"]["count"] >= 20
     assert floor["Zenoh round trip"]["times"]["count"] >= 20

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -16,7 +16,13 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import COMMAND, PRODUCTION, RUN, Port
 from bus_schemas.tree import ROOT
 from recordings.reader import RunReader
-from recordings.waits import CycleWaits, loop_times_ns, response_times_ns, slowest_cycles
+from recordings.waits import (
+    CycleWaits,
+    last_cycle_with_all,
+    loop_times_ns,
+    response_times_ns,
+    slowest_cycles,
+)
 from recordings.writer import RunWriter
 
 START_NS = 5_000_000_000
@@ -81,15 +87,20 @@ def without_command_of_d(deliveries: Iterator[Delivery]) -> Iterator[Delivery]:
         yield port, replace(message, missing=("c2/d/command",)) if silent else message
 
 
-def recorded(folder: Path, *cycles: Iterator[Delivery], wall_ns: int = 100_000_000) -> Path:
-    """A recording of these cycles."""
+def recorded(
+    folder: Path,
+    *cycles: Iterator[Delivery],
+    wall_ns: int = 100_000_000,
+    logged_ns: int | None = None,
+) -> Path:
+    """A recording of these cycles, each message logged when it was published, or all at once."""
     plan = replace(REAL_TIME, cycle_wall_ns=wall_ns)
     writer = RunWriter(folder / "run.mcap", plan, SCENARIO, driver="launch")
     run: list[tuple[Port[Message], Message]] = [
         (RUN.of(ROOT), plan.run_message("start", 0, START_NS))
     ]
     for port, message in (*run, *(entry for cycle in cycles for entry in cycle)):
-        writer.add(port, message, encode(message), message.publish_time_ns or START_NS)
+        writer.add(port, message, encode(message), logged_ns or message.publish_time_ns)
     writer.close()
     return folder
 
@@ -149,6 +160,26 @@ def test_who_was_silent_up_to_the_deadline_is_named(tmp_path: Path) -> None:
     assert cycle.slowest.in_words() == "plant took 76.8 ms to go on, without c2/d/command"
 
 
+def test_a_plant_that_gave_the_cycle_up_waited_for_nobody(tmp_path: Path) -> None:
+    """It stood still over the cycle: its commands came, but it did not look."""
+    stood = {**PUBLISHED_MS, "production": 877.0}
+    del stood["c2/d/command"]
+    words = ("skipped@1", *(f"{leaf}/command" for leaf in REAL_TIME.tree.leaves))
+    given_up = (
+        (port, replace(message, missing=words) if port is PRODUCTION.of(ROOT) else message)
+        for port, message in in_time(1, stood)
+    )
+    (cycle,) = slowest(recorded(tmp_path, in_time(0, PUBLISHED_MS), given_up))
+    assert cycle.in_words() == "cycle 1: 877.0 ms, plant gave the cycle up"
+    (wait,) = cycle.chain
+    assert (wait.agent, wait.stage, ms(wait.began_ns), ms(wait.ended_ns)) == (
+        "plant",
+        "advance",
+        0.0,
+        877.0,
+    )
+
+
 def test_who_answered_after_the_deadline_is_in_the_chain(tmp_path: Path) -> None:
     late = {**PUBLISHED_MS, "production": 90.0, "c2/d/command": 95.0}
     (cycle,) = slowest(recorded(tmp_path, without_command_of_d(in_time(0, late))))
@@ -186,3 +217,56 @@ def test_of_a_message_that_came_twice_the_first_counts(tmp_path: Path) -> None:
     )
     (cycle,) = slowest(recorded(tmp_path, in_time(0, PUBLISHED_MS), again))
     assert ms(cycle.chain[-2].ended_ns) == 13.4
+
+
+def retimed(
+    deliveries: Iterator[Delivery], key: str, publish_time_ns: Callable[[int], int]
+) -> Iterator[Delivery]:
+    """The same, with another publish time on one key."""
+    for port, message in deliveries:
+        time_ns = message.publish_time_ns
+        found = publish_time_ns(time_ns) if str(port) == key else time_ns
+        yield port, replace(message, publish_time_ns=found)
+
+
+@pytest.mark.parametrize(
+    "publish_time_ns",
+    [
+        lambda time_ns: 0,
+        lambda time_ns: 4_000_000,
+        lambda time_ns: time_ns - 300_000_000,
+        lambda time_ns: time_ns + 1_000_000_000,
+    ],
+    ids=["unknown", "of another clock", "before the cycle before", "in the future"],
+)
+def test_impossible_publish_times_are_not_measured(
+    publish_time_ns: Callable[[int], int], tmp_path: Path
+) -> None:
+    cycles = [in_time(cycle, PUBLISHED_MS) for cycle in range(2)]
+    path = recorded(
+        tmp_path,
+        retimed(cycles[0], "c2/d/command", publish_time_ns),
+        retimed(cycles[1], "production", publish_time_ns),
+        logged_ns=START_NS + 200_000_000,
+    )
+    with RunReader(path) as reader:
+        assert [ms(loop_ns) for loop_ns in loop_times_ns(reader)] == [14.0]
+        found = response_times_ns(reader, ["c2/d", "plant"])
+        (cycle,) = slowest_cycles(reader, 3)
+    assert [ms(time_ns) for time_ns in found["c2/d", "actuate"]] == [1.1]
+    assert len(found["plant", "advance"]) == 1
+    assert cycle.chain[-2].agent == "c2/c"
+    assert cycle.in_words() == "cycle 0: 14.0 ms, c2/c took 5.9 ms to estimate"
+
+
+def test_after_an_interruption_only_cycles_with_all_controllers_count(tmp_path: Path) -> None:
+    left = {name: time_ms for name, time_ms in PUBLISHED_MS.items() if "c2/" not in name}
+    left["production"] = 90.0
+    path = recorded(tmp_path, in_time(0, PUBLISHED_MS), in_time(1, left))
+    with RunReader(path) as reader:
+        last_cycle = last_cycle_with_all(reader, REAL_TIME.tree.leaves)
+        assert last_cycle == 0
+        assert [ms(loop_ns) for loop_ns in loop_times_ns(reader, last_cycle)] == [14.0]
+        assert [cycle.cycle for cycle in slowest_cycles(reader, 3, last_cycle)] == [0]
+        responses_ns = response_times_ns(reader, ["plant"], last_cycle)
+        assert len(responses_ns["plant", "advance"]) == 1

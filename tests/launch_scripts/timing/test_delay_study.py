@@ -46,14 +46,19 @@ def perfect(prepared: Preparation) -> Outcome:
 
 
 def test_every_trouble_comes_with_each_scheme_and_delays_with_late_messages_dropped_too() -> None:
-    found = conditions(1.0)
+    found = conditions(1.0, 3600.0)
     assert len(found) == len(set(found)) == 9 * 2 * 2 + 7 * 2 + 6 * 2
     assert {one.late for one in found if one.trouble != "delay"} == {"use"}
 
 
 def test_central_periods_that_are_no_whole_number_of_cycles_are_left_out() -> None:
-    found = {one.value for one in conditions(5.0) if one.trouble == "period"}
+    found = {one.value for one in conditions(5.0, 3600.0) if one.trouble == "period"}
     assert found == {5.0, 10.0, 30.0, 60.0}
+
+
+def test_central_periods_of_which_what_counts_does_not_hold_two_are_left_out() -> None:
+    found = {one.value for one in conditions(1.0, 30.0) if one.trouble == "period"}
+    assert found == {1.0, 2.0, 5.0, 10.0}
 
 
 def test_a_condition_stands_in_the_plan(prepared: Preparation) -> None:

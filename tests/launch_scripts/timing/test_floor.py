@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
-from launch_scripts.timing.cyclictest import latencies
+from agents.machine import MachineSettings
+from launch_scripts.timing.cyclictest import Cyclictest, latencies
 from launch_scripts.timing.distributions import distribution
 from launch_scripts.timing.floor_probe import Probe
 
@@ -40,6 +43,24 @@ def test_a_probe_ends_when_it_is_told_to_however_long_its_period() -> None:
     assert not thread.is_alive()
     assert probe.stopped
     assert len(acted) <= 1
+
+
+def test_cyclictest_ends_by_itself_soon_after_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program, words = tmp_path / "cyclictest", tmp_path / "words"
+    program.write_text(f'#!/bin/sh\necho "$@" > {words}.part; mv {words}.part {words}; sleep 60\n')
+    program.chmod(0o700)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    cyclictest = Cyclictest(50_000_000, MachineSettings())
+    try:
+        cyclictest.begin(90.5)
+        until = time.monotonic() + 20.0
+        while not words.exists() and time.monotonic() < until:
+            time.sleep(0.02)
+        assert words.read_text().startswith("--duration=151 --quiet")
+    finally:
+        cyclictest.end()
 
 
 def test_what_cyclictest_says_becomes_a_histogram() -> None:

@@ -7,6 +7,7 @@ from msgspec.structs import replace
 from timings_by_hand import TIMINGS, TREE, account, timing
 
 from bus_schemas.tree import ControlTree
+from launch_scripts.summary import ProcessAccount
 from launch_scripts.timing.measures import (
     EVERY_COMMAND,
     WHOLE_LOOP,
@@ -69,6 +70,14 @@ def test_counts_and_shares_are_added_up_by_tier() -> None:
 def test_a_process_that_measured_nothing_is_not_counted() -> None:
     silent = replace(account(timing("c1/a", {})), timing=None)
     assert tier_accounts([silent], TREE) == ()
+
+
+def test_the_recorder_has_the_share_that_its_launcher_saw() -> None:
+    recorder = ProcessAccount("recorder", "recorder", {}, 50.0, cpu_percent=12.5)
+    _, found = tier_accounts([recorder, account(timing("c1/a", {}))], TREE)
+    assert (found.tier, found.processes) == ("recorder", 1)
+    assert (found.cpu_percent, found.cpu_highest_percent, found.resident_mb) == (12.5, 12.5, 50.0)
+    assert (found.missed_deadlines, found.overruns, found.cycles_given_up) == (0, 0, 0)
 
 
 def test_supervisors_of_several_tiers_are_told_apart() -> None:

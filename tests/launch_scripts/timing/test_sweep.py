@@ -6,11 +6,20 @@ import io
 import json
 
 import pytest
+from msgspec.structs import replace
 from rich.console import Console
 from timings_by_hand import TIMINGS, report, timing
 
 from launch_scripts.timing.rates import Rates
-from launch_scripts.timing.sweep import RateRow, Sweep, Timed, print_sweep, rate_row, sweep
+from launch_scripts.timing.sweep import (
+    RateRow,
+    Sweep,
+    Timed,
+    conclusion,
+    print_sweep,
+    rate_row,
+    sweep,
+)
 
 
 class Machine:
@@ -57,6 +66,26 @@ def test_an_interrupted_sweep_keeps_what_it_has() -> None:
     machine = Machine(1e9, interrupted_at=10.0)
     found = sweep(Rates(listed_hz=(5.0, 10.0, 20.0)), machine.run)
     assert (machine.tried, found.interrupted, len(found.rows)) == ([5.0, 10.0], True, 2)
+
+
+def test_a_rate_that_was_interrupted_is_neither_clean_nor_not_clean() -> None:
+    row = rate_row(replace(report(), interrupted=True))
+    assert (row.clean, row.interrupted, row.outcome) == (False, True, "interrupted")
+    found = Sweep((RateRow(5.0, clean=True), row), 5.0, interrupted=True)
+    console = Console(file=io.StringIO(), width=100)
+    print_sweep(found, console)
+    assert isinstance(console.file, io.StringIO)
+    text = console.file.getvalue()
+    assert "interrupted" in text
+    assert "not clean" not in text
+    assert json.loads(found.as_json())["rows"][1]["interrupted"]
+    assert conclusion(found).startswith("highest clean rate: at least 5 cycles/s")
+
+
+def test_where_the_highest_rate_tried_is_clean_the_limit_is_not_known() -> None:
+    rates = Rates(listed_hz=(5.0, 10.0, 20.0))
+    assert "clean rate: at least 20 cycles/s" in conclusion(sweep(rates, Machine(1e9).run))
+    assert "clean rate: 10 cycles/s" in conclusion(sweep(rates, Machine(10.0).run))
 
 
 def test_a_rate_is_clean_if_nothing_was_missed_overrun_or_lost() -> None:

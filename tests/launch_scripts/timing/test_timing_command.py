@@ -40,6 +40,11 @@ def refused(*words: str | Path) -> str:
         (("--study", "--fault", "loss=1%"), "--fault: a study runs in memory"),
         (("--set", "commitment.share=0.5"), "--set: it is for a study"),
         (("--workers", "3"), "--workers: it is for a study"),
+        (("--study", "--workers", "0"), "--workers 0: accepted are 1 to 256"),
+        (("--study", "--rate", ""), "--rate: a study runs in memory"),
+        (("--rate", ""), "--rate : '' is no number"),
+        (("--duration", "1", "--out", "/dev/null/run"), "--out /dev/null/run: no folder can be"),
+        (("--rate", "5,10", "--out", "/dev/null/run"), "--out /dev/null/run: no folder can be"),
         (("--json", "/absent/x.json"), "accepted is a file in an existing folder, or -"),
     ],
 )

@@ -16,7 +16,7 @@ from launch_scripts.timing.budget_table import BudgetTable
 from launch_scripts.timing.distributions import distribution, merged
 from launch_scripts.timing.floor import FloorTimes
 from launch_scripts.timing.timing_report import TimingReport
-from launch_scripts.timing.timing_table import print_report, verdict_line
+from launch_scripts.timing.timing_table import cycle_lines, print_report, verdict_line
 from launch_scripts.wrong_messages import WrongMessages
 
 FLOOR = (
@@ -71,12 +71,21 @@ def test_the_verdict_names_each_budget_that_was_not_kept() -> None:
     lines = printed(late)
     assert lines[-2:] == [
         "  not kept: missed deadlines 2 (at most 0)",
-        "  not kept: lost messages 1 (at most 0)",
+        "  not kept: messages not recorded 1 (at most 0)",
     ]
     assert row(lines, "missed deadlines") == "2 0 FAIL"
     assert row(lines, "overruns") == "0 0 PASS"
     # processes, missed deadlines, missing inputs, late used, dropped, overruns
     assert row(lines, "direct").startswith("2 2 4 2 0 0 ")
+
+
+def test_one_budget_was_not_kept_and_two_were_not() -> None:
+    assert re.fullmatch(r"FAIL: 1 of \d+ budgets was not kept", verdict_line(report(lost=1)))
+
+
+def test_it_is_said_that_the_links_of_a_slow_cycle_hold_hops() -> None:
+    assert cycle_lines(report())[-1].endswith("the hop to it is part of its time)")
+    assert cycle_lines(replace(report(), slowest_cycles=())) == []
 
 
 def test_long_durations_are_told_in_milliseconds_in_all_columns() -> None:
@@ -98,14 +107,29 @@ def test_each_process_is_shown_if_asked_for() -> None:
     assert max(map(len, lines)) <= 100
 
 
+def test_cycles_that_were_given_up_are_told_by_tier_and_process() -> None:
+    found = report()
+    behind = replace(found.processes[1], cycles_given_up=9)
+    tiers = [
+        replace(tier, cycles_given_up=9 if tier.tier == "central" else 0) for tier in found.tiers
+    ]
+    found = replace(found, processes=(behind,), tiers=tuple(tiers))
+    lines = printed(found, processes=True)
+    # processes, missed deadlines, missing inputs, late used, dropped, overruns, given up
+    assert row(lines, "central").startswith("1 0 0 0 0 0 9 ")
+    assert "9 cycles given up" in " ".join(lines)
+    assert not found.clean
+    assert json.loads(found.as_json())["tiers"][1]["cycles_given_up"] == 9
+
+
 def test_a_foreign_device_and_its_wrong_answers_are_told() -> None:
     device = ExternalAccount("c2/d", {"command": 2}, lost=1, expected=6, answered=5)
     wrong = WrongMessages("c2/d/command", "not msgpack", 3, "b'x'")
     found = replace(report(), external=(device,), wrong=(wrong,), faults={"lost": 4})
     text = "\n".join(printed(found))
-    assert "external c2/d: answered 5 times of 6, 1 messages lost by their numbers" in text
+    assert "external c2/d: answered 5 times of 6, 1 of its messages never came" in text
     assert "wrong c2/d/command, 3 times: not msgpack: b'x'" in text
-    assert "faults of the network: 4 lost" in text
+    assert "faults of the network, as was asked for: 4 lost" in text
 
 
 def test_the_document_has_all_rows_and_histograms_that_others_can_merge() -> None:
@@ -114,7 +138,10 @@ def test_the_document_has_all_rows_and_histograms_that_others_can_merge() -> Non
     impp = next(entry for entry in document["times"] if entry["of"] == "impp")
     assert impp["times"]["count"] == 3
     assert merged([impp["times"]["histogram"]]).get_total_count() == 3
-    assert {entry["line"] for entry in document["verdicts"]} >= {"hop impp p99", "lost messages"}
+    assert {entry["line"] for entry in document["verdicts"]} >= {
+        "hop impp p99",
+        "messages not recorded",
+    }
     assert [process["agent"] for process in document["processes"]][:2] == ["plant", "central"]
     assert document["floor"][0]["times"]["min_us"] < 51.0
     assert document["slowest_cycles"][0]["slowest_agent"] == "c2/d"

@@ -132,6 +132,7 @@ def report(
                 found.overruns,
                 found.missing_inputs,
                 found.late_used,
+                0,
                 {},
                 times_of(found, TREE),
             )

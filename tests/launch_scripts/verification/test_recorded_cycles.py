@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from troubled_runs import TroubledRun, cloudy_profile, lockstep_run, plan_of
 
 from bus_schemas.bus import Delivery
-from bus_schemas.signals import RUN
+from bus_schemas.messages import Impp
+from bus_schemas.signals import IMPP, RUN
 from launch_scripts.verification.recorded_cycles import CycleWalk
 
 PLAN = plan_of(cycles=40)
@@ -77,12 +78,34 @@ def test_no_more_than_so_many_messages_wait_for_an_agent_that_is_dead() -> None:
     assert walk.strays == 0
 
 
-def test_what_comes_too_late_for_its_cycle_is_counted() -> None:
+def test_what_comes_when_nobody_waits_for_it_any_more_is_counted() -> None:
     late = [pair for pair in SAID if pair[0].publisher == "c2/c" and pair[1].cycle >= 3]
     others = [pair for pair in SAID if pair not in late]
     walk = CycleWalk([*others, *late], PLAN.tree, PLAN.cycles, most_held=150)
-    assert messages_in(walk) + walk.strays == len(SAID) - 2
-    assert walk.strays > 0
+    cycles = list(walk)
+    assert walk.not_awaited.keys() == {"c2/c"}
+    found = sum(len(cycle.messages) for cycle in cycles)
+    assert found + walk.not_awaited.total() == len(SAID) - 2
+    assert {agent for cycle in cycles for agent in cycle.not_awaited} == {"c2/c"}
+    left_behind = [cycle.number for cycle in cycles if cycle.not_awaited]
+    # In the last cycle that it had reached, more of it might have come.
+    assert left_behind == list(range(left_behind[0], left_behind[-1] + 1))
+    assert left_behind[0] <= 3
+    assert walk.strays == 0
+
+
+def test_strays_of_external_agents_are_counted_apart() -> None:
+    port = IMPP.of("c1/a")
+    strays = [
+        (port, Impp(cycle, 0, "c1/a", (), power_kw=1.0, stale_cycles=0)) for cycle in (-3, 0, 4711)
+    ]
+    said = [*SAID[:-1], *strays, SAID[-1]]
+    theirs = CycleWalk(said, PLAN.tree, PLAN.cycles, external=("c1/a",))
+    assert messages_in(theirs) == len(SAID) - 2
+    assert (theirs.strays, dict(theirs.external_strays)) == (0, {"c1/a": 3})
+    ours = CycleWalk(said, PLAN.tree, PLAN.cycles)
+    assert messages_in(ours) == len(SAID) - 2
+    assert (ours.strays, dict(ours.external_strays)) == (3, {})
 
 
 def test_cycles_after_the_end_of_the_run_did_not_take_place() -> None:
