@@ -11,13 +11,14 @@ import pytest
 from msgspec.structs import replace
 
 from agents.lifeline import Complaint, Presence, Status
-from agents.plan import RunPlan
+from agents.plan import RunPlan, load_plan
 from bus_schemas.errors import InputError
 from bus_schemas.links import explicit_links
 from bus_schemas.tree import PLANT
 from launch_scripts.externals import ExternalOptions, ExternalWatch, check_externals
 from launch_scripts.preparation import RunOptions, prepare
 from launch_scripts.processes import processes
+from launch_scripts.run_folder import RunFolder
 from launch_scripts.scenario import load_scenario
 from launch_scripts.tcp_ports import reserved_ports
 
@@ -184,3 +185,20 @@ def test_a_port_that_another_run_has_is_refused_in_one_line() -> None:
             pass
     with reserved_ports(("recorder",), taken):
         pass
+
+
+def test_a_plan_appears_whole_after_all_that_it_refers_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = RunFolder(tmp_path / "run")
+    there_before: list[str] = []
+
+    def replaced(source: Path, target: Path) -> None:
+        there_before.extend(sorted(path.name for path in target.parent.iterdir()))
+        source.rename(target)
+
+    monkeypatch.setattr(Path, "replace", replaced)
+    preparation = prepare(load_scenario("oahu"), RunOptions(duration="10"), "run-1")
+    plan = folder.fill(preparation, {"plant": 7501})
+    assert there_before == ["logs", "plan.json.part", "profile.npz", "scenario.toml"]
+    assert load_plan(folder.plan) == plan
