@@ -183,7 +183,12 @@ def rate_figure(points: Sequence[RatePoint]) -> ReportFigure:
     )
     figure = dress(figure, _CURVES_PX)
     figure.update_layout(hovermode="closest")
-    figure.update_xaxes(type="log", title_text="rate [cycles/s]", **_round_ticks())
+    figure.update_xaxes(
+        type="log",
+        title_text="rate [cycles/s]",
+        tickvals=rates_hz,
+        ticktext=[f"{rate_hz:g}" for rate_hz in rates_hz],
+    )
     figure.update_yaxes(type="log", title_text="time [ms]", **_round_ticks())
     caption = (
         "Time from the plant's scheduled tick to its applied commands. A circle is a rate at which "
