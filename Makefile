@@ -25,7 +25,8 @@ run: $(READY) ## the main job: one simulated hour of broken clouds over 17 inver
 	$(BIN)/heliarch launch oahu --report
 
 test: $(READY) ## all tests, under 8 minutes on 2 cores
-	$(BIN)/pytest
+	$(BIN)/pytest -n 2 --dist loadfile -m 'not processes and not soak'
+	$(BIN)/pytest -m 'processes and not soak'
 
 check: $(READY) ## format, lint, types, directions of imports
 	$(BIN)/ruff format --check .
