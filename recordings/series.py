@@ -146,8 +146,8 @@ class SeriesCollector:
             history.value.append(message.alpha if port.signal is COMMAND else message.power_kw)  # type: ignore[attr-defined]
         elif port.signal is PRODUCTION:
             self._productions.append(message)  # type: ignore[arg-type]
-        elif port.signal is DISPATCH:
-            self._dispatches.setdefault(message.cycle, message)  # type: ignore[arg-type]
+        elif isinstance(message, Dispatch):
+            self._dispatches.setdefault(message.cycle, message)
 
     def series(self, label: str) -> RunSeries:
         """Return the cycles that are complete so far.

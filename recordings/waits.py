@@ -26,7 +26,7 @@ from msgspec import DecodeError
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import decode
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Message
+from bus_schemas.messages import Message, Run
 from bus_schemas.missing import SKIPPED, absence, skipped_cycles
 from bus_schemas.signals import (
     COMMAND,
@@ -354,12 +354,8 @@ def wait_finder(reader: RunReader) -> WaitFinder:
         The run was not in real time, or its recording does not say when it began.
     """
     for _, message in reader.messages(RUN):
-        if message.state == "start" and message.cycle_wall_ns > 0:  # type: ignore[attr-defined]
-            return WaitFinder(
-                reader.plan.tree,
-                message.start_time_ns,  # type: ignore[attr-defined]
-                message.cycle_wall_ns,  # type: ignore[attr-defined]
-            )
+        if isinstance(message, Run) and message.state == "start" and message.cycle_wall_ns > 0:
+            return WaitFinder(reader.plan.tree, message.start_time_ns, message.cycle_wall_ns)
     raise InputError(
         f"{reader.path}: it does not say when cycle 0 began in real time, accepted is the recording"
         " of a run at a finite pace"

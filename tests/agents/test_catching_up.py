@@ -11,7 +11,7 @@ from agents.agent import Stage
 from agents.sequencer import Drops, Sequencer
 from agents.team import Controller, central_controller
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Command, Message, Production
+from bus_schemas.messages import Command, Message, Production, Telemetry
 from bus_schemas.missing import skipped_cycles
 from bus_schemas.signals import COMMAND, IMPP, PRODUCTION, Port
 from bus_schemas.tree import ROOT
@@ -204,7 +204,8 @@ def test_after_a_pause_the_plants_next_tick_measures_the_interval_before_it() ->
     measured = {str(port): message for port, message in said.items()}
     telemetry = measured["a/telemetry"]
     assert (telemetry.cycle, telemetry.missing) == (4, ("skipped@1",))
-    assert telemetry.power_kw == 15.0  # type: ignore[attr-defined]
+    assert isinstance(telemetry, Telemetry)
+    assert telemetry.power_kw == 15.0
 
 
 def test_no_interval_of_a_plant_that_stood_still_is_left_out() -> None:
