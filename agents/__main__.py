@@ -8,9 +8,13 @@ import sys
 import threading
 from pathlib import Path
 
-from agents.lifeline import Failed, Lifeline, Ready, join_run
+from agents.drop_log import DropLog
+from agents.events import Failed, Joined
+from agents.joining import open_bus
+from agents.lifeline import Lifeline
 from agents.plan import RunPlan, load_plan
-from agents.runtime import DropLog, Runtime, open_bus, settle_in
+from agents.process_setup import join_run, settle_in
+from agents.runtime import Runtime
 from agents.team import (
     Controller,
     central_controller,
@@ -50,7 +54,7 @@ def run_controller(
     try:
         with open_bus(plan, controller.name, drop_log) as bus:
             runtime = Runtime(controller, plan, bus, lifeline, drop_log)
-            lifeline.tell(Ready())
+            lifeline.tell(Joined())
             log.info("%s is on the bus", controller.name)
             runtime.run(dismissed)
     except Exception as error:

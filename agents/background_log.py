@@ -24,11 +24,14 @@ class BackgroundHandler(QueueHandler):
     ----------
     queue
         From which a listener writes.
+    longest_flush_s
+        How long to wait at most.
     """
 
-    def __init__(self, queue: Queue[Any]) -> None:
+    def __init__(self, queue: Queue[Any], longest_flush_s: float) -> None:
         super().__init__(queue)
         self._records = queue
+        self._longest_flush_s = longest_flush_s
 
     def emit(self, record: logging.LogRecord) -> None:
         """Hand a record to the listener; wait until it is written if it is an error."""
@@ -40,13 +43,19 @@ class BackgroundHandler(QueueHandler):
         """Wait until all records are written."""
         done = self._records.all_tasks_done
         with done:
-            done.wait_for(lambda: not self._records.unfinished_tasks, _LONGEST_FLUSH_S)
+            done.wait_for(lambda: not self._records.unfinished_tasks, self._longest_flush_s)
 
 
-def log_in_background() -> None:
-    """Let a thread of its own write what goes to the root logger's handlers from now on."""
+def log_in_background(longest_flush_s: float = _LONGEST_FLUSH_S) -> None:
+    """Let a thread of its own write what goes to the root logger's handlers from now on.
+
+    Parameters
+    ----------
+    longest_flush_s
+        How long whoever must not lose a line waits for it to be written.
+    """
     root = logging.getLogger()
     records: Queue[Any] = Queue()
     listener = QueueListener(records, *root.handlers, respect_handler_level=True)
-    root.handlers = [BackgroundHandler(records)]
+    root.handlers = [BackgroundHandler(records, longest_flush_s)]
     listener.start()

@@ -10,6 +10,7 @@ to it, and the plant waits for commands until halfway between the last deadline 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 from bus_schemas.tree import CENTRAL, PLANT, ControlTree, depth
@@ -38,69 +39,58 @@ def stage_place(agent: str, stage: str, tree: ControlTree) -> int:
     return places[stage]
 
 
-def deadline_ns(
-    agent: str,
-    stage: str,
-    tree: ControlTree,
-    cycle_wall_ns: int,
-    tier_deadlines_ns: tuple[int, ...] = (),
-) -> int:
-    """Return the deadline of a stage after the beginning of its cycle [ns of the wall clock].
+@dataclass(frozen=True)
+class Deadlines:
+    """The deadlines of a run's stages.
 
     Parameters
     ----------
-    agent, stage
-        The agent and its stage.
     tree
         The control tree.
-    cycle_wall_ns
-        Length of a cycle.
-    tier_deadlines_ns
+    cycle_ns
+        Length of a cycle on the wall clock.
+    tiers_ns
         Deadline of each tier's last word, the central controller's first and the direct
         controllers' last. Empty: each stage has the same share of the cycle.
     """
-    place = stage_place(agent, stage, tree)
-    if not tier_deadlines_ns or place <= stage_place(CENTRAL, "solve", tree):
-        return _shared_ns(place, tree, cycle_wall_ns, tier_deadlines_ns)
-    return _by_tier_ns(agent, stage, cycle_wall_ns, tier_deadlines_ns)
 
+    tree: ControlTree
+    cycle_ns: int
+    tiers_ns: tuple[int, ...] = ()
 
-def _shared_ns(place: int, tree: ControlTree, cycle_wall_ns: int, tiers_ns: tuple[int, ...]) -> int:
-    """Return the deadline of a place among those that share a stretch of the cycle evenly."""
-    if tiers_ns:
-        return tiers_ns[0] * place // stage_place(CENTRAL, "solve", tree)
-    return round(USED_SHARE * place / stage_place(PLANT, "advance", tree) * cycle_wall_ns)
+    def deadline_ns(self, agent: str, stage: str) -> int:
+        """Return the deadline of an agent's stage after the beginning of its cycle [ns]."""
+        place = stage_place(agent, stage, self.tree)
+        if self._is_shared(place):
+            return self._shared_ns(place)
+        return self._by_tier_ns(agent, stage)
 
+    def slice_ns(self, agent: str, stage: str) -> int:
+        """Return a stage's slice of the cycle [ns]: its time once those before it have spoken.
 
-def _by_tier_ns(agent: str, stage: str, cycle_wall_ns: int, tiers_ns: tuple[int, ...]) -> int:
-    """Return the deadline of a stage after the central controller's last word."""
-    if agent == PLANT:
-        return (tiers_ns[-1] + cycle_wall_ns) // 2
-    # A direct controller may hang from any tier: its deadline is that of its like.
-    return tiers_ns[-1] if stage == "actuate" else tiers_ns[depth(agent)]
+        It begins at the deadline of the stage before it, which those that it waits for must keep,
+        and ends at its own. Before the plant's beginning there is none: it has as much as the stage
+        after it.
+        """
+        place = max(stage_place(agent, stage, self.tree), 1)
+        if self._is_shared(place):
+            return self._shared_ns(place) - self._shared_ns(place - 1)
+        before_ns = self.tiers_ns[-1 if agent == PLANT else depth(agent) - 1]
+        return self._by_tier_ns(agent, stage) - before_ns
 
+    def _is_shared(self, place: int) -> bool:
+        """Whether a place is among those that share a stretch of the cycle evenly."""
+        return not self.tiers_ns or place <= stage_place(CENTRAL, "solve", self.tree)
 
-def slice_ns(
-    agent: str,
-    stage: str,
-    tree: ControlTree,
-    cycle_wall_ns: int,
-    tier_deadlines_ns: tuple[int, ...] = (),
-) -> int:
-    """Return a stage's slice of the cycle [ns]: what it may take once those before it have spoken.
+    def _shared_ns(self, place: int) -> int:
+        if self.tiers_ns:
+            return self.tiers_ns[0] * place // stage_place(CENTRAL, "solve", self.tree)
+        places = stage_place(PLANT, "advance", self.tree)
+        return round(USED_SHARE * place / places * self.cycle_ns)
 
-    It begins at the deadline of the stage before it, which those that it waits for must keep, and
-    ends at its own. Before the plant's beginning there is none: it has as much as the stage after
-    it.
-
-    Parameters
-    ----------
-    agent, stage, tree, cycle_wall_ns, tier_deadlines_ns
-        See `deadline_ns`.
-    """
-    place = max(stage_place(agent, stage, tree), 1)
-    if not tier_deadlines_ns or place <= stage_place(CENTRAL, "solve", tree):
-        before_ns = _shared_ns(place - 1, tree, cycle_wall_ns, tier_deadlines_ns)
-        return _shared_ns(place, tree, cycle_wall_ns, tier_deadlines_ns) - before_ns
-    before_ns = tier_deadlines_ns[-1 if agent == PLANT else depth(agent) - 1]
-    return _by_tier_ns(agent, stage, cycle_wall_ns, tier_deadlines_ns) - before_ns
+    def _by_tier_ns(self, agent: str, stage: str) -> int:
+        """Return the deadline of a stage after the central controller's last word."""
+        if agent == PLANT:
+            return (self.tiers_ns[-1] + self.cycle_ns) // 2
+        # A direct controller may hang from any tier: its deadline is that of its like.
+        return self.tiers_ns[-1] if stage == "actuate" else self.tiers_ns[depth(agent)]

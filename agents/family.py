@@ -41,7 +41,8 @@ class Report(msgspec.Struct, frozen=True, gc=False):
     silent_cycles
         For how many cycles nothing has come of it since.
     age_cycles
-        How many cycles ago it said so. In lockstep 0.
+        How many cycles ago it said so: 0 where it has come, and is plausible, in this cycle. In
+        lockstep too the report of a child whose words make no sense grows old.
     """
 
     impp_kw: float

@@ -10,12 +10,11 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, TypeAlias
+from typing import Final, NamedTuple
 
 import msgspec
 
-Kind: TypeAlias = Literal["recorder", "plant", "central", "supervisor", "direct"]
-"""Kinds of processes of a run."""
+from agents.kinds import Kind
 
 LOWEST_PRIORITY: Final = 1
 HIGHEST_PRIORITY: Final = 99
@@ -29,6 +28,9 @@ _SET_TIMER_SLACK: Final = 29
 
 _LOCK_ALL: Final = 1 | 2 | 4
 """MCL_CURRENT, MCL_FUTURE and MCL_ONFAULT of mlockall(2): each page, once it is in use."""
+
+_MAY_LOCK: Final = 14
+"""CAP_IPC_LOCK of capabilities(7)."""
 
 _POLICIES: Final = {
     getattr(os, f"SCHED_{name.upper()}", None): name
@@ -49,7 +51,8 @@ class MachineSettings(msgspec.Struct, frozen=True):
         In real time: the plant and the controllers run under SCHED_FIFO with this priority, 1 to
         99, so that nothing of the normal policy takes the processor from them. 0: they do not.
     lock_memory
-        In real time: whether the memory of plant and controllers is never paged out.
+        In real time: whether the memory of plant and controllers is never paged out. It takes
+        CAP_IPC_LOCK or no limit on locked memory.
     """
 
     cpus: tuple[int, ...] = ()
@@ -76,19 +79,21 @@ def take_machine(settings: MachineSettings, kind: Kind, *, lockstep: bool) -> tu
 def refusals(settings: MachineSettings, *, lockstep: bool) -> tuple[str, ...]:
     """Return what this machine would not permit to a controller, by trying it in a thread.
 
-    The kernel keeps policy and processors thread by thread, and the thread ends at once.
+    The kernel keeps policy and processors thread by thread, and the thread ends at once. Whether
+    memory may be locked is not tried but read off this process's limit and capabilities.
     """
     found: list[str] = []
+    # Locks are of the whole process, which here is the launcher: it may be spared that.
+    in_a_thread = msgspec.structs.replace(settings, lock_memory=False)
 
     def attempt() -> None:
-        found.extend(take_machine(settings, "direct", lockstep=lockstep))
+        found.extend(take_machine(in_a_thread, "direct", lockstep=lockstep))
 
-    if settings.lock_memory:
-        # Locks are of the whole process, which here is the launcher: it may be spared that.
-        settings = msgspec.structs.replace(settings, lock_memory=False)
     thread = threading.Thread(target=attempt, name="machine")
     thread.start()
     thread.join()
+    if settings.lock_memory and not lockstep and (refusal := _lock_refusal()) is not None:
+        found.append(refusal)
     return tuple(found)
 
 
@@ -144,12 +149,36 @@ def _run_first(priority: int) -> str | None:
 
 
 def _lock_memory() -> str | None:
+    refusal = _lock_refusal()
+    if refusal is not None:
+        return refusal
+    if ctypes.CDLL(None, use_errno=True).mlockall(_LOCK_ALL):
+        return _not_locked(os.strerror(ctypes.get_errno()))
+    return None
+
+
+def _lock_refusal() -> str | None:
+    """Say why this machine does not let a process lock all its memory, None if it does.
+
+    A limit that suffices at first is as good as none: what the process maps later, such as the
+    stacks of its threads, would be refused beyond it.
+    """
     if sys.platform != "linux":
         return "memory: locked on Linux only"
-    if ctypes.CDLL(None, use_errno=True).mlockall(_LOCK_ALL):
-        why = os.strerror(ctypes.get_errno())
-        return f"memory: not locked ({why}); it takes CAP_IPC_LOCK, or `ulimit -l unlimited`"
-    return None
+    limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    if limit == resource.RLIM_INFINITY or _has_capability(_MAY_LOCK):
+        return None
+    return _not_locked(f"the limit is {limit // 1024:,} KiB")
+
+
+def _not_locked(why: str) -> str:
+    return f"memory: not locked ({why}); it takes CAP_IPC_LOCK, or `ulimit -l unlimited`"
+
+
+def _has_capability(number: int) -> bool:
+    status = Path("/proc/self/status").read_text(encoding="utf-8")
+    found = re.search(r"^CapEff:\s*([0-9a-f]+)$", status, re.MULTILINE)
+    return found is not None and bool(int(found[1], 16) >> number & 1)
 
 
 class ResourcesUsed(NamedTuple):

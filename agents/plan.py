@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 import msgspec
 
+from agents.deadlines import Deadlines
 from agents.family import Neighbourhood
+from agents.late_words import LatePolicy
 from agents.machine import MachineSettings
 from agents.periods import Periods
-from agents.sequencer import LateWords
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule, NetworkFaults
 from bus_schemas.keys import KeyTable
@@ -27,6 +28,11 @@ Scheme: TypeAlias = Literal["paper", "predictive"]
 
 Actuator: TypeAlias = Literal["fraction", "limit"]
 """`fraction`: P = alpha x MPP, as in the paper. `limit`: P = min(limit, MPP), as real inverters."""
+
+
+START_WITHIN_NS: Final = 10_000_000_000
+"""So far from now at most a plant can say in earnest that the run begins: else it means another
+clock than this host's."""
 
 
 class NodeNeighbourhoods(msgspec.Struct, frozen=True):
@@ -112,7 +118,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     faults_seed: int = 0
     external: tuple[str, ...] = ()
     namespace: str = ""
-    late: LateWords = "use"
+    late: LatePolicy = "use"
     tier_deadlines_ns: tuple[int, ...] = ()
     machine: MachineSettings = MachineSettings()
 
@@ -135,6 +141,11 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     def periods(self) -> Periods:
         """The periods of the tiers."""
         return Periods(self.period_cycles)
+
+    @cached_property
+    def deadlines(self) -> Deadlines:
+        """The deadlines of the stages, in real time."""
+        return Deadlines(self.tree, self.cycle_wall_ns, self.tier_deadlines_ns)
 
     @property
     def bus_namespace(self) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import logging
 import threading
 import time
@@ -11,21 +10,21 @@ from collections.abc import Callable
 from typing import Final, Generic, TypeVar
 
 from agents.agent import Agent
-from agents.background_log import log_in_background
-from agents.deadlines import deadline_ns, slice_ns
+from agents.drop_log import DropLog
+from agents.events import Finished
+from agents.garbage import spare_the_collector
 from agents.interlude import Interlude
-from agents.lifeline import Finished, Lifeline, Waiting
-from agents.machine import Kind, take_machine
-from agents.plan import RunPlan
+from agents.lifeline import Lifeline
+from agents.plan import START_WITHIN_NS, RunPlan
 from agents.sequencer import Sequencer
-from agents.stopwatch import ProcessTiming, Schedule, Stopwatch, TimedAgent
+from agents.stall_watch import StallWatch
+from agents.stopwatch import ProcessTiming, Stopwatch, TimedAgent
 from bus_schemas.bus import Delivery
 from bus_schemas.faulty_bus import FaultyBus
-from bus_schemas.links import explicit_links
 from bus_schemas.messages import Message, Run
 from bus_schemas.signals import PLANT_TIMING, RUN, TIMING, Port
 from bus_schemas.tree import CENTRAL, PLANT, ROOT, agent_name
-from bus_schemas.zenoh_bus import SessionSettings, ZenohBus
+from bus_schemas.zenoh_bus import ZenohBus
 
 S = TypeVar("S")
 
@@ -36,33 +35,6 @@ _MOST_BEHIND: Final = 2
 
 _IDLE_S: Final = 0.5
 """How long to wait for a message before looking whether something else has changed."""
-
-
-_WITHOUT_DIGITS: Final = str.maketrans("", "", "0123456789")
-_MOST_KINDS: Final = 200
-
-
-class DropLog:
-    """Names dropped messages in the log: the first few of a kind, then more and more rarely.
-
-    Two texts are of a kind if they differ in their numbers alone: a flood of one kind must not
-    hide another.
-    """
-
-    def __init__(self) -> None:
-        self.total = 0
-        self._of_kind: Counter[str] = Counter()
-
-    def __call__(self, text: str) -> None:
-        """Count a drop, and log it if it is its turn."""
-        self.total += 1
-        kind = text.translate(_WITHOUT_DIGITS)
-        if kind not in self._of_kind and len(self._of_kind) >= _MOST_KINDS:
-            kind = ""
-        self._of_kind[kind] += 1
-        count = self._of_kind[kind]
-        if count <= 10 or count & (count - 1) == 0:
-            log.warning("dropped (%d so far): %s", self.total, text)
 
 
 class Runtime(Generic[S]):
@@ -78,6 +50,10 @@ class Runtime(Generic[S]):
         The agent's place on the bus.
     lifeline
         The line to the launcher.
+    drop_log
+        Names messages that cannot be used.
+    now_ns
+        The clock: monotonic nanoseconds.
     """
 
     def __init__(
@@ -87,16 +63,22 @@ class Runtime(Generic[S]):
         bus: ZenohBus,
         lifeline: Lifeline,
         drop_log: DropLog,
+        *,
+        now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.agent = agent
         self.plan = plan
         self.bus = bus
         self.lifeline = lifeline
-        self._stopwatch = None if plan.lockstep else Stopwatch(agent, self._schedule())
+        self._drop_log = drop_log
+        self._now_ns = now_ns
+        self._stopwatch = (
+            None if plan.lockstep else Stopwatch(agent, plan.deadlines, plan.periods, now_ns)
+        )
         self._interlude = None if self._stopwatch is None else self._make_interlude(self._stopwatch)
         self._said: tuple[int, ...] = ()
         self.sequencer = Sequencer(
-            agent if self._stopwatch is None else TimedAgent(agent, self._stopwatch),
+            agent if self._stopwatch is None else TimedAgent(agent, self._stopwatch, now_ns),
             plan.sim_time_ns,
             lockstep=plan.lockstep,
             horizon=plan.periods.longest,
@@ -104,6 +86,7 @@ class Runtime(Generic[S]):
             late=plan.late,
         )
         self.sequencer.end_before(plan.cycles)
+        self._start_heard = False
         self._stop_heard = False
         self._bystanders: dict[Port[Message], Callable[[Message], None]] = {}
         self.listen(RUN.of(ROOT), self._heed)
@@ -115,12 +98,16 @@ class Runtime(Generic[S]):
 
         Where nobody can tell an external plant to end the run, the launcher dismisses the agents.
         """
-        watch = StallWatch(self)
+        watch = self.watch_for_stalls()
         spare_the_collector(interludes=not self.plan.lockstep)
         while not (dismissed.is_set() or (self.sequencer.finished and self._stop_heard)):
             self.turn()
         watch.stop()
         self.report()
+
+    def watch_for_stalls(self) -> StallWatch:
+        """Begin to look, in lockstep, whether the agent goes on."""
+        return StallWatch(self.plan, self.sequencer, self.bus, self.lifeline)
 
     def report(self) -> None:
         """Tell the launcher what went out and what could not be used."""
@@ -132,7 +119,7 @@ class Runtime(Generic[S]):
                 missing_inputs=self.sequencer.missing_inputs,
                 late_used=self.sequencer.late_used,
                 skipped_cycles=self.sequencer.skipped_cycles,
-                dropped_ports=self.sequencer.dropped_ports,
+                dropped_ports=self._dropped_ports(),
                 timing=timing,
                 faults=self.bus.tally.as_counts() if isinstance(self.bus, FaultyBus) else {},
             )
@@ -165,8 +152,15 @@ class Runtime(Generic[S]):
         dropped = Counter(vars(self.sequencer.drops))
         dropped["undecodable"] = self.bus.undecodable
         dropped["unknown"] = self.bus.unknown
-        dropped["flooded"] = self.bus.flooded
+        dropped["flooded"] = self.bus.flooded.total()
         return dropped
+
+    def _dropped_ports(self) -> dict[str, dict[str, int]]:
+        """Return the same by key (without the plant's name) and cause, where a key is known."""
+        found = {key: dict(causes) for key, causes in self.sequencer.dropped_ports.items()}
+        for key, count in self.bus.flooded.items():
+            found.setdefault(key, {})["flooded"] = count
+        return found
 
     def listen(self, port: Port[Message], hear: Callable[[Message], None]) -> None:
         """Let a port's messages go to a function: they are about the run, not for the agent."""
@@ -212,7 +206,7 @@ class Runtime(Generic[S]):
         """
         if self._start_time_ns is None:
             return
-        elapsed_ns = time.monotonic_ns() - self._start_time_ns
+        elapsed_ns = self._now_ns() - self._start_time_ns
         under_way = elapsed_ns // self.plan.cycle_wall_ns
         if self.sequencer.cycle < 0 or under_way - self.sequencer.cycle < _MOST_BEHIND:
             return
@@ -253,8 +247,37 @@ class Runtime(Generic[S]):
         if message.state == "stop":
             self.sequencer.end_before(message.cycle)
             self._stop_heard = True
+        elif self._start_heard:
+            # All deadlines count from the first one.
+            self._drop_log("run: the run begins a second time")
         else:
-            self.begin(message.start_time_ns)
+            self._start_heard = True
+            self.begin(self._believable_start_ns(message))
+
+    def _believable_start_ns(self, start: Run) -> int:
+        """Return when cycle 0 begins: as the plant says, or now if that can be in no earnest.
+
+        Who believed a beginning minutes ago would give up all cycles since then at once.
+        """
+        plan, now_ns = self.plan, self._now_ns()
+        if start.cycle_wall_ns != plan.cycle_wall_ns:
+            log.warning(
+                "the plant says that cycles last %d ns; those of the plan last %d, and hold",
+                start.cycle_wall_ns,
+                plan.cycle_wall_ns,
+            )
+        ahead_ns = start.start_time_ns - now_ns
+        if plan.lockstep or abs(ahead_ns) <= START_WITHIN_NS:
+            return start.start_time_ns
+        log.warning(
+            "the plant says that the run begins %.0f s %s: start_time_ns is %d, and the monotonic "
+            "clock of this host at %d; cycle 0 begins now instead",
+            abs(ahead_ns) / 1e9,
+            "from now" if ahead_ns > 0 else "ago",
+            start.start_time_ns,
+            now_ns,
+        )
+        return now_ns
 
     def _until_deadline_s(self) -> float | None:
         """Time left for the open stage, 0 if it is over, None if it has no deadline."""
@@ -262,16 +285,10 @@ class Runtime(Generic[S]):
             return None
         stage = self.sequencer.stage
         if stage not in self._deadlines_ns:
-            self._deadlines_ns[stage] = self._deadline_ns(stage)
+            self._deadlines_ns[stage] = self.plan.deadlines.deadline_ns(self.agent.name, stage)
         began_ns = self._start_time_ns + self.sequencer.cycle * self.plan.cycle_wall_ns
-        left_ns = began_ns + self._deadlines_ns[stage] - time.monotonic_ns()
+        left_ns = began_ns + self._deadlines_ns[stage] - self._now_ns()
         return max(left_ns, 0) / 1e9
-
-    def _deadline_ns(self, stage: str) -> int:
-        plan = self.plan
-        return deadline_ns(
-            self.agent.name, stage, plan.tree, plan.cycle_wall_ns, plan.tier_deadlines_ns
-        )
 
     def _make_interlude(self, stopwatch: Stopwatch) -> Interlude:
         agents = self.plan.tree.agents()
@@ -281,100 +298,5 @@ class Runtime(Generic[S]):
             self.plan.cycle_wall_ns,
             agents.index(self.agent.name),
             len(agents),
+            self._now_ns,
         )
-
-    def _schedule(self) -> Schedule:
-        plan = self.plan
-        return Schedule(
-            plan.cycle_wall_ns,
-            self._slice_ns,
-            self._deadline_ns,
-            plan.periods.longest,
-        )
-
-    def _slice_ns(self, stage: str) -> int:
-        plan = self.plan
-        return slice_ns(
-            self.agent.name, stage, plan.tree, plan.cycle_wall_ns, plan.tier_deadlines_ns
-        )
-
-
-def spare_the_collector(*, interludes: bool = False) -> None:
-    """Keep the cyclic garbage collector off what lives as long as the process.
-
-    Nothing in a cycle of control makes reference cycles: there is next to nothing to collect. Where
-    there are interludes it has its turn in them, and is off otherwise.
-    """
-    gc.collect()
-    gc.freeze()
-    if interludes:
-        gc.disable()
-    else:
-        gc.set_threshold(50_000)
-
-
-class StallWatch:
-    """Looks from a thread of its own whether an agent in lockstep goes on, and says if it does not.
-
-    It needs a thread because the agent may hang where it publishes: to a listener that takes
-    nothing any more.
-    """
-
-    def __init__(self, runtime: Runtime[S]) -> None:
-        self._runtime = runtime
-        self._stopped = threading.Event()
-        if runtime.plan.lockstep:
-            threading.Thread(target=self._watch, name="stall watch", daemon=True).start()
-
-    def stop(self) -> None:
-        """End the watch."""
-        self._stopped.set()
-
-    def _watch(self) -> None:
-        seen: tuple[object, ...] = ()
-        since = time.monotonic()
-        told = False
-        while not self._stopped.wait(0.1):
-            now = self._snapshot()
-            if now != seen:
-                seen, since, told = now, time.monotonic(), False
-            elif not told and time.monotonic() - since > self._runtime.plan.stall_timeout_s:
-                told = self._tell()
-
-    def _snapshot(self) -> tuple[object, ...]:
-        sequencer = self._runtime.sequencer
-        return sequencer.cycle, sequencer.stage, self._runtime.bus.publishing
-
-    def _tell(self) -> bool:
-        sequencer, bus = self._runtime.sequencer, self._runtime.bus
-        needs = [(str(port), port.publisher) for port in sorted(sequencer.waiting_for, key=str)]
-        blocked_on = str(bus.publishing or "")
-        if sequencer.cycle < 0 or not (needs or blocked_on):
-            return False
-        self._runtime.lifeline.tell(Waiting(sequencer.cycle, sequencer.stage, needs, blocked_on))
-        return True
-
-
-def settle_in(plan: RunPlan, kind: Kind) -> None:
-    """Take this process's place on the machine. To be called before it opens the bus.
-
-    The kernel keeps most of it thread by thread, and a thread has it from the one that made it.
-    """
-    for refusal in take_machine(plan.machine, kind, lockstep=plan.lockstep):
-        log.warning("%s", refusal)
-    if not plan.lockstep:
-        log_in_background()
-
-
-def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
-    """Return how an agent of the plan joins the bus."""
-    listen, connect = explicit_links(plan.tree).endpoints(agent, plan.tcp_ports)
-    return SessionSettings(plan.bus_namespace, listen, connect, lockstep=plan.lockstep)
-
-
-def open_bus(plan: RunPlan, agent: str, drop_log: DropLog) -> ZenohBus:
-    """Join the bus as an agent of the plan, at the end of imperfect links if it says so."""
-    settings, faults = session_settings(plan, agent), plan.network_faults
-    if faults.concern(agent):
-        return FaultyBus(agent, plan.keys, plan.tree, settings, faults, drop_log)
-    return ZenohBus(agent, plan.keys, plan.tree, settings, drop_log)

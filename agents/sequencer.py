@@ -13,10 +13,11 @@ agent sends names, in `missing`, what it had to do without, and what took its pl
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Final, Generic, Literal, TypeAlias, TypeVar
+from typing import Final, Generic, TypeVar
 
 from agents.agent import Agent, Stage, Turn
+from agents.drops import Cause, DropAccount, Drops
+from agents.late_words import LatePolicy, LateWords
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
 from bus_schemas.missing import SKIPPED, Absence
@@ -27,23 +28,8 @@ S = TypeVar("S")
 BEFORE_ARMING: Final = -(2**31)
 """The cycle that an agent is in before its first message from above: that takes it further."""
 
-LateWords: TypeAlias = Literal["use", "drop"]
-"""What becomes of messages that come after their stage has closed."""
-
-
-@dataclass
-class Drops:
-    """Messages that an agent received and did not use, by cause."""
-
-    late: int = 0
-    other_cycle: int = 0
-    unexpected: int = 0
-    duplicate: int = 0
-    foreign: int = 0
-
-    def total(self) -> int:
-        """All of them."""
-        return sum(vars(self).values())
+_COUNT_IN_ARMING: Final[frozenset[Cause]] = frozenset({"foreign", "other_cycle"})
+"""The others do not: rounds overlap while links come up, that is what arming is for."""
 
 
 class Sequencer(Generic[S]):
@@ -65,15 +51,14 @@ class Sequencer(Generic[S]):
     horizon
         How many cycles ahead of this agent another one may be. What is further ahead is dropped.
     on_drop
-        Called with a line of text for each message that is dropped in the cycles of the run.
+        Called with a line of text for each message that is dropped in the cycles of the run. In
+        arming it hears only of those from a stranger and of a cycle far from the round's.
     late
         Whether late words are used in place of what does not come in time, or dropped. In lockstep
         nothing closes before it is complete, so none is ever used.
 
     Attributes
     ----------
-    drops, dropped_ports
-        Messages that it received and did not use: by cause, and by port and cause.
     missing_inputs
         Inputs that were not there at their deadline.
     late_used
@@ -90,11 +75,10 @@ class Sequencer(Generic[S]):
         lockstep: bool,
         horizon: int,
         on_drop: Callable[[str], None] = lambda text: None,
-        late: LateWords = "use",
+        late: LatePolicy = "use",
     ) -> None:
         self.agent = agent
-        self.drops = Drops()
-        self.dropped_ports: dict[str, dict[str, int]] = {}
+        self._dropped = DropAccount(on_drop)
         self.cycle = BEFORE_ARMING
         self.end_cycle: int | None = None
         self.missing_inputs = 0
@@ -103,10 +87,8 @@ class Sequencer(Generic[S]):
         self._sim_time_ns = sim_time_ns
         self._lockstep = lockstep
         self._horizon = horizon
-        self._on_drop = on_drop
         self._uses_late = late == "use" and not lockstep
-        self._late: dict[Port[Message], Message] = {}
-        self._newest_used: dict[Port[Message], int] = {}
+        self._late = LateWords()
         self._state = agent.initial_state()
         self._stages: tuple[Stage, ...] = ()
         self._place = 0
@@ -119,6 +101,16 @@ class Sequencer(Generic[S]):
         self._skipped_from: int | None = None
         self._waiting: set[Port[Message]] = set()
         self._deadline_passed = False
+
+    @property
+    def drops(self) -> Drops:
+        """Messages that it received and did not use, by cause."""
+        return self._dropped.drops
+
+    @property
+    def dropped_ports(self) -> dict[str, dict[str, int]]:
+        """The same by port and cause."""
+        return self._dropped.of_ports
 
     @property
     def waiting_for(self) -> frozenset[Port[Message]]:
@@ -185,7 +177,7 @@ class Sequencer(Generic[S]):
         """Begin an arming round or cycle 0, from the initial state. The next cycles follow."""
         self._state = self.agent.initial_state()
         self._ahead = {ahead: held for ahead, held in self._ahead.items() if ahead >= cycle}
-        self._late, self._newest_used = {}, {}
+        self._late = LateWords()
         self._begin(cycle)
         return self._advance()
 
@@ -236,8 +228,7 @@ class Sequencer(Generic[S]):
         first = self.cycle if self._skipped_from is None else self._skipped_from
         self.skipped_cycles += cycle - self.cycle
         given_up = list(self._inputs.items())
-        for port in self._inputs:
-            del self._newest_used[port]
+        self._late.not_used(self._inputs)
         while self.cycle < cycle:
             given_up += self._ahead.pop(self.cycle, ())
             outputs += self._pass_over(self.cycle)
@@ -276,9 +267,9 @@ class Sequencer(Generic[S]):
             self._drop("duplicate", port, f"{port} of cycle {message.cycle} came twice")
         elif self._stage_of.get(port, -1) >= self._place:
             self._inputs[port] = message
-            self._newest_used[port] = message.cycle
-            if self._late:
-                self._supersede(port)
+            superseded = self._late.came_in_time(port, message.cycle)
+            if superseded is not None:
+                self._drop_late(port, superseded)
             return True
         elif port in self._stage_of:
             self._keep_late(port, message)
@@ -351,7 +342,7 @@ class Sequencer(Generic[S]):
 
     def _step(self, stage: Stage) -> list[Delivery]:
         if self._late:
-            for port in stage.takes_late.intersection(self._late):
+            for port in self._late.any_of(stage.takes_late):
                 self._use_late(port)
         if self._absent_here:
             self._absent += tuple(sorted(self._absent_here))
@@ -370,37 +361,24 @@ class Sequencer(Generic[S]):
             self._drop_late(port, message)
         elif port not in self._stage_of_port(self.agent.stages(message.cycle)):
             self._drop_unexpected(port, message)
-        elif message.cycle <= self._newest_known(port):
-            self._drop_late(port, message)
         else:
-            self._supersede(port)
-            self._late[port] = message
-
-    def _newest_known(self, port: Port[Message]) -> int:
-        kept = self._late.get(port)
-        return kept.cycle if kept is not None else self._newest_used.get(port, -1)
+            useless = self._late.keep(port, message)
+            if useless is not None:
+                self._drop_late(port, useless)
 
     def _use_late(self, port: Port[Message]) -> Message | None:
         """Put the late word of a port, if there is one, among the inputs of the open stage."""
-        message = self._late.pop(port, None)
+        message = self._late.take(port)
         if message is not None:
             self._inputs[port] = message
-            self._newest_used[port] = message.cycle
             self._absent_here.append(str(Absence(str(port), message.cycle)))
             self.late_used += 1
         return message
 
-    def _supersede(self, port: Port[Message]) -> None:
-        """Drop the late word of a port, since a newer message has come."""
-        kept = self._late.pop(port, None)
-        if kept is not None:
-            self._drop_late(port, kept)
-
     def _drop_late_at_the_end(self) -> None:
         if self.finished:
-            for port, message in self._late.items():
+            for port, message in self._late.clear():
                 self._drop_late(port, message)
-            self._late = {}
 
     # Drops ----------------------------------------------------------------------------------------
 
@@ -418,13 +396,9 @@ class Sequencer(Generic[S]):
     def _drop_unexpected(self, port: Port[Message], message: Message) -> None:
         self._drop("unexpected", port, f"{port} is not expected in cycle {message.cycle}")
 
-    def _drop(self, cause: str, port: Port[Message], text: str) -> None:
-        if self.cycle < 0 and cause not in {"foreign", "other_cycle"}:
-            return  # Rounds overlap while links come up: that is what arming is for.
-        setattr(self.drops, cause, getattr(self.drops, cause) + 1)
-        causes = self.dropped_ports.setdefault(str(port), {})
-        causes[cause] = causes.get(cause, 0) + 1
-        self._on_drop(text)
+    def _drop(self, cause: Cause, port: Port[Message], text: str) -> None:
+        if self.cycle >= 0 or cause in _COUNT_IN_ARMING:
+            self._dropped.add(cause, port, text)
 
 
 def _is_from_above(port: Port[Message]) -> bool:

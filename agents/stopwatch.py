@@ -9,34 +9,29 @@ from __future__ import annotations
 
 import sys
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from typing import Final, Generic, NamedTuple, TypeVar
 
 import msgspec
-from hdrh.histogram import HdrHistogram
 
 from agents.agent import Agent, Stage, Turn
+from agents.deadlines import Deadlines
+from agents.histograms import Histograms
 from agents.machine import resources_used, scheduling_policy
+from agents.periods import Periods
 from bus_schemas.bus import Arrival, Delivery
 from bus_schemas.messages import Message, Stamp, Timing
 from bus_schemas.missing import SKIPPED, Absence, absence
-from bus_schemas.signals import Occurrence, Port
+from bus_schemas.signals import Port
 from bus_schemas.tree import PLANT
 
 S = TypeVar("S")
 
-LOWEST_NS: Final = 1_000
-HIGHEST_NS: Final = 3_600_000_000_000
-SIGNIFICANT_FIGURES: Final = 2
-"""What a histogram tells apart: 1 us to 1 h, to 1 %."""
-
 _MOST_NOTED: Final = 5_000
-"""Moments that are noted at most before they are settled, whether there is time for it or not."""
+"""Moments that are noted at most: what comes in beyond is paid for at once, one for one."""
 
 _NEVER_NS: Final = sys.maxsize
-
-_CYCLIC: Final = frozenset({Occurrence.CYCLE, Occurrence.TURN, Occurrence.NEED})
 
 
 class ProcessTiming(msgspec.Struct, frozen=True):
@@ -97,45 +92,16 @@ class Closing(NamedTuple):
     outputs: list[Delivery]
 
 
-class Histograms:
-    """Histograms of durations by measure, made as they are needed."""
+class Notes:
+    """Moments that were noted, and have still to be settled."""
 
     def __init__(self) -> None:
-        self._by_measure: dict[str, HdrHistogram] = {}
+        self.arrivals: deque[Arrival] = deque()
+        self.closings: deque[Closing] = deque()
+        self.handed: deque[tuple[Message, int]] = deque()
 
-    def record(self, measure: str, duration_ns: int) -> None:
-        """Take in a duration; what is longer than an hour counts as an hour."""
-        histogram = self._by_measure.get(measure)
-        if histogram is None:
-            histogram = HdrHistogram(LOWEST_NS, HIGHEST_NS, SIGNIFICANT_FIGURES)
-            self._by_measure[measure] = histogram
-        histogram.record_value(min(max(duration_ns, 0), HIGHEST_NS))
-
-    def encoded(self) -> dict[str, str]:
-        """Return them as text, by measure in the order of the alphabet."""
-        items = sorted(self._by_measure.items())
-        return {measure: histogram.encode().decode("ascii") for measure, histogram in items}
-
-
-class Schedule(NamedTuple):
-    """When a process must do what.
-
-    Attributes
-    ----------
-    cycle_ns
-        Length of a cycle.
-    slice_ns
-        Length of a stage's slice of the cycle, by its name.
-    deadline_ns
-        Deadline of a stage after the beginning of its cycle, by its name.
-    horizon
-        How many cycles ahead of this process another one may be.
-    """
-
-    cycle_ns: int
-    slice_ns: Callable[[str], int]
-    deadline_ns: Callable[[str], int]
-    horizon: int
+    def __len__(self) -> int:
+        return len(self.arrivals) + len(self.closings) + len(self.handed)
 
 
 class Stopwatch:
@@ -145,8 +111,8 @@ class Stopwatch:
     ----------
     agent
         The agent.
-    schedule
-        Of its process.
+    deadlines, periods
+        Of the run.
     now_ns
         The clock: monotonic nanoseconds.
     """
@@ -154,7 +120,8 @@ class Stopwatch:
     def __init__(
         self,
         agent: Agent[S],
-        schedule: Schedule,
+        deadlines: Deadlines,
+        periods: Periods,
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.missed_deadlines: Counter[str] = Counter()
@@ -164,18 +131,18 @@ class Stopwatch:
         self.last_cycle = 0
         self._name = agent.name
         self._stages = agent.stages
-        self._schedule = schedule
+        self._deadlines = deadlines
+        self._longest_period = periods.longest
         self._now_ns = now_ns
         self._start_ns = 0
         self._used_at_start = resources_used()
-        self._arrivals: list[Arrival] = []
-        self._closings: list[Closing] = []
-        self._handed: list[tuple[Message, int]] = []
+        self._notes = Notes()
+        self._being_settled = Notes()
         self._histograms = Histograms()
         self._came_ns: dict[int, dict[Port[Message], int]] = {}
         self._published_ns: dict[Port[Message], int] = {}
         self._inputs = _inputs_by_stage(
-            stage for cycle in range(schedule.horizon) for stage in agent.stages(cycle)
+            stage for cycle in range(periods.longest) for stage in agent.stages(cycle)
         )
         self._closed: dict[str, tuple[int, int]] = {}
         self._cycle = -1
@@ -189,38 +156,47 @@ class Stopwatch:
 
     def arrived(self, arrivals: list[Arrival]) -> None:
         """Note what has come in."""
-        self._arrivals += arrivals
+        self._notes.arrivals.extend(arrivals)
 
     def closed(self, turn: Turn, time_ns: int, outputs: list[Delivery]) -> None:
         """Note that a stage closed at a time, and what came of it."""
-        self._closings.append(Closing(turn, time_ns, outputs))
+        self._notes.closings.append(Closing(turn, time_ns, outputs))
 
     def handed_over(self, message: Message) -> None:
         """Note that one of these messages has been handed to the bus."""
-        self._handed.append((message, self._now_ns()))
+        self._notes.handed.append((message, self._now_ns()))
 
     @property
-    def overfull(self) -> bool:
-        """Whether so much is noted that it must be settled, though it cost a deadline."""
-        return len(self._arrivals) + len(self._handed) + len(self._closings) > _MOST_NOTED
+    def noted(self) -> int:
+        """How many moments are noted and not settled."""
+        return len(self._notes) + len(self._being_settled)
 
-    def settle(self) -> None:
-        """Work out what the noted moments mean. For when nobody waits for this process."""
-        for arrival in self._arrivals:
-            self._settle_arrival(arrival)
-        handed = iter([*self._handed, (None, 0)])
-        message, time_ns = next(handed)
-        for closing in self._closings:
-            # Not all that an agent answers is sent: of cycles that it gave up it is not.
-            handed_ns = None
-            for _, output in closing.outputs:
-                if output is message:
-                    handed_ns = time_ns
-                    message, time_ns = next(handed)
-            if closing.turn.cycle >= 0:
-                self._settle_closing(closing, handed_ns)
-        self._arrivals, self._closings, self._handed = [], [], []
-        self._forget_cycles()
+    def settle(self, until_ns: int | None = None) -> bool:
+        """Work out what the noted moments mean. For when nobody waits for this process.
+
+        Parameters
+        ----------
+        until_ns
+            When to leave off; the rest is for the next time. None: once all is settled.
+
+        Returns
+        -------
+        bool
+            Whether all is settled.
+        """
+        while self.noted:
+            if until_ns is not None and self._now_ns() >= until_ns:
+                return False
+            self._settle_one()
+        return True
+
+    def make_room(self) -> None:
+        """Settle what is noted beyond 5,000 moments, whoever may be waiting for this process.
+
+        So each turn of the loop settles as many as it brings at most, and none has to settle all.
+        """
+        while self.noted > _MOST_NOTED:
+            self._settle_one()
 
     def message(self, stamp: Stamp, late_used: int, dropped: int) -> Timing:
         """Return what is counted up to now as a message."""
@@ -253,15 +229,43 @@ class Stopwatch:
             policy=scheduling_policy(),
         )
 
+    def _settle_one(self) -> None:
+        """Settle an arrival, or a closing with what was handed over then.
+
+        All arrivals that had been noted by then go before closings: a message may have come in time
+        for a stage that closed without it.
+        """
+        if not self._being_settled:
+            self._notes, self._being_settled = self._being_settled, self._notes
+        notes = self._being_settled
+        if notes.arrivals:
+            self._settle_arrival(notes.arrivals.popleft())
+        elif notes.closings:
+            closing = notes.closings.popleft()
+            handed_ns = _handed_ns(closing, notes.handed)
+            if closing.turn.cycle >= 0:
+                self._settle_closing(closing, handed_ns)
+        else:
+            notes.handed.clear()
+        if not notes:
+            self._forget_cycles()
+
     def _settle_arrival(self, arrival: Arrival) -> None:
         port, message, time_ns = arrival
         genuine = message.source == port.publisher
-        if not genuine or message.cycle < 0 or port.signal.occurrence not in _CYCLIC:
+        if not genuine or message.cycle < 0 or not port.signal.is_cyclic:
             return
         self._came_ns.setdefault(message.cycle, {}).setdefault(port, time_ns)
-        # A device that does not say when it published, or has another clock, has no hop.
-        if 0 < message.publish_time_ns <= time_ns:
+        if self._is_possible(message) and message.publish_time_ns <= time_ns:
             self._histograms.record(f"hop/{port}", time_ns - message.publish_time_ns)
+
+    def _is_possible(self, message: Message) -> bool:
+        """Whether a message may have been published when it says.
+
+        A device that does not say so names 0, one with another clock a time that may lie hours
+        back: nothing of a cycle is published before the tick of the cycle before it.
+        """
+        return message.publish_time_ns >= max(self._tick_ns(message.cycle - 1), 1)
 
     def _settle_closing(self, closing: Closing, handed_ns: int | None) -> None:
         turn, time_ns, _ = closing
@@ -270,14 +274,15 @@ class Stopwatch:
             self._answered_ns = 0
         stage = self._stage(turn)
         absent = self._absent_here(turn, stage)
-        deadline_ns = self._tick_ns(turn.cycle) + self._schedule.deadline_ns(turn.stage)
+        after_ns = self._deadlines.deadline_ns(self._name, turn.stage)
+        deadline_ns = self._tick_ns(turn.cycle) + after_ns
         given_up = str(Absence(SKIPPED, turn.cycle)) in turn.stamp[3]
         missing = () if given_up else self._missing(turn.cycle, stage, absent, deadline_ns)
         by_the_clock = stage.timed or given_up or bool(missing)
         if missing:
             self.missed_deadlines[turn.stage] += 1
             self.missing_inputs.update(map(str, missing))
-        grace_ns = self._schedule.slice_ns(turn.stage) if by_the_clock else 0
+        grace_ns = self._deadlines.slice_ns(self._name, turn.stage) if by_the_clock else 0
         if given_up or time_ns - deadline_ns > grace_ns:
             self.overruns[turn.stage] += 1
         if by_the_clock:
@@ -299,7 +304,7 @@ class Stopwatch:
         return next(stage for stage in self._stages(turn.cycle) if stage.name == turn.stage)
 
     def _tick_ns(self, cycle: int) -> int:
-        return self._start_ns + cycle * self._schedule.cycle_ns
+        return self._start_ns + cycle * self._deadlines.cycle_ns
 
     def _absent_here(self, turn: Turn, stage: Stage) -> frozenset[Port[Message]]:
         """Ports whose messages this stage waited for, and closed without."""
@@ -342,7 +347,7 @@ class Stopwatch:
         last = self._closed.get(turn.stage)
         self._closed[turn.stage] = (turn.cycle, time_ns)
         if last is not None:
-            expected_ns = (turn.cycle - last[0]) * self._schedule.cycle_ns
+            expected_ns = (turn.cycle - last[0]) * self._deadlines.cycle_ns
             self._histograms.record(f"jitter/{turn.stage}", abs(time_ns - last[1] - expected_ns))
 
     def _record_age(self, turn: Turn, time_ns: int) -> None:
@@ -351,7 +356,8 @@ class Stopwatch:
         for port in self._inputs.get(turn.stage, ()):
             message = turn.inputs.get(port)
             if message is not None:
-                published_ns[port] = message.publish_time_ns
+                possible = self._is_possible(message)
+                published_ns[port] = message.publish_time_ns if possible else 0
             oldest_ns = min(oldest_ns, published_ns.get(port) or sys.maxsize)
         if oldest_ns <= time_ns:
             self._histograms.record(f"age/{turn.stage}", time_ns - oldest_ns)
@@ -365,7 +371,7 @@ class Stopwatch:
 
     def _forget_cycles(self) -> None:
         """Forget arrivals of cycles that are over, and of those that nobody can be in yet."""
-        first, last = self._cycle, self._cycle + self._schedule.horizon
+        first, last = self._cycle, self._cycle + self._longest_period
         for cycle in [cycle for cycle in self._came_ns if not first <= cycle <= last]:
             del self._came_ns[cycle]
 
@@ -379,22 +385,40 @@ class TimedAgent(Generic[S]):
         The agent, which knows nothing of it.
     stopwatch
         Its stopwatch.
+    now_ns
+        The clock: monotonic nanoseconds.
     """
 
-    def __init__(self, agent: Agent[S], stopwatch: Stopwatch) -> None:
+    def __init__(
+        self,
+        agent: Agent[S],
+        stopwatch: Stopwatch,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
         self.name = agent.name
         self.initial_state = agent.initial_state
         self.stages = agent.stages
         self.follow_up = agent.follow_up
         self._step = agent.step
         self._closed = stopwatch.closed
+        self._now_ns = now_ns
 
     def step(self, state: S, turn: Turn) -> tuple[S, list[Delivery]]:
         """Close a stage, and note when that began and what came of it."""
-        time_ns = time.monotonic_ns()
+        time_ns = self._now_ns()
         state, outputs = self._step(state, turn)
         self._closed(turn, time_ns, outputs)
         return state, outputs
+
+
+def _handed_ns(closing: Closing, handed: deque[tuple[Message, int]]) -> int | None:
+    """Take what a stage answered from what was handed over; return when the last of it was."""
+    handed_ns = None
+    for _, output in closing.outputs:
+        # Not all that an agent answers is sent: of cycles that it gave up it is not.
+        if handed and handed[0][0] is output:
+            _, handed_ns = handed.popleft()
+    return handed_ns
 
 
 def _inputs_by_stage(stages: Iterable[Stage]) -> dict[str, frozenset[Port[Message]]]:

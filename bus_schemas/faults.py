@@ -24,14 +24,14 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from hashlib import blake2b
-from math import cos, inf, log, pi, sqrt
+from math import ceil, cos, inf, log, pi, sqrt
 from typing import Final, Literal
 
 import msgspec
 
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
-from bus_schemas.signals import SIGNALS, Occurrence, Port, listeners, ports
+from bus_schemas.signals import SIGNALS, Port, listeners, ports
 from bus_schemas.tree import RECORDER, ControlTree
 
 LONGEST_MS: Final = 3_600_000.0
@@ -41,8 +41,9 @@ UNHARMED: Final[tuple[int, ...]] = (0,)
 """Fate of a message that one copy of arrives at once."""
 
 _LOST: Final[tuple[int, ...]] = ()
-_CYCLIC: Final = frozenset({Occurrence.CYCLE, Occurrence.TURN, Occurrence.NEED})
 _LISTED: Final = 12
+_MOST_SIGMAS: Final = sqrt(-2.0 * log(2.0**-53))
+"""No normal number that is made of 53 bits is further from the mean: 8.6 standard deviations."""
 
 
 class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -87,10 +88,17 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         """How much longer than the others a message takes that is held back [ms]."""
         return self.delay_ms if self.reorder_ms is None else self.reorder_ms
 
+    @property
+    def longest_ms(self) -> float:
+        """The longest delay that can be drawn, held back and all [ms]."""
+        spread = _MOST_SIGMAS if self.distribution == "normal" else 1.0
+        held_back_ms = self.held_back_ms if self.reorder else 0.0
+        return self.delay_ms + spread * self.jitter_ms + held_back_ms
+
     def acts_on(self, port: Port[Message], listener: str) -> bool:
         """Whether this link of a port is one of the rule's."""
         return (
-            port.signal.occurrence in _CYCLIC
+            port.signal.is_cyclic
             and (self.signal is None or self.signal == port.signal.name)
             and fnmatchcase(port.publisher, self.source)
             and fnmatchcase(listener, self.listener)
@@ -122,8 +130,8 @@ class FaultTally:
 class NetworkFaults:
     """The rules of a run, at work on its links.
 
-    Several rules on one link add up as if it were several imperfect pieces of cable, one after the
-    other: their delays add, a message must survive the losses of all, and each may double it.
+    Several rules on one link act as several imperfect pieces of cable, one after the other: their
+    delays add, and each may lose or double whatever has come through those before it.
 
     Parameters
     ----------
@@ -153,6 +161,17 @@ class NetworkFaults:
         """Whether any rule acts on a link to this listener."""
         return listener in self._listeners
 
+    def most_under_way(self, listener: str) -> int:
+        """Return how many messages of one port can be under way to a listener by these rules.
+
+        That is what a publisher with one message a cycle can have sent in the longest delay, with
+        all its copies. In lockstep, without a length of the cycles, it is one cycle's.
+        """
+        return max(
+            (link.most_under_way() for (_, to), link in self._links.items() if to == listener),
+            default=1,
+        )
+
     def fates(self, port: Port[Message], listener: str, message: Message) -> tuple[int, ...]:
         """Return the delays [ns] of the copies of a message that arrive, none if it is lost.
 
@@ -178,6 +197,7 @@ class _Link:
         self._stretches = [
             _Stretch(rule, f"{seed} {number} {port} {listener}") for number, rule in rules
         ]
+        self._rules = [rule for _, rule in rules]
         self._silent_s = [interval for _, rule in rules for interval in rule.silent]
         self._cycle_s = cycle_ns / 1e9
 
@@ -185,15 +205,17 @@ class _Link:
         """Return the delays [ns] of the copies that arrive."""
         if self._silent_s and self._is_silent(cycle * self._cycle_s):
             return _LOST
-        draws = [stretch.draw(cycle, 0) for stretch in self._stretches]
-        first = _delay_ns(draws)
-        copies = sum(draw.duplicated for draw in draws)
-        if not copies:
-            return _LOST if first is None else (first,)
-        delays = [first]
-        for copy in range(1, copies + 1):
-            delays.append(_delay_ns([stretch.draw(cycle, copy) for stretch in self._stretches]))
-        return tuple(delay for delay in delays if delay is not None)
+        delays_ms = [0.0]
+        for stretch in self._stretches:
+            delays_ms = stretch.pass_on(cycle, delays_ms)
+        return tuple(round(delay_ms * 1e6) for delay_ms in delays_ms)
+
+    def most_under_way(self) -> int:
+        """Return how many messages the link can hold, copies and all."""
+        longest_s = sum(rule.longest_ms for rule in self._rules) / 1e3
+        cycles = ceil(longest_s / self._cycle_s) + 1 if self._cycle_s else 1
+        doublers = sum(rule.duplicate > 0.0 for rule in self._rules)
+        return cycles << doublers
 
     def _is_silent(self, time_s: float) -> bool:
         return any(begin_s <= time_s < end_s for begin_s, end_s in self._silent_s)
@@ -215,7 +237,23 @@ class _Stretch:
         self._rule = rule
         self._hash = blake2b(name.encode())
 
-    def draw(self, cycle: int, copy: int) -> _Draw:
+    def pass_on(self, cycle: int, delays_ms: list[float]) -> list[float]:
+        """Return the delays [ms] of the copies that come out, given those of the ones that go in.
+
+        A doubled copy and its double each have a loss and a delay of their own.
+        """
+        draws = [self._draw(cycle, copy) for copy in range(len(delays_ms))]
+        doubled = [
+            delay_ms for delay_ms, draw in zip(delays_ms, draws, strict=True) if draw.duplicated
+        ]
+        draws += [self._draw(cycle, len(draws) + copy) for copy in range(len(doubled))]
+        return [
+            delay_ms + draw.delay_ms
+            for delay_ms, draw in zip(delays_ms + doubled, draws, strict=True)
+            if not draw.lost
+        ]
+
+    def _draw(self, cycle: int, copy: int) -> _Draw:
         """Draw what becomes of a copy of the message of a cycle."""
         rule = self._rule
         digest = self._hash.copy()
@@ -243,19 +281,12 @@ _NUMBERS: Final = struct.Struct("<qq")
 _WORDS: Final = struct.Struct("<8Q")
 
 
-def _delay_ns(draws: list[_Draw]) -> int | None:
-    """Delay of a copy over all stretches [ns], None if one of them loses it."""
-    if any(draw.lost for draw in draws):
-        return None
-    return round(sum(draw.delay_ms for draw in draws) * 1e6)
-
-
 def links(tree: ControlTree) -> list[tuple[Port[Message], str]]:
     """Each port of a cyclic signal with each agent that acts on it."""
     return [
         (port, listener)
         for port in ports(tree)
-        if port.signal.occurrence in _CYCLIC
+        if port.signal.is_cyclic
         for listener in listeners(port, tree)
     ]
 

@@ -25,7 +25,8 @@ _NEVER_NS: Final = 1 << 62
 
 _CROWDED: Final = 10_000
 _MOST_OF_A_PORT: Final = 1_000
-"""From so many messages under way on, each port has at most so many: 10 s at 100 cycles/s."""
+"""From so many messages under way on, each port has at most so many, or as many as the rules of the
+network can hold of what its publisher says once a cycle."""
 
 
 class UnderWay:
@@ -34,14 +35,20 @@ class UnderWay:
     Where it is crowded each port has its own limit, so that none is kept out by another; as there
     are no more ports than an agent hears, that bounds them all.
 
+    Parameters
+    ----------
+    most_of_a_port
+        That limit.
+
     Attributes
     ----------
     flooded
-        Messages that found no room.
+        Messages that found no room, by port.
     """
 
-    def __init__(self) -> None:
-        self.flooded = 0
+    def __init__(self, most_of_a_port: int = _MOST_OF_A_PORT) -> None:
+        self.flooded: Counter[str] = Counter()
+        self._most_of_a_port = most_of_a_port
         # The numbers keep the order of what is due at one moment, and messages uncompared.
         self._numbers = count()
         self._heap: list[tuple[int, int, Arrival]] = []
@@ -53,8 +60,8 @@ class UnderWay:
     def put(self, arrival: Arrival) -> None:
         """Take in a message that arrives at its time, if there is room for it."""
         port = arrival.port
-        if len(self._heap) >= _CROWDED and self._of_port[port] >= _MOST_OF_A_PORT:
-            self.flooded += 1
+        if len(self._heap) >= _CROWDED and self._of_port[port] >= self._most_of_a_port:
+            self.flooded[str(port)] += 1
             return
         self._of_port[port] += 1
         heappush(self._heap, (arrival.time_ns, next(self._numbers), arrival))
@@ -83,6 +90,8 @@ class FaultyBus(ZenohBus):
         See `ZenohBus`.
     faults
         Of the run.
+    now_ns
+        The clock: monotonic nanoseconds.
 
     Attributes
     ----------
@@ -98,11 +107,14 @@ class FaultyBus(ZenohBus):
         settings: SessionSettings,
         faults: NetworkFaults,
         on_drop: Callable[[str], None] = lambda text: None,
+        *,
+        now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.tally = FaultTally()
         self._agent = agent
         self._faults = faults
-        self._under_way = UnderWay()
+        self._under_way = UnderWay(max(_MOST_OF_A_PORT, faults.most_under_way(agent)))
+        self._now_ns = now_ns
         super().__init__(agent, keys, tree, settings, on_drop)
 
     def __enter__(self) -> FaultyBus:
@@ -110,13 +122,13 @@ class FaultyBus(ZenohBus):
         return self
 
     @property
-    def flooded(self) -> int:
-        """Messages that found no room, on the way or before the agent."""
+    def flooded(self) -> Counter[str]:
+        """Messages that found no room, on the way or before the agent, by key."""
         return super().flooded + self._under_way.flooded
 
     def receive(self, wanted: int, timeout_s: float | None) -> list[Arrival]:
         """Return what has arrived, see `Bus.receive`; a delayed message arrives when it is due."""
-        now_ns = time.monotonic_ns()
+        now_ns = self._now_ns()
         gives_up_ns = _NEVER_NS if timeout_s is None else now_ns + round(timeout_s * 1e9)
         ready: list[Arrival] = []
         while True:
@@ -125,7 +137,7 @@ class FaultyBus(ZenohBus):
             wait_s = None if wakes_ns == _NEVER_NS else (wakes_ns - now_ns) / 1e9
             heard = super().receive(wanted - len(ready) if waits else 0, wait_s)
             is_urgent = self._put_under_way(heard)
-            now_ns = time.monotonic_ns()
+            now_ns = self._now_ns()
             ready += self._under_way.take_due(now_ns)
             if len(ready) >= wanted or is_urgent or now_ns >= gives_up_ns:
                 return ready

@@ -60,6 +60,9 @@ class Occurrence(Enum):
     REPLAY = "in no run, but in the replay of one"
 
 
+_CYCLIC: Final = frozenset({Occurrence.CYCLE, Occurrence.TURN, Occurrence.NEED})
+
+
 @dataclass(frozen=True, eq=False)
 class Signal(Generic[M_co]):
     """One row of the table.
@@ -92,6 +95,11 @@ class Signal(Generic[M_co]):
     decided: bool = True
     hop_p99_ms: float | None = None
     _ports: dict[str, Port[M_co]] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def is_cyclic(self) -> bool:
+        """Whether it comes once in a cycle at most, and is about that cycle."""
+        return self.occurrence in _CYCLIC
 
     def of(self, node: str) -> Port[M_co]:
         """Return the port of this signal about a node."""

@@ -209,9 +209,13 @@ class ZenohBus:
         self._session.close()
 
     @property
-    def flooded(self) -> int:
-        """Samples that found no room, since more came than the agent could look at."""
-        return self._inbox.flooded.total()
+    def flooded(self) -> Counter[str]:
+        """Messages that found no room, since more came than the agent could look at.
+
+        They are counted by key, without the plant's name.
+        """
+        plant = f"{self._keys.plant}/"
+        return Counter({key.removeprefix(plant): n for key, n in self._inbox.flooded.items()})
 
     @property
     def published(self) -> Counter[str]:

@@ -8,9 +8,13 @@ import sys
 import threading
 from pathlib import Path
 
-from agents.lifeline import Failed, Lifeline, Ready, join_run
+from agents.drop_log import DropLog
+from agents.events import Failed, Joined
+from agents.joining import open_bus
+from agents.lifeline import Lifeline
 from agents.plan import RunPlan, load_plan
-from agents.runtime import DropLog, Runtime, open_bus, settle_in
+from agents.process_setup import join_run, settle_in
+from agents.runtime import Runtime
 from bus_schemas.errors import InputError
 from sim_plant.conductor import ArmingError, Conductor
 from sim_plant.plant import Plant, PlantState
@@ -50,7 +54,7 @@ def run_plant(plan: RunPlan, profile: Profile, attached: bool, patience_s: float
     try:
         with open_bus(plan, plant.name, drop_log) as bus:
             runtime: Runtime[PlantState] = Runtime(plant, plan, bus, lifeline, drop_log)
-            lifeline.tell(Ready())
+            lifeline.tell(Joined())
             Conductor(runtime, stop_asked, patience_s).conduct()
     except ArmingError as error:
         lifeline.tell(Failed(str(error)))

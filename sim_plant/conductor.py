@@ -12,8 +12,9 @@ import threading
 import time
 from typing import Final, Literal, TypeVar
 
-from agents.lifeline import Armed
-from agents.runtime import Runtime, StallWatch, spare_the_collector
+from agents.events import Armed
+from agents.garbage import spare_the_collector
+from agents.runtime import Runtime
 from bus_schemas.messages import Message
 from bus_schemas.signals import READY, RUN
 from bus_schemas.tree import PLANT, RECORDER, ROOT
@@ -82,7 +83,7 @@ class Conductor:
         self._publish_run("start", 0, start_time_ns)
         self._runtime.lifeline.tell(Armed(rounds))
         log.info("armed after %d rounds", rounds)
-        watch = StallWatch(self._runtime)
+        watch = self._runtime.watch_for_stalls()
         spare_the_collector(interludes=not self._runtime.plan.lockstep)
         self._runtime.begin(start_time_ns)
         while not sequencer.finished:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from plants_by_hand import CYCLE_NS
 
 from agents.agent import Stage, Turn
-from agents.sequencer import LateWords, Sequencer
+from agents.late_words import LatePolicy
+from agents.sequencer import Sequencer
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Dispatch, Help, Message, Notice, Request, Residual, Setpoint
 from bus_schemas.signals import DISPATCH, HELP, NOTICE, REQUEST, RESIDUAL, SETPOINT, Port
@@ -66,7 +67,7 @@ class Desk:
         *,
         lockstep: bool = True,
         horizon: int = 2,
-        late: LateWords = "use",
+        late: LatePolicy = "use",
     ) -> None:
         self.dropped: list[str] = []
         self.sequencer = Sequencer(

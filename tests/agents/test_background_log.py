@@ -15,9 +15,10 @@ from agents.background_log import log_in_background
 BEGINNING = """
 import logging, os, sys
 from agents.background_log import log_in_background
-from agents.lifeline import end_at_once, join_run
+from agents.lifeline import end_at_once
+from agents.process_setup import join_run
 join_run(attached=False)
-log_in_background()
+log_in_background(longest_flush_s=60.0)
 log = logging.getLogger("a process")
 for number in range(2000):
     log.info("line %d", number)
@@ -33,7 +34,7 @@ class SlowHandler(logging.Handler):
         self.lines: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        self.may_write.wait(10.0)
+        self.may_write.wait(60.0)
         self.lines.append(record.getMessage())
 
 
@@ -56,7 +57,7 @@ def lines_of_a_process(ending: str) -> tuple[int, list[str]]:
         [sys.executable, "-c", BEGINNING + ending],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=120,
         check=False,
     )
     return done.returncode, done.stderr.splitlines()
@@ -81,7 +82,7 @@ def test_an_error_is_written_before_the_process_goes_on() -> None:
 
 
 def test_whoever_logs_does_not_wait_for_the_line_to_be_written(slow: SlowHandler) -> None:
-    log_in_background()
+    log_in_background(longest_flush_s=60.0)
     logging.getLogger().info("a word")
     assert slow.lines == []
     slow.may_write.set()
@@ -91,7 +92,7 @@ def test_whoever_logs_does_not_wait_for_the_line_to_be_written(slow: SlowHandler
 
 def test_an_exception_is_logged_with_where_it_came_from(slow: SlowHandler) -> None:
     slow.may_write.set()
-    log_in_background()
+    log_in_background(longest_flush_s=60.0)
     try:
         raise ValueError("no such thing")
     except ValueError:

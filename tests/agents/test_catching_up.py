@@ -8,7 +8,8 @@ from clerks import LISTEN_TO_BOTH, ORDER, ORDER_THEN_LISTEN, A, B, Desk, notices
 from plants_by_hand import CYCLE_NS, at, plan_of, report, tell
 
 from agents.agent import Stage
-from agents.sequencer import Drops, Sequencer
+from agents.drops import Drops
+from agents.sequencer import Sequencer
 from agents.team import Controller, central_controller
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Command, Message, Production, Telemetry

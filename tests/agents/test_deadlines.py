@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from agents.deadlines import USED_SHARE, deadline_ns, slice_ns, stage_place
+from agents.deadlines import USED_SHARE, Deadlines, stage_place
 from bus_schemas.signals import SIGNALS, listeners, ports
 from bus_schemas.tree import ControlTree
 
@@ -31,7 +31,7 @@ def test_the_stages_of_three_layers_share_nine_tenths_of_the_cycle(
     agent: str, stage: str, expected_ms: int
 ) -> None:
     # 90 % of 800 ms are 720 ms for eight steps from the plant to the plant.
-    found = deadline_ns(agent, stage, THREE_LAYERS, cycle_wall_ns=800_000_000)
+    found = Deadlines(THREE_LAYERS, 800_000_000).deadline_ns(agent, stage)
     assert found == expected_ms * 1_000_000
 
 
@@ -84,18 +84,19 @@ def test_a_tiers_deadline_is_that_of_its_last_word(
 ) -> None:
     # Up to the central controller's 400 ms there are five steps; the plant waits half the rest.
     tiers_ns = (400_000_000, 500_000_000, 550_000_000)
-    found = deadline_ns(agent, stage, THREE_LAYERS, 1_000_000_000, tiers_ns)
+    found = Deadlines(THREE_LAYERS, 1_000_000_000, tiers_ns).deadline_ns(agent, stage)
     assert found == expected_ms * 1_000_000
 
 
 def test_a_direct_controller_has_the_deadline_of_its_like_from_whatever_tier_it_hangs() -> None:
     tiers_ns = (10_000, 20_000, 30_000, 40_000, 50_000)
+    deadlines = Deadlines(RAGGED, 60_000, tiers_ns)
     found = {
-        agent: deadline_ns(agent, "actuate", RAGGED, 60_000, tiers_ns)
+        agent: deadlines.deadline_ns(agent, "actuate")
         for agent in ("a", "c1/b", "z1/c1/d", "z1/y1/x1/e")
     }
     assert set(found.values()) == {50_000}
-    assert deadline_ns("z1/y1", "solve", RAGGED, 60_000, tiers_ns) == 30_000
+    assert deadlines.deadline_ns("z1/y1", "solve") == 30_000
 
 
 @pytest.mark.parametrize(
@@ -113,16 +114,16 @@ def test_a_direct_controller_has_the_deadline_of_its_like_from_whatever_tier_it_
 def test_a_stages_slice_lies_between_the_deadline_before_it_and_its_own(
     agent: str, stage: str, even_ms: int, by_tier_ms: int
 ) -> None:
-    assert slice_ns(agent, stage, THREE_LAYERS, 800_000_000) == even_ms * 1_000_000
+    assert Deadlines(THREE_LAYERS, 800_000_000).slice_ns(agent, stage) == even_ms * 1_000_000
     tiers_ns = (5_000_000, 500_000_000, 550_000_000)
-    found = slice_ns(agent, stage, THREE_LAYERS, 800_000_000, tiers_ns)
+    found = Deadlines(THREE_LAYERS, 800_000_000, tiers_ns).slice_ns(agent, stage)
     assert found == by_tier_ms * 1_000_000
 
 
 def test_a_direct_controllers_slice_begins_at_the_deadline_of_its_own_parent() -> None:
     tiers_ns = (10_000, 20_000, 30_000, 40_000, 50_000)
     found = [
-        slice_ns(agent, "actuate", RAGGED, 60_000, tiers_ns)
+        Deadlines(RAGGED, 60_000, tiers_ns).slice_ns(agent, "actuate")
         for agent in ("a", "c1/b", "z1/c1/d", "z1/y1/x1/e")
     ]
     assert found == [40_000, 30_000, 20_000, 10_000]
@@ -136,7 +137,7 @@ def evenly(tree: ControlTree) -> tuple[int, ...]:
 @pytest.mark.parametrize("tree", [FLAT, THREE_LAYERS, RAGGED])
 @pytest.mark.parametrize("by_tier", [False, True])
 def test_whoever_listens_waits_longer_than_whoever_speaks(tree: ControlTree, by_tier: bool) -> None:
-    tiers_ns = evenly(tree) if by_tier else ()
+    deadlines = Deadlines(tree, 1_000_000_000, evenly(tree) if by_tier else ())
     of_the_loop = {signal for signal in SIGNALS if signal.name not in {"run", "ready", "notice"}}
     compared = 0
     for port in ports(tree):
@@ -153,8 +154,8 @@ def test_whoever_listens_waits_longer_than_whoever_speaks(tree: ControlTree, by_
                 said = stage_that_says(name, speaker)
             heard = stage_that_hears(tree, name, listener)
             assert stage_place(speaker, said, tree) < stage_place(listener, heard, tree), port
-            said_ns = deadline_ns(speaker, said, tree, 1_000_000_000, tiers_ns)
-            heard_ns = deadline_ns(listener, heard, tree, 1_000_000_000, tiers_ns)
+            said_ns = deadlines.deadline_ns(speaker, said)
+            heard_ns = deadlines.deadline_ns(listener, heard)
             assert said_ns < heard_ns < 1_000_000_000, port
             compared += 1
     assert compared > len(tree.nodes)
@@ -162,4 +163,6 @@ def test_whoever_listens_waits_longer_than_whoever_speaks(tree: ControlTree, by_
 
 @pytest.mark.parametrize("tree", [FLAT, THREE_LAYERS, RAGGED])
 def test_the_plant_has_its_margin_before_the_next_tick(tree: ControlTree) -> None:
-    assert deadline_ns("plant", "advance", tree, 1_000_000_000) == USED_SHARE * 1_000_000_000
+    assert (
+        Deadlines(tree, 1_000_000_000).deadline_ns("plant", "advance") == USED_SHARE * 1_000_000_000
+    )

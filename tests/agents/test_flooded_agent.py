@@ -8,8 +8,8 @@ import tracemalloc
 import pytest
 
 from agents.direct import DirectController
+from agents.drop_log import DropLog
 from agents.periods import Periods
-from agents.runtime import DropLog
 from agents.sequencer import Sequencer
 from bus_schemas.messages import Telemetry
 from bus_schemas.signals import TELEMETRY

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import gc
-from dataclasses import dataclass
 
 import pytest
+from clock_by_hand import ClockByHand
 
 from agents.interlude import Interlude
 
@@ -13,26 +13,35 @@ MS = 1_000_000
 START = 5_000 * MS
 
 
-@dataclass
-class Clock:
-    now_ns: int = START
-
-    def __call__(self) -> int:
-        return self.now_ns
-
-
 class Stopwatch:
-    """Counts how often it is settled; that takes a while on the clock."""
+    """Has so much to settle whenever it is asked to; that takes a while on the clock.
 
-    def __init__(self, clock: Clock, takes_ms: float) -> None:
-        self.overfull = False
+    Attributes
+    ----------
+    takes_ms
+        What there is to settle once.
+    """
+
+    def __init__(self, clock: ClockByHand, takes_ms: float) -> None:
+        self.takes_ms = takes_ms
         self.settled_ms: list[float] = []
+        self.rooms_made = 0
+        self._left_ns = 0
         self._clock = clock
-        self._takes_ns = round(takes_ms * MS)
 
-    def settle(self) -> None:
-        self.settled_ms.append((self._clock.now_ns - START) / MS)
-        self._clock.now_ns += self._takes_ns
+    def settle(self, until_ns: int | None = None) -> bool:
+        now_ns = self._clock.now_ns
+        if until_ns is not None and until_ns <= now_ns:
+            return False
+        self.settled_ms.append((now_ns - START) / MS)
+        left_ns = self._left_ns or round(self.takes_ms * MS)
+        ends_ns = now_ns + left_ns if until_ns is None else min(until_ns, now_ns + left_ns)
+        self._clock.now_ns = ends_ns
+        self._left_ns = left_ns - (ends_ns - now_ns)
+        return not self._left_ns
+
+    def make_room(self) -> None:
+        self.rooms_made += 1
 
 
 class Process:
@@ -41,9 +50,10 @@ class Process:
     def __init__(
         self, cycle_ms: float, busy_ms: float, place: int = 0, takes_ms: float = 0.3
     ) -> None:
-        self.clock = Clock()
+        self.clock = ClockByHand(START)
         self.stopwatch = Stopwatch(self.clock, takes_ms)
         self.told = 0
+        self.lengths_ms: list[float] = []
         self.cycle_ns, self.busy_ns = round(cycle_ms * MS), round(busy_ms * MS)
         self.interlude = Interlude(
             self.stopwatch,  # type: ignore[arg-type]
@@ -57,14 +67,43 @@ class Process:
     def tell(self) -> None:
         self.told += 1
 
-    def run(self, lasts_ms: float, looks_every_ms: float) -> list[float]:
-        """Return when interludes began, from the start [ms]."""
+    def run(self, lasts_ms: float, looks_every_ms: float, *, ends: bool = False) -> list[float]:
+        """Return when interludes began, or when they were over, from the start [ms]."""
         end_ns = self.clock.now_ns + round(lasts_ms * MS)
+        ends_ms: list[float] = []
         while self.clock.now_ns < end_ns:
-            under_way, into_ns = divmod(self.clock.now_ns - START, self.cycle_ns)
+            began_ns = self.clock.now_ns
+            under_way, into_ns = divmod(began_ns - START, self.cycle_ns)
             self.interlude.consider(under_way + (into_ns >= self.busy_ns))
+            if self.clock.now_ns > began_ns:
+                ends_ms.append((self.clock.now_ns - START) / MS)
+                self.lengths_ms.append((self.clock.now_ns - began_ns) / MS)
             self.clock.now_ns += round(looks_every_ms * MS)
-        return self.stopwatch.settled_ms
+        return ends_ms if ends else self.stopwatch.settled_ms
+
+
+class Collector:
+    """Collects garbage in a time on a clock by hand."""
+
+    def __init__(self) -> None:
+        self.collected_ms: list[float] = []
+        self._clock = ClockByHand()
+        self._takes_ns = 0
+
+    def on(self, clock: ClockByHand, takes_ms: float) -> None:
+        self._clock, self._takes_ns = clock, round(takes_ms * MS)
+
+    def __call__(self) -> int:
+        self.collected_ms.append((self._clock.now_ns - START) / MS)
+        self._clock.now_ns += self._takes_ns
+        return 0
+
+
+@pytest.fixture
+def collector(monkeypatch: pytest.MonkeyPatch) -> Collector:
+    collector = Collector()
+    monkeypatch.setattr(gc, "collect", collector)
+    return collector
 
 
 def test_it_comes_five_times_a_second_in_the_second_half_of_the_cycle() -> None:
@@ -114,12 +153,6 @@ def test_a_busy_process_does_not_look_for_it_again_and_again() -> None:
     assert process.interlude.left_s(1) == 0.0
 
 
-def test_a_process_that_is_never_done_in_time_has_none() -> None:
-    process = Process(cycle_ms=50.0, busy_ms=50.0)
-    process.interlude.begin(START)
-    assert process.run(3_000.0, looks_every_ms=0.5) == []
-
-
 def test_one_that_was_missed_is_made_up_for_in_a_later_cycle() -> None:
     process = Process(cycle_ms=50.0, busy_ms=12.0)
     process.interlude.begin(START)
@@ -127,37 +160,93 @@ def test_one_that_was_missed_is_made_up_for_in_a_later_cycle() -> None:
     assert process.run(30.0, looks_every_ms=1.0) == pytest.approx([125.0], abs=1.5)
 
 
-def test_there_is_none_where_it_would_not_be_over_before_the_next_tick() -> None:
-    slow = Process(cycle_ms=50.0, busy_ms=12.0, takes_ms=13.0)
-    slow.interlude.begin(START)
-    # The first one shows how long it takes: twice that does not fit into the rest of the cycle.
-    assert len(slow.run(1_000.0, looks_every_ms=1.0)) == 1
-
-
-def test_it_comes_all_the_same_when_too_much_is_noted() -> None:
-    process = Process(cycle_ms=50.0, busy_ms=50.0)
+@pytest.mark.parametrize(
+    ("cycle_ms", "place"), [(50.0, 21), (10.0, 0), (10.0, 21), (5.0, 0), (5.0, 21)]
+)
+def test_after_a_slow_one_they_come_as_before(
+    cycle_ms: float, place: int, collector: Collector
+) -> None:
+    process = Process(cycle_ms, busy_ms=0.3 * cycle_ms, place=place)
     process.interlude.begin(START)
-    process.stopwatch.overfull = True
-    process.interlude.consider(0)
-    assert process.stopwatch.settled_ms == [0.0]
+    collector.on(process.clock, takes_ms=3.2)
+    process.run(400.0, looks_every_ms=0.2)
+    collector.on(process.clock, takes_ms=0.1)
+    process.stopwatch.settled_ms.clear()
+    collector.collected_ms.clear()
+    assert len(process.run(5_000.0, looks_every_ms=0.2)) >= 24, "five a second"
+    assert len(collector.collected_ms) >= 24
+    assert process.told >= 5
 
 
-def test_whoever_is_never_idle_makes_room_only_when_too_much_is_noted() -> None:
+@pytest.mark.parametrize("cycle_ms", [5.0, 10.0, 50.0, 1_000.0])
+@pytest.mark.parametrize("place", [0, 11, 21])
+def test_it_is_over_before_the_next_tick_however_much_there_is(
+    cycle_ms: float, place: int, collector: Collector
+) -> None:
+    process = Process(cycle_ms, busy_ms=0.6 * cycle_ms, place=place, takes_ms=30.0)
+    process.interlude.begin(START)
+    collector.on(process.clock, takes_ms=0.2)
+    ends_ms = process.run(60 * cycle_ms, looks_every_ms=0.1, ends=True)
+    assert ends_ms
+    assert max(end_ms % cycle_ms for end_ms in ends_ms) <= cycle_ms - 0.05
+    assert max(process.lengths_ms) <= 2.3
+    # 30 ms take many cycles, but they come to their end: then garbage is collected.
+    assert collector.collected_ms
+
+
+def test_for_whom_the_tick_came_too_soon_it_comes_once_its_part_is_done(
+    collector: Collector,
+) -> None:
+    process = Process(cycle_ms=5.0, busy_ms=2.0, place=21)
+    process.interlude.begin(START)
+    collector.on(process.clock, takes_ms=0.1)
+    # It wakes late: 0.08 ms before the tick there is no time for anything.
+    process.clock.now_ns = START + round(4.92 * MS)
+    assert process.run(4.0, looks_every_ms=0.02)[0] == pytest.approx(7.0, abs=0.05)
+
+
+@pytest.mark.parametrize("cycle_ms", [5.0, 50.0, 1_000.0])
+def test_whoever_is_never_done_in_time_takes_a_piece_all_the_same(
+    cycle_ms: float, collector: Collector
+) -> None:
+    process = Process(cycle_ms, busy_ms=cycle_ms, takes_ms=30.0)
+    process.interlude.begin(START)
+    collector.on(process.clock, takes_ms=0.1)
+    moments_ms = process.run(13_000.0, looks_every_ms=1.0)
+    assert 4 <= len(moments_ms) <= 6, "every 2 to 3 s"
+    assert len(collector.collected_ms) == process.told == len(moments_ms)
+    assert max(process.lengths_ms) < 0.5
+
+
+def test_whoever_is_never_idle_makes_room_in_each_turn(collector: Collector) -> None:
     process = Process(cycle_ms=50.0, busy_ms=12.0)
     process.interlude.begin(START)
-    process.clock.now_ns = START + 30 * MS
-    process.interlude.make_room()
+    collector.on(process.clock, takes_ms=0.1)
+    for _ in range(2_000):
+        process.interlude.make_room()
+        process.clock.now_ns += MS
+    assert process.stopwatch.rooms_made == 2_000
     assert process.stopwatch.settled_ms == []
-    process.stopwatch.overfull = True
+    for _ in range(100):
+        process.interlude.make_room()
+        process.clock.now_ns += MS
+    assert process.stopwatch.settled_ms == pytest.approx([2_026.0], abs=1.5)
+
+
+def test_who_stood_still_for_long_does_not_begin_with_an_interlude(collector: Collector) -> None:
+    process = Process(cycle_ms=50.0, busy_ms=12.0)
+    process.interlude.begin(START)
+    process.clock.now_ns = START + 60_010 * MS
     process.interlude.make_room()
-    assert process.stopwatch.settled_ms == [30.0]
+    process.interlude.consider(1_200)
+    assert process.stopwatch.settled_ms == []
 
 
-def test_what_arming_notes_is_settled_and_nothing_said() -> None:
+def test_in_arming_room_is_made_and_nothing_said() -> None:
     process = Process(cycle_ms=50.0, busy_ms=50.0)
-    process.stopwatch.overfull = True
     process.interlude.consider(-1_000_000)
-    assert (process.stopwatch.settled_ms, process.told) == ([0.0], 0)
+    stopwatch = process.stopwatch
+    assert (stopwatch.rooms_made, stopwatch.settled_ms, process.told) == (1, [], 0)
     assert process.interlude.left_s(-1_000_000) is None
 
 

@@ -20,7 +20,8 @@ from clerks import (
 from plants_by_hand import CYCLE_NS, at, plan_of, report, tell
 
 from agents.agent import Stage
-from agents.sequencer import Drops, Sequencer
+from agents.drops import Drops
+from agents.sequencer import Sequencer
 from agents.team import Controller, central_controller, direct_controller, supervisor
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import (

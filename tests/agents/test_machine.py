@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import subprocess
 import sys
 import threading
@@ -11,8 +12,8 @@ from typing import TypeVar
 
 import pytest
 
+from agents.kinds import Kind
 from agents.machine import (
-    Kind,
     MachineSettings,
     refusals,
     resources_used,
@@ -107,6 +108,52 @@ def test_without_permission_the_policy_stays_and_the_text_says_what_it_takes() -
     assert "priority 20: the kernel refuses SCHED_FIFO (Operation not permitted)" in refused
     assert "`ulimit -r 20`" in refused
     assert policy.startswith("other on CPU")
+
+
+LOCKING = """
+import ctypes, os, re, resource, pathlib
+import agents.machine
+from agents.machine import *
+resource.setrlimit(resource.RLIMIT_MEMLOCK, (LIMIT, LIMIT))
+GIVE_UP
+locks = MachineSettings(lock_memory=True)
+print(refusals(locks, lockstep=False))
+print(refusals(locks, lockstep=True))
+print(take_machine(locks, "direct", lockstep=False))
+print(re.search("VmLck:.*", pathlib.Path("/proc/self/status").read_text())[0].split()[1])
+"""
+
+
+def locking(limit: str, give_up: str = "") -> list[str]:
+    """What is said beforehand, in lockstep, when memory is locked, and how much is [kB]."""
+    code = LOCKING.replace("(LIMIT, LIMIT)", f"({limit}, {limit})").replace("GIVE_UP", give_up)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    return done.stdout.splitlines()
+
+
+@linux
+def test_memory_that_may_not_be_locked_is_said_beforehand() -> None:
+    if os.geteuid() != 0:
+        pytest.skip("privileges can be given up by root alone")
+    beforehand, in_lockstep, then, locked_kb = locking(
+        "8 << 20", "os.setgroups([]); os.setgid(65534); os.setuid(65534)"
+    )
+    assert "memory: not locked (the limit is 8,192 KiB); it takes CAP_IPC_LOCK" in beforehand
+    assert in_lockstep == "()"
+    assert then == beforehand
+    assert locked_kb == "0"
+
+
+@linux
+def test_memory_is_locked_where_that_is_permitted() -> None:
+    limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    beforehand, _, then, locked_kb = locking(str(limit))
+    if beforehand != "()":
+        pytest.skip(f"this machine does not permit it: {beforehand}")
+    assert then == "()"
+    assert int(locked_kb) > 1_000
 
 
 @linux

@@ -118,7 +118,7 @@ SIX = [f"z{zone}/c{cluster}/i" for zone in (1, 2) for cluster in (1, 2, 3)]
     light=st.lists(st.lists(st.floats(0.0, 100.0), min_size=6, max_size=6), min_size=7, max_size=7),
     dispatch_kw=st.lists(st.floats(0.0, 600.0), min_size=7, max_size=7),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_whenever_a_parent_speaks_its_children_meet_its_last_target(
     factors: tuple[int, int, int], light: list[list[float]], dispatch_kw: list[float]
 ) -> None:

@@ -23,7 +23,8 @@ from clerks import (
 from plants_by_hand import CYCLE_NS, plan_of, report
 
 from agents.agent import Stage
-from agents.sequencer import BEFORE_ARMING, Drops, Sequencer
+from agents.drops import Drops
+from agents.sequencer import BEFORE_ARMING, Sequencer
 from agents.team import central_controller, direct_controller
 from bus_schemas.messages import Command, Dispatch, Request, Residual, Setpoint, Telemetry
 from bus_schemas.signals import COMMAND, REQUEST, RESIDUAL, SETPOINT, TELEMETRY

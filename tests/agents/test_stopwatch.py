@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import count
 
 import pytest
+from clock_by_hand import ClockByHand
 from hdrh.histogram import HdrHistogram
 
 from agents.agent import Stage, Turn
-from agents.stopwatch import ProcessTiming, Schedule, Stopwatch, TimedAgent
+from agents.deadlines import Deadlines
+from agents.periods import Periods
+from agents.stopwatch import ProcessTiming, Stopwatch, TimedAgent
 from bus_schemas.bus import Arrival, Delivery
 from bus_schemas.messages import Command, Message, Request, Run, Telemetry
 from bus_schemas.signals import COMMAND, REQUEST, RUN, TELEMETRY, Port
-from bus_schemas.tree import PLANT, ROOT
+from bus_schemas.tree import PLANT, ROOT, ControlTree
 
 MS = 1_000_000
 NODE = "c1/inv07"
@@ -21,16 +25,19 @@ START = 5_000 * MS
 CYCLE = 100 * MS
 ASKED, MEASURED = REQUEST.of(NODE), TELEMETRY.of(NODE)
 COMMANDS = (COMMAND.of("c1/inv07"), COMMAND.of("c1/inv08"))
+TREE = ControlTree(((NODE, 1.0), ("c1/inv08", 1.0)))
 DEADLINES = {"begin": 0, "work": 30 * MS, "answer": 60 * MS, "advance": 90 * MS}
 SLICES = {"begin": 5 * MS, "work": 10 * MS, "answer": 20 * MS, "advance": 30 * MS}
 
 
-@dataclass
-class Clock:
-    now_ns: int = START
+class DeadlinesByHand(Deadlines):
+    """Of stages of our own, whoever's they are."""
 
-    def __call__(self) -> int:
-        return self.now_ns
+    def deadline_ns(self, agent: str, stage: str) -> int:
+        return DEADLINES[stage]
+
+    def slice_ns(self, agent: str, stage: str) -> int:
+        return SLICES[stage]
 
 
 @dataclass
@@ -39,12 +46,12 @@ class Team:
 
     stages_: Sequence[Stage]
     name: str = NODE
-    clock: Clock = field(default_factory=Clock)
+    clock: ClockByHand = field(default_factory=lambda: ClockByHand(START))
     cycle_ns: int = CYCLE
 
     def __post_init__(self) -> None:
-        schedule = Schedule(self.cycle_ns, SLICES.__getitem__, DEADLINES.__getitem__, 1)
-        self.stopwatch = Stopwatch(self, schedule, self.clock)
+        deadlines = DeadlinesByHand(TREE, self.cycle_ns)
+        self.stopwatch = Stopwatch(self, deadlines, Periods((1, 1)), self.clock)
         self.stopwatch.begin(START)
         self.inputs: dict[Port[Message], Message] = {}
 
@@ -361,18 +368,66 @@ def test_messages_of_a_stranger_or_without_a_time_have_no_hop() -> None:
     assert team.account().histograms == {}
 
 
+@pytest.mark.parametrize(("said_ms", "is_measured"), [(0.5 - 100.0, True), (-100.5, False)])
+def test_what_claims_to_be_from_before_the_last_cycle_is_of_another_clock(
+    said_ms: float, is_measured: bool
+) -> None:
+    team = Team([WORK])
+    team.hear(MEASURED, 3, said_ms, 2.0)
+    team.hear(ASKED, 3, 1.0, 2.0)
+    team.close("work", 3, 3.0)
+    account = team.account()
+    assert (f"hop/{NODE}/telemetry" in account.histograms) is is_measured
+    assert in_ms(account, "age/work") == near(3.0 - said_ms if is_measured else 2.0)
+
+
 def test_what_is_noted_does_not_pile_up() -> None:
     team = Team([WORK])
-    assert not team.stopwatch.overfull
-    for cycle in range(5_001):
+    for cycle in range(6_000):
         team.hear(MEASURED, cycle, 1.0, 2.0)
-    assert team.stopwatch.overfull
-    team.stopwatch.settle()
-    assert not team.stopwatch.overfull
+    team.stopwatch.make_room()
+    assert team.stopwatch.noted == 5_000
+    assert team.stopwatch.settle()
+    assert team.stopwatch.noted == 0
     # Of cycles that it gives up it hears and says nothing.
-    for cycle in range(5_001):
+    for cycle in range(6_000):
         team.close("work", cycle, 3.0)
-    assert team.stopwatch.overfull
+    team.stopwatch.make_room()
+    assert team.stopwatch.noted == 5_000
+
+
+def test_settled_bit_by_bit_it_comes_to_the_same() -> None:
+    accounts = []
+    for bits in (1, 7, 10_000):
+        team = Team([WORK, ANSWER])
+        for cycle in range(40):
+            team.hear(MEASURED, cycle, 1.0, 2.0)
+            if cycle % 3:
+                team.hear(ASKED, cycle, 3.0, 4.0 + cycle)
+            late = () if cycle % 3 else (f"{NODE}/request",)
+            team.close("work", cycle, 45.0, sent_ms=[46.0, 47.0], missing=late)
+            team.close("answer", cycle, 48.0, sent_ms=[49.0], missing=late)
+            if cycle % 10 == 9:
+                settle_by(team, bits)
+        accounts.append(team.account())
+    first, *others = accounts
+    for other in others:
+        assert other.histograms == first.histograms
+        assert other.missed_deadlines == first.missed_deadlines == {"work": 22}
+        assert other.overruns == first.overruns != {}
+
+
+def settle_by(team: Team, bits: int) -> None:
+    """Settle so many moments at a time, by a clock that goes on with each look at it."""
+    is_settled = False
+    while not is_settled:
+        looks = count(1)
+        team.stopwatch._now_ns = looks.__next__
+        noted = team.stopwatch.noted
+        is_settled = team.stopwatch.settle(until_ns=bits + 1)
+        # A closing takes along what was handed over with it.
+        assert bits <= noted - team.stopwatch.noted <= 3 * bits or is_settled
+    team.stopwatch._now_ns = team.clock
 
 
 def test_the_message_has_the_sums_and_the_slowest_decision() -> None:
@@ -394,14 +449,15 @@ def test_the_message_has_the_sums_and_the_slowest_decision() -> None:
 
 def test_a_timed_agent_decides_as_the_agent_itself_and_is_noted() -> None:
     team = Team([WORK])
-    timed = TimedAgent(team, team.stopwatch)
+    timed = TimedAgent(team, team.stopwatch, team.clock)
     turn = Turn("work", 0, 0, (0, 0, NODE, ()), {})
     assert timed.name == NODE
     assert timed.stages(0) == team.stages(0)
     assert timed.step(None, turn) == team.step(None, turn)
     assert "jitter/work" not in team.account().histograms
+    team.clock.now_ns = team.at(1, 7.0)
     timed.step(None, Turn("work", 1, 0, (1, 0, NODE, ()), {}))
-    assert "jitter/work" in team.account().histograms
+    assert in_ms(team.account(), "jitter/work") == near(7.0)
 
 
 def test_the_account_says_what_the_process_took() -> None:

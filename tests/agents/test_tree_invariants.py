@@ -105,7 +105,7 @@ def targets_kw(weather: Weather, heard: Heard) -> dict[tuple[int, str], float]:
 
 
 @given(weathers())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_setpoints_add_up_to_the_target_or_to_all_there_is(weather: Weather) -> None:
     heard = weather.hear()
     for (cycle, node), target_kw in targets_kw(weather, heard).items():
@@ -119,7 +119,7 @@ def test_setpoints_add_up_to_the_target_or_to_all_there_is(weather: Weather) -> 
 
 
 @given(weathers())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_what_a_parent_reports_is_the_sum_of_what_its_children_report(weather: Weather) -> None:
     heard = weather.hear()
     tree = weather.plan.tree
@@ -136,7 +136,7 @@ def test_what_a_parent_reports_is_the_sum_of_what_its_children_report(weather: W
 
 
 @given(weathers())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_help_is_called_for_exactly_when_and_as_much_as_power_is_missing(
     weather: Weather,
 ) -> None:
@@ -151,7 +151,7 @@ def test_help_is_called_for_exactly_when_and_as_much_as_power_is_missing(
 
 
 @given(weathers())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_what_the_plant_cannot_meet_is_missing_at_the_root(weather: Weather) -> None:
     heard = weather.hear()
     for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather, heard)):
@@ -162,7 +162,7 @@ def test_what_the_plant_cannot_meet_is_missing_at_the_root(weather: Weather) -> 
 
 
 @given(weathers())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_requests_of_the_children_add_up_to_that_of_their_parent(weather: Weather) -> None:
     heard = weather.hear()
     tree = weather.plan.tree
@@ -176,7 +176,7 @@ def test_requests_of_the_children_add_up_to_that_of_their_parent(weather: Weathe
 
 
 @given(weathers())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_dispatch_that_cannot_be_used_is_noticed_and_no_other(weather: Weather) -> None:
     heard = weather.hear()
     refused = 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from hashlib import blake2b
 from itertools import pairwise
 from math import nan
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -112,6 +113,26 @@ def test_a_doubled_message_comes_twice_each_with_a_delay_of_its_own() -> None:
     assert all(first != other for first, other in twice)
 
 
+def test_a_doubler_after_a_loss_doubles_what_has_come_through() -> None:
+    found = fates(at_work(FaultRule(loss=0.5), FaultRule(duplicate=1.0)))
+    nothing = sum(not fate for fate in found)
+    assert nothing / MANY == pytest.approx(0.5, abs=5 * np.sqrt(0.25 / MANY))
+    assert {len(fate) for fate in found} == {0, 2}
+
+
+def test_a_loss_after_a_doubler_takes_each_copy_by_itself() -> None:
+    found = fates(at_work(FaultRule(duplicate=1.0), FaultRule(loss=0.5)))
+    shares = [sum(len(fate) == copies for fate in found) / MANY for copies in (0, 1, 2)]
+    assert shares == pytest.approx([0.25, 0.5, 0.25], abs=5 * np.sqrt(0.25 / MANY))
+
+
+def test_two_doublers_make_four_copies_each_delayed_by_the_second_in_its_own_way() -> None:
+    jitter = FaultRule(delay_ms=10.0, jitter_ms=5.0, duplicate=1.0)
+    found = fates(at_work(FaultRule(delay_ms=1.0, duplicate=1.0), jitter), 100)
+    assert {len(set(fate)) for fate in found} == {4}
+    assert all(6_000_000 <= delay_ns < 16_000_000 for fate in found for delay_ns in fate)
+
+
 def test_a_message_held_back_is_overtaken_by_a_later_one() -> None:
     faults = at_work(FaultRule(delay_ms=10.0, reorder=0.2, reorder_ms=1500.0))
     arrivals = [cycle * SECOND_NS + delay for cycle, (delay,) in enumerate(fates(faults, 1000))]
@@ -196,6 +217,47 @@ def test_links_go_from_the_publisher_of_a_cyclic_signal_to_those_who_act_on_it()
     assert (DISPATCH.of(ROOT), CENTRAL) in found
     assert (SETPOINT.of("c1"), "c1") in found
     assert not [port for port, listener in found if listener in {"recorder", port.publisher}]
+
+
+HOUR = FaultRule(delay_ms=3_600_000.0)
+
+
+@pytest.mark.parametrize(
+    ("rules", "cycle_ns", "expected"),
+    [
+        ((FaultRule(loss=0.5),), SECOND_NS, 1),
+        ((FaultRule(delay_ms=2_500.0),), SECOND_NS, 4),
+        ((HOUR,), SECOND_NS, 3_601),
+        ((HOUR, HOUR), SECOND_NS // 20, 144_001),
+        ((FaultRule(delay_ms=60_000.0, duplicate=0.1),), SECOND_NS, 122),
+        ((FaultRule(delay_ms=60_000.0, jitter_ms=30_000.0),), SECOND_NS, 91),
+        ((FaultRule(jitter_ms=10_000.0, distribution="normal"),), SECOND_NS, 87),
+        ((FaultRule(delay_ms=5_000.0, reorder=0.1, reorder_ms=9_000.0),), SECOND_NS, 15),
+        ((HOUR,), 0, 1),
+        ((FaultRule(listener="c2", delay_ms=9e5),), SECOND_NS, 1),
+    ],
+)
+def test_as_many_messages_can_be_under_way_as_are_sent_in_the_longest_delay(
+    rules: tuple[FaultRule, ...], cycle_ns: int, expected: int
+) -> None:
+    assert NetworkFaults(rules, 1, TREE, cycle_ns).most_under_way("c1") == expected
+
+
+@given(
+    cycle=st.integers(0, 2**40),
+    delay_ms=st.floats(0.0, 1e6),
+    jitter_ms=st.floats(0.0, 1e6),
+    distribution=st.sampled_from(["uniform", "normal"]),
+)
+def test_no_delay_is_longer_than_the_longest(
+    cycle: int, delay_ms: float, jitter_ms: float, distribution: Literal["uniform", "normal"]
+) -> None:
+    rule = FaultRule(
+        delay_ms=delay_ms, jitter_ms=jitter_ms, distribution=distribution, reorder=0.5, loss=0.01
+    )
+    network = NetworkFaults((rule,), 1, TREE, SECOND_NS)
+    for delay_ns in network.fates(IMPP.of("c1/a"), "c1", impp(cycle)):
+        assert delay_ns <= rule.longest_ms * 1e6 + 1
 
 
 def test_a_tally_counts_what_the_faults_did() -> None:

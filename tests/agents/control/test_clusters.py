@@ -77,7 +77,7 @@ def test_the_best_of_all_partitions_of_nine_in_three_clusters_is_found(seed: int
     sizes=st.lists(st.integers(1, 5), min_size=1, max_size=5),
     seed=st.integers(0, 1000),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_every_inverter_is_in_one_cluster_of_the_size_asked_for(
     sizes: list[int], seed: int
 ) -> None:

@@ -1,0 +1,215 @@
+"""What the processes of a run tell their launcher: the words of the lifeline."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import msgspec
+
+from agents.stopwatch import ProcessTiming
+
+
+class Event(msgspec.Struct, frozen=True, tag_field="event", tag=str.lower):
+    """Something that a process tells its launcher."""
+
+
+class Joined(Event, frozen=True):
+    """The process is on the bus."""
+
+
+class Armed(Event, frozen=True):
+    """The plant has seen everybody, and a whole round has closed: cycle 0 begins."""
+
+    rounds: int
+
+
+class Waiting(Event, frozen=True):
+    """The process cannot go on: it needs these messages, each `[key, publisher]`.
+
+    `blocked_on` is the key that it cannot publish, because a listener takes nothing any more.
+    """
+
+    cycle: int
+    stage: str
+    needs: list[tuple[str, str]]
+    blocked_on: str = ""
+
+
+class Status(Event, frozen=True):
+    """What the recorder has seen so far: the run's state for a live view. Powers in kW.
+
+    `unheard` are the keys on which external agents have said nothing in an arming round.
+    """
+
+    cycle: int
+    sim_time_ns: int
+    desired_kw: float
+    possible_kw: float
+    delivered_kw: float
+    needy: list[str]
+    recorded: int
+    unheard: list[str] = msgspec.field(default_factory=list)
+
+
+class Finished(Event, frozen=True):
+    """The process has come to its end.
+
+    Attributes
+    ----------
+    published
+        Messages of the run that it published, by signal.
+    dropped
+        Messages that it could not use, by cause.
+    missing_inputs
+        Inputs that a deadline found missing.
+    late_used
+        Late words that were used in place of them.
+    skipped_cycles
+        Cycles that were given up, since they were over before the process came to them.
+    dropped_ports
+        Messages that it could not use, by port and cause.
+    timing
+        What it measured of itself in real time; None in lockstep.
+    faults
+        What an imperfect network did to messages on their way to it.
+    """
+
+    published: dict[str, int]
+    dropped: dict[str, int]
+    missing_inputs: int
+    late_used: int = 0
+    skipped_cycles: int = 0
+    dropped_ports: dict[str, dict[str, int]] = msgspec.field(default_factory=dict)
+    timing: ProcessTiming | None = None
+    faults: dict[str, int] = msgspec.field(default_factory=dict)
+
+
+class PlantPower(msgspec.Struct, frozen=True):
+    """The plant's power, cycle by cycle [kW].
+
+    Attributes
+    ----------
+    desired_kw, regulation_kw
+        What was asked of it in all, and the part of it that is regulation.
+    possible_kw, delivered_kw
+        What it could have given, and what it gave.
+    """
+
+    desired_kw: list[float] = msgspec.field(default_factory=list)
+    regulation_kw: list[float] = msgspec.field(default_factory=list)
+    possible_kw: list[float] = msgspec.field(default_factory=list)
+    delivered_kw: list[float] = msgspec.field(default_factory=list)
+
+
+class Presence(Event, frozen=True):
+    """The liveliness token of an external agent has come or gone, seen by the recorder.
+
+    `cycle` is the newest cycle by then, -1 before the run.
+    """
+
+    agent: str
+    alive: bool
+    cycle: int
+
+
+class Over(Event, frozen=True):
+    """An external plant has said that the run is over, before this cycle."""
+
+    cycle: int
+
+
+class Complaint(Event, frozen=True):
+    """What was wrong with messages on a key, seen by the recorder.
+
+    Attributes
+    ----------
+    key
+        The key on the bus, without the run's namespace.
+    cause
+        In what way they were wrong.
+    count
+        How many of them were.
+    example
+        What is to be said of the first one.
+    """
+
+    key: str
+    cause: str
+    count: int
+    example: str
+
+
+class ExternalAccount(msgspec.Struct, frozen=True):
+    """What the recorder heard of an external agent, which gives no account of itself.
+
+    Attributes
+    ----------
+    recorded
+        Its messages in the recording, by signal.
+    lost
+        Its messages that their sequence numbers show to be missing.
+    expected
+        How many messages it should have sent on the keys on which one comes in each cycle.
+    answered
+        How many of them came.
+    """
+
+    agent: str
+    recorded: dict[str, int]
+    lost: int
+    expected: int
+    answered: int
+
+
+class Recorded(Event, frozen=True):
+    """The recorder has closed its file.
+
+    Attributes
+    ----------
+    recorded
+        Messages in the file, by signal.
+    foreign
+        Payloads on the run's keys that are no messages of the run.
+    plant
+        What the run came to.
+    ended_early
+        Why the file does not go up to the end of the run; empty if it does.
+    external
+        An account of each external agent. Their messages are among the others in `recorded`.
+    complaints
+        What was wrong with messages that are none of the run, and with those of external agents.
+    """
+
+    recorded: dict[str, int]
+    foreign: int
+    plant: PlantPower
+    ended_early: str = ""
+    external: tuple[ExternalAccount, ...] = ()
+    complaints: tuple[Complaint, ...] = ()
+
+
+class RecordingEnded(Event, frozen=True):
+    """The recorder cannot write any more, and why, in one line. The run goes on without it."""
+
+    text: str
+
+
+class Failed(Event, frozen=True):
+    """The process gives up, and why, in one line."""
+
+    text: str
+
+
+AnyEvent: TypeAlias = (
+    Joined
+    | Armed
+    | Waiting
+    | Status
+    | Finished
+    | Presence
+    | Over
+    | Complaint
+    | Recorded
+    | RecordingEnded
+    | Failed
+)
