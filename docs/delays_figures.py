@@ -8,49 +8,51 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import msgspec
+from matplotlib.axes import Axes
+
+from launch_scripts.timing.delay_study import Outcome
+from launch_scripts.timing.delay_study_page import study_curves
+from recordings.report.delay_figures import StudyCurve
 
 mpl.use("Agg")
 
-TROUBLES = {
-    "delay": "delay of each hop [s]",
-    "loss": "lost messages [%]",
-    "period": "central period [s]",
-}
 MERITS = {
-    "control_caused_percent": "control-caused\nshortfall [% of desired]",
-    "mileage_kw_per_h": "mileage of support\n[kW/h]",
-    "score": "PJM performance score",
+    "control-caused [%]": "control-caused\nshortfall [% of desired]",
+    "mileage [kW/h]": "mileage of support\n[kW/h]",
+    "PJM score": "PJM performance score",
 }
+"""Of what `heliarch timing --study --report` draws, and what it is called here."""
+
 LOOKS = {"paper": ("#d55e00", "o"), "predictive": ("#0072b2", "s")}
 
 
-def draw(study: dict[str, Any], picture: Path) -> None:
+class Study(msgspec.Struct):
+    """What is needed of the document."""
+
+    outcomes: list[Outcome]
+
+
+def draw(study: Study, picture: Path) -> None:
     """Draw the outcomes with late messages used into a PNG file."""
+    curves = study_curves(study.outcomes)
+    troubles = list(dict.fromkeys(curve.column for curve in curves))
     figure, panels = plt.subplots(
-        len(MERITS), len(TROUBLES), figsize=(9.5, 7.4), sharey="row", layout="constrained"
+        len(MERITS), len(troubles), figsize=(9.5, 7.4), sharey="row", layout="constrained"
     )
     for row, (merit, what) in zip(panels, MERITS.items(), strict=True):
-        for panel, (trouble, unit) in zip(row, TROUBLES.items(), strict=True):
-            for scheme, (colour, marker) in LOOKS.items():
-                found = [
-                    one
-                    for one in study["outcomes"]
-                    if (one["trouble"], one["scheme"], one["late"]) == (trouble, scheme, "use")
-                ]
-                steps = range(len(found))
-                merits = [one[merit] for one in found]
-                panel.plot(steps, merits, color=colour, marker=marker, ms=4, lw=1.4, label=scheme)
-                panel.set_xticks(steps, [f"{one['value']:g}" for one in found], fontsize=8)
+        for panel, trouble in zip(row, troubles, strict=True):
+            for curve in curves:
+                if (curve.row, curve.column) == (merit, trouble):
+                    draw_curve(panel, curve)
             panel.grid(color="#e4e4e4")
             panel.set_axisbelow(True)
-            if merit == "score":
-                panel.set_xlabel(unit)
-            if merit == "mileage_kw_per_h":
+            if merit == "PJM score":
+                panel.set_xlabel(trouble)
+            if merit == "mileage [kW/h]":
                 panel.set_ylim(bottom=0.0)
                 panel.yaxis.set_major_formatter("{x:,.0f}")
         row[0].set_ylabel(what)
@@ -59,5 +61,13 @@ def draw(study: dict[str, Any], picture: Path) -> None:
     figure.savefig(picture, dpi=110)
 
 
+def draw_curve(panel: Axes, curve: StudyCurve) -> None:
+    """Draw a scheme along a trouble, in even steps."""
+    colour, marker = LOOKS[curve.name]
+    steps = range(len(curve.troubles))
+    panel.plot(steps, curve.merits, color=colour, marker=marker, ms=4, lw=1.4, label=curve.name)
+    panel.set_xticks(steps, [f"{value:g}" for value in curve.troubles], fontsize=8)
+
+
 if __name__ == "__main__":
-    draw(msgspec.json.decode(Path(sys.argv[1]).read_bytes()), Path(sys.argv[2]))
+    draw(msgspec.json.decode(Path(sys.argv[1]).read_bytes(), type=Study), Path(sys.argv[2]))

@@ -22,7 +22,8 @@ import zenoh
 
 METER_TOLERANCE = 0.05  # A meter may read so much above the rating before that is absurd.
 BEFORE_ALL = -(2**31)  # No cycle has begun: each message takes it further.
-ANSWER_BY = 0.3  # Share of a cycle after its telemetry by which a request must be there.
+REQUEST_BY = 0.3  # Share of a cycle after its telemetry by which a request must be there.
+SETPOINT_BY = 0.75  # The same of a setpoint.
 
 
 class DirectController:
@@ -53,23 +54,25 @@ class DirectController:
             return  # Of a cycle that is over, or a second time.
         self.inputs[signal] = message
         if signal == "telemetry":
-            self.answer_at = time.monotonic() + ANSWER_BY * self.plan["cycle_wall_ns"] / 1e9
+            self.measured_at = time.monotonic()
         self.advance()
 
-    def advance(self, *, without_request: bool = False) -> None:
-        """Take the steps whose inputs are there."""
-        awaits_parent = self.parent_acts()
-        if not self.estimated and "telemetry" in self.inputs:
-            if without_request:
-                self.missing.append(f"{self.node}/request")
-            if "request" in self.inputs or not awaits_parent or without_request:
-                self.estimate()
-        if (
-            self.estimated
-            and not self.actuated
-            and ("setpoint" in self.inputs or not awaits_parent)
-        ):
+    def advance(self, *, time_is_up: bool = False) -> None:
+        """Take the steps whose inputs are there; the next one without, if its time is up."""
+        measured = "telemetry" in self.inputs
+        if not self.estimated and measured and self.need_not_wait("request", time_is_up):
+            self.estimate()
+            time_is_up = False
+        if self.estimated and not self.actuated and self.need_not_wait("setpoint", time_is_up):
             self.actuate()
+
+    def need_not_wait(self, signal: str, time_is_up: bool) -> bool:
+        """Whether the parent has said it, or says nothing in this cycle, or is too late."""
+        if signal in self.inputs or not self.parent_acts():
+            return True
+        if time_is_up:
+            self.missing.append(f"{self.node}/{signal}")
+        return time_is_up
 
     def enter(self, cycle: int) -> None:
         """Begin a cycle. In arming rounds, whose numbers are negative, nothing is remembered."""
@@ -84,9 +87,15 @@ class DirectController:
         return self.cycle < 0 or self.cycle % self.plan["period_cycles"][depth_of_parent] == 0
 
     def seconds_left(self) -> float | None:
-        """How long to wait for the request before answering without it; in lockstep for ever."""
-        waits = not self.estimated and "telemetry" in self.inputs and self.plan["cycle_wall_ns"]
-        return max(self.answer_at - time.monotonic(), 0.0) if waits else None
+        """How long to wait for the parent before going on without; if for ever, None.
+
+        So it is in lockstep, in arming rounds, and between command and telemetry.
+        """
+        cycle_s: float = self.plan["cycle_wall_ns"] / 1e9
+        if not cycle_s or self.cycle < 0 or self.actuated or "telemetry" not in self.inputs:
+            return None
+        share = SETPOINT_BY if self.estimated else REQUEST_BY
+        return max(self.measured_at + share * cycle_s - time.monotonic(), 0.0)
 
     def estimate(self) -> None:
         """Say what the inverter could give (eq. 1), and what it has more or less than asked for."""
@@ -160,6 +169,7 @@ def session_config(plan: dict[str, Any], node: str, endpoints: list[str]) -> zen
     for key, value in {
         "mode": "peer",
         "namespace": plan["namespace"] or plan["run_id"],
+        "listen/endpoints": [],  # Without it Zenoh listens on a port of its own choice.
         "connect/endpoints": endpoints,
         "connect/timeout_ms": -1,
         "connect/exit_on_failure": False,
@@ -197,7 +207,7 @@ def main() -> None:
             try:
                 sample = arrived.get(timeout=controller.seconds_left())
             except queue.Empty:
-                controller.advance(without_request=True)
+                controller.advance(time_is_up=True)
                 continue
             message = msgpack.unpackb(sample.payload.to_bytes())
             signal = str(sample.key_expr).rpartition("/")[2]

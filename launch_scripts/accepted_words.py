@@ -12,8 +12,8 @@ from msgspec import inspect
 def accepted_words(struct: type[Any], path: str) -> tuple[str, ...]:
     """Return the words that a field accepts.
 
-    None where it is no field of a few words, and where the path leads to several fields of
-    different words (of structs that stand for one another).
+    There are none where it is no field of a few words, and where the path leads to several fields
+    of different words (of structs that stand for one another).
 
     Parameters
     ----------

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from bus_schemas.errors import InputError
 from bus_schemas.signals import SIGNALS
+from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
 from launch_scripts.json_rows import check_json_destination
 from launch_scripts.termination import leaving_on_sigterm
 from recordings.damage import damage_text
@@ -23,11 +24,6 @@ from recordings.export.unfinished import check_new
 from recordings.export.viewer_file import CLOCKS, Clock
 from recordings.reader import RunReader
 from recordings.selection import find_nodes, find_signals
-
-OK: Final = 0
-FAILED: Final = 1
-BAD_INPUT: Final = 2
-INTERRUPTED: Final = 130
 
 RECORDED: Final = tuple(row for row in SIGNALS if row.logged)
 
@@ -54,24 +50,19 @@ def run_export(request: ExportRequest) -> int:
     try:
         summary, damage = _export(request)
     except InputError as error:
-        return _complain(str(error), BAD_INPUT)
+        return complain(str(error), BAD_INPUT)
     except OSError as error:
-        return _complain(f"export: {error}; nothing is left of it", FAILED)
+        return complain(f"export: {error}; nothing is left of it", FAILED)
     except KeyboardInterrupt:
-        return _complain("interrupted; nothing is left of the export", INTERRUPTED)
+        return complain("interrupted; nothing is left of the export", INTERRUPTED)
     _print(summary, console)
     try:
         _write_json(summary, request.json)
     except OSError as error:
-        return _complain(f"--json: {error}", FAILED)
+        return complain(f"--json: {error}", FAILED)
     if damage:
         sys.stderr.write(f"heliarch: {damage}\n")
     return OK
-
-
-def _complain(text: str, status: int) -> int:
-    sys.stderr.write(f"heliarch: {text}\n")
-    return status
 
 
 def _export(request: ExportRequest) -> tuple[ExportSummary, str]:

@@ -12,7 +12,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
-from agents.lifeline import Complaint, Presence, Status
+from agents.events import Complaint, Presence, Status
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.links import explicit_links

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from agents.lifeline import (
+from agents.events import (
     AnyEvent,
     Armed,
     Complaint,
@@ -23,31 +23,21 @@ from bus_schemas.links import explicit_links
 from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.externals import ExternalWatch
 from launch_scripts.interruption import Interruption, interruptible
+from launch_scripts.launch_summary import LaunchAccount, launch_summary
 from launch_scripts.live_view import View
 from launch_scripts.preparation import Preparation
 from launch_scripts.processes import processes
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.run_pulse import HEARTBEAT_S, RunPulse
-from launch_scripts.summary import (
-    ProcessAccount,
-    RunSummary,
-    count_messages,
-    memory_use,
-    merge_counts,
-    plant_metrics,
-    without_external,
-)
+from launch_scripts.summary import RunSummary, merge_counts
 from launch_scripts.supervision import (
-    Child,
     Children,
-    Memory,
     RunFailure,
     blame,
     explain_stall,
     with_log,
 )
 from launch_scripts.tcp_ports import reserved_ports
-from launch_scripts.wrong_messages import wrong_messages
 
 _GATHER_S: Final = 0.5
 """After the first word of a stall: time for the others to say what they wait for."""
@@ -64,10 +54,12 @@ class Launch:
 
     Parameters
     ----------
-    preparation
+    preparation, plan
         The run.
     folder
         Where it goes.
+    view
+        Shows it.
     began_at
         Monotonic time at which the user asked for it [s]: start-up counts from there.
     on_armed
@@ -77,26 +69,30 @@ class Launch:
     def __init__(
         self,
         preparation: Preparation,
+        plan: RunPlan,
         folder: RunFolder,
+        view: View,
         began_at: float,
         on_armed: Callable[[], None] = lambda: None,
     ) -> None:
         self._preparation = preparation
+        self._plan = plan
         self._folder = folder
+        self._view = view
         self._began_at = began_at
         self._on_armed = on_armed
+        self._patience_s = preparation.external.timeout_s if plan.external else 0.0
         self._armed_at = began_at
-        self._pulse = RunPulse(preparation.plan, lambda text: None)
+        self._pulse = RunPulse(plan, view.say)
         self._stalled_at: float | None = None
         self._asked_at: float | None = None
         self._rounds = 0
         self._recorder_cpu_s: float | None = None
         self._over = False
-        self._external = ExternalWatch(preparation.plan, folder.plan, 0.0, began_at)
+        self._external = ExternalWatch(plan, folder.plan, self._patience_s, time.monotonic())
         self._interruption = Interruption()
-        self._refusals: tuple[str, ...] = ()
 
-    def run(self, plan: RunPlan, view: View) -> RunSummary:
+    def run(self) -> RunSummary:
         """Start the processes, see them through the run, compare what they say at its end.
 
         Raises
@@ -104,44 +100,49 @@ class Launch:
         RunFailure
             A process died or gave up, a cycle stalled, or messages got lost.
         """
-        patience_s = self._preparation.external.timeout_s if plan.external else 0.0
-        self._refusals = refusals(plan.machine, lockstep=plan.lockstep)
-        for refusal in self._refusals:
+        plan, view = self._plan, self._view
+        refused = refusals(plan.machine, lockstep=plan.lockstep)
+        for refusal in refused:
             view.say(refusal)
-        specs = processes(plan.tree, self._folder.plan, plan.external, patience_s)
+        specs = processes(plan.tree, self._folder.plan, plan.external, self._patience_s)
         view.say(f"starting {len(specs)} processes, logs in {self._folder.logs}")
-        self._external = ExternalWatch(plan, self._folder.plan, patience_s, time.monotonic())
-        self._pulse = RunPulse(plan, view.say)
         for line in self._external.directions():
             view.say(line)
         with (
             interruptible() as self._interruption,
             Children(specs, self._folder.logs) as children,
         ):
-            self._follow_or_explain(children, plan, view)
-            ended_at = time.monotonic()
-            recorder_percent = self._recorder_percent(children, ended_at)
+            self._follow_or_explain(children)
+            seen = self._account(children, refused)
             recorded = self._finish(children)
-            return self._summarise(children, plan, recorded, ended_at, recorder_percent)
+            return launch_summary(
+                self._preparation,
+                plan,
+                self._folder,
+                list(children),
+                recorded,
+                seen,
+                interrupted=bool(self._interruption),
+            )
 
-    def _follow_or_explain(self, children: Children, plan: RunPlan, view: View) -> None:
+    def _follow_or_explain(self, children: Children) -> None:
         """Follow the run; where it fails, say what external agents may have to do with it."""
         try:
-            self._follow(children, plan, view)
+            self._follow(children)
         except RunFailure as failure:
             text = self._external.explain(str(failure), running=bool(self._rounds))
             raise RunFailure(text) from failure
 
-    def _follow(self, children: Children, plan: RunPlan, view: View) -> None:
+    def _follow(self, children: Children) -> None:
         """Show the run until the plant says that it is over."""
         while not self._is_over(children):
             for _, event in children.events(0.1):
-                self._hear(event, view)
+                self._hear(event)
                 if isinstance(event, Armed):
                     self._recorder_cpu_s = children[RECORDER].cpu_s()
             self._check_progress(children)
             if self._interruption:
-                self._ask_stop(children, plan, view)
+                self._ask_stop(children)
 
     def _is_over(self, children: Children) -> bool:
         """Whether the run is over: of an external plant the recorder says so."""
@@ -151,7 +152,7 @@ class Launch:
         left = [child for child in children.controllers() if child.finished is None]
         return self._over or (self._asked_at is not None and not left)
 
-    def _hear(self, event: AnyEvent, view: View) -> None:
+    def _hear(self, event: AnyEvent) -> None:
         now = time.monotonic()
         match event:
             case Armed():
@@ -159,22 +160,22 @@ class Launch:
                 self._pulse.begin(now)
                 self._rounds = event.rounds
                 self._on_armed()
-                view.say(f"armed: cycle 0 began {now - self._began_at:.1f} s after the start")
+                self._view.say(f"armed: cycle 0 began {now - self._began_at:.1f} s after the start")
             case Status():
                 self._pulse.hear(event.cycle, now)
                 self._external.note(event)
-                view.show(event)
+                self._view.show(event)
             case Waiting():
                 self._stalled_at = self._stalled_at or now
             case Presence():
-                view.say(self._external.hear(event, now, running=bool(self._rounds)))
+                self._view.say(self._external.hear(event, now, running=bool(self._rounds)))
             case Over():
                 self._over = True
             case Complaint():
                 self._external.complain(event)
-                view.say(f"wrong message on {event.key}: {event.example}")
+                self._view.say(f"wrong message on {event.key}: {event.example}")
             case RecordingEnded():
-                view.say(f"{event.text}; the run goes on without it")
+                self._view.say(f"{event.text}; the run goes on without it")
 
     def _check_progress(self, children: Children) -> None:
         now = time.monotonic()
@@ -198,23 +199,23 @@ class Launch:
             text = f"not armed after {_ARMING_S:g} s: nothing came from {', '.join(absent)}"
             raise RunFailure(blame(children, absent[0], text))
 
-    def _ask_stop(self, children: Children, plan: RunPlan, view: View) -> None:
+    def _ask_stop(self, children: Children) -> None:
         """Let the plant end the run; lose patience after a while, or at the second Ctrl-C."""
         if not self._rounds:
             raise KeyboardInterrupt  # There is no cycle yet that could be completed.
         if self._asked_at is None:
-            self._tell_stop(children, view)
+            self._tell_stop(children)
             self._asked_at = time.monotonic()
-        longest_s = _PATIENCE_S + 2.0 * plan.cycle_wall_ns / 1e9
+        longest_s = _PATIENCE_S + 2.0 * self._plan.cycle_wall_ns / 1e9
         if self._interruption.count > 1 or time.monotonic() > self._asked_at + longest_s:
             raise KeyboardInterrupt
 
-    def _tell_stop(self, children: Children, view: View) -> None:
+    def _tell_stop(self, children: Children) -> None:
         if PLANT in children.by_agent:
-            view.say("interrupted: ending after this cycle")
+            self._view.say("interrupted: ending after this cycle")
             children[PLANT].tell("stop")
             return
-        view.say("interrupted: the controllers end now; the plant is external and goes on")
+        self._view.say("interrupted: the controllers end now; the plant is external and goes on")
         for child in children.controllers():
             child.tell("stop")
 
@@ -233,6 +234,18 @@ class Launch:
             raise RunFailure(with_log(recorder, "the recorder did not close its file"))
         return recorder.recorded
 
+    def _account(self, children: Children, refused: tuple[str, ...]) -> LaunchAccount:
+        """Say what was seen of the run, which has just come to its end."""
+        ended_at = time.monotonic()
+        return LaunchAccount(
+            began_at=self._began_at,
+            armed_at=self._armed_at,
+            ended_at=ended_at,
+            arming_rounds=self._rounds,
+            recorder_percent=self._recorder_percent(children, ended_at),
+            refusals=refused,
+        )
+
     def _recorder_percent(self, children: Children, ended_at: float) -> float | None:
         """Return the recorder's processor time since cycle 0 began [% of one core]."""
         at_start_s, at_end_s = self._recorder_cpu_s, children[RECORDER].cpu_s()
@@ -240,72 +253,6 @@ class Launch:
         if at_start_s is None or at_end_s is None or wall_s <= 0.0:
             return None
         return 100.0 * (at_end_s - at_start_s) / wall_s
-
-    def _summarise(
-        self,
-        children: Children,
-        plan: RunPlan,
-        recorded: Recorded,
-        ended_at: float,
-        recorder_percent: float | None,
-    ) -> RunSummary:
-        accounts = [child.finished for child in children if child.finished is not None]
-        cycles = len(recorded.plant.desired_kw)
-        samples: dict[str, list[Memory]] = {}
-        for child in children:
-            samples.setdefault(child.spec.kind, []).append(child.memory)
-        return RunSummary(
-            run_id=plan.run_id,
-            scenario=plan.plant,
-            driver="launch",
-            folder=str(self._folder.path),
-            sim_start=self._preparation.local_start(),
-            cycles=cycles,
-            cycle_s=plan.cycle_ns / 1e9,
-            # In real time the last cycle lasts to its end, though all have done their part before.
-            wall_s=max(ended_at - self._armed_at, cycles * plan.cycle_wall_ns / 1e9),
-            startup_s=self._armed_at - self._began_at,
-            arming_rounds=self._rounds,
-            metrics=plant_metrics(plan, recorded.plant),
-            messages=count_messages(
-                merge_counts([account.published for account in accounts]),
-                without_external(recorded),
-            ),
-            dropped=merge_counts(
-                [account.dropped for account in accounts]
-                + [{"at the recorder": recorded.foreign}] * bool(recorded.foreign)
-            ),
-            missing_inputs=sum(account.missing_inputs for account in accounts),
-            memory=memory_use(samples),
-            hindsight_neighbours=self._preparation.hindsight,
-            remarks=(*self._preparation.remarks, *self._refusals),
-            interrupted=bool(self._interruption),
-            recording_ended=recorded.ended_early,
-            faults=merge_counts([account.faults for account in accounts]),
-            late_used=sum(account.late_used for account in accounts),
-            cycles_given_up=sum(account.skipped_cycles for account in accounts),
-            processes=tuple(
-                _account(child, recorder_percent if child.spec.agent == RECORDER else None)
-                for child in children
-            ),
-            external=recorded.external,
-            wrong=wrong_messages(
-                plan, recorded.complaints, [account.dropped_ports for account in accounts]
-            ),
-        )
-
-
-def _account(child: Child, cpu_percent: float | None) -> ProcessAccount:
-    finished = child.finished
-    return ProcessAccount(
-        child.spec.agent,
-        child.spec.kind,
-        dropped=finished.dropped if finished else {},
-        resident_mb=child.memory.resident_mb,
-        timing=finished.timing if finished else None,
-        cycles_given_up=finished.skipped_cycles if finished else 0,
-        cpu_percent=cpu_percent,
-    )
 
 
 def launch(
@@ -332,4 +279,4 @@ def launch(
     agents = explicit_links(preparation.plan.tree).listening
     with reserved_ports(agents, preparation.external.base_port) as tcp_ports:
         plan = folder.fill(preparation, tcp_ports)
-        return Launch(preparation, folder, began_at, on_armed).run(plan, view)
+        return Launch(preparation, plan, folder, view, began_at, on_armed).run()

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from agents.lifeline import Status
+from agents.events import Status
 from agents.plan import RunPlan
 
 _PLAIN_S: Final = 2.0

@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable
-from typing import Annotated, Final, cast, get_args
+from typing import Annotated, Final, cast
 
 import msgspec
 
-from agents.machine import HIGHEST_PRIORITY, LOWEST_PRIORITY, Kind, MachineSettings
+from agents.kinds import KINDS, Kind
+from agents.machine import HIGHEST_PRIORITY, LOWEST_PRIORITY, MachineSettings
 from bus_schemas.errors import InputError
-
-_KINDS: Final = get_args(Kind)
 
 
 class MachineTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -69,10 +68,10 @@ def _cpus(where: str, words: Iterable[str]) -> tuple[tuple[int, ...], dict[Kind,
     of_kind: dict[Kind, tuple[int, ...]] = {}
     for word in words:
         kind, equals, listed = word.rpartition("=")
-        if equals and kind not in _KINDS:
+        if equals and kind not in KINDS:
             raise InputError(
                 f"{where} {word}: there is no kind of process {kind!r}, accepted are "
-                f"{', '.join(_KINDS)}"
+                f"{', '.join(KINDS)}"
             )
         cpus = _cpu_list(f"{where} {word}", listed)
         if equals:

@@ -75,6 +75,28 @@ class Preparation:
         return f"{moment.tz_convert(self.scenario.scenario.time.timezone):%Y-%m-%d %H:%M:%S %Z}"
 
 
+@dataclass(frozen=True, slots=True)
+class _Day:
+    """What sun and market do in a run, inverter by inverter, and the tree that the past suggests.
+
+    Inverters are in the order of the source here; `order` brings them into that of the tree, since
+    clusters may have mixed them up.
+    """
+
+    times: pd.DatetimeIndex
+    source: PowerSource
+    possible_kw: NDArray[np.float64]
+    commitment_kw: NDArray[np.float64]
+    covariance: HourlyMatrices
+    tree: ControlTree
+
+    @property
+    def order(self) -> list[int]:
+        """Place in the source of each inverter of the tree."""
+        names = self.source.sites.names
+        return [names.index(leaf.rpartition("/")[2]) for leaf in self.tree.leaves]
+
+
 def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Preparation:
     """Work out a run.
 
@@ -83,76 +105,21 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
     InputError
         Scenario, options and data do not go together.
     """
-    own = scenario_file.scenario
-    scenario = _with_cycle(own, options.cycle_s)
-    pace = options.pace or scenario.pace
     if options.seed is not None and not 0 <= options.seed <= LARGEST_SEED:
         raise InputError(f"--seed {options.seed}: accepted is 0 to {LARGEST_SEED}")
+    scenario = _with_cycle(scenario_file.scenario, options.cycle_s)
     try:
-        times = _times(scenario, options)
-        source = power_source(scenario_file, options.seed, times)
-        possible_kw = source.possible_kw(times)
-        commitment = commitment_kw(
-            scenario.commitment,
-            times,
-            possible_kw.sum(axis=1),
-            source.clear_sky_kw,
-            scenario_file.data_path,
-        )
-        covariance = _covariance(own, source, times)
-        tree = control_tree(
-            scenario.control,
-            source.sites,
-            covariance,
-            _hours_of(_times(own, RunOptions()), covariance, own),
-        )
-        periods = _periods(scenario, tree)
-        wall_ns = cycle_wall_ns(scenario.time.cycle_s, pace, "--pace" if options.pace else "pace")
-        deadlines_ns = tier_deadlines_ns(scenario.control.deadlines_ms, tree, wall_ns)
-        external = check_externals(options.external, tree)
-        faults = fault_rules(scenario_file, options.faults, tree, external)
-        machine = machine_settings(scenario.machine, options.machine, lockstep=pace == "max")
-        regulation = _regulation_kw(scenario_file, times)
+        day = _day(scenario_file, scenario, options)
+        plan = _plan(scenario_file, scenario, options, run_id, day)
+        regulation = _regulation_kw(scenario_file, day.times)
     except InputError as error:
         raise InputError(_with_file(scenario_file, str(error))) from None
-    # The plant's order is the tree's: clusters may have mixed the inverters up.
-    order = [source.sites.names.index(leaf.rpartition("/")[2]) for leaf in tree.leaves]
-    plan = RunPlan(
-        run_id=run_id,
-        plant=scenario.name,
-        inverters=tree.inverters,
-        start_time_ns=times[0].value,
-        cycle_ns=round(scenario.time.cycle_s * 1e9),
-        cycles=len(times),
-        timezone=scenario.time.timezone,
-        regulation_capacity_kw=scenario.regulation.capacity_kw if scenario.regulation else 0.0,
-        cycle_wall_ns=wall_ns,
-        period_cycles=periods.cycles,
-        scheme=options.scheme or scenario.control.scheme,
-        actuator=options.actuator or scenario.plant.actuator,
-        alpha_min=scenario.control.alpha_min,
-        hold_cycles=scenario.control.hold_cycles,
-        stall_timeout_s=scenario.control.stall_timeout_s,
-        neighbourhoods=neighbourhoods(
-            tree, in_order(covariance, order), _beginnings_ns(times, scenario)
-        ),
-        tcp_ports={},
-        ramp_limit_percent_per_min=scenario.plant.ramp_limit_percent_per_min,
-        external=external,
-        # Where the ports stay the same from run to run, all that a device is told does.
-        namespace=scenario.name if options.external.base_port is not None else "",
-        faults=faults,
-        faults_seed=scenario.faults_seed,
-        machine=machine,
-        late=scenario.control.late,
-        tier_deadlines_ns=deadlines_ns,
-    )
     profile = Profile(
-        np.ascontiguousarray(possible_kw[:, order]),
-        commitment,
+        np.ascontiguousarray(day.possible_kw[:, day.order]),
+        day.commitment_kw,
         regulation,
         plan.regulation_capacity_kw,
-        meter_error=_meter_error(scenario.plant, possible_kw.shape),
+        meter_error=_meter_error(scenario.plant, day.possible_kw.shape),
     )
     of_commitment = hindsight(scenario.commitment)
     return Preparation(
@@ -161,11 +128,74 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         scenario_file,
         hindsight=scenario.neighbours.history == "hindsight",
         remarks=(
-            *source.remarks(times),
+            *day.source.remarks(day.times),
             *(() if of_commitment is None else (of_commitment,)),
             *_regulation_remarks(scenario_file),
         ),
         external=options.external,
+    )
+
+
+def _day(scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions) -> _Day:
+    """Work out what sun and market do, and the control tree.
+
+    Clusters and neighbours are those of the scenario's own times and cycle, whatever the options.
+    """
+    own = scenario_file.scenario
+    times = _times(scenario, options)
+    source = power_source(scenario_file, options.seed, times)
+    possible_kw = source.possible_kw(times)
+    commitment = commitment_kw(
+        scenario.commitment,
+        times,
+        possible_kw.sum(axis=1),
+        source.clear_sky_kw,
+        scenario_file.data_path,
+    )
+    covariance = _covariance(own, source, times)
+    hours = _hours_of(_times(own, RunOptions()), covariance, own)
+    tree = control_tree(scenario.control, source.sites, covariance, hours)
+    return _Day(times, source, possible_kw, commitment, covariance, tree)
+
+
+def _plan(
+    scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions, run_id: str, day: _Day
+) -> RunPlan:
+    """Return what all agents of the run agree on."""
+    control, pace = scenario.control, options.pace or scenario.pace
+    periods = _periods(scenario, day.tree)
+    wall_ns = cycle_wall_ns(scenario.time.cycle_s, pace, "--pace" if options.pace else "pace")
+    deadlines_ns = tier_deadlines_ns(control.deadlines_ms, day.tree, wall_ns)
+    external = check_externals(options.external, day.tree)
+    return RunPlan(
+        run_id=run_id,
+        plant=scenario.name,
+        inverters=day.tree.inverters,
+        start_time_ns=day.times[0].value,
+        cycle_ns=round(scenario.time.cycle_s * 1e9),
+        cycles=len(day.times),
+        timezone=scenario.time.timezone,
+        regulation_capacity_kw=scenario.regulation.capacity_kw if scenario.regulation else 0.0,
+        cycle_wall_ns=wall_ns,
+        period_cycles=periods.cycles,
+        scheme=options.scheme or control.scheme,
+        actuator=options.actuator or scenario.plant.actuator,
+        alpha_min=control.alpha_min,
+        hold_cycles=control.hold_cycles,
+        stall_timeout_s=control.stall_timeout_s,
+        neighbourhoods=neighbourhoods(
+            day.tree, in_order(day.covariance, day.order), _beginnings_ns(day.times, scenario)
+        ),
+        tcp_ports={},
+        ramp_limit_percent_per_min=scenario.plant.ramp_limit_percent_per_min,
+        external=external,
+        # Where the ports stay the same from run to run, all that a device is told does.
+        namespace=scenario.name if options.external.base_port is not None else "",
+        faults=fault_rules(scenario_file, options.faults, day.tree, external),
+        faults_seed=scenario.faults_seed,
+        machine=machine_settings(scenario.machine, options.machine, lockstep=pace == "max"),
+        late=control.late,
+        tier_deadlines_ns=deadlines_ns,
     )
 
 

@@ -11,13 +11,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Final, Literal
 
+from agents.deadlines import stage_place
 from bus_schemas.errors import InputError
-from bus_schemas.tree import ControlTree
+from bus_schemas.tree import CENTRAL, ControlTree
 
 SHORTEST_CYCLE_NS: Final = 100_000
 """Below it no clock can pace a process: one that waits for a time is woken up to so much late."""
+
+_SHORTEST_SLICE_NS: Final = SHORTEST_CYCLE_NS
+"""Nor can a stage keep a deadline that is less after that of the stage before it."""
 
 SHORTEST_DEADLINE_MS: Final = SHORTEST_CYCLE_NS / 1e6
 LONGEST_DEADLINE_MS: Final = 3.6e9
@@ -75,8 +80,8 @@ def tier_deadlines_ns(
     Raises
     ------
     InputError
-        They are not one for each tier, rising by what a process is woken late at the least, and
-        within the cycle.
+        They are not one for each tier, within the cycle, and so far apart that each stage has at
+        least as much time as a process is woken late.
     """
     if deadlines_ms is None:
         return ()
@@ -86,23 +91,59 @@ def tier_deadlines_ns(
             f"{_DEADLINES} has {len(deadlines_ms)} entries, accepted is one for each of the "
             f"{tiers} tiers, the central controller's first and the direct controllers' last"
         )
-    found: list[int] = []
-    for tier, deadline_ms in enumerate(deadlines_ms):
-        where = f"{_DEADLINES}[{tier}] is {deadline_ms:g} ms"
-        if not SHORTEST_DEADLINE_MS <= deadline_ms <= LONGEST_DEADLINE_MS:
+    found = tuple(
+        _deadline_ns(tier, deadline_ms, cycle_ns) for tier, deadline_ms in enumerate(deadlines_ms)
+    )
+    for tier, (above_ns, below_ns) in enumerate(pairwise(found), start=1):
+        if below_ns - above_ns < _SHORTEST_SLICE_NS:
             raise InputError(
-                f"{where}, accepted is a number from {SHORTEST_DEADLINE_MS:g} to "
-                f"{LONGEST_DEADLINE_MS:g}"
+                f"{_stated(tier, deadlines_ms[tier])}, accepted is {SHORTEST_DEADLINE_MS:g} ms "
+                f"more than that of the tier above it ({deadlines_ms[tier - 1]:g} ms), or later: "
+                f"each tier speaks after its parent"
             )
-        found.append(round(deadline_ms * 1e6))
-        if tier and found[-1] - found[-2] < SHORTEST_CYCLE_NS:
-            raise InputError(
-                f"{where}, accepted is {SHORTEST_DEADLINE_MS:g} ms more than that of the tier "
-                f"above it ({deadlines_ms[tier - 1]:g} ms), or later: each tier speaks after its "
-                f"parent"
-            )
-        if cycle_ns and found[-1] >= cycle_ns:
-            raise InputError(
-                f"{where}, accepted is less than the cycle on the wall clock, {cycle_ns / 1e6:g} ms"
-            )
-    return tuple(found)
+    _check_first_stages(found[0], tree)
+    if cycle_ns:
+        _check_plant(found[-1], cycle_ns, tiers - 1)
+    return found
+
+
+def _deadline_ns(tier: int, deadline_ms: float, cycle_ns: int) -> int:
+    """Return the deadline of a tier; refuse one that there cannot be in a cycle."""
+    if not SHORTEST_DEADLINE_MS <= deadline_ms <= LONGEST_DEADLINE_MS:
+        raise InputError(
+            f"{_stated(tier, deadline_ms)}, accepted is a number from {SHORTEST_DEADLINE_MS:g} to "
+            f"{LONGEST_DEADLINE_MS:g}"
+        )
+    deadline_ns = round(deadline_ms * 1e6)
+    if cycle_ns and deadline_ns >= cycle_ns:
+        raise InputError(
+            f"{_stated(tier, deadline_ms)}, accepted is less than the cycle on the wall clock, "
+            f"{cycle_ns / 1e6:g} ms"
+        )
+    return deadline_ns
+
+
+def _stated(tier: int, deadline_ms: float) -> str:
+    return f"{_DEADLINES}[{tier}] is {deadline_ms:.10g} ms"
+
+
+def _check_first_stages(central_ns: int, tree: ControlTree) -> None:
+    """Refuse a deadline of the central controller that leaves no time to those before its word."""
+    stages = stage_place(CENTRAL, "solve", tree)
+    if central_ns < stages * _SHORTEST_SLICE_NS:
+        raise InputError(
+            f"{_stated(0, central_ns / 1e6)}: the {stages} stages from the first "
+            f"request to the central controller's solve share it, {central_ns / stages / 1e3:.3g} "
+            f"us each, accepted is {stages * _SHORTEST_SLICE_NS / 1e6:g} ms or more"
+        )
+
+
+def _check_plant(last_ns: int, cycle_ns: int, tier: int) -> None:
+    """Refuse a last deadline that leaves the plant no time to go on before its next tick."""
+    slice_ns = (cycle_ns - last_ns) / 2.0
+    if slice_ns < _SHORTEST_SLICE_NS:
+        latest_ms = (cycle_ns - 2 * _SHORTEST_SLICE_NS) / 1e6
+        raise InputError(
+            f"{_stated(tier, last_ns / 1e6)}: the plant's advance has half of the "
+            f"rest of the cycle, {slice_ns / 1e3:.3g} us, accepted is at most {latest_ms:.10g} ms"
+        )

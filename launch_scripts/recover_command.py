@@ -13,6 +13,7 @@ import msgspec
 from rich.console import Console
 
 from bus_schemas.errors import InputError
+from launch_scripts.exit_status import BAD_INPUT, INTERRUPTED, complain
 from launch_scripts.json_rows import check_json_destination
 from launch_scripts.reading_progress import reading_progress
 from launch_scripts.termination import leaving_on_sigterm
@@ -23,9 +24,7 @@ from recordings.recovery import Recovery, is_sound, recover_run
 
 WHOLE: Final = 0
 NOTHING: Final = 1
-BAD_INPUT: Final = 2
 LOSSY: Final = 3
-INTERRUPTED: Final = 130
 
 _WIDTH: Final = 100
 _SUFFIX: Final = ".recovered.mcap"
@@ -49,13 +48,13 @@ def recover(path: Path, out: Path | None, json: str | None) -> int:
         with RunReader(path) as run, leaving_on_sigterm():
             return _recover(run, out or run.path.with_suffix(_SUFFIX), json, console)
     except NothingRecordedError as error:
-        return _complain(f"{error}: there is nothing to recover", NOTHING)
+        return complain(f"{error}: there is nothing to recover", NOTHING)
     except InputError as error:
-        return _complain(error, BAD_INPUT)
+        return complain(error, BAD_INPUT)
     except OSError as error:
-        return _complain(f"{error.filename or out or path}: {error.strerror}", NOTHING)
+        return complain(f"{error.filename or out or path}: {error.strerror}", NOTHING)
     except KeyboardInterrupt:
-        return _complain("interrupted", INTERRUPTED)
+        return complain("interrupted", INTERRUPTED)
 
 
 def _recover(run: RunReader, out: Path, json: str | None, console: Console) -> int:
@@ -69,9 +68,7 @@ def _recover(run: RunReader, out: Path, json: str | None, console: Console) -> i
         recovery = recover_run(run, out, follow)
     if not recovery.messages:
         out.unlink()
-        return _complain(
-            f"{run.path}: no message can be read, there is nothing to recover", NOTHING
-        )
+        return complain(f"{run.path}: no message can be read, there is nothing to recover", NOTHING)
     for line in _account(run, recovery):
         console.print(textwrap.fill(line, _WIDTH, subsequent_indent="  ", break_long_words=False))
     document = msgspec.to_builtins(recovery) | {"lossless": recovery.lossless}
@@ -140,10 +137,5 @@ def _write_json(document: dict[str, object], json: str | None, status: int) -> i
         elif json is not None:
             Path(json).write_bytes(text)
     except OSError as error:
-        return _complain(f"--json: {error}", NOTHING)
-    return status
-
-
-def _complain(text: object, status: int) -> int:
-    sys.stderr.write(f"heliarch: {text}\n")
+        return complain(f"--json: {error}", NOTHING)
     return status

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from agents.plan import Actuator, Scheme
 from bus_schemas.errors import InputError
+from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
 from launch_scripts.externals import NO_EXTERNALS, ExternalOptions
 from launch_scripts.launcher import launch
 from launch_scripts.live_view import View, view_for
@@ -21,13 +22,9 @@ from launch_scripts.preparation import Preparation, RunOptions, prepare
 from launch_scripts.run_folder import RunFolder, new_run_id, run_folder
 from launch_scripts.scenario import FASTEST_PACE, SLOWEST_PACE, load_scenario
 from launch_scripts.simulation import simulate
-from launch_scripts.summary import RunSummary, print_summary
+from launch_scripts.summary import RunSummary
+from launch_scripts.summary_table import print_summary
 from launch_scripts.supervision import RunFailure
-
-OK: Final = 0
-FAILED: Final = 1
-BAD_INPUT: Final = 2
-INTERRUPTED: Final = 130
 
 Driver: TypeAlias = Callable[[Preparation, RunFolder, View, float], RunSummary]
 
@@ -72,7 +69,7 @@ def run(request: RunRequest, began_at: float) -> int:
         preparation, folder = prepare_run(request)
     except (OSError, ValueError) as error:
         # Bad input; a file that may not be read, or a name that no file can have.
-        return _complain(error, BAD_INPUT)
+        return complain(error, BAD_INPUT)
     try:
         summary = _drive(request.driver, preparation, folder, console, began_at)
         status = _conclude(summary, folder, request.json, console)
@@ -80,14 +77,14 @@ def run(request: RunRequest, began_at: float) -> int:
             _report(folder, console)
         return status
     except InputError as error:
-        return _complain(error, BAD_INPUT)
+        return complain(error, BAD_INPUT)
     except OSError as error:
-        return _complain(f"{error.filename or folder.path}: {error.strerror}", FAILED)
+        return complain(f"{error.filename or folder.path}: {error.strerror}", FAILED)
     except RunFailure as error:
         kept = f"recording up to there: {folder.recording}" if folder.recording.exists() else ""
-        return _complain(f"{error}\n{kept}".strip(), FAILED)
+        return complain(f"{error}\n{kept}".strip(), FAILED)
     except KeyboardInterrupt:
-        return _complain("interrupted; the processes were ended by force", INTERRUPTED)
+        return complain("interrupted; the processes were ended by force", INTERRUPTED)
 
 
 def _drive(
@@ -107,9 +104,9 @@ def _conclude(summary: RunSummary, folder: RunFolder, json: str | None, console:
     console.print(f"recording: {folder.recording}", highlight=False, soft_wrap=True, markup=False)
     _write_summary(summary, folder, json)
     if summary.recording_ended:
-        return _complain(f"{summary.recording_ended}; what it holds can be read", FAILED)
+        return complain(f"{summary.recording_ended}; what it holds can be read", FAILED)
     if summary.lost:
-        return _complain(_lost_text(summary), FAILED)
+        return complain(_lost_text(summary), FAILED)
     return INTERRUPTED if summary.interrupted else OK
 
 
@@ -196,8 +193,3 @@ def _lost_text(summary: RunSummary) -> str:
         if count.lost
     ]
     return "messages were lost: " + "; ".join(lines)
-
-
-def _complain(text: object, status: int) -> int:
-    sys.stderr.write(f"heliarch: {text}\n")
-    return status

@@ -11,7 +11,7 @@ from typing import Final
 
 from agents.plan import RunPlan
 from bus_schemas.tree import PLANT, RECORDER
-from recordings.spoken_words import PATIENCE_S
+from recordings.recordable_messages import PATIENCE_S
 
 HEARTBEAT_S: Final = 2.0
 """The recorder speaks a few times a second: silence for this long is a fault."""

@@ -12,8 +12,8 @@ from zoneinfo import ZoneInfo, available_timezones
 
 import msgspec
 
+from agents.late_words import LatePolicy
 from agents.plan import Actuator, Scheme
-from agents.sequencer import LateWords
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule
 from bus_schemas.tree import check_name
@@ -205,7 +205,7 @@ class ControlTable(_Table, frozen=True):
     alpha_min: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.05
     hold_cycles: Annotated[int, msgspec.Meta(ge=0)] = 10
     stall_timeout_s: Patience = 3.0
-    late: LateWords = "use"
+    late: LatePolicy = "use"
     deadlines_ms: tuple[float, ...] | None = None
 
 

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import msgspec
 import psutil
 
-from agents.lifeline import AnyEvent, Failed, Finished, Ready, Recorded, Waiting
+from agents.events import AnyEvent, Failed, Finished, Joined, Recorded, Waiting
 from bus_schemas.tree import RECORDER
 from launch_scripts.processes import ProcessSpec, environment
 
@@ -221,7 +221,7 @@ class Children:
 
     def _note(self, child: Child, event: AnyEvent) -> None:
         match event:
-            case Ready():
+            case Joined():
                 child.ready = True
             case Finished():
                 child.finished = event

@@ -17,7 +17,6 @@ from typing import Any, TypeAlias
 from msgspec.structs import replace
 
 from agents.agent import Agent
-from agents.deadlines import deadline_ns
 from agents.plan import RunPlan
 from agents.sequencer import Sequencer
 from agents.team import controllers
@@ -182,12 +181,11 @@ class TimedRun:
                     self._arrived.append((listener, port, stamped))
 
     def _deadline_ns(self, name: str, cycle: int, stage: str) -> int:
-        plan, after_ns = self.plan, self._deadlines_ns.get((name, stage))
+        after_ns = self._deadlines_ns.get((name, stage))
         if after_ns is None:
-            after_ns = self._deadlines_ns[name, stage] = deadline_ns(
-                name, stage, plan.tree, plan.cycle_wall_ns, plan.tier_deadlines_ns
-            )
-        return cycle * plan.cycle_wall_ns + after_ns
+            after_ns = self.plan.deadlines.deadline_ns(name, stage)
+            self._deadlines_ns[name, stage] = after_ns
+        return cycle * self.plan.cycle_wall_ns + after_ns
 
     def _all_finished(self) -> bool:
         return all(sequencer.finished for sequencer in self.sequencers.values())

@@ -2,8 +2,10 @@
 
     .venv/bin/python -m launch_scripts.wire_document > docs/wire.md
 
-Keys, types, layouts and stages are read from the table of signals, the message types and the agents
-themselves, so the document cannot differ from what runs. A test holds the file to it.
+The tables of signals, types and stages and the examples, byte by byte, are read from the table of
+signals, the message types, the codec and the agents themselves, so they cannot differ from what
+runs. The rules around them are prose: whoever changes one in the code changes it here. A test holds
+the file to this module.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from msgspec.structs import fields
 
 from agents.agent import Agent, Stage, Turn
 from agents.central import CentralController
-from agents.deadlines import deadline_ns
+from agents.deadlines import Deadlines
 from agents.direct import DirectController
 from agents.family import Family
 from agents.periods import Periods
@@ -60,8 +62,8 @@ def _opening() -> Iterator[str]:
 # On the wire
 
 What a program in any language must do to take the place of one agent: a direct controller on a
-microcontroller, a foreign plant, a real inverter's gateway. Written from the code by `python -m
-launch_scripts.wire_document`; where the two differ, a test fails.
+microcontroller, a foreign plant, a real inverter's gateway. Written by `python -m
+launch_scripts.wire_document`, which reads signals, types, bytes and stages from the code.
 
 ## Joining
 
@@ -89,7 +91,7 @@ whole or not at all:
 | `neighbourhoods`, `hold_cycles` | for parents, see *What a parent works out* |
 | `late` | `use` or `drop`: what becomes of messages that come too late, see *Real time* |
 | `stall_timeout_s` | lockstep: after so long a wait an agent says for what, and the run ends |
-| `faults`, `faults_seed` | what Heliarch's agents do to their own messages; a device does nothing |
+| `faults`, `faults_seed` | what Heliarch's agents do to what comes in; a device does nothing |
 | `machine` | processors and priorities of the launcher's processes |
 | `timezone`, `regulation_capacity_kw`, `ramp_limit_percent_per_min` | for reports, not for agents |
 
@@ -228,7 +230,7 @@ have come, or, in real time, at its deadline; then the agent publishes, in this 
         for stage in agent.stages(0):
             awaits = ", ".join(sorted({port.signal.name for port in stage.awaits}))
             announced = ", ".join(sorted({port.signal.name for port in stage.on_need}))
-            share = deadline_ns(agent.name, stage.name, _TREE, 1_000_000) / 1e6
+            share = Deadlines(_TREE, 1_000_000).deadline_ns(agent.name, stage.name) / 1e6
             says = ", ".join(_says(agent, stage))
             yield f"| {kind} | {stage.name} | {awaits} | {announced} | {says} | {share:.3f} |"
     yield ""
@@ -348,10 +350,11 @@ with `run`. Deadlines count from the beginning of the cycle:
 parent's turns) in, `impp` and `residual` out; `setpoint` in, `command` out. Where something does
 not come it answers without, by its own clock, at the deadline of its stage or a little earlier: in
 a tree as above, 0.3 of the cycle after its telemetry it no longer waits for the `request`, and 0.75
-after it no longer for the `setpoint`. Without telemetry it does as in the cycle before, if it has a
-clock, or is silent. `publish_time_ns` from a foreign clock would spoil hop latencies and the
-order of messages in time: such a device sends the `publish_time_ns` of the message that it answers
-plus the nanoseconds that the answer took it, or 0, which counts as unknown.
+after it no longer for the `setpoint`. Arming rounds have no deadlines. Without telemetry it does as
+in the cycle before, if it has a clock, or is silent. `publish_time_ns` from a foreign clock would
+spoil hop latencies and the order of messages in time: such a device sends the `publish_time_ns` of
+the message that it answers plus the nanoseconds that the answer took it, or 0, which counts as
+unknown.
 
 **After a deadline** an agent goes on without what is missing, and names it in `missing`:
 
@@ -440,8 +443,10 @@ def _wrong_answers() -> Iterator[str]:
         """
 ## Wrong answers
 
-None of them stops anybody else. Each is counted by key and cause, with an example in the log of who
-heard it, on the launcher's screen and in the summary.
+None of them stops anybody else. The recorder, which hears everything, counts what is wrong by key
+and cause, and gives an example in its log, on the launcher's screen and in the summary. Listeners
+count what they drop by key and cause too, with examples in their logs; in the summary the larger
+count of the two holds.
 
 | what | cause | what becomes of it |
 |---|---|---|
@@ -454,7 +459,12 @@ heard it, on the launcher's screen and in the summary.
 | a second message on a key in a cycle | `duplicate` | dropped: the first one holds |
 | the same, and it says something else | `repeated` | dropped as well, but recorded |
 | not due in this cycle | `unexpected` | dropped |
-| NaN, negative, above the rating; a wrong `sim_time_ns` | `absurd` | to listeners it is silence |
+| NaN, infinite, beyond the bounds in *Rules* | `absurd` | to listeners it is silence |
+| a `dispatch` below 0 or above the rating | none, but a `notice` | held within, and acted on |
+| a `sim_time_ns` that is not its cycle's | `absurd` | used: the recorder alone looks at it |
+| a `run` that begins over 10 s from now, in real time | `absurd` | it begins now instead |
+| a `run` with another `cycle_wall_ns` than the plan | `absurd` | that of the plan holds |
+| a second `run` of state `start` | `repeated` | dropped, but recorded |
 | nothing | `missing` of those who waited | real time: done without; lockstep: the run ends |
 | more than can be looked at | `flooded` | of 10,000 waiting on, 100 of each key are kept |
 

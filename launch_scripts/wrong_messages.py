@@ -12,7 +12,7 @@ from typing import Final
 
 import msgspec
 
-from agents.lifeline import Complaint
+from agents.events import Complaint
 from agents.plan import RunPlan
 from bus_schemas.signals import ports
 
@@ -22,6 +22,7 @@ _LISTENERS_CAUSES: Final = {
     "unexpected": "not expected in its cycle",
     "duplicate": "came twice in a cycle",
     "foreign": "not from who may publish there",
+    "flooded": "more than can be looked at",
 }
 """What agents' words for a cause mean."""
 

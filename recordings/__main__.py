@@ -8,9 +8,12 @@ import signal
 import sys
 from pathlib import Path
 
-from agents.lifeline import Failed, Lifeline, Ready, join_run
+from agents.drop_log import DropLog
+from agents.events import Failed, Joined
+from agents.joining import session_settings
+from agents.lifeline import Lifeline
 from agents.plan import RunPlan, load_plan
-from agents.runtime import DropLog, session_settings, settle_in
+from agents.process_setup import join_run, settle_in
 from bus_schemas.errors import InputError
 from bus_schemas.tree import RECORDER
 from bus_schemas.zenoh_bus import ZenohTap
@@ -47,7 +50,7 @@ def record(plan: RunPlan, folder: Path, attached: bool) -> int:
     try:
         writer = RunWriter(folder / RECORDING_NAME, plan, scenario, driver="launch")
         with ZenohTap(RECORDER, plan.keys, session_settings(plan, RECORDER)) as tap:
-            lifeline.tell(Ready())
+            lifeline.tell(Joined())
             Recorder(plan, tap, writer, lifeline, end, DropLog(), attached).run()
     except Exception as error:
         log.exception("the recorder gives up")

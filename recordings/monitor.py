@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from agents.lifeline import PlantPower, Status
+from agents.events import PlantPower, Status
 from bus_schemas.messages import Dispatch, Message, Production
 from bus_schemas.signals import HELP, Port
 

@@ -1,7 +1,8 @@
-"""What numbers a message can have: what lies beyond counts as silence with those who listen.
+"""What numbers a message can have: with what lies beyond, those who listen do without.
 
-Agents do not complain of such numbers, they do without. So that a device which sends them can be
-named, whoever hears all of the bus looks at them here.
+Most of it counts as silence with them, and of `run` they take what can be. Agents do not complain.
+So that a device which sends such numbers can be named, whoever hears all of the bus looks at them
+here.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Iterator
 from math import inf, isfinite
 
 from agents.control.impp import METER_TOLERANCE
-from agents.plan import RunPlan
+from agents.plan import START_WITHIN_NS, RunPlan
 from bus_schemas.messages import (
     Command,
     Dispatch,
@@ -20,6 +21,7 @@ from bus_schemas.messages import (
     Production,
     Request,
     Residual,
+    Run,
     Setpoint,
     Telemetry,
 )
@@ -30,7 +32,7 @@ _ROUNDING = 1.0 + 1e-9
 """Shares and sums that were worked out tier by tier may exceed a rating by a rounding error."""
 
 
-def absurdity(plan: RunPlan, port: Port[Message], message: Message) -> str:
+def absurdity(plan: RunPlan, port: Port[Message], message: Message, heard_ns: int) -> str:
     """Say what cannot be right in a message, empty if nothing.
 
     Parameters
@@ -39,6 +41,8 @@ def absurdity(plan: RunPlan, port: Port[Message], message: Message) -> str:
         Of the run: gives the ratings, and the simulated time of each cycle.
     port, message
         The message and where it came.
+    heard_ns
+        When it came, on the monotonic clock of the host.
     """
     sim_time_ns = plan.sim_time_ns(message.cycle)
     if message.sim_time_ns != sim_time_ns:
@@ -47,6 +51,11 @@ def absurdity(plan: RunPlan, port: Port[Message], message: Message) -> str:
         )
     if isinstance(message, Production):
         return _absurd_production(len(plan.inverters), message)
+    if isinstance(message, Run):
+        return _absurd_start(plan, message, heard_ns) if message.state == "start" else ""
+    if isinstance(message, Dispatch):
+        # What is beyond the ratings is held between them, and acted on: an operator's mistake.
+        return _not_finite(message)
     for field, value, low, high in _bounds(plan.tree.rating_kw(port.node or ROOT), message):
         if not low <= value <= high:  # NaN fails every comparison.
             return f"{field} is {value:g}, accepted is {low:g} to {high:g}"
@@ -62,9 +71,6 @@ def _bounds(rating_kw: float, message: Message) -> Iterator[tuple[str, float, fl
             yield "power_kw", message.power_kw, 0.0, rating_kw * (1.0 + METER_TOLERANCE)
             yield "alpha", message.alpha, least_alpha, 1.0
             yield "limit_kw", message.limit_kw, 0.0, most_kw
-        case Dispatch():
-            yield "power_kw", message.power_kw, 0.0, most_kw
-            yield "regulation_kw", message.regulation_kw, -most_kw, most_kw
         case Request() | Setpoint():
             yield "power_kw", message.power_kw, 0.0, most_kw
         case Impp():
@@ -84,9 +90,27 @@ def _absurd_production(inverters: int, message: Production) -> str:
         if len(getattr(message, field)) != inverters:
             found = len(getattr(message, field))
             return f"{field} has {found} entries, accepted is one for each of {inverters} inverters"
+    return _not_finite(message)
+
+
+def _absurd_start(plan: RunPlan, start: Run, heard_ns: int) -> str:
+    if start.cycle != 0:
+        return f"the run begins with cycle {start.cycle}, accepted is 0"
+    if start.cycle_wall_ns != plan.cycle_wall_ns:
+        return f"cycle_wall_ns is {start.cycle_wall_ns}, accepted is {plan.cycle_wall_ns}"
+    if not plan.lockstep and abs(start.start_time_ns - heard_ns) > START_WITHIN_NS:
+        within_s = START_WITHIN_NS / 1e9
+        return (
+            f"start_time_ns is {start.start_time_ns} and came at {heard_ns} of this host's "
+            f"monotonic clock, accepted is within {within_s:g} s of it"
+        )
+    return ""
+
+
+def _not_finite(message: Message) -> str:
     for field in message.__struct_fields__:
         values = getattr(message, field)
         for value in values if isinstance(values, tuple) else (values,):
             if isinstance(value, float) and not isfinite(value):
-                return f"{field} has {value:g}, accepted are finite numbers"
+                return f"{field} is {value:g}, accepted are finite numbers"
     return ""

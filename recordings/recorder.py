@@ -12,26 +12,26 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Collection
 from typing import Final
 
 import msgspec
 from msgspec.structs import replace
 
-from agents.lifeline import Armed, Lifeline, Over, Presence, Recorded, RecordingEnded
+from agents.events import Armed, Over, Presence, Recorded, RecordingEnded
+from agents.lifeline import Lifeline
 from agents.plan import RunPlan
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message, Ready, Run
 from bus_schemas.signals import DISPATCH, READY, Occurrence, Port, ports
 from bus_schemas.tree import PLANT, RECORDER, ROOT
 from bus_schemas.zenoh_bus import ZenohTap
-from recordings.complaints import ABSURD, Complaints
 from recordings.external_agents import ExternalAgents
 from recordings.lasting_writer import LastingWriter
+from recordings.message_complaints import ABSURD, Complaints
 from recordings.monitor import RunMonitor
 from recordings.plausibility import absurdity
-from recordings.spoken_words import Objection, SpokenWords
+from recordings.recordable_messages import FAR_OFF, REPEATED, Objection, SpokenWords
 from recordings.writer import RunWriter
 
 log = logging.getLogger(__name__)
@@ -105,7 +105,6 @@ class Recorder:
     ) -> None:
         self.monitor = RunMonitor()
         self.complaints = Complaints(drop_log, lifeline.tell)
-        self.gaps: Counter[str] = Counter()
         self._plan = plan
         self._tap = tap
         self._writer = LastingWriter(writer, self._tell_end)
@@ -114,9 +113,9 @@ class Recorder:
         self._attached = attached
         self._external = ExternalAgents(plan)
         self._newest_cycle = -1
+        self._has_begun = False
         self._stop_cycle: int | None = None
         self._spoken = SpokenWords(plan)
-        self._next_sequence: dict[Port[Message], int] = {}
         self._ready_port = READY.of(ROOT)
         self._round = Round(plan)
 
@@ -189,7 +188,14 @@ class Recorder:
             return None
         if publisher in self._plan.external and publisher != PLANT and not self._round.answered:
             return Objection("other_cycle", f"it is of cycle {cycle}, before the run")
-        return self._spoken.objection(port, message, self._newest_cycle)
+        if isinstance(message, Run) and message.state == "start":
+            if self._has_begun:
+                return Objection(REPEATED, "the run begins a second time", is_recorded=True)
+            self._has_begun = True
+        objection = self._spoken.objection(port, message, self._newest_cycle)
+        is_far_off = objection is not None and objection.cause in FAR_OFF
+        self._external.hear(port, message, is_far_off=is_far_off)
+        return objection
 
     def _record(
         self, port: Port[Message], message: Message, payload: bytes, *, is_first: bool
@@ -197,14 +203,15 @@ class Recorder:
         """Write down a message of the run, and follow the run by the first one of each cycle."""
         if port.signal is DISPATCH:
             self._newest_cycle = max(message.cycle, self._newest_cycle)
-        elif isinstance(message, Run):
+        elif isinstance(message, Run) and is_first:
             self._follow(message)
-        self._external.hear(port, self._count_gap(port, message), is_answer=is_first)
-        self._writer.add(port, message, payload, time.monotonic_ns())
+        heard_ns = time.monotonic_ns()
+        self._external.record(port, is_answer=is_first)
+        self._writer.add(port, message, payload, heard_ns)
         if not is_first:
             return
         if port.publisher in self._plan.external:
-            absurd = absurdity(self._plan, port, message)
+            absurd = absurdity(self._plan, port, message, heard_ns)
             if absurd:
                 self.complaints.add(self._plan.keys.key(port), ABSURD, absurd)
                 return
@@ -219,14 +226,6 @@ class Recorder:
         if PLANT in self._plan.external:
             began = message.state == "start"
             self._lifeline.tell(Armed(self._round.count) if began else Over(message.cycle))
-
-    def _count_gap(self, port: Port[Message], message: Message) -> int:
-        """Return how many messages before this one did not come."""
-        gap = max(message.sequence - self._next_sequence.get(port, 0), 0)
-        self._next_sequence[port] = message.sequence + 1
-        if gap:
-            self.gaps[port.signal.name] += gap
-        return gap
 
     def _answer_round(self, message: Message) -> None:
         ready = Ready(message.cycle, message.sim_time_ns, RECORDER, ())
@@ -254,7 +253,6 @@ class Recorder:
         self._lifeline.tell(
             Recorded(
                 recorded=dict(self._writer.recorded),
-                gaps=dict(self.gaps),
                 foreign=self.complaints.set_aside,
                 plant=self.monitor.plant,
                 ended_early=self._writer.trouble,

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from agents.lifeline import PlantPower
+from agents.events import PlantPower
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Dispatch, Message, Production

@@ -65,7 +65,7 @@ class PlaybackClock:
 
     Attributes
     ----------
-    rate
+    rate, now_ns
         See above.
     paused
         Whether the tape stands still.
@@ -76,13 +76,13 @@ class PlaybackClock:
     ) -> None:
         self.rate = rate
         self.paused = paused
-        self._now_ns = now_ns
+        self.now_ns = now_ns
         self._position_ns = 0
         self._moment_ns = now_ns()
 
     def move_to(self, position_ns: int) -> None:
         """Let the tape be at a position now."""
-        self._position_ns, self._moment_ns = position_ns, self._now_ns()
+        self._position_ns, self._moment_ns = position_ns, self.now_ns()
 
     def due_ns(self, position_ns: int) -> int:
         """Return the monotonic time at which a position is reached [ns]."""
@@ -103,4 +103,4 @@ class PlaybackClock:
     def _here_ns(self) -> int:
         if self.paused:
             return self._position_ns
-        return self._position_ns + round((self._now_ns() - self._moment_ns) * self.rate)
+        return self._position_ns + round((self.now_ns() - self._moment_ns) * self.rate)

@@ -11,10 +11,11 @@ import time
 from collections.abc import Collection, Iterable, Iterator
 from typing import Final, Literal
 
-from agents.lifeline import Waiting
+from agents.events import Waiting
+from agents.garbage import spare_the_collector
+from agents.histograms import new_histogram, record_ns
 from agents.machine import wake_precisely
 from agents.plan import RunPlan
-from agents.runtime import spare_the_collector
 from bus_schemas.bus import Outbox
 from bus_schemas.codec import decode, encode
 from bus_schemas.messages import Clock, Message
@@ -27,7 +28,6 @@ from launch_scripts.replay.session import ReplaySession
 from launch_scripts.replay.stand_in import StandIn, steady_ports
 from launch_scripts.replay.tape import Tape
 from launch_scripts.supervision import Children, RunFailure, with_log
-from launch_scripts.timing.distributions import new_histogram, record_ns
 from recordings.reader import RecordedMessage
 
 _LEAD_S: Final = 0.2

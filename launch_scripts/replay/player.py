@@ -9,8 +9,9 @@ from typing import Final, NamedTuple, Protocol
 
 from hdrh.histogram import HdrHistogram
 
+from agents.garbage import spare_the_collector
+from agents.histograms import new_histogram, record_ns
 from agents.machine import wake_precisely
-from agents.runtime import spare_the_collector
 from bus_schemas.messages import Clock
 from bus_schemas.tree import REPLAYER
 from launch_scripts.interruption import Interruption
@@ -19,7 +20,6 @@ from launch_scripts.replay.keyboard import Key, Keyboard
 from launch_scripts.replay.progress import ProgressLine
 from launch_scripts.replay.selection import Selection
 from launch_scripts.replay.tape import Tape
-from launch_scripts.timing.distributions import new_histogram, record_ns
 from recordings.reader import RecordedMessage
 
 _LOOK_S: Final = 0.02
@@ -94,6 +94,8 @@ class Player:
         Ends it.
     progress
         Shows it.
+    sleep
+        Waits for so many seconds of the clock.
     """
 
     def __init__(
@@ -107,6 +109,7 @@ class Player:
         keyboard: Keyboard,
         interruption: Interruption,
         progress: ProgressLine,
+        sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.played = Played(0, 0, new_histogram())
         self._tape = tape
@@ -118,8 +121,9 @@ class Player:
         self._keyboard = keyboard
         self._interruption = interruption
         self._progress = progress
+        self._sleep = sleep
         self._quit = False
-        self._look_at = 0.0
+        self._look_at_ns = 0
         self._step_to = -1
         self._records: Iterator[RecordedMessage] = iter(())
         self._next: RecordedMessage | None = None
@@ -178,20 +182,20 @@ class Player:
                     return True
                 self._heed(self._keyboard.wait(_LOOK_S))
             elif self._keys_can_wait():
-                left_s = (self._clock.due_ns(self._position_ns) - time.monotonic_ns()) / 1e9
+                left_s = (self._clock.due_ns(self._position_ns) - self._clock.now_ns()) / 1e9
                 if left_s <= 0.0:
                     return True
-                time.sleep(min(left_s, _LOOK_S))
+                self._sleep(min(left_s, _LOOK_S))
             if self._next is not record:
                 return False
         return False
 
     def _keys_can_wait(self) -> bool:
         """Look at the keyboard if it is time to; return whether it was not."""
-        now = time.monotonic()
-        if now < self._look_at:
+        now_ns = self._clock.now_ns()
+        if now_ns < self._look_at_ns:
             return True
-        self._look_at = now + _LOOK_S
+        self._look_at_ns = now_ns + round(_LOOK_S * 1e9)
         self._heed(self._keyboard.wait(0.0))
         self._progress.show(self._cycle, self._clock)
         return False
@@ -206,7 +210,7 @@ class Player:
         if self._clock.paused:
             self._clock.move_to(self._position_ns)
         elif self._clock.rate:
-            late_ns = time.monotonic_ns() - self._clock.due_ns(self._position_ns)
+            late_ns = self._clock.now_ns() - self._clock.due_ns(self._position_ns)
             record_ns(self.played.timing, late_ns)
 
     def _announce(self, record: RecordedMessage) -> None:

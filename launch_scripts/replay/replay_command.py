@@ -6,9 +6,10 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final, TextIO
+from typing import TextIO
 
 from bus_schemas.errors import InputError
+from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
 from launch_scripts.interruption import interruptible
 from launch_scripts.replay.clock import PlaybackClock, RecordedSpacing, SimulatedSpacing, Spacing
 from launch_scripts.replay.figures import (
@@ -27,11 +28,6 @@ from launch_scripts.replay.session import await_subscriber, introduce, replay_se
 from launch_scripts.replay.tape import Tape
 from launch_scripts.supervision import RunFailure
 
-OK: Final = 0
-FAILED: Final = 1
-BAD_INPUT: Final = 2
-INTERRUPTED: Final = 130
-
 
 def replay(request: ReplayRequest) -> int:
     """Replay what was asked for and say what it came to. Returns the exit status."""
@@ -44,11 +40,11 @@ def replay(request: ReplayRequest) -> int:
                 return replay_live(request, tape, out)
             return _replay(request, tape, out)
     except InputError as error:
-        return _complain(error, BAD_INPUT)
+        return complain(error, BAD_INPUT)
     except RunFailure as error:
-        return _complain(error, FAILED)
+        return complain(error, FAILED)
     except KeyboardInterrupt:
-        return _complain("interrupted", INTERRUPTED)
+        return complain("interrupted", INTERRUPTED)
 
 
 def _replay(request: ReplayRequest, tape: Tape, out: TextIO) -> int:
@@ -111,8 +107,3 @@ def _figures(
         timing_figures(played.timing),
         interrupted,
     )
-
-
-def _complain(text: object, status: int) -> int:
-    sys.stderr.write(f"heliarch: {text}\n")
-    return status

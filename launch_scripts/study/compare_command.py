@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from bus_schemas.errors import InputError
+from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
 from launch_scripts.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenario import load_scenario
 from launch_scripts.study.cases import Case, cases, parse_days, parse_seeds, parse_setting
@@ -77,17 +78,12 @@ def compare(request: CompareRequest) -> int:
             results = _many(found, comparison, request, console)
         _write_rows(results, request.json)
     except (InputError, OSError) as error:
-        return _complain(error, 2)
+        return complain(error, BAD_INPUT)
     except WorkerLost as error:
-        return _complain(error, 1)
+        return complain(error, FAILED)
     except KeyboardInterrupt:
-        return _complain("interrupted", 130)
-    return 0
-
-
-def _complain(error: object, status: int) -> int:
-    sys.stderr.write(f"heliarch: {error}\n")
-    return status
+        return complain("interrupted", INTERRUPTED)
+    return OK
 
 
 def _console(*, to_stderr: bool) -> Console:

@@ -8,15 +8,15 @@ from typing import Any, Final
 
 import msgspec
 
+from agents.kinds import KINDS, STAGES
 from bus_schemas.signals import SIGNALS
-from bus_schemas.tree import CENTRAL, PLANT, RECORDER
 
-TIERS: Final = (PLANT, CENTRAL, "supervisor", "direct")
+_TIERS: Final = tuple(STAGES)
 _SIGNALS: Final = tuple(signal.name for signal in SIGNALS if signal.hop_p99_ms is not None)
 
 _BY_NAME: Final = {
-    **dict.fromkeys(("decision_p99_ms", "lateness_p99_ms", "jitter_p99_ms", "age_p99_ms"), TIERS),
-    **dict.fromkeys(("cpu_percent", "resident_mb"), (*TIERS, RECORDER)),
+    **dict.fromkeys(("decision_p99_ms", "lateness_p99_ms", "jitter_p99_ms", "age_p99_ms"), _TIERS),
+    **dict.fromkeys(("cpu_percent", "resident_mb"), KINDS),
     "hop_p99_ms": _SIGNALS,
 }
 """Budgets that are tables, and the names that they may have in them."""

@@ -14,14 +14,13 @@ from typing import Final
 
 import msgspec
 
-from agents.deadlines import slice_ns
+from agents.kinds import STAGES
 from agents.plan import RunPlan
 from bus_schemas.signals import SIGNALS
 from bus_schemas.tree import CENTRAL, PLANT
 from launch_scripts.timing.budget_table import BudgetTable
 from launch_scripts.timing.measures import (
     LOOP,
-    STAGES,
     WHOLE_LOOP,
     TierAccount,
     Tiers,
@@ -139,8 +138,7 @@ def _decision_limit_ms(agent: str, stage: str, plan: RunPlan, table: BudgetTable
     stated_ms = table.decision_p99_ms.get(kind)
     if stated_ms is not None:
         return stated_ms
-    own_ns = slice_ns(agent, stage, plan.tree, plan.cycle_wall_ns, plan.tier_deadlines_ns)
-    return min(own_ns / 1e6, _PAPER_MS.get(kind, inf))
+    return min(plan.deadlines.slice_ns(agent, stage) / 1e6, _PAPER_MS.get(kind, inf))
 
 
 def judge(

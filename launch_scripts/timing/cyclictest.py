@@ -15,9 +15,9 @@ from typing import Final
 import msgspec
 from hdrh.histogram import HdrHistogram
 
+from agents.histograms import new_histogram
 from agents.machine import MachineSettings
 from launch_scripts.processes import environment
-from launch_scripts.timing.distributions import new_histogram
 
 _LONGEST_US: Final = 100_000
 """What its histogram reaches to; what is later is only in its maximum."""

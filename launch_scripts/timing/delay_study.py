@@ -19,9 +19,9 @@ from typing import Final, Literal, TypeAlias, get_args
 import msgspec
 from msgspec.structs import replace
 
+from agents.late_words import LatePolicy
 from agents.parent_death import on_parent_death
 from agents.plan import RunPlan, Scheme
-from agents.sequencer import LateWords
 from bus_schemas.faults import FaultRule
 from launch_scripts.timed_simulation import TimedRun, on_the_clock
 from recordings.metrics import RunMetrics, run_metrics
@@ -69,7 +69,7 @@ class Condition:
     trouble: Trouble
     value: float
     scheme: Scheme
-    late: LateWords
+    late: LatePolicy
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
@@ -99,7 +99,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     trouble: Trouble
     value: float
     scheme: Scheme
-    late: LateWords
+    late: LatePolicy
     control_caused_percent: float | None
     over_delivered_percent: float | None
     mileage_kw_per_h: float
@@ -125,7 +125,7 @@ def conditions(cycle_s: float, counted_s: float) -> list[Condition]:
     """
     found = []
     for trouble, values in VALUES.items():
-        lates: Sequence[LateWords] = ("use", "drop") if trouble == "delay" else ("use",)
+        lates: Sequence[LatePolicy] = ("use", "drop") if trouble == "delay" else ("use",)
         for value in values:
             if trouble == "period" and not (value / cycle_s).is_integer():
                 continue

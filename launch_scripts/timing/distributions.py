@@ -9,7 +9,7 @@ from typing import Final
 import msgspec
 from hdrh.histogram import HdrHistogram
 
-from agents.stopwatch import HIGHEST_NS, LOWEST_NS, SIGNIFICANT_FIGURES
+from agents.histograms import new_histogram
 
 _US: Final = 1_000.0
 
@@ -37,16 +37,6 @@ class Distribution(msgspec.Struct, frozen=True):
     p99_9_us: float
     max_us: float
     histogram: str
-
-
-def new_histogram() -> HdrHistogram:
-    """Return an empty histogram of nanoseconds, as the processes of a run keep them."""
-    return HdrHistogram(LOWEST_NS, HIGHEST_NS, SIGNIFICANT_FIGURES)
-
-
-def record_ns(histogram: HdrHistogram, duration_ns: int) -> None:
-    """Take in a duration; one below 0 counts as 0, and one above an hour as an hour."""
-    histogram.record_value(min(max(duration_ns, 0), HIGHEST_NS))
 
 
 def merged(encoded: Iterable[str]) -> HdrHistogram:

@@ -16,10 +16,12 @@ from typing import Final, Literal
 import msgspec
 import zenoh
 
-from agents.lifeline import Event, Lifeline, join_run
+from agents.events import Event
+from agents.histograms import new_histogram, record_ns
+from agents.lifeline import Lifeline
 from agents.machine import MachineSettings, take_machine
+from agents.process_setup import join_run
 from bus_schemas.zenoh_bus import SessionSettings
-from launch_scripts.timing.distributions import new_histogram, record_ns
 
 PAYLOAD: Final = bytes(20)
 """About as much as a message of the plant carries besides its head."""
@@ -73,10 +75,19 @@ class Probe:
     ----------
     period_ns
         Length of a period.
+    now_ns, sleep
+        The monotonic clock, and what waits for so many seconds of it.
     """
 
-    def __init__(self, period_ns: int) -> None:
+    def __init__(
+        self,
+        period_ns: int,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
         self._period_ns = period_ns
+        self._now_ns = now_ns
+        self._sleep = sleep
         self._begun = threading.Event()
         self._stopped = threading.Event()
         self._until_ns = 0
@@ -84,7 +95,7 @@ class Probe:
     def hear(self, word: str) -> None:
         """Heed a word of the parent: `begin SECONDS` or `stop`."""
         if word.startswith("begin"):
-            self._until_ns = time.monotonic_ns() + round(float(word.split()[1]) * 1e9)
+            self._until_ns = self._now_ns() + round(float(word.split()[1]) * 1e9)
             self._begun.set()
         else:
             self._stopped.set()
@@ -101,14 +112,14 @@ class Probe:
 
     def on_each_period(self, act: Callable[[int], None]) -> None:
         """Call a function at the scheduled time of each period, which it is given, to the end."""
-        due_ns = time.monotonic_ns() + round(_LEAD_S * 1e9)
+        due_ns = self._now_ns() + round(_LEAD_S * 1e9)
         while due_ns <= self._until_ns and not self.stopped:
             # Only the last part is slept through: a long period must not delay the end.
-            if self._stopped.wait((due_ns - time.monotonic_ns()) / 1e9 - _SLEEP_S):
+            if self._stopped.wait((due_ns - self._now_ns()) / 1e9 - _SLEEP_S):
                 return
-            left_ns = due_ns - time.monotonic_ns()
+            left_ns = due_ns - self._now_ns()
             if left_ns > 0:
-                time.sleep(left_ns / 1e9)
+                self._sleep(left_ns / 1e9)
             act(due_ns)
             due_ns += self._period_ns
 

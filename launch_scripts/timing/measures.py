@@ -9,9 +9,10 @@ from typing import Final
 import msgspec
 
 from agents.deadlines import stage_place
+from agents.kinds import KINDS, kind_of
 from agents.stopwatch import ProcessTiming
 from bus_schemas.signals import SIGNALS
-from bus_schemas.tree import CENTRAL, PLANT, RECORDER, ControlTree, depth
+from bus_schemas.tree import ControlTree, depth
 from launch_scripts.summary import ProcessAccount
 from launch_scripts.timing.distributions import Distribution, distribution, merged
 
@@ -21,17 +22,6 @@ WHOLE_LOOP: Final = "all commands"
 
 MEASURES: Final = (LOOP, "decision", "hop", "lateness", "jitter", "age", "response")
 """What is measured, in the order in which it is reported."""
-
-KINDS: Final = (PLANT, CENTRAL, "supervisor", "direct", RECORDER)
-"""Kinds of processes, from the top."""
-
-STAGES: Final = {
-    PLANT: ("begin", "advance"),
-    CENTRAL: ("request", "solve"),
-    "supervisor": ("request", "report", "solve"),
-    "direct": ("estimate", "actuate"),
-}
-"""Stages of a cycle, by kind of process."""
 
 
 class Times(msgspec.Struct, frozen=True):
@@ -114,9 +104,7 @@ class Tiers:
 
     def kind(self, agent: str) -> str:
         """Return `plant`, `central`, `supervisor`, `direct` or `recorder`."""
-        if agent in {PLANT, CENTRAL, RECORDER}:
-            return agent
-        return "direct" if self._tree.is_leaf(agent) else "supervisor"
+        return kind_of(agent, self._tree)
 
     def tier(self, agent: str) -> str:
         """Return the kind; supervisors of several tiers have a number, 1 below the centre."""

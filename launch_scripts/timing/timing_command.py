@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -10,18 +9,20 @@ from typing import Final
 from rich.console import Console
 
 from bus_schemas.errors import InputError
+from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
 from launch_scripts.json_rows import check_json_destination
 from launch_scripts.lasting_console import LastingConsole, write_if_read
-from launch_scripts.run_command import BAD_INPUT, FAILED, INTERRUPTED, OK, RunRequest
+from launch_scripts.run_command import RunRequest
 from launch_scripts.run_folder import new_run_id, run_folder
 from launch_scripts.supervision import RunFailure
+from launch_scripts.timing.delay_study_command import StudyRequest, run_study
+from launch_scripts.timing.measured_run import measured_run, prepare_at, whole_cycles
 from launch_scripts.timing.rates import Rates, parse_rates
-from launch_scripts.timing.study_command import StudyRequest, run_study
-from launch_scripts.timing.sweep import RateRow, print_sweep, rate_row, sweep
-from launch_scripts.timing.timed_run import run_at, whole_cycles
+from launch_scripts.timing.sweep import print_sweep, sweep
 from launch_scripts.timing.timing_page import PAGE_NAME, write_page, write_sweep_page
 from launch_scripts.timing.timing_report import TimingReport, report_on
 from launch_scripts.timing.timing_table import WIDTH, print_report
+from launch_scripts.timing.trials import Trials
 
 STUDY_PAGE_NAME: Final = "delay-study.html"
 
@@ -80,11 +81,11 @@ def timing(request: TimingRequest) -> int:
             return _time_one(rates.single_hz, request, console)
         return _time_several(rates, request, console)
     except InputError as error:
-        return _complain(error, BAD_INPUT)
+        return complain(error, BAD_INPUT)
     except (OSError, RunFailure) as error:
-        return _complain(error, FAILED)
+        return complain(error, FAILED)
     except KeyboardInterrupt:
-        return _complain("interrupted; the processes were ended by force", INTERRUPTED)
+        return complain("interrupted; the processes were ended by force", INTERRUPTED)
 
 
 def _study(request: TimingRequest) -> StudyRequest:
@@ -135,8 +136,9 @@ def _check(request: TimingRequest) -> Rates:
 
 def _time_one(rate_hz: float, request: TimingRequest, console: Console) -> int:
     duration = request.duration or _DURATION
-    run, table = run_at(rate_hz, duration, request.run, console, request.run.out)
-    report, slowest = report_on(run, table)
+    preparation, place = prepare_at(rate_hz, duration, request.run, request.run.out)
+    run = measured_run(preparation, place, console)
+    report, slowest = report_on(run)
     print_report(report, console, processes=request.processes)
     _say(console, f"recording: {run.recording}")
     _write_json(report.as_json(), request.run.json)
@@ -150,27 +152,14 @@ def _time_one(rate_hz: float, request: TimingRequest, console: Console) -> int:
 def _time_several(rates: Rates, request: TimingRequest, console: Console) -> int:
     folder = run_folder(f"{new_run_id('timing')}-rates", request.run.out).path
     duration = request.duration or _SWEEP_DURATION
-    reports: list[TimingReport] = []
-
-    def timed(rate_hz: float) -> tuple[RateRow, bool]:
-        out = folder / f"rate-{rate_hz:g}"
-        try:
-            run, table = run_at(rate_hz, duration, request.run, console, out)
-        except RunFailure as failure:
-            _say(console, f"{rate_hz:g} cycles/s: {failure}")
-            return RateRow(rate_hz, failed=str(failure).splitlines()[0]), False
-        except KeyboardInterrupt:
-            return RateRow(rate_hz, interrupted=True), True
-        report, _ = report_on(run, table)
-        reports.append(report)
-        return rate_row(report), report.interrupted
-
-    found = sweep(rates, timed)
+    trials = Trials(request.run, duration, folder, console)
+    trials.prepare(rates.listed_hz)
+    found = sweep(rates, trials.run)
     print_sweep(found, console)
     _say(console, f"recordings: {folder}")
     _write_json(found.as_json(), request.run.json)
-    if request.report and reports:
-        write_sweep_page(folder / PAGE_NAME, found, reports[-1])
+    if request.report and trials.latest is not None:
+        write_sweep_page(folder / PAGE_NAME, found, trials.latest)
         _say(console, f"page: {folder / PAGE_NAME}")
     if found.interrupted:
         return INTERRUPTED
@@ -193,8 +182,3 @@ def _write_json(document: bytes, json: str | None) -> None:
         write_if_read(document.decode() + "\n")
     elif json is not None:
         Path(json).write_bytes(document + b"\n")
-
-
-def _complain(text: object, status: int) -> int:
-    sys.stderr.write(f"heliarch: {text}\n")
-    return status

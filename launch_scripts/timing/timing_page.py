@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -10,6 +10,7 @@ from bus_schemas.tree import ControlTree
 from launch_scripts.timing.distributions import curve_ms
 from launch_scripts.timing.measures import LOOP, Times
 from launch_scripts.timing.sweep import Sweep, conclusion
+from launch_scripts.timing.tier_columns import TIER_COLUMNS
 from launch_scripts.timing.timing_report import TimingReport
 from launch_scripts.timing.timing_table import (
     MEANINGS,
@@ -21,6 +22,7 @@ from launch_scripts.timing.timing_table import (
     row_name,
     verdict_line,
 )
+from recordings.cycle_waits import CycleWaits
 from recordings.report.page import html_page
 from recordings.report.run_report import write_whole
 from recordings.report.style import ReportFigure
@@ -32,7 +34,6 @@ from recordings.report.timing_figures import (
     rate_figure,
     waits_figure,
 )
-from recordings.waits import CycleWaits
 
 PAGE_NAME: Final = "timing.html"
 
@@ -197,27 +198,10 @@ def _rates_table(found: Sweep) -> ReportTable:
 
 def _counts_table(report: TimingReport) -> ReportTable:
     columns = tuple(tier.tier for tier in report.tiers)
-    rows: Iterable[tuple[str, str, list[str]]] = (
-        ("Processes", "", [f"{tier.processes}" for tier in report.tiers]),
-        ("Missed deadlines", "", [f"{tier.missed_deadlines:,}" for tier in report.tiers]),
-        ("Missing inputs", "", [f"{tier.missing_inputs:,}" for tier in report.tiers]),
-        ("Late words used", "", [f"{tier.late_used:,}" for tier in report.tiers]),
-        ("Dropped messages", "", [f"{tier.dropped:,}" for tier in report.tiers]),
-        ("Overruns", "", [f"{tier.overruns:,}" for tier in report.tiers]),
-        ("Cycles given up", "", [f"{tier.cycles_given_up:,}" for tier in report.tiers]),
-        ("Processor time, all", "% of a core", [f"{t.cpu_percent:.1f}" for t in report.tiers]),
-        (
-            "Processor time, highest",
-            "% of a core",
-            [f"{tier.cpu_highest_percent:.1f}" for tier in report.tiers],
-        ),
-        ("Memory, largest", "MB", [f"{tier.resident_mb:.1f}" for tier in report.tiers]),
+    rows = tuple(
+        (row.name, row.unit, tuple(row.text(tier) for tier in report.tiers)) for row in TIER_COLUMNS
     )
-    return ReportTable(
-        "Counts and shares by tier",
-        columns,
-        tuple((name, unit, tuple(values)) for name, unit, values in rows),
-    )
+    return ReportTable("Counts and shares by tier", columns, rows)
 
 
 def _budgets_table(report: TimingReport) -> ReportTable:

@@ -4,28 +4,28 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Final
 
 import msgspec
 
-from agents.lifeline import ExternalAccount
+from agents.events import ExternalAccount
+from agents.histograms import new_histogram, record_ns
+from agents.kinds import STAGES
 from agents.plan import RunPlan
 from agents.stopwatch import ProcessTiming
 from bus_schemas.errors import InputError
 from bus_schemas.signals import Occurrence, listeners, ports
 from bus_schemas.tree import PLANT, RECORDER
-from launch_scripts.summary import ProcessAccount, RunSummary
+from launch_scripts.summary import ProcessAccount
 from launch_scripts.supervision import RunFailure
-from launch_scripts.timing.budget_table import BudgetTable
 from launch_scripts.timing.budgets import Verdict, budgets_of, judge
-from launch_scripts.timing.distributions import distribution, merged, new_histogram, record_ns
+from launch_scripts.timing.distributions import distribution, merged
 from launch_scripts.timing.floor import FloorTimes
 from launch_scripts.timing.host import Host
+from launch_scripts.timing.measured_run import MeasuredRun
 from launch_scripts.timing.measures import (
     LOOP,
     MEASURES,
-    STAGES,
     WHOLE_LOOP,
     TierAccount,
     Tiers,
@@ -36,14 +36,14 @@ from launch_scripts.timing.measures import (
     times_of,
 )
 from launch_scripts.wrong_messages import WrongMessages
-from recordings.reader import RunReader
-from recordings.waits import (
+from recordings.cycle_waits import (
     CycleWaits,
     last_cycle_with_all,
     loop_times_ns,
     response_times_ns,
     slowest_cycles,
 )
+from recordings.reader import RunReader
 
 SLOWEST: Final = 3
 """How many of the slowest cycles are looked into."""
@@ -182,17 +182,7 @@ class TimingReport(msgspec.Struct, frozen=True):
         return msgspec.json.format(msgspec.json.encode(document), indent=1)
 
 
-class TimedRun(msgspec.Struct, frozen=True):
-    """A run that is over, and what was measured beside it."""
-
-    plan: RunPlan
-    summary: RunSummary
-    floor: tuple[FloorTimes, ...]
-    host: Host
-    recording: Path
-
-
-def report_on(run: TimedRun, table: BudgetTable) -> tuple[TimingReport, tuple[CycleWaits, ...]]:
+def report_on(run: MeasuredRun) -> tuple[TimingReport, tuple[CycleWaits, ...]]:
     """Work out the report of a run, and the waits of its slowest cycles.
 
     Raises
@@ -202,19 +192,10 @@ def report_on(run: TimedRun, table: BudgetTable) -> tuple[TimingReport, tuple[Cy
     """
     plan, summary = run.plan, run.summary
     timings = [account.timing for account in summary.processes if account.timing is not None]
-    try:
-        with RunReader(run.recording) as reader:
-            last_cycle = _last_cycle(reader, plan, interrupted=summary.interrupted)
-            slowest = tuple(slowest_cycles(reader, SLOWEST, last_cycle))
-            responses_ns = response_times_ns(reader, plan.external, last_cycle)
-            outside = [*_hops_from(timings, plan), *_responses(responses_ns, plan)]
-            if PLANT in plan.external:
-                loops_ns = loop_times_ns(reader, last_cycle)
-                outside += _outside_rows(LOOP, WHOLE_LOOP, "", loops_ns)
-    except InputError as error:
-        raise RunFailure(str(error)) from None
-    times = _in_order((*times_by_tier(timings, plan.tree), *outside))
+    slowest, seen = _recorded(run)
+    times = _in_order((*times_by_tier(timings, plan.tree), *_hops_from(timings, plan), *seen))
     tiers = tier_accounts(summary.processes, plan.tree)
+    budgets, expected = budgets_of(plan, run.budgets), _expected(plan, timings)
     report = TimingReport(
         scenario=summary.scenario,
         run_id=summary.run_id,
@@ -234,15 +215,24 @@ def report_on(run: TimedRun, table: BudgetTable) -> tuple[TimingReport, tuple[Cy
         processes=_process_times(summary.processes, plan),
         floor=run.floor,
         slowest_cycles=tuple(_slow_cycle(cycle) for cycle in slowest),
-        verdicts=judge(
-            budgets_of(plan, table),
-            times,
-            tiers,
-            summary.lost,
-            _expected(plan, timings),
-        ),
+        verdicts=judge(budgets, times, tiers, summary.lost, expected),
     )
     return report, slowest
+
+
+def _recorded(run: MeasuredRun) -> tuple[tuple[CycleWaits, ...], list[Times]]:
+    """Return what the recording tells: the slowest cycles, and rows of external agents."""
+    plan = run.plan
+    try:
+        with RunReader(run.recording) as reader:
+            last_cycle = _last_cycle(reader, plan, interrupted=run.summary.interrupted)
+            slowest = tuple(slowest_cycles(reader, SLOWEST, last_cycle))
+            rows = [*_responses(response_times_ns(reader, plan.external, last_cycle), plan)]
+            if PLANT in plan.external:
+                rows += _outside_rows(LOOP, WHOLE_LOOP, "", loop_times_ns(reader, last_cycle))
+    except InputError as error:
+        raise RunFailure(str(error)) from None
+    return slowest, rows
 
 
 def _expected(plan: RunPlan, timings: Sequence[ProcessTiming]) -> set[tuple[str, str]]:

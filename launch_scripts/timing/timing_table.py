@@ -14,6 +14,7 @@ from launch_scripts.timing.budgets import Verdict
 from launch_scripts.timing.distributions import Distribution
 from launch_scripts.timing.floor import FloorTimes
 from launch_scripts.timing.measures import TierAccount, Times
+from launch_scripts.timing.tier_columns import TIER_COLUMNS
 from launch_scripts.timing.timing_report import ProcessTimes, TimingReport
 
 WIDTH: Final = 100
@@ -225,36 +226,13 @@ def _floor_notes(floor: Iterable[FloorTimes]) -> Iterator[str]:
 
 
 def _tier_table(tiers: Iterable[TierAccount]) -> Table:
-    columns = (
-        ("processes", 9),
-        ("missed\ndeadlines", 9),
-        ("missing\ninputs", 7),
-        ("late\nused", 6),
-        ("dropped", 7),
-        ("overruns", 8),
-        ("given\nup", 6),
-        ("CPU \\[%]\nall", 7),
-        ("CPU \\[%]\nhighest", 8),
-        ("memory\n\\[MB]", 7),
-    )
     heading = (
         "\n[bold]counts[/], processor time \\[% of a core] and memory (of the largest process)"
     )
+    columns = [(escape(column.heading), column.width) for column in TIER_COLUMNS]
     table = _new_table(heading, columns)
     for tier in tiers:
-        table.add_row(
-            f"  {tier.tier}",
-            f"{tier.processes}",
-            f"{tier.missed_deadlines:,}",
-            f"{tier.missing_inputs:,}",
-            f"{tier.late_used:,}",
-            f"{tier.dropped:,}",
-            f"{tier.overruns:,}",
-            f"{tier.cycles_given_up:,}",
-            f"{tier.cpu_percent:.1f}",
-            f"{tier.cpu_highest_percent:.1f}",
-            f"{tier.resident_mb:.1f}",
-        )
+        table.add_row(f"  {tier.tier}", *(column.text(tier) for column in TIER_COLUMNS))
     return table
 
 

@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from bus_schemas.errors import InputError
+from launch_scripts.exit_status import BAD_INPUT, INTERRUPTED, complain
 from launch_scripts.json_rows import check_json_destination
 from launch_scripts.supervision import RunFailure
 from launch_scripts.verification.comparison import COMPARED_FIELDS, Comparison
@@ -24,8 +25,6 @@ from launch_scripts.verification.verification import Verification, verify
 
 EQUAL: Final = 0
 DIFFERENT: Final = 1
-BAD_INPUT: Final = 2
-INTERRUPTED: Final = 130
 
 _PROGRESS_CYCLES: Final = 100
 """The bar moves once in so many cycles."""
@@ -58,13 +57,13 @@ def run_verify(request: VerifyRequest) -> int:
             for outcome in outcomes:
                 _accept(outcome.verification, out)
     except InputError as error:
-        return _complain(error, BAD_INPUT)
+        return complain(error, BAD_INPUT)
     except RunFailure as error:
-        return _complain(error, DIFFERENT)
+        return complain(error, DIFFERENT)
     except OSError as error:
-        return _complain(f"{error.filename or ''}: {error.strerror}", BAD_INPUT)
+        return complain(f"{error.filename or ''}: {error.strerror}", BAD_INPUT)
     except KeyboardInterrupt:
-        return _complain("interrupted", INTERRUPTED)
+        return complain("interrupted", INTERRUPTED)
     equal = all(outcome.verification.equal for outcome in outcomes)
     return EQUAL if equal or request.accept else DIFFERENT
 
@@ -156,8 +155,3 @@ def _write_json(outcomes: Sequence[Outcome], json: str | None) -> None:
             Path(json).write_bytes(as_json(outcomes) + b"\n")
     except OSError as error:
         raise RunFailure(f"--json {json}: {error.strerror}") from error
-
-
-def _complain(text: object, status: int) -> int:
-    sys.stderr.write(f"heliarch: {text}\n")
-    return status

@@ -10,6 +10,7 @@ from typing import Final
 import plotly.graph_objects as go
 
 from bus_schemas.tree import CENTRAL, PLANT, ControlTree
+from recordings.cycle_waits import CycleWaits, Wait
 from recordings.report.style import (
     BLUE,
     GREY,
@@ -20,7 +21,6 @@ from recordings.report.style import (
     faint,
     plain,
 )
-from recordings.waits import CycleWaits, Wait
 
 _CURVES_PX: Final = 440
 _ROW_PX: Final = 17

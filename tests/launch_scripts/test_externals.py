@@ -10,7 +10,7 @@ from typing import Literal
 import pytest
 from msgspec.structs import replace
 
-from agents.lifeline import Complaint, Presence, Status
+from agents.events import Complaint, Presence, Status
 from agents.plan import RunPlan, load_plan
 from bus_schemas.errors import InputError
 from bus_schemas.links import explicit_links

@@ -40,6 +40,14 @@ def test_deadlines_are_those_of_the_scenario() -> None:
     assert found == (12_500_000, 20_000_000, 21_000_000)
 
 
+def test_the_shortest_deadlines_leave_each_stage_what_it_takes_to_wake_a_process() -> None:
+    shortest_ms = [0.5, 0.6, 0.7]
+    found = tier_deadlines_ns(shortest_ms, THREE_LAYERS, 900_000)
+    assert found == (500_000, 600_000, 700_000)
+    with pytest.raises(InputError, match="the plant's advance"):
+        tier_deadlines_ns(shortest_ms, THREE_LAYERS, 899_000)
+
+
 def test_without_deadlines_each_stage_has_its_share() -> None:
     assert tier_deadlines_ns(None, THREE_LAYERS, SECOND_NS) == ()
 
@@ -71,7 +79,7 @@ def test_in_lockstep_deadlines_lie_idle_whatever_the_cycle() -> None:
         ),
         (
             [100.0, 100.00001, 200.0],
-            "control.deadlines_ms[1] is 100 ms, accepted is 0.1 ms more than that of the tier",
+            "control.deadlines_ms[1] is 100.00001 ms, accepted is 0.1 ms more than that of the",
         ),
         (
             [100.0, 200.0, 150.0],
@@ -82,6 +90,16 @@ def test_in_lockstep_deadlines_lie_idle_whatever_the_cycle() -> None:
             [100.0, 200.0, 1000.0],
             "control.deadlines_ms[2] is 1000 ms, accepted is less than the cycle on the wall "
             "clock, 1000 ms",
+        ),
+        (
+            [0.1, 500.0, 900.0],
+            "control.deadlines_ms[0] is 0.1 ms: the 5 stages from the first request to the central "
+            "controller's solve share it, 20 us each, accepted is 0.5 ms or more",
+        ),
+        (
+            [100.0, 500.0, 999.9999],
+            "control.deadlines_ms[2] is 999.9999 ms: the plant's advance has half of the rest of "
+            "the cycle, 0.05 us, accepted is at most 999.8 ms",
         ),
         (
             [60_000.0, 61_000.0, 62_000.0],

@@ -16,8 +16,8 @@ from launch_scripts.summary import (
     MessageCount,
     ProcessAccount,
     RunSummary,
-    print_summary,
 )
+from launch_scripts.summary_table import print_summary
 from recordings.metrics import RunMetrics, run_metrics
 from recordings.series import RunSeries
 

@@ -10,7 +10,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from agents.deadlines import deadline_ns
 from agents.plan import RunPlan
 from bus_schemas.codec import encode
 from bus_schemas.faults import FaultRule
@@ -99,9 +98,7 @@ def test_delays_within_the_cycle_change_nothing_but_the_time(prepared: Preparati
     assert command.publish_time_ns == 5 * SECOND_NS + hops_up_and_down * 40 * MS
 
 
-@settings(
-    max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     seed=st.integers(0, 2**32),
     delay_ms=st.floats(0.0, 3000.0),
@@ -151,7 +148,7 @@ def test_a_stage_that_lacks_a_message_closes_at_its_deadline(prepared: Preparati
     leaf = plan.tree.leaves[0]
     rule = FaultRule(listener=leaf, signal="telemetry", silent=((7.0, 8.0),))
     _, told = timed(prepared, [rule])
-    deadline = deadline_ns(leaf, "estimate", plan.tree, plan.cycle_wall_ns)
+    deadline = plan.deadlines.deadline_ns(leaf, "estimate")
     assert told.of(IMPP.of(leaf))[7].publish_time_ns == 7 * SECOND_NS + deadline
     assert told.of(IMPP.of(leaf))[8].publish_time_ns == 8 * SECOND_NS
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from agents.lifeline import Complaint
+from agents.events import Complaint
 from launch_scripts.externals import ExternalOptions
 from launch_scripts.preparation import RunOptions, prepare
 from launch_scripts.scenario import load_scenario
 from launch_scripts.wrong_messages import wrong_messages
-from recordings.complaints import Complaints
+from recordings.message_complaints import Complaints
 
 OPTIONS = RunOptions(duration="5", external=ExternalOptions(("c1/inv01",)))
 PLAN = prepare(load_scenario("oahu"), OPTIONS, "wrong").plan
@@ -26,6 +26,12 @@ def test_of_recorder_and_listeners_the_larger_count_holds() -> None:
     ]
     assert found[0].example == "it came twice in cycle 3"
     assert found[1].example == "of a cycle that was over"
+
+
+def test_of_a_flood_the_key_is_named() -> None:
+    (found,) = wrong_messages(PLAN, [], [{"c1/inv01/impp": {"flooded": 9_000}}])
+    assert (found.key, found.cause, found.count) == ("c1/inv01/impp", "flooded", 9_000)
+    assert found.example == "more than can be looked at"
 
 
 def test_what_comes_late_from_processes_is_no_device_s_fault() -> None:

@@ -16,6 +16,7 @@ from bus_schemas.messages import (
     Message,
     Production,
     Residual,
+    Run,
     Setpoint,
     Telemetry,
 )
@@ -26,6 +27,7 @@ from bus_schemas.signals import (
     IMPP,
     PRODUCTION,
     RESIDUAL,
+    RUN,
     SETPOINT,
     TELEMETRY,
     Port,
@@ -40,6 +42,7 @@ PREPARED = prepare(load_scenario("oahu"), RunOptions(duration="20"), "plausible"
 PLAN: RunPlan = PREPARED.plan
 LEAF = PLAN.tree.leaves[0]
 RATING_KW = PLAN.tree.rating_kw(LEAF)
+HEARD_NS = 77_000_000_000
 HEAD = (3, PLAN.sim_time_ns(3), "somebody", ())
 
 
@@ -47,7 +50,7 @@ def test_nothing_that_a_run_says_is_absurd() -> None:
     said: list[tuple[Port[Message], str]] = []
 
     def hear(port: Port[Message], message: Message) -> None:
-        said.append((port, absurdity(PLAN, port, message)))
+        said.append((port, absurdity(PLAN, port, message, HEARD_NS)))
 
     for _ in MemoryRun(PLAN, PREPARED.profile, hear).cycles():
         pass
@@ -64,27 +67,39 @@ def test_powers_outside_of_what_the_inverter_can_are_named(power_kw: float) -> N
         (SETPOINT.of(LEAF), Setpoint(*HEAD, power_kw=power_kw, share_kw=0.0, help_given=())),
         (COMMAND.of(LEAF), Command(*HEAD, alpha=1.0, power_kw=power_kw)),
         (TELEMETRY.of(LEAF), Telemetry(*HEAD, power_kw=power_kw, alpha=1.0, limit_kw=0.0)),
-        (
-            DISPATCH.of(ROOT),
-            Dispatch(*HEAD, power_kw=power_kw, commitment_kw=0.0, regulation_kw=0.0),
-        ),
     ]
     for port, message in absurd:
         assert f"is {power_kw * (1e3 if port.signal is RESIDUAL else 1):g}, accepted is" in (
-            absurdity(PLAN, port, message)
+            absurdity(PLAN, port, message, HEARD_NS)
         )
+
+
+@pytest.mark.parametrize("power_kw", [-2000.0, 0.0, 1e9])
+def test_a_dispatch_beyond_the_ratings_is_acted_on_and_so_not_absurd(power_kw: float) -> None:
+    dispatch = Dispatch(*HEAD, power_kw=power_kw, commitment_kw=0.0, regulation_kw=power_kw)
+    assert absurdity(PLAN, DISPATCH.of(ROOT), dispatch, HEARD_NS) == ""
+
+
+@pytest.mark.parametrize("field", ["power_kw", "commitment_kw", "regulation_kw"])
+@pytest.mark.parametrize("value", [nan, inf, -inf])
+def test_a_dispatch_without_a_number_is_named(field: str, value: float) -> None:
+    dispatch = Dispatch(*HEAD, power_kw=1.0, commitment_kw=1.0, regulation_kw=0.0)
+    found = absurdity(PLAN, DISPATCH.of(ROOT), replace(dispatch, **{field: value}), HEARD_NS)
+    assert found == f"{field} is {value:g}, accepted are finite numbers"
 
 
 @pytest.mark.parametrize("alpha", [nan, 0.0, -0.1, 1.01])
 def test_an_alpha_outside_0_to_1_is_named(alpha: float) -> None:
     command = Command(*HEAD, alpha=alpha, power_kw=0.0)
-    assert absurdity(PLAN, COMMAND.of(LEAF), command).startswith("alpha is")
+    assert absurdity(PLAN, COMMAND.of(LEAF), command, HEARD_NS).startswith("alpha is")
 
 
 def test_a_simulated_time_that_is_not_the_cycles_is_named() -> None:
     good = Impp(*HEAD, power_kw=RATING_KW, stale_cycles=0)
-    assert absurdity(PLAN, IMPP.of(LEAF), good) == ""
-    assert "sim_time_ns is 7" in absurdity(PLAN, IMPP.of(LEAF), replace(good, sim_time_ns=7))
+    assert absurdity(PLAN, IMPP.of(LEAF), good, HEARD_NS) == ""
+    assert "sim_time_ns is 7" in absurdity(
+        PLAN, IMPP.of(LEAF), replace(good, sim_time_ns=7), HEARD_NS
+    )
 
 
 @pytest.mark.parametrize(("entries", "total_kw"), [(16, 1.0), (17, nan), (0, 1.0)])
@@ -99,4 +114,35 @@ def test_a_production_of_other_inverters_or_without_numbers_is_named(
         inverter_mpp_kw=(1.0,) * entries,
         inverter_power_kw=(1.0,) * entries,
     )
-    assert absurdity(PLAN, PRODUCTION.of(ROOT), production)
+    assert absurdity(PLAN, PRODUCTION.of(ROOT), production, HEARD_NS)
+
+
+def start(**changes: object) -> Run:
+    plan = replace(PLAN, cycle_wall_ns=1_000_000_000)
+    return replace(plan.run_message("start", 0, HEARD_NS + 200_000_000), **changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({}, ""),
+        ({"start_time_ns": HEARD_NS - 9_000_000_000}, ""),
+        ({"start_time_ns": 0}, "start_time_ns is 0 and came at 77000000000 of this host's"),
+        ({"start_time_ns": HEARD_NS + 11_000_000_000}, "start_time_ns is 88000000000"),
+        ({"cycle_wall_ns": 0}, "cycle_wall_ns is 0, accepted is 1000000000"),
+        ({"cycle_wall_ns": 2_000_000_000}, "cycle_wall_ns is 2000000000, accepted is"),
+        ({"cycle": 3, "sim_time_ns": HEAD[1]}, "the run begins with cycle 3, accepted is 0"),
+    ],
+)
+def test_a_run_that_begins_at_an_impossible_time_is_named(
+    changes: dict[str, object], told: str
+) -> None:
+    plan = replace(PLAN, cycle_wall_ns=1_000_000_000)
+    found = absurdity(plan, RUN.of(ROOT), start(**changes), HEARD_NS)
+    assert found.startswith(told)
+    assert bool(found) == bool(told)
+
+
+def test_in_lockstep_no_clock_is_looked_at() -> None:
+    message = PLAN.run_message("start", 0, 0)
+    assert absurdity(PLAN, RUN.of(ROOT), message, HEARD_NS) == ""

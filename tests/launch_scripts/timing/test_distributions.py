@@ -9,12 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from timings_by_hand import encoded
 
+from agents.histograms import new_histogram, record_ns
 from launch_scripts.timing.distributions import (
     curve_ms,
     distribution,
     merged,
-    new_histogram,
-    record_ns,
 )
 
 DURATIONS_NS = st.lists(st.integers(1_000, 10**12), min_size=1, max_size=200)

@@ -5,31 +5,38 @@ from __future__ import annotations
 import os
 import threading
 import time
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from clock_by_hand import ClockByHand
 
 from agents.machine import MachineSettings
 from launch_scripts.timing.cyclictest import Cyclictest, latencies
 from launch_scripts.timing.distributions import distribution
 from launch_scripts.timing.floor_probe import Probe
 
+MS = 1_000_000
+
 
 def test_a_probe_acts_once_a_period_from_absolute_times_even_after_a_stall() -> None:
-    probe = Probe(period_ns=10_000_000)
+    clock = ClockByHand()
+    began_ns = clock.now_ns
+    probe = Probe(10 * MS, clock, clock.sleep)
     probe.hear("begin 0.3")
-    due_ns: list[int] = []
+    acted: list[tuple[int, int]] = []
 
-    def act(time_ns: int) -> None:
-        due_ns.append(time_ns)
-        if len(due_ns) == 3:
-            time.sleep(0.05)  # The periods that this delays are not left out.
+    def act(due_ns: int) -> None:
+        acted.append((due_ns, clock.now_ns))
+        clock.now_ns += 45 * MS if len(acted) == 3 else MS
 
     probe.on_each_period(act)
-    steps = {later - earlier for earlier, later in pairwise(due_ns)}
-    assert steps == {10_000_000}
-    assert 5 <= len(due_ns) <= 26
+    # From 50 ms on, at which everybody is ready, to the end at 300 ms.
+    due_ms = [*range(50, 301, 10)]
+    assert [(due_ns - began_ns) / MS for due_ns, _ in acted] == due_ms
+    # The periods that the third one delays, by 45 ms from 70 ms on, are not left out.
+    delayed_ms = {80: 115, 90: 116, 100: 117, 110: 118}
+    acted_ms = [(acted_ns - began_ns) / MS for _, acted_ns in acted]
+    assert acted_ms == [delayed_ms.get(due, due) for due in due_ms]
 
 
 def test_a_probe_ends_when_it_is_told_to_however_long_its_period() -> None:
@@ -49,7 +56,9 @@ def test_cyclictest_ends_by_itself_soon_after_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     program, words = tmp_path / "cyclictest", tmp_path / "words"
-    program.write_text(f'#!/bin/sh\necho "$@" > {words}.part; mv {words}.part {words}; sleep 60\n')
+    program.write_text(
+        f'#!/bin/sh\necho "$@" > {words}.part; mv {words}.part {words}; exec sleep 60\n'
+    )
     program.chmod(0o700)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
     cyclictest = Cyclictest(50_000_000, MachineSettings())

@@ -13,7 +13,7 @@ from bus_schemas.errors import InputError
 from launch_scripts.cli import app
 from launch_scripts.preparation import RunOptions, prepare
 from launch_scripts.scenario import load_scenario
-from launch_scripts.timing.timed_run import whole_cycles
+from launch_scripts.timing.measured_run import whole_cycles
 from launch_scripts.timing.timing_command import exit_status
 
 
@@ -68,6 +68,23 @@ def test_a_budget_that_there_is_none_of_is_refused_with_the_scenario_named(tmp_p
     line = refused(path)
     assert f"{path}: timing: budgets.lop_p99_ms: no such budget, accepted are age_p99_ms" in line
     assert "loop_p99_ms" in line
+
+
+def with_deadlines(tmp_path: Path) -> Path:
+    """A scenario whose deadlines fit into cycles of 61 ms or more."""
+    path = tmp_path / "stated.toml"
+    text = load_scenario("oahu").text
+    assert "\n[control]\n" in text
+    stated = "\n[control]\ndeadlines_ms = [20, 40, 60]\n"
+    path.write_text(text.replace("\n[control]\n", stated))
+    return path
+
+
+def test_a_listed_rate_that_cannot_be_is_refused_before_any_has_run(tmp_path: Path) -> None:
+    out = tmp_path / "sweep"
+    line = refused(with_deadlines(tmp_path), "--rate", "5,10,20", "--duration", "1", "--out", out)
+    assert "control.deadlines_ms[2] is 60 ms, accepted is less than the cycle" in line
+    assert not out.exists()
 
 
 @pytest.mark.parametrize(

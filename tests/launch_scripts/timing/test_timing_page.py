@@ -17,7 +17,7 @@ from launch_scripts.timing.distributions import distribution, merged
 from launch_scripts.timing.floor import FloorTimes
 from launch_scripts.timing.sweep import RateRow, Sweep
 from launch_scripts.timing.timing_page import write_page, write_sweep_page
-from recordings.waits import CycleWaits, Wait
+from recordings.cycle_waits import CycleWaits, Wait
 
 MS = 1_000_000
 TELEMETRY_D, COMMAND_D = TELEMETRY.of("c2/d"), COMMAND.of("c2/d")

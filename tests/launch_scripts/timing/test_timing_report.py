@@ -15,7 +15,8 @@ from bus_schemas.signals import RUN
 from bus_schemas.tree import ROOT
 from launch_scripts.summary import RunSummary
 from launch_scripts.timing.budget_table import BudgetTable
-from launch_scripts.timing.timing_report import TimedRun, TimingReport, report_on
+from launch_scripts.timing.measured_run import MeasuredRun
+from launch_scripts.timing.timing_report import TimingReport, report_on
 from recordings.writer import RunWriter
 
 START_NS = 5_000_000_000
@@ -63,7 +64,7 @@ def report_of(folder: Path, *, interrupted: bool) -> TimingReport:
         remarks=(),
         interrupted=interrupted,
     )
-    report, _ = report_on(TimedRun(PLAN, summary, (), HOST, path), BudgetTable())
+    report, _ = report_on(MeasuredRun(PLAN, summary, (), HOST, path, BudgetTable()))
     return report
 
 

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from rich.console import Console
 from timings_by_hand import HOST, TIMINGS, encoded, report, timing
 
-from agents.lifeline import ExternalAccount
+from agents.events import ExternalAccount
 from launch_scripts.timing.budget_table import BudgetTable
 from launch_scripts.timing.distributions import distribution, merged
 from launch_scripts.timing.floor import FloorTimes

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from msgspec.structs import replace
 from recordings_by_hand import PLAN
 
+from agents.histograms import new_histogram, record_ns
 from agents.plan import RunPlan
 from agents.stopwatch import ProcessTiming
 from bus_schemas.tree import ControlTree
 from launch_scripts.summary import ProcessAccount
 from launch_scripts.timing.budget_table import BudgetTable
 from launch_scripts.timing.budgets import budgets_of, judge
-from launch_scripts.timing.distributions import new_histogram, record_ns
 from launch_scripts.timing.floor import FloorTimes
 from launch_scripts.timing.host import Host
 from launch_scripts.timing.measures import Tiers, tier_accounts, times_by_tier, times_of

@@ -12,17 +12,17 @@ from recordings_by_hand import PLAN, SCENARIO, cycle_of_the_plant
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Message
+from bus_schemas.messages import Message, Run
 from bus_schemas.signals import COMMAND, PRODUCTION, RUN, Port
 from bus_schemas.tree import ROOT
-from recordings.reader import RunReader
-from recordings.waits import (
+from recordings.cycle_waits import (
     CycleWaits,
     last_cycle_with_all,
     loop_times_ns,
     response_times_ns,
     slowest_cycles,
 )
+from recordings.reader import RunReader
 from recordings.writer import RunWriter
 
 START_NS = 5_000_000_000
@@ -92,12 +92,13 @@ def recorded(
     *cycles: Iterator[Delivery],
     wall_ns: int = 100_000_000,
     logged_ns: int | None = None,
+    begin: Run | None = None,
 ) -> Path:
     """A recording of these cycles, each message logged when it was published, or all at once."""
     plan = replace(REAL_TIME, cycle_wall_ns=wall_ns)
     writer = RunWriter(folder / "run.mcap", plan, SCENARIO, driver="launch")
     run: list[tuple[Port[Message], Message]] = [
-        (RUN.of(ROOT), plan.run_message("start", 0, START_NS))
+        (RUN.of(ROOT), begin or plan.run_message("start", 0, START_NS))
     ]
     for port, message in (*run, *(entry for cycle in cycles for entry in cycle)):
         writer.add(port, message, encode(message), logged_ns or message.publish_time_ns)
@@ -128,6 +129,16 @@ def test_the_chain_leads_from_the_tick_through_whoever_was_waited_for(tmp_path: 
         ("plant", "advance", 13.4, 14.0),
     ]
     assert cycle.in_words() == "cycle 0: 14.0 ms, c2/c took 5.9 ms to estimate"
+    assert ms(cycle.loop_ns) == 14.0
+
+
+def test_a_plant_that_names_an_impossible_beginning_is_not_believed(tmp_path: Path) -> None:
+    begin = replace(
+        REAL_TIME.run_message("start", 0, START_NS),
+        start_time_ns=START_NS + 3_600_000_000_000,
+        publish_time_ns=START_NS,
+    )
+    (cycle,) = slowest(recorded(tmp_path, in_time(0, PUBLISHED_MS), begin=begin))
     assert ms(cycle.loop_ns) == 14.0
 
 

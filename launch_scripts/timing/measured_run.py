@@ -4,28 +4,44 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
+import msgspec
 from rich.console import Console
 
+from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from launch_scripts.launcher import launch
 from launch_scripts.live_view import view_for
+from launch_scripts.preparation import Preparation
 from launch_scripts.run_command import RunRequest, prepare_run
+from launch_scripts.run_folder import RunFolder
 from launch_scripts.scenario import parse_duration_s
+from launch_scripts.summary import RunSummary
 from launch_scripts.timing.budget_table import BudgetTable
-from launch_scripts.timing.floor import Floor
-from launch_scripts.timing.host import host, load_average
-from launch_scripts.timing.timing_report import TimedRun
+from launch_scripts.timing.floor import Floor, FloorTimes
+from launch_scripts.timing.host import Host, host, load_average
 
 _REAL_TIME: Final = "1"
 
 
-def run_at(
-    rate_hz: float, duration: str, request: RunRequest, console: Console, out: Path | None
-) -> tuple[TimedRun, BudgetTable]:
-    """Run a plant at a rate, and measure the floor beside it.
+class MeasuredRun(msgspec.Struct, frozen=True):
+    """A run that is over, what was measured beside it, and the budgets that its scenario states."""
+
+    plan: RunPlan
+    summary: RunSummary
+    floor: tuple[FloorTimes, ...]
+    host: Host
+    recording: Path
+    budgets: BudgetTable
+
+
+def prepare_at(
+    rate_hz: float, duration: str, request: RunRequest, out: Path | None
+) -> tuple[Preparation, RunFolder]:
+    """Work out a run at a rate, and its folder, of which nothing is made yet.
 
     Parameters
     ----------
@@ -35,51 +51,59 @@ def run_at(
         How long, in words; rounded to whole cycles.
     request
         What to run. Its duration and cycle are set here.
-    console
-        Shows progress.
     out
         Folder of the run.
-
-    Returns
-    -------
-    tuple
-        The run, and the budgets that its scenario states.
 
     Raises
     ------
     InputError
         The words of the command line, the scenario and its data do not go together.
-    RunFailure
-        The run could not go on.
     """
-    began_at = time.monotonic()
-    cycles = whole_cycles(rate_hz, duration)
     cycle_s = 1.0 / rate_hz
+    duration_s = whole_cycles(rate_hz, duration) * cycle_s
     timed = replace(
-        request,
-        pace=_REAL_TIME,
-        cycle_s=cycle_s,
-        duration=f"{cycles * cycle_s:.9f}",
-        out=out,
+        request, pace=_REAL_TIME, cycle_s=cycle_s, duration=f"{duration_s:.9f}", out=out
     )
     try:
-        preparation, folder = prepare_run(timed)
+        return prepare_run(timed)
     except OSError as error:
         # A file that may not be read, or a name that no file can have.
         raise InputError(str(error)) from None
+
+
+def measured_run(preparation: Preparation, folder: RunFolder, console: Console) -> MeasuredRun:
+    """Run a plant that is prepared, and measure the floor beside it.
+
+    Parameters
+    ----------
+    preparation, folder
+        See `prepare_at`.
+    console
+        Shows progress.
+
+    Raises
+    ------
+    InputError
+        The folder or the ports cannot be had.
+    RunFailure
+        The run could not go on.
+    """
     plan, scenario = preparation.plan, preparation.scenario.scenario
-    load_before = load_average()
+    cycle_s = plan.cycle_wall_ns / 1e9
+    began_at, load_before = time.monotonic(), load_average()
     with (
         Floor(plan.run_id, plan.cycle_wall_ns, plan.machine) as floor,
         view_for(console, plan, scenario.time.timezone) as view,
     ):
-        view.say(f"{scenario.title}; {rate_hz:g} cycles/s for {cycles * cycle_s:g} s")
-        summary = launch(preparation, folder, view, began_at, lambda: floor.begin(cycles * cycle_s))
+        length = f"{1.0 / cycle_s:g} cycles/s for {plan.cycles * cycle_s:g} s"
+        view.say(f"{scenario.title}; {length}")
+        begin_floor = partial(floor.begin, plan.cycles * cycle_s)
+        summary = launch(preparation, folder, view, began_at, begin_floor)
         rows = floor.finish()
     folder.summary.write_bytes(summary.as_json() + b"\n")
     timings = [account.timing for account in summary.processes if account.timing is not None]
-    run = TimedRun(plan, summary, rows, host(timings, load_before), folder.recording)
-    return run, scenario.timing.stated
+    machine = host(timings, load_before)
+    return MeasuredRun(plan, summary, rows, machine, folder.recording, scenario.timing.stated)
 
 
 def whole_cycles(rate_hz: float, duration: str) -> int:

@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Final
 
-from agents.lifeline import Complaint
-from recordings.spoken_words import REPEATED
+from agents.events import Complaint
+from recordings.recordable_messages import REPEATED
 
 ABSURD: Final = "absurd"
 """The cause of complaints about messages of the run whose numbers cannot be right."""

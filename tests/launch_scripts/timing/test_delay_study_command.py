@@ -11,7 +11,8 @@ import pytest
 from agents.plan import Scheme
 from launch_scripts.timing import delay_study
 from launch_scripts.timing.delay_study import Outcome, Trouble
-from launch_scripts.timing.study_command import StudyRequest, run_study, survived
+from launch_scripts.timing.delay_study_command import StudyRequest, run_study
+from launch_scripts.timing.delay_study_table import survived
 
 
 def outcome(

@@ -14,13 +14,16 @@ from msgspec.structs import replace
 
 from agents.plan import RunPlan
 from bus_schemas.messages import Message
-from bus_schemas.signals import Occurrence, Port
+from bus_schemas.signals import Port
 
 PATIENCE_S: Final = 10.0
 """How long the recorder may stand still in real time: what it hears then is out of order."""
 
 REPEATED: Final = "repeated"
 """The cause of complaints about further words in a cycle, which are recorded all the same."""
+
+FAR_OFF: Final = frozenset({"late", "other_cycle"})
+"""The causes of complaints about words of a cycle that is too far from the plant's."""
 
 MOST_WORDS: Final = 8
 """So many different words of a port are recorded in a cycle."""
@@ -35,8 +38,6 @@ _REMEMBERED_CYCLES: Final = 100
 """In so many cycles of an agent it is known that there was a word: there must be no second."""
 
 _LONGEST_WINDOW: Final = 10_000
-
-_ONCE_A_CYCLE: Final = frozenset({Occurrence.CYCLE, Occurrence.TURN, Occurrence.NEED})
 
 
 class Objection(NamedTuple):
@@ -85,7 +86,7 @@ class SpokenWords:
         cycle = message.cycle
         if cycle > newest + _CYCLE_WINDOW:
             return _far_off(cycle, newest)
-        if port.signal.occurrence not in _ONCE_A_CYCLE:
+        if not port.signal.is_cyclic:
             return None
         known = self._own_words.setdefault(port, {})
         if cycle in known:
@@ -104,7 +105,7 @@ class SpokenWords:
             return _far_off(cycle, newest, "late")
         if cycle > newest + self._ahead:
             return _far_off(cycle, newest)
-        if port.signal.occurrence not in _ONCE_A_CYCLE:
+        if not port.signal.is_cyclic:
             return None
         known = self._external_words.setdefault(port, {})
         words = known.setdefault(cycle, [])

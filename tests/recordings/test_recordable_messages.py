@@ -10,19 +10,20 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agents.lifeline import Event, Lifeline, Recorded
+from agents.events import Event, Recorded
+from agents.lifeline import Lifeline
 from agents.plan import RunPlan
 from bus_schemas.codec import encode
 from bus_schemas.messages import Dispatch, Impp, Message
-from bus_schemas.signals import COMMAND, DISPATCH, HELP, IMPP, NOTICE, PRODUCTION, Port
+from bus_schemas.signals import COMMAND, DISPATCH, HELP, IMPP, NOTICE, PRODUCTION, RUN, Port
 from bus_schemas.zenoh_bus import ZenohTap
 from launch_scripts.preparation import RunOptions, prepare
 from launch_scripts.scenario import load_scenario
 from launch_scripts.simulation import MemoryRun
 from recordings.reader import RunReader
+from recordings.recordable_messages import MOST_WORDS, SpokenWords
 from recordings.recorder import Recorder, RecordingEnd
 from recordings.series import SeriesCollector
-from recordings.spoken_words import MOST_WORDS, SpokenWords
 from recordings.writer import RunWriter
 
 CYCLES = 8
@@ -202,3 +203,52 @@ def test_a_device_that_speaks_ahead_is_recorded_with_both_words_and_named(tmp_pa
     assert account.foreign == 0
     assert ("repeated", 1) in [(entry.cause, entry.count) for entry in account.complaints]
     assert len(account.plant.desired_kw) == CYCLES
+
+
+def of_a_run(words: list[tuple[int, int]], folder: Path) -> Recorded:
+    """The recorder's account of a run in which a device gives these IMPPs: cycle and number."""
+    said: list[tuple[Port[Message], Message]] = []
+    run = MemoryRun(
+        IN_LOCKSTEP, PREPARED.profile, lambda port, message: said.append((port, message))
+    )
+    for _ in run.cycles():
+        pass
+    run.close()
+    arming = [(port, replace(message, cycle=-1)) for port, message in said if message.cycle == 0]
+    spoken = [entry for entry in said if entry[0] is not PORT]
+    place = 0
+    for cycle, sequence in words:
+        while cycle < CYCLES and spoken[place][1].cycle < cycle:
+            place += 1
+        place += 1
+        spoken.insert(place, (PORT, impp(cycle, sequence=sequence)))
+    return recorded(arming + spoken, folder)[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "lost"),
+    [
+        ([(cycle, 10 * cycle + n) for cycle in range(CYCLES) for n in range(10)], 0),
+        ([(cycle, 10 * cycle + n) for cycle in range(CYCLES) for n in range(10) if n != 7], CYCLES),
+        ([(0, 0), (1, 1), (1, 1), (2, 2), (2, 0), (3, 3), (4, 4), (5, 5), (6, 6), (7, 7)], 0),
+        ([(0, 0), (1, 1), (2, 2), (3, 3), (4, 0), (5, 1), (6, 3), (7, 4)], 1),
+        ([(0, 0), (1, 1), (2, 2), (500, 3), (10**12, 0), (3, 4), (4, 5), (5, 6)], 0),
+    ],
+    ids=["ten at a time", "one of ten lost", "copies", "begun anew", "far off"],
+)
+def test_what_a_device_lost_is_told_from_the_numbers_of_all_that_came(
+    words: list[tuple[int, int]], lost: int, tmp_path: Path
+) -> None:
+    (device,) = of_a_run(words, tmp_path).external
+    assert device.lost == lost
+
+
+def test_a_plant_that_begins_twice_is_named_and_the_run_began_with_the_first(
+    tmp_path: Path,
+) -> None:
+    begin = (RUN.of(""), IN_LOCKSTEP.run_message("start", 0, 5))
+    end = (RUN.of(""), IN_LOCKSTEP.run_message("stop", CYCLES, 0))
+    account = recorded([begin, begin, end], tmp_path)[1]
+    assert [(entry.key, entry.cause, entry.count) for entry in account.complaints] == [
+        ("oahu/run", "repeated", 1)
+    ]

@@ -23,6 +23,7 @@ from typing import Final, NamedTuple, TypeAlias
 
 from msgspec import DecodeError
 
+from agents.plan import START_WITHIN_NS
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import decode
 from bus_schemas.errors import InputError
@@ -31,16 +32,13 @@ from bus_schemas.missing import SKIPPED, absence, skipped_cycles
 from bus_schemas.signals import (
     COMMAND,
     DISPATCH,
-    HELP,
-    IMPP,
     PRODUCTION,
     REQUEST,
-    RESIDUAL,
     RUN,
     SETPOINT,
+    SIGNALS,
     TELEMETRY,
     Port,
-    Signal,
     listeners,
 )
 from bus_schemas.tree import CENTRAL, ROOT, ControlTree
@@ -48,17 +46,7 @@ from recordings.reader import RunReader
 
 CycleMessages: TypeAlias = dict[Port[Message], Message]
 
-_CYCLIC: Final[tuple[Signal[Message], ...]] = (
-    TELEMETRY,
-    DISPATCH,
-    REQUEST,
-    IMPP,
-    RESIDUAL,
-    HELP,
-    SETPOINT,
-    COMMAND,
-    PRODUCTION,
-)
+_CYCLIC: Final = tuple(signal for signal in SIGNALS if signal.is_cyclic)
 
 _STAGES: Final = {
     TELEMETRY: "begin",
@@ -353,13 +341,23 @@ def wait_finder(reader: RunReader) -> WaitFinder:
     InputError
         The run was not in real time, or its recording does not say when it began.
     """
+    plan = reader.plan
     for _, message in reader.messages(RUN):
-        if isinstance(message, Run) and message.state == "start" and message.cycle_wall_ns > 0:
-            return WaitFinder(reader.plan.tree, message.start_time_ns, message.cycle_wall_ns)
+        if isinstance(message, Run) and message.state == "start" and not plan.lockstep:
+            return WaitFinder(plan.tree, _began_ns(message), plan.cycle_wall_ns)
     raise InputError(
         f"{reader.path}: it does not say when cycle 0 began in real time, accepted is the recording"
         " of a run at a finite pace"
     )
+
+
+def _began_ns(start: Run) -> int:
+    """Return when cycle 0 began: with the word of it where that names an impossible time.
+
+    The agents believe no such word either.
+    """
+    is_far = abs(start.start_time_ns - start.publish_time_ns) > START_WITHIN_NS
+    return start.publish_time_ns if is_far and start.publish_time_ns else start.start_time_ns
 
 
 def _loops_ns(reader: RunReader, finder: WaitFinder, last_cycle: int | None) -> dict[int, int]:

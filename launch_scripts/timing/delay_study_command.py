@@ -1,0 +1,197 @@
+"""`heliarch timing --study`: how much delay and loss the control survives."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import msgspec
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from bus_schemas.errors import InputError
+from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
+from launch_scripts.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenario import load_scenario, parse_duration_s
+from launch_scripts.study.cases import cases, parse_setting
+from launch_scripts.study.compare_command import check_json_path
+from launch_scripts.study.study import remarks_of
+from launch_scripts.timing.delay_study import (
+    WARM_UP_S,
+    Outcome,
+    conditions,
+    run_study_over,
+)
+from launch_scripts.timing.delay_study_page import study_page
+from launch_scripts.timing.delay_study_table import counted_s, print_study
+from recordings.report.run_report import write_whole
+
+DEFAULT_SCENARIO: Final = "oahu-day"
+DEFAULT_START: Final = "11:58"
+DEFAULT_DURATION: Final = "62m"
+DEFAULT_SETTINGS: Final = ("commitment.share=0.6",)
+"""At the scenario's own share, 0.8, the clouds take more than control ever could."""
+
+_MOST_WORKERS: Final = 256
+_PIPE_WIDTH: Final = 120
+
+
+@dataclass(frozen=True, slots=True)
+class StudyRequest:
+    """The words of the command line, None where the user said nothing.
+
+    Without a scenario it is the hour from noon of `oahu-day`, with a commitment of 0.6 of what is
+    possible. `page` is the HTML page to write.
+    """
+
+    scenario: str | None = None
+    start: str | None = None
+    duration: str | None = None
+    seed: int | None = None
+    settings: tuple[str, ...] = ()
+    data: Path | None = None
+    workers: int = 2
+    json: str | None = None
+    page: Path | None = None
+
+
+class _StudyDocument(msgspec.Struct, frozen=True, kw_only=True):
+    """The study for machines."""
+
+    scenario: str
+    start: str
+    cycles: int
+    cycle_s: float
+    settings: tuple[str, ...]
+    remarks: tuple[str, ...]
+    outcomes: tuple[Outcome, ...]
+
+
+def run_study(request: StudyRequest) -> int:
+    """Run the study that was asked for and print its tables. Returns the exit status."""
+    console = Console(stderr=request.json == "-")
+    if not console.is_terminal:
+        console = Console(stderr=request.json == "-", width=_PIPE_WIDTH)
+    try:
+        request = _with_defaults(request)
+        preparation = _prepare(request)
+        outcomes = _run(preparation, request.workers, console)
+        print_study(preparation, outcomes, console)
+        _write(request, preparation, outcomes, console)
+    except (InputError, OSError) as error:
+        return complain(error, BAD_INPUT)
+    except BrokenProcessPool:
+        return complain("a worker was killed, often for a lack of memory: fewer --workers", FAILED)
+    except KeyboardInterrupt:
+        return complain("interrupted", INTERRUPTED)
+    return OK
+
+
+def _with_defaults(request: StudyRequest) -> StudyRequest:
+    if not 1 <= request.workers <= _MOST_WORKERS:
+        raise InputError(f"--workers {request.workers}: accepted are 1 to {_MOST_WORKERS}")
+    if request.duration is not None:
+        _check_duration(request.duration)
+    if request.json not in (None, "-"):
+        check_json_path(Path(request.json))
+    if request.page is not None:
+        _check_page(request.page)
+    if request.scenario is not None:
+        return request
+    return StudyRequest(
+        DEFAULT_SCENARIO,
+        request.start or DEFAULT_START,
+        request.duration or DEFAULT_DURATION,
+        request.seed,
+        DEFAULT_SETTINGS + request.settings,
+        request.data,
+        request.workers,
+        request.json,
+        request.page,
+    )
+
+
+def _check_duration(duration: str) -> None:
+    """Refuse a study of which nothing would count, before its weather is worked out."""
+    if parse_duration_s(duration, "--duration") <= WARM_UP_S:
+        raise InputError(
+            f"--duration {duration}: accepted for a study is more than the {WARM_UP_S:g} s at the "
+            "beginning of each run that do not count"
+        )
+
+
+def _check_page(path: Path) -> None:
+    """Refuse a place where no page can be written; folders that are not there are made later."""
+    existing = next(folder for folder in path.absolute().parents if folder.exists())
+    if path.is_dir() or not existing.is_dir():
+        raise InputError(f"report {path}: accepted is a file in a folder, {existing} is none")
+
+
+def _prepare(request: StudyRequest) -> Preparation:
+    settings = [parse_setting(text) for text in request.settings]
+    for setting, text in zip(settings, request.settings, strict=True):
+        if len(setting.values) > 1:
+            raise InputError(f"--set {text}: accepted is one value for a study")
+    (case,) = cases(
+        load_scenario(request.scenario or DEFAULT_SCENARIO, request.data),
+        RunOptions(request.start, request.duration, seed=request.seed),
+        settings,
+    )
+    preparation = prepare(case.scenario, case.options, "study")
+    if preparation.plan.faults:
+        raise InputError(
+            f"{case.scenario.path}: faults, accepted for a study is a scenario without: it brings "
+            "its own"
+        )
+    if preparation.plan.cycles * preparation.plan.cycle_ns <= WARM_UP_S * 1e9:
+        raise InputError(
+            f"a run of {preparation.plan.cycles:,} cycles, accepted for a study is one of more "
+            f"than the {WARM_UP_S:g} s that do not count"
+        )
+    return preparation
+
+
+def _run(preparation: Preparation, workers: int, console: Console) -> list[Outcome]:
+    plan = preparation.plan
+    chosen = conditions(plan.cycle_ns / 1e9, counted_s(preparation))
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    found: dict[int, Outcome] = {}
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("runs", total=len(chosen))
+        for number, outcome in run_study_over(plan, preparation.profile, chosen, workers):
+            found[number] = outcome
+            progress.advance(task)
+    return [found[number] for number in sorted(found)]
+
+
+def _write(
+    request: StudyRequest, preparation: Preparation, outcomes: Sequence[Outcome], console: Console
+) -> None:
+    plan = preparation.plan
+    document = _StudyDocument(
+        scenario=plan.plant,
+        start=preparation.local_start(),
+        cycles=plan.cycles,
+        cycle_s=plan.cycle_ns / 1e9,
+        settings=request.settings,
+        remarks=remarks_of(preparation),
+        outcomes=tuple(outcomes),
+    )
+    text = msgspec.json.format(msgspec.json.encode(document), indent=1).decode() + "\n"
+    if request.json == "-":
+        sys.stdout.write(text)
+    elif request.json is not None:
+        write_whole(Path(request.json), text)
+    if request.page is not None:
+        request.page.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(request.page, study_page(preparation, outcomes))
+        console.print(f"page: {request.page}", highlight=False, soft_wrap=True, markup=False)

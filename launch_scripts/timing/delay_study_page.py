@@ -1,0 +1,63 @@
+"""The study of delay and loss as one HTML page, with its figure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, get_args
+
+from agents.plan import Scheme
+from launch_scripts.preparation import Preparation
+from launch_scripts.timing.delay_study import VALUES, Outcome, Trouble
+from launch_scripts.timing.delay_study_table import (
+    FIGURES,
+    MERITS,
+    TROUBLES,
+    column_of,
+    figures,
+    study_notes,
+    study_title,
+    survived,
+)
+from recordings.report.delay_figures import StudyCurve, study_figure
+from recordings.report.page import html_page
+from recordings.report.tables import ReportTable
+
+_DRAWN: Final = ("control-caused [%]", "mileage [kW/h]", "RegD fulfilled [%]", "PJM score")
+_CAPTION: Final = (
+    "Along each panel one thing is worse than in the scenario, in even steps from nothing to very "
+    "bad; all else is perfect. Late messages are used; where they are dropped instead, see the "
+    "table."
+)
+
+
+def study_page(preparation: Preparation, outcomes: Sequence[Outcome]) -> str:
+    """Return the page."""
+    title = f"{study_title(preparation)}: delay, loss and a slow central controller"
+    figure = study_figure("study", "What each trouble costs", _CAPTION, study_curves(outcomes))
+    notes = [*study_notes(preparation), *survived(outcomes)]
+    tables = [_page_table(trouble, outcomes) for trouble in VALUES]
+    return html_page(title, notes, tables, [figure])
+
+
+def study_curves(outcomes: Sequence[Outcome]) -> list[StudyCurve]:
+    """Return what the figure draws: each merit along each trouble, a curve for each scheme."""
+    curves = []
+    for merit in _DRAWN:
+        for trouble, (_, unit) in TROUBLES.items():
+            for scheme in get_args(Scheme):
+                column = column_of(outcomes, trouble, scheme)
+                merits = [MERITS[merit](one) for one in column]
+                curves.append(
+                    StudyCurve(merit, unit, scheme, [one.value for one in column], merits)
+                )
+    return curves
+
+
+def _page_table(trouble: Trouble, outcomes: Sequence[Outcome]) -> ReportTable:
+    what, unit = TROUBLES[trouble]
+    rows = tuple(
+        (f"{one.value:g}, {one.scheme}, late: {one.late}", "", figures(one))
+        for one in outcomes
+        if one.trouble == trouble
+    )
+    return ReportTable(f"{what[0].upper()}{what[1:]}", FIGURES, rows, f"First column: {unit}.")

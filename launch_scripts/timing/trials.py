@@ -1,0 +1,96 @@
+"""Runs of one plant at several rates, each in a folder of its own below that of the sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from rich.console import Console
+
+from bus_schemas.errors import InputError
+from launch_scripts.preparation import Preparation
+from launch_scripts.run_command import RunRequest
+from launch_scripts.run_folder import RunFolder
+from launch_scripts.supervision import RunFailure
+from launch_scripts.timing.measured_run import MeasuredRun, measured_run, prepare_at
+from launch_scripts.timing.sweep import RateRow, rate_row
+from launch_scripts.timing.timing_report import TimingReport, report_on
+
+
+class Trials:
+    """The runs of a sweep.
+
+    Parameters
+    ----------
+    request
+        What to run.
+    duration
+        How long, at each rate.
+    folder
+        Of the sweep.
+    console
+        Shows progress.
+
+    Attributes
+    ----------
+    latest
+        The report of the last run that came to its end; None before that.
+    """
+
+    def __init__(self, request: RunRequest, duration: str, folder: Path, console: Console) -> None:
+        self.latest: TimingReport | None = None
+        self._request = request
+        self._duration = duration
+        self._folder = folder
+        self._console = console
+        self._prepared: dict[float, tuple[Preparation, RunFolder]] = {}
+        self._has_begun = False
+
+    def prepare(self, rates_hz: Iterable[float]) -> None:
+        """Work out the runs at rates that will be tried for certain, before any of them starts.
+
+        Raises
+        ------
+        InputError
+            One of them cannot be.
+        """
+        for rate_hz in rates_hz:
+            out = self._folder / f"rate-{rate_hz:g}"
+            self._prepared[rate_hz] = prepare_at(rate_hz, self._duration, self._request, out)
+
+    def run(self, rate_hz: float) -> tuple[RateRow, bool]:
+        """Run at a rate; tell what it came to, and whether the user interrupted it.
+
+        A rate that a search comes to may be refused, for instance since stated deadlines do not
+        fit into the cycle. What was measured before counts all the same: the rate has failed.
+
+        Raises
+        ------
+        InputError
+            The first rate of all is refused.
+        """
+        try:
+            run = self._run(rate_hz)
+        except InputError as error:
+            if not self._has_begun:
+                raise
+            return self._failed(rate_hz, error), False
+        except RunFailure as failure:
+            return self._failed(rate_hz, failure), False
+        except KeyboardInterrupt:
+            return RateRow(rate_hz, interrupted=True), True
+        finally:
+            self._has_begun = True
+        self.latest, _ = report_on(run)
+        return rate_row(self.latest), self.latest.interrupted
+
+    def _run(self, rate_hz: float) -> MeasuredRun:
+        if rate_hz not in self._prepared:
+            self.prepare([rate_hz])
+        preparation, folder = self._prepared.pop(rate_hz)
+        return measured_run(preparation, folder, self._console)
+
+    def _failed(self, rate_hz: float, reason: Exception) -> RateRow:
+        text = f"{rate_hz:g} cycles/s: {reason}"
+        self._console.print(text, highlight=False, soft_wrap=True, markup=False)
+        return RateRow(rate_hz, failed=str(reason).splitlines()[0])

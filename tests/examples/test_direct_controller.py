@@ -1,0 +1,124 @@
+"""The example controller keeps to docs/wire.md where its parent's words do not come in time."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import msgpack
+import pytest
+import zenoh
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
+
+import direct_controller
+
+from bus_schemas.codec import decode
+from bus_schemas.links import explicit_links
+from bus_schemas.messages import Command
+from bus_schemas.signals import COMMAND
+from bus_schemas.tree import ControlTree
+
+NODE = "c1/inv01"
+CYCLE_S = 2.0
+PLAN: dict[str, Any] = {
+    "plant": "field",
+    "namespace": "",
+    "run_id": "run-1",
+    "inverters": [[NODE, 100.0], ["c1/inv02", 100.0]],
+    "tcp_ports": {"recorder": 7500, "plant": 7501, "central": 7502, "c1": 7503},
+    "start_time_ns": 0,
+    "cycle_ns": 1_000_000_000,
+    "cycle_wall_ns": int(CYCLE_S * 1e9),
+    "period_cycles": [1, 5],
+    "alpha_min": 0.05,
+}
+
+
+class Device:
+    """The controller at work on a clock of the test's, and what it sends."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, **plan: int) -> None:
+        self.now_s = 100.0
+        self.sent: list[tuple[str, dict[str, Any]]] = []
+        clock = SimpleNamespace(monotonic=lambda: self.now_s, monotonic_ns=lambda: 1)
+        monkeypatch.setattr(direct_controller, "time", clock)
+        session = cast("zenoh.Session", SimpleNamespace(put=self._put))
+        self.controller = direct_controller.DirectController(PLAN | plan, NODE, session)
+
+    def _put(self, key: str, payload: bytes, **options: object) -> None:
+        self.sent.append((key.removeprefix(f"field/{NODE}/"), msgpack.unpackb(payload)))
+
+    def hear(self, signal: str, cycle: int, **fields: float) -> list[str]:
+        """Let a message come; return the signals with which it is answered."""
+        before = len(self.sent)
+        self.controller.hear(signal, {"cycle": cycle} | fields)
+        return [name for name, _ in self.sent[before:]]
+
+    def measure(self, cycle: int) -> list[str]:
+        return self.hear("telemetry", cycle, power_kw=60.0, alpha=1.0)
+
+    def wait(self) -> tuple[float, list[str]]:
+        """Let nothing come for as long as it waits: how long that is, and what it then says."""
+        left_s, before = self.controller.seconds_left(), len(self.sent)
+        assert left_s is not None, "it would wait for ever"
+        self.now_s += left_s
+        self.controller.advance(time_is_up=True)
+        return round(left_s, 9), [name for name, _ in self.sent[before:]]
+
+
+def test_without_a_setpoint_in_time_the_last_one_is_commanded(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    device = Device(monkeypatch)
+    device.measure(0)
+    assert device.hear("request", 0, power_kw=50.0) == ["impp", "residual"]
+    assert device.hear("setpoint", 0, power_kw=30.0) == ["command"]
+    assert device.controller.seconds_left() is None
+    device.measure(5)
+    device.hear("request", 5, power_kw=50.0)
+    assert device.wait() == (0.75 * CYCLE_S, ["command"])
+    _, command = device.sent[-1]
+    assert (command["cycle"], command["alpha"], command["missing"]) == (
+        5,
+        0.5,
+        [f"{NODE}/setpoint"],
+    )
+    assert isinstance(decode(COMMAND, msgpack.packb(command)), Command)
+    assert device.hear("setpoint", 5, power_kw=10.0) == [], "it comes too late"
+    device.measure(6)
+    assert device.sent[-1][1]["alpha"] == 0.5, "of a cycle in which none is awaited"
+
+
+def test_without_any_word_of_its_parent_both_are_done_without(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    device = Device(monkeypatch)
+    assert device.measure(0) == []
+    assert device.wait() == (0.3 * CYCLE_S, ["impp", "residual"])
+    assert device.wait() == (0.45 * CYCLE_S, ["command"])
+    assert device.sent[-1][1]["missing"] == [f"{NODE}/request", f"{NODE}/setpoint"]
+
+
+@pytest.mark.parametrize(("cycle", "plan"), [(5, {"cycle_wall_ns": 0}), (-3, {})])
+def test_in_lockstep_and_in_arming_rounds_nothing_is_done_without(
+    cycle: int, plan: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device = Device(monkeypatch, **plan)
+    assert device.measure(cycle) == []
+    assert device.controller.seconds_left() is None
+    device.hear("request", cycle, power_kw=50.0)
+    assert device.controller.seconds_left() is None
+    assert device.hear("setpoint", cycle, power_kw=30.0) == ["command"]
+
+
+def test_it_listens_nowhere_and_connects_where_its_links_are() -> None:
+    found = direct_controller.session_config(PLAN, NODE, [])
+    assert found.get_json("listen/endpoints") == "[]"
+    ports = PLAN["tcp_ports"]
+    links = explicit_links(ControlTree(tuple((path, kw) for path, kw in PLAN["inverters"])))
+    assert links.endpoints(NODE, ports)[0] == []
+    for endpoint in links.endpoints(NODE, ports)[1]:
+        assert endpoint in found.get_json("connect/endpoints")
