@@ -2,14 +2,39 @@
 
 from __future__ import annotations
 
+import gc
 import os
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from running import Heliarch
+from hypothesis import HealthCheck, settings
+from running import Heliarch, commands_in
 
 REPOSITORY = Path(__file__).parent.parent
+
+# How long an example takes to make or to check is the machine's affair.
+settings.register_profile(
+    "any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("any machine")
+
+
+def pytest_configure() -> None:
+    """Let Ctrl-C be heard, and by the commands under test too, where a shell has turned it off.
+
+    A shell without job control starts what runs in the background with SIGINT ignored, and a
+    process hands that on to those that it starts.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_finish() -> None:
+    """Keep the garbage collector off all that was imported: code under test calls it often."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
@@ -24,16 +49,14 @@ def data_folder() -> Path:
 @pytest.fixture
 def heliarch(tmp_path: Path) -> Iterator[Callable[..., Heliarch]]:
     """Start `heliarch` commands, each with a folder of its own; nothing outlives the test."""
-    started: list[Heliarch] = []
+    with commands_in(tmp_path) as start:
+        yield start
 
-    def start(*words: str) -> Heliarch:
-        command = Heliarch(tmp_path / f"run{len(started)}", *words)
-        started.append(command)
-        return command
 
-    yield start
-    for command in started:
-        command.process.kill()
-        command.process.wait()
-        for process in command.processes():
-            process.kill()
+@pytest.fixture(scope="module")
+def lasting_heliarch(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[Callable[..., Heliarch]]:
+    """The same for runs that several tests look at."""
+    with commands_in(tmp_path_factory.mktemp("runs")) as start:
+        yield start

@@ -31,9 +31,11 @@ import msgspec
 import zenoh
 
 from agents.agent import Agent, Stage, Turn
-from agents.lifeline import Event, Failed, Lifeline, Ready, join_run
+from agents.events import Event, Failed, Joined
+from agents.garbage import spare_the_collector
+from agents.lifeline import Lifeline
 from agents.plan import RunPlan
-from agents.runtime import spare_the_collector
+from agents.process_setup import join_run
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
 from bus_schemas.links import Links, explicit_links
@@ -232,7 +234,7 @@ class Done(Event, frozen=True):
     cpu_s: float = 0.0
 
 
-AnyEvent: TypeAlias = Ready | Failed | Absent | Done
+AnyEvent: TypeAlias = Joined | Failed | Absent | Done
 
 
 class Player:
@@ -492,7 +494,7 @@ def _await_others(session: zenoh.Session, job: Job, agent: str, lifeline: Lifeli
             lifeline.tell(Absent(sorted(awaited.values())))
             complain_at += ARM_S
         time.sleep(0.05 if awaited else 0.0)
-    lifeline.tell(Ready())
+    lifeline.tell(Joined())
 
 
 # The run as a whole -----------------------------------------------------------------------------
@@ -666,7 +668,7 @@ def _is_failure(event: AnyEvent) -> bool:
 
 
 def _is_ready(event: AnyEvent) -> bool:
-    return isinstance(event, Ready)
+    return isinstance(event, Joined)
 
 
 def _is_account(event: AnyEvent) -> bool:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import zenoh
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 sys.path.insert(0, str(EXAMPLES))
@@ -70,13 +71,12 @@ class MisbehavingDevice(direct_controller.DirectController):
         """Another's name on the own key, and the own name on another's key."""
         self.put("impp", msgpack.packb(self.impp(self.cycle) | {"source": "central"}))
         other = next(node for node, _ in self.plan["inverters"] if node != self.node)
-        key = f"{self.plan['plant']}/{other}/impp"
-        self.session.put(key, msgpack.packb(self.impp(self.cycle)))
+        self.put_at(f"{other}/impp", msgpack.packb(self.impp(self.cycle)))
 
     def speak_for_nobody(self) -> None:
         """A node that the run does not have."""
         cluster = self.node.rpartition("/")[0]
-        self.session.put(f"{self.plan['plant']}/{cluster}/nobody/impp", b"")
+        self.put_at(f"{cluster}/nobody/impp", b"")
 
     def flood(self) -> None:
         """Far more than anybody can look at."""
@@ -105,7 +105,15 @@ class MisbehavingDevice(direct_controller.DirectController):
 
     def put(self, signal: str, payload: bytes) -> None:
         """Send bytes on a key of its own."""
-        self.session.put(f"{self.prefix}/{signal}", payload)
+        self.put_at(f"{self.node}/{signal}", payload)
+
+    def put_at(self, key: str, payload: bytes) -> None:
+        """Send bytes on any key of the plant. None of them gets lost, however slow who hears it."""
+        self.session.put(
+            f"{self.plan['plant']}/{key}",
+            payload,
+            congestion_control=zenoh.CongestionControl.BLOCK,
+        )
 
 
 if __name__ == "__main__":

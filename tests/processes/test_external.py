@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from msgspec.structs import replace
 from running import Heliarch, assert_none_left
 from test_launch import decisions, summary_of
 
+from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, Production
 from bus_schemas.signals import COMMAND, HELP, IMPP, PRODUCTION, RESIDUAL, SETPOINT, Port
 from launch_scripts.preparation import RunOptions, prepare
@@ -92,7 +94,7 @@ def test_the_example_controller_decides_bit_for_bit_what_ours_decides(
     right = our_decisions()
     assert run.wait() == 0, run.error_text()
     assert decisions(run.folder) == right
-    assert process.wait(timeout=20) == 0
+    assert process.wait(timeout=60) == 0
     summary = summary_of(run.folder)
     (account,) = summary.external
     assert (account.agent, account.lost, account.expected, account.answered) == (NODE, 0, 75, 75)
@@ -104,35 +106,58 @@ def test_the_example_controller_decides_bit_for_bit_what_ours_decides(
 
 
 def test_in_real_time_a_device_may_die_and_come_back(heliarch: Start, device: Device) -> None:
-    words = ("--duration", "60", "--pace", "10", "--external", NODE)
-    run = heliarch("launch", "oahu", *words)
+    run = heliarch("launch", "oahu", "--duration", "1h", "--pace", "10", "--external", NODE)
     first = controller(device, run)
     run.until_running()
     first.send_signal(signal.SIGKILL)
     run.until(said(run, f"{NODE} (external) is gone in cycle"), "word that the device is gone")
+    run.until(lambda: silent_cycles(run) >= 3, "cycles without it")
     controller(device, run)
     run.until(said(run, f"{NODE} (external) is back in cycle"), "word that the device is back")
+    run.until(lambda: counts_anew(run), "an answer of the device that came back")
+    run.process.send_signal(signal.SIGINT)
     run.wait()  # On a slow machine messages of the others may get lost: then the run says so.
     assert "the run goes on without it" in run.output.read_text()
-    summary = summary_of(run.folder)
-    assert summary.cycles == 60
-    (account,) = summary.external
+    (account,) = summary_of(run.folder).external
+    assert account.agent == NODE
     assert 0 < account.answered < account.expected
-    with RunReader(run.folder) as reader:
-        last = [message for port, message in reader.messages(IMPP) if port.node == NODE][-1]
-    assert last.sequence < last.cycle, "it began to count anew when it came back"
     assert_none_left(run.folder)
+
+
+def words_and_cycles(run: Heliarch) -> tuple[list[Message], int]:
+    """What the recording has of the device by now, and how many cycles."""
+    try:
+        with RunReader(run.folder) as reader:
+            words = [message for port, message in reader.messages(IMPP) if port.node == NODE]
+            return words, sum(1 for _ in reader.messages(PRODUCTION))
+    except InputError:  # Nothing has been flushed yet.
+        return [], 0
+
+
+def silent_cycles(run: Heliarch) -> int:
+    """How many cycles are over since the device's last word."""
+    words, cycles = words_and_cycles(run)
+    return cycles - 1 - words[-1].cycle if words else 0
+
+
+def counts_anew(run: Heliarch) -> bool:
+    """Whether there is a word of the device that came back: it counts from 0 again."""
+    words, _ = words_and_cycles(run)
+    return any(later.sequence <= earlier.sequence for earlier, later in pairwise(words))
 
 
 def said(run: Heliarch, text: str) -> Callable[[], bool]:
     return lambda: text in run.output.read_text()
 
 
-def test_the_example_plant_conducts_our_controllers(heliarch: Start, device: Device) -> None:
-    run = heliarch("launch", "oahu", "--duration", "20", "--pace", "10", "--external", "plant")
+@pytest.mark.parametrize("pace", ["max", "10"])
+def test_the_example_plant_conducts_our_controllers(
+    heliarch: Start, device: Device, pace: str
+) -> None:
+    run = heliarch("launch", "oahu", "--duration", "20", "--pace", pace, "--external", "plant")
     process = device(PLANT, "--plan", run.folder / "plan.json")
     run.wait()
-    assert process.wait(timeout=20) == 0
+    assert process.wait(timeout=60) == 0
     assert "armed: cycle 0 began" in run.output.read_text()
     summary = summary_of(run.folder)
     assert summary.cycles == 20
@@ -142,7 +167,11 @@ def test_the_example_plant_conducts_our_controllers(heliarch: Start, device: Dev
         heard = [message for _, message in reader.messages(PRODUCTION)]
     powers_kw = [(m.desired_kw, m.delivered_kw) for m in heard if isinstance(m, Production)]
     assert len(powers_kw) == 20
-    assert all(0.0 < delivered <= 1.1 * desired for desired, delivered in powers_kw[1:])
+    assert all(delivered > 0.0 for _, delivered in powers_kw)
+    if pace == "max":
+        # In real time controllers that a slow machine keeps waiting curtail nothing.
+        assert all(delivered <= 1.1 * desired for desired, delivered in powers_kw[1:])
+        assert run.process.returncode == 0, run.error_text()
     assert "plant" not in verified(run).accounts
     assert_none_left(run.folder)
 
@@ -185,12 +214,12 @@ def contained(launched: Decisions, right: Decisions) -> None:
 def test_a_device_that_never_comes_is_named_with_where_it_should_have_come(
     heliarch: Start,
 ) -> None:
-    words = ("--external", NODE, "--external-timeout", "2.5")
+    words = ("--external", NODE, "--external-timeout", "0.5")
     run = heliarch("launch", "oahu", "--duration", "20", *words)
     assert run.wait() == 1
     plan = json.loads((run.folder / "plan.json").read_text())
     text = run.error_text()
-    assert f"no sign of {NODE} after 2.5 s" in text
+    assert f"no sign of {NODE} after 0.5 s" in text
     for agent in ("recorder", "plant", "c1"):
         assert f"tcp/127.0.0.1:{plan['tcp_ports'][agent]} ({agent})" in text
     assert f"namespace {plan['run_id']}" in text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import pytest
@@ -39,68 +40,67 @@ def summary_of(folder: Path) -> RunSummary:
     return msgspec.convert(document, RunSummary)
 
 
-@pytest.mark.parametrize(("scenario", "cycles", "agents"), [("oahu", 120, 21), ("valley", 20, 76)])
-def test_processes_decide_bit_for_bit_what_one_process_decides(
-    heliarch: Start, scenario: str, cycles: int, agents: int
-) -> None:
-    words = (scenario, "--duration", str(cycles), "--seed", "3")
-    launched, simulated = heliarch("launch", *words), heliarch("simulate", *words)
-    assert (launched.wait(), simulated.wait()) == (0, 0), launched.error_text()
-    ours, theirs = decisions(launched.folder), decisions(simulated.folder)
-    assert len(ours) > cycles * agents * 2
+CYCLES = 60
+
+
+class SideBySide(NamedTuple):
+    """Two plants of processes that ran at the same time, and the first of them in one process."""
+
+    one: Heliarch
+    other: Heliarch
+    simulated: Heliarch
+
+
+@pytest.fixture(scope="module")
+def side_by_side(lasting_heliarch: Start) -> SideBySide:
+    words = ("oahu", "--duration", str(CYCLES), "--seed")
+    one = lasting_heliarch("launch", *words, "3", "--json", "-")
+    other = lasting_heliarch("launch", *words, "2")
+    assert (one.wait(), other.wait()) == (0, 0), one.error_text() + other.error_text()
+    simulated = lasting_heliarch("simulate", *words, "3")
+    assert simulated.wait() == 0, simulated.error_text()
+    return SideBySide(one, other, simulated)
+
+
+def test_processes_decide_bit_for_bit_what_one_process_decides(side_by_side: SideBySide) -> None:
+    ours, theirs = decisions(side_by_side.one.folder), decisions(side_by_side.simulated.folder)
+    assert len(ours) > CYCLES * 21 * 2
     assert ours == theirs
-    assert_none_left(launched.folder)
+    assert_none_left(side_by_side.one.folder)
 
 
-def test_every_message_that_was_published_is_in_the_recording(heliarch: Start) -> None:
-    run = heliarch("launch", "oahu", "--duration", "60")
-    assert run.wait() == 0, run.error_text()
+def test_every_message_that_was_published_is_in_the_recording(side_by_side: SideBySide) -> None:
+    run = side_by_side.one
     summary = summary_of(run.folder)
     with RunReader(run.folder) as reader:
         recorded = [port.signal.name for port, _ in reader.messages()]
     counts = {count.signal: count.recorded for count in summary.messages}
-    assert counts["telemetry"] == 60 * 17
-    assert counts["impp"] == 60 * 21
+    assert counts["telemetry"] == CYCLES * 17
+    assert counts["impp"] == CYCLES * 21
     assert {name: recorded.count(name) for name in counts} == counts
-    assert summary.lost == 0
-    assert summary.dropped == {}
 
 
-def test_each_agent_is_a_process_with_a_log_of_its_own(heliarch: Start) -> None:
-    run = heliarch("launch", "oahu", "--duration", "1h")
-    run.until_running()
-    processes = run.processes()
-    assert len({process.pid for process in processes}) == 23
-    assert len(list((run.folder / "logs").glob("*.log"))) == 23
-
-
-def test_two_plants_run_side_by_side(heliarch: Start) -> None:
-    one = heliarch("launch", "oahu", "--duration", "60", "--seed", "1")
-    other = heliarch("launch", "oahu", "--duration", "60", "--seed", "2")
-    assert (one.wait(), other.wait()) == (0, 0), one.error_text() + other.error_text()
-    for run in (one, other):
+def test_two_plants_side_by_side_do_not_hear_each_other(side_by_side: SideBySide) -> None:
+    for run in (side_by_side.one, side_by_side.other):
         summary = summary_of(run.folder)
-        assert (summary.cycles, summary.lost, summary.dropped) == (60, 0, {})
-    assert decisions(one.folder) != decisions(other.folder)
+        assert (summary.cycles, summary.lost, summary.dropped) == (CYCLES, 0, {})
+    assert decisions(side_by_side.one.folder) != decisions(side_by_side.other.folder)
 
 
-def test_in_real_time_the_plant_ticks_through_all_cycles_and_says_what_was_missing(
-    heliarch: Start,
-) -> None:
-    run = heliarch("launch", "oahu", "--duration", "40", "--pace", "20")
-    run.wait()  # On a slow machine messages may get lost: then the run fails, and says so.
-    summary = summary_of(run.folder)
-    assert summary.cycles == 40
-    with RunReader(run.folder) as reader:
-        silent_cycles = {m.cycle for _, m in reader.messages(IMPP) if m.missing}
-    assert bool(silent_cycles) <= (summary.missing_inputs > 0)
-    assert_none_left(run.folder)
-
-
-def test_the_summary_goes_to_standard_output_alone_if_asked_for(heliarch: Start) -> None:
-    run = heliarch("launch", "oahu", "--duration", "5", "--json", "-")
-    assert run.wait() == 0
-    document = msgspec.json.decode(run.output.read_bytes())
-    assert document["cycles"] == 5
+def test_the_summary_goes_to_standard_output_alone_if_asked_for(side_by_side: SideBySide) -> None:
+    document = msgspec.json.decode(side_by_side.one.output.read_bytes())
+    assert document["cycles"] == CYCLES
     assert document["messages_lost"] == 0
-    assert "armed" in run.error_text()
+    assert "armed" in side_by_side.one.error_text()
+
+
+def test_a_deeper_and_larger_plant_decides_alike_too(heliarch: Start) -> None:
+    words = ("valley", "--duration", "10", "--seed", "3")
+    launched = heliarch("launch", *words)
+    assert launched.wait() == 0, launched.error_text()
+    simulated = heliarch("simulate", *words)
+    assert simulated.wait() == 0, simulated.error_text()
+    ours = decisions(launched.folder)
+    assert len(ours) > 10 * 76 * 2
+    assert ours == decisions(simulated.folder)
+    assert_none_left(launched.folder)

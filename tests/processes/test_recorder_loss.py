@@ -27,14 +27,23 @@ pytestmark = pytest.mark.processes
 Start = Callable[..., Heliarch]
 
 LATENESS_S = 1.0
-"""What a loaded machine may add to the time between two flushes."""
+"""What a machine that does nothing else may add to the time between two flushes."""
 
 
 @dataclass(frozen=True)
 class Loss:
-    """What a kill cost: time between the last message that was kept and the kill."""
+    """What a kill cost.
+
+    Attributes
+    ----------
+    lost_s
+        Time between the last message that was kept and the kill.
+    flushed_cycles, kept_cycles
+        Cycles that could be read just before the kill, and after it.
+    """
 
     lost_s: float
+    flushed_cycles: int
     kept_cycles: int
 
 
@@ -43,6 +52,7 @@ def kill_recorder(run: Heliarch, phase_s: float) -> Loss:
     run.until(lambda: recorded_cycles(run.folder) > 0, "cycles that can be read on disk")
     recorder = run.process_of("recorder")
     time.sleep(phase_s)
+    flushed_cycles = recorded_cycles(run.folder)
     killed_at_ns = time.monotonic_ns()
     recorder.send_signal(signal.SIGKILL)
     assert run.wait() == 1
@@ -58,16 +68,16 @@ def kill_recorder(run: Heliarch, phase_s: float) -> Loss:
         for port, message in after.messages():
             last_ns = max(last_ns, message.publish_time_ns)
             cycles += port.signal is PRODUCTION
-    return Loss((killed_at_ns - last_ns) / 1e9, cycles)
+    return Loss((killed_at_ns - last_ns) / 1e9, flushed_cycles, cycles)
 
 
-def test_a_recorder_killed_at_a_random_moment_loses_its_last_half_second_at_most(
+def test_a_recorder_killed_at_a_random_moment_loses_nothing_that_it_had_flushed(
     heliarch: Start,
 ) -> None:
+    """It flushes every half second: `tests/recordings/test_flushes.py`."""
     phase_s = random.uniform(0.0, 2.0 * FLUSH_S)
     loss = kill_recorder(heliarch("launch", "oahu", "--duration", "5h"), phase_s)
-    assert loss.kept_cycles > 0
-    assert 0.0 <= loss.lost_s <= FLUSH_S + LATENESS_S, f"killed {phase_s:.3f} s after a flush"
+    assert loss.kept_cycles >= loss.flushed_cycles > 0, f"killed {phase_s:.3f} s after a flush"
 
 
 @pytest.mark.soak
@@ -75,6 +85,7 @@ def test_a_recorder_killed_at_a_random_moment_loses_its_last_half_second_at_most
 def test_twenty_kills_at_random_moments(
     heliarch: Start, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Measures what is lost, on a machine that does nothing else."""
     losses = []
     for _ in range(20):
         run = heliarch("launch", "oahu", "--duration", "5h")

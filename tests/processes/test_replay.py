@@ -20,26 +20,34 @@ import psutil
 import pytest
 import zenoh
 from mcap.reader import make_reader
+from running import Heliarch
 from typer.testing import CliRunner
 
 from agents.plan import RunPlan, load_plan
 from bus_schemas.codec import decode, encode
 from bus_schemas.messages import Telemetry
+from bus_schemas.missing import skipped_cycles
+from bus_schemas.signals import RUN
 from launch_scripts.cli import app
+from launch_scripts.scenario import load_scenario
 from recordings.reader import RunReader
 from recordings.writer import RunWriter
 
 pytestmark = pytest.mark.processes
 
 CYCLES = 30
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a run in lockstep: 17 inverters, three clusters."""
     folder = tmp_path_factory.mktemp("recorded") / "run"
-    words = ["simulate", "oahu", "--duration", str(CYCLES), "--out", str(folder)]
+    # With it live agents and the replay wait as long for each other as a slow machine needs.
+    scenario = folder.with_suffix(".toml")
+    before, control, after = load_scenario("oahu").text.partition("[control]\n")
+    scenario.write_text(f"{before}{control}stall_timeout_s = {PATIENCE_S}\n{after}")
+    words = ["simulate", str(scenario), "--duration", str(CYCLES), "--out", str(folder)]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
     return folder
@@ -184,7 +192,7 @@ def test_ctrl_c_ends_a_replay_that_waits_and_one_that_plays(
     waiting = replay(recorded, "--wait")
     waiting.until("waiting for a subscriber")
     playing = replay(recorded, "--loop", "--clock", "sim")
-    playing.until("12:00:02")
+    playing.until("12:00:")
     for command in (waiting, playing):
         command.process.send_signal(signal.SIGINT)
         status, text, _ = command.wait()
@@ -290,7 +298,7 @@ def test_who_waits_for_what_the_recording_lacks_is_named(
     replay: Callable[..., Replay], recorded: Path, plan: RunPlan, tmp_path: Path
 ) -> None:
     leaf, cluster = some_live(plan)
-    impatient = msgspec.structs.replace(plan, stall_timeout_s=0.3)
+    impatient = msgspec.structs.replace(plan, stall_timeout_s=3.0)
     writer = RunWriter(tmp_path / "run.mcap", impatient, "", driver="simulate")
     with RunReader(recorded) as reader:
         for record in reader.records():
@@ -322,23 +330,41 @@ def test_no_live_agent_outlives_its_replay(
     until(lambda: len(command.live_processes()) > 3)
     command.process.send_signal(sent)
     assert command.wait()[0] == status
-    _, alive = psutil.wait_procs(command.live_processes(), timeout=20)
+    _, alive = psutil.wait_procs(command.live_processes(), timeout=60)
     assert not alive
 
 
 def test_in_real_time_live_agents_have_the_inputs_and_deadlines_of_the_run(
-    replay: Callable[..., Replay], tmp_path: Path
+    replay: Callable[..., Replay], heliarch: Callable[..., Heliarch]
 ) -> None:
-    folder = tmp_path / "launched"
-    words = ("launch", "oahu", "--duration", "10", "--pace", "5", "--out", str(folder))
-    subprocess.run([sys.executable, "-m", "launch_scripts", *words], check=False, timeout=120)
-    plan = load_plan(folder / "plan.json")
-    command = replay(folder, "--live", plan.tree.leaves[0], "--json", "-")
+    launched = heliarch("launch", "oahu", "--duration", "10", "--pace", "5")
+    launched.wait()  # On a slow machine messages may get lost: then the run says so.
+    plan = load_plan(launched.folder / "plan.json")
+    leaf = plan.tree.leaves[0]
+    command = replay(launched.folder, "--live", leaf, "--json", "-")
     status, text, complaint = command.wait()
     figures = json.loads(text)
-    assert figures["cycles"] == 10, complaint
-    assert figures["wall_s"] > 10 / 5
-    assert figures["timing_error"]["count"] > 10 * 100
+    with RunReader(launched.folder) as reader:
+        replayed = [
+            (port.publisher, message)
+            for port, message in reader.messages()
+            if message.cycle < 10 and port.signal is not RUN
+        ]
+    of_others = [message for publisher, message in replayed if publisher != leaf]
+    of_leaf = [message for publisher, message in replayed if publisher == leaf]
+    assert figures["cycles"] == 1 + max(message.cycle for message in of_others), complaint
+    assert figures["wall_s"] > 0.2 * (figures["cycles"] - 1)
+    assert figures["timing_error"]["count"] == len(of_others)
     # On a slow machine deadlines may fall otherwise than when it was recorded: then it is told.
     assert status == bool(figures["differing"])
-    assert all(entry["kind"] != "only new" for entry in figures["differences"])
+    # It says nothing more than it said then, but in cycles that it had given up. A request that
+    # comes too late now may make it call for help.
+    given_up = {
+        cycle for message in of_leaf for cycle in skipped_cycles(message.missing, message.cycle)
+    }
+    more = {
+        entry["cycle"]
+        for entry in figures["differences"]
+        if entry["kind"] == "only new" and entry["key"] != f"{leaf}/help"
+    }
+    assert more <= given_up or "messages were lost" in launched.error_text()

@@ -7,13 +7,12 @@ from collections.abc import Callable
 
 import pytest
 from running import Heliarch
+from verifying import assert_equal_as_far_as_recorded, findings, verified
 
 from agents.plan import load_plan
 from bus_schemas.errors import InputError
 from bus_schemas.missing import skipped_cycles
 from bus_schemas.signals import IMPP, PRODUCTION
-from launch_scripts.verification.comparison import Comparison
-from launch_scripts.verification.verification import Verification, verify
 from recordings.reader import RunReader
 
 pytestmark = pytest.mark.processes
@@ -30,14 +29,6 @@ def recorded_cycles(run: Heliarch) -> int:
         return 0
 
 
-def verified(run: Heliarch) -> Verification:
-    return verify(run.folder, (), Comparison())
-
-
-def findings(found: Verification) -> dict[str, object]:
-    return {name: entry.first for name, entry in found.accounts.items() if entry.first}
-
-
 def most_skipped(run: Heliarch, agent: str) -> range:
     """The cycles that an agent gave up in its longest pause, by its own word."""
     with RunReader(run.folder) as reader:
@@ -52,30 +43,29 @@ def most_skipped(run: Heliarch, agent: str) -> range:
 def test_a_run_in_real_time_with_a_supervisor_that_stood_still_verifies_equal(
     heliarch: Start,
 ) -> None:
-    run = heliarch("launch", "oahu", "--pace", "20", "--duration", "120")
+    run = heliarch("launch", "oahu", "--pace", "20", "--duration", "1h")
     run.until(lambda: recorded_cycles(run) > 0, "cycles that can be read on disk")
     process = run.process_of("c2")
     process.send_signal(signal.SIGSTOP)
+    # What is on disk lags behind: only what comes with the next flush but one is after the stop.
+    for _ in range(2):
+        on_disk = recorded_cycles(run)
+        run.until(lambda before=on_disk: recorded_cycles(run) > before, "a flush")  # type: ignore[misc]
     stopped_at = recorded_cycles(run)
     run.until(lambda: recorded_cycles(run) > stopped_at + 15, "cycles without it")
     process.send_signal(signal.SIGCONT)
-    status = run.wait()
+    run.until(lambda: len(most_skipped(run, "c2")) > 10, "its word that it gave up all of them")
+    run.process.send_signal(signal.SIGINT)
+    run.wait()
     found = verified(run)
     assert found.missed_inputs > 0
     assert found.compared > 0
-    assert len(most_skipped(run, "c2")) > 10, "it came back at once, not cycle by cycle"
-    if status == 0:
-        assert findings(found) == {}
-    else:
-        # A machine under load: the recorder lost messages, and that is all that may be found.
-        assert "messages were lost" in run.error_text()
-        kinds = {kind for account in found.accounts.values() for kind in account.counts}
-        assert kinds <= {"only new", "input not recorded"}
+    assert_equal_as_far_as_recorded(run, found)
 
 
 def test_a_run_that_a_killed_controller_ended_verifies_equal_up_to_there(heliarch: Start) -> None:
     run = heliarch("launch", "oahu", "--duration", "5h")
-    run.until(lambda: recorded_cycles(run) > 0, "cycles that can be read on disk")
+    run.until(lambda: recorded_cycles(run) > 40, "cycles that can be read on disk")
     tree = load_plan(run.folder / "plan.json").tree
     run.process_of(tree.children("c2")[0]).send_signal(signal.SIGKILL)
     assert run.wait() == 1
