@@ -22,7 +22,7 @@ import msgpack
 import zenoh
 
 FIRST_ROUND = -1_000_000  # Arming rounds count upwards from here.
-ROUND_S = 0.3  # How long a round may take before the next one is tried.
+ROUND_S, LONGEST_ROUND_S = 0.3, 3.0  # How long a round may take: each one 0.1 s more, up to ...
 LEAD_S = 0.2  # In real time: how long before cycle 0 everybody is told when it begins.
 ADVANCE_AT = 0.9  # Share of the cycle by whose end the plant has its commands, or does without.
 
@@ -124,7 +124,7 @@ class Plant:
         """Send rounds through the loop until one closes and is recorded. Return how many."""
         for rounds in range(1, -FIRST_ROUND):
             self.stand_still()
-            until = time.monotonic() + ROUND_S
+            until = time.monotonic() + min(ROUND_S + 0.1 * rounds, LONGEST_ROUND_S)
             if self.run_cycle(FIRST_ROUND + rounds, until):
                 while self.ready_round != self.cycle and self.next_message(until) is not None:
                     pass

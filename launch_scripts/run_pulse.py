@@ -1,7 +1,8 @@
 """Whether a run is alive: when its recorder was last heard of, and when its plant went on.
 
 The launcher sees the plant through the recorder. So while the recorder is silent nothing is known
-of the plant, and nothing is held against it.
+of the plant, and nothing is held against it. Nor is a time in which the launcher itself stood still
+held against anybody.
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ HEARTBEAT_S: Final = 2.0
 
 PLANT_S: Final = 5.0
 """How long a cycle of the plant may take, if its length on the wall clock does not ask for more."""
+
+_OWN_PAUSE_S: Final = 0.5
+"""The launcher looks several times a second. If it has not for so long, it stood still itself."""
 
 
 class RunPulse:
@@ -39,12 +43,12 @@ class RunPulse:
         self._patience_s = HEARTBEAT_S if plan.lockstep else PATIENCE_S
         self._cycle_s = max(PLANT_S, 3.0 * plan.cycle_wall_ns / 1e9)
         self._cycle = -1
-        self._heard_at = self._went_on_at = 0.0
+        self._heard_at = self._went_on_at = self._looked_at = 0.0
         self._is_silent = False
 
     def begin(self, now_s: float) -> None:
         """Cycle 0 begins."""
-        self._heard_at = self._went_on_at = now_s
+        self._heard_at = self._went_on_at = self._looked_at = now_s
 
     def hear(self, cycle: int, now_s: float) -> None:
         """Take in the recorder's word on where the run stands."""
@@ -57,8 +61,9 @@ class RunPulse:
     def check(self, now_s: float) -> tuple[str, str] | None:
         """Return who has been silent for too long, and what to say of it.
 
-        A silence that can be lived with is only told.
+        A silence that can be lived with is only told. To be called several times a second.
         """
+        self._leave_out_own_pause(now_s)
         silent_s = now_s - self._heard_at
         if silent_s > self._patience_s:
             return RECORDER, f"recorder has not been heard of for {self._patience_s:g} s"
@@ -71,3 +76,11 @@ class RunPulse:
         if not self._is_silent and now_s - self._went_on_at > self._cycle_s:
             return PLANT, f"plant has not completed a cycle for {self._cycle_s:g} s"
         return None
+
+    def _leave_out_own_pause(self, now_s: float) -> None:
+        """Put off what is being waited for by as long as nobody has looked for it."""
+        pause_s = now_s - self._looked_at
+        self._looked_at = now_s
+        if pause_s > _OWN_PAUSE_S:
+            self._heard_at = min(self._heard_at + pause_s, now_s)
+            self._went_on_at = min(self._went_on_at + pause_s, now_s)

@@ -10,13 +10,14 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Collection, Iterable
 from typing import Final, Literal, TypeVar
 
 from agents.events import Armed
 from agents.garbage import spare_the_collector
 from agents.runtime import Runtime
 from bus_schemas.messages import Message
-from bus_schemas.signals import READY, RUN
+from bus_schemas.signals import READY, RUN, Port
 from bus_schemas.tree import PLANT, RECORDER, ROOT
 
 S = TypeVar("S")
@@ -26,8 +27,10 @@ log = logging.getLogger(__name__)
 FIRST_ROUND: Final = -1_000_000
 """Cycle of the first arming round; the next ones count upwards."""
 
-_ROUND_S: Final = 0.3
-"""How long an arming round may take before the next one is tried."""
+_FIRST_ROUND_S: Final = 0.3
+_ROUND_GROWTH: Final = 1.25
+_LONGEST_ROUND_S: Final = 3.0
+"""How long the first arming round may take, how much longer each next one, and the longest."""
 
 _ARMING_S: Final = 30.0
 """How long the arming rounds may take, once everybody is there."""
@@ -41,6 +44,30 @@ _LEAD_S: Final = 0.2
 
 class ArmingError(Exception):
     """The loop did not close."""
+
+
+def longest_round_s(number: int) -> float:
+    """Return how long an arming round, counted from 1, may take before the next one is tried [s].
+
+    Most that fail do so because a link is not up yet, and the next one is soon tried. On a machine
+    so slow that a whole round does not fit, later ones have more time.
+    """
+    growth: float = _ROUND_GROWTH ** min(number - 1, 20)
+    return min(_FIRST_ROUND_S * growth, _LONGEST_ROUND_S)
+
+
+def needed_words(waiting_for: Iterable[Port[Message]], external: Collection[str]) -> str:
+    """Say what the plant lacks of an arming round.
+
+    External agents' words alone, where some are among them: since one agent that is silent holds
+    up all, the others' follow from theirs.
+    """
+    ports = list(waiting_for)
+    theirs = [port for port in ports if port.publisher in external]
+    needs = sorted(map(str, theirs or ports)) or ["the recorder"]
+    others = len(needs) - _MOST_NAMED
+    rest = f" and {others} more" if others > 0 else ""
+    return ", ".join(needs[:_MOST_NAMED]) + rest
 
 
 class Conductor:
@@ -111,14 +138,12 @@ class Conductor:
         for round_number in range(1, -FIRST_ROUND):
             cycle = FIRST_ROUND + round_number
             self._runtime.send(sequencer.enter(cycle))
-            if self._round_closes(cycle, time.monotonic() + _ROUND_S):
+            if self._round_closes(cycle, time.monotonic() + longest_round_s(round_number)):
                 return round_number
             if time.monotonic() > give_up_at:
                 break
-        needs = sorted(str(port) for port in sequencer.waiting_for) or ["the recorder"]
-        named, others = needs[:_MOST_NAMED], len(needs) - _MOST_NAMED
-        rest = f" and {others} more" if others > 0 else ""
-        raise ArmingError(f"no arming round closed; the plant waits for {', '.join(named)}{rest}")
+        needs = needed_words(sequencer.waiting_for, self._runtime.plan.external)
+        raise ArmingError(f"no arming round closed; the plant waits for {needs}")
 
     def _round_closes(self, cycle: int, until: float) -> bool:
         sequencer = self._runtime.sequencer

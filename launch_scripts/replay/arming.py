@@ -18,10 +18,7 @@ from launch_scripts.replay.stand_in import StandIn, steady_ports
 from launch_scripts.replay.tape import Tape
 from launch_scripts.supervision import Children, RunFailure
 from recordings.reader import RecordedMessage
-from sim_plant.conductor import FIRST_ROUND
-
-_ROUND_S: Final = 0.3
-"""How long an arming round may take before the next one is tried."""
+from sim_plant.conductor import FIRST_ROUND, longest_round_s
 
 _ARMING_S: Final = 30.0
 
@@ -60,7 +57,7 @@ def arm(
     silent: set[Port[Message]] = steady
     while time.monotonic() < give_up_at:
         rounds += 1
-        silent = _after_round(FIRST_ROUND + rounds, plan, words, steady, stand_in)
+        silent = _after_round(rounds, plan, words, steady, stand_in)
         if not silent:
             return rounds
         _look(children, interruption)
@@ -93,13 +90,14 @@ def first_words(
 
 
 def _after_round(
-    cycle: int,
+    number: int,
     plan: RunPlan,
     words: Iterable[Delivery],
     steady: set[Port[Message]],
     stand_in: StandIn,
 ) -> set[Port[Message]]:
     """Send an arming round; return the ports of which the live agents said nothing in it."""
+    cycle = FIRST_ROUND + number
     for port, message in words:
         stamped = replace(
             message,
@@ -111,7 +109,7 @@ def _after_round(
         )
         stand_in.publish(port, stamped)
     silent = set(steady)
-    until = time.monotonic() + _ROUND_S
+    until = time.monotonic() + longest_round_s(number)
     while silent and (left_s := until - time.monotonic()) > 0.0:
         for heard in stand_in.receive(len(silent), left_s):
             if heard.message.cycle == cycle:

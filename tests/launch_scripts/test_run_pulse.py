@@ -24,12 +24,20 @@ class Watched:
     def __init__(self, plan: RunPlan) -> None:
         self.told: list[str] = []
         self.pulse = RunPulse(plan, self.told.append)
-        self.pulse.begin(100.0)
+        self._looked_at = 100.0
+        self.pulse.begin(self._looked_at)
 
     def blamed(self, *times_s: float) -> list[str]:
-        """Who is to blame at each of some times."""
-        found = [self.pulse.check(time_s) for time_s in times_s]
+        """Who is to blame at each of some times. Somebody looks ten times a second up to them."""
+        found = [self._look_up_to(time_s) for time_s in times_s]
         return [trouble[0] for trouble in found if trouble is not None]
+
+    def _look_up_to(self, time_s: float) -> tuple[str, str] | None:
+        while self._looked_at < time_s - 0.1:
+            self._looked_at += 0.1
+            self.pulse.check(self._looked_at)
+        self._looked_at = time_s
+        return self.pulse.check(time_s)
 
 
 def test_in_lockstep_a_silent_recorder_is_a_fault_at_once() -> None:
@@ -76,3 +84,21 @@ def test_a_plant_that_does_not_go_on_is_found_while_its_recorder_speaks(
             break
     assert blamed == [PLANT]
     assert now_s == pytest.approx(100.1 + longest_s, abs=0.11)
+
+
+@pytest.mark.parametrize("plan", [PLAN, real_time()])
+def test_a_launcher_that_stood_still_itself_blames_nobody_for_it(plan: RunPlan) -> None:
+    run = Watched(plan)
+    assert run.blamed(101.0) == []
+    assert run.pulse.check(131.0) is None, "stopped for 30 s, and nothing heard meanwhile"
+    assert run.told == []
+    run.pulse.hear(7, 131.1)
+    assert run.pulse.check(131.2) is None
+
+
+def test_after_it_stood_still_it_waits_as_long_as_was_left() -> None:
+    run = Watched(PLAN)
+    assert run.blamed(101.5) == []
+    times_s = [120.0 + tenth / 10 for tenth in range(10)]
+    found = [time_s for time_s in times_s if run.pulse.check(time_s)]
+    assert found[0] == pytest.approx(120.6)
