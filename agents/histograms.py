@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 from hdrh.histogram import HdrHistogram
 
@@ -22,11 +22,37 @@ def record_ns(histogram: HdrHistogram, duration_ns: int) -> None:
     histogram.record_value(min(max(duration_ns, 0), HIGHEST_NS))
 
 
+class Extremes(NamedTuple):
+    """Least and greatest of some durations, of which a histogram tells its bins alone [ns]."""
+
+    least_ns: int
+    greatest_ns: int
+
+    def with_others(self, others: Extremes) -> Extremes:
+        """Return those of both."""
+        return Extremes(
+            min(self.least_ns, others.least_ns), max(self.greatest_ns, others.greatest_ns)
+        )
+
+
+def extremes_of(histogram: HdrHistogram) -> Extremes:
+    """Return the exact extremes of what a histogram has recorded; to be asked before it is encoded.
+
+    Of one that was decoded they are the outer edges of its outermost bins.
+    """
+    return Extremes(histogram.min_value, histogram.max_value)
+
+
 class Histograms:
     """Histograms of durations by measure, made as they are needed."""
 
     def __init__(self) -> None:
         self._by_measure: dict[str, HdrHistogram] = {}
+
+    def extremes(self) -> dict[str, Extremes]:
+        """Return the least and the greatest duration of each measure."""
+        items = sorted(self._by_measure.items())
+        return {measure: extremes_of(histogram) for measure, histogram in items}
 
     def record(self, measure: str, duration_ns: int) -> None:
         """Take in a duration, see `record_ns`."""

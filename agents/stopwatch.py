@@ -17,7 +17,7 @@ import msgspec
 
 from agents.agent import Agent, Stage, Turn
 from agents.deadlines import Deadlines
-from agents.histograms import Histograms
+from agents.histograms import Extremes, Histograms
 from agents.machine import resources_used, scheduling_policy
 from agents.periods import Periods
 from bus_schemas.bus import Arrival, Delivery
@@ -68,6 +68,8 @@ class ProcessTiming(msgspec.Struct, frozen=True):
         Most memory that was resident [MB of 1,000,000 bytes].
     policy
         Scheduling policy and processors as they really are: `fifo 20 on CPU 0, 1`.
+    extremes
+        For each measure the least and the greatest duration, exactly [ns].
     """
 
     agent: str
@@ -82,6 +84,7 @@ class ProcessTiming(msgspec.Struct, frozen=True):
     switches_involuntary: int
     resident_mb: float
     policy: str
+    extremes: dict[str, Extremes] = {}
 
 
 class Closing(NamedTuple):
@@ -227,6 +230,7 @@ class Stopwatch:
             switches_involuntary=used.switches_involuntary - before.switches_involuntary,
             resident_mb=used.resident_mb,
             policy=scheduling_policy(),
+            extremes=self._histograms.extremes(),
         )
 
     def _settle_one(self) -> None:

@@ -8,22 +8,34 @@ map from field name to value, so a reader without this package can still take it
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Final, Literal, TypeAlias
 
 import msgspec
+
+from bus_schemas.tree import LONGEST_PATH
 
 Stamp: TypeAlias = tuple[int, int, str, tuple[str, ...]]
 """The first fields of a message, known before an agent decides: cycle, time, source, missing."""
 
 
-# Numbers are bounded, so that whatever comes from elsewhere can be counted with: a message with a
-# number beyond does not decode.
+MOST_MISSING: Final = 4_096
+"""Entries of `missing` at most: the largest tree has fewer inputs at any of its agents."""
+
+LONGEST_MISSING: Final = 256
+"""Characters of an entry at most: the longest path, a signal and a cycle take fewer."""
+
+# Numbers and texts are bounded, so that whatever comes from elsewhere can be counted with and kept:
+# a message with one beyond does not decode.
 Cycle: TypeAlias = Annotated[int, msgspec.Meta(gt=-(2**31), lt=10**18)]
 SimTime: TypeAlias = Annotated[int, msgspec.Meta(ge=-(2**62), lt=2**62)]
 Nanoseconds: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
 Sequence: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
 LongCount: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
+
+Name: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_PATH)]
+Entry: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_MISSING)]
+Entries: TypeAlias = Annotated[tuple[Entry, ...], msgspec.Meta(max_length=MOST_MISSING)]
 
 
 class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
@@ -36,12 +48,13 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False)
     sim_time_ns
         Simulated time at the beginning of the cycle, nanoseconds since 1970-01-01 UTC.
     source
-        Name of the agent that decided it: `plant`, `central`, `recorder` or a node's path.
+        Name of the agent that decided it: `plant`, `central`, `recorder` or a node's path. At most
+        200 characters.
     missing
         Keys of the inputs that the sender expected in this cycle and had to do without, so that a
         recording tells which inputs an output used. `KEY@CYCLE`: it used the late word of that
         cycle in its place. `skipped@CYCLE`: it gave up its own cycles from that one on. Always
-        empty in lockstep.
+        empty in lockstep. At most 4,096 entries of up to 256 characters.
     publish_time_ns
         Monotonic clock of the sending host when the message went out. Set by the bus.
     sequence
@@ -50,8 +63,8 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False)
 
     cycle: Cycle
     sim_time_ns: SimTime
-    source: str
-    missing: tuple[str, ...]
+    source: Name
+    missing: Entries
     publish_time_ns: Nanoseconds = 0
     sequence: Sequence = 0
 

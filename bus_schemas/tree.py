@@ -20,6 +20,15 @@ REPLAYER: Final = "replayer"
 ROOT: Final = ""
 """The central controller's path: its keys have no node part."""
 
+LONGEST_PATH: Final = 200
+"""Characters of a node's path at most: a message must be able to name the keys that it lacks."""
+
+MOST_CHILDREN: Final = 1_000
+"""Of one parent, which waits for three messages of each in a cycle."""
+
+MOST_INVERTERS: Final = 4_000
+"""Of one plant, which waits for a command of each."""
+
 RESERVED_NAMES: Final = frozenset({CENTRAL, PLANT, RECORDER, REPLAYER, "alive"})
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -60,6 +69,20 @@ class ControlTree:
             seen.add(path)
         for path in seen & set(self._children_of):
             raise InputError(f"control tree: {path} is an inverter and a cluster, it must be one")
+        self._check_size()
+
+    def _check_size(self) -> None:
+        """Refuse a tree of which a message could not name all inputs that it lacks."""
+        if len(self.inverters) > MOST_INVERTERS:
+            raise InputError(
+                f"control tree: {len(self.inverters):,} inverters, accepted are {MOST_INVERTERS:,}"
+            )
+        for path, children in self._children_of.items():
+            if len(children) > MOST_CHILDREN:
+                raise InputError(
+                    f"control tree: {agent_name(path)} has {len(children):,} children, accepted "
+                    f"are {MOST_CHILDREN:,}: more need a tier between"
+                )
 
     @cached_property
     def _children_of(self) -> dict[str, tuple[str, ...]]:
@@ -170,6 +193,11 @@ def check_name(name: str, where: str) -> None:
 def _check_leaf(path: str, rating_kw: float) -> None:
     for part in path.split("/"):
         check_name(part, f"control tree, node {path!r}")
+    if len(path) > LONGEST_PATH:
+        raise InputError(
+            f"control tree, node {path[:40]}...: its path has {len(path):,} characters, accepted "
+            f"are {LONGEST_PATH}"
+        )
     if not 0.0 < rating_kw < float("inf"):
         raise InputError(
             f"control tree, node {path}: rating_kw is {rating_kw:g}, accepted is a number above 0"

@@ -37,6 +37,11 @@ class DirectController:
         self.cycle = BEFORE_ALL
         self.forget()
 
+    @property
+    def commands(self) -> int:
+        """In how many cycles of the run it has given a command."""
+        return self.sequences.get("command", 0)
+
     def forget(self) -> None:
         """Go back to the initial state: each arming round begins with it."""
         self.impp_kw, self.stale_cycles = 0.0, 0
@@ -215,7 +220,11 @@ def main() -> None:
                 controller.hear(signal, message)
             elif message["state"] == "stop":
                 break
-        print(f"{options.node}: {message['cycle']} cycles, then the plant stopped", flush=True)
+        print(
+            f"{options.node}: commands in {controller.commands} of {message['cycle']} cycles, then "
+            "the plant stopped",
+            flush=True,
+        )
         del subscribers, token
 
 

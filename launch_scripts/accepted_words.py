@@ -1,9 +1,9 @@
-"""Which words a field of a struct accepts that takes one of a few: to be named in an error."""
+"""What a struct accepts, to be named in an error: words of a field of a few, fields of a table."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from msgspec import inspect
@@ -23,25 +23,78 @@ def accepted_words(struct: type[Any], path: str) -> tuple[str, ...]:
         The field as msgspec names it in an error, without the leading `$.`:
         `control.late`, `faults[...].distribution`.
     """
-    types = [inspect.type_info(struct)]
-    for name in re.findall(r"[^.\[\]]+|\[[^\]]*\]", path):
-        types = [inner for outer in types for inner in _inside(outer, name)]
     fields = {
-        tuple(map(str, known.values))
-        for one in types
-        for known in _members(one)
-        if isinstance(known, inspect.LiteralType)
+        tuple(map(str, one.values))
+        for one in _types_at(struct, path)
+        if isinstance(one, inspect.LiteralType)
     }
     return fields.pop() if len(fields) == 1 else ()
 
 
+def accepted_fields(struct: type[Any], path: str, document: object = None) -> tuple[str, ...]:
+    """Return the names of the fields of a table, as a file writes them.
+
+    Parameters
+    ----------
+    struct
+        A msgspec struct.
+    path
+        The table as msgspec names it in an error; empty: the struct itself.
+    document
+        The file as it was read. Of structs that stand for one another it tells which is meant;
+        where it does not, the fields of all of them are named.
+    """
+    names: dict[str, None] = {}
+    for table in _types_at(struct, path, document):
+        if isinstance(table, inspect.StructType):
+            if table.tag_field is not None:
+                names[table.tag_field] = None
+            names |= dict.fromkeys(field.encode_name for field in table.fields)
+    return tuple(names)
+
+
+def _types_at(struct: type[Any], path: str, document: object = None) -> list[inspect.Type]:
+    """Return the types that a path leads to, those of a union each for itself."""
+    found = [inspect.type_info(struct)]
+    for name in re.findall(r"[^.\[\]]+|\[[^\]]*\]", path):
+        document = _inside_document(document, name)
+        inner = [one for outer in found for one in _inside(outer, name)]
+        found = list(_meant(inner, document))
+    return found
+
+
 def _inside(outer: inspect.Type, name: str) -> Iterator[inspect.Type]:
     """Yield the types that a part of a path leads to from a type."""
-    for one in _members(outer):
-        if isinstance(one, inspect.StructType):
-            yield from (field.type for field in one.fields if field.encode_name == name)
-        elif isinstance(one, inspect.CollectionType) and name.startswith("["):
-            yield one.item_type
+    if isinstance(outer, inspect.StructType):
+        for field in outer.fields:
+            if field.encode_name == name:
+                yield from _members(field.type)
+    elif isinstance(outer, inspect.CollectionType) and name.startswith("["):
+        yield from _members(outer.item_type)
+
+
+def _inside_document(document: object, name: str) -> object:
+    if isinstance(document, Mapping):
+        return document.get(name)
+    place = name.strip("[]")
+    if isinstance(document, Sequence) and place.isdecimal() and int(place) < len(document):
+        return document[int(place)]
+    return None
+
+
+def _meant(types: Iterable[inspect.Type], document: object) -> Iterator[inspect.Type]:
+    """Yield those types whose tag the document names; all, where it names none."""
+    types = tuple(types)
+    named = [
+        one for one in types if isinstance(one, inspect.StructType) and _has_tag(one, document)
+    ]
+    yield from named or types
+
+
+def _has_tag(struct: inspect.StructType, document: object) -> bool:
+    if struct.tag_field is None or not isinstance(document, Mapping):
+        return False
+    return bool(document.get(struct.tag_field) == struct.tag)
 
 
 def _members(one: inspect.Type) -> tuple[inspect.Type, ...]:

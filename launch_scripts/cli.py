@@ -52,8 +52,10 @@ FaultOption: TypeAlias = Annotated[
     list[str] | None,
     typer.Option(
         "--fault",
-        help="Make links imperfect: source=c1/*,signal=impp,delay=50ms,jitter=10ms,loss=2%,"
-        "silent=60s..90s. May be given several times.",
+        # Words of more letters than these are cut in a terminal of 80 columns.
+        help="Make links imperfect: source=c1/*,delay=50ms,loss=2% (words: source, listener, "
+        "signal, delay, jitter, distribution, loss, duplicate, reorder, reorder-by, "
+        "silent=60s..90s). May be given several times.",
         metavar="RULE",
     ),
 ]

@@ -9,7 +9,10 @@ OK: Final = 0
 FAILED: Final = 1
 BAD_INPUT: Final = 2
 INTERRUPTED: Final = 130
-"""As a shell tells of a program that Ctrl-C has ended: 128 and the number of the signal."""
+"""As a shell tells of a program that Ctrl-C has ended: 128 and the number of the signal.
+
+Of one that SIGTERM or SIGHUP has ended it tells 143 or 129, see `launch_scripts/termination.py`.
+"""
 
 
 def complain(text: object, status: int) -> int:

@@ -157,10 +157,9 @@ class ExternalWatch:
         if self.complete_at is not None or now <= self._began_at + self._timeout_s:
             return ""
         absent = [agent for agent in self._plan.external if agent in self._never_seen]
-        places = "; ".join(f"{agent} {self._place(agent)}" for agent in absent)
         return (
-            f"no sign of {', '.join(absent)} after {self._timeout_s:g} s: {places}; "
-            f"plan: {self._plan_path}"
+            f"no sign of {', '.join(absent)} after {self._timeout_s:g} s: its liveliness token was "
+            f"never seen; where it finds the bus is said above and in {self._plan_path}"
         )
 
     def complain(self, complaint: Complaint) -> None:
@@ -171,11 +170,12 @@ class ExternalWatch:
     def explain(self, failure: str, *, running: bool) -> str:
         """Say what external agents have to do with a run that does not begin or go on.
 
-        Before cycle 0 one that does not answer is the likely reason, and named first; what the
-        others wait for then follows from it.
+        Before cycle 0 one that does not answer is the likely reason, and named first. It is also
+        said that what the others wait for follows from it, lest these be looked into.
         """
         if not running and self._unheard:
-            return "\n".join([self._silence(), failure, *self._wrong()])
+            because = f"because of that: {failure}"
+            return "\n".join([self._silence(), because, *self._wrong()])
         gone = [f"{agent} is gone since cycle {cycle}" for agent, cycle in self._gone_in.items()]
         if not gone:
             return failure

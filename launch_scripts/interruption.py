@@ -27,7 +27,10 @@ class Interruption:
 
 @contextmanager
 def interruptible() -> Iterator[Interruption]:
-    """Count Ctrl-C instead of being thrown out by it; let SIGTERM leave through every `finally`."""
+    """Count Ctrl-C instead of being thrown out by it; let SIGTERM leave through every `finally`.
+
+    A command that has an answer of its own to SIGTERM keeps it.
+    """
     interruption = Interruption()
 
     def interrupt(signum: int, frame: FrameType | None) -> None:
@@ -36,9 +39,31 @@ def interruptible() -> Iterator[Interruption]:
     def terminate(signum: int, frame: FrameType | None) -> None:
         raise SystemExit(128 + signum)
 
-    before = signal.signal(signal.SIGINT, interrupt), signal.signal(signal.SIGTERM, terminate)
+    before = signal.signal(signal.SIGINT, interrupt), signal.getsignal(signal.SIGTERM)
+    if not callable(before[1]):
+        signal.signal(signal.SIGTERM, terminate)
     try:
         yield interruption
     finally:
         signal.signal(signal.SIGINT, before[0])
         signal.signal(signal.SIGTERM, before[1])
+
+
+@contextmanager
+def interruptions_wait() -> Iterator[None]:
+    """Let Ctrl-C come after this block only, also to processes that are started in it.
+
+    These begin with it held back, so that it does not tear their imports apart; they let it through
+    with `end_when_interrupted`.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def end_when_interrupted() -> None:
+    """Let Ctrl-C end this process without a word, also one that has been waiting."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})

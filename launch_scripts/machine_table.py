@@ -15,7 +15,7 @@ from bus_schemas.errors import InputError
 
 
 class MachineTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The table `[machine]` of a scenario.
+    """What the processes of a run may take of the machine.
 
     Attributes
     ----------

@@ -31,6 +31,7 @@ from launch_scripts.scenario import (
     TimeTable,
     local_start,
     parse_duration_s,
+    with_two_digit_hour,
 )
 from sim_plant.commitment import commitment_kw, hindsight
 from sim_plant.profile import Profile
@@ -250,11 +251,11 @@ def _start(table: TimeTable, option: str | None) -> datetime:
     if option is None:
         return scheduled
     with suppress(ValueError):
-        clock = time.fromisoformat(option)
+        clock = time.fromisoformat(with_two_digit_hour(option))
         if clock.tzinfo is None:
             return datetime.combine(scheduled.date(), clock, scheduled.tzinfo)
     with suppress(ValueError):
-        moment = datetime.fromisoformat(option)
+        moment = datetime.fromisoformat(with_two_digit_hour(option))
         if _FIRST_YEAR <= moment.year <= _LAST_YEAR:
             return moment if moment.tzinfo else moment.replace(tzinfo=scheduled.tzinfo)
     raise InputError(

@@ -112,7 +112,7 @@ def _deadline_ns(tier: int, deadline_ms: float, cycle_ns: int) -> int:
     if not SHORTEST_DEADLINE_MS <= deadline_ms <= LONGEST_DEADLINE_MS:
         raise InputError(
             f"{_stated(tier, deadline_ms)}, accepted is a number from {SHORTEST_DEADLINE_MS:g} to "
-            f"{LONGEST_DEADLINE_MS:g}"
+            f"{LONGEST_DEADLINE_MS:,.0f}"
         )
     deadline_ns = round(deadline_ms * 1e6)
     if cycle_ns and deadline_ns >= cycle_ns:

@@ -17,7 +17,7 @@ from agents.plan import Actuator, Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule
 from bus_schemas.tree import check_name
-from launch_scripts.accepted_words import accepted_words
+from launch_scripts.accepted_words import accepted_fields, accepted_words
 from launch_scripts.machine_table import MachineTable
 from launch_scripts.timing.budget_table import TimingTable
 from sim_plant.clouds import CloudSettings
@@ -52,8 +52,10 @@ class TimeTable(_Table, frozen=True):
         Local time of the first cycle.
     timezone
         IANA name, for instance `Pacific/Honolulu`.
-    duration_s, cycle_s
-        Length of the run and of one cycle [s].
+    duration_s
+        Length of the run [s].
+    cycle_s
+        Length of one cycle [s].
     """
 
     start: datetime
@@ -78,8 +80,9 @@ class PlantTable(_Table, frozen=True):
         What an inverter does with a command: `fraction` (a share of its true maximum, as in the
         paper) or `limit` (an absolute power limit, as real inverters do).
     meter_noise
-        Standard deviation of the inverters' power meters, as a share of the power. Its seed is
-        `meter_seed`.
+        Standard deviation of the inverters' power meters, as a share of the power.
+    meter_seed
+        Seed of that noise.
     ramp_limit_percent_per_min
         Ramp limit of the grid code, in % of the plant's rating per minute. The run is measured by
         it, not held to it.
@@ -95,14 +98,32 @@ class PlantTable(_Table, frozen=True):
 
 
 class CloudIrradiance(_Table, frozen=True, tag="clouds", tag_field="kind"):
-    """Synthetic irradiance: a cloud field that drifts over the plant."""
+    """Synthetic irradiance: a cloud field that drifts over the plant.
+
+    Attributes
+    ----------
+    seed
+        Seed of the cloud field; `--seed` instead.
+    clouds
+        The sky.
+    """
 
     seed: Seed = 0
     clouds: CloudSettings = CloudSettings()
 
 
 class MeasuredIrradiance(_Table, frozen=True, tag="measured", tag_field="kind"):
-    """Measured irradiance: a CSV of GHI with one column for each station, and their positions."""
+    """Measured irradiance: a CSV of GHI with one column for each station, and their positions.
+
+    Attributes
+    ----------
+    ghi
+        CSV: time stamps in the first column, then GHI [W/m^2], one column for each station.
+    positions
+        CSV with the columns `station, lat, lon`.
+    stations
+        Which of them. Default: all.
+    """
 
     ghi: str
     positions: str
@@ -177,7 +198,9 @@ class ControlTable(_Table, frozen=True):
     clusters
         How their members are chosen: `correlation` (least alike, the paper's virtual
         neighbours), `geographic` (nearest) or `listed` (as the inverters are listed). To compare
-        with: `random` (by lot, with the seed `clusters_seed`) or `most-alike` (the worst).
+        with: `random` (by lot) or `most-alike` (the worst).
+    clusters_seed
+        Seed of that lot.
     period_cycles
         Every how many cycles each tier acts, the central controller's first. Default: each cycle.
     alpha_min
@@ -212,8 +235,12 @@ class ControlTable(_Table, frozen=True):
 class NeighboursTable(_Table, frozen=True):
     """Where the correlation between inverters comes from.
 
-    `earlier-day` is the same hours of a synthetic day with another seed: what a plant knows.
-    `hindsight` is the run's own irradiance: better than a plant could know, said in the summary.
+    Attributes
+    ----------
+    history
+        `earlier-day` is the same hours of a synthetic day with another seed: what a plant knows.
+        `hindsight` is the run's own irradiance: better than a plant could know, said in the
+        summary.
     """
 
     history: Literal["earlier-day", "hindsight"]
@@ -222,8 +249,25 @@ class NeighboursTable(_Table, frozen=True):
 class Scenario(_Table, frozen=True):
     """A run, as its file describes it.
 
-    `faults` are the ways in which its network is imperfect, `faults_seed` the seed of what is
-    drawn for them.
+    Attributes
+    ----------
+    name
+        First part of every key on the bus.
+    title
+        What it is, in words: heads tables and reports.
+    time, plant, irradiance, control, neighbours, commitment
+        Tables of their own, below.
+    regulation
+        A table of its own, below. Without it no regulation is offered.
+    pv, machine, timing
+        Tables of their own, below.
+    pace
+        Simulated seconds a second; 1 is real time. `max`: in lockstep, as fast as it goes.
+        `--pace` instead.
+    faults
+        Ways in which its network is imperfect; `--fault` adds to them.
+    faults_seed
+        Seed of what is drawn for them.
     """
 
     name: str
@@ -296,7 +340,8 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 at byte {error.start}, accepted is TOML") from None
     except msgspec.ValidationError as error:
-        raise InputError(f"{path}: {_readable(str(error))}") from None
+        document = msgspec.toml.decode(text)
+        raise InputError(f"{path}: {readable(error, document)}") from None
     except msgspec.DecodeError as error:
         raise InputError(f"{path}: not TOML: {error}") from None
     check_scenario(scenario, str(path))
@@ -325,6 +370,32 @@ def local_start(time: TimeTable) -> datetime:
     return time.start.astimezone(zone) if time.start.tzinfo else time.start.replace(tzinfo=zone)
 
 
+def readable(error: msgspec.ValidationError, document: object) -> str:
+    """Turn msgspec's `... - at `$.a.b`` around: the field first, and at last what is accepted.
+
+    Parameters
+    ----------
+    error
+        What msgspec has to object to a scenario.
+    document
+        The scenario, as it was read.
+    """
+    where, what = place_and_objection(error)
+    accepted: tuple[str, ...] = ()
+    if "enum value" in what:
+        accepted = accepted_words(Scenario, where)
+    elif "unknown field" in what:
+        accepted = accepted_fields(Scenario, where, document)
+    first = f"{where}: " if where else ""
+    return f"{first}{what}" + (f", accepted: {', '.join(accepted)}" if accepted else "")
+
+
+def place_and_objection(error: msgspec.ValidationError) -> tuple[str, str]:
+    """Return where in a scenario an error of msgspec lies, such as `a.b`, and what it is."""
+    found = re.fullmatch(r"(.*) - at `\$\.?(.*)`", str(error), re.DOTALL)
+    return (found[2], found[1]) if found else ("", str(error))
+
+
 def _find(name_or_path: str) -> Path:
     path = Path(name_or_path)
     if path.suffix == ".toml":
@@ -339,13 +410,9 @@ def _find(name_or_path: str) -> Path:
     return _SHIPPED / f"{name_or_path}.toml"
 
 
-def _readable(error: str) -> str:
-    """Turn msgspec's `... - at `$.a.b`` around: the field first, and at last what it accepts."""
-    found = re.fullmatch(r"(.*) - at `\$\.?(.*)`", error)
-    if not found:
-        return error
-    words = accepted_words(Scenario, found[2]) if "enum value" in found[1] else ()
-    return f"{found[2]}: {found[1]}" + (f", accepted: {', '.join(words)}" if words else "")
+def with_two_digit_hour(text: str) -> str:
+    """Return a time, or date and time, whose hour has two digits as ISO 8601 wants it."""
+    return re.sub(r"(^|\d[T ])(?=\d:)", r"\g<1>0", text)
 
 
 def parse_duration_s(text: str, where: str) -> float:

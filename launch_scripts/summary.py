@@ -116,12 +116,14 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     def as_json(self) -> bytes:
         """Return the summary as JSON, with the figures that follow from others.
 
-        Histograms are left out: they would be most of it, and `heliarch timing` reports on them.
+        Histograms and extremes are left out: they would be most of it, and `heliarch timing`
+        reports on them.
         """
         document = msgspec.to_builtins(self)
         for process in document["processes"]:
             if process["timing"] is not None:
                 process["timing"]["histograms"] = {}
+                process["timing"]["extremes"] = {}
         document["cycles_per_s"] = self.cycles_per_s
         if self.metrics is not None:
             energy = self.metrics.commitment

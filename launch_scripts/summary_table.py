@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from launch_scripts.summary import RunSummary
+from launch_scripts.wrong_messages import one_line_each
 from recordings.metrics import CommitmentMetrics, RampMetrics, RegulationMetrics, RunMetrics
 
 _MOST_WRONG: Final = 12
@@ -167,23 +168,24 @@ def _memory_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
 
 
 def _external_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
-    return [
-        (
-            f"external {account.agent}",
-            f"{sum(account.recorded.values()):,}",
-            f"messages recorded, {account.lost:,} lost by their numbers; answered "
-            f"{account.answered:,} times of {account.expected:,}",
-        )
-        for account in summary.external
-    ]
+    rows = []
+    for account in summary.external:
+        answered = f"answered {account.answered:,} times of {account.expected:,}"
+        recorded = f"{sum(account.recorded.values()):,}"
+        rows.append((f"external {account.agent}", recorded, f"messages recorded; {answered}"))
+        if account.lost:
+            # Gaps in their numbers tell, and these do not tell why.
+            rows.append(("", f"{account.lost:,}", "more never came or could not be decoded"))
+    return rows
 
 
 def _wrong_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
+    found = one_line_each(summary.wrong)
     rows = [
         (f"wrong: {wrong.key}", f"{wrong.count:,}", f"{wrong.cause}: {wrong.example}")
-        for wrong in summary.wrong[:_MOST_WRONG]
+        for wrong in found[:_MOST_WRONG]
     ]
-    rest = summary.wrong[_MOST_WRONG:]
+    rest = found[_MOST_WRONG:]
     if rest:
         count = sum(wrong.count for wrong in rest)
         rows.append(("wrong: other keys", f"{count:,}", f"{len(rest)} more kinds, see --json"))

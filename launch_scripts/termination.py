@@ -1,4 +1,4 @@
-"""SIGTERM during the writing of a file: what is unfinished is cleaned up."""
+"""SIGTERM and SIGHUP: unfinished files are cleaned up, what was measured is told and written."""
 
 from __future__ import annotations
 
@@ -20,3 +20,59 @@ def leaving_on_sigterm() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+class Termination:
+    """Whether a signal other than Ctrl-C has asked for the end of a command.
+
+    Attributes
+    ----------
+    number
+        The first one; None: there was none.
+    """
+
+    def __init__(self) -> None:
+        self.number: int | None = None
+        self._is_held = False
+
+    def hear(self, signum: int, frame: FrameType | None) -> None:
+        """Do once what Ctrl-C would do now; `timeout` sends its signal twice."""
+        if self.number is not None:
+            return
+        self.number = signum
+        if self._is_held:
+            return
+        interrupt = signal.getsignal(signal.SIGINT)
+        if not callable(interrupt):  # A shell's background jobs ignore Ctrl-C.
+            raise KeyboardInterrupt
+        interrupt(signal.SIGINT, frame)
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Bring what is under way to its end: a signal changes the exit status alone."""
+        self._is_held = True
+        try:
+            yield
+        finally:
+            self._is_held = False
+
+    def status(self, otherwise: int) -> int:
+        """Return the exit status: 128 and the number of the signal, if there was one."""
+        return otherwise if self.number is None else 128 + self.number
+
+
+@contextmanager
+def terminable() -> Iterator[Termination]:
+    """Let SIGTERM and SIGHUP do what Ctrl-C does; one that is ignored (`nohup`) stays so."""
+    termination = Termination()
+    heard = [
+        signum
+        for signum in (signal.SIGTERM, signal.SIGHUP)
+        if signal.getsignal(signum) is not signal.SIG_IGN
+    ]
+    before = [signal.signal(signum, termination.hear) for signum in heard]
+    try:
+        yield termination
+    finally:
+        for signum, handler in zip(heard, before, strict=True):
+            signal.signal(signum, handler)

@@ -10,12 +10,11 @@ the file to this module.
 
 from __future__ import annotations
 
-import inspect
 import sys
-from collections.abc import Iterator
-from typing import Any, Final
+from collections.abc import Iterable, Iterator
+from typing import Any, Final, cast
 
-from msgspec.structs import fields
+from msgspec import inspect
 
 from agents.agent import Agent, Stage, Turn
 from agents.central import CentralController
@@ -27,15 +26,16 @@ from agents.supervisor import Supervisor
 from bus_schemas.messages import Message
 from bus_schemas.signals import HELP, RESIDUAL, SIGNALS
 from bus_schemas.tree import ROOT, ControlTree
+from launch_scripts.field_notes import field_notes, without_field_notes
 from launch_scripts.wire_layout import INVERTER, layout
 
 _TREE: Final = ControlTree((("c1/inv01", 470.0), ("c2/inv05", 470.0), (INVERTER, 470.0)))
 _UNITS: Final = {"_kw": "kW", "_ns": "ns"}
-_TYPES: Final = {
-    "int": "integer",
-    "float": "float 64",
-    "str": "string",
-    "bool": "boolean",
+_TYPES: Final[dict[type[inspect.Type], str]] = {
+    inspect.IntType: "integer",
+    inspect.FloatType: "float 64",
+    inspect.StrType: "string",
+    inspect.BoolType: "boolean",
 }
 
 
@@ -157,60 +157,49 @@ def _types() -> Iterator[str]:
     yield ""
     yield "Every message begins with these fields:"
     yield ""
-    meanings = _attributes(Message)
+    meanings = field_notes(Message)
     yield "| field | msgpack type | what it is |"
     yield "|---|---|---|"
-    for field in fields(Message):
+    for field in _fields(Message):
         yield f"| `{field.name}` | {_type_name(field.type)} | {meanings[field.name]} |"
     yield ""
     for kind in dict.fromkeys(signal.type for signal in SIGNALS):
         yield f"### {kind.__name__}"
         yield ""
-        yield from _doc(kind)
-        if len(fields(kind)) > len(Message.__struct_fields__):
-            yield from _field_table(kind)
+        yield without_field_notes(kind)
+        yield ""
+        own = [field for field in _fields(kind) if field.name not in Message.__struct_fields__]
+        if own:
+            yield from _field_table(kind, own)
 
 
-def _field_table(kind: type[Message]) -> Iterator[str]:
-    head = () if kind is Message else Message.__struct_fields__
-    yield "| field | msgpack type | unit |"
-    yield "|---|---|---|"
-    for field in fields(kind):
-        if field.name in head:
-            continue
+def _fields(kind: type[Message]) -> tuple[inspect.Field, ...]:
+    return cast("inspect.StructType", inspect.type_info(kind)).fields
+
+
+def _field_table(kind: type[Message], own: Iterable[inspect.Field]) -> Iterator[str]:
+    """Yield the table of a kind's own fields, with what its docstring says of each."""
+    meanings = field_notes(kind)
+    told = any(field.name in meanings for field in own)
+    yield "| field | msgpack type | unit |" + (" what it is |" if told else "")
+    yield "|---|---|---|" + ("---|" if told else "")
+    for field in own:
         unit = next((unit for end, unit in _UNITS.items() if field.name.endswith(end)), "")
-        yield f"| `{field.name}` | {_type_name(field.type)} | {unit} |"
+        meaning = f" {meanings[field.name]} |" if told else ""
+        yield f"| `{field.name}` | {_type_name(field.type)} | {unit} |{meaning}"
     yield ""
 
 
-def _type_name(kind: object) -> str:
-    text = inspect.formatannotation(kind).replace("bus_schemas.messages.", "")
-    if "Literal" in text:
-        return "string, one of " + text[text.index("[") + 1 : -1].replace("'", "")
-    if "HelpGiven" in text:
-        return "array of arrays [needy: string, power_kw: float 64]"
-    if "tuple" in text:
-        inner = text[text.index("[") + 1 : text.index(",")]
-        return f"array of {_TYPES[inner]}"
-    return next(name for word, name in _TYPES.items() if word in text)
-
-
-def _doc(kind: type[Message]) -> Iterator[str]:
-    yield inspect.cleandoc(kind.__doc__ or "")
-    yield ""
-
-
-def _attributes(kind: type[Message]) -> dict[str, str]:
-    """Return what a numpydoc docstring says of each attribute, on one line each."""
-    found: dict[str, str] = {}
-    name = ""
-    for line in inspect.cleandoc(kind.__doc__ or "").partition("----------\n")[2].splitlines():
-        if line.startswith(" "):
-            found[name] = f"{found[name]} {line.strip()}".strip()
-        else:
-            name = line
-            found[name] = ""
-    return found
+def _type_name(kind: inspect.Type) -> str:
+    match kind:
+        case inspect.LiteralType():
+            return "string, one of " + ", ".join(map(str, kind.values))
+        case inspect.VarTupleType(item_type=inspect.StructType() as entry):
+            inner = ", ".join(f"{field.name}: {_type_name(field.type)}" for field in entry.fields)
+            return f"array of arrays [{inner}]"
+        case inspect.VarTupleType():
+            return f"array of {_type_name(kind.item_type)}"
+    return _TYPES[type(kind)]
 
 
 def _cycle() -> Iterator[str]:
@@ -402,7 +391,7 @@ that joins a run under way begins with the first cycle that it hears of.
    `dispatch`, under the conditions of cycle 0; awaits every command of that round; answers with
    `production`. A round is closed when all commands are in and the recorder has published `ready`
    with its cycle, which it does once every signal that comes in each cycle has been heard. A round
-   that is not closed after some 0.3 s is given up for the next one.
+   that is not closed after some 0.3 s, and later ones after up to 3 s, is given up for the next.
 3. `run` of state `start`, cycle 0, `cycle_wall_ns` as in the plan; `start_time_ns` is the monotonic
    time of the first tick, some 0.2 s ahead; in lockstep now. (`sequence` of `run`: 0.)
 4. Cycles 0 to `cycles` - 1: at the tick `dispatch` and `telemetry` with what each inverter did in
@@ -432,6 +421,8 @@ def _rules() -> Iterator[str]:
   begins anew after a restart.
 - Integers have bounds: `cycle` above -2^31 and below 10^18, times [ns] between -2^62 and 2^62,
   those of the host's clock not below 0, counts from 0 to below 2^32, that of a notice below 2^62.
+- Texts have bounds too: `source` and paths 200 characters; `missing` 4,096 entries of 256
+  characters. No tree has agents that wait for so many messages, nor keys so long.
 - Powers are in kW. `impp` lies between 0 and the rating, `residual` between minus the rating and
   the IMPP, `alpha` in (0, 1], `command.power_kw` between 0 and the rating.
 """
@@ -444,14 +435,15 @@ def _wrong_answers() -> Iterator[str]:
 ## Wrong answers
 
 None of them stops anybody else. The recorder, which hears everything, counts what is wrong by key
-and cause, and gives an example in its log, on the launcher's screen and in the summary. Listeners
-count what they drop by key and cause too, with examples in their logs; in the summary the larger
-count of the two holds.
+and cause, and gives an example in its log, on the launcher's screen and in the summary: of absurd
+messages one of each field that was wrong. Listeners count what they drop by key and cause too, with
+examples in their logs; in the summary the larger count of the two holds. What one agent did wrong
+in the same way on several keys is one line on the screen; the JSON has each key.
 
 | what | cause | what becomes of it |
 |---|---|---|
 | no msgpack, a wrong type, a field too few or too many | `undecodable` | dropped |
-| an integer beyond its bounds | `undecodable` | dropped |
+| an integer, `source` or `missing` beyond its bounds | `undecodable` | dropped |
 | a key of a node or signal that the run does not have | `unknown` | dropped |
 | `source` is not who may publish on the key | `foreign` | dropped |
 | a cycle that is over | `late` | kept as a late word in real time, else dropped |

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from typing import Final
 
 import msgspec
+from msgspec.structs import replace
 
 from agents.events import Complaint
 from agents.plan import RunPlan
@@ -28,12 +29,16 @@ _LISTENERS_CAUSES: Final = {
 
 
 class WrongMessages(msgspec.Struct, frozen=True):
-    """Messages of one key that were wrong in one way, with what is to be said of the first one."""
+    """Messages of one key that were wrong in one way, with what is to be said of the first one.
+
+    `publisher` is who may publish on the key; empty, where the run has no such key.
+    """
 
     key: str
     cause: str
     count: int
     example: str
+    publisher: str = ""
 
 
 def wrong_messages(
@@ -53,7 +58,8 @@ def wrong_messages(
         The agents', each by port and cause. Those of external agents' ports count here: what comes
         late from processes is the machine's doing.
     """
-    theirs = {str(port) for port in ports(plan.tree) if port.publisher in plan.external}
+    publishers = {str(port): port.publisher for port in ports(plan.tree)}
+    theirs = {port for port, publisher in publishers.items() if publisher in plan.external}
     counts: Counter[tuple[str, str]] = Counter()
     for dropped in dropped_ports:
         for port in theirs.intersection(dropped):
@@ -65,6 +71,29 @@ def wrong_messages(
         counts[place] = max(counts[place], complaint.count)
         examples[place] = complaint.example
     return tuple(
-        WrongMessages(key, cause, count, examples[key, cause])
+        WrongMessages(key, cause, count, examples[key, cause], publishers.get(key, ""))
         for (key, cause), count in counts.most_common()
     )
+
+
+def one_line_each(wrong: Iterable[WrongMessages]) -> tuple[WrongMessages, ...]:
+    """Bring keys of an agent together that were wrong in one way; most messages come first.
+
+    A device that does one thing wrong does it on all of its keys: that is one thing to read.
+    """
+    groups: dict[tuple[str, str], list[WrongMessages]] = {}
+    for entry in wrong:
+        groups.setdefault((entry.publisher or entry.key, entry.cause), []).append(entry)
+    found = [
+        replace(
+            max(group, key=lambda entry: entry.count),
+            key=_keys_in_words([entry.key for entry in group]),
+            count=sum(entry.count for entry in group),
+        )
+        for group in groups.values()
+    ]
+    return tuple(sorted(found, key=lambda entry: -entry.count))
+
+
+def _keys_in_words(keys: list[str]) -> str:
+    return keys[0] if len(keys) == 1 else f"{keys[0]} and {len(keys) - 1} more"

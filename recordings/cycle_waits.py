@@ -207,21 +207,20 @@ class WaitFinder:
         if _gave_up(messages[port]):
             return Wait(agent, stage, None, port, 0, ended_ns - tick_ns, (), given_up=True)
         without = self._without(agent, stage, port, messages)
-        cause = self._cause(agent, port, messages)
+        cause = self._cause(agent, port, messages, messages[port].publish_time_ns)
         began_ns = tick_ns if cause is None else messages[cause].publish_time_ns
         return Wait(agent, stage, cause, port, began_ns - tick_ns, ended_ns - tick_ns, without)
 
     def _cause(
-        self, agent: str, port: Port[Message], messages: CycleMessages
+        self, agent: str, port: Port[Message], messages: CycleMessages, before_ns: int
     ) -> Port[Message] | None:
-        """Return what an agent had heard last when it published on a port."""
-        message = messages[port]
-        absent = _absent(message)
+        """Return what an agent had heard last before a time, and used in what it published."""
+        absent = _absent(messages[port])
         candidates = [
             heard
             for heard in self._heard[agent]
             if heard in messages
-            and messages[heard].publish_time_ns < message.publish_time_ns
+            and messages[heard].publish_time_ns < before_ns
             and str(heard) not in absent
         ]
         return max(candidates, key=lambda heard: messages[heard].publish_time_ns, default=None)
@@ -246,25 +245,30 @@ class WaitFinder:
     ) -> Iterator[Wait]:
         """Follow the causes from a message back to the tick.
 
-        Where a stage ended at its deadline, what came too late for it is the cause.
+        Where a stage ended at its deadline, what came too late for it is the cause, up to the
+        moment at which nobody waited for it any more: no link outlasts the one that it caused.
         """
         seen: set[tuple[str, str]] = set()
         followed: Port[Message] | None = port
+        until_ns = messages[port].publish_time_ns
         while followed is not None:
             place = followed.publisher, stage_of(followed, self._tree)
             if place in seen:
                 return
             seen.add(place)
             wait = waits[place]._replace(message=followed)
-            ended_ns = messages[followed].publish_time_ns - self.tick_ns(messages[followed].cycle)
+            until_ns = min(messages[followed].publish_time_ns, until_ns)
+            tick_ns = self.tick_ns(messages[followed].cycle)
             cause = None
             if not wait.given_up:
                 cause = self._late_cause(wait, messages)
-                cause = cause or self._cause(wait.agent, followed, messages)
-            began_ns = 0
+                cause = cause or self._cause(wait.agent, followed, messages, until_ns)
+            began_ns = tick_ns
             if cause is not None:
-                began_ns = messages[cause].publish_time_ns - self.tick_ns(messages[cause].cycle)
-            yield wait._replace(cause=cause, began_ns=min(began_ns, ended_ns), ended_ns=ended_ns)
+                began_ns = min(messages[cause].publish_time_ns, until_ns)
+            yield wait._replace(
+                cause=cause, began_ns=began_ns - tick_ns, ended_ns=until_ns - tick_ns
+            )
             followed = cause
 
     def _late_cause(self, wait: Wait, messages: CycleMessages) -> Port[Message] | None:

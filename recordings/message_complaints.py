@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Final
 
 from agents.events import Complaint
@@ -29,25 +29,37 @@ class Complaints:
     log
         Called with a line of text for each message that is complained of.
     tell
-        Called with each complaint when it is new.
-
+        Called with each complaint when it is new, and when it is of another field than before.
     """
 
     def __init__(self, log: Callable[[str], None], tell: Callable[[Complaint], None]) -> None:
         self._log = log
         self._tell = tell
         self._counts: Counter[tuple[str, str]] = Counter()
-        self._examples: dict[tuple[str, str], str] = {}
+        self._examples: dict[tuple[str, str], dict[str, str]] = {}
 
-    def add(self, key: str, cause: str, example: str) -> None:
-        """Complain of a message."""
-        self._log(f"{key}: {example}")
+    def add(self, key: str, cause: str, example: str | Mapping[str, str]) -> None:
+        """Complain of a message.
+
+        Parameters
+        ----------
+        key
+            Where it came.
+        cause
+            In what way it is wrong.
+        example
+            What is to be said of it; or that by field, where several may be wrong.
+        """
+        by_field = {"": example} if isinstance(example, str) else example
+        self._log(f"{key}: {'; '.join(by_field.values())}")
         place = (key, cause)
         if place not in self._counts and len(self._counts) >= _MOST_NAMED:
             place = (_OTHER_KEYS, cause)
-        if place not in self._examples:
-            self._examples[place] = example
-            self._tell(Complaint(*place, 1, example))
+        told = self._examples.setdefault(place, {})
+        new = {field: text for field, text in by_field.items() if field not in told}
+        if new:
+            told |= new
+            self._tell(Complaint(*place, 1, "; ".join(new.values())))
         self._counts[place] += 1
 
     @property
@@ -56,8 +68,8 @@ class Complaints:
         return sum(count for (_, cause), count in self._counts.items() if cause not in _RECORDED)
 
     def all(self) -> tuple[Complaint, ...]:
-        """Return each complaint with its count, sorted by key."""
+        """Return each complaint with its count, sorted by key; its examples in one line."""
         return tuple(
-            Complaint(key, cause, self._counts[key, cause], example)
-            for (key, cause), example in sorted(self._examples.items())
+            Complaint(key, cause, self._counts[key, cause], "; ".join(told.values()))
+            for (key, cause), told in sorted(self._examples.items())
         )

@@ -32,8 +32,10 @@ _ROUNDING = 1.0 + 1e-9
 """Shares and sums that were worked out tier by tier may exceed a rating by a rounding error."""
 
 
-def absurdity(plan: RunPlan, port: Port[Message], message: Message, heard_ns: int) -> str:
-    """Say what cannot be right in a message, empty if nothing.
+def absurdities(
+    plan: RunPlan, port: Port[Message], message: Message, heard_ns: int
+) -> dict[str, str]:
+    """Say what cannot be right in a message: by field, in words. Empty: nothing.
 
     Parameters
     ----------
@@ -45,21 +47,22 @@ def absurdity(plan: RunPlan, port: Port[Message], message: Message, heard_ns: in
         When it came, on the monotonic clock of the host.
     """
     sim_time_ns = plan.sim_time_ns(message.cycle)
+    found = {}
     if message.sim_time_ns != sim_time_ns:
-        return (
+        found["sim_time_ns"] = (
             f"sim_time_ns is {message.sim_time_ns}, cycle {message.cycle} begins at {sim_time_ns}"
         )
     if isinstance(message, Production):
-        return _absurd_production(len(plan.inverters), message)
+        return found | _absurd_production(len(plan.inverters), message)
     if isinstance(message, Run):
-        return _absurd_start(plan, message, heard_ns) if message.state == "start" else ""
+        return found | _absurd_start(plan, message, heard_ns)
     if isinstance(message, Dispatch):
         # What is beyond the ratings is held between them, and acted on: an operator's mistake.
-        return _not_finite(message)
+        return found | _not_finite(message)
     for field, value, low, high in _bounds(plan.tree.rating_kw(port.node or ROOT), message):
         if not low <= value <= high:  # NaN fails every comparison.
-            return f"{field} is {value:g}, accepted is {low:g} to {high:g}"
-    return ""
+            found[field] = f"{field} is {value:g}, accepted is {low:g} to {high:g}"
+    return found
 
 
 def _bounds(rating_kw: float, message: Message) -> Iterator[tuple[str, float, float, float]]:
@@ -85,32 +88,41 @@ def _bounds(rating_kw: float, message: Message) -> Iterator[tuple[str, float, fl
             yield "power_kw", message.power_kw, 0.0, most_kw
 
 
-def _absurd_production(inverters: int, message: Production) -> str:
+def _absurd_production(inverters: int, message: Production) -> dict[str, str]:
+    found = _not_finite(message)
     for field in ("inverter_mpp_kw", "inverter_power_kw"):
-        if len(getattr(message, field)) != inverters:
-            found = len(getattr(message, field))
-            return f"{field} has {found} entries, accepted is one for each of {inverters} inverters"
-    return _not_finite(message)
+        entries = len(getattr(message, field))
+        if entries != inverters:
+            found[field] = (
+                f"{field} has {entries} entries, accepted is one for each of {inverters} inverters"
+            )
+    return found
 
 
-def _absurd_start(plan: RunPlan, start: Run, heard_ns: int) -> str:
-    if start.cycle != 0:
-        return f"the run begins with cycle {start.cycle}, accepted is 0"
-    if start.cycle_wall_ns != plan.cycle_wall_ns:
-        return f"cycle_wall_ns is {start.cycle_wall_ns}, accepted is {plan.cycle_wall_ns}"
-    if not plan.lockstep and abs(start.start_time_ns - heard_ns) > START_WITHIN_NS:
+def _absurd_start(plan: RunPlan, run: Run, heard_ns: int) -> dict[str, str]:
+    found: dict[str, str] = {}
+    if run.state != "start":
+        return found
+    if run.cycle != 0:
+        found["cycle"] = f"the run begins with cycle {run.cycle}, accepted is 0"
+    if run.cycle_wall_ns != plan.cycle_wall_ns:
+        found["cycle_wall_ns"] = (
+            f"cycle_wall_ns is {run.cycle_wall_ns}, accepted is {plan.cycle_wall_ns}"
+        )
+    if not plan.lockstep and abs(run.start_time_ns - heard_ns) > START_WITHIN_NS:
         within_s = START_WITHIN_NS / 1e9
-        return (
-            f"start_time_ns is {start.start_time_ns} and came at {heard_ns} of this host's "
+        found["start_time_ns"] = (
+            f"start_time_ns is {run.start_time_ns} and came at {heard_ns} of this host's "
             f"monotonic clock, accepted is within {within_s:g} s of it"
         )
-    return ""
+    return found
 
 
-def _not_finite(message: Message) -> str:
+def _not_finite(message: Message) -> dict[str, str]:
+    found = {}
     for field in message.__struct_fields__:
         values = getattr(message, field)
         for value in values if isinstance(values, tuple) else (values,):
             if isinstance(value, float) and not isfinite(value):
-                return f"{field} is {value:g}, accepted are finite numbers"
-    return ""
+                found[field] = f"{field} is {value:g}, accepted are finite numbers"
+    return found

@@ -30,7 +30,7 @@ from recordings.external_agents import ExternalAgents
 from recordings.lasting_writer import LastingWriter
 from recordings.message_complaints import ABSURD, Complaints
 from recordings.monitor import RunMonitor
-from recordings.plausibility import absurdity
+from recordings.plausibility import absurdities
 from recordings.recordable_messages import FAR_OFF, REPEATED, Objection, SpokenWords
 from recordings.writer import RunWriter
 
@@ -211,7 +211,7 @@ class Recorder:
         if not is_first:
             return
         if port.publisher in self._plan.external:
-            absurd = absurdity(self._plan, port, message, heard_ns)
+            absurd = absurdities(self._plan, port, message, heard_ns)
             if absurd:
                 self.complaints.add(self._plan.keys.key(port), ABSURD, absurd)
                 return

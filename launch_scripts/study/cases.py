@@ -13,7 +13,15 @@ import msgspec
 
 from bus_schemas.errors import InputError
 from launch_scripts.preparation import RunOptions
-from launch_scripts.scenario import Scenario, ScenarioFile, check_scenario, local_start
+from launch_scripts.scenario import (
+    Scenario,
+    ScenarioFile,
+    check_scenario,
+    local_start,
+    place_and_objection,
+    readable,
+    with_two_digit_hour,
+)
 
 _MOST: Final = 100_000
 
@@ -155,7 +163,7 @@ def _on(
         return options
     clock = options.start or f"{local_start(scenario.scenario.time):%H:%M:%S}"
     try:
-        start = datetime.fromisoformat(f"{day.isoformat()}T{clock}")
+        start = datetime.fromisoformat(with_two_digit_hour(f"{day.isoformat()}T{clock}"))
     except ValueError:
         raise InputError(
             f"--start {clock}: accepted beside --days is a time of day such as 12:30"
@@ -167,13 +175,31 @@ def _with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, str]]) ->
     document = msgspec.to_builtins(scenario.scenario, builtin_types=(datetime,))
     for field, value in chosen:
         _put(document, field, value)
-    words = " ".join(f"--set {field}={value}" for field, value in chosen)
     try:
         changed = msgspec.convert(document, Scenario, str_keys=True)
-        check_scenario(changed, words)
+        check_scenario(changed, _in_words(chosen))
     except msgspec.ValidationError as error:
-        raise InputError(f"{words}: {error}") from None
+        words = _in_words(_to_blame(chosen, error) or chosen)
+        raise InputError(f"{words}: {readable(error, document)}") from None
     return msgspec.structs.replace(scenario, scenario=changed)
+
+
+def _in_words(chosen: Sequence[tuple[str, str]]) -> str:
+    return " ".join(f"--set {field}={value}" for field, value in chosen)
+
+
+def _to_blame(
+    chosen: Sequence[tuple[str, str]], error: msgspec.ValidationError
+) -> list[tuple[str, str]]:
+    """Return the settings that an error is about; none, where it does not tell."""
+    where, objection = place_and_objection(error)
+    unknown = re.findall(r"unknown field `(.*)`", objection)
+    place = ".".join([*filter(None, [where]), *unknown])
+    return [
+        (field, value)
+        for field, value in chosen
+        if f"{field}.".startswith(f"{place}.") or f"{place}.".startswith(f"{field}.")
+    ]
 
 
 def _put(document: dict[str, Any], field: str, value: str) -> None:

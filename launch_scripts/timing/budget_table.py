@@ -75,7 +75,12 @@ class BudgetTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class TimingTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The table `[timing]` of a scenario: for now its budgets, see `BudgetTable`.
+    """What a run in real time is judged by.
+
+    Attributes
+    ----------
+    budgets
+        Upper limits by name: those of `BudgetTable`, in docs/timing.md under Budgets.
 
     Raises
     ------
@@ -123,8 +128,9 @@ def check_budgets(budgets: Mapping[str, Any]) -> None:
 def _check_limit(name: str, value: object) -> None:
     counted = name in _COUNTS
     right = int if counted else int | float
-    if isinstance(value, bool) or not isinstance(value, right) or not 0 <= value < inf:
+    is_number = isinstance(value, right) and not isinstance(value, bool) and 0 <= value < inf
+    may_be_zero = "_ms" not in name
+    if not is_number or (value == 0 and not may_be_zero):
         what = "a whole number" if counted else "a number"
-        raise ValueError(f"budgets.{name} is {value!r}, accepted is {what} from 0 on")
-    if "_ms" in name and value == 0:
-        raise ValueError(f"budgets.{name} is 0 ms, accepted is a number above 0")
+        lowest = "from 0 on" if may_be_zero else "above 0"
+        raise ValueError(f"budgets.{name} is {value!r}, accepted is {what} {lowest}")

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import multiprocessing
-import signal
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from agents.late_words import LatePolicy
 from agents.parent_death import on_parent_death
 from agents.plan import RunPlan, Scheme
 from bus_schemas.faults import FaultRule
+from launch_scripts.interruption import end_when_interrupted, interruptions_wait
 from launch_scripts.timed_simulation import TimedRun, on_the_clock
 from recordings.metrics import RunMetrics, run_metrics
 from recordings.series import RunSeries, SeriesCollector
@@ -196,8 +196,8 @@ def _outcome(condition: Condition, run: TimedRun, metrics: RunMetrics) -> Outcom
 
 
 def _begin_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
     on_parent_death()
+    end_when_interrupted()
 
 
 def run_study_over(
@@ -208,17 +208,19 @@ def run_study_over(
         for number, condition in enumerate(chosen):
             yield number, run_under(plan, profile, condition)
         return
-    # Ctrl-C reaches every process of a terminal: workers then just end, as they do with us.
+    # Ctrl-C reaches every process of a terminal: workers then just end, as they do with us, also
+    # while they still import what they need.
     pool = ProcessPoolExecutor(
         workers,
         mp_context=multiprocessing.get_context("spawn"),
         initializer=_begin_worker,
     )
     try:
-        futures = {
-            pool.submit(run_under, plan, profile, condition): number
-            for number, condition in enumerate(chosen)
-        }
+        with interruptions_wait():
+            futures = {
+                pool.submit(run_under, plan, profile, condition): number
+                for number, condition in enumerate(chosen)
+            }
         for future in as_completed(futures):
             yield futures[future], future.result()
     finally:

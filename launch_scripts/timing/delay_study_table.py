@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import takewhile
 from typing import Final, get_args
 
 from rich.console import Console
-from rich.table import Table
+from rich.markup import escape
 
+from agents.late_words import LatePolicy
 from agents.plan import Scheme
 from launch_scripts.preparation import Preparation
 from launch_scripts.study.study import remarks_of
 from launch_scripts.timing.delay_study import VALUES, WARM_UP_S, Outcome, Trouble
+from launch_scripts.timing.figure_tables import Column, print_table
 
 BEARABLE_PERCENT: Final = 1.0
 """Control-caused shortfall, in % of desired, up to which a trouble counts as survived."""
@@ -36,6 +38,9 @@ MERITS: Final[dict[str, Callable[[Outcome], float | None]]] = {
 FIGURES: Final = (*MERITS, "absent [%]", "late used")
 """Headings of what is told of each run."""
 
+_WIDTH: Final = 9
+"""Of a column of figures, where there is room."""
+
 _LEGEND: Final = (
     "control-caused, over-delivered: in % of the desired energy; RegD: requests fulfilled to 1 % "
     "of the rating; absent: inputs that were not there at their deadline, in % of all",
@@ -50,7 +55,7 @@ def print_study(preparation: Preparation, outcomes: Sequence[Outcome], console: 
     for line in (study_title(preparation), *study_notes(preparation)):
         console.print(line, highlight=False)
     for trouble in VALUES:
-        console.print(_table(trouble, outcomes))
+        _print_trouble(trouble, outcomes, console)
     for line in survived(outcomes):
         console.print(line, highlight=False)
 
@@ -79,53 +84,60 @@ def study_notes(preparation: Preparation) -> tuple[str, ...]:
     return (*remarks_of(preparation), *_LEGEND, *(too_long if shorter else ()))
 
 
-def column_of(outcomes: Sequence[Outcome], trouble: Trouble, scheme: str) -> list[Outcome]:
-    """Return what a scheme comes to under a growing trouble, with late messages used."""
+def column_of(
+    outcomes: Sequence[Outcome], trouble: Trouble, scheme: str, late: LatePolicy = "use"
+) -> list[Outcome]:
+    """Return what a scheme comes to under a growing trouble."""
     return [
-        one for one in outcomes if (one.trouble, one.scheme, one.late) == (trouble, scheme, "use")
+        one for one in outcomes if (one.trouble, one.scheme, one.late) == (trouble, scheme, late)
     ]
 
 
 def survived(outcomes: Sequence[Outcome]) -> list[str]:
-    """Say, for each scheme, up to where each trouble costs less than 1 % of the desired energy."""
-    lines = []
-    for scheme in get_args(Scheme):
-        parts = []
-        for trouble, (_, unit) in TROUBLES.items():
-            column = column_of(outcomes, trouble, scheme)
+    """Say, for each scheme, up to where each trouble costs less than 1 % of the desired energy.
+
+    With dropped late messages for itself, where the study has such runs.
+    """
+    return [
+        f"{scheme}: the shortfall that control causes stays below {BEARABLE_PERCENT:g} % of the "
+        "desired energy at " + ", ".join(_limits(outcomes, scheme))
+        for scheme in get_args(Scheme)
+    ]
+
+
+def _limits(outcomes: Sequence[Outcome], scheme: Scheme) -> Iterator[str]:
+    for trouble, (_, unit) in TROUBLES.items():
+        for late in get_args(LatePolicy):
+            column = column_of(outcomes, trouble, scheme, late)
+            if late == "drop" and not column:
+                continue
             borne = [one.value for one in takewhile(_is_bearable, column)]
             name, _, in_unit = unit.partition(" [")
-            parts.append(f"{name} up to {borne[-1]:g} {in_unit[:-1]}" if borne else f"no {name}")
-        lines.append(
-            f"{scheme}: control causes less than {BEARABLE_PERCENT:g} % of shortfall at "
-            + ", ".join(parts)
-        )
-    return lines
+            limit = f"{name} up to {borne[-1]:g} {in_unit[:-1]}" if borne else f"no {name}"
+            yield f"{limit} where late messages are dropped" if late == "drop" else limit
 
 
 def _is_bearable(one: Outcome) -> bool:
     return one.control_caused_percent is not None and one.control_caused_percent < BEARABLE_PERCENT
 
 
-def _table(trouble: Trouble, outcomes: Sequence[Outcome]) -> Table:
+def _print_trouble(trouble: Trouble, outcomes: Sequence[Outcome], console: Console) -> None:
     what, unit = TROUBLES[trouble]
-    table = Table(title=what, title_justify="left")
-    table.add_column(unit, justify="right")
-    table.add_column("scheme")
-    table.add_column("late")
-    for heading in FIGURES:
-        table.add_column(heading.replace("-", "-\n").replace(" ", "\n"), justify="right")
+    title = f"[bold]{what}[/]: {escape(unit)}, scheme, late messages"
+    columns = [Column(_folded(heading), _WIDTH) for heading in FIGURES]
+    rows = []
     last = None
     for one in outcomes:
-        if one.trouble != trouble:
-            continue
-        if last not in (None, one.value):
-            table.add_section()
-        table.add_row(
-            "" if one.value == last else f"{one.value:g}", one.scheme, one.late, *figures(one)
-        )
-        last = one.value
-    return table
+        if one.trouble == trouble:
+            value = "" if one.value == last else f"{one.value:g}"
+            rows.append((f"{value:>4}  {one.scheme:<10}  {one.late:<4}", *figures(one)))
+            last = one.value
+    print_table(console, title, columns, rows)
+
+
+def _folded(heading: str) -> str:
+    """Return a heading in short lines, its unit in the last one."""
+    return escape(heading.replace("-", "-\n").replace(" ", "\n"))
 
 
 def figures(one: Outcome) -> tuple[str, ...]:

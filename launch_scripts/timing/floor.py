@@ -146,7 +146,7 @@ class Floor:
         except (subprocess.TimeoutExpired, IndexError, msgspec.DecodeError):
             return FloorTimes(name, None, f"not measured: {self._complaint(role)}")
         lost = f"{probed.lost} lost" if probed.lost else ""
-        return FloorTimes(name, distribution(merged([probed.histogram])), lost)
+        return FloorTimes(name, distribution(merged([probed.histogram]), probed.extremes), lost)
 
     def _complaint(self, role: Role) -> str:
         """Return the last line that a probe wrote of its troubles."""

@@ -17,7 +17,7 @@ import msgspec
 import zenoh
 
 from agents.events import Event
-from agents.histograms import new_histogram, record_ns
+from agents.histograms import Extremes, extremes_of, new_histogram, record_ns
 from agents.lifeline import Lifeline
 from agents.machine import MachineSettings, take_machine
 from agents.process_setup import join_run
@@ -66,6 +66,7 @@ class Probed(Event, frozen=True):
 
     histogram: str
     lost: int = 0
+    extremes: Extremes | None = None
 
 
 class Probe:
@@ -130,7 +131,7 @@ def run_timer(probe: Probe, lifeline: Lifeline) -> None:
     lifeline.tell(Prepared())
     probe.await_begin()
     probe.on_each_period(lambda due_ns: record_ns(histogram, time.monotonic_ns() - due_ns))
-    lifeline.tell(Probed(histogram.encode().decode("ascii")))
+    lifeline.tell(Probed(histogram.encode().decode("ascii"), extremes=extremes_of(histogram)))
 
 
 def run_echo(probe: Probe, settings: ProbeSettings, lifeline: Lifeline) -> None:
@@ -159,7 +160,8 @@ def run_ping(probe: Probe, settings: ProbeSettings, lifeline: Lifeline) -> None:
         lifeline.tell(Prepared())
         probe.await_begin()
         probe.on_each_period(pinger.measure)
-        lifeline.tell(Probed(pinger.histogram.encode().decode("ascii"), pinger.lost))
+        found = pinger.histogram
+        lifeline.tell(Probed(found.encode().decode("ascii"), pinger.lost, extremes_of(found)))
 
 
 class Pinger:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Iterable
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
 import msgspec
 
+from agents.kinds import KINDS, kind_of
+from agents.plan import RunPlan
 from agents.stopwatch import ProcessTiming
 
 _CPU_FACTS: Final = Path("/proc/cpuinfo")
@@ -26,11 +29,14 @@ class Host(msgspec.Struct, frozen=True):
     cpus
         Number of processors that this command may use.
     policies
-        Scheduling policies and processors that the processes of the run really had.
+        Scheduling policies and processors that the processes of the run really had; where they
+        differ, with the kinds of processes that had them: `direct: fifo 20 on CPU 1`.
     load_before, load_after
         Processes that were running or waiting to, averaged over the last minute (load average).
     python, heliarch, zenoh
         Versions.
+    memory_locked
+        Whether the memory of plant and controllers was never paged out.
     """
 
     kernel: str
@@ -42,22 +48,51 @@ class Host(msgspec.Struct, frozen=True):
     python: str
     heliarch: str
     zenoh: str
+    memory_locked: bool = False
 
 
-def host(timings: Iterable[ProcessTiming], load_before: float) -> Host:
-    """Return the facts, after a run."""
+def host(
+    timings: Sequence[ProcessTiming], plan: RunPlan, remarks: Iterable[str], load_before: float
+) -> Host:
+    """Return the facts, after a run.
+
+    Parameters
+    ----------
+    timings
+        What its processes measured of themselves.
+    plan
+        Of the run.
+    remarks
+        Of the run: what the machine did not permit is among them.
+    load_before
+        See `Host`.
+    """
+    refused = any(remark.startswith("memory: not locked") for remark in remarks)
     uname = platform.uname()
     return Host(
         kernel=f"{uname.system} {uname.release} {uname.version}",
         cpu=cpu_model(),
         cpus=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 0,
-        policies=tuple(sorted({timing.policy for timing in timings})),
+        policies=policies(timings, plan),
         load_before=load_before,
         load_after=load_average(),
         python=platform.python_version(),
         heliarch=version("heliarch"),
         zenoh=version("eclipse-zenoh"),
+        memory_locked=plan.machine.lock_memory and not refused,
     )
+
+
+def policies(timings: Iterable[ProcessTiming], plan: RunPlan) -> tuple[str, ...]:
+    """Return the policies of the processes, with the kinds that had them if they differ."""
+    kinds: dict[str, set[str]] = defaultdict(set)
+    for timing in timings:
+        kinds[timing.policy].add(kind_of(timing.agent, plan.tree))
+    if len(kinds) <= 1:
+        return tuple(kinds)
+    by_kind = {policy: sorted(members, key=KINDS.index) for policy, members in kinds.items()}
+    in_order = sorted(by_kind, key=lambda policy: (KINDS.index(by_kind[policy][0]), policy))
+    return tuple(f"{', '.join(by_kind[policy])}: {policy}" for policy in in_order)
 
 
 def load_average() -> float:

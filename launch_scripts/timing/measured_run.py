@@ -13,6 +13,7 @@ from rich.console import Console
 
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
+from launch_scripts.interruption import interruptible
 from launch_scripts.launcher import launch
 from launch_scripts.live_view import view_for
 from launch_scripts.preparation import Preparation
@@ -23,12 +24,17 @@ from launch_scripts.summary import RunSummary
 from launch_scripts.timing.budget_table import BudgetTable
 from launch_scripts.timing.floor import Floor, FloorTimes
 from launch_scripts.timing.host import Host, host, load_average
+from launch_scripts.timing.lasting_files import write_or_tell
+from launch_scripts.timing.rates import cycles_per_s
 
 _REAL_TIME: Final = "1"
 
 
 class MeasuredRun(msgspec.Struct, frozen=True):
-    """A run that is over, what was measured beside it, and the budgets that its scenario states."""
+    """A run that is over, what was measured beside it, and the budgets that its scenario states.
+
+    `unwritten` says why its summary could not be written; it is empty if it was.
+    """
 
     plan: RunPlan
     summary: RunSummary
@@ -36,6 +42,7 @@ class MeasuredRun(msgspec.Struct, frozen=True):
     host: Host
     recording: Path
     budgets: BudgetTable
+    unwritten: str = ""
 
 
 def prepare_at(
@@ -85,6 +92,8 @@ def measured_run(preparation: Preparation, folder: RunFolder, console: Console) 
     ------
     InputError
         The folder or the ports cannot be had.
+    OSError
+        What the processes need cannot be written: the disk is full.
     RunFailure
         The run could not go on.
     """
@@ -95,15 +104,19 @@ def measured_run(preparation: Preparation, folder: RunFolder, console: Console) 
         Floor(plan.run_id, plan.cycle_wall_ns, plan.machine) as floor,
         view_for(console, plan, scenario.time.timezone) as view,
     ):
-        length = f"{1.0 / cycle_s:g} cycles/s for {plan.cycles * cycle_s:g} s"
-        view.say(f"{scenario.title}; {length}")
+        view.say(scenario.title)
+        view.say(f"{cycles_per_s(1.0 / cycle_s)} for {round(plan.cycles * cycle_s, 2):g} s")
         begin_floor = partial(floor.begin, plan.cycles * cycle_s)
         summary = launch(preparation, folder, view, began_at, begin_floor)
-        rows = floor.finish()
-    folder.summary.write_bytes(summary.as_json() + b"\n")
+        with interruptible() as late:  # The run is over: that throws nothing away any more.
+            rows = floor.finish()
+    if late:
+        summary = msgspec.structs.replace(summary, interrupted=True)
+    unwritten = write_or_tell(folder.summary, summary.as_json() + b"\n")
     timings = [account.timing for account in summary.processes if account.timing is not None]
-    machine = host(timings, load_before)
-    return MeasuredRun(plan, summary, rows, machine, folder.recording, scenario.timing.stated)
+    machine = host(timings, plan, summary.remarks, load_before)
+    budgets = scenario.timing.stated
+    return MeasuredRun(plan, summary, rows, machine, folder.recording, budgets, unwritten)
 
 
 def whole_cycles(rate_hz: float, duration: str) -> int:
@@ -118,6 +131,6 @@ def whole_cycles(rate_hz: float, duration: str) -> int:
     if duration_s * rate_hz < 1.0:
         raise InputError(
             f"--duration {duration}: shorter than one cycle, accepted is {1.0 / rate_hz:g} s or "
-            f"more at {rate_hz:g} cycles/s"
+            f"more at {cycles_per_s(rate_hz)}"
         )
     return round(duration_s * rate_hz)

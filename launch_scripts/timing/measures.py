@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Final
+from typing import Final, TypeAlias
 
 import msgspec
 
@@ -14,7 +14,7 @@ from agents.stopwatch import ProcessTiming
 from bus_schemas.signals import SIGNALS
 from bus_schemas.tree import ControlTree, depth
 from launch_scripts.summary import ProcessAccount
-from launch_scripts.timing.distributions import Distribution, distribution, merged
+from launch_scripts.timing.distributions import Distribution, distribution, merged, together
 
 LOOP: Final = "loop"
 EVERY_COMMAND: Final = "each command"
@@ -22,6 +22,10 @@ WHOLE_LOOP: Final = "all commands"
 
 MEASURES: Final = (LOOP, "decision", "hop", "lateness", "jitter", "age", "response")
 """What is measured, in the order in which it is reported."""
+
+
+_Own: TypeAlias = tuple[ProcessTiming, str]
+"""A measure of a process: its account, and the measure's name."""
 
 
 class Times(msgspec.Struct, frozen=True):
@@ -120,16 +124,16 @@ class Tiers:
 def times_by_tier(timings: Sequence[ProcessTiming], tree: ControlTree) -> tuple[Times, ...]:
     """Merge the histograms of all processes: by tier and stage, hops by signal."""
     tiers = Tiers(tree)
-    encoded: dict[tuple[str, str, str], list[str]] = defaultdict(list)
+    found: dict[tuple[str, str, str], list[_Own]] = defaultdict(list)
     place: dict[tuple[str, str, str], tuple[int, str]] = {}
     for timing in timings:
-        for name, text in timing.histograms.items():
+        for name in timing.histograms:
             measure, _, what = name.partition("/")
             key = _row_of(measure, what, timing.agent, tiers)
-            encoded[key].append(text)
+            found[key].append((timing, name))
             place[key] = _place(measure, what, timing.agent, tiers)
-    keys = sorted(encoded, key=lambda key: (MEASURES.index(key[0]), place[key], key))
-    return tuple(_rows((*key, encoded[key]) for key in keys))
+    keys = sorted(found, key=lambda key: (MEASURES.index(key[0]), place[key], key))
+    return tuple(_rows((*key, found[key]) for key in keys))
 
 
 def times_of(timing: ProcessTiming, tree: ControlTree) -> tuple[Times, ...]:
@@ -139,7 +143,7 @@ def times_of(timing: ProcessTiming, tree: ControlTree) -> tuple[Times, ...]:
     names = sorted(timing.histograms, key=lambda name: _place_of_own(name, timing.agent, tiers))
     return tuple(
         _rows(
-            (name.partition("/")[0], name.partition("/")[2], kind, [timing.histograms[name]])
+            (name.partition("/")[0], name.partition("/")[2], kind, [(timing, name)])
             for name in names
         )
     )
@@ -191,11 +195,18 @@ def _place_of_signal(port: str) -> int:
     return names.index(port.rpartition("/")[2])
 
 
-def _rows(entries: Iterable[tuple[str, str, str, list[str]]]) -> Iterator[Times]:
-    for measure, of, kind, encoded in entries:
-        found = distribution(merged(encoded))
+def _rows(entries: Iterable[tuple[str, str, str, list[_Own]]]) -> Iterator[Times]:
+    for measure, of, kind, own in entries:
+        found = distribution_of(own)
         if found is not None:
             yield Times(measure, of, kind, found)
+
+
+def distribution_of(own: Sequence[_Own]) -> Distribution | None:
+    """Return the figures of durations that several processes measured; None if there are none."""
+    extremes = [timing.extremes[name] for timing, name in own if name in timing.extremes]
+    histogram = merged(timing.histograms[name] for timing, name in own)
+    return distribution(histogram, together(extremes) if len(extremes) == len(own) else None)
 
 
 def _tier_account(tier: str, members: Sequence[ProcessAccount]) -> TierAccount:

@@ -38,6 +38,11 @@ class Rates:
         return self.listed_hz[0] if len(self.listed_hz) == 1 else None
 
 
+def cycles_per_s(rate_hz: float) -> str:
+    """Say a rate: `20 cycles/s`."""
+    return f"{rate_hz:.4g} cycle{'' if rate_hz == 1.0 else 's'}/s"
+
+
 def parse_rates(text: str) -> Rates:
     """Read what was given with `--rate`.
 

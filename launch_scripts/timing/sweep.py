@@ -7,11 +7,14 @@ from typing import Final, TypeAlias
 
 import msgspec
 from rich.console import Console
-from rich.table import Table
 
+from launch_scripts.timing.figure_tables import Column, print_table
+from launch_scripts.timing.floor import FloorTimes
+from launch_scripts.timing.host import Host
 from launch_scripts.timing.measures import LOOP, WHOLE_LOOP
-from launch_scripts.timing.rates import Rates
+from launch_scripts.timing.rates import LOWEST_HZ, Rates, cycles_per_s
 from launch_scripts.timing.timing_report import TimingReport
+from launch_scripts.timing.timing_table import host_lines, how_often, print_floor
 
 _CLOSE_ENOUGH: Final = 1.1
 """The search ends where the lowest rate that fails is no further above the highest clean one."""
@@ -32,10 +35,14 @@ class RateRow(msgspec.Struct, frozen=True):
         Processor time of all processes together, the recorder too [% of one core].
     clean
         Whether none was missed, none overran and nothing was lost.
+    trouble
+        What was missed, overran or was lost, and in which tier; empty if nothing was.
     failed
         Why the run failed; empty if it did not.
     interrupted
         Whether the user ended it early: then it proves nothing.
+    host, floor
+        What it was run on, and what that machine needs by itself at this rate.
     """
 
     rate_hz: float
@@ -50,12 +57,17 @@ class RateRow(msgspec.Struct, frozen=True):
     clean: bool = False
     failed: str = ""
     interrupted: bool = False
+    trouble: str = ""
+    host: Host | None = None
+    floor: tuple[FloorTimes, ...] = ()
 
     @property
     def outcome(self) -> str:
         """What became of it, in a word or two."""
         if self.interrupted:
             return "interrupted"
+        if self.failed:
+            return "failed"
         return "clean" if self.clean else "not clean"
 
 
@@ -81,18 +93,18 @@ class Sweep(msgspec.Struct, frozen=True):
         return msgspec.json.format(msgspec.json.encode(self), indent=1)
 
 
+_TITLE: Final = "Loop time \\[ms] against rate \\[cycles/s], and processor time \\[% of a core]"
 _COLUMNS: Final = (
-    "cycles/s",
-    "cycles",
-    "cycle\n\\[ms]",
-    "loop p50\n\\[ms]",
-    "loop p99\n\\[ms]",
-    "loop max\n\\[ms]",
-    "missed\ndeadlines",
-    "overruns",
-    "lost",
-    "CPU \\[%]\nof a core",
-    "",
+    Column("cycles", 8),
+    Column("cycle", 8),
+    Column("loop\np50", 8),
+    Column("loop\np99", 8),
+    Column("loop\nmax", 8),
+    Column("missed\ndeadlines", 9),
+    Column("overruns", 8),
+    Column("lost", 5),
+    Column("CPU", 5),
+    Column("", 11),
 )
 
 Timed: TypeAlias = Callable[[float], tuple[RateRow, bool]]
@@ -112,7 +124,10 @@ def sweep(rates: Rates, timed: Timed) -> Sweep:
     rows: dict[float, RateRow] = {}
     interrupted = False
     for rate_hz in _search(rates.search_hz, rows) if rates.search_hz else rates.listed_hz:
-        rows[rate_hz], interrupted = timed(rate_hz)
+        try:
+            rows[rate_hz], interrupted = timed(rate_hz)
+        except KeyboardInterrupt:  # Before the first cycle, or for the second time.
+            rows[rate_hz], interrupted = RateRow(rate_hz, interrupted=True), True
         if interrupted:
             break
     clean = [rate_hz for rate_hz, row in rows.items() if row.clean]
@@ -138,30 +153,65 @@ def rate_row(report: TimingReport) -> RateRow:
         cpu_percent=sum(tier.cpu_percent for tier in report.tiers),
         clean=report.clean and not report.interrupted,
         interrupted=report.interrupted,
+        trouble=_trouble(report),
+        host=report.host,
+        floor=report.floor,
     )
+
+
+def _trouble(report: TimingReport) -> str:
+    """Say what keeps a run from being clean, tier by tier."""
+    told = [] if report.cycles else ["no cycle was completed"]
+    for tier in report.tiers:
+        counts = (
+            ("missed a deadline", tier.missed_deadlines),
+            ("overran", tier.overruns),
+            ("gave a cycle up", tier.cycles_given_up),
+        )
+        told += [f"{tier.tier} {what} {how_often(count)}" for what, count in counts if count]
+    if report.lost_messages:
+        plural = "" if report.lost_messages == 1 else "s"
+        told.append(f"{report.lost_messages:,} message{plural} not recorded")
+    return ", ".join(told)
 
 
 def print_sweep(found: Sweep, console: Console) -> None:
-    """Print the rates, and the highest clean one."""
-    table = Table(
-        title="\nLoop time against rate",
-        title_justify="left",
-        title_style="",
-        box=None,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-        header_style="",
+    """Print the rates, on what they were run, and the highest clean one."""
+    for line in machine_lines(found):
+        console.print(line, highlight=False, markup=False)
+    rows = [_cells(row) for row in found.rows]
+    print_table(
+        console,
+        _TITLE,
+        _COLUMNS,
+        rows,
     )
-    for column in _COLUMNS:
-        table.add_column(column, justify="right", no_wrap=True)
     for row in found.rows:
-        table.add_row(*_cells(row))
-    console.print(table)
-    for row in found.rows:
-        if row.failed:
-            text = f"{row.rate_hz:g} cycles/s failed: {row.failed}"
-            console.print(text, highlight=False, markup=False)
-    console.print(conclusion(found), highlight=False, markup=False)
+        if row.floor:
+            heading = f"[bold]floor[/] at {cycles_per_s(row.rate_hz)} \\[µs]"
+            print_floor(heading, row.floor, lambda value_us: f"{value_us:,.0f}", console)
+    console.print()
+    for line in (*trouble_lines(found), conclusion(found)):
+        console.print(line, highlight=False, markup=False)
+
+
+def machine_lines(found: Sweep) -> list[str]:
+    """Say on what the rates were run: the load before the first one, and after the last one."""
+    hosts = [row.host for row in found.rows if row.host is not None]
+    if not hosts:
+        return []
+    return host_lines(msgspec.structs.replace(hosts[-1], load_before=hosts[0].load_before))
+
+
+def trouble_lines(found: Sweep) -> list[str]:
+    """Say of each rate that failed or was not clean what went wrong."""
+    return [
+        f"{cycles_per_s(row.rate_hz)} failed: {row.failed}"
+        if row.failed
+        else f"{cycles_per_s(row.rate_hz)} was not clean: {row.trouble}"
+        for row in found.rows
+        if row.failed or (row.trouble and not row.interrupted)
+    ]
 
 
 def _search(search_hz: tuple[float, float], rows: dict[float, RateRow]) -> Iterator[float]:
@@ -204,13 +254,26 @@ def _cells(row: RateRow) -> tuple[str, ...]:
 
 def conclusion(found: Sweep) -> str:
     """Say how fast the plant can go."""
-    if found.highest_clean_hz is None and found.interrupted:
-        return "interrupted before a rate was found to be clean"
     if found.highest_clean_hz is None:
-        return "no rate was clean: at each a deadline was missed, a stage overran or a message lost"
+        return _none_was_clean(found)
     known = any(row.rate_hz > found.highest_clean_hz and not row.interrupted for row in found.rows)
     at_least = "" if known else "at least "
     return (
-        f"highest clean rate: {at_least}{found.highest_clean_hz:.4g} cycles/s (no deadline missed, "
-        "no stage overrun, no message lost)"
+        f"highest clean rate: {at_least}{cycles_per_s(found.highest_clean_hz)} (no deadline "
+        "missed, no stage overrun, no message lost)"
     )
+
+
+def _none_was_clean(found: Sweep) -> str:
+    if found.interrupted:
+        return "interrupted before a rate was found to be clean"
+    tried_hz = [row.rate_hz for row in found.rows]
+    lowest_hz = min(tried_hz)
+    below = f"{max(lowest_hz / 10.0, LOWEST_HZ):.3g}..{lowest_hz:.4g}"
+    what = "no rate was clean: at each a deadline was missed, a stage overran or a message lost"
+    if len(tried_hz) == 1:
+        what = f"no rate was clean: {cycles_per_s(lowest_hz)} alone was tried, and was not"
+    if all(row.failed for row in found.rows):
+        what = "no rate was clean: each one failed"
+    hint = f"; slower ones are tried by --rate {below}" if lowest_hz > LOWEST_HZ else ""
+    return f"{what}{hint}"

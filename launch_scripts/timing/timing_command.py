@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -15,13 +17,21 @@ from launch_scripts.lasting_console import LastingConsole, write_if_read
 from launch_scripts.run_command import RunRequest
 from launch_scripts.run_folder import new_run_id, run_folder
 from launch_scripts.supervision import RunFailure
+from launch_scripts.termination import Termination, terminable
 from launch_scripts.timing.delay_study_command import StudyRequest, run_study
-from launch_scripts.timing.measured_run import measured_run, prepare_at, whole_cycles
+from launch_scripts.timing.figure_tables import WIDTH
+from launch_scripts.timing.lasting_files import write_or_tell
+from launch_scripts.timing.measured_run import (
+    MeasuredRun,
+    measured_run,
+    prepare_at,
+    whole_cycles,
+)
 from launch_scripts.timing.rates import Rates, parse_rates
-from launch_scripts.timing.sweep import print_sweep, sweep
+from launch_scripts.timing.sweep import Sweep, print_sweep, sweep
 from launch_scripts.timing.timing_page import PAGE_NAME, write_page, write_sweep_page
 from launch_scripts.timing.timing_report import TimingReport, report_on
-from launch_scripts.timing.timing_table import WIDTH, print_report
+from launch_scripts.timing.timing_table import print_report
 from launch_scripts.timing.trials import Trials
 
 STUDY_PAGE_NAME: Final = "delay-study.html"
@@ -67,7 +77,10 @@ class TimingRequest:
 
 
 def timing(request: TimingRequest) -> int:
-    """Time a plant; print what it came to. Returns the exit status."""
+    """Time a plant; print what it came to. Returns the exit status.
+
+    SIGTERM and SIGHUP end the measurement as Ctrl-C does, and change the exit status.
+    """
     # With the JSON on standard output, nothing else may go there.
     to_stdout = request.run.json == "-"
     console = LastingConsole(stderr=to_stdout)
@@ -77,13 +90,27 @@ def timing(request: TimingRequest) -> int:
         if request.study:
             return run_study(_study(request))
         rates = _check(request)
-        if rates.single_hz is not None:
-            return _time_one(rates.single_hz, request, console)
-        return _time_several(rates, request, console)
+        with terminable() as termination:
+            return termination.status(_time(rates, request, console, termination))
     except InputError as error:
         return complain(error, BAD_INPUT)
-    except (OSError, RunFailure) as error:
+    except OSError as error:
+        named = f"{error.filename}: {error.strerror}" if error.filename else error
+        return complain(named, FAILED)
+    except RunFailure as error:
         return complain(error, FAILED)
+    except KeyboardInterrupt:
+        return complain("interrupted", INTERRUPTED)
+
+
+def _time(
+    rates: Rates, request: TimingRequest, console: LastingConsole, termination: Termination
+) -> int:
+    """Measure; print and write what it came to, at the end and when it is interrupted."""
+    try:
+        if rates.single_hz is not None:
+            return _time_one(rates.single_hz, request, console, termination)
+        return _time_several(rates, request, console, termination)
     except KeyboardInterrupt:
         return complain("interrupted; the processes were ended by force", INTERRUPTED)
 
@@ -134,36 +161,64 @@ def _check(request: TimingRequest) -> Rates:
     return rates
 
 
-def _time_one(rate_hz: float, request: TimingRequest, console: Console) -> int:
+def _time_one(
+    rate_hz: float, request: TimingRequest, console: LastingConsole, termination: Termination
+) -> int:
     duration = request.duration or _DURATION
     preparation, place = prepare_at(rate_hz, duration, request.run, request.run.out)
     run = measured_run(preparation, place, console)
+    with termination.held():
+        return _tell_one(run, request, console)
+
+
+def _tell_one(run: MeasuredRun, request: TimingRequest, console: LastingConsole) -> int:
+    """Print and write what a run came to. A file that cannot be written costs no other."""
     report, slowest = report_on(run)
     print_report(report, console, processes=request.processes)
     _say(console, f"recording: {run.recording}")
-    _write_json(report.as_json(), request.run.json)
+    unwritten = [run.unwritten, _write_json(report.as_json(), request.run.json)]
     if request.report:
         path = run.recording.with_name(PAGE_NAME)
-        write_page(path, report, slowest, run.plan.tree)
-        _say(console, f"page: {path}")
-    return exit_status(report)
+        unwritten.append(_write_page(partial(write_page, path, report, slowest, run.plan.tree)))
+        if not unwritten[-1]:
+            _say(console, f"page: {path}")
+    return _after_writing(exit_status(report), unwritten, console)
 
 
-def _time_several(rates: Rates, request: TimingRequest, console: Console) -> int:
+def _time_several(
+    rates: Rates, request: TimingRequest, console: LastingConsole, termination: Termination
+) -> int:
     folder = run_folder(f"{new_run_id('timing')}-rates", request.run.out).path
     duration = request.duration or _SWEEP_DURATION
     trials = Trials(request.run, duration, folder, console)
     trials.prepare(rates.listed_hz)
     found = sweep(rates, trials.run)
+    with termination.held():
+        return _tell_several(found, trials, folder, request, console)
+
+
+def _tell_several(
+    found: Sweep, trials: Trials, folder: Path, request: TimingRequest, console: LastingConsole
+) -> int:
+    """Print and write what the rates came to. A file that cannot be written costs no other."""
     print_sweep(found, console)
     _say(console, f"recordings: {folder}")
-    _write_json(found.as_json(), request.run.json)
+    unwritten = [*trials.unwritten, _write_json(found.as_json(), request.run.json)]
     if request.report and trials.latest is not None:
-        write_sweep_page(folder / PAGE_NAME, found, trials.latest)
-        _say(console, f"page: {folder / PAGE_NAME}")
-    if found.interrupted:
-        return INTERRUPTED
-    return FAILED if found.highest_clean_hz is None else OK
+        path = folder / PAGE_NAME
+        unwritten.append(_write_page(partial(write_sweep_page, path, found, trials.latest)))
+        if not unwritten[-1]:
+            _say(console, f"page: {path}")
+    status = FAILED if found.highest_clean_hz is None else OK
+    return _after_writing(INTERRUPTED if found.interrupted else status, unwritten, console)
+
+
+def _after_writing(status: int, unwritten: Iterable[str], console: LastingConsole) -> int:
+    """Return the exit status: a measurement of which something was not written is no success."""
+    told = list(filter(None, unwritten))
+    for text in told:
+        complain(f"not written: {text}", FAILED)
+    return FAILED if status == OK and (told or console.lost) else status
 
 
 def _say(console: Console, text: str) -> None:
@@ -177,8 +232,19 @@ def exit_status(report: TimingReport) -> int:
     return OK if report.passed else FAILED
 
 
-def _write_json(document: bytes, json: str | None) -> None:
+def _write_json(document: bytes, json: str | None) -> str:
+    """Write a document; tell why it could not be written, nothing if it was."""
+    if json is None:
+        return ""
     if json == "-":
-        write_if_read(document.decode() + "\n")
-    elif json is not None:
-        Path(json).write_bytes(document + b"\n")
+        return write_if_read(document.decode() + "\n")
+    return write_or_tell(Path(json), document + b"\n")
+
+
+def _write_page(write: Callable[[], None]) -> str:
+    """Write a page; tell why it could not be written, nothing if it was."""
+    try:
+        write()
+    except (InputError, OSError) as error:
+        return str(error)
+    return ""

@@ -8,12 +8,15 @@ from typing import Final
 
 from bus_schemas.tree import ControlTree
 from launch_scripts.timing.distributions import curve_ms
+from launch_scripts.timing.floor import FloorTimes
 from launch_scripts.timing.measures import LOOP, Times
-from launch_scripts.timing.sweep import Sweep, conclusion
+from launch_scripts.timing.rates import cycles_per_s
+from launch_scripts.timing.sweep import Sweep, conclusion, machine_lines, trouble_lines
 from launch_scripts.timing.tier_columns import TIER_COLUMNS
 from launch_scripts.timing.timing_report import TimingReport
 from launch_scripts.timing.timing_table import (
     MEANINGS,
+    amount,
     cycle_lines,
     failure,
     header_lines,
@@ -38,6 +41,7 @@ from recordings.report.timing_figures import (
 PAGE_NAME: Final = "timing.html"
 
 _COLUMNS: Final = ("count", "min", "p50", "p99", "p99.9", "max", "p99 at most", "")
+_FLOOR_COLUMNS: Final = _COLUMNS[:6]
 _VERDICT: Final = {True: "PASS", False: "FAIL"}
 
 _CAPTION: Final = (
@@ -85,7 +89,7 @@ def write_sweep_page(path: Path, found: Sweep, last: TimingReport) -> None:
     found
         What the plant came to at each rate.
     last
-        The report of one of the runs: it says on what they were.
+        The report of one of the runs: it says of what they were, and names what is to be known.
 
     Raises
     ------
@@ -101,13 +105,20 @@ def write_sweep_page(path: Path, found: Sweep, last: TimingReport) -> None:
             row.clean,
         )
         for row in found.rows
-        if row.loop_p50_us is not None
+        if not row.interrupted  # It proves nothing, so the figure leaves it out.
+        and row.loop_p50_us is not None
         and row.loop_p99_us is not None
         and row.loop_max_us is not None
     ]
-    text = [f"{conclusion(found)}.", f"{'; '.join(header_lines(last)[1:])}."]
+    text = [
+        f"{conclusion(found)}.",
+        *(f"{line}." for line in trouble_lines(found)),
+        f"{'; '.join([*machine_lines(found), *last.remarks])}.",
+    ]
     title = f"{last.scenario}: loop time against rate"
-    write_whole(path, html_page(title, text, [_rates_table(found)], [rate_figure(points)]))
+    figures = [rate_figure(points)] if points else []
+    tables = [_rates_table(found), _rates_floor_table(found)]
+    write_whole(path, html_page(title, text, tables, figures))
 
 
 def page_tables(report: TimingReport) -> list[ReportTable]:
@@ -130,9 +141,9 @@ def percentile_figures(report: TimingReport) -> list[ReportFigure]:
 
 def _curves(report: TimingReport, measures: Sequence[str]) -> list[PercentileCurve]:
     rows = [row for row in report.times if row.measure in measures]
-    curves = [PercentileCurve(_name(row), *curve_ms(row.times.histogram)) for row in rows]
+    curves = [PercentileCurve(_name(row), *curve_ms(row.times)) for row in rows]
     floor = [
-        PercentileCurve(f"floor: {entry.name}", *curve_ms(entry.times.histogram), floor=True)
+        PercentileCurve(f"floor: {entry.name}", *curve_ms(entry.times), floor=True)
         for entry in report.floor
         if entry.times is not None
     ]
@@ -152,14 +163,29 @@ def _times_table(report: TimingReport) -> ReportTable:
         figures = (f"{row.times.count:,}", *_figures(percentiles(row.times)), *judged)
         rows.append((f"{row.measure}: {row_name(row)}", "ms", figures))
     for floor in report.floor:
-        figures = ("",) * len(_COLUMNS)
-        if floor.times is not None:
-            shown = _figures(percentiles(floor.times))
-            figures = (f"{floor.times.count:,}", *shown, "", "")
-        note = f", {floor.note}" if floor.note else ""
-        rows.append((f"floor: {floor.name}{note}", "ms", figures))
+        rows.append((_floor_name(floor), "ms", (*_floor_figures(floor), "", "")))
     meanings = "; ".join(f"{measure}: {meaning}" for measure, meaning in MEANINGS.items())
     return ReportTable("Durations", _COLUMNS, tuple(rows), f"What they are of. {meanings}.")
+
+
+def _floor_name(floor: FloorTimes) -> str:
+    return f"floor: {floor.name}{', ' if floor.note else ''}{floor.note}"
+
+
+def _floor_figures(floor: FloorTimes) -> tuple[str, ...]:
+    if floor.times is None:
+        return ("",) * len(_FLOOR_COLUMNS)
+    return f"{floor.times.count:,}", *_figures(percentiles(floor.times))
+
+
+def _rates_floor_table(found: Sweep) -> ReportTable:
+    rows = tuple(
+        (f"{_floor_name(floor)}, at {cycles_per_s(row.rate_hz)}", "ms", _floor_figures(floor))
+        for row in found.rows
+        for floor in row.floor
+    )
+    text = "What this machine needs by itself, measured beside the plant at the same rate."
+    return ReportTable("The machine's floor", _FLOOR_COLUMNS, rows, text)
 
 
 def _rates_table(found: Sweep) -> ReportTable:
@@ -208,10 +234,10 @@ def _budgets_table(report: TimingReport) -> ReportTable:
     rows = tuple(
         (
             verdict.line,
-            verdict.unit,
+            "",
             (
-                "nothing" if verdict.value is None else f"{verdict.value:,.4g}",
-                f"{verdict.limit:,.4g}",
+                "nothing" if verdict.value is None else amount(verdict.value, verdict.unit),
+                amount(verdict.limit, verdict.unit),
                 _VERDICT[verdict.passed],
             ),
         )

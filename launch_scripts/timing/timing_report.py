@@ -19,7 +19,7 @@ from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.summary import ProcessAccount
 from launch_scripts.supervision import RunFailure
 from launch_scripts.timing.budgets import Verdict, budgets_of, judge
-from launch_scripts.timing.distributions import distribution, merged
+from launch_scripts.timing.distributions import distribution
 from launch_scripts.timing.floor import FloorTimes
 from launch_scripts.timing.host import Host
 from launch_scripts.timing.measured_run import MeasuredRun
@@ -31,6 +31,7 @@ from launch_scripts.timing.measures import (
     Tiers,
     Times,
     cpu_percent,
+    distribution_of,
     tier_accounts,
     times_by_tier,
     times_of,
@@ -221,7 +222,10 @@ def report_on(run: MeasuredRun) -> tuple[TimingReport, tuple[CycleWaits, ...]]:
 
 
 def _recorded(run: MeasuredRun) -> tuple[tuple[CycleWaits, ...], list[Times]]:
-    """Return what the recording tells: the slowest cycles, and rows of external agents."""
+    """Return what the recording tells: the slowest cycles, and rows of external agents.
+
+    That is nothing where the recording ended, with a full disk, before it could be read.
+    """
     plan = run.plan
     try:
         with RunReader(run.recording) as reader:
@@ -231,7 +235,9 @@ def _recorded(run: MeasuredRun) -> tuple[tuple[CycleWaits, ...], list[Times]]:
             if PLANT in plan.external:
                 rows += _outside_rows(LOOP, WHOLE_LOOP, "", loop_times_ns(reader, last_cycle))
     except InputError as error:
-        raise RunFailure(str(error)) from None
+        if not run.summary.recording_ended:
+            raise RunFailure(str(error)) from None
+        return (), []  # What the processes measured of themselves needs no recording.
     return slowest, rows
 
 
@@ -268,14 +274,14 @@ def _hops_from(timings: Sequence[ProcessTiming], plan: RunPlan) -> Iterator[Time
 
     What an external plant alone says has its row already.
     """
-    encoded: dict[tuple[str, str], list[str]] = defaultdict(list)
+    measured: dict[tuple[str, str], list[tuple[ProcessTiming, str]]] = defaultdict(list)
     for port in ports(plan.tree):
         if port.publisher in plan.external and port.publisher != PLANT:
-            measured = [timing.histograms.get(f"hop/{port}") for timing in timings]
-            found = [text for text in measured if text is not None]
-            encoded[port.publisher, port.signal.name] += found
-    for (agent, signal), texts in encoded.items():
-        hops = distribution(merged(texts))
+            name = f"hop/{port}"
+            own = [(timing, name) for timing in timings if name in timing.histograms]
+            measured[port.publisher, port.signal.name] += own
+    for (agent, signal), parts in measured.items():
+        hops = distribution_of(parts)
         if hops is not None:
             yield Times("hop", f"{signal} of {agent}", signal, hops)
 
@@ -285,7 +291,13 @@ def _responses(
 ) -> Iterator[Times]:
     """Yield the rows of external agents, which the recording tells of them."""
     tiers = Tiers(plan.tree)
-    for (agent, stage), times_ns in sorted(responses_ns.items()):
+
+    def place(found: tuple[str, str]) -> tuple[str, int]:
+        agent, stage = found
+        return agent, STAGES[tiers.kind(agent)].index(stage)
+
+    for agent, stage in sorted(responses_ns, key=place):
+        times_ns = responses_ns[agent, stage]
         yield from _outside_rows("response", f"{agent} {stage}", tiers.kind(agent), times_ns)
 
 

@@ -1,23 +1,24 @@
-"""The timing of a run as tables in a terminal, 100 columns wide."""
+"""The timing of a run as tables in a terminal, at most 100 columns wide."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import groupby
 from typing import Final, TypeAlias
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from launch_scripts.timing.budgets import Verdict
 from launch_scripts.timing.distributions import Distribution
+from launch_scripts.timing.figure_tables import Column, print_table
 from launch_scripts.timing.floor import FloorTimes
+from launch_scripts.timing.host import Host
 from launch_scripts.timing.measures import TierAccount, Times
+from launch_scripts.timing.rates import cycles_per_s
 from launch_scripts.timing.tier_columns import TIER_COLUMNS
 from launch_scripts.timing.timing_report import ProcessTimes, TimingReport
-
-WIDTH: Final = 100
+from launch_scripts.wrong_messages import one_line_each
 
 MEANINGS: Final = {
     "loop": "plant's scheduled tick to the applied command",
@@ -32,10 +33,10 @@ MEANINGS: Final = {
 """What each measure is of, in a few words; docs/timing.md has the definitions."""
 
 _TIMES: Final = (
-    ("count", 8),
-    *((name, 9) for name in ("min", "p50", "p99", "p99.9", "max")),
-    ("p99\nat most", 9),
-    ("", 4),
+    Column("count", 8),
+    *(Column(name, 9) for name in ("min", "p50", "p99", "p99.9", "max")),
+    Column("p99\nat most", 9),
+    Column("", 4),
 )
 
 _MOST_US: Final = 10e6
@@ -44,6 +45,9 @@ _MOST_US: Final = 10e6
 _HOPS: Final = "(from the publishing of what each waited for: the hop to it is part of its time)"
 
 _PASSED: Final = {True: "PASS", False: "[bold red]FAIL[/]"}
+
+_DECIMALS: Final = {"ms": 3, "%": 2, "MB": 1, "": 0}
+"""How many a budget's figure has, by its unit."""
 
 _Format: TypeAlias = Callable[[float], str]
 
@@ -63,17 +67,14 @@ def print_report(report: TimingReport, console: Console, *, processes: bool) -> 
     for line in header_lines(report):
         console.print(line, highlight=False, markup=False)
     show, unit = _format(report)
-    for table in _times_tables(report, show, unit):
-        console.print(table)
-    for line in _floor_notes(report.floor):
-        console.print(line, highlight=False, markup=False)
-    console.print(_tier_table(report.tiers))
+    _print_times(report, show, unit, console)
+    _print_tiers(report.tiers, console)
     for process in report.processes if processes else ():
-        console.print(_process_table(process, show, unit))
+        _print_process(process, show, unit, console)
     console.print()
     for line in (*cycle_lines(report), *network_lines(report)):
         console.print(line, highlight=False, markup=False)
-    console.print(_other_verdicts(report.verdicts))
+    _print_other_verdicts(report.verdicts, console)
     failed = [verdict for verdict in report.verdicts if not verdict.passed]
     console.print(verdict_line(report), highlight=False, markup=False)
     for verdict in failed:
@@ -82,17 +83,25 @@ def print_report(report: TimingReport, console: Console, *, processes: bool) -> 
 
 def header_lines(report: TimingReport) -> list[str]:
     """Return what was run, and on what."""
-    host = report.host
     return [
-        f"{report.scenario} at {report.rate_hz:g} cycles/s in real time: {report.cycles:,} cycles "
-        f"in {report.wall_s:.1f} s{', interrupted' if report.interrupted else ''}",
+        f"{report.scenario} at {cycles_per_s(report.rate_hz)} in real time: {report.cycles:,} cycle"
+        f"{'' if report.cycles == 1 else 's'} in {report.wall_s:.1f} s"
+        f"{', interrupted' if report.interrupted else ''}",
+        *host_lines(report.host),
+        *_busy(report),
+        *report.remarks,
+    ]
+
+
+def host_lines(host: Host) -> list[str]:
+    """Return on what it was run."""
+    locked = "; memory locked" if host.memory_locked else ""
+    return [
         f"kernel {host.kernel}",
         f"{host.cpus} CPUs, {host.cpu}; load average {host.load_before:.2f} before, "
         f"{host.load_after:.2f} after",
-        f"scheduling: {'; '.join(host.policies) or 'not known'}",
+        f"scheduling: {'; '.join(host.policies) or 'not known'}{locked}",
         f"Python {host.python}, heliarch {host.heliarch}, Zenoh {host.zenoh}",
-        *_busy(report),
-        *report.remarks,
     ]
 
 
@@ -109,13 +118,14 @@ def _busy(report: TimingReport) -> list[str]:
 def network_lines(report: TimingReport) -> list[str]:
     """Say what external agents sent, what of it was wrong, and what faults did to messages."""
     external = [
-        f"external {account.agent}: answered {account.answered:,} times of {account.expected:,}, "
-        f"{account.lost:,} of its messages never came, which gaps in their numbers tell"
+        f"external {account.agent}: answered {how_often(account.answered)} of {account.expected:,}"
+        f", {account.lost:,} of its messages never came or could not be decoded, which gaps in "
+        "their numbers tell"
         for account in report.external
     ]
     wrong = [
-        f"wrong {entry.key}, {entry.count:,} times: {entry.cause}: {entry.example}"
-        for entry in report.wrong
+        f"wrong {entry.key}, {how_often(entry.count)}: {entry.cause}: {entry.example}"
+        for entry in one_line_each(report.wrong)
     ]
     faults = ", ".join(f"{count:,} {name}" for name, count in report.faults.items())
     return [
@@ -147,8 +157,18 @@ def failure(verdict: Verdict) -> str:
     """Return a budget that was not kept, with what was measured."""
     if verdict.value is None:
         return f"{verdict.line}: nothing was measured"
-    unit = f" {verdict.unit}" if verdict.unit else ""
-    return f"{verdict.line} {verdict.value:,.4g}{unit} (at most {verdict.limit:,.4g}{unit})"
+    value, limit = (amount(figure, verdict.unit) for figure in (verdict.value, verdict.limit))
+    return f"{verdict.line} {value} (at most {limit})"
+
+
+def amount(value: float, unit: str) -> str:
+    """Write a figure of a budget: `12.345 ms`, `0.76 %`."""
+    return f"{value:,.{_DECIMALS[unit]}f} {unit}".rstrip()
+
+
+def how_often(count: int) -> str:
+    """Say how often: `1 time`, `2 times`."""
+    return f"{count:,} time{'' if count == 1 else 's'}"
 
 
 def row_name(row: Times) -> str:
@@ -169,48 +189,37 @@ def _format(report: TimingReport) -> tuple[_Format, str]:
     return lambda value_us: f"{value_us / 1e3:,.1f}", "ms"
 
 
-def _new_table(title: str, columns: Sequence[tuple[str, int]], *, header: bool = True) -> Table:
-    """Return an empty table: a name, then columns of fixed widths, so that tables line up."""
-    table = Table(
-        title=title,
-        title_justify="left",
-        title_style="",
-        box=None,
-        width=WIDTH,
-        padding=(0, 1, 0, 0),
-        pad_edge=False,
-        show_header=header,
-        header_style="",
-    )
-    table.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
-    for column, width in columns:
-        table.add_column(column, justify="right", no_wrap=True, width=width)
-    return table
-
-
-def _times_tables(report: TimingReport, show: _Format, unit: str) -> Iterator[Table]:
-    """Yield a table for each measure, and one for the floor."""
+def _print_times(report: TimingReport, show: _Format, unit: str, console: Console) -> None:
+    """Print a table for each measure, and one for the floor."""
     verdicts = {(entry.measure, entry.of): entry for entry in reversed(report.verdicts)}
-    for place, (measure, found) in enumerate(groupby(report.times, lambda row: row.measure)):
+    for measure, found in groupby(report.times, lambda row: row.measure):
         rows = list(found)
         outside = " (seen from outside)" if all(row.outside for row in rows) else ""
-        heading = f"\n[bold]{measure}[/] \\[{unit}]: {MEANINGS[measure]}{outside}"
-        table = _new_table(heading, _TIMES, header=place == 0)
-        for row in rows:
-            table.add_row(
-                f"  {row.of}",
+        heading = f"[bold]{measure}[/] \\[{unit}]: {MEANINGS[measure]}{outside}"
+        cells = [
+            (
+                f"  {escape(row.of)}",
                 f"{row.times.count:,}",
                 *map(show, percentiles(row.times)),
                 *_verdict_cells(verdicts.get((row.measure, row.of)), show),
             )
-        yield table
-    heading = f"\n[bold]floor[/] \\[{unit}]: {MEANINGS['floor']}"
-    table = _new_table(heading, _TIMES, header=False)
-    for floor in report.floor:
-        if floor.times is not None:
-            figures = map(show, percentiles(floor.times))
-            table.add_row(f"  {floor.name}", f"{floor.times.count:,}", *figures, "", "")
-    yield table
+            for row in rows
+        ]
+        print_table(console, heading, _TIMES, cells)
+    print_floor(f"[bold]floor[/] \\[{unit}]: {MEANINGS['floor']}", report.floor, show, console)
+
+
+def print_floor(title: str, floor: Sequence[FloorTimes], show: _Format, console: Console) -> None:
+    """Print what the machine itself needs, and why some of it was not measured."""
+    cells = [
+        (f"  {row.name}", f"{row.times.count:,}", *map(show, percentiles(row.times)))
+        for row in floor
+        if row.times is not None
+    ]
+    print_table(console, title, _TIMES[:6], cells)
+    for row in floor:
+        if row.note:
+            console.print(f"  {row.name}: {row.note}", highlight=False, markup=False)
 
 
 def _verdict_cells(verdict: Verdict | None, show: _Format) -> tuple[str, str]:
@@ -219,34 +228,28 @@ def _verdict_cells(verdict: Verdict | None, show: _Format) -> tuple[str, str]:
     return show(verdict.limit * 1e3), _PASSED[verdict.passed]
 
 
-def _floor_notes(floor: Iterable[FloorTimes]) -> Iterator[str]:
-    for row in floor:
-        if row.note:
-            yield f"  {row.name}: {row.note}"
+def _print_tiers(tiers: Iterable[TierAccount], console: Console) -> None:
+    heading = "[bold]counts[/], processor time \\[% of a core] and memory (of the largest process)"
+    columns = [Column(escape(column.heading), column.width) for column in TIER_COLUMNS]
+    rows = [(f"  {tier.tier}", *(column.text(tier) for column in TIER_COLUMNS)) for tier in tiers]
+    print_table(console, heading, columns, rows)
 
 
-def _tier_table(tiers: Iterable[TierAccount]) -> Table:
-    heading = (
-        "\n[bold]counts[/], processor time \\[% of a core] and memory (of the largest process)"
-    )
-    columns = [(escape(column.heading), column.width) for column in TIER_COLUMNS]
-    table = _new_table(heading, columns)
-    for tier in tiers:
-        table.add_row(f"  {tier.tier}", *(column.text(tier) for column in TIER_COLUMNS))
-    return table
-
-
-def _process_table(process: ProcessTimes, show: _Format, unit: str) -> Table:
+def _print_process(process: ProcessTimes, show: _Format, unit: str, console: Console) -> None:
     title = (
-        f"\n{process.agent} ({process.tier}), times in {unit}: CPU {process.cpu_percent:.1f} %, "
-        f"{process.resident_mb:.1f} MB, {process.switches_involuntary:,} times preempted; "
+        f"{process.agent} ({process.tier}), times in {unit}: CPU {process.cpu_percent:.1f} %, "
+        f"{process.resident_mb:.1f} MB, {how_often(process.switches_involuntary)} preempted; "
         f"{_counts(process)}"
     )
-    table = _new_table(escape(title), _TIMES[:6])
-    for row in process.times:
-        name = f"  {row.measure} {row.of}".rstrip()
-        table.add_row(name, f"{row.times.count:,}", *map(show, percentiles(row.times)))
-    return table
+    rows = [
+        (
+            escape(f"  {row.measure} {row.of}".rstrip()),
+            f"{row.times.count:,}",
+            *map(show, percentiles(row.times)),
+        )
+        for row in process.times
+    ]
+    print_table(console, escape(title), _TIMES[:6], rows)
 
 
 def _counts(process: ProcessTimes) -> str:
@@ -266,14 +269,17 @@ def _counts(process: ProcessTimes) -> str:
     return "; ".join(told) or "kept every deadline"
 
 
-def _other_verdicts(verdicts: Iterable[Verdict]) -> Table:
-    """Return the budgets that no row of the durations shows."""
-    table = _new_table("\n[bold]other budgets[/]", (("measured", 12), ("at most", 12), ("", 4)))
-    for verdict in verdicts:
-        if verdict.measure and verdict.value is not None and verdict.line.endswith("p99"):
-            continue
-        unit = f" {verdict.unit}" if verdict.unit else ""
-        value = "nothing" if verdict.value is None else f"{verdict.value:,.4g}{unit}"
-        limit = f"{verdict.limit:,.4g}{unit}"
-        table.add_row(f"  {verdict.line}", value, limit, _PASSED[verdict.passed])
-    return table
+def _print_other_verdicts(verdicts: Iterable[Verdict], console: Console) -> None:
+    """Print the budgets that no row of the durations shows."""
+    columns = (Column("measured", 12), Column("at most", 12), Column("", 4))
+    rows = [
+        (
+            f"  {escape(verdict.line)}",
+            "nothing" if verdict.value is None else amount(verdict.value, verdict.unit),
+            amount(verdict.limit, verdict.unit),
+            _PASSED[verdict.passed],
+        )
+        for verdict in verdicts
+        if not verdict.measure or verdict.value is None or not verdict.line.endswith("p99")
+    ]
+    print_table(console, "[bold]other budgets[/]", columns, rows)

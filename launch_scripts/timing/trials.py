@@ -13,6 +13,7 @@ from launch_scripts.run_command import RunRequest
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.supervision import RunFailure
 from launch_scripts.timing.measured_run import MeasuredRun, measured_run, prepare_at
+from launch_scripts.timing.rates import cycles_per_s
 from launch_scripts.timing.sweep import RateRow, rate_row
 from launch_scripts.timing.timing_report import TimingReport, report_on
 
@@ -35,10 +36,13 @@ class Trials:
     ----------
     latest
         The report of the last run that came to its end; None before that.
+    unwritten
+        Summaries of runs that could not be written, and why.
     """
 
     def __init__(self, request: RunRequest, duration: str, folder: Path, console: Console) -> None:
         self.latest: TimingReport | None = None
+        self.unwritten: list[str] = []
         self._request = request
         self._duration = duration
         self._folder = folder
@@ -61,6 +65,9 @@ class Trials:
     def run(self, rate_hz: float) -> tuple[RateRow, bool]:
         """Run at a rate; tell what it came to, and whether the user interrupted it.
 
+        Where the machine does not let a run begin or end, for instance since the disk is full, the
+        rate has failed.
+
         A rate that a search comes to may be refused, for instance since stated deadlines do not
         fit into the cycle. What was measured before counts all the same: the rate has failed.
 
@@ -71,17 +78,23 @@ class Trials:
         """
         try:
             run = self._run(rate_hz)
+        except OSError as error:  # The disk is full, for instance.
+            where = error.filename or self._folder
+            return self._failed(rate_hz, f"{where}: {error.strerror or error}"), False
         except InputError as error:
             if not self._has_begun:
                 raise
-            return self._failed(rate_hz, error), False
+            return self._failed(rate_hz, str(error)), False
         except RunFailure as failure:
-            return self._failed(rate_hz, failure), False
-        except KeyboardInterrupt:
-            return RateRow(rate_hz, interrupted=True), True
+            return self._failed(rate_hz, str(failure)), False
         finally:
             self._has_begun = True
-        self.latest, _ = report_on(run)
+        if run.unwritten:
+            self.unwritten.append(run.unwritten)
+        try:
+            self.latest, _ = report_on(run)
+        except RunFailure as failure:
+            return self._failed(rate_hz, str(failure)), False
         return rate_row(self.latest), self.latest.interrupted
 
     def _run(self, rate_hz: float) -> MeasuredRun:
@@ -90,7 +103,7 @@ class Trials:
         preparation, folder = self._prepared.pop(rate_hz)
         return measured_run(preparation, folder, self._console)
 
-    def _failed(self, rate_hz: float, reason: Exception) -> RateRow:
-        text = f"{rate_hz:g} cycles/s: {reason}"
+    def _failed(self, rate_hz: float, reason: str) -> RateRow:
+        text = f"{cycles_per_s(rate_hz)}: {reason}"
         self._console.print(text, highlight=False, soft_wrap=True, markup=False)
-        return RateRow(rate_hz, failed=str(reason).splitlines()[0])
+        return RateRow(rate_hz, failed=reason.splitlines()[0])

@@ -41,8 +41,8 @@ _TRACKING: Final[Rows[TrackingError]] = (
 )
 _SUPPORT: Final[Rows[SupportMileage]] = (
     ("Mileage of the support power, whole run", "kW", 0, lambda part: part.total_kw),
-    ("Mileage of the support power, per hour", "kW", 0, lambda part: part.per_hour_kw),
-    ("Mileage of the support power, per minute", "kW", 1, lambda part: part.per_minute_kw),
+    ("Mileage of the support power, per hour", "kW/h", 0, lambda part: part.per_hour_kw),
+    ("Mileage of the support power, per minute", "kW/min", 1, lambda part: part.per_minute_kw),
 )
 _HEADROOM: Final[Rows[HeadroomMetrics]] = (
     ("Headroom kept", "kWh", 1, lambda part: part.headroom_kwh),

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import count
 
+import msgspec
 import pytest
 from clock_by_hand import ClockByHand
 from hdrh.histogram import HdrHistogram
@@ -136,6 +137,17 @@ def test_a_decision_counts_from_the_last_input_to_the_last_message() -> None:
     assert in_ms(account, "age/work") == near(8.0)
     assert "lateness/work" not in account.histograms
     assert account.missed_deadlines == account.overruns == {}
+
+
+def test_least_and_greatest_are_kept_exactly_beside_the_histogram() -> None:
+    team = Team([WORK])
+    for cycle, took_ms in enumerate((5.017, 7.033, 6.0)):
+        team.hear(MEASURED, cycle, 1.0, 2.0)
+        team.hear(ASKED, cycle, 3.0, 4.0)
+        team.close("work", cycle, 4.5, sent_ms=[4.0 + took_ms])
+    account = msgspec.json.decode(msgspec.json.encode(team.account()), type=ProcessTiming)
+    assert account.extremes["decision/work"] == (5_017_000, 7_033_000)
+    assert account.extremes.keys() == account.histograms.keys()
 
 
 def test_a_stage_without_inputs_can_close_once_the_one_before_it_has_spoken() -> None:

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 from bus_schemas.codec import decode, encode, json_schema
 from bus_schemas.messages import (
+    LONGEST_MISSING,
+    MOST_MISSING,
     Clock,
     Command,
     Dispatch,
@@ -30,6 +32,7 @@ from bus_schemas.messages import (
     Timing,
 )
 from bus_schemas.signals import IMPP, RESIDUAL, SETPOINT, SIGNALS, Signal
+from bus_schemas.tree import LONGEST_PATH, MOST_CHILDREN, MOST_INVERTERS
 
 HEAD_FIELDS = ["cycle", "sim_time_ns", "source", "missing", "publish_time_ns", "sequence"]
 
@@ -71,8 +74,8 @@ KWS = st.lists(KW, max_size=5).map(tuple)
 FIELDS: dict[str, st.SearchStrategy[object]] = {
     "cycle": st.integers(1 - 2**31, 10**18 - 1),
     "sim_time_ns": st.integers(-(2**62), 2**62 - 1),
-    "source": st.text(),
-    "missing": st.lists(st.text(), max_size=3).map(tuple),
+    "source": st.text(max_size=LONGEST_PATH),
+    "missing": st.lists(st.text(max_size=LONGEST_MISSING), max_size=3).map(tuple),
     "publish_time_ns": CLOCK_NS,
     "sequence": COUNT,
     "stale_cycles": COUNT,
@@ -185,6 +188,38 @@ def test_a_whole_number_that_cannot_be_counted_with_is_refused(
     for name in names:
         with pytest.raises(msgspec.DecodeError, match=rf"at `\$\.{name}`"):
             decode(signal, msgpack.packb({**whole, name: number}))
+
+
+@each_signal
+@pytest.mark.parametrize(
+    ("missing", "objection"),
+    [
+        (["x" * (LONGEST_MISSING + 1)], f"length <= {LONGEST_MISSING}"),
+        (["c1/inv07/impp", "x" * 100_000], f"length <= {LONGEST_MISSING}"),
+        (["c1/inv07/impp"] * (MOST_MISSING + 1), f"length <= {MOST_MISSING}"),
+    ],
+)
+def test_more_missing_inputs_than_any_agent_has_are_refused(
+    signal: Signal[Message], missing: list[str], objection: str
+) -> None:
+    whole = msgpack.unpackb(encode(one(signal)))
+    with pytest.raises(msgspec.DecodeError, match=rf"{objection} - at `\$\.missing"):
+        decode(signal, msgpack.packb({**whole, "missing": missing}))
+
+
+@each_signal
+def test_a_source_longer_than_any_name_is_refused(signal: Signal[Message]) -> None:
+    whole = msgpack.unpackb(encode(one(signal)))
+    with pytest.raises(msgspec.DecodeError, match=rf"length <= {LONGEST_PATH} - at `\$\.source`"):
+        decode(signal, msgpack.packb({**whole, "source": "x" * (LONGEST_PATH + 1)}))
+
+
+def test_all_inputs_of_the_largest_tree_can_be_named() -> None:
+    # A parent waits for impp, residual and help of each child, and for its own parent's words.
+    assert max(3 * MOST_CHILDREN + 2, MOST_INVERTERS) < MOST_MISSING, "and one more: skipped@CYCLE"
+    longest = max(len(signal.name) for signal in SIGNALS if signal.is_cyclic)
+    cycle = str(10**18 - 1)
+    assert LONGEST_PATH + len("/") + longest + len("@") + len(cycle) <= LONGEST_MISSING
 
 
 def test_a_message_of_another_signal_is_refused() -> None:

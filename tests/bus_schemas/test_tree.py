@@ -6,6 +6,9 @@ import pytest
 
 from bus_schemas.errors import InputError
 from bus_schemas.tree import (
+    LONGEST_PATH,
+    MOST_CHILDREN,
+    MOST_INVERTERS,
     ROOT,
     ControlTree,
     agent_name,
@@ -143,3 +146,23 @@ def test_trees_that_cannot_be_are_refused(
     with pytest.raises(InputError) as caught:
         ControlTree(inverters)
     assert str(caught.value) == message
+
+
+def test_a_tree_that_is_too_large_to_be_spoken_of_is_refused() -> None:
+    names = [f"c{number // 10}/i{number}" for number in range(MOST_INVERTERS + 1)]
+    with pytest.raises(InputError, match="4,001 inverters, accepted are 4,000"):
+        as_ratings(names, [1.0] * len(names))
+    assert len(as_ratings(names[:-1], [1.0] * (len(names) - 1)).leaves) == MOST_INVERTERS
+
+
+def test_a_parent_of_too_many_children_is_refused() -> None:
+    names = [f"c1/i{number}" for number in range(MOST_CHILDREN + 1)]
+    with pytest.raises(InputError, match="c1 has 1,001 children, accepted are 1,000"):
+        as_ratings(names, [1.0] * len(names))
+    assert as_ratings(names[:-1], [1.0] * MOST_CHILDREN).children("c1") == tuple(names[:-1])
+
+
+def test_a_path_that_is_too_long_is_refused() -> None:
+    assert as_ratings(["x" * LONGEST_PATH], [1.0]).height == 1
+    with pytest.raises(InputError, match="its path has 201 characters, accepted are 200"):
+        as_ratings(["x" * (LONGEST_PATH + 1)], [1.0])

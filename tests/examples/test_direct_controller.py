@@ -114,6 +114,18 @@ def test_in_lockstep_and_in_arming_rounds_nothing_is_done_without(
     assert device.hear("setpoint", cycle, power_kw=30.0) == ["command"]
 
 
+def test_it_counts_the_cycles_that_it_controlled_and_no_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    device = Device(monkeypatch, cycle_wall_ns=0)
+    for cycle in (-2, -1, 68, 69, 70):  # It comes into a run under way.
+        device.measure(cycle)
+        device.hear("request", cycle, power_kw=50.0)
+        device.hear("setpoint", cycle, power_kw=30.0)
+    assert [name for name, _ in device.sent].count("command") == 5
+    assert device.controller.commands == 3
+
+
 def test_it_listens_nowhere_and_connects_where_its_links_are() -> None:
     found = direct_controller.session_config(PLAN, NODE, [])
     assert found.get_json("listen/endpoints") == "[]"

@@ -1,4 +1,4 @@
-"""The words that a field of a struct takes are found, wherever it lies."""
+"""What a struct takes is found, wherever it lies: words of a field, fields of a table."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Literal
 import msgspec
 import pytest
 
-from launch_scripts.accepted_words import accepted_words
+from launch_scripts.accepted_words import accepted_fields, accepted_words
 
 
 class Inner(msgspec.Struct):
     manner: Literal["one", "two"]
-    number: int
+    number: int = msgspec.field(name="count")
 
 
 class Square(msgspec.Struct, tag=True):
@@ -23,6 +23,18 @@ class Square(msgspec.Struct, tag=True):
 class Circle(msgspec.Struct, tag=True):
     colour: Literal["red", "blue"]
     side: Literal["none"]
+
+
+class Ball(msgspec.Struct, tag=True):
+    radius: float
+
+
+class Box(msgspec.Struct, tag=True):
+    edge: float
+
+
+class Solids(msgspec.Struct):
+    solids: tuple[Ball | Box, ...]
 
 
 class Outer(msgspec.Struct):
@@ -48,3 +60,29 @@ class Outer(msgspec.Struct):
 )
 def test_the_words_of_a_field(path: str, words: tuple[str, ...]) -> None:
     assert accepted_words(Outer, path) == words
+
+
+@pytest.mark.parametrize(
+    ("path", "names"),
+    [
+        ("", ("inner", "several", "shape", "either")),
+        ("inner", ("manner", "count")),
+        ("several[3]", ("manner", "count")),
+        ("several[...]", ("manner", "count")),
+        ("shape", ("type", "side", "colour")),
+        ("either", ()),
+        ("nobody", ()),
+    ],
+)
+def test_the_fields_of_a_table(path: str, names: tuple[str, ...]) -> None:
+    assert accepted_fields(Outer, path) == names
+
+
+@pytest.mark.parametrize(
+    ("kind", "names"),
+    [("Ball", ("type", "radius")), ("Box", ("type", "edge"))],
+)
+def test_the_document_tells_which_struct_is_meant(kind: str, names: tuple[str, ...]) -> None:
+    documents = {"solids": [{"type": "nothing"}, {"type": kind}]}
+    assert accepted_fields(Solids, "solids[1]", documents) == names
+    assert accepted_fields(Solids, "solids[1]") == ("type", "radius", "edge")

@@ -124,7 +124,9 @@ def test_only_who_never_came_is_missed_and_only_after_the_time_out() -> None:
         == f"{NODE} (external) is here"
     )
     assert externals.late(159.0) == ""
-    assert externals.late(161.0).startswith("no sign of central after 60 s: central listens on")
+    assert externals.late(161.0).startswith("no sign of central after 60 s: its liveliness token")
+    assert "my-run/plan.json" in externals.late(161.0)
+    assert "tcp/" not in externals.late(161.0), "the endpoints stand in the directions above"
     assert NODE not in externals.late(161.0)
     externals.hear(Presence("central", True, -1), 161.0, running=False)
     assert externals.late(162.0) == ""
@@ -174,7 +176,10 @@ def test_who_does_not_answer_arming_rounds_is_named_first_with_what_was_wrong() 
         "c1/inv01 (external) does not answer the arming rounds: nothing came on "
         "c1/inv01/command, c1/inv01/impp; "
     )
-    assert others == ["plant gave up", "wrong message on oahu/c1/inv01/impp: it is of cycle 0"]
+    assert others == [
+        "because of that: plant gave up",
+        "wrong message on oahu/c1/inv01/impp: it is of cycle 0",
+    ]
 
 
 def test_a_port_that_another_run_has_is_refused_in_one_line() -> None:

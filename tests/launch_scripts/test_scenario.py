@@ -275,9 +275,40 @@ def test_durations(text: str, seconds: float) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [
-        ("rating_kw", "rating_mw", "plant: Object contains unknown field `rating_mw`"),
-        ('title = "', 'motto = "', "Object contains unknown field `motto`"),
-        ("seed = 7", "seeds = 7", "irradiance: Object contains unknown field `seeds`"),
+        (
+            "rating_kw",
+            "rating_mw",
+            "plant: Object contains unknown field `rating_mw`, accepted: inverters, rating_kw, "
+            "altitude_m, actuator, meter_noise, meter_seed, ramp_limit_percent_per_min",
+        ),
+        (
+            'title = "',
+            'motto = "',
+            "Object contains unknown field `motto`, accepted: name, title, time, plant, "
+            "irradiance, control, neighbours, commitment, regulation, pv, pace, faults, "
+            "faults_seed, machine, timing",
+        ),
+        (
+            "seed = 7",
+            "seeds = 7",
+            "irradiance: Object contains unknown field `seeds`, accepted: kind, seed, clouds",
+        ),
+        (
+            "[control]",
+            "[machine]\nnice = 3\n[control]",
+            "machine: Object contains unknown field `nice`, accepted: cpus, priority, lock_memory",
+        ),
+        (
+            "[control]",
+            "[timing.budget]\nloop_p99_ms = 3\n[control]",
+            "timing: Object contains unknown field `budget`, accepted: budgets",
+        ),
+        (
+            "[control]",
+            '[[faults]]\ndelay = "5ms"\n[control]',
+            "faults[0]: Object contains unknown field `delay`, accepted: source, listener, signal, "
+            "delay_ms, jitter_ms, distribution, loss, duplicate, reorder, reorder_ms, silent",
+        ),
         ("rating_kw = 300", "rating_kw = -300", "plant.rating_kw: Expected `float` > 0.0"),
         (
             "rating_kw = 300",
@@ -325,7 +356,7 @@ def test_durations(text: str, seconds: float) -> None:
         (
             "[[2, 1]]",
             "[[2, 1]]\ndeadlines_ms = [0, 20, 30]",
-            "control.deadlines_ms[0] is 0 ms, accepted is a number from 0.1 to 3.6e+09",
+            "control.deadlines_ms[0] is 0 ms, accepted is a number from 0.1 to 3,600,000,000",
         ),
         (
             "[[2, 1]]",
@@ -543,6 +574,11 @@ def test_a_duration_of_half_a_cycle_is_refused(folder: Folder, text: str) -> Non
 @pytest.mark.parametrize("text", ["noon", "25:00", "12:60", "2024-13-01T12:00", ""])
 def test_a_start_that_is_none_is_refused(folder: Folder, text: str) -> None:
     assert folder.complaint(start=text) == f"--start {text}: {STARTS}"
+
+
+@pytest.mark.parametrize("text", ["9:05", "2024-05-12T9:05", "2024-05-12 9:05:00"])
+def test_an_hour_may_have_one_digit(folder: Folder, text: str) -> None:
+    assert folder.prepare(start=text).local_start().startswith("2024-05-12 09:05:00 ")
 
 
 @pytest.mark.parametrize("text", ["12:30+05:00", "12:30Z"])

@@ -10,6 +10,7 @@ import pytest
 from msgspec.structs import replace
 from rich.console import Console
 
+from agents.events import ExternalAccount
 from agents.stopwatch import ProcessTiming
 from launch_scripts.summary import (
     MemoryUse,
@@ -18,6 +19,7 @@ from launch_scripts.summary import (
     RunSummary,
 )
 from launch_scripts.summary_table import print_summary
+from launch_scripts.wrong_messages import WrongMessages
 from recordings.metrics import RunMetrics, run_metrics
 from recordings.series import RunSeries
 
@@ -165,3 +167,21 @@ def test_a_run_in_real_time_tells_what_was_late_and_where_most_of_it() -> None:
 
 def test_a_run_in_lockstep_has_no_deadlines_to_miss() -> None:
     assert "deadlines missed" not in rows_of(None)
+
+
+def test_messages_of_a_device_that_cannot_be_read_are_not_said_to_be_lost() -> None:
+    device = ExternalAccount("c1/inv01", {"impp": 5}, lost=100, expected=20, answered=5)
+    summary = replace(summary_of(None), external=(device,))
+    rows = rows_printed(summary)
+    assert rows["external c1/inv01"] == ["5", "messages recorded; answered 5 times of 20"]
+    assert rows["100"] == ["more never came or could not be decoded"], "a row without a name"
+    assert "0" not in rows_printed(replace(summary, external=(replace(device, lost=0),)))
+
+
+def test_what_one_device_does_wrong_on_all_its_keys_is_one_row() -> None:
+    wrong = tuple(
+        WrongMessages(f"c1/inv01/{signal}", "late", 2, "of a cycle that was over", "c1/inv01")
+        for signal in ("impp", "residual", "help", "command")
+    )
+    rows = rows_printed(replace(summary_of(None), wrong=wrong))
+    assert rows["wrong: c1/inv01/impp and 3 more"] == ["8", "late: of a cycle that was over"]

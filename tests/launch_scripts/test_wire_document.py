@@ -11,7 +11,9 @@ import pytest
 
 from agents.plan import RunPlan
 from bus_schemas.codec import decode
+from bus_schemas.messages import LONGEST_MISSING, MOST_MISSING
 from bus_schemas.signals import REQUEST, SIGNALS
+from bus_schemas.tree import LONGEST_PATH
 from launch_scripts import cli
 from launch_scripts.preparation import RunOptions, prepare
 from launch_scripts.scenario import load_scenario
@@ -69,6 +71,24 @@ def test_what_it_says_of_payloads_is_what_the_codec_does() -> None:
     ):
         with pytest.raises(msgspec.DecodeError):
             decode(REQUEST, refused)
+
+
+def test_what_a_docstring_says_of_fields_stands_in_the_table_and_not_as_a_heading() -> None:
+    text = wire_document()
+    assert "Attributes" not in text
+    assert not re.search(r"^-{3,}$", text, re.MULTILINE), "an underlined line renders as a heading"
+    row = re.search(r"^\| `slowest_decision_ns` \| integer \| ns \| (.+) \|$", text, re.MULTILINE)
+    assert row
+    assert row[1].startswith("Longest time from the moment")
+
+
+def test_the_bounds_of_texts_are_those_that_are_kept() -> None:
+    text = wire_document()
+    assert f"At most {LONGEST_PATH} characters." in text
+    assert f"At most {MOST_MISSING:,} entries of up to {LONGEST_MISSING} characters." in text
+    rules = text.partition("\n## Rules")[2]
+    assert f"`source` and paths {LONGEST_PATH} characters" in rules
+    assert f"`missing` {MOST_MISSING:,} entries of {LONGEST_MISSING}\n" in rules
 
 
 def test_each_stage_says_what_it_publishes() -> None:

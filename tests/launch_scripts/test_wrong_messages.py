@@ -6,7 +6,7 @@ from agents.events import Complaint
 from launch_scripts.externals import ExternalOptions
 from launch_scripts.preparation import RunOptions, prepare
 from launch_scripts.scenario import load_scenario
-from launch_scripts.wrong_messages import wrong_messages
+from launch_scripts.wrong_messages import WrongMessages, one_line_each, wrong_messages
 from recordings.message_complaints import Complaints
 
 OPTIONS = RunOptions(duration="5", external=ExternalOptions(("c1/inv01",)))
@@ -53,3 +53,35 @@ def test_complaints_are_told_once_each_counted_all_and_bounded() -> None:
     assert sum(entry.count for entry in found.values()) == 5003
     assert len(found) == len(told) <= 202
     assert complaints.set_aside == 5000, "absurd ones are in the recording"
+
+
+def test_a_complaint_has_an_example_of_each_field_that_was_wrong() -> None:
+    told: list[Complaint] = []
+    complaints = Complaints(lambda _: None, told.append)
+    key = "oahu/c1/inv01/impp"
+    complaints.add(key, "absurd", {"sim_time_ns": "sim_time_ns is 7"})
+    complaints.add(
+        key, "absurd", {"sim_time_ns": "sim_time_ns is 8", "power_kw": "power_kw is nan"}
+    )
+    complaints.add(key, "absurd", {"power_kw": "power_kw is inf"})
+    assert complaints.all() == (Complaint(key, "absurd", 3, "sim_time_ns is 7; power_kw is nan"),)
+    assert [complaint.example for complaint in told] == ["sim_time_ns is 7", "power_kw is nan"]
+
+
+def test_one_thing_that_a_device_does_wrong_is_one_line() -> None:
+    signals = ("impp", "residual", "help", "command")
+    dropped = [{f"c1/inv01/{signal}": {"late": 2, "foreign": 1} for signal in signals}]
+    complaints = [Complaint("oahu/nobody/impp", "unknown", 3, "no such node")]
+    found = wrong_messages(PLAN, complaints, dropped)
+    assert (len(found), found[-1].publisher) == (9, "c1/inv01")
+    late, foreign, unknown = one_line_each(found)
+    assert (late.cause, late.count) == ("late", 8)
+    assert (foreign.cause, foreign.count) == ("foreign", 4)
+    assert late.key.startswith("c1/inv01/")
+    assert late.key.endswith(" and 3 more")
+    assert (unknown.key, unknown.count) == ("nobody/impp", 3)
+
+
+def test_one_key_stays_as_it_is() -> None:
+    one = WrongMessages("c1/inv01/impp", "late", 3, "of a cycle that was over", "c1/inv01")
+    assert one_line_each([one]) == (one,)

@@ -218,8 +218,9 @@ def test_a_device_that_never_comes_is_named_with_where_it_should_have_come(
     run = heliarch("launch", "oahu", "--duration", "20", *words)
     assert run.wait() == 1
     plan = json.loads((run.folder / "plan.json").read_text())
-    text = run.error_text()
-    assert f"no sign of {NODE} after 0.5 s" in text
+    failure, text = run.error_text(), run.output.read_text()
+    assert f"no sign of {NODE} after 0.5 s" in failure
+    assert str(run.folder / "plan.json") in failure
     for agent in ("recorder", "plant", "c1"):
         assert f"tcp/127.0.0.1:{plan['tcp_ports'][agent]} ({agent})" in text
     assert f"namespace {plan['run_id']}" in text

@@ -198,7 +198,25 @@ def test_who_answered_after_the_deadline_is_in_the_chain(tmp_path: Path) -> None
         ("c2/d", "actuate"),
         ("plant", "advance"),
     ]
-    assert cycle.slowest.in_words() == "c2/d took 82.7 ms to command"
+    assert cycle.slowest.in_words() == "c2/d took 77.7 ms to command"
+
+
+def test_no_link_outlasts_the_one_that_waited_for_it(tmp_path: Path) -> None:
+    """A slow device answers cycles later, and has heard by then what came after the end."""
+    late = {
+        **PUBLISHED_MS,
+        "production": 90.0,
+        "c2/d/command": 4675.0,
+        "c2/d/impp": 4660.0,
+        "c2/d/setpoint": 95.0,
+    }
+    (cycle,) = slowest(recorded(tmp_path, without_command_of_d(in_time(0, late))))
+    assert cycle.slowest.agent == "c2/d"
+    assert all(0 <= link.began_ns <= link.ended_ns <= cycle.loop_ns for link in cycle.chain)
+    assert all(
+        link.ended_ns <= following.ended_ns
+        for link, following in zip(cycle.chain, cycle.chain[1:], strict=False)
+    )
 
 
 def test_a_device_answers_as_fast_as_its_last_input_and_its_own_word_tell(tmp_path: Path) -> None:

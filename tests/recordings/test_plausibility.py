@@ -36,7 +36,7 @@ from bus_schemas.tree import ROOT
 from launch_scripts.preparation import RunOptions, prepare
 from launch_scripts.scenario import load_scenario
 from launch_scripts.simulation import MemoryRun
-from recordings.plausibility import absurdity
+from recordings.plausibility import absurdities
 
 PREPARED = prepare(load_scenario("oahu"), RunOptions(duration="20"), "plausible")
 PLAN: RunPlan = PREPARED.plan
@@ -44,6 +44,10 @@ LEAF = PLAN.tree.leaves[0]
 RATING_KW = PLAN.tree.rating_kw(LEAF)
 HEARD_NS = 77_000_000_000
 HEAD = (3, PLAN.sim_time_ns(3), "somebody", ())
+
+
+def absurdity(plan: RunPlan, port: Port[Message], message: Message, heard_ns: int) -> str:
+    return "; ".join(absurdities(plan, port, message, heard_ns).values())
 
 
 def test_nothing_that_a_run_says_is_absurd() -> None:
@@ -100,6 +104,13 @@ def test_a_simulated_time_that_is_not_the_cycles_is_named() -> None:
     assert "sim_time_ns is 7" in absurdity(
         PLAN, IMPP.of(LEAF), replace(good, sim_time_ns=7), HEARD_NS
     )
+
+
+def test_each_field_that_cannot_be_right_is_named() -> None:
+    bad = Command(3, 7, "somebody", (), alpha=nan, power_kw=-1.0)
+    found = absurdities(PLAN, COMMAND.of(LEAF), bad, HEARD_NS)
+    assert list(found) == ["sim_time_ns", "alpha", "power_kw"]
+    assert found["alpha"].startswith("alpha is nan, accepted is")
 
 
 @pytest.mark.parametrize(("entries", "total_kw"), [(16, 1.0), (17, nan), (0, 1.0)])

@@ -68,6 +68,12 @@ def test_every_combination_is_a_case_with_its_own_label(oahu: ScenarioFile) -> N
     assert oahu.scenario.plant.actuator == "fraction", "the scenario itself stays as it was"
 
 
+def test_the_hour_of_a_day_may_have_one_digit(oahu: ScenarioFile) -> None:
+    options = RunOptions(start="9:05", duration="60")
+    (case,) = cases(oahu, options, days=parse_days("2010-07-04"))
+    assert case.options.start == "2010-07-04T09:05:00"
+
+
 def test_a_day_keeps_the_time_of_day(oahu: ScenarioFile) -> None:
     (case,) = study(oahu, days="2010-07-04")
     assert case.options.start == "2010-07-04T12:30:00"
@@ -97,6 +103,34 @@ def test_a_setting_that_the_scenario_does_not_take_is_named(
         study(oahu, word)
     assert f"--set {word}" in str(caught.value)
     assert complaint in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "complaint"),
+    [
+        (
+            "commitment.share=0.6",
+            "foo.bar=2",
+            "Object contains unknown field `foo`, accepted: name, title, time, plant",
+        ),
+        (
+            "plant.actuator=limit",
+            "commitment.shares=0.5",
+            "commitment: Object contains unknown field `shares`, accepted: kind, share",
+        ),
+        (
+            "control.late=drop",
+            "plant.actuator=wheel",
+            "plant.actuator: Invalid enum value 'wheel', accepted: fraction, limit",
+        ),
+    ],
+)
+def test_of_several_settings_the_wrong_one_is_named(
+    oahu: ScenarioFile, right: str, wrong: str, complaint: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        study(oahu, right, wrong)
+    assert str(caught.value).startswith(f"--set {wrong}: {complaint}")
 
 
 @pytest.mark.parametrize("text", ["", "1..", "a", "1,,2", "-1"])

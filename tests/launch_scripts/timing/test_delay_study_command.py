@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import re
+from io import StringIO
 from pathlib import Path
+from typing import get_args
 
 import msgspec
 import pytest
+from msgspec.structs import replace
+from rich.console import Console
 
+from agents.late_words import LatePolicy
 from agents.plan import Scheme
+from launch_scripts.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenario import load_scenario
 from launch_scripts.timing import delay_study
 from launch_scripts.timing.delay_study import Outcome, Trouble
 from launch_scripts.timing.delay_study_command import StudyRequest, run_study
-from launch_scripts.timing.delay_study_table import survived
+from launch_scripts.timing.delay_study_table import print_study, survived
+from launch_scripts.timing.timing_command import STUDY_PAGE_NAME
 
 
 def outcome(
@@ -34,6 +42,11 @@ def outcome(
     )
 
 
+@pytest.fixture(scope="module")
+def prepared() -> Preparation:
+    return prepare(load_scenario("oahu"), RunOptions(duration="300"), "study")
+
+
 def test_what_is_survived_is_told_up_to_the_first_value_that_costs_too_much() -> None:
     found = survived(
         [
@@ -46,9 +59,68 @@ def test_what_is_survived_is_told_up_to_the_first_value_that_costs_too_much() ->
         ]
     )
     assert found[0] == (
-        "paper: control causes less than 1 % of shortfall at delay of each hop up to 0.2 s, no "
-        "lost messages, no central period"
+        "paper: the shortfall that control causes stays below 1 % of the desired energy at delay "
+        "of each hop up to 0.2 s, no lost messages, no central period"
     )
+
+
+def test_what_is_survived_with_late_messages_dropped_is_told_for_itself() -> None:
+    used = [outcome("delay", value, 0.1) for value in (0.0, 0.2, 0.5)]
+    dropped = [
+        replace(outcome("delay", value, shortfall), late="drop")
+        for value, shortfall in ((0.0, 0.1), (0.2, 40.0), (0.5, 60.0))
+    ]
+    (line, _) = survived([*used, *dropped])
+    assert (
+        "delay of each hop up to 0.5 s, delay of each hop up to 0 s where late messages are "
+        in (line)
+    )
+
+
+WORST: list[tuple[Trouble, float]] = [
+    ("delay", 0.05),
+    ("delay", 10.0),
+    ("loss", 0.5),
+    ("period", 60.0),
+]
+
+
+@pytest.mark.parametrize("width", [60, 80, 100, 120])
+def test_no_heading_unit_or_figure_is_cut_however_narrow_the_terminal(
+    width: int, prepared: Preparation
+) -> None:
+    outcomes = [
+        replace(
+            outcome(trouble, value, 23.456, scheme),
+            late=late,
+            over_delivered_percent=12.345,
+            mileage_kw_per_h=133376.0,
+            fulfilled_percent=100.0,
+            late_used=123456,
+        )
+        for trouble, value in WORST
+        for scheme in get_args(Scheme)
+        for late in get_args(LatePolicy)
+    ]
+    console = Console(width=width, file=StringIO())
+    print_study(prepared, outcomes, console)
+    printed = console.file.getvalue()  # type: ignore[attr-defined]
+    tables = printed.partition("every hop delayed")[2]
+    assert "…" not in printed
+    for word in ("predictive", "delivered", "fulfilled", "[kW/h]", "drop", "absent"):
+        assert word in tables
+    for unit in ("delay of each hop [s]", "lost messages [%]", "central period [s]"):
+        assert f": {unit}, scheme, late messages" in " ".join(printed.split())
+    assert tables.count("23.456") == tables.count("133,376") == tables.count("123,456") == 16
+    if width >= 80:
+        assert tables.count("fulfilled") == 3, "one piece each"
+
+
+def test_the_page_is_not_taken_for_a_file_of_the_repository() -> None:
+    ignored = (Path(__file__).parents[3] / ".gitignore").read_text(encoding="utf-8").splitlines()
+    assert "/*.html" in ignored
+    assert Path(STUDY_PAGE_NAME).match("*.html")
+    assert Path(STUDY_PAGE_NAME).parent == Path(), "it is written into the working folder"
 
 
 @pytest.fixture
@@ -80,12 +152,12 @@ def test_tables_json_and_page_tell_the_same(
     worst = document["outcomes"][4]
     assert (worst["value"], worst["scheme"], worst["late"]) == (0.5, "paper", "use")
     shortfall = f"{worst['control_caused_percent']:.3f}"
-    assert re.search(rf"0\.5 │ paper +│ use +│ +{re.escape(shortfall)} │", printed)
+    assert re.search(rf"0\.5  paper +use +{re.escape(shortfall)} ", printed)
     text = page.read_text()
     assert f'<td class="number">{shortfall}</td>' in text
     assert '<div class="plot" id="study-plot"' in text
     assert "150 cycles of 1 s" in text
-    assert "paper: control causes less than 1 % of shortfall" in printed
+    assert "paper: the shortfall that control causes stays below 1 % of" in printed
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Figures read off HDR histograms are right to 1 %, and merging loses nothing."""
+"""Percentiles are right to 1 % and never too low, extremes are exact, and merging keeps both."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from timings_by_hand import encoded
 
-from agents.histograms import new_histogram, record_ns
+from agents.histograms import Extremes, new_histogram, record_ns
 from launch_scripts.timing.distributions import (
     curve_ms,
     distribution,
     merged,
+    together,
 )
 
 DURATIONS_NS = st.lists(st.integers(1_000, 10**12), min_size=1, max_size=200)
@@ -44,6 +45,23 @@ def test_merged_histograms_are_the_histogram_of_all(one: list[int], other: list[
     assert distribution(merged(parts)) == distribution(merged([both]))
 
 
+@given(one=DURATIONS_NS, other=DURATIONS_NS)
+def test_extremes_are_exact_and_no_percentile_is_too_low(one: list[int], other: list[int]) -> None:
+    both = sorted(one + other)
+    extremes = together(Extremes(min(part), max(part)) for part in (one, other))
+    parts = [encoded([value / 1e6 for value in part]) for part in (one, other)]
+    found = distribution(merged(parts), extremes)
+    assert found is not None
+    assert (found.min_us, found.max_us) == (both[0] / 1e3, both[-1] / 1e3)
+    for value_us, percent in ((found.p50_us, 50.0), (found.p99_us, 99.0), (found.p99_9_us, 99.9)):
+        assert exact(both, percent) / 1e3 <= value_us <= found.max_us
+    assert curve_ms(found)[1][-1] == found.max_us / 1e3
+
+
+def test_extremes_of_nothing_are_none() -> None:
+    assert together([]) is None
+
+
 def test_of_nothing_there_are_no_figures() -> None:
     assert distribution(new_histogram()) is None
     assert distribution(merged([])) is None
@@ -60,7 +78,9 @@ def test_what_is_below_zero_or_beyond_an_hour_is_counted_at_the_end_of_the_scale
 
 
 def test_a_curve_rises_from_the_least_duration_towards_the_greatest() -> None:
-    shares, values_ms = curve_ms(encoded([1.0] * 900 + [10.0] * 99 + [100.0]))
+    times = distribution(merged([encoded([1.0] * 900 + [10.0] * 99 + [100.0])]))
+    assert times is not None
+    shares, values_ms = curve_ms(times)
     assert shares[0] == 1.0
     assert shares == sorted(shares, reverse=True)
     assert shares[-1] == pytest.approx(0.0005, rel=0.2)  # half of one in a thousand

@@ -90,3 +90,18 @@ def test_supervisors_of_several_tiers_are_told_apart() -> None:
         "direct",
     ]
     assert Tiers(TREE).tier("c1") == "supervisor"
+
+
+def test_the_extremes_of_a_tier_are_those_of_its_processes() -> None:
+    one = timing("c1/a", {"decision/estimate": [5.017, 6.0]})
+    other = timing("c2/d", {"decision/estimate": [7.033]})
+    (row,) = times_by_tier([one, other], TREE)
+    assert (row.times.min_us, row.times.max_us) == (5_017.0, 7_033.0)
+
+
+def test_where_a_process_tells_no_extremes_the_histograms_edges_hold() -> None:
+    one = timing("c1/a", {"decision/estimate": [5.017, 6.0]})
+    other = replace(timing("c2/d", {"decision/estimate": [7.033]}), extremes={})
+    (row,) = times_by_tier([one, other], TREE)
+    assert 5_017.0 / 1.01 <= row.times.min_us <= 5_017.0
+    assert 7_033.0 <= row.times.max_us <= 7_033.0 * 1.01

@@ -8,8 +8,10 @@ import json
 import pytest
 from msgspec.structs import replace
 from rich.console import Console
-from timings_by_hand import TIMINGS, report, timing
+from timings_by_hand import HOST, TIMINGS, encoded, report, timing
 
+from launch_scripts.timing.distributions import distribution, merged
+from launch_scripts.timing.floor import FloorTimes
 from launch_scripts.timing.rates import Rates
 from launch_scripts.timing.sweep import (
     RateRow,
@@ -98,8 +100,8 @@ def test_a_rate_is_clean_if_nothing_was_missed_overrun_or_lost() -> None:
         assert not rate_row(report((*TIMINGS[:-1], late))).clean
 
 
-def printed(timed: Timed, rates: Rates) -> str:
-    console = Console(file=io.StringIO(), width=100)
+def printed(timed: Timed, rates: Rates, width: int = 100) -> str:
+    console = Console(file=io.StringIO(), width=width)
     print_sweep(sweep(rates, timed), console)
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue()
@@ -116,6 +118,73 @@ def test_the_table_names_what_failed_and_the_highest_clean_rate() -> None:
     assert "highest clean rate: 5 cycles/s" in text
     assert all(figure in text for figure in ("200.00", "10.50", "12.25", "13.00"))
     assert "no rate was clean" in printed(Machine(1.0).run, Rates(listed_hz=(5.0, 10.0)))
+
+
+def test_where_the_first_rate_is_not_clean_lower_ones_are_proposed() -> None:
+    found = sweep(Rates(search_hz=(5.0, 1000.0)), Machine(0.5).run)
+    assert conclusion(found) == (
+        "no rate was clean: 5 cycles/s alone was tried, and was not; slower ones are tried by "
+        "--rate 0.5..5"
+    )
+    several = conclusion(sweep(Rates(listed_hz=(5.0, 10.0)), Machine(0.5).run))
+    assert several.startswith("no rate was clean: at each ")
+    assert several.endswith("--rate 0.5..5")
+
+
+def test_of_a_rate_that_is_not_clean_the_tier_is_named() -> None:
+    late = (
+        *TIMINGS[1:4],
+        timing("plant", {}, overruns=1),
+        timing("c2/d", {}, missed=3),
+    )
+    row = rate_row(report(late, lost=2))
+    assert row.trouble == (
+        "plant overran 1 time, direct missed a deadline 3 times, 2 messages not recorded"
+    )
+    text = printed(lambda _: (row, False), Rates(listed_hz=(12.5,)))
+    assert "12.5 cycles/s was not clean: plant overran 1 time, direct missed" in text
+    assert rate_row(report()).trouble == ""
+
+
+def test_a_sweep_tells_host_policy_load_and_floor() -> None:
+    floor = (FloorTimes("timer", distribution(merged([encoded([0.05, 0.25])]))),)
+    row = rate_row(report(floor=floor))
+    later = replace(row, host=replace(HOST, load_before=1.5, load_after=1.75))
+    rows = {5.0: replace(row, rate_hz=5.0), 10.0: replace(later, rate_hz=10.0)}
+
+    text = printed(lambda rate_hz: (rows[rate_hz], False), Rates(listed_hz=(5.0, 10.0)))
+    assert "2 CPUs, A processor; load average 0.50 before, 1.75 after" in text
+    assert "scheduling: other on CPU 0, 1" in text
+    assert "floor at 5 cycles/s [µs]" in text
+    assert "floor at 10 cycles/s [µs]" in text
+    found = sweep(Rates(listed_hz=(5.0, 10.0)), lambda rate_hz: (rows[rate_hz], False))
+    document = json.loads(found.as_json())
+    assert [entry["host"]["load_after"] for entry in document["rows"]] == [0.75, 1.75]
+    assert document["rows"][0]["floor"][0]["name"] == "timer"
+
+
+def test_a_rate_that_is_thrown_out_costs_none_before_it() -> None:
+    def thrown_out(rate_hz: float) -> tuple[RateRow, bool]:
+        if rate_hz > 5.0:
+            raise KeyboardInterrupt
+        return RateRow(rate_hz, clean=True), False
+
+    found = sweep(Rates(listed_hz=(5.0, 10.0, 20.0)), thrown_out)
+    assert [(row.rate_hz, row.outcome) for row in found.rows] == [
+        (5.0, "clean"),
+        (10.0, "interrupted"),
+    ]
+    assert found.interrupted
+
+
+@pytest.mark.parametrize("width", [40, 80])
+def test_in_a_narrow_terminal_each_figure_of_a_rate_is_there(width: int) -> None:
+    def late(rate_hz: float) -> tuple[RateRow, bool]:
+        return RateRow(rate_hz, 1234, 10_510.0, 12_250.0, 13_990.0, 77, 88, 99, 66.0), False
+
+    words = printed(late, Rates(listed_hz=(5.0,)), width).split()
+    for figure in ("1,234", "200.00", "10.51", "12.25", "13.99", "77", "88", "99", "66"):
+        assert words.count(figure) == 1
 
 
 def test_the_document_has_a_row_for_each_rate() -> None:

@@ -1,20 +1,29 @@
-"""`heliarch timing` refuses what it cannot do in one line, before anything starts."""
+"""`heliarch timing` refuses in one line what it cannot do, and loses nothing that it measured."""
 
 from __future__ import annotations
 
+import json
+import signal
 from pathlib import Path
+from typing import Final, NamedTuple
 
 import pytest
 from msgspec.structs import replace
-from timings_by_hand import report
-from typer.testing import CliRunner
+from timings_by_hand import REAL_TIME, report
+from typer.testing import CliRunner, Result
 
+from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from launch_scripts.cli import app
-from launch_scripts.preparation import RunOptions, prepare
+from launch_scripts.interruption import interruptible
+from launch_scripts.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenario import load_scenario
+from launch_scripts.timing import timing_command, trials
 from launch_scripts.timing.measured_run import whole_cycles
 from launch_scripts.timing.timing_command import exit_status
+from launch_scripts.timing.timing_report import TimingReport
+
+FULL: Final = Path("/dev/full")
 
 
 def refused(*words: str | Path) -> str:
@@ -115,3 +124,120 @@ def test_the_exit_status_tells_kept_not_kept_and_interrupted() -> None:
     assert exit_status(kept) == 0
     assert exit_status(broken) == 1
     assert exit_status(replace(kept, interrupted=True)) == 130
+
+
+class Ran(NamedTuple):
+    """Stands in for a run that is over."""
+
+    recording: Path
+    unwritten: str = ""
+    plan: RunPlan = REAL_TIME
+
+
+@pytest.fixture
+def over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A run that ends at once, in this folder, with a report made by hand."""
+    ran = Ran(tmp_path / "run.mcap")
+    monkeypatch.setattr(timing_command, "measured_run", lambda *_: ran)
+    monkeypatch.setattr(timing_command, "report_on", lambda _: (report(), ()))
+    return tmp_path
+
+
+def timed(*words: str | Path) -> Result:
+    return CliRunner().invoke(app, ["timing", *map(str, words)])
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="this system has no device that is full")
+def test_a_file_that_cannot_be_written_costs_neither_the_verdict_nor_another_file(
+    over: Path,
+) -> None:
+    result = timed("--json", FULL, "--report", "--duration", "1", "--out", over / "run")
+    assert "PASS: all " in result.stdout
+    assert result.stderr == f"heliarch: not written: {FULL}: No space left on device\n"
+    assert result.exit_code == 1
+    assert "PASS: all " in (over / "timing.html").read_text(encoding="utf-8")
+
+
+def test_a_summary_and_a_page_that_cannot_be_written_are_told(
+    over: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran = Ran(over / "absent" / "run.mcap", unwritten="summary.json: No space left on device")
+    monkeypatch.setattr(timing_command, "measured_run", lambda *_: ran)
+    document = over / "x.json"
+    result = timed("--json", document, "--report", "--duration", "1", "--out", over / "run")
+    told = result.stderr.splitlines()
+    assert told[0] == "heliarch: not written: summary.json: No space left on device"
+    assert told[1].startswith(f"heliarch: not written: report {over / 'absent' / 'timing.html'}: ")
+    assert (len(told), result.exit_code) == (2, 1)
+    assert "PASS: all " in result.stdout
+    assert json.loads(document.read_bytes())["passed"]
+
+
+@pytest.mark.parametrize(
+    ("signum", "status"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGINT, 130)]
+)
+def test_what_was_measured_before_a_signal_is_printed_and_written(
+    signum: signal.Signals, status: int, over: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counts: list[int] = []
+
+    def ended(*_: object) -> Ran:
+        with interruptible() as interruption:
+            signal.raise_signal(signum)
+            counts.append(interruption.count)
+        return Ran(over / "run.mcap")
+
+    monkeypatch.setattr(timing_command, "measured_run", ended)
+    monkeypatch.setattr(
+        timing_command, "report_on", lambda _: (replace(report(), interrupted=True), ())
+    )
+    document = over / "x.json"
+    result = timed("--json", document, "--duration", "1", "--out", over / "run")
+    assert counts == [1]
+    assert "PASS: all " in result.stdout
+    assert json.loads(document.read_bytes())["interrupted"]
+    assert result.exit_code == status
+
+
+def test_a_signal_while_the_tables_are_printed_cuts_nothing(
+    over: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def signalled(_: object) -> tuple[TimingReport, tuple[()]]:
+        signal.raise_signal(signal.SIGTERM)
+        return report(), ()
+
+    monkeypatch.setattr(timing_command, "report_on", signalled)
+    result = timed("--duration", "1", "--out", over / "run")
+    assert "PASS: all " in result.stdout
+    assert result.exit_code == 143
+
+
+def test_a_signal_during_a_sweep_keeps_the_rates_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ended(preparation: Preparation, *_: object) -> Ran:
+        if preparation.plan.cycle_wall_ns < 200_000_000:
+            signal.raise_signal(signal.SIGTERM)  # Before there is a cycle to be ended.
+        return Ran(tmp_path / "run.mcap")
+
+    monkeypatch.setattr(trials, "measured_run", ended)
+    monkeypatch.setattr(trials, "report_on", lambda _: (replace(report(), rate_hz=5.0), ()))
+    document = tmp_path / "x.json"
+    words = ("--rate", "5,10,20", "--duration", "1", "--out", tmp_path / "rates")
+    result = timed(*words, "--json", document)
+    assert "highest clean rate: at least 5 cycles/s" in result.stdout
+    rows = json.loads(document.read_bytes())["rows"]
+    assert [(row["rate_hz"], row["interrupted"]) for row in rows] == [(5.0, False), (10.0, True)]
+    assert result.exit_code == 143
+
+
+def test_a_disk_that_is_full_before_the_run_is_named(
+    over: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> Ran:
+        raise OSError(28, "No space left on device", "run/plan.json")
+
+    monkeypatch.setattr(timing_command, "measured_run", full)
+    result = timed("--duration", "1", "--out", over / "run")
+    assert result.stderr == "heliarch: run/plan.json: No space left on device\n"
+    assert result.exit_code == 1

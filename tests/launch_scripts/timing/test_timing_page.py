@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from timings_by_hand import TREE, encoded, report
+from timings_by_hand import HOST, TREE, encoded, report
 
 from bus_schemas.errors import InputError
 from bus_schemas.signals import COMMAND, PRODUCTION, SETPOINT, TELEMETRY
@@ -82,15 +82,19 @@ def test_each_agent_has_a_row_and_the_chain_a_colour_of_its_own(page: str) -> No
 
 def test_the_page_of_a_sweep_draws_latency_against_rate(tmp_path: Path) -> None:
     rows = (
-        RateRow(5.0, 75, 9e3, 10e3, 12e3, clean=True),
-        RateRow(80.0, 300, 9e3, 30e3, 40e3, missed_deadlines=7),
+        RateRow(5.0, 75, 9e3, 10e3, 12e3, clean=True, host=HOST, floor=FLOOR),
+        RateRow(80.0, 300, 9e3, 30e3, 40e3, missed_deadlines=7, trouble="direct missed one"),
+        RateRow(90.0, 300, 9e3, 30e3, 40e3, interrupted=True),
         RateRow(160.0, failed="recorder gave up"),
     )
     path = tmp_path / "timing.html"
     write_sweep_page(path, Sweep(rows, 5.0, interrupted=False), report())
     page = path.read_text(encoding="utf-8")
     assert "highest clean rate: 5 cycles/s" in page
-    assert "recorder gave up" in page
+    assert "160 cycles/s failed: recorder gave up" in page
+    assert "80 cycles/s was not clean: direct missed one" in page
+    assert "floor: timer, at 5 cycles/s" in page
+    assert "2 CPUs, A processor; load average 0.50 before" in page
     drawn = plot(page, "rates")
     assert [trace["name"] for trace in drawn["data"]] == [
         "loop p50",
@@ -99,7 +103,17 @@ def test_the_page_of_a_sweep_draws_latency_against_rate(tmp_path: Path) -> None:
         "length of a cycle",
     ]
     assert list(drawn["data"][0]["marker"]["symbol"]) == ["circle", "x"]
+    assert list(drawn["data"][0]["x"]) == [5.0, 80.0]
     assert drawn["layout"]["xaxis"]["type"] == drawn["layout"]["yaxis"]["type"] == "log"
+
+
+def test_the_page_of_a_sweep_that_was_interrupted_at_once_has_no_figure(tmp_path: Path) -> None:
+    path = tmp_path / "timing.html"
+    row = RateRow(5.0, 75, 9e3, 10e3, 12e3, interrupted=True)
+    write_sweep_page(path, Sweep((row,), None, interrupted=True), report())
+    page = path.read_text(encoding="utf-8")
+    assert "interrupted before a rate was found to be clean" in page
+    assert "rates-plot-data" not in page
 
 
 def test_a_page_that_cannot_be_written_is_an_error_of_one_line(tmp_path: Path) -> None:

@@ -26,8 +26,8 @@ FLOOR = (
 )
 
 
-def printed(found: TimingReport, *, processes: bool = False) -> list[str]:
-    console = Console(file=io.StringIO(), width=100)
+def printed(found: TimingReport, *, processes: bool = False, width: int = 100) -> list[str]:
+    console = Console(file=io.StringIO(), width=width)
     print_report(found, console, processes=processes)
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue().splitlines()
@@ -50,6 +50,58 @@ def test_each_row_has_its_figures_its_budget_and_its_verdict() -> None:
     assert max(map(len, lines)) <= 100
     headings = [line.partition(" ")[0] for line in lines if "[µs]" in line]
     assert headings == ["loop", "decision", "hop", "lateness", "jitter", "age", "floor"]
+
+
+@pytest.mark.parametrize("width", [50, 80, 100, 200])
+def test_however_narrow_a_terminal_is_verdicts_and_figures_are_all_there(width: int) -> None:
+    found = report(table=BudgetTable(hop_p99_ms={"impp": 3.5}), floor=FLOOR)
+    words = " ".join(printed(found, width=width)).split()
+    wide = " ".join(printed(found, width=500)).split()
+    figures = {word for word in wide if word[0].isdigit()}
+    assert len(figures) > 20
+    assert figures <= set(words)
+    for verdict in ("PASS", "FAIL"):
+        assert words.count(verdict) == wide.count(verdict)
+    assert not any("…" in word for word in words)
+
+
+def test_each_table_of_durations_has_headings() -> None:
+    lines = printed(report(floor=FLOOR))
+    titles = [place for place, line in enumerate(lines) if re.match(r"\w+ \[µs\]", line)]
+    assert len(titles) == 7
+    for place in titles:
+        heading = " ".join(" ".join(lines[place + 1 : place + 3]).split())
+        assert "count min p50 p99 p99.9 max" in heading
+
+
+def test_a_device_with_an_old_clock_does_not_make_figures_that_cannot_be_read() -> None:
+    old = timing("plant", {"loop": [3_607_772.0], "decision/begin": [1.0]})
+    for width in (80, 100):
+        lines = printed(report((old,)), width=width)
+        assert " ".join(lines).split().count("3,600,000.0") == 5
+        (line,) = [line for line in lines if line.startswith("  not kept: loop")]
+        assert line == "  not kept: loop all commands p99 3,600,000.000 ms (at most 40.000 ms)"
+
+
+def test_what_is_one_is_not_plural() -> None:
+    device = ExternalAccount("c2/d", {"command": 1}, lost=1, expected=6, answered=1)
+    wrong = WrongMessages("c2/d/command", "not msgpack", 1, "b'x'")
+    found = replace(report(cycles=1), rate_hz=1.0, external=(device,), wrong=(wrong,))
+    text = "\n".join(printed(found))
+    assert "field at 1 cycle/s in real time: 1 cycle in" in text
+    assert "answered 1 time of 6" in text
+    assert "wrong c2/d/command, 1 time: not msgpack" in text
+
+
+def test_figures_of_other_budgets_have_their_decimals() -> None:
+    lines = printed(report())
+    assert row(lines, "CPU of a plant") == "10.00 % 80.00 % PASS"
+
+
+def test_locked_memory_is_told_beside_the_scheduling() -> None:
+    locked = replace(HOST, memory_locked=True)
+    assert "scheduling: other on CPU 0, 1" in printed(report())
+    assert "scheduling: other on CPU 0, 1; memory locked" in printed(replace(report(), host=locked))
 
 
 def test_a_machine_that_was_busy_beforehand_is_named_as_such() -> None:
@@ -127,7 +179,7 @@ def test_a_foreign_device_and_its_wrong_answers_are_told() -> None:
     wrong = WrongMessages("c2/d/command", "not msgpack", 3, "b'x'")
     found = replace(report(), external=(device,), wrong=(wrong,), faults={"lost": 4})
     text = "\n".join(printed(found))
-    assert "external c2/d: answered 5 times of 6, 1 of its messages never came" in text
+    assert "external c2/d: answered 5 times of 6, 1 of its messages never came or could" in text
     assert "wrong c2/d/command, 3 times: not msgpack: b'x'" in text
     assert "faults of the network, as was asked for: 4 lost" in text
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 from msgspec.structs import replace
@@ -22,19 +23,33 @@ from launch_scripts.timing.sweep import sweep
 from launch_scripts.timing.trials import Trials
 
 
+class Ran(NamedTuple):
+    """Stands in for a run that is over."""
+
+    rate_hz: float
+    unwritten: str
+
+
 class Machine:
     """Stands in for the processes: each rate is clean, but one."""
 
-    def __init__(self, fails_at_hz: float | None = None) -> None:
+    def __init__(
+        self,
+        fails_at_hz: float | None = None,
+        failure: Exception = RunFailure("c1 has died\nits log says so"),  # noqa: B008
+        unwritten: str = "",
+    ) -> None:
         self.ran_hz: list[float] = []
         self._fails_at_hz = fails_at_hz
+        self._failure = failure
+        self._unwritten = unwritten
 
-    def run(self, preparation: Preparation, folder: RunFolder, console: Console) -> float:
+    def run(self, preparation: Preparation, folder: RunFolder, console: Console) -> Ran:
         rate_hz = round(1e9 / preparation.plan.cycle_wall_ns, 3)
         self.ran_hz.append(rate_hz)
         if rate_hz == self._fails_at_hz:
-            raise RunFailure("c1 has died\nits log says so")
-        return rate_hz
+            raise self._failure
+        return Ran(rate_hz, self._unwritten)
 
 
 @pytest.fixture
@@ -42,7 +57,7 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
     machine = Machine()
     monkeypatch.setattr(trials, "measured_run", machine.run)
     monkeypatch.setattr(
-        trials, "report_on", lambda rate_hz: (replace(report([]), rate_hz=rate_hz), ())
+        trials, "report_on", lambda run: (replace(report([]), rate_hz=run.rate_hz), ())
     )
     return machine
 
@@ -97,3 +112,32 @@ def test_a_run_that_fails_is_a_row_with_its_reason(
     assert failing.ran_hz == [10.0, 12.0]
     assert tried.latest is not None
     assert tried.latest.rate_hz == 12.0
+
+
+def test_a_full_disk_costs_no_rate_that_was_measured(
+    machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = Machine(12.0, OSError(28, "No space left on device"), "summary.json: full")
+    monkeypatch.setattr(trials, "measured_run", full.run)
+    tried = trials_in(tmp_path)
+    found = sweep(Rates(listed_hz=(10.0, 12.0, 14.0)), tried.run)
+    assert [row.failed for row in found.rows] == [
+        "",
+        f"{tmp_path / 'sweep'}: No space left on device",
+        "",
+    ]
+    assert found.rows[1].outcome == "failed"
+    assert tried.unwritten == ["summary.json: full"] * 2
+
+
+def test_a_run_whose_recording_cannot_be_read_costs_no_other(
+    machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unreadable(run: Ran) -> object:
+        if run.rate_hz == 12.0:
+            raise RunFailure("run.mcap: no recording")
+        return replace(report([]), rate_hz=run.rate_hz), ()
+
+    monkeypatch.setattr(trials, "report_on", unreadable)
+    found = sweep(Rates(listed_hz=(10.0, 12.0)), trials_in(tmp_path).run)
+    assert [row.failed for row in found.rows] == ["", "run.mcap: no recording"]

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from msgspec.structs import replace
 from recordings_by_hand import PLAN
 
-from agents.histograms import new_histogram, record_ns
+from agents.histograms import HIGHEST_NS, Extremes, new_histogram, record_ns
 from agents.plan import RunPlan
 from agents.stopwatch import ProcessTiming
 from bus_schemas.tree import ControlTree
-from launch_scripts.summary import ProcessAccount
+from launch_scripts.summary import ProcessAccount, RunSummary
 from launch_scripts.timing.budget_table import BudgetTable
 from launch_scripts.timing.budgets import budgets_of, judge
 from launch_scripts.timing.floor import FloorTimes
@@ -39,6 +40,12 @@ def encoded(times_ms: Sequence[float]) -> str:
     return text
 
 
+def extremes(times_ms: Sequence[float]) -> Extremes:
+    """The least and the greatest of these durations, as a process keeps them: up to an hour."""
+    ns = [min(round(time_ms * 1e6), HIGHEST_NS) for time_ms in times_ms]
+    return Extremes(min(ns), max(ns))
+
+
 def timing(
     agent: str,
     measures_ms: Mapping[str, Sequence[float]],
@@ -61,6 +68,7 @@ def timing(
         switches_involuntary=5,
         resident_mb=40.0,
         policy="other on CPU 0, 1",
+        extremes={name: extremes(times_ms) for name, times_ms in measures_ms.items()},
     )
 
 
@@ -90,6 +98,31 @@ def account(found: ProcessTiming, dropped: int = 0) -> ProcessAccount:
     """The account of a process at the end of a run."""
     kind = Tiers(TREE).kind(found.agent)
     return ProcessAccount(found.agent, kind, {"late": dropped} if dropped else {}, 40.0, found)
+
+
+def summary_of(folder: Path, *, interrupted: bool, recording_ended: str = "") -> RunSummary:
+    """The summary of a run in this folder."""
+    return RunSummary(
+        run_id="by-hand",
+        scenario="field",
+        driver="launch",
+        folder=str(folder),
+        sim_start="",
+        cycles=3,
+        cycle_s=0.08,
+        wall_s=0.24,
+        startup_s=0.0,
+        arming_rounds=1,
+        metrics=None,
+        messages=(),
+        dropped={},
+        missing_inputs=0,
+        memory=(),
+        hindsight_neighbours=False,
+        remarks=(),
+        interrupted=interrupted,
+        recording_ended=recording_ended,
+    )
 
 
 def report(

@@ -145,7 +145,7 @@ def test_strays_of_a_device_are_named_and_decide_nothing(tmp_path: Path) -> None
     assert verdict == "NOT equal: 3 messages of no cycle, otherwise no difference"
 
 
-@pytest.mark.parametrize("entry", ["skipped@" + "9" * 5000, "skipped@12", "@", "@@1", "skipped"])
+@pytest.mark.parametrize("entry", ["skipped@" + "9" * 200, "skipped@12", "@", "@@1", "skipped"])
 def test_a_missing_that_makes_no_sense_stops_no_verification(entry: str, tmp_path: Path) -> None:
     run = TroubledRun(PLAN, cloudy_profile(PLAN), 1)
     said = [

@@ -28,6 +28,16 @@ def test_runs_stand_side_by_side_with_their_units() -> None:
     )
 
 
+def test_mileage_in_a_time_has_that_time_in_its_unit() -> None:
+    run = cloudy_run()
+    (table,) = metrics_tables([run])
+    support = run_metrics(run).support
+    name = "Mileage of the support power, "
+    assert row(table, f"{name}whole run") == ("kW", (f"{support.total_kw:,.0f}",))
+    assert row(table, f"{name}per hour") == ("kW/h", (f"{support.per_hour_kw:,.0f}",))
+    assert row(table, f"{name}per minute") == ("kW/min", (f"{support.per_minute_kw:,.1f}",))
+
+
 def test_thousands_are_parted() -> None:
     (table,) = metrics_tables([cloudy_run(cycles=3600 * 10)])
     assert row(table, "Desired energy") == ("kWh", ("2,500.0",))

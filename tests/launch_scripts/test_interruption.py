@@ -1,0 +1,80 @@
+"""Ctrl-C does not tear apart what is only starting."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from launch_scripts.interruption import interruptions_wait
+from launch_scripts.timing import delay_study
+
+_INTERRUPT_ONESELF = """
+import os, signal
+from launch_scripts.interruption import end_when_interrupted
+os.kill(os.getpid(), signal.SIGINT)
+print("imported", flush=True)
+end_when_interrupted()
+print("not reached")
+"""
+
+
+def is_held_back() -> bool:
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def test_an_interruption_comes_after_the_block() -> None:
+    done: list[bool] = []
+
+    def interrupt_and_go_on() -> None:
+        with interruptions_wait():
+            signal.raise_signal(signal.SIGINT)
+            done.append(is_held_back())
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupt_and_go_on()
+    assert done == [True]
+    assert not is_held_back()
+
+
+def test_a_process_that_is_started_meanwhile_ends_without_a_word_once_it_has_imported() -> None:
+    with interruptions_wait():
+        process = subprocess.Popen(
+            [sys.executable, "-c", _INTERRUPT_ONESELF],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+    told, complained = process.communicate(timeout=60)
+    assert (told, complained) == ("imported\n", "")
+    assert process.returncode == -signal.SIGINT
+
+
+def test_the_workers_of_a_study_are_started_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[bool] = []
+    initializers: list[Callable[[], None]] = []
+
+    class Pool:
+        def __init__(self, workers: int, *, initializer: Callable[[], None], **_: object) -> None:
+            initializers.append(initializer)
+
+        def submit(self, *_: object) -> int:
+            seen.append(is_held_back())
+            return len(seen)
+
+        def shutdown(self, *, cancel_futures: bool) -> None:
+            assert cancel_futures
+
+    def nothing(_: object) -> Iterator[object]:
+        yield from ()
+
+    monkeypatch.setattr(delay_study, "ProcessPoolExecutor", Pool)
+    monkeypatch.setattr(delay_study, "as_completed", nothing)
+    chosen = delay_study.conditions(1.0, 3600.0)
+    assert list(delay_study.run_study_over(None, None, chosen, 2)) == []  # type: ignore[arg-type]
+    assert seen == [True] * len(chosen)
+    assert not is_held_back()
+    assert initializers
