@@ -13,7 +13,8 @@ def accepted_words(struct: type[Any], path: str) -> tuple[str, ...]:
     """Return the words that a field accepts.
 
     There are none where it is no field of a few words, and where the path leads to several fields
-    of different words (of structs that stand for one another).
+    of different words (of structs that stand for one another). The field that tells such structs
+    apart takes all their words.
 
     Parameters
     ----------
@@ -23,12 +24,24 @@ def accepted_words(struct: type[Any], path: str) -> tuple[str, ...]:
         The field as msgspec names it in an error, without the leading `$.`:
         `control.late`, `faults[...].distribution`.
     """
+    table, _, name = path.rpartition(".")
+    if tags := _tags(struct, table, name):
+        return tags
     fields = {
         tuple(map(str, one.values))
         for one in _types_at(struct, path)
         if isinstance(one, inspect.LiteralType)
     }
     return fields.pop() if len(fields) == 1 else ()
+
+
+def _tags(struct: type[Any], table: str, field: str) -> tuple[str, ...]:
+    """Return the words by which a field of a table tells structs apart; none if it does not."""
+    return tuple(
+        str(one.tag)
+        for one in _types_at(struct, table)
+        if isinstance(one, inspect.StructType) and one.tag_field == field
+    )
 
 
 def accepted_fields(struct: type[Any], path: str, document: object = None) -> tuple[str, ...]:

@@ -382,7 +382,7 @@ def readable(error: msgspec.ValidationError, document: object) -> str:
     """
     where, what = place_and_objection(error)
     accepted: tuple[str, ...] = ()
-    if "enum value" in what:
+    if "enum value" in what or what.startswith("Invalid value"):
         accepted = accepted_words(Scenario, where)
     elif "unknown field" in what:
         accepted = accepted_fields(Scenario, where, document)

@@ -53,6 +53,8 @@ class Outer(msgspec.Struct):
         ("either", ("max",)),
         ("shape.colour", ("blue", "red")),
         ("shape.side", ()),
+        ("shape.type", ("Square", "Circle")),
+        ("inner.type", ()),
         ("inner.number", ()),
         ("inner.nobody", ()),
         ("", ()),
@@ -86,3 +88,7 @@ def test_the_document_tells_which_struct_is_meant(kind: str, names: tuple[str, .
     documents = {"solids": [{"type": "nothing"}, {"type": kind}]}
     assert accepted_fields(Solids, "solids[1]", documents) == names
     assert accepted_fields(Solids, "solids[1]") == ("type", "radius", "edge")
+
+
+def test_the_word_that_tells_structs_of_a_list_apart() -> None:
+    assert accepted_words(Solids, "solids[1].type") == ("Ball", "Box")
