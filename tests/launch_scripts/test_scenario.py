@@ -320,7 +320,12 @@ def test_durations(text: str, seconds: float) -> None:
             'history = "later"',
             "neighbours.history: Invalid enum value 'later', accepted: earlier-day, hindsight",
         ),
-        ('kind = "clouds"', 'kind = "moon"', "'moon', accepted: clouds, measured,"),
+        (
+            'kind = "clouds"',
+            'kind = "moon"',
+            "irradiance.kind: Invalid value 'moon', accepted: clouds, measured, oahu-grid, "
+            "dc-current",
+        ),
         ("[[2, 1]]", "[[3, 0]]", "control.cluster_sizes[0][1]: Expected `int` >= 1"),
         (
             "2024-05-12T13:00:00",
