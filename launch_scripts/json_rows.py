@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +11,7 @@ from typing import BinaryIO
 import msgspec
 
 from bus_schemas.errors import InputError
+from recordings.whole_file import whole_file
 
 
 class JsonRows:
@@ -54,22 +54,10 @@ def json_rows(destination: str | None) -> Iterator[JsonRows]:
         yield rows
         rows.finish()
         return
-    path = Path(str(destination))
-    if path.exists() and not path.is_file():
-        with path.open("wb") as file:  # A device or a pipe: it must not be replaced.
-            rows = JsonRows(file)
-            yield rows
-            rows.finish()
-        return
-    beside = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
-    try:
-        with beside.open("wb") as file:
-            rows = JsonRows(file)
-            yield rows
-            rows.finish()
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
+    with whole_file(Path(str(destination))) as file:
+        rows = JsonRows(file)
+        yield rows
+        rows.finish()
 
 
 def check_json_destination(destination: str | None) -> None:

@@ -15,6 +15,7 @@ from agents.plan import Actuator, Scheme
 from bus_schemas.errors import InputError
 from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
 from launch_scripts.externals import NO_EXTERNALS, ExternalOptions
+from launch_scripts.json_rows import check_json_destination
 from launch_scripts.launcher import launch
 from launch_scripts.live_view import View, view_for
 from launch_scripts.machine_table import AS_THE_SCENARIO_SAYS, MachineOptions
@@ -126,8 +127,7 @@ def prepare_run(request: RunRequest) -> tuple[Preparation, RunFolder]:
     InputError
         The words of the command line, the scenario and its data do not go together.
     """
-    if request.json not in (None, "-"):
-        _check_json_path(Path(request.json))
+    check_json_destination(request.json)
     scenario = load_scenario(request.scenario, request.data)
     run_id = new_run_id(scenario.scenario.name)
     folder = run_folder(run_id, request.out)
@@ -156,11 +156,6 @@ def _check_faults(request: RunRequest, preparation: Preparation) -> None:
             f"{where}: a message that is lost in lockstep is waited for without end, accepted is "
             "a --pace such as 1"
         )
-
-
-def _check_json_path(path: Path) -> None:
-    if path.is_dir() or not path.parent.is_dir():
-        raise InputError(f"--json {path}: accepted is a file in an existing folder, or -")
 
 
 def _pace(text: str | None) -> float | Literal["max"] | None:

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from bus_schemas.errors import InputError
 from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
+from launch_scripts.json_rows import check_json_destination
 from launch_scripts.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenario import load_scenario
 from launch_scripts.study.cases import Case, cases, parse_days, parse_seeds, parse_setting
@@ -38,6 +39,7 @@ from launch_scripts.study.tables import (
 from recordings.report.metrics_tables import metrics_tables
 from recordings.report.run_report import check_destination, write_report
 from recordings.series import RunSeries
+from recordings.whole_file import whole_file
 
 _LISTED: Final = 40
 """Up to so many cases each has its row; of more, the mean and the extremes are shown."""
@@ -97,8 +99,7 @@ def _plan(request: CompareRequest) -> tuple[Comparison, list[Case]]:
         raise InputError(f"--show {request.show}: accepted are {', '.join(FIGURES)}")
     if not 1 <= request.workers <= _MOST_WORKERS:
         raise InputError(f"--workers {request.workers}: accepted are 1 to {_MOST_WORKERS}")
-    if request.json not in (None, "-"):
-        check_json_path(Path(request.json))
+    check_json_destination(request.json)
     if request.report is not None:
         check_destination(request.report)
     found = cases(
@@ -123,18 +124,6 @@ def _schemes(text: str | None) -> tuple[str, ...]:
         if name not in SCHEMES:
             raise InputError(f"--schemes {name}: accepted are {', '.join(SCHEMES)}")
     return names
-
-
-def check_json_path(path: Path) -> None:
-    """Refuse a path at which no file can be written, before any work is done.
-
-    Raises
-    ------
-    InputError
-        It is a folder, or in none.
-    """
-    if path.is_dir() or not path.parent.is_dir():
-        raise InputError(f"--json {path}: accepted is a file in an existing folder, or -")
 
 
 def _groups(text: str | None) -> ReferenceGroups:
@@ -218,7 +207,5 @@ def _write_rows(results: Sequence[CaseResult], json: str | None) -> None:
     if json == "-":
         sys.stdout.write(document.decode() + "\n")
         return
-    # Under another name first, so that a full disk leaves no half a file behind.
-    half = Path(f"{json}.part")
-    half.write_bytes(document + b"\n")
-    half.replace(json)
+    with whole_file(Path(json)) as file:
+        file.write(document + b"\n")

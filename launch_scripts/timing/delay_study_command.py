@@ -15,10 +15,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from bus_schemas.errors import InputError
 from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
+from launch_scripts.json_rows import check_json_destination
 from launch_scripts.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenario import load_scenario, parse_duration_s
 from launch_scripts.study.cases import cases, parse_setting
-from launch_scripts.study.compare_command import check_json_path
 from launch_scripts.study.study import remarks_of
 from launch_scripts.timing.delay_study import (
     WARM_UP_S,
@@ -96,8 +96,7 @@ def _with_defaults(request: StudyRequest) -> StudyRequest:
         raise InputError(f"--workers {request.workers}: accepted are 1 to {_MOST_WORKERS}")
     if request.duration is not None:
         _check_duration(request.duration)
-    if request.json not in (None, "-"):
-        check_json_path(Path(request.json))
+    check_json_destination(request.json)
     if request.page is not None:
         _check_page(request.page)
     if request.scenario is not None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
+
+from recordings.whole_file import whole_file
 
 
 def write_or_tell(path: Path, document: bytes) -> str:
-    """Write a file, under another name first, so that nobody finds half of it.
+    """Write a file, of which nobody finds half, see `whole_file`.
 
     Returns
     -------
@@ -15,19 +16,8 @@ def write_or_tell(path: Path, document: bytes) -> str:
         Why it could not be written; empty if it was.
     """
     try:
-        if path.exists() and not path.is_file():
-            path.write_bytes(document)  # A device or a pipe: it must not be replaced.
-        else:
-            _write_whole(path, document)
+        with whole_file(path) as file:
+            file.write(document)
     except OSError as error:
         return f"{path}: {error.strerror}"
     return ""
-
-
-def _write_whole(path: Path, document: bytes) -> None:
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
-    try:
-        unfinished.write_bytes(document)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from recordings.report.style import ReportFigure
 from recordings.report.tables import ReportTable
 from recordings.report.tracking_figures import regulation, tracking_error
 from recordings.series import RunSeries
+from recordings.whole_file import whole_file
 
 _WHY_ABSENT: Final = {
     "regulation": "No regulation was asked for.",
@@ -189,20 +189,17 @@ def _count(number: int, noun: str) -> str:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a file under another name first, so that nobody sees half of it.
+    """Write a page, of which nobody sees half, see `whole_file`.
 
     Raises
     ------
     InputError
         It cannot be written.
     """
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        unfinished.write_text(text, encoding="utf-8")
-        unfinished.replace(path)
+        with whole_file(path) as file:
+            file.write(text.encode())
     except OSError as error:
         raise InputError(
             f"report {path}: {error.strerror}, accepted is a file that may be written"
         ) from None
-    finally:
-        unfinished.unlink(missing_ok=True)

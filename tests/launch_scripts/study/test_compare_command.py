@@ -77,6 +77,18 @@ def test_json_on_standard_output_is_all_that_is_there() -> None:
     assert json.loads(text)[0]["scheme"] == "paper"
 
 
+def test_json_and_report_follow_a_link_and_leave_it_one(tmp_path: Path) -> None:
+    rows, page = tmp_path / "kept.json", tmp_path / "kept.html"
+    (tmp_path / "link.json").symlink_to(rows)
+    (tmp_path / "link.html").symlink_to(page)
+    links = ("--json", str(tmp_path / "link.json"), "--report", str(tmp_path / "link.html"))
+    status, _, _ = compare("oahu", "--duration", "20", "--schemes", "paper", *links)
+    assert status == 0
+    assert json.loads(rows.read_text())[0]["scheme"] == "paper"
+    assert "<html" in page.read_text()
+    assert all((tmp_path / name).is_symlink() for name in ("link.json", "link.html"))
+
+
 def test_a_report_holds_all_schemes(tmp_path: Path) -> None:
     out = tmp_path / "report.html"
     status, text, _ = compare(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from pathlib import Path
 
 import pytest
@@ -25,18 +26,28 @@ def test_why_a_file_cannot_be_written_is_told_with_its_name(tmp_path: Path) -> N
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="this system has no device that is full")
-def test_of_a_full_disk_there_is_no_half_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_that_a_device_is_full_is_told_with_its_name() -> None:
     assert write_or_tell(FULL, b"{}") == f"{FULL}: No space left on device"
+
+
+def test_what_a_link_leads_to_is_written_and_the_link_stays(tmp_path: Path) -> None:
+    kept, link = tmp_path / "kept.json", tmp_path / "link.json"
+    kept.touch()
+    link.symlink_to(kept)
+    assert write_or_tell(link, b"{}") == ""
+    assert link.is_symlink()
+    assert kept.read_bytes() == b"{}"
+
+
+def test_of_a_full_disk_there_is_no_half_file(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_bytes(b"before")
-
-    def fill(unfinished: Path, document: bytes) -> int:
-        unfinished.touch()
-        return FULL.open("wb", buffering=0).write(document) or 0
-
-    monkeypatch.setattr(Path, "write_bytes", fill)
-    assert write_or_tell(path, b"{}") == f"{path}: No space left on device"
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))  # As a disk that fills up.
+    try:
+        told = write_or_tell(path, b"more than ten bytes")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert told == f"{path}: File too large"
     assert list(tmp_path.iterdir()) == [path]
     assert path.read_bytes() == b"before"
