@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -16,10 +15,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from bus_schemas.errors import InputError
 from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
 from launch_scripts.json_rows import check_json_destination
+from launch_scripts.lasting_console import LastingConsole, write_if_read
 from launch_scripts.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenario import load_scenario, parse_duration_s
 from launch_scripts.study.cases import cases, parse_setting
 from launch_scripts.study.study import remarks_of
+from launch_scripts.termination import Termination, terminable
 from launch_scripts.timing.delay_study import (
     WARM_UP_S,
     Outcome,
@@ -28,7 +29,7 @@ from launch_scripts.timing.delay_study import (
 )
 from launch_scripts.timing.delay_study_page import study_page
 from launch_scripts.timing.delay_study_table import counted_s, print_study
-from recordings.report.run_report import write_whole
+from launch_scripts.timing.lasting_files import write_or_tell
 
 DEFAULT_SCENARIO: Final = "oahu-day"
 DEFAULT_START: Final = "11:58"
@@ -72,23 +73,44 @@ class _StudyDocument(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def run_study(request: StudyRequest) -> int:
-    """Run the study that was asked for and print its tables. Returns the exit status."""
-    console = Console(stderr=request.json == "-")
+    """Run the study that was asked for and print its tables. Returns the exit status.
+
+    SIGTERM and SIGHUP end it as Ctrl-C does, and change the exit status.
+    """
+    with terminable() as termination:
+        return termination.status(_study(request, termination))
+
+
+def _study(request: StudyRequest, termination: Termination) -> int:
+    console = LastingConsole(stderr=request.json == "-")
     if not console.is_terminal:
-        console = Console(stderr=request.json == "-", width=_PIPE_WIDTH)
+        console = LastingConsole(stderr=request.json == "-", width=_PIPE_WIDTH)
     try:
-        request = _with_defaults(request)
-        preparation = _prepare(request)
+        request, preparation = _prepared(request)
         outcomes = _run(preparation, request.workers, console)
-        print_study(preparation, outcomes, console)
-        _write(request, preparation, outcomes, console)
-    except (InputError, OSError) as error:
+        with termination.held():
+            print_study(preparation, outcomes, console)
+            unwritten = _write(request, preparation, outcomes, console)
+    except InputError as error:
         return complain(error, BAD_INPUT)
     except BrokenProcessPool:
+        if termination.number is not None:  # `timeout` sends its signal to the workers, too.
+            return complain("interrupted", INTERRUPTED)
         return complain("a worker was killed, often for a lack of memory: fewer --workers", FAILED)
     except KeyboardInterrupt:
         return complain("interrupted", INTERRUPTED)
-    return OK
+    for text in unwritten:
+        complain(f"not written: {text}", FAILED)
+    return FAILED if unwritten or console.lost else OK
+
+
+def _prepared(request: StudyRequest) -> tuple[StudyRequest, Preparation]:
+    try:
+        request = _with_defaults(request)
+        return request, _prepare(request)
+    except OSError as error:
+        # A file that may not be read, or a name that no file can have.
+        raise InputError(str(error)) from None
 
 
 def _with_defaults(request: StudyRequest) -> StudyRequest:
@@ -174,7 +196,8 @@ def _run(preparation: Preparation, workers: int, console: Console) -> list[Outco
 
 def _write(
     request: StudyRequest, preparation: Preparation, outcomes: Sequence[Outcome], console: Console
-) -> None:
+) -> list[str]:
+    """Write JSON and page; tell what could not be written, and why. Neither costs the other."""
     plan = preparation.plan
     document = _StudyDocument(
         scenario=plan.plant,
@@ -185,12 +208,23 @@ def _write(
         remarks=remarks_of(preparation),
         outcomes=tuple(outcomes),
     )
-    text = msgspec.json.format(msgspec.json.encode(document), indent=1).decode() + "\n"
+    text = msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
+    told = []
     if request.json == "-":
-        sys.stdout.write(text)
+        told.append(write_if_read(text.decode()))
     elif request.json is not None:
-        write_whole(Path(request.json), text)
+        told.append(write_or_tell(Path(request.json), text))
     if request.page is not None:
-        request.page.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(request.page, study_page(preparation, outcomes))
-        console.print(f"page: {request.page}", highlight=False, soft_wrap=True, markup=False)
+        told.append(_write_page(request.page, study_page(preparation, outcomes)))
+        if not told[-1]:
+            console.print(f"page: {request.page}", highlight=False, soft_wrap=True, markup=False)
+    return list(filter(None, told))
+
+
+def _write_page(path: Path, page: str) -> str:
+    """Write the page, also into a folder that is not there; tell why it could not be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        return f"{path}: {error.strerror}"
+    return write_or_tell(path, page.encode())

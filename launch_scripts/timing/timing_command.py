@@ -79,7 +79,8 @@ class TimingRequest:
 def timing(request: TimingRequest) -> int:
     """Time a plant; print what it came to. Returns the exit status.
 
-    SIGTERM and SIGHUP end the measurement as Ctrl-C does, and change the exit status.
+    SIGTERM and SIGHUP end the measurement as Ctrl-C does, and change the exit status. Of a study
+    that is ended so nothing is printed.
     """
     # With the JSON on standard output, nothing else may go there.
     to_stdout = request.run.json == "-"

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import re
+import signal
+from collections.abc import Iterator
+from concurrent.futures.process import BrokenProcessPool
 from io import StringIO
 from pathlib import Path
-from typing import get_args
+from typing import Final, get_args
 
 import msgspec
 import pytest
@@ -16,11 +21,13 @@ from agents.late_words import LatePolicy
 from agents.plan import Scheme
 from launch_scripts.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenario import load_scenario
-from launch_scripts.timing import delay_study
+from launch_scripts.timing import delay_study, delay_study_command
 from launch_scripts.timing.delay_study import Outcome, Trouble
 from launch_scripts.timing.delay_study_command import StudyRequest, run_study
 from launch_scripts.timing.delay_study_table import print_study, survived
 from launch_scripts.timing.timing_command import STUDY_PAGE_NAME
+
+FULL: Final = Path("/dev/full")
 
 
 def outcome(
@@ -181,3 +188,88 @@ def test_what_it_cannot_study_is_refused_in_one_line(
     error = capsys.readouterr().err
     assert complaint in error
     assert error.count("\n") == 1
+
+
+@pytest.fixture
+def done(monkeypatch: pytest.MonkeyPatch) -> StudyRequest:
+    """A study whose conditions are run in no time."""
+    found = [
+        (number, outcome(trouble, value, 0.1)) for number, (trouble, value) in enumerate(WORST)
+    ]
+    monkeypatch.setattr(delay_study_command, "run_study_over", lambda *_: iter(found))
+    return StudyRequest("oahu-day", "12:00", "150", workers=1)
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="this system has no device that is full")
+def test_a_file_that_cannot_be_written_costs_neither_tables_nor_page(
+    done: StudyRequest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = tmp_path / "study.html"
+    request = dataclasses.replace(done, json=str(FULL), page=page)
+    assert run_study(request) == 1
+    printed = capsys.readouterr()
+    assert "every hop delayed" in printed.out
+    assert printed.err == f"heliarch: not written: {FULL}: No space left on device\n"
+    assert "</html>" in page.read_text()
+
+
+def test_a_page_whose_folder_cannot_be_made_is_told(
+    done: StudyRequest,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    page = tmp_path / "new" / "study.html"
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "mkdir", full)
+    assert run_study(dataclasses.replace(done, page=page)) == 1
+    assert capsys.readouterr().err == f"heliarch: not written: {page}: No space left on device\n"
+
+
+@pytest.mark.parametrize(
+    ("signum", "status"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGINT, 130)]
+)
+def test_a_signal_ends_it_in_one_line(
+    signum: signal.Signals,
+    status: int,
+    done: StudyRequest,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def signalled(*_: object) -> Iterator[tuple[int, Outcome]]:
+        yield 0, outcome("delay", 0.0, 0.1)
+        signal.raise_signal(signum)
+
+    monkeypatch.setattr(delay_study_command, "run_study_over", signalled)
+    assert run_study(done) == status
+    printed = capsys.readouterr()
+    assert printed.err == "heliarch: interrupted\n"
+    assert "every hop delayed" not in printed.out
+
+
+def test_a_signal_that_reaches_the_workers_too_is_no_lack_of_memory(
+    done: StudyRequest, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def signalled(*_: object) -> Iterator[tuple[int, Outcome]]:
+        yield 0, outcome("delay", 0.0, 0.1)
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        raise BrokenProcessPool
+
+    monkeypatch.setattr(delay_study_command, "run_study_over", signalled)
+    assert run_study(done) == 143
+    assert capsys.readouterr().err == "heliarch: interrupted\n"
+
+
+def test_a_signal_while_the_tables_are_printed_cuts_nothing(
+    done: StudyRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    json = tmp_path / "study.json"
+    monkeypatch.setattr(
+        delay_study_command, "print_study", lambda *_: signal.raise_signal(signal.SIGTERM)
+    )
+    assert run_study(dataclasses.replace(done, json=str(json))) == 143
+    assert len(msgspec.json.decode(json.read_bytes())["outcomes"]) == len(WORST)
