@@ -1,4 +1,4 @@
-"""SIGTERM and SIGHUP: unfinished files are cleaned up, what was measured is told and written."""
+"""Signals: unfinished files are cleaned up, what was measured is told and written."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ def leaving_on_sigterm() -> Iterator[None]:
 
 
 class Termination:
-    """Whether a signal other than Ctrl-C has asked for the end of a command.
+    """Whether a signal has asked for the end of a command.
+
+    Ctrl-C is one only in `held`; elsewhere it is a KeyboardInterrupt, or what is run counts it.
 
     Attributes
     ----------
@@ -49,12 +51,26 @@ class Termination:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Bring what is under way to its end: a signal changes the exit status alone."""
+        """Bring what is under way to its end: a signal changes the exit status alone.
+
+        A second Ctrl-C ends it all the same.
+        """
+        interrupt = signal.getsignal(signal.SIGINT)
+
+        def hold(signum: int, frame: FrameType | None) -> None:
+            signal.signal(signal.SIGINT, interrupt)
+            if self.number is None:
+                self.number = signum
+
+        if callable(interrupt):  # A shell's background jobs ignore Ctrl-C.
+            signal.signal(signal.SIGINT, hold)
         self._is_held = True
         try:
             yield
         finally:
             self._is_held = False
+            if callable(interrupt):
+                signal.signal(signal.SIGINT, interrupt)
 
     def status(self, otherwise: int) -> int:
         """Return the exit status: 128 and the number of the signal, if there was one."""

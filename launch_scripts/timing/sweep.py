@@ -108,7 +108,7 @@ _COLUMNS: Final = (
 )
 
 Timed: TypeAlias = Callable[[float], tuple[RateRow, bool]]
-"""Runs the plant at a rate; tells what it came to, and whether the user interrupted it."""
+"""Runs the plant at a rate; tells what it came to, and whether the user wants no further one."""
 
 
 def sweep(rates: Rates, timed: Timed) -> Sweep:

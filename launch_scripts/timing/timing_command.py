@@ -113,7 +113,7 @@ def _time(
             return _time_one(rates.single_hz, request, console, termination)
         return _time_several(rates, request, console, termination)
     except KeyboardInterrupt:
-        return complain("interrupted; the processes were ended by force", INTERRUPTED)
+        return complain("interrupted", INTERRUPTED)
 
 
 def _study(request: TimingRequest) -> StudyRequest:
@@ -167,7 +167,10 @@ def _time_one(
 ) -> int:
     duration = request.duration or _DURATION
     preparation, place = prepare_at(rate_hz, duration, request.run, request.run.out)
-    run = measured_run(preparation, place, console)
+    try:
+        run = measured_run(preparation, place, console)
+    except KeyboardInterrupt:
+        return complain("interrupted; the processes were ended by force", INTERRUPTED)
     with termination.held():
         return _tell_one(run, request, console)
 
@@ -191,7 +194,7 @@ def _time_several(
 ) -> int:
     folder = run_folder(f"{new_run_id('timing')}-rates", request.run.out).path
     duration = request.duration or _SWEEP_DURATION
-    trials = Trials(request.run, duration, folder, console)
+    trials = Trials(request.run, duration, folder, console, termination)
     trials.prepare(rates.listed_hz)
     found = sweep(rates, trials.run)
     with termination.held():

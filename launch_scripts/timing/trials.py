@@ -12,6 +12,7 @@ from launch_scripts.preparation import Preparation
 from launch_scripts.run_command import RunRequest
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.supervision import RunFailure
+from launch_scripts.termination import Termination
 from launch_scripts.timing.measured_run import MeasuredRun, measured_run, prepare_at
 from launch_scripts.timing.rates import cycles_per_s
 from launch_scripts.timing.sweep import RateRow, rate_row
@@ -31,6 +32,8 @@ class Trials:
         Of the sweep.
     console
         Shows progress.
+    termination
+        Of the command: a signal does not cost a run that is over its figures.
 
     Attributes
     ----------
@@ -40,13 +43,21 @@ class Trials:
         Summaries of runs that could not be written, and why.
     """
 
-    def __init__(self, request: RunRequest, duration: str, folder: Path, console: Console) -> None:
+    def __init__(
+        self,
+        request: RunRequest,
+        duration: str,
+        folder: Path,
+        console: Console,
+        termination: Termination,
+    ) -> None:
         self.latest: TimingReport | None = None
         self.unwritten: list[str] = []
         self._request = request
         self._duration = duration
         self._folder = folder
         self._console = console
+        self._termination = termination
         self._prepared: dict[float, tuple[Preparation, RunFolder]] = {}
         self._has_begun = False
 
@@ -63,7 +74,7 @@ class Trials:
             self._prepared[rate_hz] = prepare_at(rate_hz, self._duration, self._request, out)
 
     def run(self, rate_hz: float) -> tuple[RateRow, bool]:
-        """Run at a rate; tell what it came to, and whether the user interrupted it.
+        """Run at a rate; tell what it came to, and whether the user wants no further one.
 
         Where the machine does not let a run begin or end, for instance since the disk is full, the
         rate has failed.
@@ -91,11 +102,16 @@ class Trials:
             self._has_begun = True
         if run.unwritten:
             self.unwritten.append(run.unwritten)
+        with self._termination.held():
+            row = self._row(run, rate_hz)
+        return row, row.interrupted or self._termination.number is not None
+
+    def _row(self, run: MeasuredRun, rate_hz: float) -> RateRow:
         try:
             self.latest, _ = report_on(run)
         except RunFailure as failure:
-            return self._failed(rate_hz, str(failure)), False
-        return rate_row(self.latest), self.latest.interrupted
+            return self._failed(rate_hz, str(failure))
+        return rate_row(self.latest)
 
     def _run(self, rate_hz: float) -> MeasuredRun:
         if rate_hz not in self._prepared:

@@ -58,11 +58,33 @@ def test_so_it_is_in_a_background_job_that_ignores_ctrl_c() -> None:
         signal.raise_signal(signal.SIGTERM)
 
 
-def test_what_is_being_written_is_written_to_its_end() -> None:
+@pytest.mark.parametrize(
+    ("signum", "status"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGINT, 130)]
+)
+def test_what_is_being_written_is_written_to_its_end(signum: signal.Signals, status: int) -> None:
     with terminable() as termination:
         with termination.held():
-            signal.raise_signal(signal.SIGTERM)
-        assert termination.status(0) == 143
+            signal.raise_signal(signum)
+        assert termination.status(0) == status
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_a_second_ctrl_c_ends_what_is_being_written() -> None:
+    with terminable() as termination:
+        with termination.held():
+            signal.raise_signal(signal.SIGINT)
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+        assert termination.status(0) == 130
+
+
+def test_ctrl_c_stays_ignored_while_a_background_job_writes() -> None:
+    with handled(signal.SIGINT, signal.SIG_IGN), terminable() as termination:
+        with termination.held():
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
+        assert termination.status(0) == 0
 
 
 def test_without_a_signal_the_status_is_what_it_was() -> None:

@@ -199,17 +199,39 @@ def test_what_was_measured_before_a_signal_is_printed_and_written(
     assert result.exit_code == status
 
 
+@pytest.mark.parametrize(("signum", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
 def test_a_signal_while_the_tables_are_printed_cuts_nothing(
-    over: Path, monkeypatch: pytest.MonkeyPatch
+    signum: signal.Signals, status: int, over: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def signalled(_: object) -> tuple[TimingReport, tuple[()]]:
-        signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signum)
         return report(), ()
 
     monkeypatch.setattr(timing_command, "report_on", signalled)
     result = timed("--duration", "1", "--out", over / "run")
     assert "PASS: all " in result.stdout
-    assert result.exit_code == 143
+    assert result.stderr == ""
+    assert result.exit_code == status
+
+
+@pytest.mark.parametrize(
+    ("while_in", "told"),
+    [
+        ("measured_run", "interrupted; the processes were ended by force"),
+        ("report_on", "interrupted"),
+    ],
+)
+def test_that_processes_were_ended_by_force_is_told_only_where_it_is_true(
+    while_in: str, told: str, over: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted_twice(*_: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(timing_command, while_in, interrupted_twice)
+    result = timed("--duration", "1", "--out", over / "run")
+    assert result.stderr == f"heliarch: {told}\n"
+    assert result.exit_code == 130
 
 
 def test_a_signal_during_a_sweep_keeps_the_rates_before_it(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import signal
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,9 +18,11 @@ from launch_scripts.run_command import RunRequest
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.scenario import load_scenario
 from launch_scripts.supervision import RunFailure
+from launch_scripts.termination import Termination, terminable
 from launch_scripts.timing import trials
 from launch_scripts.timing.rates import Rates
 from launch_scripts.timing.sweep import sweep
+from launch_scripts.timing.timing_report import TimingReport
 from launch_scripts.timing.trials import Trials
 
 
@@ -62,7 +65,7 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
     return machine
 
 
-def trials_in(folder: Path) -> Trials:
+def trials_in(folder: Path, termination: Termination | None = None) -> Trials:
     """Of a plant whose deadlines fit into cycles of 61 ms or more: up to 16 cycles a second."""
     path = folder / "stated.toml"
     path.write_text(
@@ -73,7 +76,8 @@ def trials_in(folder: Path) -> Trials:
     request = RunRequest(
         "launch", str(path), None, None, None, None, None, None, None, None, None, report=False
     )
-    return Trials(request, "1", folder / "sweep", Console(file=io.StringIO()))
+    console = Console(file=io.StringIO())
+    return Trials(request, "1", folder / "sweep", console, termination or Termination())
 
 
 def test_a_rate_that_a_search_finds_refused_has_failed_and_those_before_count(
@@ -141,3 +145,22 @@ def test_a_run_whose_recording_cannot_be_read_costs_no_other(
     monkeypatch.setattr(trials, "report_on", unreadable)
     found = sweep(Rates(listed_hz=(10.0, 12.0)), trials_in(tmp_path).run)
     assert [row.failed for row in found.rows] == ["", "run.mcap: no recording"]
+
+
+@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_after_the_last_cycle_costs_no_rate_its_figures_and_ends_the_sweep(
+    signum: signal.Signals, machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def signalled(run: Ran) -> tuple[TimingReport, tuple[()]]:
+        if run.rate_hz == 12.0:
+            signal.raise_signal(signum)
+        return replace(report([]), rate_hz=run.rate_hz), ()
+
+    monkeypatch.setattr(trials, "report_on", signalled)
+    with terminable() as termination:
+        tried = trials_in(tmp_path, termination)
+        found = sweep(Rates(listed_hz=(10.0, 12.0, 14.0)), tried.run)
+        assert termination.status(0) == 128 + signum
+    assert [(row.rate_hz, row.outcome) for row in found.rows] == [(10.0, "clean"), (12.0, "clean")]
+    assert found.interrupted
+    assert machine.ran_hz == [10.0, 12.0]
