@@ -71,10 +71,15 @@ def test_the_workers_of_a_study_are_started_so(monkeypatch: pytest.MonkeyPatch) 
     def nothing(_: object) -> Iterator[object]:
         yield from ()
 
+    ready: list[str] = []
+    monkeypatch.setattr(delay_study, "on_parent_death", lambda: ready.append("dies with us"))
+    monkeypatch.setattr(delay_study, "end_when_interrupted", lambda: ready.append("hears Ctrl-C"))
     monkeypatch.setattr(delay_study, "ProcessPoolExecutor", Pool)
     monkeypatch.setattr(delay_study, "as_completed", nothing)
     chosen = delay_study.conditions(1.0, 3600.0)
     assert list(delay_study.run_study_over(None, None, chosen, 2)) == []  # type: ignore[arg-type]
     assert seen == [True] * len(chosen)
     assert not is_held_back()
-    assert initializers
+    (begin_worker,) = initializers
+    begin_worker()
+    assert ready == ["dies with us", "hears Ctrl-C"]
