@@ -39,6 +39,9 @@ class RateRow(msgspec.Struct, frozen=True):
         What was missed, overran or was lost, and in which tier; empty if nothing was.
     failed
         Why the run failed; empty if it did not.
+    unwritable
+        Whether it failed since something could not be written, the disk was full for instance: then
+        it proves nothing either.
     interrupted
         Whether the user ended it early: then it proves nothing.
     host, floor
@@ -56,6 +59,7 @@ class RateRow(msgspec.Struct, frozen=True):
     cpu_percent: float = 0.0
     clean: bool = False
     failed: str = ""
+    unwritable: bool = False
     interrupted: bool = False
     trouble: str = ""
     host: Host | None = None
@@ -69,6 +73,11 @@ class RateRow(msgspec.Struct, frozen=True):
         if self.failed:
             return "failed"
         return "clean" if self.clean else "not clean"
+
+    @property
+    def too_fast(self) -> bool:
+        """Whether it shows that the plant does not keep up at this rate."""
+        return not (self.clean or self.interrupted or self.unwritable)
 
 
 class Sweep(msgspec.Struct, frozen=True):
@@ -225,15 +234,18 @@ def _search(search_hz: tuple[float, float], rows: dict[float, RateRow]) -> Itera
         clean_hz, failed_hz = bounds
         if failed_hz <= clean_hz * _CLOSE_ENOUGH:
             return
-        yield float(f"{(clean_hz * failed_hz) ** 0.5:.3g}")
+        rate_hz = float(f"{(clean_hz * failed_hz) ** 0.5:.3g}")
+        if rate_hz in rows:
+            return  # It proved nothing, and would not the next time.
+        yield rate_hz
 
 
 def _bounds(rows: Collection[RateRow]) -> tuple[float, float] | None:
-    """Return the highest clean rate and the lowest above it that is not; None if either lacks."""
+    """Return the highest clean rate and the lowest too fast one above; None if either lacks."""
     clean_hz = max((row.rate_hz for row in rows if row.clean), default=None)
     if clean_hz is None:
         return None
-    failed = [row.rate_hz for row in rows if not row.clean and row.rate_hz > clean_hz]
+    failed = [row.rate_hz for row in rows if row.too_fast and row.rate_hz > clean_hz]
     return (clean_hz, min(failed)) if failed else None
 
 
@@ -256,7 +268,7 @@ def conclusion(found: Sweep) -> str:
     """Say how fast the plant can go."""
     if found.highest_clean_hz is None:
         return _none_was_clean(found)
-    known = any(row.rate_hz > found.highest_clean_hz and not row.interrupted for row in found.rows)
+    known = any(row.rate_hz > found.highest_clean_hz and row.too_fast for row in found.rows)
     at_least = "" if known else "at least "
     return (
         f"highest clean rate: {at_least}{cycles_per_s(found.highest_clean_hz)} (no deadline "
@@ -270,10 +282,14 @@ def _none_was_clean(found: Sweep) -> str:
     tried_hz = [row.rate_hz for row in found.rows]
     lowest_hz = min(tried_hz)
     below = f"{max(lowest_hz / 10.0, LOWEST_HZ):.3g}..{lowest_hz:.4g}"
-    what = "no rate was clean: at each a deadline was missed, a stage overran or a message lost"
+    what = (
+        "no rate was clean: at each a deadline was missed, a stage overran, a message was lost or "
+        "the run failed"
+    )
     if len(tried_hz) == 1:
         what = f"no rate was clean: {cycles_per_s(lowest_hz)} alone was tried, and was not"
     if all(row.failed for row in found.rows):
         what = "no rate was clean: each one failed"
-    hint = f"; slower ones are tried by --rate {below}" if lowest_hz > LOWEST_HZ else ""
+    slower_helps = lowest_hz > LOWEST_HZ and any(row.too_fast for row in found.rows)
+    hint = f"; slower ones are tried by --rate {below}" if slower_helps else ""
     return f"{what}{hint}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+import msgspec
 from rich.console import Console
 
 from bus_schemas.errors import InputError
@@ -77,7 +78,7 @@ class Trials:
         """Run at a rate; tell what it came to, and whether the user wants no further one.
 
         Where the machine does not let a run begin or end, for instance since the disk is full, the
-        rate has failed.
+        rate has failed, which proves nothing.
 
         A rate that a search comes to may be refused, for instance since stated deadlines do not
         fit into the cycle. What was measured before counts all the same: the rate has failed.
@@ -91,7 +92,8 @@ class Trials:
             run = self._run(rate_hz)
         except OSError as error:  # The disk is full, for instance.
             where = error.filename or self._folder
-            return self._failed(rate_hz, f"{where}: {error.strerror or error}"), False
+            row = self._failed(rate_hz, f"{where}: {error.strerror or error}")
+            return msgspec.structs.replace(row, unwritable=True), False
         except InputError as error:
             if not self._has_begun:
                 raise

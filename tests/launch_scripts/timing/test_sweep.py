@@ -193,3 +193,48 @@ def test_the_document_has_a_row_for_each_rate() -> None:
     assert document["highest_clean_hz"] == 5.0
     assert [row["clean"] for row in document["rows"]] == [True, False]
     assert Sweep((), None, interrupted=True).highest_clean_hz is None
+
+
+class FillingDisk(Machine):
+    """A machine whose disk is full from a run on."""
+
+    def __init__(self, highest_hz: float, runs: int) -> None:
+        super().__init__(highest_hz)
+        self._runs = runs
+
+    def run(self, rate_hz: float) -> tuple[RateRow, bool]:
+        row, interrupted = super().run(rate_hz)
+        if len(self.tried) > self._runs:
+            row = RateRow(rate_hz, failed="run: No space left on device", unwritable=True)
+        return row, interrupted
+
+
+def test_a_rate_that_failed_for_a_full_disk_is_no_upper_bound() -> None:
+    listed = sweep(Rates(listed_hz=(5.0, 10.0)), FillingDisk(1e9, runs=1).run)
+    assert conclusion(listed).startswith("highest clean rate: at least 5 cycles/s")
+    searching = FillingDisk(1e9, runs=2)
+    found = sweep(Rates(search_hz=(5.0, 1000.0)), searching.run)
+    assert searching.tried == [5.0, 10.0, 20.0], "nothing is looked for below it"
+    assert conclusion(found).startswith("highest clean rate: at least 10 cycles/s")
+
+
+def test_a_search_between_two_bounds_ends_where_the_disk_is_full() -> None:
+    searching = FillingDisk(12.0, runs=3)
+    found = sweep(Rates(search_hz=(5.0, 1000.0)), searching.run)
+    assert searching.tried == [5.0, 10.0, 20.0, 14.1]
+    assert conclusion(found).startswith("highest clean rate: 10 cycles/s")
+
+
+def test_of_failed_and_unclean_rates_no_more_is_said_than_is_true() -> None:
+    def mixed(rate_hz: float) -> tuple[RateRow, bool]:
+        return RateRow(rate_hz, failed="c1 has died" if rate_hz > 5.0 else ""), False
+
+    assert conclusion(sweep(Rates(listed_hz=(5.0, 10.0)), mixed)) == (
+        "no rate was clean: at each a deadline was missed, a stage overran, a message was lost or "
+        "the run failed; slower ones are tried by --rate 0.5..5"
+    )
+
+
+def test_where_the_disk_was_full_from_the_beginning_slower_rates_are_not_proposed() -> None:
+    found = sweep(Rates(listed_hz=(5.0, 10.0)), FillingDisk(1e9, runs=0).run)
+    assert conclusion(found) == "no rate was clean: each one failed"

@@ -131,6 +131,7 @@ def test_a_full_disk_costs_no_rate_that_was_measured(
         "",
     ]
     assert found.rows[1].outcome == "failed"
+    assert [row.unwritable for row in found.rows] == [False, True, False]
     assert tried.unwritten == ["summary.json: full"] * 2
 
 
