@@ -124,7 +124,7 @@ class Plant:
         """Send rounds through the loop until one closes and is recorded. Return how many."""
         for rounds in range(1, -FIRST_ROUND):
             self.stand_still()
-            until = time.monotonic() + min(ROUND_S + 0.1 * rounds, LONGEST_ROUND_S)
+            until = time.monotonic() + min(ROUND_S + 0.1 * (rounds - 1), LONGEST_ROUND_S)
             if self.run_cycle(FIRST_ROUND + rounds, until):
                 while self.ready_round != self.cycle and self.next_message(until) is not None:
                     pass

@@ -158,8 +158,8 @@ class ExternalWatch:
             return ""
         absent = [agent for agent in self._plan.external if agent in self._never_seen]
         return (
-            f"no sign of {', '.join(absent)} after {self._timeout_s:g} s: its liveliness token was "
-            f"never seen; where it finds the bus is said above and in {self._plan_path}"
+            f"no sign of {', '.join(absent)} after {self._timeout_s:g} s: no liveliness token was "
+            f"seen; where a device finds the bus is said above and in {self._plan_path}"
         )
 
     def complain(self, complaint: Complaint) -> None:
@@ -170,12 +170,10 @@ class ExternalWatch:
     def explain(self, failure: str, *, running: bool) -> str:
         """Say what external agents have to do with a run that does not begin or go on.
 
-        Before cycle 0 one that does not answer is the likely reason, and named first. It is also
-        said that what the others wait for follows from it, lest these be looked into.
+        Before cycle 0 one that does not answer is the likely reason, and named first.
         """
         if not running and self._unheard:
-            because = f"because of that: {failure}"
-            return "\n".join([self._silence(), because, *self._wrong()])
+            return "\n".join([self._silence(), failure, *self._wrong()])
         gone = [f"{agent} is gone since cycle {cycle}" for agent, cycle in self._gone_in.items()]
         if not gone:
             return failure

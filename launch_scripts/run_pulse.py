@@ -21,7 +21,10 @@ PLANT_S: Final = 5.0
 """How long a cycle of the plant may take, if its length on the wall clock does not ask for more."""
 
 _OWN_PAUSE_S: Final = 0.5
-"""The launcher looks several times a second. If it has not for so long, it stood still itself."""
+"""If the launcher has not looked for so long, it stood still itself."""
+
+_LOOK_S: Final = 0.1
+"""How often it looks otherwise. So much of a pause counts, lest one always slow find nobody."""
 
 
 class RunPulse:
@@ -82,5 +85,6 @@ class RunPulse:
         pause_s = now_s - self._looked_at
         self._looked_at = now_s
         if pause_s > _OWN_PAUSE_S:
-            self._heard_at = min(self._heard_at + pause_s, now_s)
-            self._went_on_at = min(self._went_on_at + pause_s, now_s)
+            left_out_s = pause_s - _LOOK_S
+            self._heard_at = min(self._heard_at + left_out_s, now_s)
+            self._went_on_at = min(self._went_on_at + left_out_s, now_s)

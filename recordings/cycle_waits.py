@@ -263,9 +263,8 @@ class WaitFinder:
             if not wait.given_up:
                 cause = self._late_cause(wait, messages)
                 cause = cause or self._cause(wait.agent, followed, messages, until_ns)
-            began_ns = tick_ns
-            if cause is not None:
-                began_ns = min(messages[cause].publish_time_ns, until_ns)
+            began_ns = tick_ns if cause is None else messages[cause].publish_time_ns
+            began_ns = min(began_ns, until_ns)
             yield wait._replace(
                 cause=cause, began_ns=began_ns - tick_ns, ended_ns=until_ns - tick_ns
             )

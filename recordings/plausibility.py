@@ -28,6 +28,8 @@ from bus_schemas.messages import (
 from bus_schemas.signals import Port
 from bus_schemas.tree import ROOT
 
+_ABOVE_ZERO = 5e-324
+
 _ROUNDING = 1.0 + 1e-9
 """Shares and sums that were worked out tier by tier may exceed a rating by a rounding error."""
 
@@ -61,18 +63,18 @@ def absurdities(
         return found | _not_finite(message)
     for field, value, low, high in _bounds(plan.tree.rating_kw(port.node or ROOT), message):
         if not low <= value <= high:  # NaN fails every comparison.
-            found[field] = f"{field} is {value:g}, accepted is {low:g} to {high:g}"
+            least = "above 0" if low == _ABOVE_ZERO else f"{low:.10g}"
+            found[field] = f"{field} is {value:.10g}, accepted is {least} to {high:.10g}"
     return found
 
 
 def _bounds(rating_kw: float, message: Message) -> Iterator[tuple[str, float, float, float]]:
     """Yield each number of a message with its name, its lowest and its highest value."""
     most_kw = rating_kw * _ROUNDING
-    least_alpha = 5e-324  # Above zero.
     match message:
         case Telemetry():
             yield "power_kw", message.power_kw, 0.0, rating_kw * (1.0 + METER_TOLERANCE)
-            yield "alpha", message.alpha, least_alpha, 1.0
+            yield "alpha", message.alpha, _ABOVE_ZERO, 1.0
             yield "limit_kw", message.limit_kw, 0.0, most_kw
         case Request() | Setpoint():
             yield "power_kw", message.power_kw, 0.0, most_kw
@@ -84,7 +86,7 @@ def _bounds(rating_kw: float, message: Message) -> Iterator[tuple[str, float, fl
         case Help():
             yield "missing_kw", message.missing_kw, 0.0, most_kw
         case Command():
-            yield "alpha", message.alpha, least_alpha, 1.0
+            yield "alpha", message.alpha, _ABOVE_ZERO, 1.0
             yield "power_kw", message.power_kw, 0.0, most_kw
 
 

@@ -22,6 +22,9 @@ from sim_plant.conductor import FIRST_ROUND, longest_round_s
 
 _ARMING_S: Final = 30.0
 
+_MOMENT_S: Final = 0.1
+"""How long to wait for answers before looking at the processes and the keyboard."""
+
 _EARLY_CYCLES: Final = 100
 """In so many first cycles everybody has spoken, even where messages got lost."""
 
@@ -57,10 +60,14 @@ def arm(
     silent: set[Port[Message]] = steady
     while time.monotonic() < give_up_at:
         rounds += 1
-        silent = _after_round(rounds, plan, words, steady, stand_in)
+        silent = set(steady)
+        _begin_round(FIRST_ROUND + rounds, plan, words, stand_in)
+        until = time.monotonic() + longest_round_s(rounds)
+        while silent and time.monotonic() < until:
+            silent -= _heard_in(FIRST_ROUND + rounds, len(silent), stand_in)
+            _look(children, interruption)
         if not silent:
             return rounds
-        _look(children, interruption)
     names = ", ".join(sorted(map(str, silent)))
     raise RunFailure(f"no arming round closed: nothing came on {names}")
 
@@ -89,15 +96,8 @@ def first_words(
             yield HELP.of(port.node), asked
 
 
-def _after_round(
-    number: int,
-    plan: RunPlan,
-    words: Iterable[Delivery],
-    steady: set[Port[Message]],
-    stand_in: StandIn,
-) -> set[Port[Message]]:
-    """Send an arming round; return the ports of which the live agents said nothing in it."""
-    cycle = FIRST_ROUND + number
+def _begin_round(cycle: int, plan: RunPlan, words: Iterable[Delivery], stand_in: StandIn) -> None:
+    """Send what the others say in an arming round."""
     for port, message in words:
         stamped = replace(
             message,
@@ -108,13 +108,12 @@ def _after_round(
             sequence=0,
         )
         stand_in.publish(port, stamped)
-    silent = set(steady)
-    until = time.monotonic() + longest_round_s(number)
-    while silent and (left_s := until - time.monotonic()) > 0.0:
-        for heard in stand_in.receive(len(silent), left_s):
-            if heard.message.cycle == cycle:
-                silent.discard(heard.port)
-    return silent
+
+
+def _heard_in(cycle: int, wanted: int, stand_in: StandIn) -> set[Port[Message]]:
+    """Wait a moment; return the ports on which the live agents have said something in a round."""
+    heard = stand_in.receive(wanted, _MOMENT_S)
+    return {arrival.port for arrival in heard if arrival.message.cycle == cycle}
 
 
 def _look(children: Children, interruption: Interruption) -> None:

@@ -101,4 +101,11 @@ def test_after_it_stood_still_it_waits_as_long_as_was_left() -> None:
     assert run.blamed(101.5) == []
     times_s = [120.0 + tenth / 10 for tenth in range(10)]
     found = [time_s for time_s in times_s if run.pulse.check(time_s)]
-    assert found[0] == pytest.approx(120.6)
+    assert found[0] == pytest.approx(120.5)
+
+
+def test_a_launcher_that_is_always_slow_finds_the_silent_one_too() -> None:
+    run = Watched(PLAN)
+    found = [run.pulse.check(100.0 + 0.6 * look) for look in range(30)]
+    assert found[-1] is not None
+    assert found[-1][0] == RECORDER

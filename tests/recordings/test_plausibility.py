@@ -73,7 +73,7 @@ def test_powers_outside_of_what_the_inverter_can_are_named(power_kw: float) -> N
         (TELEMETRY.of(LEAF), Telemetry(*HEAD, power_kw=power_kw, alpha=1.0, limit_kw=0.0)),
     ]
     for port, message in absurd:
-        assert f"is {power_kw * (1e3 if port.signal is RESIDUAL else 1):g}, accepted is" in (
+        assert f"is {power_kw * (1e3 if port.signal is RESIDUAL else 1):.10g}, accepted is" in (
             absurdity(PLAN, port, message, HEARD_NS)
         )
 
@@ -157,3 +157,9 @@ def test_a_run_that_begins_at_an_impossible_time_is_named(
 def test_in_lockstep_no_clock_is_looked_at() -> None:
     message = PLAN.run_message("start", 0, 0)
     assert absurdity(PLAN, RUN.of(ROOT), message, HEARD_NS) == ""
+
+
+def test_no_curtailment_level_is_zero() -> None:
+    zero = Command(*HEAD, alpha=0.0, power_kw=1.0)
+    told = absurdity(PLAN, COMMAND.of(LEAF), zero, HEARD_NS)
+    assert told == "alpha is 0, accepted is above 0 to 1"
