@@ -223,5 +223,9 @@ def run_study_over(
             }
         for future in as_completed(futures):
             yield futures[future], future.result()
+    except (KeyboardInterrupt, GeneratorExit):
+        for worker in multiprocessing.active_children():
+            worker.terminate()  # A signal that came to us alone has not reached it.
+        raise
     finally:
         pool.shutdown(cancel_futures=True)

@@ -83,3 +83,35 @@ def test_the_workers_of_a_study_are_started_so(monkeypatch: pytest.MonkeyPatch) 
     (begin_worker,) = initializers
     begin_worker()
     assert ready == ["dies with us", "hears Ctrl-C"]
+
+
+def test_workers_of_a_study_that_did_not_hear_the_signal_are_ended(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ended: list[str] = []
+
+    class Worker:
+        def terminate(self) -> None:
+            ended.append("worker")
+
+    class Pool:
+        def __init__(self, *_: object, **__: object) -> None:
+            pass
+
+        def submit(self, *_: object) -> int:
+            return 0
+
+        def shutdown(self, *, cancel_futures: bool) -> None:
+            assert cancel_futures
+            ended.append("pool")
+
+    def interrupted(_: object) -> Iterator[object]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(delay_study, "ProcessPoolExecutor", Pool)
+    monkeypatch.setattr(delay_study, "as_completed", interrupted)
+    monkeypatch.setattr("multiprocessing.active_children", lambda: [Worker()])
+    chosen = delay_study.conditions(1.0, 3600.0)
+    with pytest.raises(KeyboardInterrupt):
+        list(delay_study.run_study_over(None, None, chosen, 2))  # type: ignore[arg-type]
+    assert ended == ["worker", "pool"], "it waits for what has been ended alone"
