@@ -10,7 +10,11 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from launch_scripts.interruption import interruptions_wait
+from launch_scripts.preparation import RunOptions, prepare
+from launch_scripts.scenario import load_scenario
 from launch_scripts.timing import delay_study
+
+PREPARED = prepare(load_scenario("oahu"), RunOptions(duration="5"), "interrupted")
 
 _INTERRUPT_ONESELF = """
 import os, signal
@@ -77,7 +81,7 @@ def test_the_workers_of_a_study_are_started_so(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(delay_study, "ProcessPoolExecutor", Pool)
     monkeypatch.setattr(delay_study, "as_completed", nothing)
     chosen = delay_study.conditions(1.0, 3600.0)
-    assert list(delay_study.run_study_over(None, None, chosen, 2)) == []  # type: ignore[arg-type]
+    assert list(delay_study.run_study_over(PREPARED.plan, PREPARED.profile, chosen, 2)) == []
     assert seen == [True] * len(chosen)
     assert not is_held_back()
     (begin_worker,) = initializers
@@ -113,5 +117,5 @@ def test_workers_of_a_study_that_did_not_hear_the_signal_are_ended(
     monkeypatch.setattr("multiprocessing.active_children", lambda: [Worker()])
     chosen = delay_study.conditions(1.0, 3600.0)
     with pytest.raises(KeyboardInterrupt):
-        list(delay_study.run_study_over(None, None, chosen, 2))  # type: ignore[arg-type]
+        list(delay_study.run_study_over(PREPARED.plan, PREPARED.profile, chosen, 2))
     assert ended == ["worker", "pool"], "it waits for what has been ended alone"

@@ -40,6 +40,12 @@ def most_skipped(run: Heliarch, agent: str) -> range:
     return max(pauses, key=len)
 
 
+def grows(run: Heliarch) -> Callable[[], bool]:
+    """Return whether more of the run is on disk than now."""
+    before = recorded_cycles(run)
+    return lambda: recorded_cycles(run) > before
+
+
 def test_a_run_in_real_time_with_a_supervisor_that_stood_still_verifies_equal(
     heliarch: Start,
 ) -> None:
@@ -49,8 +55,7 @@ def test_a_run_in_real_time_with_a_supervisor_that_stood_still_verifies_equal(
     process.send_signal(signal.SIGSTOP)
     # What is on disk lags behind: only what comes with the next flush but one is after the stop.
     for _ in range(2):
-        on_disk = recorded_cycles(run)
-        run.until(lambda before=on_disk: recorded_cycles(run) > before, "a flush")  # type: ignore[misc]
+        run.until(grows(run), "a flush")
     stopped_at = recorded_cycles(run)
     run.until(lambda: recorded_cycles(run) > stopped_at + 15, "cycles without it")
     process.send_signal(signal.SIGCONT)

@@ -51,6 +51,18 @@ def cause(words: SpokenWords, message: Impp, newest: int, port: Port[Message] = 
     return f"({objection.cause})" if objection.is_recorded else objection.cause
 
 
+def words_of_a_run() -> list[tuple[Port[Message], Message]]:
+    """All that is said in a run in memory."""
+    said: list[tuple[Port[Message], Message]] = []
+    run = MemoryRun(
+        IN_LOCKSTEP, PREPARED.profile, lambda port, message: said.append((port, message))
+    )
+    for _ in run.cycles():
+        pass
+    run.close()
+    return said
+
+
 def test_a_second_word_that_says_something_else_is_recorded_too() -> None:
     words = SpokenWords(IN_LOCKSTEP)
     assert cause(words, impp(15), newest=10) == ""
@@ -186,13 +198,7 @@ def test_of_several_words_the_series_of_a_run_hold_the_first() -> None:
 
 
 def test_a_device_that_speaks_ahead_is_recorded_with_both_words_and_named(tmp_path: Path) -> None:
-    said: list[tuple[Port[Message], Message]] = []
-    run = MemoryRun(
-        IN_LOCKSTEP, PREPARED.profile, lambda port, message: said.append((port, message))
-    )
-    for _ in run.cycles():
-        pass
-    run.close()
+    said = words_of_a_run()
     arming = [(port, replace(message, cycle=-1)) for port, message in said if message.cycle == 0]
     place = next(n for n, (port, message) in enumerate(said) if port is PORT and message.cycle == 2)
     said.insert(place, (PORT, impp(6)))
@@ -207,13 +213,7 @@ def test_a_device_that_speaks_ahead_is_recorded_with_both_words_and_named(tmp_pa
 
 def of_a_run(words: list[tuple[int, int]], folder: Path) -> Recorded:
     """The recorder's account of a run in which a device gives these IMPPs: cycle and number."""
-    said: list[tuple[Port[Message], Message]] = []
-    run = MemoryRun(
-        IN_LOCKSTEP, PREPARED.profile, lambda port, message: said.append((port, message))
-    )
-    for _ in run.cycles():
-        pass
-    run.close()
+    said = words_of_a_run()
     arming = [(port, replace(message, cycle=-1)) for port, message in said if message.cycle == 0]
     spoken = [entry for entry in said if entry[0] is not PORT]
     place = 0

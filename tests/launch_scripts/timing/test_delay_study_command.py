@@ -111,7 +111,8 @@ def test_no_heading_unit_or_figure_is_cut_however_narrow_the_terminal(
     ]
     console = Console(width=width, file=StringIO())
     print_study(prepared, outcomes, console)
-    printed = console.file.getvalue()  # type: ignore[attr-defined]
+    assert isinstance(console.file, StringIO)
+    printed = console.file.getvalue()
     tables = printed.partition("every hop delayed")[2]
     assert "…" not in printed
     for word in ("predictive", "delivered", "fulfilled", "[kW/h]", "drop", "absent"):

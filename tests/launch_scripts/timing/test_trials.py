@@ -33,13 +33,16 @@ class Ran(NamedTuple):
     unwritten: str
 
 
+DEATH = RunFailure("c1 has died\nits log says so")
+
+
 class Machine:
     """Stands in for the processes: each rate is clean, but one."""
 
     def __init__(
         self,
         fails_at_hz: float | None = None,
-        failure: Exception = RunFailure("c1 has died\nits log says so"),  # noqa: B008
+        failure: Exception = DEATH,
         unwritten: str = "",
     ) -> None:
         self.ran_hz: list[float] = []

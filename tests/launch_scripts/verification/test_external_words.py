@@ -28,7 +28,7 @@ class DeviceRun(TroubledRun):
 
     Parameters
     ----------
-    plan, seed, options
+    plan, seed, lost, late, latest
         See `TroubledRun`.
     more
         What it says besides a right word of its own, ahead of it.
@@ -39,9 +39,12 @@ class DeviceRun(TroubledRun):
         plan: RunPlan,
         seed: int,
         more: Callable[[Port[Message], Message], list[Delivery]],
-        **options: float,
+        lost: float,
+        late: float,
+        latest: int = 1,
     ) -> None:
-        super().__init__(plan, cloudy_profile(plan, seed), seed, **options)  # type: ignore[arg-type]
+        profile = cloudy_profile(plan, seed)
+        super().__init__(plan, profile, seed, lost=lost, late=late, latest=latest)
         self._more = more
 
     def _publish(self, outputs: list[Delivery]) -> None:
@@ -86,11 +89,11 @@ def findings(found: Verification) -> dict[str, tuple[object, ...]]:
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("cycles", [1, 2, 5])
-@pytest.mark.parametrize("trouble", [{"lost": 0.0, "late": 0.0}, {"late": 0.3, "latest": 4}])
+@pytest.mark.parametrize(("lost", "late", "latest"), [(0.0, 0.0, 1), (0.03, 0.3, 4)])
 def test_a_controller_that_used_the_second_word_of_a_device_is_not_accused(
-    trouble: dict[str, float], cycles: int, seed: int, tmp_path: Path
+    lost: float, late: float, latest: int, cycles: int, seed: int, tmp_path: Path
 ) -> None:
-    run = DeviceRun(PLAN, seed, partial(ahead, cycles=cycles), **trouble)
+    run = DeviceRun(PLAN, seed, partial(ahead, cycles=cycles), lost, late, latest)
     said = run.run()
     assert sum(sequencer.drops.total() for sequencer in run.sequencers.values()) > 5
     found = verified(tmp_path / "run", run, said)
