@@ -1,9 +1,8 @@
 """What an agent is: stages of a cycle, each a pure step from inputs to outputs.
 
-An agent has no clock, bus, file, log or randomness inside. Whoever drives it (a process over
-Zenoh, one process in memory, a recording) hands it the inputs of a stage once they are complete
-or their deadline has passed, and sends out what it returns. The same inputs in the same cycle
-give the same outputs, to the last bit.
+An agent has no clock, bus, file, log or randomness inside. The driver hands it the inputs of a stage
+once they are complete or their deadline has passed, and publishes what it returns. The same inputs
+in the same cycle give the same outputs, to the last bit.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from typing import Any, Protocol, TypeVar
 import msgspec
 
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Message, Request, Setpoint, Stamp
+from bus_schemas.messages import Message, Stamp
 from bus_schemas.signals import Port
 
 M = TypeVar("M", bound=Message)
@@ -28,24 +27,19 @@ class Stage:
     Attributes
     ----------
     name
-        What the agent does in it.
+        What the agent does in it, see `agents.cycle.STAGES`.
     awaits
-        The ports of which it needs a message each.
-    on_need
-        Ports of which a message may come besides, if another one announces it.
+        Ports of which it needs the message of this cycle.
+    uses
+        Ports of which it uses the newest message besides.
     timed
-        In real time the stage begins on the clock instead of with a message: it stays open until
-        its deadline. In lockstep there is no clock, and it closes at once.
-    takes_late
-        Ports of which it awaits nothing in this cycle, but takes up the message of an earlier one
-        that came too late for it. Such a stage always says something, so that a recording tells.
+        In real time the stage closes at its deadline and never before: the clock drives it.
     """
 
     name: str
-    awaits: frozenset[Port[Message]]
-    on_need: frozenset[Port[Message]] = frozenset()
+    awaits: tuple[Port[Message], ...]
+    uses: tuple[Port[Message], ...] = ()
     timed: bool = False
-    takes_late: frozenset[Port[Message]] = frozenset()
 
 
 class Turn(msgspec.Struct, frozen=True, gc=False):
@@ -60,8 +54,8 @@ class Turn(msgspec.Struct, frozen=True, gc=False):
     stamp
         The first fields of every message that the agent makes now.
     inputs
-        The messages of this cycle by port; where one did not come in time, the newest late one of
-        that port. A port without either was silent up to the deadline.
+        The newest message of each port that the stage awaits or uses; None if it is silent: there
+        was none, or it is too old.
     """
 
     stage: str
@@ -71,13 +65,21 @@ class Turn(msgspec.Struct, frozen=True, gc=False):
     inputs: dict[Port[Message], Any]
 
     def get(self, port: Port[M]) -> M | None:
-        """Return the message of a port, None if it was silent."""
-        message: M | None = self.inputs.get(port)
+        """Return the newest message of a port, None if it is silent."""
+        message: M | None = self.inputs[port]
         return message
 
 
 class Agent(Protocol[S]):
-    """One process of the team, as a value."""
+    """One member of the team, as a value.
+
+    Attributes
+    ----------
+    may_skip
+        Whether it may leave out cycles that are over. The plant may not: its sky goes on.
+    """
+
+    may_skip: bool
 
     @property
     def name(self) -> str:
@@ -89,19 +91,8 @@ class Agent(Protocol[S]):
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages of a cycle, in their order."""
 
-    def follow_up(self, port: Port[Message], message: Message) -> Port[Message] | None:
-        """Return the port of which this message says that it will have one too, if any."""
-
     def step(self, state: S, turn: Turn) -> tuple[S, list[Delivery]]:
-        """Close one stage: from state and inputs to the next state and the messages to send."""
+        """Close one stage: from state and inputs to the next state and the messages to send.
 
-
-def parents_word_kw(message: Request | Setpoint | None, last_kw: float, rating_kw: float) -> float:
-    """Return the power that a parent names; where it is silent or makes no sense, the last one.
-
-    NaN, a negative and more than the node's rating make no sense. (Shares that were worked out
-    tier by tier may exceed a rating by a rounding error.)
-    """
-    if message is None or not 0.0 <= message.power_kw <= rating_kw * (1.0 + 1e-9):
-        return last_kw
-    return message.power_kw
+        A stage that changes the state always sends something, so that a recording tells.
+        """

@@ -1,44 +1,33 @@
 """The direct controller: one at each inverter.
 
-estimate  telemetry, request -> impp, residual, help if the residual is negative
-actuate   setpoint           -> command (alpha)
+estimate  telemetry, dispatch -> impp, residual, help if the residual is negative
+actuate   setpoint            -> command (alpha)
 """
 
 from __future__ import annotations
 
+from math import nan
+
 import msgspec
 
-from agents.agent import Stage, Turn, parents_word_kw
+from agents.agent import Stage, Turn
 from agents.control.curtailment import curtailment_level
-from agents.control.forecast import HIDDEN_ALPHA_MIN, NOTHING_KNOWN, forecast_impp
-from agents.control.impp import ImppEstimate, estimate_impp
+from agents.control.forecast import forecast_impp
+from agents.control.impp import NOTHING_KNOWN, Estimate, estimate_impp
 from agents.control.request import residual_kw
-from agents.periods import Periods
-from agents.plan import Actuator, Scheme
+from agents.plan import RunPlan
+from agents.request import own_request_kw
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Command, Help, Impp, Message, Residual, Telemetry
-from bus_schemas.signals import (
-    COMMAND,
-    HELP,
-    IMPP,
-    REQUEST,
-    RESIDUAL,
-    SETPOINT,
-    TELEMETRY,
-    Port,
-)
-from bus_schemas.tree import parent_of
+from bus_schemas.messages import Command, Help, Impp, Residual, Telemetry
+from bus_schemas.signals import COMMAND, DISPATCH, HELP, IMPP, RESIDUAL, SETPOINT, TELEMETRY
+from bus_schemas.tree import ROOT, parent_of
 
 
 class DirectState(msgspec.Struct, frozen=True, gc=False):
-    """What a direct controller remembers: its estimate, and its parent's last words [kW].
+    """The estimate of the maximum, and the cycle of the telemetry that it last rests on."""
 
-    Before the first setpoint there is nothing to hold back: it is the rating.
-    """
-
-    impp: ImppEstimate
-    request_kw: float
-    setpoint_kw: float
+    estimate: Estimate
+    telemetry_cycle: int
 
 
 class DirectController:
@@ -46,104 +35,90 @@ class DirectController:
 
     Parameters
     ----------
+    plan
+        Of the run.
     node
         Path of the inverter in the control tree.
-    rating_kw
-        AC rating of the inverter.
-    alpha_min
-        Lowest alpha it commands, so that the maximum can be measured through it.
-    periods
-        In which cycles its parent speaks.
-    scheme
-        How it estimates the maximum.
-    actuator
-        What the inverter does with a command.
     """
 
-    def __init__(
-        self,
-        node: str,
-        rating_kw: float,
-        alpha_min: float,
-        periods: Periods,
-        scheme: Scheme,
-        actuator: Actuator,
-    ) -> None:
+    may_skip = True
+
+    def __init__(self, plan: RunPlan, node: str) -> None:
         self.name = node
-        self.rating_kw = rating_kw
-        hides = scheme == "predictive" and actuator == "limit"
-        self.alpha_min = HIDDEN_ALPHA_MIN if hides else alpha_min
-        self.scheme = scheme
-        self.actuator = actuator
-        self._periods = periods
+        self._rating_kw = plan.tree.rating_kw(node)
+        self._cycle_s = plan.cycle_ns / 1e9
+        self._predicts = plan.scheme == "predictive"
+        self._limits = plan.actuator == "limit"
+        self._alpha_min = plan.alpha_floor
+        self._periods = plan.periods
         self._telemetry = TELEMETRY.of(node)
-        self._request = REQUEST.of(node)
+        self._dispatch = DISPATCH.of(ROOT)
         self._setpoint = SETPOINT.of(node)
         self._impp = IMPP.of(node)
         self._residual = RESIDUAL.of(node)
         self._help = HELP.of(node)
         self._command = COMMAND.of(node)
-        self._full_cycle = (
-            Stage("estimate", frozenset({self._telemetry, self._request})),
-            Stage("actuate", frozenset({self._setpoint})),
-        )
-        self._own_cycle = (
-            Stage(
-                "estimate",
-                frozenset({self._telemetry}),
-                takes_late=frozenset({self._request}),
-            ),
-            Stage("actuate", frozenset(), takes_late=frozenset({self._setpoint})),
-        )
+        estimate = Stage("estimate", (self._telemetry, self._dispatch))
+        self._with_parent = (estimate, Stage("actuate", (self._setpoint,), (self._dispatch,)))
+        self._alone = (estimate, Stage("actuate", (), (self._setpoint, self._dispatch)))
 
     def initial_state(self) -> DirectState:
-        """Nothing measured, nothing asked. A forecast has no last measurement to go on from."""
-        impp = ImppEstimate(0.0, 0) if self.scheme == "paper" else NOTHING_KNOWN
-        return DirectState(impp, 0.0, self.rating_kw)
+        """Nothing measured."""
+        return DirectState(NOTHING_KNOWN, -1)
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
-        """Return the stages; between its parent's turns it waits for its inverter alone."""
+        """Return the stages; between its parent's turns it waits for nobody but its inverter."""
         parent_acts = self._periods.is_turn(parent_of(self.name), cycle)
-        return self._full_cycle if parent_acts else self._own_cycle
-
-    def follow_up(self, port: Port[Message], message: Message) -> None:
-        """Nothing that it hears announces anything else."""
+        return self._with_parent if parent_acts else self._alone
 
     def step(self, state: DirectState, turn: Turn) -> tuple[DirectState, list[Delivery]]:
         """Close a stage."""
         if turn.stage == "estimate":
             return self._estimate(state, turn)
-        return self._actuate(state, turn)
+        return state, self._actuate(state, turn)
 
     def _estimate(self, state: DirectState, turn: Turn) -> tuple[DirectState, list[Delivery]]:
-        impp = self._impp_now(turn.get(self._telemetry), state.impp)
-        request_kw = parents_word_kw(turn.get(self._request), state.request_kw, self.rating_kw)
-        residual = residual_kw(impp.power_kw, request_kw)
+        telemetry = turn.get(self._telemetry)
+        if telemetry is not None and 0 <= telemetry.cycle <= state.telemetry_cycle:
+            telemetry = None  # The estimate rests on it already.
+        estimate = self._estimate_now(telemetry, state.estimate)
+        request_kw = own_request_kw(turn.get(self._dispatch), self._rating_kw) or 0.0
+        residual = residual_kw(estimate.power_kw, request_kw)
+        impp = Impp(*turn.stamp, power_kw=estimate.power_kw, stale_cycles=estimate.stale_cycles)
         outputs: list[Delivery] = [
-            (
-                self._impp,
-                Impp(*turn.stamp, power_kw=impp.power_kw, stale_cycles=impp.stale_cycles),
-            ),
+            (self._impp, impp),
             (self._residual, Residual(*turn.stamp, power_kw=residual)),
         ]
         if residual < 0.0:
             outputs.append((self._help, Help(*turn.stamp, missing_kw=-residual)))
-        return DirectState(impp, request_kw, state.setpoint_kw), outputs
+        measured = state.telemetry_cycle if telemetry is None else telemetry.cycle
+        return DirectState(estimate, measured), outputs
 
-    def _impp_now(self, telemetry: Telemetry | None, last: ImppEstimate) -> ImppEstimate:
-        power_kw = telemetry.power_kw if telemetry else None
-        alpha = telemetry.alpha if telemetry else None
-        if self.scheme == "paper":
-            return estimate_impp(power_kw, alpha, self.rating_kw, last)
-        limit_kw = telemetry.limit_kw if telemetry else self.rating_kw
-        if self.actuator == "limit":
+    def _estimate_now(self, telemetry: Telemetry | None, last: Estimate) -> Estimate:
+        power_kw = alpha = available_kw = nan
+        limit_kw = self._rating_kw
+        if telemetry is not None:
+            power_kw, alpha, limit_kw = telemetry.power_kw, telemetry.alpha, telemetry.limit_kw
+            if telemetry.available_kw is not None:
+                available_kw = telemetry.available_kw
+        rating_kw = self._rating_kw
+        if not self._predicts:
+            return estimate_impp(power_kw, alpha, available_kw, rating_kw, last)
+        if self._limits and telemetry is not None:
             alpha = 1.0  # It holds its limit, and gives all it has below it.
-        return forecast_impp(power_kw, alpha, limit_kw, self.rating_kw, last)
+        return forecast_impp(power_kw, alpha, available_kw, limit_kw, rating_kw, self._cycle_s, last)
 
-    def _actuate(self, state: DirectState, turn: Turn) -> tuple[DirectState, list[Delivery]]:
-        setpoint_kw = parents_word_kw(turn.get(self._setpoint), state.setpoint_kw, self.rating_kw)
-        impp_kw = state.impp.power_kw
-        alpha = curtailment_level(setpoint_kw, impp_kw, self.alpha_min)
-        power_kw = alpha * impp_kw if alpha < 1.0 else self.rating_kw
-        command = Command(*turn.stamp, alpha=alpha, power_kw=power_kw)
-        return DirectState(state.impp, state.request_kw, setpoint_kw), [(self._command, command)]
+    def _actuate(self, state: DirectState, turn: Turn) -> list[Delivery]:
+        """Command the setpoint; without one the inverter's own share of the dispatch.
+
+        Where the dispatch is silent too, nothing is sent: the inverter decides for itself.
+        """
+        setpoint = turn.get(self._setpoint)
+        request_kw = own_request_kw(turn.get(self._dispatch), self._rating_kw)
+        target_kw = request_kw if setpoint is None else setpoint.power_kw
+        if target_kw is None:
+            return []
+        impp_kw = state.estimate.power_kw
+        alpha = curtailment_level(target_kw, impp_kw, self._alpha_min)
+        power_kw = alpha * impp_kw if alpha < 1.0 else self._rating_kw
+        return [(self._command, Command(*turn.stamp, alpha=alpha, power_kw=power_kw))]

@@ -1,12 +1,10 @@
-"""What the processes of a run tell their launcher: the words of the lifeline."""
+"""What the processes of a run tell their launcher."""
 
 from __future__ import annotations
 
 from typing import TypeAlias
 
 import msgspec
-
-from agents.stopwatch import ProcessTiming
 
 
 class Event(msgspec.Struct, frozen=True, tag_field="event", tag=str.lower):
@@ -24,15 +22,11 @@ class Armed(Event, frozen=True):
 
 
 class Waiting(Event, frozen=True):
-    """The process cannot go on: it needs these messages, each `[key, publisher]`.
-
-    `blocked_on` is the key that it cannot publish, because a listener takes nothing any more.
-    """
+    """The process cannot go on: it needs these messages, each `(key, publisher)`."""
 
     cycle: int
     stage: str
     needs: list[tuple[str, str]]
-    blocked_on: str = ""
 
 
 class Status(Event, frozen=True):
@@ -52,36 +46,45 @@ class Status(Event, frozen=True):
 
 
 class Finished(Event, frozen=True):
-    """The process has come to its end.
+    """The agent has come to the end of the run.
 
     Attributes
     ----------
     published
         Messages of the run that it published, by signal.
     dropped
-        Messages that it could not use, by cause.
+        Messages that it did not use, by port and cause.
     missing_inputs
-        Inputs that a deadline found missing.
-    late_used
-        Late words that were used in place of them.
+        Awaited inputs that a deadline found missing.
+    old_inputs
+        Inputs of an earlier cycle that were used in place of them.
     skipped_cycles
-        Cycles that were given up, since they were over before the process came to them.
-    dropped_ports
-        Messages that it could not use, by port and cause.
-    timing
-        What it measured of itself in real time; None in lockstep.
+        Cycles that were over before the agent came to them.
     faults
         What an imperfect network did to messages on their way to it.
     """
 
     published: dict[str, int]
-    dropped: dict[str, int]
+    dropped: dict[str, dict[str, int]]
     missing_inputs: int
-    late_used: int = 0
+    old_inputs: int = 0
     skipped_cycles: int = 0
-    dropped_ports: dict[str, dict[str, int]] = msgspec.field(default_factory=dict)
-    timing: ProcessTiming | None = None
     faults: dict[str, int] = msgspec.field(default_factory=dict)
+
+
+class Started(Event, frozen=True):
+    """The fork server has started a process for an agent."""
+
+    pid: int
+
+
+class Exited(Event, frozen=True):
+    """A process has ended: its exit status (below 0: the signal), and what it took in all."""
+
+    status: int
+    cpu_s: float
+    voluntary_switches: int
+    involuntary_switches: int
 
 
 class PlantPower(msgspec.Struct, frozen=True):
@@ -212,4 +215,6 @@ AnyEvent: TypeAlias = (
     | Recorded
     | RecordingEnded
     | Failed
+    | Started
+    | Exited
 )

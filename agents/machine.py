@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 import msgspec
 
-from agents.kinds import Kind
+from agents.cycle import Kind
 
 LOWEST_PRIORITY: Final = 1
 HIGHEST_PRIORITY: Final = 99

@@ -12,16 +12,17 @@ from typing import Final, Literal, TypeAlias
 
 import msgspec
 
-from agents.deadlines import Deadlines
-from agents.family import Neighbourhood
-from agents.late_words import LatePolicy
+from agents.control.forecast import HIDDEN_ALPHA_MIN
+from agents.cycle import Deadlines
 from agents.machine import MachineSettings
 from agents.periods import Periods
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule, NetworkFaults
 from bus_schemas.keys import KeyTable
-from bus_schemas.messages import Run
-from bus_schemas.tree import PLANT, ControlTree, depth
+from bus_schemas.links import Links, explicit_links
+from bus_schemas.messages import Message, Run
+from bus_schemas.signals import Occurrence, Port, Wiring
+from bus_schemas.tree import PLANT, ControlTree, agent_name, depth, parent_of
 
 Scheme: TypeAlias = Literal["paper", "predictive"]
 """`paper`: the IMPP is the last cycle's (eq. 1). `predictive`: it is a forecast of this cycle's."""
@@ -31,8 +32,22 @@ Actuator: TypeAlias = Literal["fraction", "limit"]
 
 
 START_WITHIN_NS: Final = 10_000_000_000
-"""So far from now at most a plant can say in earnest that the run begins: else it means another
-clock than this host's."""
+"""A run that is said to begin further from now than this was timed by another host's clock."""
+
+
+class Neighbourhood(msgspec.Struct, frozen=True):
+    """The order of help among a parent's children from a time on.
+
+    Attributes
+    ----------
+    from_time_ns
+        Simulated time from which it holds.
+    correlation
+        Pearson correlation between the children's power, shape (n, n).
+    """
+
+    from_time_ns: int
+    correlation: tuple[tuple[float, ...], ...]
 
 
 class NodeNeighbourhoods(msgspec.Struct, frozen=True):
@@ -70,7 +85,11 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     alpha_min
         Lowest curtailment level that is commanded.
     hold_cycles
-        For how many cycles a silent child's last report holds.
+        An input that is older than this is silent.
+    correction
+        Whether the central controller corrects its target by the plant's meter.
+    available_bias
+        Relative error of the available power that the inverters state; None if they state none.
     stall_timeout_s
         In lockstep: how long an agent waits before it says for what.
     neighbourhoods
@@ -85,11 +104,8 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         Agents that the launcher does not start but waits for: the user's own devices.
     namespace
         Prefix of the run's keys on the bus. Empty: the `run_id`, so that two runs never meet.
-    late
-        In real time: whether a message that comes after its stage has closed is used in place of
-        the next one that does not come in time, or dropped.
     tier_deadlines_ns
-        In real time: when, after the beginning of a cycle, the last word of each tier must be out
+        In real time: when, after the beginning of a cycle, the last message of each tier must be out
         at the latest; the central controller's first, the direct controllers' last. Empty: each
         stage has the same share of the cycle.
     machine
@@ -118,7 +134,8 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     faults_seed: int = 0
     external: tuple[str, ...] = ()
     namespace: str = ""
-    late: LatePolicy = "use"
+    correction: bool = False
+    available_bias: float | None = None
     tier_deadlines_ns: tuple[int, ...] = ()
     machine: MachineSettings = MachineSettings()
 
@@ -131,6 +148,28 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     def keys(self) -> KeyTable:
         """The keys of the run."""
         return KeyTable(self.plant, self.tree)
+
+    @cached_property
+    def wiring(self) -> Wiring:
+        """Who publishes and hears what."""
+        return Wiring(self.tree)
+
+    @cached_property
+    def links(self) -> Links:
+        """The TCP links between the agents."""
+        return explicit_links(self.tree)
+
+    @property
+    def alpha_floor(self) -> float:
+        """Lowest curtailment level of any inverter: what everybody knows it cannot go below."""
+        hides = self.scheme == "predictive" and self.actuator == "limit"
+        return HIDDEN_ALPHA_MIN if hides else self.alpha_min
+
+    def period(self, port: Port[Message]) -> int:
+        """Return every how many cycles a port's message comes."""
+        if port.signal.occurrence is not Occurrence.TURN:
+            return 1
+        return self.periods.cycles[depth(parent_of(port.node))]
 
     @cached_property
     def network_faults(self) -> NetworkFaults:
@@ -162,7 +201,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return self.start_time_ns + cycle * self.cycle_ns
 
     def run_message(self, state: Literal["start", "stop"], cycle: int, start_time_ns: int) -> Run:
-        """Return the plant's word that the run begins at, or has ended before, a cycle."""
+        """Return the message that says that the run begins at a cycle, or ended before it."""
         return Run(
             cycle,
             self.sim_time_ns(cycle),
@@ -193,11 +232,11 @@ def load_plan(path: Path) -> RunPlan:
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=RunPlan)
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file, accepted is the plan.json of a run") from None
+        raise InputError(f"{path}: no such file, expected the plan.json of a run") from None
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}, accepted is the plan.json of a run") from None
+        raise InputError(f"{path}: {error.strerror}, expected the plan.json of a run") from None
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {error}, accepted is the plan.json of a run") from None
+        raise InputError(f"{path}: {error}, expected the plan.json of a run") from None
     try:
         _check_tiers(plan)
     except InputError as error:
@@ -209,7 +248,7 @@ def _check_tiers(plan: RunPlan) -> None:
     tiers = 1 + max(depth(parent) for parent in plan.tree.parents)
     if len(plan.periods.cycles) != tiers:
         raise InputError(
-            f"period_cycles has {len(plan.period_cycles)} entries, accepted is one for each of "
+            f"period_cycles has {len(plan.period_cycles)} entries, expected one for each of "
             f"the {tiers} tiers that have children"
         )
     if len(plan.tier_deadlines_ns) not in {0, plan.tree.height + 1}:

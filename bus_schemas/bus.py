@@ -1,13 +1,10 @@
-"""The bus, as agents see it, and what every kind of bus does with a message on its way out."""
+"""The bus, as the driver sees it, and what every kind of bus does with a message on its way out."""
 
 from __future__ import annotations
 
-import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol, TypeAlias
-
-from msgspec.structs import replace
 
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
@@ -17,54 +14,44 @@ Delivery: TypeAlias = tuple[Port[Message], Message]
 
 
 class Arrival(NamedTuple):
-    """A message that has come in, its port, and when it came [ns of the monotonic clock]."""
+    """A message that has come to an agent, on which port, and when [ns of the run's clock]."""
 
+    agent: str
     port: Port[Message]
     message: Message
     time_ns: int
 
 
 class Bus(Protocol):
-    """Takes an agent's messages and brings it those of others."""
+    """Takes the messages of one or more agents and brings them those of others."""
 
-    def publish(self, port: Port[Message], message: Message) -> None:
+    def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
         """Send a message to all who listen to its port."""
 
-    def receive(self, wanted: int, timeout_s: float | None) -> list[Arrival]:
-        """Return what has arrived: as soon as `wanted` messages are there, or at the time-out.
+    def receive(self, until_ns: int | None, wanted: int = 1) -> Sequence[Arrival]:
+        """Wait for messages until a time of the run's clock, None: without a limit.
 
-        Messages that no listed port takes are dropped, counted and named in the log.
+        Returns as soon as there are some; `wanted` says how many are of use. Returns nothing if the
+        time has come.
         """
 
 
 class Outbox:
-    """Stamps messages with their publish time and number, and counts those of the run.
+    """Stamps messages with their publish time and number, and counts those of the run."""
 
-    Parameters
-    ----------
-    clock_ns
-        Tells the time that messages go out at [ns].
-    """
-
-    def __init__(self, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
-        self._clock_ns = clock_ns
+    def __init__(self) -> None:
         self._sent: dict[Port[Message], int] = {}
 
-    def stamp(self, port: Port[Message], message: Message) -> Message:
-        """Return the message as it goes out."""
-        if message.cycle < 0:
-            return replace(message, publish_time_ns=self._clock_ns())
-        sequence = self._sent.get(port, 0)
-        self._sent[port] = sequence + 1
-        return replace(message, publish_time_ns=self._clock_ns(), sequence=sequence)
+    def stamp(self, port: Port[Message], message: Message, now_ns: int) -> None:
+        """Complete the head of a message that goes out."""
+        message.publish_time_ns = now_ns
+        if message.cycle >= 0:
+            message.sequence = sequence = self._sent.get(port, 0)
+            self._sent[port] = sequence + 1
 
     @property
     def published(self) -> Counter[str]:
-        """Messages published in the cycles of the run, by signal name.
-
-        Arming rounds and signals that are not logged are left out: this is what a recording must
-        hold.
-        """
+        """Messages published in the cycles of the run, by signal name: what must be recorded."""
         counts: Counter[str] = Counter()
         for port, sent in self._sent.items():
             if port.signal.logged:

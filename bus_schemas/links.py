@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 from bus_schemas.signals import listeners, ports
 from bus_schemas.tree import RECORDER, ControlTree
@@ -27,7 +28,7 @@ class Links:
 
     pairs: tuple[tuple[str, str], ...]
 
-    @property
+    @cached_property
     def listening(self) -> tuple[str, ...]:
         """Agents that need a port."""
         return tuple(dict.fromkeys(listener for listener, _ in self.pairs))
@@ -35,8 +36,16 @@ class Links:
     def endpoints(self, agent: str, tcp_ports: Mapping[str, int]) -> tuple[list[str], list[str]]:
         """Endpoints that an agent listens on, and those it connects to."""
         listens = [_endpoint(tcp_ports[agent])] if agent in self.listening else []
-        connects = [_endpoint(tcp_ports[top]) for top, below in self.pairs if below == agent]
+        connects = [_endpoint(tcp_ports[top]) for top in self._tops.get(agent, ())]
         return listens, connects
+
+    @cached_property
+    def _tops(self) -> dict[str, list[str]]:
+        """For each agent those that it connects to."""
+        tops: dict[str, list[str]] = {}
+        for top, below in self.pairs:
+            tops.setdefault(below, []).append(top)
+        return tops
 
 
 def explicit_links(tree: ControlTree) -> Links:

@@ -1,14 +1,31 @@
-"""The bus inside one process: hands messages from agent to agent, in the order they are sent."""
+"""The bus inside one process, with or without a virtual clock.
+
+With a clock nothing waits: the clock jumps to whatever comes next, the arrival of a message or the
+time up to which a receiver waits. Agents decide in no time, and a message takes as long as the
+faults of the network let it take. So a run is the same each time, to the last bit.
+"""
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
+from heapq import heappop, heappush
+from itertools import count
 
-from bus_schemas.bus import Outbox
+from bus_schemas.bus import Arrival, Outbox
+from bus_schemas.faults import FaultTally, NetworkFaults
 from bus_schemas.messages import Message
-from bus_schemas.signals import Port, listeners
-from bus_schemas.tree import ControlTree
+from bus_schemas.signals import Port, Wiring
+
+
+class VirtualClock:
+    """A clock that stands still until somebody sets it."""
+
+    def __init__(self) -> None:
+        self.now_ns = 0
+
+    def __call__(self) -> int:
+        return self.now_ns
 
 
 class MemoryBus:
@@ -18,37 +35,70 @@ class MemoryBus:
 
     Parameters
     ----------
-    tree
-        Control tree of the run.
-    tap
+    wiring
+        Of the run.
+    on_publish
         Called with every message that is published, as a recorder would hear it.
+    clock
+        Set to the time of each arrival. None: lockstep, where nothing waits for a time.
+    faults
+        Of the network; they need a clock.
     """
 
     def __init__(
-        self, tree: ControlTree, tap: Callable[[Port[Message], Message], None] | None = None
+        self,
+        wiring: Wiring,
+        on_publish: Callable[[Port[Message], Message], None] | None = None,
+        clock: VirtualClock | None = None,
+        faults: NetworkFaults | None = None,
     ) -> None:
-        self._tree = tree
-        self._tap = tap
-        self._outbox = Outbox()
-        self._queue: deque[tuple[str, Port[Message], Message]] = deque()
-        self._routes: dict[Port[Message], tuple[str, ...]] = {}
+        self.outbox = Outbox()
+        self.tally = FaultTally()
+        self._listeners = wiring.listeners
+        self._on_publish = on_publish
+        self._clock = clock
+        self._faults = faults
+        self._arrived: deque[Arrival] = deque()
+        # The numbers keep the order of what happens at one moment, and messages uncompared.
+        self._numbers = count()
+        self._under_way: list[tuple[int, int, Arrival]] = []
 
-    @property
-    def published(self) -> Counter[str]:
-        """Messages published so far, by signal."""
-        return self._outbox.published
-
-    def publish(self, port: Port[Message], message: Message) -> None:
+    def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
         """Queue a message for each agent that listens to its port."""
-        stamped = self._outbox.stamp(port, message)
-        if self._tap is not None:
-            self._tap(port, stamped)
-        routes = self._routes.get(port)
-        if routes is None:
-            routes = self._routes[port] = listeners(port, self._tree)
-        for agent in routes:
-            self._queue.append((agent, port, stamped))
+        self.outbox.stamp(port, message, now_ns)
+        if self._on_publish is not None:
+            self._on_publish(port, message)
+        for agent in self._listeners[port]:
+            arrival = Arrival(agent, port, message, now_ns)
+            if self._faults is None:
+                self._arrived.append(arrival)
+            else:
+                self._send(self._faults, arrival)
 
-    def next(self) -> tuple[str, Port[Message], Message] | None:
-        """Take the oldest message from the queue: who gets it, its port, itself."""
-        return self._queue.popleft() if self._queue else None
+    def receive(self, until_ns: int | None, wanted: int = 1) -> Sequence[Arrival]:
+        """Return the next message; nothing if none comes before a time."""
+        if self._arrived:
+            return (self._arrived.popleft(),)
+        # A message that arrives at a deadline is in time.
+        if self._under_way and (until_ns is None or self._under_way[0][0] <= until_ns):
+            arrival = heappop(self._under_way)[2]
+            self._set_clock(arrival.time_ns)
+            return (arrival,)
+        if until_ns is not None:
+            self._set_clock(until_ns)
+        return ()
+
+    def _send(self, faults: NetworkFaults, arrival: Arrival) -> None:
+        """Let a message go the way that the faults of its link leave it."""
+        fate = faults.fates(arrival.port, arrival.agent, arrival.message)
+        self.tally.count(fate)
+        for delay_ns in fate:
+            if delay_ns:
+                late = arrival._replace(time_ns=arrival.time_ns + delay_ns)
+                heappush(self._under_way, (late.time_ns, next(self._numbers), late))
+            else:
+                self._arrived.append(arrival)
+
+    def _set_clock(self, time_ns: int) -> None:
+        if self._clock is not None:
+            self._clock.now_ns = max(self._clock.now_ns, time_ns)

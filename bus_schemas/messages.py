@@ -1,7 +1,7 @@
 """The message types: one frozen struct for each kind of thing that travels on the bus.
 
-Every message begins with the same head (which cycle, what simulated time, who says it, which
-inputs it had to do without, when it was published, its number on its key) and goes on with the
+Every message begins with the same head (cycle, simulated time, source, which inputs were not of this
+cycle, when it could be decided, when it was published, its number on its key) and goes on with the
 fields of its own kind. Units stand in the field names. On the wire a message is one flat msgpack
 map from field name to value, so a reader without this package can still take it apart.
 """
@@ -38,8 +38,11 @@ Entry: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_MISSING)]
 Entries: TypeAlias = Annotated[tuple[Entry, ...], msgspec.Meta(max_length=MOST_MISSING)]
 
 
-class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False):
+class Message(msgspec.Struct, forbid_unknown_fields=True, gc=False):
     """The head that every message carries.
+
+    The driver fills in the last three fields as the message goes out. Nobody changes a message
+    after that.
 
     Attributes
     ----------
@@ -51,54 +54,66 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=False)
         Name of the agent that decided it: `plant`, `central`, `recorder` or a node's path. At most
         200 characters.
     missing
-        Keys of the inputs that the sender expected in this cycle and had to do without, so that a
-        recording tells which inputs an output used. `KEY@CYCLE`: it used the late word of that
-        cycle in its place. `skipped@CYCLE`: it gave up its own cycles from that one on. Always
-        empty in lockstep. At most 4,096 entries of up to 256 characters.
+        The inputs of the decision that were not of this cycle, so that a recording tells which
+        messages an output used. `KEY@CYCLE`: the newest message was of that earlier cycle. `KEY`:
+        there was none, or it was too old to count. Always empty in lockstep. At most 4,096 entries
+        of up to 256 characters.
+    ready_time_ns
+        Monotonic clock of the sending host when the decision could be made: its last awaited input
+        had come, or its deadline had passed.
     publish_time_ns
-        Monotonic clock of the sending host when the message went out. Set by the bus.
+        Monotonic clock of the sending host when the message went out.
     sequence
-        Number of the message on its key, from 0 in cycle 0 on; 0 in arming rounds. Set by the bus.
+        Number of the message on its key, from 0 in cycle 0 on; 0 in arming rounds.
     """
 
     cycle: Cycle
     sim_time_ns: SimTime
     source: Name
     missing: Entries
+    ready_time_ns: Nanoseconds = 0
     publish_time_ns: Nanoseconds = 0
     sequence: Sequence = 0
 
 
-class Telemetry(Message, kw_only=True, frozen=True):
+class Telemetry(Message, kw_only=True):
     """What an inverter measured in the interval that just ended, and what it obeyed in it.
 
     `alpha` is the curtailment level it was told. `limit_kw` is the power it did not exceed: its
-    rating, or less where the actuator of the run is `limit` and it is curtailed.
+    rating, or less where the actuator of the run is `limit` and it is curtailed. `available_kw` is the
+    power that it could have given, where the inverter states it (SunSpec 122 `WAval`).
     """
 
     power_kw: float
     alpha: float
     limit_kw: float
+    available_kw: float | None = None
 
 
-class Dispatch(Message, kw_only=True, frozen=True):
+class Dispatch(Message, kw_only=True):
     """The power that the operator wants from the plant in the coming interval.
 
-    `power_kw` is the paper's P_desired: the commitment plus the regulation asked for.
+    `power_kw` is the paper's P_desired: the commitment plus the regulation asked for. Every
+    controller hears it and works out its own request (eq. 3): its share of `plant_rating_kw`.
     """
 
     power_kw: float
+    plant_rating_kw: float
     commitment_kw: float
     regulation_kw: float
 
 
-class Request(Message, kw_only=True, frozen=True):
-    """The power that a parent asks of a child before it knows who can give it (eq. 3)."""
+class Meter(Message, kw_only=True):
+    """What the plant fed in during the interval that just ended, metered at its connection.
+
+    `desired_kw` is the dispatch of that interval, at zero at least and at the rating at most.
+    """
 
     power_kw: float
+    desired_kw: float
 
 
-class Impp(Message, kw_only=True, frozen=True):
+class Impp(Message, kw_only=True):
     """Estimated maximum power of a node: of an inverter (eq. 1), or summed over children (eq. 2).
 
     `stale_cycles` counts the cycles since the last usable measurement; at a parent it is the
@@ -109,14 +124,14 @@ class Impp(Message, kw_only=True, frozen=True):
     stale_cycles: Count
 
 
-class Residual(Message, kw_only=True, frozen=True):
-    """IMPP less request (eq. 4). Negative: the node needs help."""
+class Residual(Message, kw_only=True):
+    """IMPP less request (eq. 4). Negative: the node calls for help."""
 
     power_kw: float
 
 
-class Help(Message, kw_only=True, frozen=True):
-    """Sent when, and only when, the residual is negative: the power that the node lacks."""
+class Help(Message, kw_only=True):
+    """A negative residual as a message of its own, for people and recordings. Nobody waits for it."""
 
     missing_kw: float
 
@@ -128,7 +143,7 @@ class HelpGiven(msgspec.Struct, frozen=True, array_like=True, gc=False):
     power_kw: float
 
 
-class Setpoint(Message, kw_only=True, frozen=True):
+class Setpoint(Message, kw_only=True):
     """The power that a child must produce (step 4).
 
     `share_kw` is the child's share of its parent's target by capacity. The setpoint is below it
@@ -140,7 +155,7 @@ class Setpoint(Message, kw_only=True, frozen=True):
     help_given: tuple[HelpGiven, ...]
 
 
-class Command(Message, kw_only=True, frozen=True):
+class Command(Message, kw_only=True):
     """What a direct controller tells its inverter: the curtailment level alpha (eq. 6).
 
     `power_kw` says the same in absolute power, IMPP x alpha; the rating where alpha is 1, since
@@ -152,7 +167,7 @@ class Command(Message, kw_only=True, frozen=True):
     power_kw: float
 
 
-class Production(Message, kw_only=True, frozen=True):
+class Production(Message, kw_only=True):
     """What really happened in the interval of this cycle. No controller may listen to it.
 
     `inverter_mpp_kw` and `inverter_power_kw` list the inverters in the order of the control tree.
@@ -165,7 +180,7 @@ class Production(Message, kw_only=True, frozen=True):
     inverter_power_kw: tuple[float, ...]
 
 
-class Run(Message, kw_only=True, frozen=True):
+class Run(Message, kw_only=True):
     """Beginning and end of a run, for everybody.
 
     At `start`, cycle 0 begins at `start_time_ns` of the host's monotonic clock and a cycle lasts
@@ -178,18 +193,18 @@ class Run(Message, kw_only=True, frozen=True):
     cycle_wall_ns: Nanoseconds
 
 
-class Ready(Message, kw_only=True, frozen=True):
+class Ready(Message, kw_only=True):
     """The recorder has seen every message of this arming round."""
 
 
-class Notice(Message, kw_only=True, frozen=True):
+class Notice(Message, kw_only=True):
     """Something that an agent had to refuse or to mend, in words, with how often it did so far."""
 
     text: str
     count: LongCount
 
 
-class Clock(Message, kw_only=True, frozen=True):
+class Clock(Message, kw_only=True):
     """Where the replay of a recording stands: the simulated time that begins now.
 
     Comes before the first message of a cycle, and when the replay pauses, goes on, seeks or
@@ -198,43 +213,3 @@ class Clock(Message, kw_only=True, frozen=True):
 
     rate: float
     paused: bool
-
-
-class Timing(Message, kw_only=True, frozen=True):
-    """What a process in real time has counted of itself since cycle 0.
-
-    The process says it, not the agent in it: it decides nothing, and no agent hears it.
-
-    Attributes
-    ----------
-    missed_deadlines
-        Stages whose deadline passed with inputs absent.
-    missing_inputs
-        Inputs that were absent then.
-    late_used
-        Messages of an earlier cycle that were used in place of absent ones.
-    overruns
-        Stages that closed later than they had to by the process's own fault.
-    dropped
-        Messages that came in and could not be used.
-    slowest_decision_ns
-        Longest time from the moment at which a stage could close to its last message sent.
-    """
-
-    missed_deadlines: Count
-    missing_inputs: Count
-    late_used: Count
-    overruns: Count
-    dropped: Count
-    slowest_decision_ns: Nanoseconds
-
-    @property
-    def counts(self) -> tuple[int, ...]:
-        """What is counted, without what is measured."""
-        return (
-            self.missed_deadlines,
-            self.missing_inputs,
-            self.late_used,
-            self.overruns,
-            self.dropped,
-        )

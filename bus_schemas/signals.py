@@ -1,8 +1,8 @@
 """The one table of signals. Keys, subscriptions, links, channels and schemas are derived from it.
 
 A signal is always *about* one node of the control tree, and that node's path stands in its key:
-`oahu/c1/inv07/request` is the request made OF `c1/inv07` (by its parent), `oahu/c1/inv07/impp` is
-the IMPP that `c1/inv07` states itself. The table says for each signal about which nodes it exists,
+`oahu/c1/inv07/setpoint` is the setpoint OF `c1/inv07` (given by its parent), `oahu/c1/inv07/impp`
+is the IMPP that `c1/inv07` states itself. The table says for each signal about which nodes it exists,
 who publishes it and who listens, both as seen from that node.
 """
 
@@ -46,7 +46,7 @@ class Role(Enum):
     CENTRAL = "the central controller"
     RECORDER = "the recorder"
     REPLAYER = "the replay of a recording"
-    ALL = "every agent"
+    CONTROLLERS = "every controller"
 
 
 class Occurrence(Enum):
@@ -56,7 +56,6 @@ class Occurrence(Enum):
     TURN = "once in each cycle that is its publisher's turn"
     NEED = "in cycles with a need for it"
     EVENT = "rarely"
-    CHANGE = "in real time, when a count has changed, at most once a second"
     REPLAY = "in no run, but in the replay of one"
 
 
@@ -78,8 +77,8 @@ class Signal(Generic[M_co]):
     logged
         Whether the recorder keeps it.
     decided
-        Whether an agent decides it, so that the same inputs give it again. Otherwise the process
-        says it that runs the agent.
+        Whether an agent decides it, so that the same inputs give it again. Otherwise its process
+        publishes it.
     hop_p99_ms
         Timing budget on one host: from publishing to arrival at a listener, 99 of 100 messages
         [ms]. None: no budget, since nobody waits for it.
@@ -140,26 +139,24 @@ class Port(Generic[M_co]):
 
 # fmt: off
 TELEMETRY: Final  = Signal("telemetry",  messages.Telemetry,  About.LEAVES,   Role.PLANT,    (Role.NODE,),    Occurrence.CYCLE, hop_p99_ms=10.0)
-DISPATCH: Final   = Signal("dispatch",   messages.Dispatch,   About.PLANT,    Role.PLANT,    (Role.CENTRAL,), Occurrence.CYCLE, hop_p99_ms=10.0)
-REQUEST: Final    = Signal("request",    messages.Request,    About.CHILDREN, Role.PARENT,   (Role.NODE,),    Occurrence.TURN,  hop_p99_ms=10.0)
+DISPATCH: Final   = Signal("dispatch",   messages.Dispatch,   About.PLANT,    Role.PLANT,    (Role.CONTROLLERS,), Occurrence.CYCLE, hop_p99_ms=10.0)
+METER: Final      = Signal("meter",      messages.Meter,      About.PLANT,    Role.PLANT,    (Role.CENTRAL,), Occurrence.CYCLE, hop_p99_ms=10.0)
 IMPP: Final       = Signal("impp",       messages.Impp,       About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE, hop_p99_ms=10.0)
 RESIDUAL: Final   = Signal("residual",   messages.Residual,   About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE, hop_p99_ms=10.0)
-HELP: Final       = Signal("help",       messages.Help,       About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.NEED,  hop_p99_ms=10.0)
+HELP: Final       = Signal("help",       messages.Help,       About.NODES,    Role.NODE,     (),              Occurrence.NEED)
 SETPOINT: Final   = Signal("setpoint",   messages.Setpoint,   About.CHILDREN, Role.PARENT,   (Role.NODE,),    Occurrence.TURN,  hop_p99_ms=10.0)
 COMMAND: Final    = Signal("command",    messages.Command,    About.LEAVES,   Role.NODE,     (Role.PLANT,),   Occurrence.CYCLE, hop_p99_ms=10.0)
 PRODUCTION: Final = Signal("production", messages.Production, About.PLANT,    Role.PLANT,    (),              Occurrence.CYCLE)
 NOTICE: Final     = Signal("notice",     messages.Notice,     About.NODES,    Role.NODE,     (),              Occurrence.EVENT)
-RUN: Final        = Signal("run",        messages.Run,        About.PLANT,    Role.PLANT,    (Role.ALL,),     Occurrence.EVENT, decided=False)
+RUN: Final        = Signal("run",        messages.Run,        About.PLANT,    Role.PLANT,    (Role.CONTROLLERS,), Occurrence.EVENT, decided=False)
 READY: Final      = Signal("ready",      messages.Ready,      About.PLANT,    Role.RECORDER, (Role.PLANT,),   Occurrence.EVENT, logged=False, decided=False)
 CLOCK: Final      = Signal("clock",      messages.Clock,      About.PLANT,    Role.REPLAYER, (),              Occurrence.REPLAY, logged=False, decided=False)
-TIMING: Final     = Signal("timing",     messages.Timing,     About.NODES,    Role.NODE,     (),              Occurrence.CHANGE, decided=False)
-PLANT_TIMING: Final = Signal("plant_timing", messages.Timing, About.PLANT,    Role.PLANT,    (),              Occurrence.CHANGE, decided=False)
 # fmt: on
 
 SIGNALS: Final[tuple[Signal[Message], ...]] = (
     TELEMETRY,
     DISPATCH,
-    REQUEST,
+    METER,
     IMPP,
     RESIDUAL,
     HELP,
@@ -170,8 +167,6 @@ SIGNALS: Final[tuple[Signal[Message], ...]] = (
     RUN,
     READY,
     CLOCK,
-    TIMING,
-    PLANT_TIMING,
 )
 """The table itself, in the order of one cycle. A new signal is one row more, at the end: recordings
 number their channels in this order."""
@@ -197,6 +192,27 @@ def ports(tree: ControlTree) -> tuple[Port[Message], ...]:
     return tuple(signal.of(node) for signal in SIGNALS for node in signal.nodes(tree))
 
 
+class Wiring:
+    """Who publishes and who hears what in a run, worked out once from the table.
+
+    Attributes
+    ----------
+    listeners
+        Agents that hear each port.
+    published, heard
+        Ports of each agent.
+    """
+
+    def __init__(self, tree: ControlTree) -> None:
+        self.listeners = {port: listeners(port, tree) for port in ports(tree)}
+        self.published: dict[str, list[Port[Message]]] = {}
+        self.heard: dict[str, list[Port[Message]]] = {}
+        for port, names in self.listeners.items():
+            self.published.setdefault(port.publisher, []).append(port)
+            for name in names:
+                self.heard.setdefault(name, []).append(port)
+
+
 def _agents(role: Role, node: str, tree: ControlTree | None = None) -> tuple[str, ...]:
     match role:
         case Role.NODE:
@@ -204,7 +220,7 @@ def _agents(role: Role, node: str, tree: ControlTree | None = None) -> tuple[str
         case Role.PARENT:
             # Above the root stands the operator, who is no process: nobody listens there.
             return (agent_name(parent_of(node)),) if node != ROOT else ()
-        case Role.ALL:
-            return tree.agents() if tree is not None else ()
+        case Role.CONTROLLERS:
+            return tuple(map(agent_name, tree.nodes)) if tree is not None else ()
         case _:
             return (_NAMES[role],)

@@ -1,15 +1,17 @@
 """The bus between processes: one Zenoh session for each agent, over TCP on the loopback address.
 
-No multicast, no gossip: the endpoints are given. See docs/decisions for what was measured.
+No multicast, no gossip: the endpoints are given. Zenoh calls us on its own thread, and the callback
+only appends to a queue that the agent's loop empties. See docs/decisions for what was measured.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
@@ -21,20 +23,24 @@ from bus_schemas.bus import Arrival, Outbox
 from bus_schemas.codec import decode, encode
 from bus_schemas.keys import KeyTable
 from bus_schemas.messages import Message
-from bus_schemas.signals import Occurrence, Port, listeners, ports
-from bus_schemas.tree import ControlTree
+from bus_schemas.signals import Occurrence, Port, Wiring
 
 ENCODING: Final = "application/msgpack"
+
+ZENOH_RUNTIME: Final = (
+    "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app), "
+    "app: (worker_threads: 1))"
+)
+"""One worker thread for all of Zenoh's work: see docs/decisions/0003-zenoh-tuning.md."""
+
 _NEVER: Final = 1 << 60
 _TAP_CAPACITY: Final = 65536
 
 _CROWDED: Final = 10_000
-"""Samples that wait for an agent from which on each key has a limit: a flood must not take all."""
+"""Messages that wait for an agent from which on each port has a limit: a flood of one port must
+neither take all memory nor keep the others out."""
 
-_MOST_OF_A_KEY: Final = 100
-_MOST_WAITING: Final = 20_000
-_MOST_KEYS: Final = 100
-"""How many keys are named one by one of which samples could not be used."""
+_MOST_OF_A_PORT: Final = 100
 
 
 @dataclass(frozen=True)
@@ -47,10 +53,6 @@ class SessionSettings:
         Prefix of every key of the run.
     listen, connect
         Endpoints, for instance `tcp/127.0.0.1:7447`.
-    mode
-        `peer`, or `router` and `client` where a router is in between.
-    gossip
-        Whether peers tell each other of peers, and connect to those they hear of.
     lockstep
         In lockstep nothing may be lost: a publisher waits for a listener who falls behind. In real
         time a message that cannot go out within 20 ms is dropped instead.
@@ -59,15 +61,13 @@ class SessionSettings:
     namespace: str
     listen: list[str]
     connect: list[str]
-    mode: str = "peer"
-    gossip: bool = False
     lockstep: bool = True
 
     def config(self) -> zenoh.Config:
         """Return these settings as Zenoh wants them."""
         config = zenoh.Config()
         settings: Mapping[str, object] = {
-            "mode": self.mode,
+            "mode": "peer",
             "namespace": self.namespace,
             "listen/endpoints": self.listen,
             "connect/endpoints": self.connect,
@@ -80,7 +80,8 @@ class SessionSettings:
                 "period_increase_factor": 1.5,
             },
             "scouting/multicast/enabled": False,
-            "scouting/gossip/enabled": self.gossip,
+            "scouting/gossip/enabled": False,
+            "transport/shared_memory/enabled": False,
             "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 20000,
         }
         for key, value in settings.items():
@@ -88,73 +89,72 @@ class SessionSettings:
         return config
 
 
-class Inbox:
-    """A queue between Zenoh's threads and the agent's: wakes the agent once enough has arrived.
+def open_session(settings: SessionSettings) -> zenoh.Session:
+    """Open a session under the project's runtime settings, unless the user has set others."""
+    os.environ.setdefault("ZENOH_RUNTIME", ZENOH_RUNTIME)
+    return zenoh.open(settings.config())
 
-    An agent that needs seventeen messages to go on is woken once, not seventeen times: each waking
-    is a switch between threads that fight for the interpreter's lock.
+
+class Inbox:
+    """A queue between Zenoh's thread and the agent's: wakes the agent once enough has arrived.
+
+    An agent that needs seventeen messages to go on is woken once, not seventeen times.
 
     Attributes
     ----------
     flooded
-        Samples that found no room, by key: more came than the agent could look at.
+        Messages that found no room, by port.
     """
 
     def __init__(self) -> None:
         self.flooded: Counter[str] = Counter()
-        self._crowd: Counter[str] = Counter()
-        self._items: deque[tuple[int, zenoh.Sample]] = deque()
+        self._waiting: Counter[Port[Message]] = Counter()
+        self._items: deque[tuple[Port[Message], zenoh.ZBytes, int]] = deque()
         self._wanted = _NEVER
         self._urgent = False
         self._gate = threading.Lock()
         self._gate.acquire()
 
-    def put(self, sample: zenoh.Sample) -> None:
-        """Take in a sample. Called by Zenoh, so it does nothing else."""
-        if len(self._items) >= _CROWDED and not self._has_room(sample):
-            return
-        self._items.append((time.monotonic_ns(), sample))
-        if len(self._items) >= self._wanted:
-            self._wanted = _NEVER
-            self._open()
+    def callback(self, port: Port[Message]) -> Callable[[zenoh.Sample], None]:
+        """Return what Zenoh calls with each message of a port."""
+        items, append, now_ns = self._items, self._items.append, time.monotonic_ns
+        urgent = port.signal.occurrence is Occurrence.EVENT
 
-    def put_urgent(self, sample: zenoh.Sample) -> None:
-        """Take in a sample that the agent must see at once, whatever else it waits for."""
-        if len(self._items) >= _CROWDED and not self._has_room(sample):
-            return
-        self._items.append((time.monotonic_ns(), sample))
-        self._urgent = True
-        self._wanted = _NEVER
-        self._open()
+        def hear(sample: zenoh.Sample) -> None:
+            if len(items) >= _CROWDED and not self._has_room(port):
+                return
+            append((port, sample.payload, now_ns()))
+            if len(items) >= self._wanted or urgent:
+                self._wanted = _NEVER
+                self._urgent = self._urgent or urgent
+                with suppress(RuntimeError):  # Two messages at once: it is open already.
+                    self._gate.release()
 
-    def take(self, wanted: int, timeout_s: float | None) -> list[tuple[int, zenoh.Sample]]:
-        """Return all samples and when each came [ns of the monotonic clock].
+        return hear
 
-        It waits until `wanted` or an urgent one are there, or for the time-out.
-        """
-        if len(self._items) < wanted and not self._urgent:
-            self._gate.acquire(blocking=False)  # an opening that came after the last waiting
+    def take(self, wanted: int, timeout_s: float) -> list[tuple[Port[Message], zenoh.ZBytes, int]]:
+        """Return all that is there, once `wanted` or an urgent one are, or at the time-out."""
+        items = self._items
+        until = time.monotonic() + timeout_s
+        while len(items) < wanted and not self._urgent and timeout_s > 0.0:
             self._wanted = wanted
-            if len(self._items) < wanted and not self._urgent:
-                self._gate.acquire(timeout=-1 if timeout_s is None else max(timeout_s, 0.0))
-            self._wanted = _NEVER
+            # The last one may have come just before `wanted` was set.
+            if len(items) < wanted and not self._urgent:
+                # An opening may also be left over from messages that were taken already.
+                self._gate.acquire(timeout=timeout_s)
+            timeout_s = until - time.monotonic()
+        self._wanted = _NEVER
         self._urgent = False
-        if self._crowd:
-            self._crowd = Counter()
-        return [self._items.popleft() for _ in range(len(self._items))]
+        if self._waiting:
+            self._waiting = Counter()
+        return [items.popleft() for _ in range(len(items))]
 
-    def _has_room(self, sample: zenoh.Sample) -> bool:
-        """Whether a crowded inbox takes a sample: some of each key, so that none is kept out."""
-        key = str(sample.key_expr)
-        self._crowd[key] += 1
-        if self._crowd[key] <= _MOST_OF_A_KEY and len(self._items) < _MOST_WAITING:
+    def _has_room(self, port: Port[Message]) -> bool:
+        self._waiting[port] += 1
+        if self._waiting[port] <= _MOST_OF_A_PORT:
             return True
-        self.flooded[named_key(key, self.flooded)] += 1
+        self.flooded[str(port)] += 1
         return False
-
-    def _open(self) -> None:
-        with suppress(RuntimeError):  # Two samples at once: it is open already.
-            self._gate.release()
 
 
 class ZenohBus:
@@ -164,40 +164,39 @@ class ZenohBus:
     ----------
     agent
         Name of the agent.
-    keys, tree
-        The run's keys and control tree.
+    keys, wiring
+        Of the run.
     settings
         Of the session.
-    on_drop
-        Called with a line of text for each message that cannot be used.
+    patience_s
+        How long to wait for a message where the agent waits for no time of its own.
     """
 
     def __init__(
         self,
         agent: str,
         keys: KeyTable,
-        tree: ControlTree,
+        wiring: Wiring,
         settings: SessionSettings,
-        on_drop: Callable[[str], None] = lambda text: None,
+        patience_s: float = 0.5,
     ) -> None:
         self.outbox = Outbox()
-        self.undecodable = 0
-        self.unknown = 0
-        self.publishing: Port[Message] | None = None
+        self.undecodable: Counter[str] = Counter()
+        self._agent = agent
         self._keys = keys
-        self._on_drop = on_drop
+        self._patience_s = patience_s
         self._inbox = Inbox()
-        self._session = zenoh.open(settings.config())
-        self._publishers = {
-            port: self._declare_publisher(port, settings.lockstep)
-            for port in ports(tree)
-            if port.publisher == agent
+        self._session = open_session(settings)
+        self._put = {
+            port: self._publisher(port, settings.lockstep).put for port in wiring.published[agent]
         }
-        self._put = {port: publisher.put for port, publisher in self._publishers.items()}
-        heard = [port for port in ports(tree) if agent in listeners(port, tree)]
         self._subscribers = [
-            self._subscribe(key, urgent)
-            for key, urgent in _subscriptions(agent, heard, keys).items()
+            self._session.declare_subscriber(
+                keys.key(port),
+                zenoh.handlers.Callback(self._inbox.callback(port), indirect=False),
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+            for port in wiring.heard.get(agent, ())
         ]
         self._token = self._session.liveliness().declare_token(keys.alive_key(agent))
 
@@ -210,50 +209,34 @@ class ZenohBus:
 
     @property
     def flooded(self) -> Counter[str]:
-        """Messages that found no room, since more came than the agent could look at.
+        """Messages that found no room, by port: more came than the agent could look at."""
+        return self._inbox.flooded
 
-        They are counted by key, without the plant's name.
-        """
-        plant = f"{self._keys.plant}/"
-        return Counter({key.removeprefix(plant): n for key, n in self._inbox.flooded.items()})
-
-    @property
-    def published(self) -> Counter[str]:
-        """Messages of the run published so far, by signal."""
-        return self.outbox.published
-
-    def publish(self, port: Port[Message], message: Message) -> None:
+    def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
         """Send a message. In lockstep this waits for a listener who has fallen behind."""
-        payload = encode(self.outbox.stamp(port, message))
-        self.publishing = port
-        self._put[port](payload)
-        self.publishing = None
+        self.outbox.stamp(port, message, now_ns)
+        self._put[port](encode(message))
 
-    def receive(self, wanted: int, timeout_s: float | None) -> list[Arrival]:
-        """Return what has arrived, see `Bus.receive`."""
+    def receive(self, until_ns: int | None, wanted: int = 1) -> list[Arrival]:
+        """Return what has arrived: once `wanted` messages are there, or when the time has come."""
+        timeout_s = self._patience_s
+        if until_ns is not None:
+            timeout_s = min(timeout_s, (until_ns - time.monotonic_ns()) / 1e9)
         arrivals = []
-        for time_ns, sample in self._inbox.take(wanted, timeout_s):
-            arrival = self._unpack(str(sample.key_expr), sample.payload.to_bytes(), time_ns)
-            if arrival is not None:
-                arrivals.append(arrival)
+        for port, payload, time_ns in self._inbox.take(wanted, timeout_s):
+            try:
+                message = decode(port.signal, payload.to_bytes())
+            except msgspec.DecodeError:
+                self.undecodable[str(port)] += 1
+            else:
+                arrivals.append(Arrival(self._agent, port, message, time_ns))
         return arrivals
 
-    def agents_alive(self, agents: Iterable[str]) -> set[str]:
-        """Those of the agents whose liveliness token is seen."""
-        pattern = f"{self._keys.plant}/**/alive"
-        replies = self._session.liveliness().get(pattern, timeout=1.0)
-        seen = {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
-        return {agent for agent in agents if self._keys.alive_key(agent) in seen}
+    def watch_alive(self) -> Callable[[], set[str]]:
+        """Follow the liveliness tokens of all agents; the result returns the keys seen now."""
+        return _TokenWatch(self._session, self._keys).alive
 
-    def _subscribe(self, key: str, urgent: bool) -> zenoh.Subscriber[None]:
-        put = self._inbox.put_urgent if urgent else self._inbox.put
-        return self._session.declare_subscriber(
-            key,
-            put,
-            allowed_origin=zenoh.Locality.REMOTE,
-        )
-
-    def _declare_publisher(self, port: Port[Message], lockstep: bool) -> zenoh.Publisher:
+    def _publisher(self, port: Port[Message], lockstep: bool) -> zenoh.Publisher:
         must_arrive = lockstep or port.signal.occurrence is Occurrence.EVENT
         return self._session.declare_publisher(
             self._keys.key(port),
@@ -264,38 +247,46 @@ class ZenohBus:
             reliability=zenoh.Reliability.RELIABLE,
         )
 
-    def _unpack(self, key: str, payload: bytes, time_ns: int) -> Arrival | None:
-        port = self._keys.port(key)
-        if port is None:
-            self.unknown += 1
-            self._on_drop(f"{key} is of a node or signal that this run does not have")
-            return None
-        try:
-            return Arrival(port, decode(port.signal, payload), time_ns)
-        except msgspec.DecodeError as error:
-            self.undecodable += 1
-            self._on_drop(f"{key} does not decode: {error}")
-            return None
+
+class _TokenWatch:
+    """The liveliness tokens that are seen."""
+
+    def __init__(self, session: zenoh.Session, keys: KeyTable) -> None:
+        self._alive: set[str] = set()
+        self._subscriber = session.liveliness().declare_subscriber(
+            keys.alive_key("**"), zenoh.handlers.FifoChannel(_TAP_CAPACITY), history=True
+        )
+
+    def changes(self) -> Iterator[tuple[str, bool]]:
+        """Yield the key of each token that has come (True) or gone (False)."""
+        while (sample := self._subscriber.try_recv()) is not None:
+            yield str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
+
+    def alive(self) -> set[str]:
+        """Return the keys of all tokens that are there."""
+        for key, is_there in self.changes():
+            (self._alive.add if is_there else self._alive.discard)(key)
+        return self._alive
 
 
 class ZenohTap:
     """A listener's place on the bus: hears every message of the run, and can answer.
 
-    Samples wait in a queue of Zenoh's own, without any Python in between, until they are drained
+    Messages wait in a queue of Zenoh's own, without any Python in between, until they are drained
     in one go. When it is full, publishers that may not lose anything wait.
     """
 
     def __init__(self, agent: str, keys: KeyTable, settings: SessionSettings) -> None:
         self.outbox = Outbox()
         self._keys = keys
-        self._session = zenoh.open(settings.config())
+        self._session = open_session(settings)
         self._subscriber = self._session.declare_subscriber(
             f"{keys.plant}/**",
             zenoh.handlers.FifoChannel(_TAP_CAPACITY),
             allowed_origin=zenoh.Locality.REMOTE,
         )
         self._token = self._session.liveliness().declare_token(keys.alive_key(agent))
-        self._tokens: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]] | None = None
+        self._tokens: _TokenWatch | None = None
 
     def __enter__(self) -> ZenohTap:
         return self
@@ -305,42 +296,18 @@ class ZenohTap:
 
     def publish(self, port: Port[Message], message: Message) -> None:
         """Send a message."""
-        payload = encode(self.outbox.stamp(port, message))
-        self._session.put(self._keys.key(port), payload, encoding=ENCODING)
+        self.outbox.stamp(port, message, time.monotonic_ns())
+        self._session.put(self._keys.key(port), encode(message), encoding=ENCODING)
 
     def watch_presence(self) -> None:
         """Follow the liveliness tokens of all agents from now on, see `presence`."""
-        self._tokens = self._session.liveliness().declare_subscriber(
-            self._keys.alive_key("**"), zenoh.handlers.FifoChannel(_TAP_CAPACITY), history=True
-        )
+        self._tokens = _TokenWatch(self._session, self._keys)
 
     def presence(self) -> Iterator[tuple[str, bool]]:
         """Yield the key of each liveliness token that has come (True) or gone (False)."""
-        while self._tokens is not None and (sample := self._tokens.try_recv()) is not None:
-            yield str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
+        return iter(()) if self._tokens is None else self._tokens.changes()
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
         """Yield key and payload of all that has arrived."""
         while (sample := self._subscriber.try_recv()) is not None:
             yield str(sample.key_expr), sample.payload.to_bytes()
-
-
-def named_key(key: str, named: Counter[str]) -> str:
-    """Return the name under which to count a key: its own, as long as there are not too many."""
-    return key if key in named or len(named) < _MOST_KEYS else "other keys"
-
-
-def _subscriptions(agent: str, heard: list[Port[Message]], keys: KeyTable) -> dict[str, bool]:
-    """Key expressions for the ports that an agent hears, and whether they are urgent.
-
-    It names its own node in full, and takes siblings together: `oahu/c1/*/impp`. So it also hears
-    a node that this run does not know, and can say so.
-    """
-    expressions: dict[str, bool] = {}
-    for port in heard:
-        key = keys.key(port)
-        if port.node and port.node != agent:
-            head, _, signal = key.rpartition("/")
-            key = f"{head.rpartition('/')[0]}/*/{signal}"
-        expressions[key] = port.signal.occurrence is Occurrence.EVENT
-    return expressions

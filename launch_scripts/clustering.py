@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from agents.control.clusters import choose_clusters, geographic_clusters, random_clusters
 from agents.control.correlation import HourlyMatrices, group_correlation
-from agents.family import Neighbourhood
-from agents.plan import NodeNeighbourhoods
+from agents.plan import Neighbourhood, NodeNeighbourhoods
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree, as_ratings
 from launch_scripts.scenario import ControlTable

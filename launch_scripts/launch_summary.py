@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from msgspec.structs import replace
 
 from agents.events import Finished, Recorded
 from agents.plan import RunPlan
-from bus_schemas.tree import RECORDER
 from launch_scripts.preparation import Preparation
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.summary import (
@@ -35,8 +34,10 @@ class LaunchAccount(NamedTuple):
         Monotonic time of the command, of cycle 0 and of the end [s].
     arming_rounds
         How many it took.
-    recorder_percent
-        The recorder's processor time [% of one core]; None if it is not known.
+    started_at
+        Monotonic time at which the processes were asked for [s].
+    cpu_at_start_s
+        Processor time of each agent's process when cycle 0 began [s].
     refusals
         What was asked of the machine and not permitted.
     """
@@ -45,7 +46,8 @@ class LaunchAccount(NamedTuple):
     armed_at: float
     ended_at: float
     arming_rounds: int
-    recorder_percent: float | None
+    started_at: float
+    cpu_at_start_s: dict[str, float | None]
     refusals: tuple[str, ...]
 
 
@@ -91,7 +93,7 @@ def launch_summary(
         arming_rounds=seen.arming_rounds,
         metrics=plant_metrics(plan, recorded.plant),
         messages=count_messages(team.published, without_external(recorded)),
-        dropped=team.dropped | at_recorder,
+        dropped=_by_cause(accounts) | at_recorder,
         missing_inputs=team.missing_inputs,
         memory=_memory(children),
         hindsight_neighbours=preparation.hindsight,
@@ -99,12 +101,13 @@ def launch_summary(
         interrupted=interrupted,
         recording_ended=recorded.ended_early,
         faults=team.faults,
-        late_used=team.late_used,
-        cycles_given_up=team.skipped_cycles,
-        processes=tuple(_account(child, seen.recorder_percent) for child in children),
+        old_inputs=team.old_inputs,
+        skipped_cycles=team.skipped_cycles,
+        processes_startup_s=seen.armed_at - seen.started_at,
+        processes=tuple(_account(child, seen.cpu_at_start_s) for child in children),
         external=recorded.external,
         wrong=wrong_messages(
-            plan, recorded.complaints, [account.dropped_ports for account in accounts]
+            plan, recorded.complaints, [account.dropped for account in accounts]
         ),
     )
 
@@ -113,9 +116,9 @@ def _together(accounts: Sequence[Finished]) -> Finished:
     """Add up what processes said at their end."""
     return Finished(
         published=merge_counts([account.published for account in accounts]),
-        dropped=merge_counts([account.dropped for account in accounts]),
+        dropped={},
         missing_inputs=sum(account.missing_inputs for account in accounts),
-        late_used=sum(account.late_used for account in accounts),
+        old_inputs=sum(account.old_inputs for account in accounts),
         skipped_cycles=sum(account.skipped_cycles for account in accounts),
         faults=merge_counts([account.faults for account in accounts]),
     )
@@ -124,21 +127,33 @@ def _together(accounts: Sequence[Finished]) -> Finished:
 def _memory(children: Collection[Child]) -> tuple[MemoryUse, ...]:
     samples: dict[str, list[Memory]] = {}
     for child in children:
-        samples.setdefault(child.spec.kind, []).append(child.memory)
+        samples.setdefault(child.kind, []).append(child.memory)
     return memory_use(samples)
 
 
-def _account(child: Child, recorder_percent: float | None) -> ProcessAccount:
-    """Return the account of a process. The recorder does not measure itself."""
-    name, resident_mb = child.spec.agent, child.memory.resident_mb
-    account = ProcessAccount(name, child.spec.kind, dropped={}, resident_mb=resident_mb)
-    if name == RECORDER:
-        account = replace(account, cpu_percent=recorder_percent)
-    if child.finished is None:
+def _by_cause(accounts: Sequence[Finished]) -> dict[str, int]:
+    """Add up the messages that were not used, by cause."""
+    return merge_counts([causes for account in accounts for causes in account.dropped.values()])
+
+
+def _account(child: Child, cpu_at_start_s: Mapping[str, float | None]) -> ProcessAccount:
+    """Return the account of a process."""
+    name, finished = child.agent, child.finished
+    at_start_s, at_end_s = cpu_at_start_s.get(name), child.cpu_s()
+    account = ProcessAccount(
+        name,
+        child.kind,
+        dropped={},
+        resident_mb=child.memory.resident_mb,
+        cpu_s=None if at_start_s is None or at_end_s is None else at_end_s - at_start_s,
+        voluntary_switches=child.exited.voluntary_switches if child.exited else 0,
+    )
+    if finished is None:
         return account
     return replace(
         account,
-        dropped=child.finished.dropped,
-        timing=child.finished.timing,
-        cycles_given_up=child.finished.skipped_cycles,
+        dropped=_by_cause([finished]),
+        missing_inputs=finished.missing_inputs,
+        old_inputs=finished.old_inputs,
+        skipped_cycles=finished.skipped_cycles,
     )

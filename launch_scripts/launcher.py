@@ -22,22 +22,26 @@ from agents.plan import RunPlan
 from bus_schemas.links import explicit_links
 from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.externals import ExternalWatch
+from launch_scripts.fork_requests import Start
 from launch_scripts.interruption import Interruption, interruptible
 from launch_scripts.launch_summary import LaunchAccount, launch_summary
 from launch_scripts.live_view import View
 from launch_scripts.preparation import Preparation
-from launch_scripts.processes import processes
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.run_pulse import HEARTBEAT_S, RunPulse
 from launch_scripts.summary import RunSummary, merge_counts
 from launch_scripts.supervision import (
     Children,
+    ForkServerProcess,
     RunFailure,
     blame,
     explain_stall,
     with_log,
 )
 from launch_scripts.tcp_ports import reserved_ports
+
+PLANT_PATIENCE_S: Final = 30.0
+"""How long the plant waits for processes to appear."""
 
 _GATHER_S: Final = 0.5
 """After the first word of a stall: time for the others to say what they wait for."""
@@ -62,6 +66,8 @@ class Launch:
         Shows it.
     began_at
         Monotonic time at which the user asked for it [s]: start-up counts from there.
+    server
+        Starts the processes.
     on_armed
         Called when everybody is there: in real time just before cycle 0 begins.
     """
@@ -73,8 +79,10 @@ class Launch:
         folder: RunFolder,
         view: View,
         began_at: float,
+        server: ForkServerProcess,
         on_armed: Callable[[], None] = lambda: None,
     ) -> None:
+        self._server = server
         self._preparation = preparation
         self._plan = plan
         self._folder = folder
@@ -87,7 +95,8 @@ class Launch:
         self._stalled_at: float | None = None
         self._asked_at: float | None = None
         self._rounds = 0
-        self._recorder_cpu_s: float | None = None
+        self._cpu_at_start_s: dict[str, float | None] = {}
+        self._started_at = began_at
         self._over = False
         self._external = ExternalWatch(plan, folder.plan, self._patience_s, time.monotonic())
         self._interruption = Interruption()
@@ -104,14 +113,17 @@ class Launch:
         refused = refusals(plan.machine, lockstep=plan.lockstep)
         for refusal in refused:
             view.say(refusal)
-        specs = processes(plan.tree, self._folder.plan, plan.external, self._patience_s)
-        view.say(f"starting {len(specs)} processes, logs in {self._folder.logs}")
+        agents = tuple(agent for agent in plan.tree.agents() if agent not in plan.external)
+        view.say(f"starting {len(agents)} processes, logs in {self._folder.logs}")
         for line in self._external.directions():
             view.say(line)
         with (
             interruptible() as self._interruption,
-            Children(specs, self._folder.logs) as children,
+            Children(self._server, plan, agents, self._folder.logs) as children,
         ):
+            self._started_at = time.monotonic()
+            logs, patience_s = str(self._folder.logs), PLANT_PATIENCE_S + self._patience_s
+            self._server.ask(Start(str(self._folder.plan), agents, logs, patience_s))
             self._follow_or_explain(children)
             seen = self._account(children, refused)
             recorded = self._finish(children)
@@ -139,7 +151,7 @@ class Launch:
             for _, event in children.events(0.1):
                 self._hear(event)
                 if isinstance(event, Armed):
-                    self._recorder_cpu_s = children[RECORDER].cpu_s()
+                    self._cpu_at_start_s = {child.agent: child.cpu_s() for child in children}
             self._check_progress(children)
             if self._interruption:
                 self._ask_stop(children)
@@ -160,7 +172,10 @@ class Launch:
                 self._pulse.begin(now)
                 self._rounds = event.rounds
                 self._on_armed()
-                self._view.say(f"armed: cycle 0 began {now - self._began_at:.1f} s after the start")
+                self._view.say(
+                    f"armed: cycle 0 began {now - self._started_at:.2f} s after the processes were "
+                    f"started, {now - self._began_at:.1f} s after the command"
+                )
             case Status():
                 self._pulse.hear(event.cycle, now)
                 self._external.note(event)
@@ -195,7 +210,7 @@ class Launch:
             raise RunFailure(late)
         complete_at = self._external.complete_at
         if complete_at is not None and now > complete_at + _ARMING_S:
-            absent = [child.spec.agent for child in children if not child.ready] or [PLANT]
+            absent = [child.agent for child in children if not child.ready] or [PLANT]
             text = f"not armed after {_ARMING_S:g} s: nothing came from {', '.join(absent)}"
             raise RunFailure(blame(children, absent[0], text))
 
@@ -213,23 +228,22 @@ class Launch:
     def _tell_stop(self, children: Children) -> None:
         if PLANT in children.by_agent:
             self._view.say("interrupted: ending after this cycle")
-            children[PLANT].tell("stop")
+            children.ask_to_end((PLANT,))
             return
         self._view.say("interrupted: the controllers end now; the plant is external and goes on")
-        for child in children.controllers():
-            child.tell("stop")
+        children.ask_to_end([child.agent for child in children.controllers()])
 
     def _finish(self, children: Children) -> Recorded:
         """Let everybody end; then let the recorder close its file with all that was published."""
         late = children.await_exit(children.controllers(), _PATIENCE_S)
         if late:
-            names = ", ".join(child.spec.agent for child in late)
+            names = ", ".join(child.agent for child in late)
             raise RunFailure(with_log(late[0], f"{names} did not end with the run"))
         published = merge_counts(
             [child.finished.published for child in children if child.finished is not None]
         )
         recorder = children[RECORDER]
-        recorder.tell(f"expect {sum(published.values())}")
+        children.tell_recorder(f"expect {sum(published.values())}")
         if children.await_exit([recorder], 2.0 * _PATIENCE_S) or recorder.recorded is None:
             raise RunFailure(with_log(recorder, "the recorder did not close its file"))
         return recorder.recorded
@@ -242,17 +256,10 @@ class Launch:
             armed_at=self._armed_at,
             ended_at=ended_at,
             arming_rounds=self._rounds,
-            recorder_percent=self._recorder_percent(children, ended_at),
+            started_at=self._started_at,
+            cpu_at_start_s=self._cpu_at_start_s,
             refusals=refused,
         )
-
-    def _recorder_percent(self, children: Children, ended_at: float) -> float | None:
-        """Return the recorder's processor time since cycle 0 began [% of one core]."""
-        at_start_s, at_end_s = self._recorder_cpu_s, children[RECORDER].cpu_s()
-        wall_s = ended_at - self._armed_at
-        if at_start_s is None or at_end_s is None or wall_s <= 0.0:
-            return None
-        return 100.0 * (at_end_s - at_start_s) / wall_s
 
 
 def launch(
@@ -261,6 +268,7 @@ def launch(
     view: View,
     began_at: float,
     on_armed: Callable[[], None] = lambda: None,
+    server: ForkServerProcess | None = None,
 ) -> RunSummary:
     """Run a plant as processes over Zenoh, recorded.
 
@@ -270,6 +278,8 @@ def launch(
         See `Launch`.
     view
         Shows the run.
+    server
+        A fork server that was started ahead. Default: one is started now.
 
     Raises
     ------
@@ -279,4 +289,5 @@ def launch(
     agents = explicit_links(preparation.plan.tree).listening
     with reserved_ports(agents, preparation.external.base_port) as tcp_ports:
         plan = folder.fill(preparation, tcp_ports)
-        return Launch(preparation, plan, folder, view, began_at, on_armed).run()
+        server = server or ForkServerProcess()
+        return Launch(preparation, plan, folder, view, began_at, server, on_armed).run()

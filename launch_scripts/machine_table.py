@@ -9,7 +9,7 @@ from typing import Annotated, Final, cast
 
 import msgspec
 
-from agents.kinds import KINDS, Kind
+from agents.cycle import KINDS, Kind
 from agents.machine import HIGHEST_PRIORITY, LOWEST_PRIORITY, MachineSettings
 from bus_schemas.errors import InputError
 

@@ -24,6 +24,7 @@ from launch_scripts.machine_table import AS_THE_SCENARIO_SAYS, MachineOptions, m
 from launch_scripts.power_sources import power_source
 from launch_scripts.real_time import cycle_wall_ns, tier_deadlines_ns
 from launch_scripts.scenario import (
+    ControlTable,
     LARGEST_SEED,
     PlantTable,
     Scenario,
@@ -195,9 +196,15 @@ def _plan(
         faults=fault_rules(scenario_file, options.faults, day.tree, external),
         faults_seed=scenario.faults_seed,
         machine=machine_settings(scenario.machine, options.machine, lockstep=pace == "max"),
-        late=control.late,
+        correction=_corrects(control, options.scheme or control.scheme),
+        available_bias=scenario.plant.available_bias,
         tier_deadlines_ns=deadlines_ns,
     )
+
+
+def _corrects(control: ControlTable, scheme: Scheme) -> bool:
+    """Whether the central controller corrects by the meter: as the scenario says, or the scheme."""
+    return scheme == "predictive" if control.correction is None else control.correction
 
 
 def _regulation_kw(scenario_file: ScenarioFile, times: pd.DatetimeIndex) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final, Literal
 
-from agents.deadlines import stage_place
+from agents.cycle import stage_place
 from bus_schemas.errors import InputError
 from bus_schemas.tree import CENTRAL, ControlTree
 

@@ -12,7 +12,9 @@ from typing import Final
 
 from agents.plan import RunPlan
 from bus_schemas.tree import PLANT, RECORDER
-from recordings.recordable_messages import PATIENCE_S
+
+PATIENCE_S: Final = 10.0
+"""How long the recorder may stand still in real time: what is published meanwhile waits for it."""
 
 HEARTBEAT_S: Final = 2.0
 """The recorder speaks a few times a second: silence for this long is a fault."""

@@ -12,7 +12,6 @@ from zoneinfo import ZoneInfo, available_timezones
 
 import msgspec
 
-from agents.late_words import LatePolicy
 from agents.plan import Actuator, Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule
@@ -83,6 +82,9 @@ class PlantTable(_Table, frozen=True):
         Standard deviation of the inverters' power meters, as a share of the power.
     meter_seed
         Seed of that noise.
+    available_bias
+        Relative error of the available power that the inverters state (SunSpec 122 `WAval`).
+        Default: they state none.
     ramp_limit_percent_per_min
         Ramp limit of the grid code, in % of the plant's rating per minute. The run is measured by
         it, not held to it.
@@ -93,6 +95,7 @@ class PlantTable(_Table, frozen=True):
     altitude_m: Altitude = 0.0
     actuator: Actuator = "fraction"
     meter_noise: Annotated[float, msgspec.Meta(ge=0.0, le=0.05)] = 0.0
+    available_bias: Annotated[float, msgspec.Meta(ge=-0.5, le=0.5)] | None = None
     meter_seed: Seed = 0
     ramp_limit_percent_per_min: Annotated[float, msgspec.Meta(gt=0.0, le=6000.0)] | None = None
 
@@ -206,13 +209,14 @@ class ControlTable(_Table, frozen=True):
     alpha_min
         Lowest curtailment level.
     hold_cycles
-        For how many cycles the last report of a silent child holds. A longer time survives more
-        losses; a controller that is dead is noticed later.
+        For how many cycles an input holds after it was due. Then it is silent: a child counts as
+        zero, and a node without a setpoint falls back to its own share of the dispatch. A longer
+        time survives more losses; a controller that is dead is noticed later.
     stall_timeout_s
         How long a stalled cycle is waited for in lockstep [s].
-    late
-        In real time: whether a message that comes after its deadline is used in place of the next
-        one that does not come in time, or dropped.
+    correction
+        Whether the central controller corrects its target by the plant's meter (integral
+        correction). Default: with `predictive` yes, with `paper` no.
     deadlines_ms
         In real time: how long after the beginning of a cycle the last word of each tier must be
         out [ms of the wall clock], the central controller's first and the direct controllers' last.
@@ -228,7 +232,7 @@ class ControlTable(_Table, frozen=True):
     alpha_min: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.05
     hold_cycles: Annotated[int, msgspec.Meta(ge=0)] = 10
     stall_timeout_s: Patience = 3.0
-    late: LatePolicy = "use"
+    correction: bool | None = None
     deadlines_ms: tuple[float, ...] | None = None
 
 

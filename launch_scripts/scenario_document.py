@@ -14,7 +14,7 @@ from typing import Any, Final, cast
 
 from msgspec import NODEFAULT, inspect
 
-from agents.kinds import KINDS
+from agents.cycle import KINDS
 from bus_schemas.faults import LONGEST_MS
 from launch_scripts.field_notes import field_notes, first_paragraph
 from launch_scripts.scenario import Scenario

@@ -1,4 +1,4 @@
-"""`heliarch simulate`: the same agents as in `launch`, in one process.
+"""`heliarch simulate`: the agents of a run in this one process, over memory instead of Zenoh.
 
 They run in lockstep; where the network is to be imperfect, on a virtual clock with deadlines.
 """
@@ -10,14 +10,16 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from typing import Any
+
+import msgspec
 
 from agents.agent import Agent
+from agents.driver import Driver
+from agents.loop import AgentLoop
 from agents.plan import RunPlan
-from agents.sequencer import Sequencer
 from agents.team import controllers
 from bus_schemas.codec import encode
-from bus_schemas.memory_bus import MemoryBus
+from bus_schemas.memory_bus import MemoryBus, VirtualClock
 from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import PLANT, ROOT
@@ -27,7 +29,6 @@ from launch_scripts.preparation import Preparation
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.summary import RunSummary, count_messages, memory_use, plant_metrics
 from launch_scripts.supervision import RunFailure, memory_of
-from launch_scripts.timed_simulation import TimedRun, on_the_clock
 from recordings.lasting_writer import LastingWriter
 from recordings.monitor import RunMonitor
 from recordings.writer import ClockAnchor, RunWriter
@@ -37,14 +38,19 @@ from sim_plant.profile import Profile
 _STATUS_S = 0.25
 
 
+def on_the_clock(plan: RunPlan) -> RunPlan:
+    """Return the plan in real time, also if it was to be in lockstep."""
+    return msgspec.structs.replace(plan, cycle_wall_ns=plan.cycle_wall_ns or plan.cycle_ns)
+
+
 class MemoryRun:
-    """A run in memory.
+    """A run in memory: in lockstep, or on a virtual clock where its network has faults.
 
     Parameters
     ----------
     plan, profile
         The run.
-    tap
+    on_publish
         Called with every message, with its port.
     """
 
@@ -52,19 +58,17 @@ class MemoryRun:
         self,
         plan: RunPlan,
         profile: Profile,
-        tap: Callable[[Port[Message], Message], None] | None = None,
+        on_publish: Callable[[Port[Message], Message], None] | None = None,
     ) -> None:
-        self.plan = plan
-        self.bus = MemoryBus(plan.tree, tap)
-        team: list[Agent[Any]] = [Plant(plan.tree, profile, plan.actuator), *controllers(plan)]
-        self.sequencers = {
-            agent.name: Sequencer(
-                agent, plan.sim_time_ns, lockstep=True, horizon=plan.periods.longest
-            )
-            for agent in team
-        }
-        for sequencer in self.sequencers.values():
-            sequencer.end_before(plan.cycles)
+        clock = VirtualClock() if plan.faults else None
+        # Within one process nobody is late: without faults a pace needs no deadlines.
+        self.plan = msgspec.structs.replace(plan, cycle_wall_ns=0) if clock is None else plan
+        faults = self.plan.network_faults if plan.faults else None
+        self.bus = MemoryBus(self.plan.wiring, on_publish, clock, faults)
+        team: list[Agent[object]] = [Plant(self.plan, profile), *controllers(self.plan)]
+        self.loops = {agent.name: AgentLoop(agent, self.plan) for agent in team}
+        self._driver = Driver(self.loops.values(), self.bus, clock or time.monotonic_ns)
+        self._clock = clock
 
     def cycles(self) -> Iterator[int]:
         """Run cycle after cycle; yield the number of each once the plant has finished it.
@@ -74,51 +78,40 @@ class MemoryRun:
         RunFailure
             The agents wait for each other.
         """
-        plant = self.sequencers[PLANT]
-        self.bus.publish(RUN.of(ROOT), self.plan.run_message("start", 0, time.monotonic_ns()))
-        self._send(plant.enter(0))
+        plant = self.loops[PLANT]
+        start_ns = self._driver.now_ns()
+        self._publish_run(self.plan.run_message("start", 0, start_ns))
+        plant.begin(start_ns, start_ns)
         done = 0
-        while (delivery := self.bus.next()) is not None:
-            agent, port, message = delivery
-            sequencer = self.sequencers.get(agent)
-            if sequencer is not None and port.signal is not RUN:
-                self._send(sequencer.accept(port, message))
+        for arrivals in self._driver.run():
             while done < plant.cycle:
                 yield done
                 done += 1
-        if not plant.finished:
-            raise RunFailure(f"stalled in cycle {plant.cycle}: {self._who_waits()}")
-
-    @property
-    def published(self) -> Counter[str]:
-        """Messages published so far, by signal."""
-        return self.bus.published
-
-    @property
-    def faults(self) -> dict[str, int]:
-        """What an imperfect network did to messages: here there is none."""
-        return {}
+            if not arrivals and self._clock is None:
+                raise RunFailure(f"stalled in cycle {plant.cycle}: {self._who_waits()}")
+        while done < plant.cycle:
+            yield done
+            done += 1
 
     def stop(self) -> None:
         """End the run after the cycle under way."""
-        plant = self.sequencers[PLANT]
-        if plant.end_cycle == self.plan.cycles:
-            plant.end_before(min(plant.cycle + 1, self.plan.cycles))
+        last = self.loops[PLANT].cycle + 1
+        for loop in self.loops.values():
+            loop.end_before(max(last, loop.cycle))
 
     def close(self) -> None:
         """Say that the run is over."""
-        last = self.sequencers[PLANT].cycle
-        self.bus.publish(RUN.of(ROOT), self.plan.run_message("stop", last, time.monotonic_ns()))
+        last, now_ns = self.loops[PLANT].cycle, self._driver.now_ns()
+        self._publish_run(self.plan.run_message("stop", last, now_ns))
 
-    def _send(self, outputs: list[tuple[Port[Message], Message]]) -> None:
-        for port, message in outputs:
-            self.bus.publish(port, message)
+    def _publish_run(self, message: Message) -> None:
+        self._driver.publish(RUN.of(ROOT), message)
 
     def _who_waits(self) -> str:
         return "; ".join(
-            f"{name} waits for {', '.join(sorted(map(str, sequencer.waiting_for)))}"
-            for name, sequencer in self.sequencers.items()
-            if sequencer.waiting_for
+            f"{name} waits for {', '.join(sorted(map(str, loop.waiting)))}"
+            for name, loop in self.loops.items()
+            if loop.waiting
         )
 
 
@@ -148,18 +141,19 @@ def simulate(
             writer.add(port, message, encode(message), message.publish_time_ns)
             monitor.see(port, message)
 
-    kind = TimedRun if plan.faults else MemoryRun
-    run = kind(plan, preparation.profile, record)
+    run = MemoryRun(plan, preparation.profile, record)
     started_at = time.monotonic()
     try:
-        interrupted = _follow(run, monitor, writer, view)
+        interrupted = _follow(run, plan, monitor, writer, view)
         run.close()
     finally:
         writer.close()
     wall_s = time.monotonic() - started_at
+    loops = run.loops.values()
     drops: Counter[str] = Counter()
-    for sequencer in run.sequencers.values():
-        drops.update(vars(sequencer.drops))
+    for loop in loops:
+        for (_, cause), number in loop.dropped.items():
+            drops[cause] += number
     return RunSummary(
         run_id=plan.run_id,
         scenario=plan.plant,
@@ -172,11 +166,11 @@ def simulate(
         startup_s=started_at - began_at,
         arming_rounds=0,
         metrics=plant_metrics(plan, monitor.plant),
-        messages=count_messages(run.published, writer.recorded),
-        dropped={cause: count for cause, count in drops.items() if count},
-        missing_inputs=sum(one.missing_inputs for one in run.sequencers.values()),
-        faults=run.faults,
-        late_used=sum(one.late_used for one in run.sequencers.values()),
+        messages=count_messages(run.bus.outbox.published, writer.recorded),
+        dropped=dict(drops),
+        missing_inputs=sum(loop.missing_inputs for loop in loops),
+        faults=run.bus.tally.as_counts(),
+        old_inputs=sum(loop.old_inputs for loop in loops),
         memory=memory_use({"simulation": [memory_of(os.getpid())]}),
         hindsight_neighbours=preparation.hindsight,
         remarks=preparation.remarks,
@@ -186,18 +180,17 @@ def simulate(
 
 
 def _follow(
-    run: MemoryRun | TimedRun, monitor: RunMonitor, writer: LastingWriter, view: View
+    run: MemoryRun, plan: RunPlan, monitor: RunMonitor, writer: LastingWriter, view: View
 ) -> bool:
     """Run to the end, or to Ctrl-C. Return whether it was interrupted."""
     began_at = status_at = time.monotonic()
-    # On a virtual clock the pace says how long a cycle is, and nobody waits for it to pass.
-    cycle_s = run.plan.cycle_wall_ns / 1e9 if isinstance(run, MemoryRun) else 0.0
+    # A virtual clock does not wait: with faults the pace only says how long a cycle is.
+    cycle_s = 0.0 if plan.faults else plan.cycle_wall_ns / 1e9
     with interruptible() as interruption:
         for cycle in run.cycles():
             if interruption:
                 run.stop()
             elif cycle_s:
-                # A pace, but no deadlines: within one process nobody can be late.
                 interruption.wait(began_at + (cycle + 1) * cycle_s - time.monotonic())
             if time.monotonic() >= status_at:
                 status_at = time.monotonic() + _STATUS_S

@@ -10,7 +10,6 @@ import msgspec
 
 from agents.events import ExternalAccount, PlantPower, Recorded
 from agents.plan import RunPlan
-from agents.stopwatch import ProcessTiming
 from launch_scripts.supervision import Memory
 from launch_scripts.wrong_messages import WrongMessages
 from recordings.metrics import RunMetrics, run_metrics
@@ -51,22 +50,27 @@ class ProcessAccount(msgspec.Struct, frozen=True):
         Messages that it could not use, by cause.
     resident_mb
         Most memory that was seen resident [MB].
-    timing
-        What it measured of itself in real time; None in lockstep, and of the recorder.
-    cycles_given_up
-        Cycles that it gave up, since they were over before it came to them.
-    cpu_percent
-        Processor time during the run [% of one core] of one that does not measure itself, the
-        recorder, as its launcher saw it; None of the others.
+    missing_inputs
+        Awaited inputs that a deadline found missing.
+    old_inputs
+        Inputs of an earlier cycle that it used in place of them.
+    skipped_cycles
+        Cycles that were over before it came to them.
+    cpu_s
+        Processor time from cycle 0 to its end [s].
+    voluntary_switches
+        How often it waited for something, over its whole life.
     """
 
     agent: str
     kind: str
     dropped: dict[str, int]
     resident_mb: float
-    timing: ProcessTiming | None = None
-    cycles_given_up: int = 0
-    cpu_percent: float | None = None
+    missing_inputs: int = 0
+    old_inputs: int = 0
+    skipped_cycles: int = 0
+    cpu_s: float | None = None
+    voluntary_switches: int = 0
 
 
 class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
@@ -97,8 +101,9 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     interrupted: bool
     recording_ended: str = ""
     faults: dict[str, int] = msgspec.field(default_factory=dict)
-    late_used: int = 0
-    cycles_given_up: int = 0
+    old_inputs: int = 0
+    skipped_cycles: int = 0
+    processes_startup_s: float = 0.0
     processes: tuple[ProcessAccount, ...] = ()
     external: tuple[ExternalAccount, ...] = ()
     wrong: tuple[WrongMessages, ...] = ()
@@ -114,16 +119,8 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
         return sum(abs(count.lost) for count in self.messages)
 
     def as_json(self) -> bytes:
-        """Return the summary as JSON, with the figures that follow from others.
-
-        Histograms and extremes are left out: they would be most of it, and `heliarch timing`
-        reports on them.
-        """
+        """Return the summary as JSON, with the figures that follow from others."""
         document = msgspec.to_builtins(self)
-        for process in document["processes"]:
-            if process["timing"] is not None:
-                process["timing"]["histograms"] = {}
-                process["timing"]["extremes"] = {}
         document["cycles_per_s"] = self.cycles_per_s
         if self.metrics is not None:
             energy = self.metrics.commitment

@@ -119,7 +119,7 @@ def _message_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
     recorded = sum(count.recorded for count in summary.messages)
     help_calls = sum(count.recorded for count in summary.messages if count.signal == "help")
     dropped = ", ".join(f"{count:,} {cause}" for cause, count in summary.dropped.items())
-    in_place = f"{summary.late_used:,} late words used instead" if summary.late_used else ""
+    in_place = f"{summary.old_inputs:,} older ones used instead" if summary.old_inputs else ""
     return [
         ("messages published", f"{published:,}", f"{help_calls:,} of them calls for help"),
         ("messages recorded", f"{recorded:,}", ""),
@@ -132,17 +132,18 @@ def _message_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
 
 
 def _timing_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
-    """Rows of a run in real time over processes: what was late, and where most of it."""
-    timings = [process.timing for process in summary.processes if process.timing is not None]
-    if not timings:
+    """Rows of a run over processes: what it took, and in real time which cycles were left out."""
+    if not summary.processes:
         return []
-    counted = {
-        "deadlines missed": {t.agent: sum(t.missed_deadlines.values()) for t in timings},
-        "late words used": {t.agent: t.late_used for t in timings},
-        "overruns": {t.agent: sum(t.overruns.values()) for t in timings},
-        "cycles given up": {p.agent: p.cycles_given_up for p in summary.processes},
-    }
-    return [(name, f"{sum(of.values()):,}", _most(of)) for name, of in counted.items()]
+    rows = []
+    cpu_s = [process.cpu_s for process in summary.processes if process.cpu_s is not None]
+    if summary.cycles and cpu_s:
+        per_cycle = f"{1e3 * sum(cpu_s) / summary.cycles:.2f} ms"
+        rows.append(("processor time per cycle", per_cycle, "all processes"))
+    if summary.skipped_cycles:
+        skipped = {process.agent: process.skipped_cycles for process in summary.processes}
+        rows.append(("cycles skipped", f"{summary.skipped_cycles:,}", _most(skipped)))
+    return rows
 
 
 def _most(count_of: Mapping[str, int]) -> str:

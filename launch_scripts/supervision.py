@@ -1,10 +1,12 @@
-"""The launcher's end of its processes: starts them, hears them, ends them, finds out what broke."""
+"""The launcher's side of its processes: starts them, hears them, ends them, finds out what broke."""
 
 from __future__ import annotations
 
 import os
-import selectors
+import signal
+import socket
 import subprocess
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -16,9 +18,22 @@ from typing import Final, NamedTuple
 import msgspec
 import psutil
 
-from agents.events import AnyEvent, Failed, Finished, Joined, Recorded, Waiting
+from agents.cycle import Kind, kind_of
+from agents.events import (
+    AnyEvent,
+    Exited,
+    Failed,
+    Finished,
+    Joined,
+    Recorded,
+    Started,
+    Waiting,
+)
+from agents.launcher_link import EventReader
+from agents.plan import RunPlan
 from bus_schemas.tree import RECORDER
-from launch_scripts.processes import ProcessSpec, environment
+from bus_schemas.zenoh_bus import ZENOH_RUNTIME
+from launch_scripts.fork_requests import Request, Signal, Tell, log_name
 
 _LOG_LINES: Final = 5
 """Lines of a log that are shown when its process is to blame."""
@@ -26,7 +41,9 @@ _LOG_LINES: Final = 5
 _SAMPLE_S: Final = 0.5
 """Time between two looks at the memory of a process, once all have been looked at."""
 
-_decoder = msgspec.json.Decoder(AnyEvent)
+_LARGEST_PACKET: Final = 1 << 18
+_MOST_PACKETS: Final = 500
+_LAST_WAIT_S: Final = 5.0
 
 
 class Memory(NamedTuple):
@@ -55,9 +72,51 @@ class RunFailure(Exception):  # noqa: N818 - what failed is the run, not the pro
     """A run that could not go on. The text names the process, who waited for what, and its log."""
 
 
+class ForkServerProcess:
+    """The fork server as the launcher sees it. Start it early: it imports while others prepare."""
+
+    def __init__(self) -> None:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.control = ours
+        with theirs:
+            self._process = subprocess.Popen(
+                # Without the current folder on the path: a user's `signal.py` there is none of ours.
+                (sys.executable, "-P", "-m", "launch_scripts.fork_server", str(theirs.fileno())),
+                stdin=subprocess.DEVNULL,
+                env={
+                    **os.environ,
+                    "ZENOH_RUNTIME": os.environ.get("ZENOH_RUNTIME", ZENOH_RUNTIME),
+                    "PYTHONUNBUFFERED": "1",
+                    # An import must start no thread: this library would.
+                    "OPENBLAS_NUM_THREADS": "1",
+                },
+                pass_fds=(theirs.fileno(),),
+                process_group=0,
+            )
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    def ask(self, request: Request) -> None:
+        """Send a request."""
+        with suppress(BrokenPipeError, ConnectionResetError):
+            self.control.send(msgspec.json.encode(request))
+
+    def close(self) -> None:
+        """Let it end what is left of its processes, and itself."""
+        self.control.close()
+        try:
+            self._process.wait(_LAST_WAIT_S + 1.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
 @dataclass
 class Child:
-    """One running process.
+    """One process of a run.
 
     Attributes
     ----------
@@ -67,44 +126,57 @@ class Child:
         What it last said it waited for.
     """
 
-    spec: ProcessSpec
-    process: subprocess.Popen[bytes]
+    agent: str
+    kind: Kind
     log: Path
+    pid: int = 0
     ready: bool = False
     finished: Finished | None = None
     recorded: Recorded | None = None
     waiting: Waiting | None = None
     failed: Failed | None = None
-    closed: bool = False
+    exited: Exited | None = None
     memory: Memory = field(default_factory=lambda: Memory(0.0, 0.0))
-    _pending: bytes = field(default=b"", repr=False)
 
-    def feed(self, chunk: bytes) -> list[AnyEvent]:
-        """Take in bytes of its standard output; return the events that are complete."""
-        *lines, self._pending = (self._pending + chunk).split(b"\n")
-        events = []
-        for line in lines:
-            with suppress(msgspec.DecodeError):  # A library may print to standard output too.
-                events.append(_decoder.decode(line))
-        return events
-
-    def tell(self, word: str) -> None:
-        """Send a word."""
-        if self.process.stdin is not None:
-            with suppress(BrokenPipeError):
-                self.process.stdin.write(f"{word}\n".encode())
-                self.process.stdin.flush()
+    def note(self, event: AnyEvent) -> None:
+        """Keep what it says of itself."""
+        match event:
+            case Started():
+                self.pid = event.pid
+            case Joined():
+                self.ready = True
+            case Finished():
+                self.finished = event
+            case Recorded():
+                self.recorded = event
+            case Waiting():
+                self.waiting = event
+            case Failed():
+                self.failed = event
+            case Exited():
+                self.exited = event
 
     def cpu_s(self) -> float | None:
-        """Return the processor time of all its threads so far; None once it has ended."""
+        """Return the processor time of all its threads so far; None if it is not known."""
+        if self.exited is not None:
+            return self.exited.cpu_s
         try:
-            times = psutil.Process(self.process.pid).cpu_times()
+            times = psutil.Process(self.pid).cpu_times()
         except psutil.Error:
             return None
         return float(times.user + times.system)
 
+    def is_stopped(self) -> bool:
+        """Whether a signal has stopped it."""
+        try:
+            return bool(psutil.Process(self.pid).status() == psutil.STATUS_STOPPED)
+        except psutil.Error:
+            return False
+
     def last_log_lines(self) -> str:
         """Return the end of its log, empty if it said nothing."""
+        if not self.log.exists():
+            return ""
         lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()
         return "\n".join(f"  | {line}" for line in lines[-_LOG_LINES:])
 
@@ -114,27 +186,31 @@ class Children:
 
     Parameters
     ----------
-    specs
-        What to start.
+    server
+        Starts them.
+    plan
+        Of the run.
+    agents
+        Those that are processes of this run.
     logs
         Folder of the log files.
     """
 
-    def __init__(self, specs: Sequence[ProcessSpec], logs: Path) -> None:
-        self.by_agent: dict[str, Child] = {}
-        self._selector = selectors.DefaultSelector()
-        self._specs = specs
-        self._logs = logs
+    def __init__(
+        self, server: ForkServerProcess, plan: RunPlan, agents: Sequence[str], logs: Path
+    ) -> None:
+        self.server = server
+        self.by_agent = {
+            agent: Child(agent, kind_of(agent, plan.tree), logs / log_name(agent))
+            for agent in agents
+        }
+        self._reader = EventReader()
+        self._server_gone = False
+        self._server_failure = ""
         self._samples = 0
         self._sample_at = 0.0
 
     def __enter__(self) -> Children:
-        try:
-            for spec in self._specs:
-                self._start(spec)
-        except BaseException:
-            self.end()
-            raise
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -155,82 +231,64 @@ class Children:
             A process gave up, or ended before its time.
         """
         heard: list[tuple[Child, AnyEvent]] = []
-        for key, _ in self._selector.select(timeout_s):
-            child: Child = key.data
-            chunk = os.read(key.fd, 1 << 20)
-            if not chunk:
-                self._selector.unregister(key.fileobj)
-                child.closed = True
-            for event in child.feed(chunk):
-                self._note(child, event)
-                heard.append((child, event))
+        control = self.server.control
+        control.settimeout(timeout_s)
+        for _ in range(_MOST_PACKETS):
+            try:
+                packet = control.recv(_LARGEST_PACKET)
+            except (TimeoutError, BlockingIOError):
+                break
+            except ConnectionResetError:
+                packet = b""
+            if not packet:
+                self._server_gone = True
+                break
+            control.settimeout(0.0)
+            told = self._reader.feed(packet)
+            if told is not None:
+                self._note(*told, heard)
         self._sample_memory()
         self._check()
         return heard
 
     def controllers(self) -> list[Child]:
         """Return all but the recorder."""
-        return [child for child in self if child.spec.agent != RECORDER]
+        return [child for child in self if child.agent != RECORDER]
+
+    def tell_recorder(self, word: str) -> None:
+        """Send a word to the recorder."""
+        self.server.ask(Tell(word))
+
+    def ask_to_end(self, agents: Sequence[str]) -> None:
+        """Let agents end in order."""
+        self._signal(agents, signal.SIGTERM)
 
     def await_exit(self, children: list[Child], timeout_s: float) -> list[Child]:
         """Wait for processes to end; return those that have not."""
         until = time.monotonic() + timeout_s
-        left = children
+        left = [child for child in children if child.exited is None]
         while left and time.monotonic() < until:
             self.events(0.02)
-            left = [child for child in left if child.process.poll() is None]
+            left = [child for child in left if child.exited is None]
         return left
 
     def end(self) -> None:
         """End every process: the recorder in order, so that its file is whole, the others at once.
 
-        Only processes that this launcher started are touched, each by its own handle.
+        The server does so when the launcher hangs up.
         """
-        controllers = self.controllers()
-        for child in controllers:
-            if child.process.poll() is None:
-                child.process.kill()
-        for child in controllers:
-            child.process.wait()
-        recorder = self.by_agent.get(RECORDER)
-        if recorder is not None:
-            _end_recorder(recorder)
-        for child in self:
-            for pipe in (child.process.stdin, child.process.stdout):
-                if pipe is not None:
-                    with suppress(BrokenPipeError):
-                        pipe.close()
-        self._selector.close()
+        self.server.close()
 
-    def _start(self, spec: ProcessSpec) -> None:
-        log = self._logs / spec.log_name
-        with log.open("wb") as log_file:
-            process = subprocess.Popen(
-                spec.command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=log_file,
-                env=environment(),
-                # A group of its own: Ctrl-C in the terminal is for the launcher alone.
-                process_group=0,
-            )
-        child = Child(spec, process, log)
-        self.by_agent[spec.agent] = child
-        assert process.stdout is not None
-        self._selector.register(process.stdout, selectors.EVENT_READ, child)
+    def _signal(self, agents: Sequence[str], number: signal.Signals) -> None:
+        self.server.ask(Signal(tuple(agents), int(number)))
 
-    def _note(self, child: Child, event: AnyEvent) -> None:
-        match event:
-            case Joined():
-                child.ready = True
-            case Finished():
-                child.finished = event
-            case Recorded():
-                child.recorded = event
-            case Waiting():
-                child.waiting = event
-            case Failed():
-                child.failed = event
+    def _note(self, agent: str, event: AnyEvent, heard: list[tuple[Child, AnyEvent]]) -> None:
+        if agent in self.by_agent:
+            child = self.by_agent[agent]
+            child.note(event)
+            heard.append((child, event))
+        elif isinstance(event, Failed):
+            self._server_failure = event.text
 
     def _sample_memory(self) -> None:
         """Look at the memory of one process, each in its turn.
@@ -238,7 +296,7 @@ class Children:
         The kernel walks through all pages of a process for it, a millisecond in which that process
         may have to wait: once everybody has been seen, that is done rarely.
         """
-        children = list(self)
+        children = [child for child in self if child.ready and child.exited is None]
         now = time.monotonic()
         if not children or now < self._sample_at:
             return
@@ -246,27 +304,27 @@ class Children:
         self._samples += 1
         self._sample_at = now + (_SAMPLE_S if self._samples >= len(children) else 0.0)
         with suppress(psutil.Error):
-            child.memory = max(child.memory, memory_of(child.process.pid))
+            child.memory = max(child.memory, memory_of(child.pid))
 
     def _check(self) -> None:
         for child in self:
             if child.failed is not None:
-                raise RunFailure(
-                    with_log(child, f"{child.spec.agent} gave up: {child.failed.text}")
-                )
+                raise RunFailure(with_log(child, f"{child.agent} gave up: {child.failed.text}"))
             done = child.finished is not None or child.recorded is not None
-            if child.closed and not done:
-                raise RunFailure(self._obituary(child))
+            if child.exited is not None and (not done or child.exited.status):
+                raise RunFailure(_obituary(child, child.exited))
+        if self._server_gone:
+            why = self._server_failure or "it was killed or ended by itself"
+            raise RunFailure(
+                f"the fork server (process {self.server.pid}) is gone, and with it all processes of "
+                f"the run: {why}"
+            )
 
-    def _obituary(self, child: Child) -> str:
-        with suppress(subprocess.TimeoutExpired):
-            child.process.wait(timeout=1.0)
-        code = child.process.returncode
-        how = (
-            f"was killed by signal {-code}" if code is not None and code < 0 else f"ended ({code})"
-        )
-        who = f"{child.spec.agent} (process {child.process.pid})"
-        return with_log(child, f"{who} {how} in the middle of the run")
+
+def _obituary(child: Child, exited: Exited) -> str:
+    code = exited.status
+    how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
+    return with_log(child, f"{child.agent} (process {child.pid}) {how} in the middle of the run")
 
 
 def with_log(child: Child, text: str) -> str:
@@ -285,36 +343,21 @@ def blame(children: Children, agent: str, text: str) -> str:
 def explain_stall(children: Children) -> str:
     """Say who is waited for and does not answer, and who waits for which message.
 
-    Those that everybody waits for and that wait for nobody themselves are to blame.
+    A process that a signal has stopped is to blame; else those that others wait for and that do not
+    wait themselves.
     """
-    waiting = {child.spec.agent: child.waiting for child in children if child.waiting is not None}
+    waiting = {child.agent: child.waiting for child in children if child.waiting is not None}
     needed: dict[str, list[str]] = {}
     for agent, event in waiting.items():
         for port, publisher in event.needs:
             needed.setdefault(publisher, []).append(f"{agent} waits for {port}")
-        if event.blocked_on:
-            needed.setdefault("", []).append(f"{agent} cannot publish {event.blocked_on}")
-    culprits = [agent for agent in needed if agent and agent not in waiting] or list(needed)
+    stopped = [child.agent for child in children if child.is_stopped()]
+    culprits = stopped or [agent for agent in needed if agent not in waiting] or list(needed)
     cycle = max(event.cycle for event in waiting.values())
-    lines = [f"stalled in cycle {cycle}: nothing more came from {', '.join(culprits) or 'the bus'}"]
+    what = "stopped by a signal: " if stopped else "nothing more came from "
+    lines = [f"stalled in cycle {cycle}: {what}{', '.join(culprits) or 'the bus'}"]
     for agent in culprits:
-        reasons = Counter(needed[agent])
+        reasons = Counter(needed.get(agent, ()))
         lines += [f"  {reason}" for reason in list(reasons)[:4]]
-        if agent:
-            lines[-1] = blame(children, agent, lines[-1])
+        lines[-1] = blame(children, agent, lines[-1])
     return "\n".join(lines)
-
-
-def _end_recorder(recorder: Child) -> None:
-    if recorder.process.poll() is not None:
-        return
-    if recorder.process.stdin is not None:
-        with suppress(BrokenPipeError):
-            recorder.process.stdin.close()
-        recorder.process.stdin = None
-    try:
-        # It drains what is still on its way and writes its index.
-        recorder.process.communicate(timeout=2.0)
-    except subprocess.TimeoutExpired:
-        recorder.process.kill()
-        recorder.process.wait()

@@ -41,29 +41,21 @@ class ExternalAgents:
         """Return which of them a liveliness token is of, if any."""
         return self._agent_of.get(alive_key)
 
-    def hear(self, port: Port[Message], message: Message, *, is_far_off: bool) -> None:
-        """Count how many messages the number of this one shows to be missing before it.
+    def hear(self, port: Port[Message], message: Message, *, is_answer: bool) -> None:
+        """Count a message that is recorded, and those that its number shows to be missing before.
 
-        Every one that came has to be told, also if it is not recorded: else it would be taken for a
-        lost one. A lower number than before is a copy's; or, if its cycle is a newer one that can
-        be, that of a device which has begun anew.
+        Of several messages in a cycle only the first is an answer. A lower number in a newer cycle
+        is that of a device which has begun anew.
         """
-        if port.publisher not in self._recorded:
-            return
+        agent = port.publisher
+        self.heard += 1
+        self._recorded[agent][port.signal.name] += 1
+        self._answers[port] += is_answer
         newest, expected = self._numbered.get(port, (-1, 0))
-        is_newer = message.cycle > newest and not is_far_off
-        if message.sequence < expected and not is_newer:
+        if message.sequence < expected and message.cycle <= newest:
             return
-        self._lost[port.publisher] += max(message.sequence - expected, 0)
-        self._numbered[port] = message.cycle if is_newer else newest, message.sequence + 1
-
-    def record(self, port: Port[Message], *, is_answer: bool) -> None:
-        """Count a message that is recorded. Of several in a cycle only one is an answer."""
-        recorded = self._recorded.get(port.publisher)
-        if recorded is not None:
-            self.heard += 1
-            recorded[port.signal.name] += 1
-            self._answers[port] += is_answer
+        self._lost[agent] += max(message.sequence - expected, 0)
+        self._numbered[port] = max(message.cycle, newest), message.sequence + 1
 
     def accounts(self, cycles: int) -> tuple[ExternalAccount, ...]:
         """Return an account of each of them, after so many cycles."""

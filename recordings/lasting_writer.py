@@ -10,7 +10,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from recordings.reader import RunReader
-from recordings.writer import RunWriter
+from recordings.writer import Numbered, RunWriter
 
 
 class LastingWriter:
@@ -45,13 +45,13 @@ class LastingWriter:
         self._on_end = on_end
         self._cycle = 0
 
-    def add(self, port: Port[Message], message: Message, payload: bytes, logged_ns: int) -> None:
+    def add(self, port: Port[Message], head: Numbered, payload: bytes, logged_ns: int) -> None:
         """Write one message, see `RunWriter.add`."""
         self.heard += 1
-        self._cycle = message.cycle
+        self._cycle = head.cycle
         if not self.trouble:
             try:
-                self._writer.add(port, message, payload, logged_ns)
+                self._writer.add(port, head, payload, logged_ns)
             except OSError as error:
                 self._end(error)
 

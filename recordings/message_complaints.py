@@ -7,10 +7,11 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from agents.events import Complaint
-from recordings.recordable_messages import REPEATED
-
 ABSURD: Final = "absurd"
 """The cause of complaints about messages of the run whose numbers cannot be right."""
+
+REPEATED: Final = "repeated"
+"""The cause of complaints about further messages of a cycle, which are recorded all the same."""
 
 _RECORDED: Final = frozenset({ABSURD, REPEATED})
 """Causes of complaints about messages that are in the recording."""

@@ -34,8 +34,13 @@ class RunMonitor:
             self.plant.delivered_kw.append(message.delivered_kw)
         elif isinstance(message, Dispatch):
             self._regulation_kw[message.cycle] = message.regulation_kw
-        elif port.signal is HELP:
-            self._needy[port.node] = message.cycle
+        else:
+            self.see_head(port, message.cycle)
+
+    def see_head(self, port: Port[Message], cycle: int) -> None:
+        """Take in a message of which only the cycle is known."""
+        if port.signal is HELP:
+            self._needy[port.node] = cycle
 
     def status(self, recorded: int) -> Status:
         """Return where the run stands; its cycle is -1 before the first one is over."""

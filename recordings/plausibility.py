@@ -8,30 +8,13 @@ here.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import inf, isfinite
+from math import isfinite
 
-from agents.control.impp import METER_TOLERANCE
 from agents.plan import START_WITHIN_NS, RunPlan
-from bus_schemas.messages import (
-    Command,
-    Dispatch,
-    Help,
-    Impp,
-    Message,
-    Production,
-    Request,
-    Residual,
-    Run,
-    Setpoint,
-    Telemetry,
-)
+from bus_schemas.bounds import METER_TOLERANCE, out_of_bounds
+from bus_schemas.messages import Dispatch, Message, Production, Run, Telemetry
 from bus_schemas.signals import Port
 from bus_schemas.tree import ROOT
-
-_ABOVE_ZERO = 5e-324
-
-_ROUNDING = 1.0 + 1e-9
-"""Shares and sums that were worked out tier by tier may exceed a rating by a rounding error."""
 
 
 def absurdities(
@@ -61,33 +44,23 @@ def absurdities(
     if isinstance(message, Dispatch):
         # What is beyond the ratings is held between them, and acted on: an operator's mistake.
         return found | _not_finite(message)
-    for field, value, low, high in _bounds(plan.tree.rating_kw(port.node or ROOT), message):
-        if not low <= value <= high:  # NaN fails every comparison.
-            least = "above 0" if low == _ABOVE_ZERO else f"{low:.10g}"
-            found[field] = f"{field} is {value:.10g}, accepted is {least} to {high:.10g}"
+    for field, value, low, high in _out_of_bounds(plan.tree.rating_kw(port.node or ROOT), message):
+        least = "above 0" if low == 5e-324 else f"{low:.10g}"
+        found[field] = f"{field} is {value:.10g}, expected {least} to {high:.10g}"
     return found
 
 
-def _bounds(rating_kw: float, message: Message) -> Iterator[tuple[str, float, float, float]]:
-    """Yield each number of a message with its name, its lowest and its highest value."""
-    most_kw = rating_kw * _ROUNDING
-    match message:
-        case Telemetry():
-            yield "power_kw", message.power_kw, 0.0, rating_kw * (1.0 + METER_TOLERANCE)
-            yield "alpha", message.alpha, _ABOVE_ZERO, 1.0
-            yield "limit_kw", message.limit_kw, 0.0, most_kw
-        case Request() | Setpoint():
-            yield "power_kw", message.power_kw, 0.0, most_kw
-        case Impp():
-            yield "power_kw", message.power_kw, 0.0, most_kw
-            yield "stale_cycles", message.stale_cycles, 0, inf
-        case Residual():
-            yield "power_kw", message.power_kw, -most_kw, most_kw
-        case Help():
-            yield "missing_kw", message.missing_kw, 0.0, most_kw
-        case Command():
-            yield "alpha", message.alpha, _ABOVE_ZERO, 1.0
-            yield "power_kw", message.power_kw, 0.0, most_kw
+def _out_of_bounds(
+    rating_kw: float, message: Message
+) -> Iterator[tuple[str, float, float, float]]:
+    yield from out_of_bounds(message, rating_kw)
+    if isinstance(message, Telemetry):  # The estimate judges it; this says what it refuses.
+        for field, value, high in (
+            ("power_kw", message.power_kw, rating_kw * (1.0 + METER_TOLERANCE)),
+            ("alpha", message.alpha, 1.0),
+        ):
+            if not 0.0 <= value <= high:
+                yield field, value, 0.0, high
 
 
 def _absurd_production(inverters: int, message: Production) -> dict[str, str]:
@@ -96,7 +69,7 @@ def _absurd_production(inverters: int, message: Production) -> dict[str, str]:
         entries = len(getattr(message, field))
         if entries != inverters:
             found[field] = (
-                f"{field} has {entries} entries, accepted is one for each of {inverters} inverters"
+                f"{field} has {entries} entries, expected one for each of {inverters} inverters"
             )
     return found
 
@@ -106,16 +79,16 @@ def _absurd_start(plan: RunPlan, run: Run, heard_ns: int) -> dict[str, str]:
     if run.state != "start":
         return found
     if run.cycle != 0:
-        found["cycle"] = f"the run begins with cycle {run.cycle}, accepted is 0"
+        found["cycle"] = f"the run begins with cycle {run.cycle}, expected 0"
     if run.cycle_wall_ns != plan.cycle_wall_ns:
         found["cycle_wall_ns"] = (
-            f"cycle_wall_ns is {run.cycle_wall_ns}, accepted is {plan.cycle_wall_ns}"
+            f"cycle_wall_ns is {run.cycle_wall_ns}, expected {plan.cycle_wall_ns}"
         )
     if not plan.lockstep and abs(run.start_time_ns - heard_ns) > START_WITHIN_NS:
         within_s = START_WITHIN_NS / 1e9
         found["start_time_ns"] = (
             f"start_time_ns is {run.start_time_ns} and came at {heard_ns} of this host's "
-            f"monotonic clock, accepted is within {within_s:g} s of it"
+            f"monotonic clock, expected within {within_s:g} s of it"
         )
     return found
 
@@ -126,5 +99,5 @@ def _not_finite(message: Message) -> dict[str, str]:
         values = getattr(message, field)
         for value in values if isinstance(values, tuple) else (values,):
             if isinstance(value, float) and not isfinite(value):
-                found[field] = f"{field} is {value:g}, accepted are finite numbers"
+                found[field] = f"{field} is {value:g}, expected finite numbers"
     return found

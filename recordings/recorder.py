@@ -3,14 +3,13 @@
 A full disk ends the recording, not the run: the recorder then goes on to hear, since publishers in
 lockstep wait for a listener who falls behind, and to say where the run stands.
 
-It also knows best where the run stands, since it sees all of it, and tells the launcher; and in
-the arming rounds it tells the plant that its ears are open.
+It knows best where the run stands, since it sees all of it, and tells the launcher; and in the
+arming rounds it tells the plant that it hears everybody.
 """
 
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Callable, Collection
 from typing import Final
@@ -19,19 +18,18 @@ import msgspec
 from msgspec.structs import replace
 
 from agents.events import Armed, Over, Presence, Recorded, RecordingEnded
-from agents.lifeline import Lifeline
+from agents.launcher_link import LauncherLink
 from agents.plan import RunPlan
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message, Ready, Run
-from bus_schemas.signals import DISPATCH, READY, Occurrence, Port, ports
+from bus_schemas.signals import DISPATCH, PRODUCTION, READY, RUN, Occurrence, Port, ports
 from bus_schemas.tree import PLANT, RECORDER, ROOT
 from bus_schemas.zenoh_bus import ZenohTap
 from recordings.external_agents import ExternalAgents
 from recordings.lasting_writer import LastingWriter
-from recordings.message_complaints import ABSURD, Complaints
+from recordings.message_complaints import ABSURD, REPEATED, Complaints
 from recordings.monitor import RunMonitor
 from recordings.plausibility import absurdities
-from recordings.recordable_messages import FAR_OFF, REPEATED, Objection, SpokenWords
 from recordings.writer import RunWriter
 
 log = logging.getLogger(__name__)
@@ -45,9 +43,25 @@ _MOST_AT_ONCE: Final = 2000
 _QUIET_S: Final = 2.0
 """How long nothing must have come before the recorder stops waiting for what it was told of."""
 
+_FAR_AHEAD: Final = 1000
+"""A message this many cycles ahead of the dispatch is of a cycle that cannot be."""
+
+
+class Head(msgspec.Struct, gc=False):
+    """What the recorder must know of every message; the rest is written down unread."""
+
+    cycle: int
+    source: str
+    sim_time_ns: int = 0
+    publish_time_ns: int = 0
+    sequence: int = 0
+
+
+_decode_head = msgspec.msgpack.Decoder(Head).decode
+
 
 class RecordingEnd:
-    """Whether the recording has been asked to end, by any thread or signal.
+    """Whether the recording has been asked to end.
 
     Attributes
     ----------
@@ -57,19 +71,16 @@ class RecordingEnd:
 
     def __init__(self) -> None:
         self.expected: int | None = None
-        self._asked = threading.Event()
-
-    def __bool__(self) -> bool:
-        return self._asked.is_set()
+        self.asked = False
 
     def ask(self) -> None:
         """Let the recording end once nothing comes any more."""
-        self._asked.set()
+        self.asked = True
 
     def hear(self, word: str) -> None:
         """Take in the launcher's word: `expect N` messages."""
         self.expected = int(word.removeprefix("expect "))
-        self._asked.set()
+        self.asked = True
 
 
 class Recorder:
@@ -83,11 +94,11 @@ class Recorder:
         The recorder's place on the bus.
     writer
         The file.
-    lifeline
-        The line to the launcher.
+    link
+        To the launcher.
     end
         Asked from outside.
-    drop_log
+    on_wrong
         Called with a line of text for each payload that is no message of the run.
     attached
         Whether a launcher says when to end. Otherwise the run's own stop does.
@@ -98,26 +109,31 @@ class Recorder:
         plan: RunPlan,
         tap: ZenohTap,
         writer: RunWriter,
-        lifeline: Lifeline,
+        link: LauncherLink,
         end: RecordingEnd,
-        drop_log: Callable[[str], None],
+        on_wrong: Callable[[str], None],
         attached: bool,
     ) -> None:
         self.monitor = RunMonitor()
-        self.complaints = Complaints(drop_log, lifeline.tell)
+        self.complaints = Complaints(on_wrong, link.tell)
         self._plan = plan
         self._tap = tap
         self._writer = LastingWriter(writer, self._tell_end)
-        self._lifeline = lifeline
+        self._link = link
         self._end = end
         self._attached = attached
         self._external = ExternalAgents(plan)
         self._newest_cycle = -1
-        self._has_begun = False
         self._stop_cycle: int | None = None
-        self._spoken = SpokenWords(plan)
-        self._ready_port = READY.of(ROOT)
+        self._last_cycle: dict[Port[Message], int] = {}
         self._round = Round(plan)
+        self._port_of = {plan.keys.key(port): port for port in plan.keys.ports}
+        # These are read, the others are only written down.
+        self._read = {
+            port
+            for port in plan.keys.ports
+            if port.signal in {DISPATCH, PRODUCTION, RUN} or port.publisher in plan.external
+        }
 
     def run(self) -> None:
         """Record until told to end, then close the file and report."""
@@ -126,23 +142,29 @@ class Recorder:
         flush_at = status_at = heard_at = time.monotonic()
         while not self._may_end(time.monotonic() - heard_at):
             heard = self._drain()
-            self._tell_presence()
             now = time.monotonic()
             if heard:
                 heard_at = now
             else:
+                self._heed_launcher()
                 time.sleep(_NAP_S)
             if now >= flush_at:
                 self._writer.flush()
                 flush_at = now + FLUSH_S
             if now >= status_at:
+                self._tell_presence()
                 self._tell_status()
+                self._heed_launcher()
                 status_at = now + _STATUS_S
         self._writer.close()
         self._report()
 
+    def _heed_launcher(self) -> None:
+        for word in self._link.words():
+            self._end.hear(word)
+
     def _may_end(self, quiet_s: float) -> bool:
-        if not self._end:
+        if not self._end.asked:
             return False
         expected = self._end.expected
         if expected is not None and self._writer.heard - self._external.heard >= expected:
@@ -159,98 +181,95 @@ class Recorder:
         return heard
 
     def _hear(self, key: str, payload: bytes) -> None:
-        port = self._plan.keys.port(key)
+        port = self._port_of.get(key)
         if port is None:
             self.complaints.add(key, "unknown", "this run has no such node or signal")
             return
         try:
-            message = decode(port.signal, payload)
-        except msgspec.DecodeError as error:
+            head = _decode_head(payload)
+            message = decode(port.signal, payload) if port in self._read else None
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
             self.complaints.add(key, "undecodable", str(error))
             return
-        objection = self._objection(port, message)
-        if objection is not None:
-            self.complaints.add(key, objection.cause, objection.text)
-            if not objection.is_recorded:
-                return
-        if message.cycle < 0:
-            if self._round.sees(port, message.cycle):
-                self._answer_round(message)
-        elif port.signal.logged:
-            self._record(port, message, payload, is_first=objection is None)
+        if head.source != port.publisher:
+            self.complaints.add(key, "foreign", f"it is from {head.source!r}")
+        elif head.cycle < 0:
+            if self._round.sees(port, head.cycle):
+                ready = Ready(head.cycle, head.sim_time_ns, RECORDER, ())
+                self._tap.publish(READY.of(ROOT), ready)
+        elif port.signal.logged and not self._is_far_off(key, port, head.cycle):
+            self._record(port, head, message, payload)
 
-    def _objection(self, port: Port[Message], message: Message) -> Objection | None:
-        """Say what is wrong with a message, None if nothing."""
-        cycle, publisher = message.cycle, port.publisher
-        if message.source != publisher:
-            return Objection("foreign", f"it is from {message.source!r}")
-        if cycle < 0:
-            return None
-        if publisher in self._plan.external and publisher != PLANT and not self._round.answered:
-            return Objection("other_cycle", f"it is of cycle {cycle}, before the run")
-        if isinstance(message, Run) and message.state == "start":
-            if self._has_begun:
-                return Objection(REPEATED, "the run begins a second time", is_recorded=True)
-            self._has_begun = True
-        objection = self._spoken.objection(port, message, self._newest_cycle)
-        is_far_off = objection is not None and objection.cause in FAR_OFF
-        self._external.hear(port, message, is_far_off=is_far_off)
-        return objection
+    def _is_far_off(self, key: str, port: Port[Message], cycle: int) -> bool:
+        """Whether a message of an external agent is of a cycle that cannot be."""
+        if port.publisher not in self._plan.external or port.publisher == PLANT:
+            return False
+        if self._round.answered and cycle <= self._newest_cycle + _FAR_AHEAD:
+            return False
+        self.complaints.add(key, "other_cycle", f"it is of cycle {cycle}, not {self._newest_cycle}")
+        return True
 
     def _record(
-        self, port: Port[Message], message: Message, payload: bytes, *, is_first: bool
+        self, port: Port[Message], head: Head, message: Message | None, payload: bytes
     ) -> None:
-        """Write down a message of the run, and follow the run by the first one of each cycle."""
-        if port.signal is DISPATCH:
-            self._newest_cycle = max(message.cycle, self._newest_cycle)
-        elif isinstance(message, Run) and is_first:
-            self._follow(message)
         heard_ns = time.monotonic_ns()
-        self._external.record(port, is_answer=is_first)
-        self._writer.add(port, message, payload, heard_ns)
-        if not is_first:
-            return
+        self._writer.add(port, head, payload, heard_ns)
+        is_first = head.cycle > self._last_cycle.get(port, -1)
+        self._last_cycle[port] = max(head.cycle, self._last_cycle.get(port, -1))
+        if message is not None:
+            self._follow(port, message, heard_ns, is_first=is_first)
+        else:
+            self.monitor.see_head(port, head.cycle)
+
+    def _follow(
+        self, port: Port[Message], message: Message, heard_ns: int, *, is_first: bool
+    ) -> None:
+        """Follow the run by the messages that say where it stands, and those of external agents."""
         if port.publisher in self._plan.external:
-            absurd = absurdities(self._plan, port, message, heard_ns)
-            if absurd:
-                self.complaints.add(self._plan.keys.key(port), ABSURD, absurd)
+            self._external.hear(port, message, is_answer=is_first)
+            key = self._plan.keys.key(port)
+            if not is_first and port.signal.is_cyclic:
+                self.complaints.add(key, REPEATED, f"it came again for cycle {message.cycle}")
                 return
+            if absurd := absurdities(self._plan, port, message, heard_ns):
+                self.complaints.add(key, ABSURD, absurd)
+                return
+        if isinstance(message, Run):
+            self._heed_run(message)
+        elif port.signal is DISPATCH:
+            self._newest_cycle = max(message.cycle, self._newest_cycle)
         self.monitor.see(port, message)
 
-    def _follow(self, message: Run) -> None:
-        """Take in the plant's word. What an external one says, the launcher hears from here."""
+    def _heed_run(self, message: Run) -> None:
+        """Follow the plant's word. What an external one says, the launcher hears from here."""
         if message.state == "stop":
             self._stop_cycle = message.cycle
             if not self._attached:
                 self._end.ask()
         if PLANT in self._plan.external:
             began = message.state == "start"
-            self._lifeline.tell(Armed(self._round.count) if began else Over(message.cycle))
-
-    def _answer_round(self, message: Message) -> None:
-        ready = Ready(message.cycle, message.sim_time_ns, RECORDER, ())
-        self._tap.publish(self._ready_port, ready)
+            self._link.tell(Armed(self._round.count) if began else Over(message.cycle))
 
     def _tell_end(self, text: str) -> None:
         log.error("%s", text)
-        self._lifeline.tell(RecordingEnded(text))
+        self._link.tell(RecordingEnded(text))
 
     def _tell_presence(self) -> None:
         """Say which external agents have come or gone. At the run's end all of them go."""
         for key, alive in self._tap.presence():
             agent = self._external.named(key)
             if agent is not None and self._stop_cycle is None:
-                self._lifeline.tell(Presence(agent, alive, self._newest_cycle))
+                self._link.tell(Presence(agent, alive, self._newest_cycle))
 
     def _tell_status(self) -> None:
         status = self.monitor.status(self._writer.recorded.total())
         if self._plan.external and self._newest_cycle < 0:
             status = replace(status, unheard=self._round.unheard(self._plan.external))
-        self._lifeline.tell(status)
+        self._link.tell(status)
 
     def _report(self) -> None:
         cycles = self._newest_cycle + 1 if self._stop_cycle is None else self._stop_cycle
-        self._lifeline.tell(
+        self._link.tell(
             Recorded(
                 recorded=dict(self._writer.recorded),
                 foreign=self.complaints.set_aside,
@@ -286,7 +305,7 @@ class Round:
         """Take in a message of a round; return whether it was the last one that was missing.
 
         Only the plant begins a round: what another one says of a later round is remembered, in case
-        it has overtaken the plant's words.
+        it has overtaken the plant's messages.
         """
         if port.publisher == PLANT and (self._cycle is None or cycle > self._cycle):
             self._cycle = cycle

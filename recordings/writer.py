@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 from mcap.writer import CompressionType, Writer
 
@@ -24,10 +24,19 @@ from bus_schemas.signals import Port, ports
 from recordings.declarations import channels, schemas
 
 RECORDING_NAME: Final = "run.mcap"
-SCHEMA_VERSION: Final = "2"
+SCHEMA_VERSION: Final = "3"
 """Version of the message types. A reader refuses what it does not know."""
 
 _VERSIONED: Final = ("heliarch", "eclipse-zenoh", "msgspec", "mcap", "numpy", "pvlib")
+
+
+def _machine() -> dict[str, str]:
+    """Return what the timing of a run depends on."""
+    return {
+        "host": platform.node(),
+        "kernel": platform.release(),
+        "cpu_count": str(os.cpu_count()),
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +54,14 @@ class ClockAnchor:
     def wall(self, monotonic_ns: int) -> int:
         """Wall time of a monotonic time."""
         return monotonic_ns - self.monotonic_ns + self.wall_ns
+
+
+class Numbered(Protocol):
+    """What a recording must know of a message besides its bytes."""
+
+    cycle: int
+    publish_time_ns: int
+    sequence: int
 
 
 class RunWriter:
@@ -94,21 +111,21 @@ class RunWriter:
         self._write_origin(plan, scenario, driver)
         self._channels = self._register(plan)
 
-    def add(self, port: Port[Message], message: Message, payload: bytes, logged_ns: int) -> None:
+    def add(self, port: Port[Message], head: Numbered, payload: bytes, logged_ns: int) -> None:
         """Write one message.
 
         Parameters
         ----------
-        port, message, payload
-            The message, decoded and as it was on the wire.
+        port, head, payload
+            Its port, its publish time and number, and itself as it was on the wire.
         logged_ns
             Monotonic time at which it was received.
         """
         self._writer.add_message(
             channel_id=self._channels[port],
             log_time=self._anchor.wall(logged_ns),
-            publish_time=self._anchor.wall(message.publish_time_ns),
-            sequence=message.sequence,
+            publish_time=self._anchor.wall(head.publish_time_ns),
+            sequence=head.sequence,
             data=payload,
         )
         self.recorded[port.signal.name] += 1
@@ -140,9 +157,7 @@ class RunWriter:
                 "plant": plan.plant,
                 "driver": driver,
                 "schema_version": SCHEMA_VERSION,
-                "host": platform.node(),
-                "kernel": platform.release(),
-                "cpu_count": str(os.cpu_count()),
+                **(_machine() if driver == "launch" else {}),
                 "python": platform.python_version(),
                 **{f"version {name}": version(name) for name in _VERSIONED},
             },

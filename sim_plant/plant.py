@@ -1,34 +1,34 @@
 """The plant: inverters under moving clouds, and the operator's dispatch, as one more agent.
 
-begin    on the clock            -> telemetry of the interval that ended, dispatch for the next
-advance  command of each inverter -> production: what really happened in the interval
+sense  on the clock             -> telemetry and meter of the interval that ended, dispatch for the next
+apply  command of each inverter -> production: what really happened in the interval
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.agent import Stage, Turn
-from agents.plan import Actuator
+from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Command, Dispatch, Message, Production, Telemetry
-from bus_schemas.signals import COMMAND, DISPATCH, PRODUCTION, TELEMETRY, Port
-from bus_schemas.tree import PLANT, ROOT, ControlTree
+from bus_schemas.messages import Dispatch, Meter, Production, Telemetry
+from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY
+from bus_schemas.tree import PLANT, ROOT
 from sim_plant.inverter import delivered_power_kw
 from sim_plant.profile import Profile
 
 
 @dataclass(frozen=True, slots=True)
 class PlantState:
-    """What each inverter obeyed and delivered in the last interval, shape (n,)."""
+    """What each inverter obeyed and delivered in the last interval, shape (n,), and its dispatch."""
 
     alpha: NDArray[np.float64]
     limit_kw: NDArray[np.float64]
     power_kw: NDArray[np.float64]
+    desired_kw: float
 
 
 class Plant:
@@ -36,105 +36,116 @@ class Plant:
 
     Parameters
     ----------
-    tree
-        Control tree; its leaves are the inverters.
+    plan
+        Of the run.
     profile
         What sun and market do. Before the run begins the inverters stand under the first sample,
         uncurtailed.
-    actuator
-        What the inverters do with a command.
     """
 
     name = PLANT
+    may_skip = False
 
-    def __init__(
-        self, tree: ControlTree, profile: Profile, actuator: Actuator = "fraction"
-    ) -> None:
+    def __init__(self, plan: RunPlan, profile: Profile) -> None:
+        tree = plan.tree
         self._profile = profile
-        self._actuator = actuator
+        self._limits = plan.actuator == "limit"
+        self._available_bias = plan.available_bias
         self._rating_kw = np.array([tree.rating_kw(leaf) for leaf in tree.leaves])
+        self._plant_rating_kw = tree.rating_kw(ROOT)
         self._telemetry = tuple(TELEMETRY.of(leaf) for leaf in tree.leaves)
         self._commands = tuple(COMMAND.of(leaf) for leaf in tree.leaves)
         self._dispatch = DISPATCH.of(ROOT)
+        self._meter = METER.of(ROOT)
         self._production = PRODUCTION.of(ROOT)
-        self._stages = (
-            Stage("begin", frozenset(), timed=True),
-            Stage("advance", frozenset(self._commands)),
-        )
+        self._stages = (Stage("sense", (), timed=True), Stage("apply", self._commands))
 
     def initial_state(self) -> PlantState:
         """Every inverter at its maximum under the first sample."""
         first_kw = self._profile.mpp_kw[0]
-        return PlantState(np.ones_like(first_kw), self._rating_kw, first_kw)
+        return PlantState(
+            np.ones_like(first_kw), self._rating_kw, first_kw, float(first_kw.sum())
+        )
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages, the same in each cycle."""
         return self._stages
 
-    def follow_up(self, port: Port[Message], message: Message) -> None:
-        """Nothing that it hears announces anything else."""
-
     def step(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
         """Close a stage."""
-        if turn.stage == "begin":
-            return state, self._begin(state, turn)
-        return self._advance(state, turn)
+        if turn.stage == "sense":
+            return state, self._sense(state, turn)
+        return self._apply(state, turn)
 
-    def _begin(self, state: PlantState, turn: Turn) -> list[Delivery]:
+    def _sense(self, state: PlantState, turn: Turn) -> list[Delivery]:
         cycle = max(turn.cycle, 0)
         commitment_kw = float(self._profile.commitment_kw[cycle])
         regulation_kw = float(self._profile.regulation_kw[cycle])
         dispatch = Dispatch(
             *turn.stamp,
             power_kw=commitment_kw + regulation_kw,
+            plant_rating_kw=self._plant_rating_kw,
             commitment_kw=commitment_kw,
             regulation_kw=regulation_kw,
         )
-        outputs: list[Delivery] = [(self._dispatch, dispatch)]
+        meter = Meter(
+            *turn.stamp, power_kw=float(state.power_kw.sum()), desired_kw=state.desired_kw
+        )
+        outputs: list[Delivery] = [(self._dispatch, dispatch), (self._meter, meter)]
         measured_kw = state.power_kw * (1.0 + self._profile.meter_error[cycle])
-        for port, power_kw, alpha, limit_kw in zip(
+        for port, power_kw, alpha, limit_kw, available_kw in zip(
             self._telemetry,
             measured_kw.tolist(),
             state.alpha.tolist(),
             state.limit_kw.tolist(),
+            self._available_kw(cycle),
             strict=True,
         ):
-            telemetry = Telemetry(*turn.stamp, power_kw=power_kw, alpha=alpha, limit_kw=limit_kw)
+            telemetry = Telemetry(
+                *turn.stamp,
+                power_kw=power_kw,
+                alpha=alpha,
+                limit_kw=limit_kw,
+                available_kw=available_kw,
+            )
             outputs.append((port, telemetry))
         return outputs
 
-    def _advance(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
+    def _available_kw(self, cycle: int) -> list[float] | list[None]:
+        """What each inverter says that it could have given in the interval that ended."""
+        if self._available_bias is None:
+            return [None] * len(self._rating_kw)
+        stated_kw = self._profile.mpp_kw[max(cycle - 1, 0)] * (1.0 + self._available_bias)
+        found: list[float] = np.minimum(stated_kw, self._rating_kw).tolist()
+        return found
+
+    def _apply(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
         cycle = max(turn.cycle, 0)
         mpp_kw = self._profile.mpp_kw[cycle]
         alpha, limit_kw = self._obeyed(state, turn)
-        share = alpha if self._actuator == "fraction" else np.ones_like(alpha)
+        share = np.ones_like(alpha) if self._limits else alpha
         power_kw = delivered_power_kw(mpp_kw, share, limit_kw)
+        desired_kw = float(self._profile.commitment_kw[cycle] + self._profile.regulation_kw[cycle])
         production = Production(
             *turn.stamp,
-            desired_kw=float(
-                self._profile.commitment_kw[cycle] + self._profile.regulation_kw[cycle]
-            ),
+            desired_kw=desired_kw,
             possible_kw=float(mpp_kw.sum()),
             delivered_kw=float(power_kw.sum()),
             inverter_mpp_kw=tuple(mpp_kw.tolist()),
             inverter_power_kw=tuple(power_kw.tolist()),
         )
-        return PlantState(alpha, limit_kw, power_kw), [(self._production, production)]
+        usable_kw = min(max(desired_kw, 0.0), self._plant_rating_kw)
+        return PlantState(alpha, limit_kw, power_kw, usable_kw), [(self._production, production)]
 
     def _obeyed(
         self, state: PlantState, turn: Turn
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Alpha and limit of each inverter: the last ones where a command is missing or absurd."""
+        """Alpha and limit of each inverter: the last ones where no command came."""
         alpha, limit_kw = state.alpha.tolist(), state.limit_kw.tolist()
         for place, port in enumerate(self._commands):
             command = turn.get(port)
-            if command is not None and _makes_sense(command):
+            if command is not None:
                 alpha[place] = command.alpha
-                if self._actuator == "limit":
+                if self._limits:
                     limit_kw[place] = min(command.power_kw, self._rating_kw[place])
         return np.array(alpha), np.array(limit_kw)
-
-
-def _makes_sense(command: Command) -> bool:
-    # NaN fails every comparison.
-    return 0.0 < command.alpha <= 1.0 and 0.0 <= command.power_kw < inf

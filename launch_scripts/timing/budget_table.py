@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import msgspec
 
-from agents.kinds import KINDS, STAGES
+from agents.cycle import KINDS, STAGES
 from bus_schemas.signals import SIGNALS
 
 _TIERS: Final = tuple(STAGES)

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from agents.deadlines import stage_place
+from agents.cycle import stage_place
 from agents.plan import RunPlan
 from agents.team import Controller, central_controller, direct_controller, supervisor
 from bus_schemas.errors import InputError

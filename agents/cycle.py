@@ -1,0 +1,92 @@
+"""One cycle: its stages, their places in it, and their deadlines. Stated here and nowhere else.
+
+    sense (plant) -> estimate (direct) -> report (supervisors, upwards)
+        -> solve (central, then downwards) -> actuate (direct) -> apply (plant)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Literal, TypeAlias, get_args
+
+from bus_schemas.tree import CENTRAL, PLANT, RECORDER, ControlTree, depth
+
+Kind: TypeAlias = Literal["plant", "central", "supervisor", "direct", "recorder"]
+"""What an agent is."""
+
+KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
+
+PLACES: Final[dict[str, Callable[[int, int], int]]] = {
+    "sense": lambda height, level: 0,
+    "estimate": lambda height, level: 1,
+    "report": lambda height, level: 1 + height - level,
+    "solve": lambda height, level: 1 + height + level,
+    "actuate": lambda height, level: 1 + height + level,
+    "apply": lambda height, level: 2 + 2 * height,
+}
+"""Place of each stage in the order of a cycle, from the tree's tiers below the root (height) and
+the tier of the agent (level, 0 for the central controller). Each step is one hop on the bus."""
+
+STAGES: Final[dict[Kind, tuple[str, ...]]] = {
+    "plant": ("sense", "apply"),
+    "central": ("solve",),
+    "supervisor": ("report", "solve"),
+    "direct": ("estimate", "actuate"),
+}
+"""Stages of each kind of agent, in their order."""
+
+USED_SHARE: Final = 0.9
+"""Share of the cycle by whose end the plant has its commands, or goes on without."""
+
+_ALONE: Final[dict[str, Kind]] = {PLANT: "plant", CENTRAL: "central", RECORDER: "recorder"}
+
+
+def kind_of(agent: str, tree: ControlTree) -> Kind:
+    """Return the kind of an agent by its name."""
+    return _ALONE.get(agent) or ("direct" if tree.is_leaf(agent) else "supervisor")
+
+
+def stage_place(agent: str, stage: str, tree: ControlTree) -> int:
+    """Return the place of an agent's stage in the order of one cycle."""
+    level = 0 if agent in {CENTRAL, PLANT} else depth(agent)
+    return PLACES[stage](tree.height, level)
+
+
+@dataclass(frozen=True)
+class Deadlines:
+    """When, in real time, each stage of a cycle closes at the latest.
+
+    By default each place has the same share of the cycle; the rest is a margin before the plant's
+    next tick. A run may instead state when the last message of each tier must be out: the stages up
+    to the central controller's solve then share the time before its deadline, and the plant waits
+    for commands until halfway between the last deadline and its next tick.
+
+    Parameters
+    ----------
+    tree
+        The control tree.
+    cycle_ns
+        Length of a cycle on the wall clock.
+    tiers_ns
+        Deadline of each tier's last message, the central controller's first and the direct
+        controllers' last. Empty: each place has the same share.
+    """
+
+    tree: ControlTree
+    cycle_ns: int
+    tiers_ns: tuple[int, ...] = ()
+
+    def deadline_ns(self, agent: str, stage: str) -> int:
+        """Return the deadline of an agent's stage after the beginning of its cycle [ns]."""
+        place = stage_place(agent, stage, self.tree)
+        central = stage_place(CENTRAL, "solve", self.tree)
+        if not self.tiers_ns:
+            places = stage_place(PLANT, "apply", self.tree)
+            return round(USED_SHARE * place / places * self.cycle_ns)
+        if place <= central:
+            return self.tiers_ns[0] * place // central
+        if agent == PLANT:
+            return (self.tiers_ns[-1] + self.cycle_ns) // 2
+        # A direct controller may hang from any tier: its deadline is that of its like.
+        return self.tiers_ns[-1] if stage == "actuate" else self.tiers_ns[depth(agent)]

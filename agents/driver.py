@@ -1,0 +1,107 @@
+"""The one driver: takes agents through a run over a bus and by a clock.
+
+The bus is Zenoh, memory or a recording; the clock is the wall's, a virtual one, or none at all in
+lockstep. Launch, simulate, verify and replay are combinations of these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from heapq import heappop, heappush
+from itertools import count
+from typing import Any
+
+from agents.loop import AgentLoop
+from bus_schemas.bus import Arrival, Bus
+from bus_schemas.messages import Message
+from bus_schemas.signals import RUN, Port
+
+
+class Driver:
+    """Some agents of a run, on one bus.
+
+    Parameters
+    ----------
+    loops
+        The agents.
+    bus
+        Brings them messages and takes theirs.
+    now_ns
+        The run's clock.
+    """
+
+    def __init__(
+        self, loops: Iterable[AgentLoop[Any]], bus: Bus, now_ns: Callable[[], int]
+    ) -> None:
+        self.loops = {loop.agent.name: loop for loop in loops}
+        self.bus = bus
+        self.now_ns = now_ns
+        self._only = next(iter(self.loops.values())) if len(self.loops) == 1 else None
+        # The numbers keep the order of deadlines at one moment, and names uncompared.
+        self._numbers = count()
+        self._deadlines: list[tuple[int, int, str]] = []
+        self._deadline_of: dict[str, int | None] = dict.fromkeys(self.loops)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run has ended for all agents."""
+        return all(loop.finished for loop in self.loops.values())
+
+    def run(self) -> Iterator[Sequence[Arrival]]:
+        """Go on to the end of the run; yield, after each wait, the messages that came."""
+        for loop in self.loops.values():
+            self.go_on(loop)
+        while not self.finished:
+            yield self.turn()
+
+    def turn(self, longest_ns: int | None = None) -> Sequence[Arrival]:
+        """Wait for messages or the next deadline, and act on them. Returns the messages.
+
+        Parameters
+        ----------
+        longest_ns
+            Time of the run's clock up to which to wait at most.
+        """
+        until_ns = self._deadlines[0][0] if self._deadlines else longest_ns
+        if longest_ns is not None and until_ns is not None:
+            until_ns = min(until_ns, longest_ns)
+        only = self._only
+        arrivals = self.bus.receive(until_ns, len(only.waiting) or 1 if only is not None else 1)
+        if only is not None and only.catch_up(self.now_ns()):
+            self.go_on(only)
+        for agent, port, message, time_ns in arrivals:
+            loop = self.loops[agent]
+            loop.hear(port, message, time_ns)
+            if not loop.waiting or port.signal is RUN:
+                self.go_on(loop)
+        # In memory all messages of a moment come before its deadlines.
+        if self._deadlines and (only is not None or not arrivals):
+            self._close_overdue()
+        return arrivals
+
+    def go_on(self, loop: AgentLoop[Any]) -> None:
+        """Take an agent as far as its inputs go, and publish what it says."""
+        while loop.is_complete:
+            self._close(loop)
+        deadline_ns = loop.deadline_ns
+        if deadline_ns is not None and deadline_ns != self._deadline_of[loop.agent.name]:
+            self._deadline_of[loop.agent.name] = deadline_ns
+            heappush(self._deadlines, (deadline_ns, next(self._numbers), loop.agent.name))
+
+    def publish(self, port: Port[Message], message: Message) -> None:
+        """Publish a message that no agent decides."""
+        self.bus.publish(port, message, self.now_ns())
+
+    def _close(self, loop: AgentLoop[Any]) -> None:
+        bus, now_ns = self.bus, self.now_ns
+        for port, message in loop.close_stage(now_ns()):
+            bus.publish(port, message, now_ns())
+
+    def _close_overdue(self) -> None:
+        """Close the next stage whose deadline has passed."""
+        if self._deadlines[0][0] <= self.now_ns():
+            deadline_ns, _, name = heappop(self._deadlines)
+            loop = self.loops[name]
+            if loop.deadline_ns == deadline_ns:
+                self._close(loop)
+            self.go_on(loop)

@@ -1,0 +1,102 @@
+"""The link between a process of a run and the launcher: events go out, words come in.
+
+It needs no bus, so it works while the bus does not. A process that was started by hand prints its
+events as lines of JSON and gets no words.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import sys
+from typing import Final
+
+import msgspec
+
+from agents.events import AnyEvent, Event
+
+_PART: Final = 60_000
+"""Bytes of an event in one packet: a socket takes packets of some 200 kB at most."""
+
+_decoder = msgspec.json.Decoder(AnyEvent)
+
+
+class LauncherLink:
+    """A process's end of the link.
+
+    Parameters
+    ----------
+    agent
+        Name of the agent in the process.
+    events
+        Socket that keeps packets apart, shared with the other processes of the run.
+    words
+        Pipe from which the launcher's words can be read without waiting.
+
+    Attributes
+    ----------
+    dismissed
+        Whether the launcher wants the agent to end: by SIGTERM, see `heed_sigterm`.
+    """
+
+    def __init__(
+        self, agent: str, events: socket.socket | None = None, words: int | None = None
+    ) -> None:
+        self.dismissed = False
+        self._agent = agent
+        self._events = events
+        self._words = words
+        self._pending = b""
+
+    def heed_sigterm(self) -> None:
+        """Take SIGTERM for the launcher's wish to end in order."""
+        signal.signal(signal.SIGTERM, self._dismiss)
+
+    def _dismiss(self, *_: object) -> None:
+        self.dismissed = True
+
+    def tell(self, event: Event) -> None:
+        """Send an event."""
+        data = msgspec.json.encode(event)
+        if self._events is None:
+            sys.stdout.buffer.write(data + b"\n")
+            sys.stdout.buffer.flush()
+            return
+        for packet in packets(self._agent, data):
+            self._events.send(packet)
+
+    def words(self) -> list[str]:
+        """Return the words that have come."""
+        if self._words is None:
+            return []
+        try:
+            self._pending += os.read(self._words, 4096)
+        except BlockingIOError:
+            return []
+        *lines, self._pending = self._pending.split(b"\n")
+        return [line.decode() for line in lines]
+
+
+def packets(agent: str, data: bytes) -> list[bytes]:
+    """Cut an event into packets: a mark for the last one, the agent, a part of the event."""
+    parts = [data[start : start + _PART] for start in range(0, len(data), _PART)]
+    head = f"{agent}\n".encode()
+    return [b"+" + head + part for part in parts[:-1]] + [b"." + head + parts[-1]]
+
+
+class EventReader:
+    """The launcher's end: puts events together again."""
+
+    def __init__(self) -> None:
+        self._parts: dict[str, bytes] = {}
+
+    def feed(self, packet: bytes) -> tuple[str, AnyEvent] | None:
+        """Take in a packet; return agent and event once it is whole."""
+        name, _, part = packet[1:].partition(b"\n")
+        agent = name.decode()
+        data = self._parts.pop(agent, b"") + part
+        if packet[:1] == b"+":
+            self._parts[agent] = data
+            return None
+        return agent, _decoder.decode(data)

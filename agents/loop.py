@@ -1,0 +1,341 @@
+"""Takes one agent through its cycles: keeps its inputs, closes its stages, goes on.
+
+There is one rule for time. Of each input the newest message is kept. A stage closes when every input
+that it awaits is of this cycle, or at its deadline. Its decision rests on the newest messages; an
+input older than `hold_cycles` is silent. What the agent sends names, in `missing`, the inputs that
+were not due in this cycle. Lockstep has no deadlines: that is the whole difference.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Callable
+from typing import Final, Generic, Literal, TypeAlias, TypeVar
+
+from agents.agent import Agent, Stage, Turn
+from agents.plan import START_WITHIN_NS, RunPlan
+from bus_schemas.bounds import is_plausible
+from bus_schemas.bus import Delivery
+from bus_schemas.messages import Message, Run
+from bus_schemas.missing import Missing
+from bus_schemas.signals import DISPATCH, Occurrence, Port
+from bus_schemas.tree import ROOT
+
+S = TypeVar("S")
+
+log = logging.getLogger(__name__)
+
+BEFORE_ARMING: Final = -(2**31)
+"""The cycle that an agent is in before the first arming round."""
+
+_NONE_YET: Final = -(2**62)
+
+Cause: TypeAlias = Literal["late", "other_cycle", "unexpected", "duplicate", "foreign", "absurd"]
+"""Why a message was not used."""
+
+_COUNT_IN_ARMING: Final[frozenset[Cause]] = frozenset({"foreign", "absurd"})
+"""The others do not: arming rounds overlap while links come up."""
+
+
+class _Input:
+    """One input of an agent: its newest message, and those of cycles to come.
+
+    Attributes
+    ----------
+    heard
+        Newest cycle of which something came, whatever it was.
+    newest
+        Newest message that can be used.
+    ahead
+        Messages of later cycles: a child may run ahead of a parent that acts rarely.
+    """
+
+    __slots__ = ("ahead", "heard", "newest", "period", "port", "rating_kw")
+
+    def __init__(self, port: Port[Message], period: int, rating_kw: float) -> None:
+        self.port = port
+        self.period = period
+        self.rating_kw = rating_kw
+        self.forget()
+
+    def forget(self) -> None:
+        self.heard = _NONE_YET
+        self.newest: Message | None = None
+        self.ahead: list[Message] = []
+
+    def age(self, cycle: int) -> int:
+        """Cycles since a newer message was due; 0: the newest one is the one that is due."""
+        assert self.newest is not None
+        return max(cycle - self.newest.cycle - self.period + 1, 0)
+
+
+class AgentLoop(Generic[S]):
+    """One agent on its way through the cycles.
+
+    Arming rounds are cycles below 0. Each begins from the initial state and leaves no trace. The
+    dispatch of a round takes a controller into it, and the plant's `run` into cycle 0.
+
+    Parameters
+    ----------
+    agent
+        The agent.
+    plan
+        Of the run.
+    on_drop
+        Called with a line of text for each message that is not used.
+
+    Attributes
+    ----------
+    cycle
+        The cycle that it is in.
+    end_cycle
+        The first cycle that does not take place.
+    waiting
+        Ports of which the open stage still awaits a message.
+    dropped
+        Messages that were not used, by port and cause.
+    missing_inputs
+        Awaited inputs that a deadline found missing.
+    old_inputs
+        Inputs of an earlier cycle that a stage used in place of those.
+    skipped_cycles
+        Cycles that were over before the agent came to them.
+    """
+
+    def __init__(
+        self, agent: Agent[S], plan: RunPlan, on_drop: Callable[[str], None] = lambda text: None
+    ) -> None:
+        self.agent = agent
+        self.cycle = BEFORE_ARMING
+        self.end_cycle = plan.cycles
+        self.stop_heard = False
+        self.waiting: set[Port[Message]] = set()
+        self.dropped: Counter[tuple[str, Cause]] = Counter()
+        self.missing_inputs = 0
+        self.old_inputs = 0
+        self.skipped_cycles = 0
+        self._plan = plan
+        self._on_drop = on_drop
+        self._state = agent.initial_state()
+        self._stages: tuple[Stage, ...] = ()
+        self._place = 0
+        self._ready_ns = 0
+        self._start_ns: int | None = None
+        self._dispatch = DISPATCH.of(ROOT)
+        self._inputs = {
+            port: _Input(port, plan.period(port), plan.tree.rating_kw(port.node))
+            for port in plan.wiring.heard.get(agent.name, ())
+            if port.signal.occurrence is not Occurrence.EVENT
+        }
+        self._deadlines_ns: dict[str, int] = {}
+
+    @property
+    def stage(self) -> str:
+        """Name of the open stage, empty if none is open."""
+        return self._stages[self._place].name if self._place < len(self._stages) else ""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run has ended for this agent."""
+        return self.cycle >= self.end_cycle
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the open stage has all that it awaits."""
+        if self.waiting or self._place >= len(self._stages):
+            return False
+        return not (self._stages[self._place].timed and self._is_on_the_clock)
+
+    @property
+    def deadline_ns(self) -> int | None:
+        """When the open stage closes at the latest, on the run's clock. None: it waits."""
+        if not self._is_on_the_clock or self._place >= len(self._stages):
+            return None
+        assert self._start_ns is not None
+        name = self._stages[self._place].name
+        after_ns = self._deadlines_ns.get(name)
+        if after_ns is None:
+            after_ns = self._plan.deadlines.deadline_ns(self.agent.name, name)
+            self._deadlines_ns[name] = after_ns
+        return self._start_ns + self.cycle * self._plan.cycle_wall_ns + after_ns
+
+    @property
+    def _is_on_the_clock(self) -> bool:
+        return self.cycle >= 0 and self._start_ns is not None
+
+    # What comes in --------------------------------------------------------------------------------
+
+    def hear(self, port: Port[Message], message: Message, time_ns: int) -> None:
+        """Take in a message that came at a time of the run's clock."""
+        if message.source != port.publisher:
+            self._drop("foreign", port, message, f"is from {message.source!r}")
+            return
+        if isinstance(message, Run):
+            self._heed(message, time_ns)
+            return
+        heard = self._inputs.get(port)
+        if heard is None:
+            return
+        if self.cycle < message.cycle < 0 and port is self._dispatch:
+            self.enter(message.cycle, time_ns)
+        if message.cycle > self.cycle:
+            self._keep_ahead(heard, message)
+        else:
+            self._take(heard, message, time_ns)
+
+    def _take(self, heard: _Input, message: Message, time_ns: int) -> None:
+        """Make a message the newest of its input."""
+        port, cycle = heard.port, message.cycle
+        if cycle <= heard.heard:
+            cause: Cause = "duplicate" if cycle == heard.heard else "late"
+            self._drop(cause, port, message, f"came after that of cycle {heard.heard}")
+            return
+        if cycle >= 0 and cycle % heard.period:
+            self._drop("unexpected", port, message, "is not of a turn of its sender")
+            return
+        heard.heard = cycle
+        if is_plausible(message, heard.rating_kw):
+            heard.newest = message
+        else:
+            self._drop("absurd", port, message, "has a number that cannot be")
+        if cycle == self.cycle and port in self.waiting:
+            self.waiting.discard(port)
+            if not self.waiting:
+                self._ready_ns = time_ns
+
+    def _keep_ahead(self, heard: _Input, message: Message) -> None:
+        """Keep a message of a cycle to come, one of each cycle."""
+        cycle, horizon = message.cycle, self._plan.periods.longest + 1
+        is_near = cycle < 0 or cycle <= max(self.cycle, 0) + horizon
+        if not is_near or len(heard.ahead) > horizon:
+            self._drop("other_cycle", heard.port, message, f"is too far from {self.cycle}")
+        elif any(kept.cycle == cycle for kept in heard.ahead):
+            self._drop("duplicate", heard.port, message, "came twice")
+        else:
+            heard.ahead.append(message)
+
+    def _heed(self, run: Run, time_ns: int) -> None:
+        """Follow the plant on the beginning and the end of the run."""
+        if run.state == "stop":
+            self.end_before(run.cycle)
+            self.stop_heard = True
+        elif self.cycle < 0:
+            self.begin(self._believable_start_ns(run, time_ns), time_ns)
+
+    def _believable_start_ns(self, run: Run, now_ns: int) -> int:
+        """Return when cycle 0 begins: as the plant says, or now if its clock is another one."""
+        if self._plan.lockstep or abs(run.start_time_ns - now_ns) <= START_WITHIN_NS:
+            return run.start_time_ns
+        log.warning(
+            "the plant says that the run begins at %d, this host's monotonic clock says %d: cycle 0 "
+            "begins now instead",
+            run.start_time_ns,
+            now_ns,
+        )
+        return now_ns
+
+    # Cycles ---------------------------------------------------------------------------------------
+
+    def begin(self, start_ns: int, now_ns: int) -> None:
+        """Enter cycle 0, which begins at a time of the run's clock."""
+        if not self._plan.lockstep:
+            self._start_ns = start_ns
+        self.enter(0, now_ns)
+
+    def end_before(self, cycle: int) -> None:
+        """Let the run end before a cycle: those up to it are still completed."""
+        self.end_cycle = min(self.end_cycle, cycle)
+        if self.finished:
+            self._stages, self.waiting = (), set()
+
+    def enter(self, cycle: int, now_ns: int) -> None:
+        """Enter an arming round or cycle 0, from the initial state."""
+        self._state = self.agent.initial_state()
+        for heard in self._inputs.values():
+            kept = [message for message in heard.ahead if message.cycle >= cycle]
+            heard.forget()
+            heard.ahead = kept
+        self._go_to(cycle, now_ns)
+
+    def catch_up(self, now_ns: int) -> bool:
+        """Go to the cycle under way if the agent's own is over; return whether it was."""
+        if not self._is_on_the_clock or self.finished or not self.agent.may_skip:
+            return False
+        assert self._start_ns is not None
+        under_way = min((now_ns - self._start_ns) // self._plan.cycle_wall_ns, self.end_cycle)
+        if under_way <= self.cycle:
+            return False
+        self.skipped_cycles += under_way - self.cycle
+        self._go_to(under_way, now_ns)
+        return True
+
+    def _go_to(self, cycle: int, now_ns: int) -> None:
+        self.cycle = cycle
+        self._place = 0
+        self._stages = () if self.finished else self.agent.stages(cycle)
+        for heard in self._inputs.values():
+            if heard.ahead:
+                due = [message for message in heard.ahead if message.cycle <= cycle]
+                heard.ahead = [message for message in heard.ahead if message.cycle > cycle]
+                for message in sorted(due, key=lambda message: message.cycle):
+                    self._take(heard, message, now_ns)
+        self._open_stage(now_ns)
+
+    def _open_stage(self, now_ns: int) -> None:
+        self.waiting = set()
+        self._ready_ns = now_ns
+        if self._place < len(self._stages):
+            inputs, cycle = self._inputs, self.cycle
+            for port in self._stages[self._place].awaits:
+                if inputs[port].heard != cycle:
+                    self.waiting.add(port)
+
+    def close_stage(self, now_ns: int) -> list[Delivery]:
+        """Close the open stage with what there is; return what the agent sends."""
+        stage = self._stages[self._place]
+        if self.waiting or stage.timed:
+            deadline_ns = self.deadline_ns
+            self._ready_ns = now_ns if deadline_ns is None else deadline_ns
+            self.missing_inputs += len(self.waiting)
+        inputs, missing = self._inputs_of(stage)
+        cycle, sim_time_ns = self.cycle, self._plan.sim_time_ns(self.cycle)
+        stamp = (cycle, sim_time_ns, self.agent.name, missing)
+        turn = Turn(stage.name, cycle, sim_time_ns, stamp, inputs)
+        self._state, outputs = self.agent.step(self._state, turn)
+        for _, message in outputs:
+            message.ready_time_ns = self._ready_ns
+        self._place += 1
+        if self._place < len(self._stages):
+            self._open_stage(now_ns)
+        elif cycle >= 0:
+            self._go_to(cycle + 1, now_ns)
+        return outputs
+
+    def _inputs_of(
+        self, stage: Stage
+    ) -> tuple[dict[Port[Message], Message | None], tuple[str, ...]]:
+        """Return the messages that a stage decides on, and what to say of those that are not due."""
+        cycle = self.cycle
+        found: dict[Port[Message], Message | None] = {}
+        missing: list[str] = []
+        for ports in (stage.awaits, stage.uses):
+            for port in ports:
+                heard = self._inputs[port]
+                message = heard.newest
+                if message is not None and message.cycle != cycle:
+                    age = heard.age(cycle)
+                    if age > self._plan.hold_cycles:
+                        message = None
+                    elif age:
+                        self.old_inputs += 1
+                        missing.append(str(Missing(str(port), message.cycle)))
+                if message is None:
+                    missing.append(str(port))
+                found[port] = message
+        return found, tuple(missing)
+
+    def _drop(self, cause: Cause, port: Port[Message], message: Message, why: str) -> None:
+        if self.cycle >= 0 or cause in _COUNT_IN_ARMING:
+            self.dropped[str(port), cause] += 1
+            self._on_drop(f"{port} of cycle {message.cycle} {why}")

@@ -1,0 +1,300 @@
+"""The parents: supervisors, and the central controller (the paper's adaptive layer) at the root.
+
+report  impp, residual of the children -> impp, residual, help of the node
+solve   setpoint of its own parent     -> setpoint for each child
+
+The central controller does both in its one stage, and has its target from the dispatch.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from math import fsum
+from typing import NamedTuple
+
+import msgspec
+
+from agents.agent import Stage, Turn
+from agents.control.allocation import allocate
+from agents.control.correction import corrected
+from agents.control.neighbours import HelpOrder, help_order
+from agents.control.request import residual_kw
+from agents.plan import RunPlan
+from agents.request import own_request_kw, usable_kw
+from bus_schemas.bus import Delivery
+from bus_schemas.messages import (
+    Dispatch,
+    Help,
+    HelpGiven,
+    Impp,
+    Message,
+    Meter,
+    Notice,
+    Residual,
+    Setpoint,
+)
+from bus_schemas.signals import DISPATCH, HELP, IMPP, METER, NOTICE, RESIDUAL, SETPOINT, Port
+from bus_schemas.tree import ROOT, agent_name, parent_of
+
+
+class Report(NamedTuple):
+    """What a parent knows of a child: its IMPP and residual [kW], zero IMPP if it is silent."""
+
+    impp_kw: float
+    residual_kw: float
+    stale_cycles: int
+    is_old: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Child:
+    path: str
+    rating_kw: float
+    impp: Port[Impp]
+    residual: Port[Residual]
+    setpoint: Port[Setpoint]
+
+
+class Children:
+    """A parent's children: what they report, and how a target is divided among them.
+
+    Parameters
+    ----------
+    plan
+        Of the run.
+    node
+        Path of the parent.
+    """
+
+    def __init__(self, plan: RunPlan, node: str) -> None:
+        tree = plan.tree
+        self._children = tuple(
+            _Child(path, tree.rating_kw(path), IMPP.of(path), RESIDUAL.of(path), SETPOINT.of(path))
+            for path in tree.children(node)
+        )
+        self._ratings_kw = tuple(child.rating_kw for child in self._children)
+        self.rating_kw = tree.rating_kw(node)
+        self._own = (IMPP.of(node), RESIDUAL.of(node), HELP.of(node))
+        self._dispatch = DISPATCH.of(ROOT)
+        self._hold_cycles = plan.hold_cycles
+        self._floor = plan.alpha_floor
+        self._tops_up_old = plan.scheme == "predictive"
+        self._tops_up = self._tops_up_old and plan.periods.rests_between(node)
+        hours = plan.neighbourhoods_of(node)
+        self._from_times_ns = [hour.from_time_ns for hour in hours]
+        self._orders = [help_order(hour.correlation) for hour in hours]
+        self._listed_order = help_order([[0.0] * len(self._children)] * len(self._children))
+        self.ports: tuple[Port[Message], ...] = tuple(
+            port for child in self._children for port in (child.impp, child.residual)
+        )
+
+    def reports(self, turn: Turn) -> list[Report]:
+        """Return what each child reports. A silent one has nothing, and lacks all of its request.
+
+        A residual counts only if it belongs to the same cycle as the IMPP.
+        """
+        dispatch = turn.get(self._dispatch)
+        return [self._report(turn, child, dispatch) for child in self._children]
+
+    def _report(self, turn: Turn, child: _Child, dispatch: Dispatch | None) -> Report:
+        impp, residual = turn.get(child.impp), turn.get(child.residual)
+        request_kw = own_request_kw(dispatch, child.rating_kw) or 0.0
+        if impp is None:
+            return Report(0.0, -request_kw, self._hold_cycles + 1, is_old=True)
+        left_kw = residual_kw(impp.power_kw, request_kw)
+        if residual is not None and residual.cycle == impp.cycle:
+            left_kw = residual.power_kw
+        age = turn.cycle - impp.cycle
+        return Report(impp.power_kw, left_kw, impp.stale_cycles + age, is_old=age > 0)
+
+    def report_up(self, turn: Turn, reports: list[Report]) -> list[Delivery]:
+        """State the sums over the children (eq. 2). A negative residual is a call for help."""
+        impp_port, residual_port, help_port = self._own
+        impp_kw = fsum(report.impp_kw for report in reports)
+        left_kw = fsum(report.residual_kw for report in reports)
+        stale_cycles = max(report.stale_cycles for report in reports)
+        outputs: list[Delivery] = [
+            (impp_port, Impp(*turn.stamp, power_kw=impp_kw, stale_cycles=stale_cycles)),
+            (residual_port, Residual(*turn.stamp, power_kw=left_kw)),
+        ]
+        if left_kw < 0.0:
+            outputs.append((help_port, Help(*turn.stamp, missing_kw=-left_kw)))
+        return outputs
+
+    def setpoints(
+        self, turn: Turn, target_kw: float, reports: list[Report]
+    ) -> tuple[list[Delivery], float]:
+        """Divide a target (step 4). Return the setpoints, and what the children cannot meet [kW].
+
+        Between its turns, or where a report is old, `predictive` gives needy children what they
+        lack as well: they can then use power that comes back before the parent hears of it.
+        """
+        tops_up = self._tops_up or (self._tops_up_old and any(r.is_old for r in reports))
+        power_kw, share_kw, donors, needy, given_kw, shortfall_kw = allocate(
+            target_kw,
+            self._ratings_kw,
+            [report.impp_kw for report in reports],
+            self._floor,
+            self._order_at(turn.sim_time_ns),
+            tops_up,
+        )
+        help_given: list[tuple[HelpGiven, ...]] = [()] * len(self._children)
+        for donor, asking, kw in zip(donors, needy, given_kw, strict=True):
+            help_given[donor] += (HelpGiven(self._children[asking].path, kw),)
+        outputs: list[Delivery] = [
+            (
+                child.setpoint,
+                Setpoint(*turn.stamp, power_kw=power, share_kw=share, help_given=given),
+            )
+            for child, power, share, given in zip(
+                self._children, power_kw, share_kw, help_given, strict=True
+            )
+        ]
+        return outputs, shortfall_kw
+
+    def _order_at(self, sim_time_ns: int) -> HelpOrder:
+        place = bisect_right(self._from_times_ns, sim_time_ns) - 1
+        return self._orders[max(place, 0)] if self._orders else self._listed_order
+
+
+class Supervisor:
+    """Settles need and headroom within its cluster, and asks its parent for what remains.
+
+    Parameters
+    ----------
+    plan
+        Of the run.
+    node
+        Path of the cluster.
+    """
+
+    may_skip = True
+
+    def __init__(self, plan: RunPlan, node: str) -> None:
+        self.name = node
+        self._children = Children(plan, node)
+        self._periods = plan.periods
+        self._dispatch = DISPATCH.of(ROOT)
+        self._setpoint = SETPOINT.of(node)
+        reports = self._children.ports
+        report = Stage("report", (*reports, self._dispatch))
+        solve_used = (*reports, self._dispatch)
+        self._with_parent = (report, Stage("solve", (self._setpoint,), solve_used))
+        self._alone = (report, Stage("solve", (), (self._setpoint, *solve_used)))
+        self._between_turns = (report,)
+
+    def initial_state(self) -> None:
+        """It remembers nothing: the newest messages say all."""
+
+    def stages(self, cycle: int) -> tuple[Stage, ...]:
+        """Return the stages; between its parent's turns the newest setpoint holds."""
+        if not self._periods.is_turn(self.name, cycle):
+            return self._between_turns
+        parent_acts = self._periods.is_turn(parent_of(self.name), cycle)
+        return self._with_parent if parent_acts else self._alone
+
+    def step(self, state: None, turn: Turn) -> tuple[None, list[Delivery]]:
+        """Close a stage."""
+        reports = self._children.reports(turn)
+        if turn.stage == "report":
+            return None, self._children.report_up(turn, reports)
+        setpoint = turn.get(self._setpoint)
+        request_kw = own_request_kw(turn.get(self._dispatch), self._children.rating_kw)
+        target_kw = request_kw if setpoint is None else setpoint.power_kw
+        if target_kw is None:
+            return None, []
+        return None, self._children.setpoints(turn, target_kw, reports)[0]
+
+
+class CentralState(msgspec.Struct, frozen=True, gc=False):
+    """What the central controller remembers.
+
+    Attributes
+    ----------
+    correction_kw
+        What it adds to its target because the meter read less than was desired.
+    meter_cycle
+        Cycle of the meter's message that the correction last rests on.
+    is_free
+        Whether it asked for all there is the last time, so that every inverter is free.
+    clamped
+        How many dispatches it clamped.
+    """
+
+    correction_kw: float
+    meter_cycle: int
+    is_free: bool
+    clamped: int
+
+
+class CentralController:
+    """Takes the operator's dispatch and moves power between clusters to meet it.
+
+    Parameters
+    ----------
+    plan
+        Of the run.
+    """
+
+    may_skip = True
+
+    def __init__(self, plan: RunPlan) -> None:
+        self.name = agent_name(ROOT)
+        self._children = Children(plan, ROOT)
+        self._periods = plan.periods
+        self._corrects = plan.correction
+        self._cycle_s = plan.cycle_ns / 1e9
+        self._dispatch = DISPATCH.of(ROOT)
+        self._meter = METER.of(ROOT)
+        self._notice = NOTICE.of(ROOT)
+        inputs = (*self._children.ports, self._dispatch, self._meter)
+        self._stages = (Stage("solve", inputs),)
+
+    def initial_state(self) -> CentralState:
+        """Nothing corrected."""
+        return CentralState(0.0, -1, is_free=True, clamped=0)
+
+    def stages(self, cycle: int) -> tuple[Stage, ...]:
+        """Return the stage: it reports in every cycle, and sends setpoints in its turns."""
+        return self._stages
+
+    def step(self, state: CentralState, turn: Turn) -> tuple[CentralState, list[Delivery]]:
+        """Report for the plant as a whole, and divide the dispatch."""
+        reports = self._children.reports(turn)
+        outputs = self._children.report_up(turn, reports)
+        dispatch = turn.get(self._dispatch)
+        correction_kw, meter_cycle = self._correction(state, turn.get(self._meter))
+        is_free, clamped = state.is_free, state.clamped
+        if dispatch is not None:
+            if usable_kw(dispatch) != dispatch.power_kw and dispatch.cycle == turn.cycle:
+                clamped += 1
+                outputs.append((self._notice, _clamped(turn, dispatch, clamped)))
+            if self._periods.is_turn(ROOT, turn.cycle):
+                target_kw = min(usable_kw(dispatch) + correction_kw, self._children.rating_kw)
+                setpoints, shortfall_kw = self._children.setpoints(turn, target_kw, reports)
+                outputs += setpoints
+                is_free = shortfall_kw >= 0.0
+        return CentralState(correction_kw, meter_cycle, is_free, clamped), outputs
+
+    def _correction(self, state: CentralState, meter: Meter | None) -> tuple[float, int]:
+        """Return the correction after the newest meter reading, and the cycle of that reading."""
+        if not self._corrects or meter is None or meter.cycle <= state.meter_cycle:
+            return state.correction_kw, state.meter_cycle
+        correction_kw = corrected(
+            state.correction_kw,
+            meter.desired_kw,
+            meter.power_kw,
+            state.is_free,
+            self._children.rating_kw,
+            self._cycle_s,
+        )
+        return correction_kw, meter.cycle
+
+
+def _clamped(turn: Turn, dispatch: Dispatch, count: int) -> Notice:
+    # Regulation downwards may ask for more than there is to take back.
+    to_kw = usable_kw(dispatch)
+    what = "0 kW" if to_kw == 0.0 else f"the rating, {to_kw:.10g} kW"
+    text = f"dispatch of {dispatch.power_kw:.10g} kW clamped to {what}"
+    return Notice(*turn.stamp, text=text, count=count)

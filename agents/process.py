@@ -1,0 +1,152 @@
+"""One agent of a run as a process: sets it up, joins the bus, and drives it through the run."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import logging
+import signal
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any, Final
+
+from agents.agent import Agent
+from agents.cycle import kind_of
+from agents.driver import Driver
+from agents.drop_log import DropLog
+from agents.events import Failed, Finished, Joined, Waiting
+from agents.launcher_link import LauncherLink
+from agents.loop import AgentLoop
+from agents.machine import take_machine
+from agents.plan import RunPlan
+from agents.team import controller
+from bus_schemas.faulty_bus import FaultyBus
+from bus_schemas.zenoh_bus import SessionSettings, ZenohBus
+
+log = logging.getLogger(__name__)
+
+_SET_PARENT_DEATH_SIGNAL: Final = 1
+"""PR_SET_PDEATHSIG of prctl(2). It outlives execve(2)."""
+
+
+def die_with_parent(death_signal: signal.Signals = signal.SIGKILL) -> None:
+    """Ask the kernel for a signal when the parent of this process dies, where it can (Linux)."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, int(death_signal))
+
+
+def run_controller(plan: RunPlan, name: str, link: LauncherLink) -> int:
+    """Take a controller through a run. Returns the exit status."""
+    return run_guarded(name, link, lambda: _run_controller(plan, name, link))
+
+
+def run_guarded(name: str, link: LauncherLink, run: Any) -> int:
+    """Run an agent; tell the launcher if it gives up. Returns the exit status."""
+    try:
+        run()
+    except Exception as error:
+        log.exception("%s gives up", name)
+        link.tell(Failed(f"{type(error).__name__}: {error}"))
+        return 1
+    return 0
+
+
+def _run_controller(plan: RunPlan, name: str, link: LauncherLink) -> None:
+    with Seat(plan, controller(plan, name), link) as seat:
+        log.info("%s is on the bus", name)
+        for _ in seat.drive():
+            if link.dismissed:
+                break
+        while not seat.loop.stop_heard and not link.dismissed:
+            seat.driver.turn()
+        seat.report()
+
+
+class Seat:
+    """An agent's place in a run: its loop and driver on the bus, and its link to the launcher.
+
+    Parameters
+    ----------
+    plan
+        Of the run.
+    agent
+        The agent.
+    link
+        To the launcher.
+    """
+
+    def __init__(self, plan: RunPlan, agent: Agent[Any], link: LauncherLink) -> None:
+        self.plan = plan
+        self.link = link
+        self._drop_log = DropLog()
+        set_up_process(plan, agent.name)
+        self._bus = ZenohBus(
+            agent.name,
+            plan.keys,
+            plan.wiring,
+            session_settings(plan, agent.name),
+            patience_s=plan.stall_timeout_s if plan.lockstep else 0.5,
+        )
+        self._faults: FaultyBus | None = None
+        if plan.network_faults.concern(agent.name):
+            self._faults = FaultyBus(self._bus, agent.name, plan.network_faults)
+        self.loop = AgentLoop(agent, plan, self._drop_log)
+        self.driver = Driver([self.loop], self._faults or self._bus, time.monotonic_ns)
+        self.watch_alive = self._bus.watch_alive
+        link.tell(Joined())
+
+    def __enter__(self) -> Seat:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bus.__exit__(*error)
+
+    def drive(self) -> Iterator[None]:
+        """Drive the agent through the run; in lockstep, tell the launcher if nothing comes."""
+        loop = self.loop
+        for arrivals in self.driver.run():
+            if not arrivals and self.plan.lockstep and loop.waiting and loop.cycle >= 0:
+                needs = [(str(port), port.publisher) for port in sorted(loop.waiting, key=str)]
+                self.link.tell(Waiting(loop.cycle, loop.stage, needs))
+            yield
+
+    def report(self) -> None:
+        """Tell the launcher what went out and what was not used."""
+        loop = self.loop
+        causes: dict[str, dict[str, int]] = {}
+        for (port, cause), number in loop.dropped.items():
+            causes.setdefault(port, {})[cause] = number
+        flooded = self._bus.flooded + (self._faults.flooded if self._faults else Counter())
+        for cause, counts in (("undecodable", self._bus.undecodable), ("flooded", flooded)):
+            for port, number in counts.items():
+                causes.setdefault(port, {})[cause] = number
+        self.link.tell(
+            Finished(
+                published=dict(self._bus.outbox.published),
+                dropped=causes,
+                missing_inputs=loop.missing_inputs,
+                old_inputs=loop.old_inputs,
+                skipped_cycles=loop.skipped_cycles,
+                faults=self._faults.tally.as_counts() if self._faults else {},
+            )
+        )
+
+
+def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
+    """Return how an agent of the plan joins the bus."""
+    listen, connect = plan.links.endpoints(agent, plan.tcp_ports)
+    return SessionSettings(plan.bus_namespace, listen, connect, lockstep=plan.lockstep)
+
+
+def set_up_process(plan: RunPlan, agent: str) -> None:
+    """Take this process's place on the machine. To be called before it opens the bus.
+
+    The kernel keeps most of it thread by thread, and a thread has it from the one that made it.
+    Nothing in a cycle of control makes reference cycles, so there is next to nothing to collect.
+    """
+    for refusal in take_machine(plan.machine, kind_of(agent, plan.tree), lockstep=plan.lockstep):
+        log.warning("%s", refusal)
+    gc.freeze()
+    gc.set_threshold(50_000)

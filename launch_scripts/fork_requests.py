@@ -1,0 +1,47 @@
+"""What the launcher asks of the fork server."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import msgspec
+
+
+class Start(msgspec.Struct, frozen=True, tag=True):
+    """Start the processes of these agents.
+
+    Attributes
+    ----------
+    plan, logs
+        Path of the run's plan, and folder of the log files.
+    agents
+        Names, those first that the others connect to.
+    patience_s
+        How long the plant waits for everybody [s].
+    """
+
+    plan: str
+    agents: tuple[str, ...]
+    logs: str
+    patience_s: float
+
+
+class Tell(msgspec.Struct, frozen=True, tag=True):
+    """Send a word to the recorder."""
+
+    word: str
+
+
+class Signal(msgspec.Struct, frozen=True, tag=True):
+    """Send a signal to the processes of these agents that have not ended."""
+
+    agents: tuple[str, ...]
+    number: int
+
+
+Request: TypeAlias = Start | Tell | Signal
+
+
+def log_name(agent: str) -> str:
+    """Return the name of an agent's log file."""
+    return f"{agent.replace('/', '.')}.log"
