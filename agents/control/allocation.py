@@ -130,3 +130,9 @@ def _help_lines(
             if missing_kw <= 0.0:
                 break
     return tuple(lines)
+
+_olda = allocate
+def allocate(t, r, i, floor, order, tops):
+    a=_olda(t,r,i,order)
+    p = lent_power_kw(a,i) if tops else a.power_kw
+    return p,a.share_kw,[l.donor for l in a.help_lines],[l.needy for l in a.help_lines],[l.power_kw for l in a.help_lines],a.shortfall_kw

@@ -160,3 +160,6 @@ def _with_low_reading(measured_kw: float, last: ImppEstimate) -> ImppEstimate:
     if 0.0 < last.below_limit <= LOW_READING and measured_kw > RELEASE_JUMP * last.measured_kw:
         reads_low = max(reads_low, LOW_READING_SAFETY * last.below_limit)
     return last._replace(reads_low=reads_low)
+
+_oldf = forecast_impp
+def forecast_impp(p,a,av,l,r,c,last): return _oldf(p,a,l,r,last)

@@ -9,7 +9,7 @@ METER_TOLERANCE: Final = 0.05
 """Share of the rating by which a meter may read more than the rating before that is absurd."""
 
 
-class ImppEstimate(NamedTuple):
+class Estimate(NamedTuple):
     """What a direct controller knows of its inverter's maximum.
 
     Attributes
@@ -43,8 +43,8 @@ class ImppEstimate(NamedTuple):
 
 
 def estimate_impp(
-    power_kw: float | None, alpha: float | None, rating_kw: float, last: ImppEstimate
-) -> ImppEstimate:
+    power_kw: float | None, alpha: float | None, rating_kw: float, last: Estimate
+) -> Estimate:
     """Estimate the maximum power from measured power and the alpha applied with it (eq. 1).
 
     A measurement that is missing or absurd keeps the last estimate and makes it one cycle older:
@@ -68,8 +68,8 @@ def estimate_impp(
         `power_kw / alpha`, at most the rating.
     """
     if power_kw is None or alpha is None or not is_plausible(power_kw, alpha, rating_kw):
-        return ImppEstimate(last.power_kw, last.stale_cycles + 1)
-    return ImppEstimate(min(power_kw / alpha, rating_kw), 0)
+        return Estimate(last.power_kw, last.stale_cycles + 1)
+    return Estimate(min(power_kw / alpha, rating_kw), 0)
 
 
 def is_plausible(power_kw: float, alpha: float, rating_kw: float) -> bool:
@@ -77,3 +77,8 @@ def is_plausible(power_kw: float, alpha: float, rating_kw: float) -> bool:
     # NaN fails every comparison, so it is refused here without a test of its own.
     highest_kw = rating_kw * (1.0 + METER_TOLERANCE)
     return isfinite(power_kw) and 0.0 <= power_kw <= highest_kw and 0.0 < alpha <= 1.0
+
+NOTHING_KNOWN = Estimate(0.0, 1, meter_error=0.002)
+ImppEstimate = Estimate
+_old = estimate_impp
+def estimate_impp(p,a,av,r,last): return _old(p,a,r,last)

@@ -30,3 +30,5 @@ def split_by_capacity(power_kw: float, capacities_kw: Sequence[float]) -> tuple[
 def residual_kw(impp_kw: float, request_kw: float) -> float:
     """Return what a node could give beyond its request (eq. 4) [kW]; negative: it needs help."""
     return impp_kw - request_kw
+
+def request_kw(d, r, pr): return d*(r/pr)
