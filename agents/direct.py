@@ -6,12 +6,14 @@ actuate   setpoint           -> command (alpha)
 
 from __future__ import annotations
 
+from math import nan
+
 import msgspec
 
 from agents.agent import Stage, Turn, parents_word_kw
 from agents.control.curtailment import curtailment_level
-from agents.control.forecast import HIDDEN_ALPHA_MIN, NOTHING_KNOWN, forecast_impp
-from agents.control.impp import ImppEstimate, estimate_impp
+from agents.control.forecast import HIDDEN_ALPHA_MIN, forecast_impp
+from agents.control.impp import NOTHING_KNOWN, Estimate, estimate_impp
 from agents.control.request import residual_kw
 from agents.periods import Periods
 from agents.plan import Actuator, Scheme
@@ -36,7 +38,7 @@ class DirectState(msgspec.Struct, frozen=True, gc=False):
     Before the first setpoint there is nothing to hold back: it is the rating.
     """
 
-    impp: ImppEstimate
+    impp: Estimate
     request_kw: float
     setpoint_kw: float
 
@@ -98,8 +100,7 @@ class DirectController:
 
     def initial_state(self) -> DirectState:
         """Nothing measured, nothing asked. A forecast has no last measurement to go on from."""
-        impp = ImppEstimate(0.0, 0) if self.scheme == "paper" else NOTHING_KNOWN
-        return DirectState(impp, 0.0, self.rating_kw)
+        return DirectState(NOTHING_KNOWN, 0.0, self.rating_kw)
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages; between its parent's turns it waits for its inverter alone."""
@@ -130,15 +131,15 @@ class DirectController:
             outputs.append((self._help, Help(*turn.stamp, missing_kw=-residual)))
         return DirectState(impp, request_kw, state.setpoint_kw), outputs
 
-    def _impp_now(self, telemetry: Telemetry | None, last: ImppEstimate) -> ImppEstimate:
-        power_kw = telemetry.power_kw if telemetry else None
-        alpha = telemetry.alpha if telemetry else None
+    def _impp_now(self, telemetry: Telemetry | None, last: Estimate) -> Estimate:
+        power_kw = telemetry.power_kw if telemetry else nan
+        alpha = telemetry.alpha if telemetry else nan
         if self.scheme == "paper":
-            return estimate_impp(power_kw, alpha, self.rating_kw, last)
+            return estimate_impp(power_kw, alpha, nan, self.rating_kw, last)
         limit_kw = telemetry.limit_kw if telemetry else self.rating_kw
         if self.actuator == "limit":
             alpha = 1.0  # It holds its limit, and gives all it has below it.
-        return forecast_impp(power_kw, alpha, limit_kw, self.rating_kw, last)
+        return forecast_impp(power_kw, alpha, nan, limit_kw, self.rating_kw, 1.0, last)
 
     def _actuate(self, state: DirectState, turn: Turn) -> tuple[DirectState, list[Delivery]]:
         setpoint_kw = parents_word_kw(turn.get(self._setpoint), state.setpoint_kw, self.rating_kw)

@@ -15,9 +15,10 @@ import msgspec
 from msgspec.structs import replace
 
 from agents.agent import Turn
-from agents.control.allocation import Allocation, allocate, lent_power_kw
+from agents.control.allocation import allocate
 from agents.control.neighbours import HelpOrder, help_order
-from agents.control.request import residual_kw, split_by_capacity
+from agents.control.request import request_kw as share_of_kw
+from agents.control.request import residual_kw
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import (
     Help,
@@ -142,10 +143,9 @@ class Family:
 
     def requests(self, turn: Turn, power_kw: float) -> list[Delivery]:
         """Ask each child for its share by capacity (eq. 3)."""
-        shares_kw = split_by_capacity(power_kw, self.capacities_kw)
         return [
-            (port, Request(*turn.stamp, power_kw=share_kw))
-            for port, share_kw in zip(self._request_ports, shares_kw, strict=True)
+            (port, Request(*turn.stamp, power_kw=self._share_kw(place, power_kw)))
+            for place, port in enumerate(self._request_ports)
         ]
 
     def listen(self, turn: Turn, last: tuple[Report, ...], request_kw: float) -> tuple[Report, ...]:
@@ -186,7 +186,7 @@ class Family:
         return residual_kw(impp.power_kw, self._share_kw(place, request_kw))
 
     def _share_kw(self, place: int, power_kw: float) -> float:
-        return split_by_capacity(power_kw, self.capacities_kw)[place]
+        return share_of_kw(power_kw, self.capacities_kw[place], self.rating_kw)
 
     def report_up(self, turn: Turn, reports: tuple[Report, ...]) -> list[Delivery]:
         """Say of the node what its children say of themselves: the sums (eq. 2).
@@ -213,31 +213,27 @@ class Family:
         anything at all: then too the children are lent what they seem to lack.
         """
         impp_kw = [report.impp_kw for report in reports]
-        allocation = allocate(
-            target_kw, self.capacities_kw, impp_kw, self._order_at(turn.sim_time_ns)
-        )
         lends = self.lends or any(report.age_cycles for report in reports)
-        powers_kw = lent_power_kw(allocation, impp_kw) if lends else allocation.power_kw
-        help_given = self._help_given(allocation)
+        powers_kw, shares_kw, donors, needy, given_kw, _ = allocate(
+            target_kw,
+            self.capacities_kw,
+            impp_kw,
+            0.0,
+            self._order_at(turn.sim_time_ns),
+            lends,
+        )
+        help_given: list[tuple[HelpGiven, ...]] = [()] * len(self.children)
+        for donor, child, power_kw in zip(donors, needy, given_kw, strict=True):
+            help_given[donor] += (HelpGiven(self.children[child], power_kw),)
         return [
             (
                 port,
                 Setpoint(*turn.stamp, power_kw=power_kw, share_kw=share_kw, help_given=given),
             )
             for port, power_kw, share_kw, given in zip(
-                self._setpoint_ports,
-                powers_kw,
-                allocation.share_kw,
-                help_given,
-                strict=True,
+                self._setpoint_ports, powers_kw, shares_kw, help_given, strict=True
             )
         ]
-
-    def _help_given(self, allocation: Allocation) -> list[tuple[HelpGiven, ...]]:
-        given: list[tuple[HelpGiven, ...]] = [()] * len(self.children)
-        for line in allocation.help_lines:
-            given[line.donor] += (HelpGiven(self.children[line.needy], line.power_kw),)
-        return given
 
     def _order_at(self, sim_time_ns: int) -> HelpOrder:
         place = bisect_right(self._from_times_ns, sim_time_ns) - 1
