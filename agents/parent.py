@@ -210,24 +210,23 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
     Attributes
     ----------
     correction_kw
-        What it adds to its target because the meter read less than was desired.
+        What it adds to its target because the meter read less than was wanted.
+    wanted_kw
+        The dispatch of its last turn.
+    metered_kw, readings
+        Sum of the meter's readings since then, and their number.
     meter_cycle
-        Cycle of the newest meter reading that it has taken up.
-    desired_kw, metered_kw, readings
-        Sums over the readings since its last turn, and their number.
-    is_free
-        Whether it asked for all there is the last time, so that every inverter is free.
+        Cycle of the newest reading. That of cycle 0 is of the time before the run.
     clamped
         How many dispatches it clamped.
     """
 
-    correction_kw: float
-    meter_cycle: int
-    desired_kw: float
-    metered_kw: float
-    readings: int
-    is_free: bool
-    clamped: int
+    correction_kw: float = 0.0
+    wanted_kw: float = 0.0
+    metered_kw: float = 0.0
+    readings: int = 0
+    meter_cycle: int = 0
+    clamped: int = 0
 
 
 class CentralController:
@@ -246,7 +245,7 @@ class CentralController:
         self._children = Children(plan, ROOT)
         self._periods = plan.periods
         self._corrects = plan.correction
-        self._turn_s = plan.periods.cycles[0] * plan.cycle_ns / 1e9
+        self._cycle_s = plan.cycle_ns / 1e9
         self._dispatch = DISPATCH.of(ROOT)
         self._meter = METER.of(ROOT)
         self._notice = NOTICE.of(ROOT)
@@ -255,7 +254,7 @@ class CentralController:
 
     def initial_state(self) -> CentralState:
         """Nothing corrected."""
-        return CentralState(0.0, -1, 0.0, 0.0, 0, is_free=True, clamped=0)
+        return CentralState()
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stage: it reports in every cycle, and sends setpoints in its turns."""
@@ -273,39 +272,39 @@ class CentralController:
             state = replace(state, clamped=state.clamped + 1)
             outputs.append((self._notice, _clamped(turn, dispatch, state.clamped)))
         if self._periods.is_turn(ROOT, turn.cycle):
-            state = self._correct(state)
-            target_kw = min(usable_kw(dispatch) + state.correction_kw, self._children.rating_kw)
-            outputs += self._children.setpoints(turn, target_kw, reports)
             possible_kw = total([report.impp_kw for report in reports])
-            state = replace(state, is_free=target_kw >= possible_kw)
+            state = self._correct(state, usable_kw(dispatch), possible_kw)
+            target_kw = min(state.wanted_kw + state.correction_kw, self._children.rating_kw)
+            outputs += self._children.setpoints(turn, target_kw, reports)
         return state, outputs
 
     def _read_meter(self, state: CentralState, meter: Meter | None) -> CentralState:
         """Take up the meter's newest reading, each reading once."""
-        if not self._corrects or meter is None or 0 <= meter.cycle <= state.meter_cycle:
+        if meter is None or meter.cycle <= state.meter_cycle:
             return state
         return replace(
             state,
             meter_cycle=meter.cycle,
-            desired_kw=state.desired_kw + meter.desired_kw,
             metered_kw=state.metered_kw + meter.power_kw,
             readings=state.readings + 1,
         )
 
-    def _correct(self, state: CentralState) -> CentralState:
+    def _correct(
+        self, state: CentralState, dispatch_kw: float, possible_kw: float
+    ) -> CentralState:
         """Correct by the mean of the readings since the last turn."""
-        if not self._corrects or not state.readings:
-            return state
-        correction_kw = corrected(
-            state.correction_kw,
-            state.desired_kw / state.readings,
-            state.metered_kw / state.readings,
-            state.is_free,
-            self._children.rating_kw,
-            self._turn_s,
-        )
+        correction_kw = state.correction_kw
+        if self._corrects and state.readings:
+            correction_kw = corrected(
+                correction_kw,
+                state.wanted_kw,
+                state.metered_kw / state.readings,
+                dispatch_kw >= possible_kw,
+                self._children.rating_kw,
+                state.readings * self._cycle_s,
+            )
         return replace(
-            state, correction_kw=correction_kw, desired_kw=0.0, metered_kw=0.0, readings=0
+            state, correction_kw=correction_kw, wanted_kw=dispatch_kw, metered_kw=0.0, readings=0
         )
 
 

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from agents.plan import Scheme
 from bus_schemas.errors import InputError
 from launch_scripts.preparation import Preparation, prepare
-from launch_scripts.study.agent_run import AgentRun
+from launch_scripts.simulation import MemoryRun
 from launch_scripts.study.cases import Case
 from launch_scripts.study.closed_loop import is_corrected
 from launch_scripts.study.schemes import ReferenceGroups, run_scheme
@@ -136,7 +136,8 @@ def run_agents(scheme: Scheme, preparation: Preparation) -> RunSeries:
         changes["correction"] = is_corrected(preparation.plan, scheme)
     plan = replace(preparation.plan, **changes)
     collector = SeriesCollector(plan)
-    AgentRun(plan, preparation.profile, collector.see).run()
+    for _ in MemoryRun(plan, preparation.profile, collector.see).cycles():
+        pass
     return collector.series(scheme)
 
 
