@@ -31,8 +31,9 @@ BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {
     Setpoint: (Bound("power_kw", 0.0, _ROUNDING),),
     Meter: (Bound("power_kw", 0.0, 1.0 + METER_TOLERANCE),),
     Command: (Bound("alpha", _ABOVE_ZERO, 1.0), Bound("power_kw", 0.0, _ROUNDING)),
-    # An operator may ask for more than there is, or for less than nothing: it must be a number.
-    Dispatch: (Bound("power_kw", -inf, inf),),
+    # An operator may ask for more than there is, or for less than nothing: it must be a number. And
+    # everybody's share of it must be one.
+    Dispatch: (Bound("power_kw", -inf, inf), Bound("plant_rating_kw", 1e-3, 1e3)),
 }
 """Telemetry is judged by the estimate, which knows what its inverter can have measured."""
 
