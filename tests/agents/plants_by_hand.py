@@ -174,9 +174,9 @@ def dispatch(cycle: int, power_kw: float, plant_rating_kw: float) -> Delivery:
     return DISPATCH.of(ROOT), message
 
 
-def meter(cycle: int, power_kw: float, desired_kw: float) -> Delivery:
-    """What the plant fed in, and what was desired."""
-    return METER.of(ROOT), Meter(*head(cycle, PLANT), power_kw=power_kw, desired_kw=desired_kw)
+def meter(cycle: int, power_kw: float) -> Delivery:
+    """What the plant fed in."""
+    return METER.of(ROOT), Meter(*head(cycle, PLANT), power_kw=power_kw)
 
 
 def telemetry(node: str, cycle: int, power_kw: float, alpha: float = 1.0) -> Delivery:

@@ -11,6 +11,9 @@ from bus_schemas.messages import Notice
 from bus_schemas.signals import DISPATCH, NOTICE, RESIDUAL, SETPOINT
 from bus_schemas.tree import ROOT
 
+FLOOR_KW = 0.05 * 300.0
+"""What `b` gives at least: an inverter is not curtailed further."""
+
 PLAN = plan_of({"a": 100.0, "b": 300.0}, cycles=100, cycle_wall_ns=REAL_TIME)
 
 
@@ -22,7 +25,7 @@ def set_and_noticed(*dispatches_kw: float) -> tuple[list[float], list[int]]:
     for cycle, power_kw in enumerate(dispatches_kw):
         sent = central.hear(
             dispatch(cycle, power_kw, 400.0),
-            meter(cycle, 0.0, 0.0),
+            meter(cycle, 0.0),
             *report("a", cycle, 100.0, 0.0),
             *report("b", cycle, 300.0, 0.0),
         )
@@ -35,7 +38,7 @@ def set_and_noticed(*dispatches_kw: float) -> tuple[list[float], list[int]]:
 
 @pytest.mark.parametrize("power_kw", [0.0, 200.0, 400.0])
 def test_a_dispatch_from_zero_to_the_rating_is_followed_without_a_notice(power_kw: float) -> None:
-    assert set_and_noticed(power_kw) == ([0.75 * power_kw], [])
+    assert set_and_noticed(power_kw) == ([max(0.75 * power_kw, FLOOR_KW)], [])
 
 
 @pytest.mark.parametrize("power_kw", [math.nan, math.inf, -math.inf])
@@ -44,7 +47,7 @@ def test_one_that_is_no_number_is_not_used_and_the_last_one_holds(power_kw: floa
 
 
 @pytest.mark.parametrize(
-    ("power_kw", "set_kw"), [(400.0001, 300.0), (1e12, 300.0), (-0.5, 0.0), (-1e12, 0.0)]
+    ("power_kw", "set_kw"), [(400.0001, 300.0), (1e12, 300.0), (-0.5, FLOOR_KW), (-1e12, FLOOR_KW)]
 )
 def test_one_that_asks_for_the_impossible_is_clamped_and_noticed(
     power_kw: float, set_kw: float
@@ -54,14 +57,14 @@ def test_one_that_asks_for_the_impossible_is_clamped_and_noticed(
 
 def test_clamped_dispatches_are_counted_together() -> None:
     set_kw, counts = set_and_noticed(100.0, -1.0, 500.0, 200.0)
-    assert set_kw == [75.0, 0.0, 300.0, 150.0]
+    assert set_kw == [75.0, FLOOR_KW, 300.0, 150.0]
     assert counts == [1, 2]
 
 
 @pytest.mark.parametrize("rating_kw", [0.0, -400.0, math.nan, math.inf, 5e-324])
 def test_a_dispatch_without_a_rating_to_share_by_is_not_used(rating_kw: float) -> None:
     central = AtWork(PLAN, "central")
-    central.hear(dispatch(0, 200.0, rating_kw), meter(0, 0.0, 0.0))
+    central.hear(dispatch(0, 200.0, rating_kw), meter(0, 0.0))
     central.hear(*report("a", 0, 100.0, 0.0))
     central.at_deadline("solve")
     assert central.loop.dropped == {(str(DISPATCH.of(ROOT)), "absurd"): 1}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import pytest
@@ -188,7 +189,11 @@ def test_lockstep_has_no_deadlines_and_the_clock_has() -> None:
 
 # Any order of events ------------------------------------------------------------------------------
 
-PORTS = {"a": lambda c: impp("c1/a", c, 1.0), "b": lambda c: impp("c1/b", c, 2.0)}
+MAKE: dict[str, Callable[[int], Delivery]] = {
+    "a": lambda cycle: impp("c1/a", cycle, 1.0),
+    "b": lambda cycle: impp("c1/b", cycle, 2.0),
+    "set": lambda cycle: setpoint("c1", cycle, 3.0),
+}
 EVENTS = st.lists(
     st.one_of(
         st.none(),  # The deadline passes.
@@ -202,22 +207,18 @@ EVENTS = st.lists(
 def test_what_a_message_names_as_missing_is_exactly_what_was_not_used(
     events: list[tuple[str, int] | None],
 ) -> None:
-    clerk = AtWork(ON_THE_CLOCK, Clerk(awaits=(A, B), uses=(SET,)))
+    loop = AtWork(ON_THE_CLOCK, Clerk(awaits=(A, B), uses=(SET,))).loop
     sent: list[Notice] = []
     newest: dict[str, int] = {}
     for event in events:
         if event is None:
-            found = clerk.loop.close_stage(0)
-            sent += [message for _, message in found if isinstance(message, Notice)]
-            sent += notices(clerk.hear())
-            continue
-        name, offset = event
-        cycle = max(clerk.loop.cycle + offset, 0)
-        if name == "set":
-            cycle -= cycle % TURN
-            sent += notices(clerk.hear(setpoint("c1", cycle, 1.0)))
+            sent += notices(loop.close_stage(0))
         else:
-            sent += notices(clerk.hear(PORTS[name](cycle)))
+            name, offset = event
+            cycle = max(loop.cycle + offset, 0)
+            loop.hear(*MAKE[name](cycle - cycle % (TURN if name == "set" else 1)), 0)
+        while loop.is_complete:
+            sent += notices(loop.close_stage(0))
     assert [notice.cycle for notice in sent] == list(range(len(sent)))
     for notice in sent:
         entries = {entry.key: entry.cycle for entry in map(parse_missing, notice.missing)}
@@ -236,8 +237,8 @@ def test_what_a_message_names_as_missing_is_exactly_what_was_not_used(
         assert entries == {}
 
 
-def notices(sent: dict[Port[Message], Message]) -> list[Notice]:
-    return [message for message in sent.values() if isinstance(message, Notice)]
+def notices(sent: list[Delivery]) -> list[Notice]:
+    return [message for _, message in sent if isinstance(message, Notice)]
 
 
 # Beginning and end --------------------------------------------------------------------------------

@@ -118,7 +118,7 @@ SIX = [f"z{zone}/c{cluster}/i" for zone in (1, 2) for cluster in (1, 2, 3)]
     light=st.lists(st.lists(st.floats(0.0, 100.0), min_size=6, max_size=6), min_size=7, max_size=7),
     dispatch_kw=st.lists(st.floats(0.0, 600.0), min_size=7, max_size=7),
 )
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_whenever_a_parent_acts_its_children_meet_its_last_target(
     factors: tuple[int, int, int], light: list[list[float]], dispatch_kw: list[float]
 ) -> None:
@@ -139,9 +139,9 @@ def test_whenever_a_parent_acts_its_children_meet_its_last_target(
             assert len(given_kw) == (len(children) if plan.periods.is_turn(node, cycle) else 0)
             if given_kw:
                 most_kw = fsum(found.get(cycle, IMPP.of(child)).power_kw for child in children)
-                assert fsum(given_kw) == pytest.approx(
-                    min(target_kw[node], most_kw), rel=0.0, abs=1e-6
-                )
+                least_kw = plan.alpha_floor * most_kw
+                expected_kw = min(max(target_kw[node], least_kw), most_kw)
+                assert fsum(given_kw) == pytest.approx(expected_kw, rel=0.0, abs=1e-6)
                 spoke += 1
     assert spoke >= len(plan.tree.parents)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import fsum, inf, isfinite, nan
 from typing import NamedTuple
 
@@ -99,21 +100,22 @@ def targets_kw(weather: Weather, heard: Heard) -> dict[tuple[int, str], float]:
 
 
 @given(weathers())
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_setpoints_add_up_to_the_target_or_to_all_there_is(weather: Weather) -> None:
     heard = weather.hear()
     for (cycle, node), target_kw in targets_kw(weather, heard).items():
         children = weather.plan.tree.children(node)
         setpoints_kw = [heard.get(cycle, SETPOINT.of(child)).power_kw for child in children]
         impp_kw = [heard.get(cycle, IMPP.of(child)).power_kw for child in children]
-        expected_kw = min(target_kw, fsum(impp_kw))
+        most_kw = fsum(impp_kw)
+        expected_kw = min(max(target_kw, weather.plan.alpha_floor * most_kw), most_kw)
         assert fsum(setpoints_kw) == pytest.approx(expected_kw, rel=0.0, abs=TOLERANCE_KW)
         for setpoint_kw, most_kw in zip(setpoints_kw, impp_kw, strict=True):
-            assert 0.0 <= setpoint_kw <= most_kw
+            assert weather.plan.alpha_floor * most_kw - TOLERANCE_KW <= setpoint_kw <= most_kw
 
 
 @given(weathers())
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_what_a_parent_reports_is_the_sum_of_what_its_children_report(weather: Weather) -> None:
     heard = weather.hear()
     tree = weather.plan.tree
@@ -122,15 +124,19 @@ def test_what_a_parent_reports_is_the_sum_of_what_its_children_report(weather: W
             impps = [heard.get(cycle, IMPP.of(child)) for child in tree.children(node)]
             residuals = [heard.get(cycle, RESIDUAL.of(child)) for child in tree.children(node)]
             own = heard.get(cycle, IMPP.of(node))
-            assert own.power_kw == fsum(impp.power_kw for impp in impps)
+            assert own.power_kw == approx_kw(impp.power_kw for impp in impps)
             assert own.stale_cycles == max(impp.stale_cycles for impp in impps)
-            assert heard.get(cycle, RESIDUAL.of(node)).power_kw == fsum(
-                residual.power_kw for residual in residuals
-            )
+            found = heard.get(cycle, RESIDUAL.of(node))
+            assert found.power_kw == approx_kw(residual.power_kw for residual in residuals)
+
+
+def approx_kw(powers_kw: Iterable[float]) -> object:
+    """A sum, but for rounding errors."""
+    return pytest.approx(fsum(powers_kw), rel=0.0, abs=TOLERANCE_KW)
 
 
 @given(weathers())
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_help_is_called_for_exactly_when_and_as_much_as_power_is_missing(
     weather: Weather,
 ) -> None:
@@ -145,7 +151,7 @@ def test_help_is_called_for_exactly_when_and_as_much_as_power_is_missing(
 
 
 @given(weathers())
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_what_the_plant_cannot_meet_is_missing_at_the_root(weather: Weather) -> None:
     heard = weather.hear()
     for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather)):
@@ -156,7 +162,7 @@ def test_what_the_plant_cannot_meet_is_missing_at_the_root(weather: Weather) -> 
 
 
 @given(weathers())
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_a_dispatch_that_is_clamped_is_noticed_and_no_other(weather: Weather) -> None:
     heard = weather.hear()
     clamped = 0
