@@ -18,6 +18,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import signal
 import socket
 import sys
 import time
@@ -49,28 +50,26 @@ def federate(name: str, cycles: int, core: str, address: str, port: int, out: Co
     die_with_parent()
     node = peer_graph.node(name)
     value_federate = _connect(name, core, address, port)
-    says = {signal for stage in node.stages for signal in stage.says}
-    hears = {signal for stage in node.stages for signal in stage.hears}
+    says = {key for stage in node.stages for key in stage.says}
+    hears = {key for stage in node.stages for key in stage.hears}
     double = h.HELICS_DATA_TYPE_DOUBLE
     publications = {
-        signal: h.helicsFederateRegisterGlobalPublication(value_federate, signal, double, "")
-        for signal in says
+        key: h.helicsFederateRegisterGlobalPublication(value_federate, key, double, "")
+        for key in says
     }
-    inputs = {
-        signal: h.helicsFederateRegisterSubscription(value_federate, signal, "") for signal in hears
-    }
+    inputs = {key: h.helicsFederateRegisterSubscription(value_federate, key, "") for key in hears}
     h.helicsFederateEnterExecutingMode(value_federate)
     began = time.monotonic()
     if isinstance(node, peer_graph.Plant):
-        for signal, value in zip(node.stages[0].says, node.begin(), strict=True):
-            h.helicsPublicationPublishDouble(publications[signal], value)
+        for key, value in zip(node.stages[0].says, node.begin(), strict=True):
+            h.helicsPublicationPublishDouble(publications[key], value)
     times = TIMES[peer_graph.kind(name)]
     for cycle in range(cycles):
         for stage, due in zip(node.stages, times, strict=True):
             h.helicsFederateRequestTime(value_federate, cycle * HOPS + due)
-            heard = [h.helicsInputGetDouble(inputs[signal]) for signal in stage.hears]
-            for signal, value in zip(stage.says, stage.act(heard), strict=True):
-                h.helicsPublicationPublishDouble(publications[signal], value)
+            heard = [h.helicsInputGetDouble(inputs[key]) for key in stage.hears]
+            for key, value in zip(stage.says, stage.act(heard), strict=True):
+                h.helicsPublicationPublishDouble(publications[key], value)
     if isinstance(node, peer_graph.Plant):
         out.send((began, time.monotonic(), node.delivered_kw))
     h.helicsFederateDisconnect(value_federate)
@@ -129,4 +128,5 @@ def _free_port() -> int:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # Leave no shared memory behind.
     print(json.dumps(run(int(sys.argv[1]), sys.argv[2] if len(sys.argv) > 2 else "ipc")))
