@@ -194,7 +194,7 @@ def main() -> int:
     parser.add_argument("--other", type=Path, metavar="DIR", help="another checkout to set beside")
     parser.add_argument("--json", type=Path, metavar="PATH", help="write all figures as JSON")
     options = parser.parse_args()
-    console = Console(width=100)
+    console = Console(width=110)
     heliarch = Path(sys.executable).parent / "heliarch"
     load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
     rounds: list[Round] = []

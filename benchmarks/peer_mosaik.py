@@ -5,7 +5,7 @@
 Prints one JSON document; `peers.py` runs it. Mosaik resolves a loop either with weak connections
 inside one time step (same-time loops of event-based simulators) or with time-shifted connections.
 Same-time loops do not run this graph: in mosaik 3.6.0 a simulator that is stepping does not hold
-back those that it may trigger, and as soon as two supervisors step at once the scheduler stops with
+back those that it may trigger (`advance_progress` in its scheduler), and the run stops with
 "cannot progress backwards". So the simulators are time-based, a cycle has three time steps, and
 only the connections that lead back are shifted by one step, as mosaik's tutorial on cyclic data
 flows recommends:
@@ -14,8 +14,8 @@ flows recommends:
     3k+1  supervisor (solve)
     3k+2  direct (command), applied by the plant at 3k+3
 
-These are the same six serial hops. Six time steps, all connections shifted, were slower, and so
-were `lazy_stepping` and the cache, which are off. No progress bar, no execution graph.
+These are the same six serial hops. Six time steps, all connections shifted, were somewhat slower,
+and so were `lazy_stepping` and the cache, which are off. No progress bar, no execution graph.
 """
 
 from __future__ import annotations
