@@ -1,4 +1,4 @@
-"""The launcher's side of its processes: starts them, hears them, ends them, finds out what broke."""
+"""The launcher's side of its processes: starts, hears and ends them, and finds out what broke."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class ForkServerProcess:
         self.control = ours
         with theirs:
             self._process = subprocess.Popen(
-                # Without the current folder on the path: a user's `signal.py` there is none of ours.
+                # Without the current folder on the path: a `signal.py` there is none of ours.
                 (sys.executable, "-P", "-m", "launch_scripts.fork_server", str(theirs.fileno())),
                 stdin=subprocess.DEVNULL,
                 env={
@@ -316,8 +316,8 @@ class Children:
         if self._server_gone:
             why = self._server_failure or "it was killed or ended by itself"
             raise RunFailure(
-                f"the fork server (process {self.server.pid}) is gone, and with it all processes of "
-                f"the run: {why}"
+                f"the fork server (process {self.server.pid}) is gone, and with it all processes "
+                f"of the run: {why}"
             )
 
 
