@@ -78,6 +78,7 @@ class ForkServerProcess:
     def __init__(self) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.control = ours
+        self._was_asked = False
         with theirs:
             self._process = subprocess.Popen(
                 # Without the current folder on the path: a `signal.py` there is none of ours.
@@ -94,6 +95,12 @@ class ForkServerProcess:
                 process_group=0,
             )
 
+    def __enter__(self) -> ForkServerProcess:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
     @property
     def pid(self) -> int:
         """Its process id."""
@@ -101,12 +108,15 @@ class ForkServerProcess:
 
     def ask(self, request: Request) -> None:
         """Send a request."""
+        self._was_asked = True
         with suppress(BrokenPipeError, ConnectionResetError):
             self.control.send(msgspec.json.encode(request))
 
     def close(self) -> None:
         """Let it end what is left of its processes, and itself."""
         self.control.close()
+        if not self._was_asked:  # It has no processes.
+            self._process.kill()
         try:
             self._process.wait(_LAST_WAIT_S + 1.0)
         except subprocess.TimeoutExpired:
