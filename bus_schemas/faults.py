@@ -314,7 +314,7 @@ def check_rule(
     _check_numbers(rule, where)
     _check_ends(rule, tree, where)
     heard_by = [listener for port, listener in links(tree) if rule.acts_on(port, listener)]
-    if all(listener in external for listener in heard_by):
+    if heard_by and all(listener in external for listener in heard_by):
         raise InputError(
             f"{where}: messages are delayed and lost where they come in, here at external agents "
             f"alone ({', '.join(dict.fromkeys(heard_by))}), accepted are links to other agents"
@@ -370,6 +370,8 @@ def _check_ends(rule: FaultRule, tree: ControlTree, where: str) -> None:
             )
     found = links(tree)
     names = dict.fromkeys(port.signal.name for port, _ in found)
+    if rule.signal in {row.name for row in SIGNALS if row.is_cyclic} - names.keys():
+        return  # No agent acts on it, so that losing it costs nothing.
     if rule.signal is not None and rule.signal not in names:
         kind = "not cyclic" if rule.signal in {row.name for row in SIGNALS} else "not known"
         raise InputError(f"{where}: signal {rule.signal!r} is {kind}, accepted: {', '.join(names)}")
