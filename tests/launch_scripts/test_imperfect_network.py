@@ -19,6 +19,7 @@ from bus_schemas.missing import parse_missing
 from bus_schemas.signals import (
     COMMAND,
     DISPATCH,
+    HELP,
     IMPP,
     PRODUCTION,
     SETPOINT,
@@ -105,14 +106,15 @@ def test_delays_within_the_cycle_change_nothing_but_the_time(
 
 
 def test_help_that_is_lost_keeps_nobody_waiting(valley: Preparation) -> None:
-    # Nobody hears help but the recorder: a rule on it could do nothing, and is refused. So that
-    # there is a clock at all, another rule delays messages by next to nothing.
-    slow = FaultRule(signal="telemetry", delay_ms=0.001)
-    lost = FaultRule(signal="help", loss=1.0)
-    _, with_help = run_with(valley, [slow])
-    run, without = run_with(valley, [slow, lost])
-    assert total(run, "missing_inputs") == 0
-    assert without.bytes() == with_help.bytes(), "the same messages at the same times"
+    words = RunOptions(duration=str(CYCLES), faults=("signal=help,loss=100%",))
+    prepared = prepare(load_scenario("valley"), words, "faults")
+    run, sent = run_with(prepared, prepared.plan.faults)
+    assert any(port.signal is HELP for port, _ in sent.messages)
+    assert (total(run, "missing_inputs"), run.bus.tally.as_counts()) == (0, {})
+    assert sent.decisions() == run_with(valley, ())[1].decisions()
+    for _, message in sent.messages:
+        last = message.cycle - (message.cycle == CYCLES)  # The stop comes after the last cycle.
+        assert message.publish_time_ns == last * SECOND_NS, "it went out at once"
 
 
 def test_a_doubled_message_is_dropped_and_counted(valley: Preparation) -> None:
