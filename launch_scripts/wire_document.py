@@ -534,8 +534,8 @@ in the same way on several keys is one line on the screen; the JSON has each key
 | an integer, `source` or `missing` beyond its bounds | `undecodable` | dropped |
 | a key of a node or signal that the run does not have | `unknown` | dropped |
 | `source` is not who may publish on the key | `foreign` | dropped |
-| an earlier cycle than the newest message on the key | `late` | dropped |
-| a cycle ahead by more than the longest period, or before the run | `other_cycle` | dropped |
+| an earlier cycle than the newest message on the key, or an arming round | `late` | dropped |
+| a cycle ahead by more than the longest period | `other_cycle` | dropped |
 | a second message on a key in a cycle | `duplicate` | dropped: the first one counts |
 | the same, as the recorder hears it | `repeated` | recorded |
 | a setpoint in a cycle that is not its sender's turn | `unexpected` | dropped |
