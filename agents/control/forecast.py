@@ -26,9 +26,9 @@ DAMPING: Final = 0.9
 """Share of the trend that is expected to go on. Of 0.5, 0.8, 0.9 and 1 the latter two were best on
 measurements of 1 s and 10 s; 0.9 overshoots less."""
 
-TREND_TIME_S: Final = 0.2
+TREND_TIME_S: Final = 0.1
 """Time constant of the trend [s]. With cycles of 0.1 s the last change alone is mostly the meter's
-noise; with cycles of a second it is the trend but for a sixth."""
+noise. With cycles of a second it is nine tenths of the trend."""
 
 MARGIN: Final = 0.4
 """Share of the mean forecast error that is taken off the forecast."""
