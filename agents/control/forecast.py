@@ -53,8 +53,11 @@ BOUND_SPREADS: Final = 10.0
 What lies above a limit can only be the meter's error, while below it a cloud may be. Of normal
 errors that is 4 standard deviations."""
 
-METER_MEMORY_S: Final = 300.0
+METER_MEMORY_S: Final = 100.0
 """Time constant of that mean [s]."""
+
+METER_READINGS: Final = 30.0
+"""Readings that it is taken of at least: that of fewer says too little of a noisy meter."""
 
 WIDEST_BOUND_TOLERANCE: Final = 0.25
 """However bad the meter, what is further from its limit is not held by it."""
@@ -118,7 +121,8 @@ def forecast_impp(
     meter_error = last.meter_error
     if limit_kw > 0.0:
         above = max(power_kw / limit_kw - 1.0, 0.0)
-        meter_error += (above - meter_error) * _gain(cycle_s, METER_MEMORY_S)
+        gain = min(_gain(cycle_s, METER_MEMORY_S), 1.0 / METER_READINGS)
+        meter_error += (above - meter_error) * gain
     if is_stated(available_kw, rating_kw):
         maximum_kw = min(available_kw, rating_kw)
         return _seen(maximum_kw, rating_kw, cycle_s, meter_error, 0.0, reads_low, last)

@@ -176,10 +176,10 @@ def test_a_meters_error_is_learned_alike_whatever_the_cycle() -> None:
     found = []
     for cycle_s in CYCLES_S:
         estimate = measured(80.0, cycle_s=cycle_s)
-        for _ in range(round(100.0 / cycle_s)):
+        for _ in range(round(900.0 / cycle_s)):
             estimate = forecast(40.0 * 1.02, 40.0, estimate, cycle_s=cycle_s)
         found.append(estimate.meter_error)
-    assert found == pytest.approx([found[1]] * 3, rel=0.05)
+    assert found == pytest.approx([0.02] * 3, rel=0.1)
 
 
 def test_a_steady_rise_is_expected_to_go_on_alike_whatever_the_cycle() -> None:
@@ -206,12 +206,12 @@ def test_short_cycles_do_not_make_a_trend_of_the_meters_noise() -> None:
 
 
 def test_a_noisy_meter_is_learned_from_what_it_reads_above_the_limit() -> None:
-    noise = 0.05 * np.random.default_rng(2).standard_normal(1500)
+    noise = 0.05 * np.random.default_rng(2).standard_normal(600)
     found = readings(40.0, noise.tolist(), measured(80.0))
     # Once it is known, no reading is taken for the maximum, and what is assumed of it only grows.
-    assert not any(estimate.is_seen for estimate in found[900:])
+    assert not any(estimate.is_seen for estimate in found[300:])
     assert found[-1].power_kw == RATING_KW
-    assert found[-1].meter_error == pytest.approx(0.05 * 0.4, rel=0.2)  # E max(0, e) = 0.4 sigma
+    assert found[-1].meter_error == pytest.approx(0.05 * 0.4, rel=0.4)  # E max(0, e) = 0.4 sigma
 
 
 def test_a_cloud_below_the_limit_is_never_taken_for_the_meters_error() -> None:
