@@ -32,6 +32,9 @@ _DOING: Final = {
     "apply": "to apply the commands",
 }
 
+_MOST_NAMED: Final = 3
+"""Inputs that were waited for in vain: more names than that say nothing more."""
+
 
 class Head(msgspec.Struct, gc=False):
     """What the timing of a message rests on; the rest of it is not decoded."""
@@ -127,7 +130,10 @@ class Wait(NamedTuple):
     def in_words(self) -> str:
         """Say it: `c2/inv09 took 18.4 ms to estimate`."""
         took = f"{self.agent} took {self.length_ns / 1e6:.1f} ms {_DOING[self.stage]}"
-        return f"{took}, without {', '.join(self.without)}" if self.without else took
+        named = ", ".join(self.without[:_MOST_NAMED])
+        others = len(self.without) - _MOST_NAMED
+        rest = f" and {others} more" if others > 0 else ""
+        return f"{took}, without {named}{rest}" if self.without else took
 
 
 class CycleWaits(NamedTuple):

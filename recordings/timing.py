@@ -27,13 +27,15 @@ response
     to the publishing of its last message. The hop is in it.
 
 missed deadlines
-    Stages whose messages name an awaited input in `missing`. Those are the missing inputs; where an
-    older message was used in place of one, it is an old input.
+    Stages whose messages name an awaited input in `missing`. Those are the missing inputs.
+old inputs
+    Older messages that a stage used in place of the due ones, as `missing` says.
 overruns
     Stages that had all inputs, and whose last message went out after their deadline. The plant's
     tick has its part of the cycle for it.
 skipped cycles
-    Cycles in which an agent published nothing. A skipped cycle has no durations.
+    Cycles in which an agent published nothing. A skipped cycle has no durations. Of one that an
+    agent left half done, those who waited for the rest count a missed deadline.
 """
 
 from __future__ import annotations
@@ -114,7 +116,7 @@ class AgentTiming:
     missing_inputs
         By port.
     old_inputs
-        Older messages used in place of missing inputs.
+        Older messages used in place of the due ones.
     skipped_cycles
         Cycles in which it published nothing.
     slowest_decision_ns
@@ -332,6 +334,7 @@ class _Walk:
             return
         found = self._agents[agent]
         decision_ns = closing.last_ns - closing.ready_ns
+        found.old_inputs += sum(used is not None for used in closing.missing.values())
         found.slowest_decision_ns = max(found.slowest_decision_ns, decision_ns)
         self._add_stage("decision", closing, decision_ns)
         self._see_deadline(tick_ns, closing, found)
@@ -356,7 +359,6 @@ class _Walk:
             keys = [str(port) for port in without]
             found.missed_deadlines[stage.name] += 1
             found.missing_inputs.update(keys)
-            found.old_inputs += sum(closing.missing[key] is not None for key in keys)
             return
         if closing.last_ns > deadline_ns + grace_ns:
             found.overruns[stage.name] += 1

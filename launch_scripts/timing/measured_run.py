@@ -18,6 +18,7 @@ from launch_scripts.preparation import Preparation
 from launch_scripts.run_command import RunRequest, prepare_run
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.scenario import parse_duration_s
+from launch_scripts.supervision import RunFailure
 from launch_scripts.timing.floor import Floor
 from launch_scripts.timing.host import load_average, this_host
 from launch_scripts.timing.rates import cycles_per_s
@@ -80,7 +81,7 @@ def measured_run(
     OSError
         What the processes need cannot be written: the disk is full.
     RunFailure
-        The run could not go on.
+        The run could not go on, or its recording cannot be read.
     """
     plan, scenario = preparation.plan, preparation.scenario.scenario
     duration_s = plan.cycles * plan.cycle_wall_ns / 1e9
@@ -96,7 +97,10 @@ def measured_run(
             rows = floor.finish()
             folder.summary.write_bytes(summary.as_json() + b"\n")
     host = this_host(plan, summary.remarks, load_before)
-    return report_on(folder.path, summary, host, rows, by_agent=by_agent)
+    try:
+        return report_on(folder.path, summary, host, rows, by_agent=by_agent)
+    except InputError as error:  # The disk was full, for instance.
+        raise RunFailure(f"{summary.recording_ended or 'not measured'}: {error}") from None
 
 
 def whole_cycles(rate_hz: float, duration: str) -> int:

@@ -27,7 +27,7 @@ MEANINGS: Final = {
     "lateness": "scheduled time of what the clock closes, to its first message published",
     "jitter": "difference of the time between two first messages from the cycles between",
     "age": "oldest input published, to stage could close",
-    "response": "last input published, to own last message published (seen from outside)",
+    "response": "last input published, to own last message published",
     "floor": "this machine, beside the plant, at the same rate",
 }
 """What each measure is of, in a few words; docs/timing.md has the definitions."""
@@ -178,13 +178,15 @@ def verdict_cells(row: Times, verdicts: Iterable[Verdict]) -> tuple[str, str]:
 
 def _print_times(report: TimingReport, console: Console) -> None:
     """Print a table for each measure, and one for the floor."""
-    for measure, rows in groupby(report.times, lambda row: row.measure):
-        cells = []
+    for measure, found in groupby(report.times, lambda row: row.measure):
+        rows, cells = list(found), []
         for row in rows:
             limit, verdict = verdict_cells(row, report.verdicts)
             verdict = f"[bold red]{verdict}[/]" if verdict == "FAIL" else verdict
-            cells.append((f"  {escape(row_name(row))}", *times_cells(row.times), limit, verdict))
-        print_table(console, f"[bold]{measure}[/] \\[ms]: {MEANINGS[measure]}", _TIMES, cells)
+            cells.append((f"  {escape(row.of)}", *times_cells(row.times), limit, verdict))
+        outside = " (seen from outside)" if all(row.outside for row in rows) else ""
+        title = f"[bold]{measure}[/] \\[ms]: {MEANINGS[measure]}{outside}"
+        print_table(console, title, _TIMES, cells)
     if report.floor:
         print_floor(f"[bold]floor[/] \\[ms]: {MEANINGS['floor']}", report.floor, console)
 
