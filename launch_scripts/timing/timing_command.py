@@ -76,9 +76,25 @@ def timing(request: TimingRequest) -> int:
     that is ended so nothing is printed.
     """
     console = console_for(request.run.json)
+    if request.study:
+        return _guarded(lambda termination: run_study(_study(request), console, termination))
+    return _guarded(lambda termination: _time(request, console, termination))
+
+
+def studied(request: StudyRequest) -> int:
+    """Study delay and loss; print what they cost. Returns the exit status."""
+    console = console_for(request.json)
+    return _guarded(lambda termination: run_study(request, console, termination))
+
+
+def _guarded(act: Callable[[Termination], int]) -> int:
+    """Do what was asked for; say in one line why it could not be done."""
     try:
         with terminable() as termination:
-            return termination.status(_time(request, console, termination))
+            try:
+                return termination.status(act(termination))
+            except KeyboardInterrupt:
+                return termination.status(complain("interrupted", INTERRUPTED))
     except InputError as error:
         return complain(error, BAD_INPUT)
     except OSError as error:
@@ -88,19 +104,14 @@ def timing(request: TimingRequest) -> int:
 
 
 def _time(request: TimingRequest, console: Console, termination: Termination) -> int:
-    try:
-        if request.study:
-            return run_study(_study(request), console, termination)
-        recording = _recording(request)
-        if recording is not None:
-            reported = report_on(recording, by_agent=request.processes)
-            return _tell_one(reported, recording, request, console)
-        rates = _check(request)
-        if rates.single_hz is not None:
-            return _time_one(rates.single_hz, request, console, termination)
-        return _time_several(rates, request, console, termination)
-    except KeyboardInterrupt:
-        return complain("interrupted", INTERRUPTED)
+    recording = _recording(request)
+    if recording is not None:
+        reported = report_on(recording, by_agent=request.processes)
+        return _tell_one(reported, recording, request, console)
+    rates = _check(request)
+    if rates.single_hz is not None:
+        return _time_one(rates.single_hz, request, console, termination)
+    return _time_several(rates, request, console, termination)
 
 
 def _recording(request: TimingRequest) -> Path | None:

@@ -46,7 +46,9 @@ def floor_times() -> tuple[FloorTimes, ...]:
     return timer, FloorTimes("Zenoh round trip", None, "not measured: no answer")
 
 
-def summary_of(folder: Path, plan: RunPlan = PLAN, *, lost: int = 0, dropped: int = 0) -> RunSummary:
+def summary_of(
+    folder: Path, plan: RunPlan = PLAN, *, lost: int = 0, dropped: int = 0
+) -> RunSummary:
     """The summary of a run in this folder that took 10 s: each process 1 s of processor time."""
     accounts = [
         ProcessAccount(
@@ -93,7 +95,7 @@ def reported(
     by_agent: bool = False,
     floor: tuple[FloorTimes, ...] = (),
 ) -> Reported:
-    """A report on these cycles, by default on two good ones, against the budgets of a TOML table."""
+    """A report on these cycles (default: two good ones) against the budgets of a TOML table."""
     folder.mkdir(exist_ok=True)
     scenario = f"{SCENARIO}[timing.budgets]\n{budgets}\n"
     recorded(folder, *(cycles or (cycle(0), cycle(1))), plan=plan, scenario=scenario)

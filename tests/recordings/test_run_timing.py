@@ -210,17 +210,13 @@ def test_of_an_external_plant_the_loop_is_seen_from_outside_while_our_inverters_
 def test_a_run_that_was_not_in_real_time_is_refused(
     wall_ns: int, driver: str, tmp_path: Path
 ) -> None:
-    folder = recorded(
-        tmp_path, cycle(0), plan=replace(PLAN, cycle_wall_ns=wall_ns), driver=driver
-    )
+    folder = recorded(tmp_path, cycle(0), plan=replace(PLAN, cycle_wall_ns=wall_ns), driver=driver)
     with RunReader(folder) as reader, pytest.raises(InputError, match="real time"):
         run_timing(reader)
 
 
 def test_a_start_that_is_far_from_its_message_is_not_believed(tmp_path: Path) -> None:
-    far = replace(
-        PLAN.run_message("start", 0, START_NS + 3_600_000 * MS), publish_time_ns=START_NS
-    )
+    far = replace(PLAN.run_message("start", 0, START_NS + 3_600_000 * MS), publish_time_ns=START_NS)
     with RunReader(recorded(tmp_path, cycle(0), start=far)) as reader:
         found = run_timing(reader)
     assert row(found, "loop", "all commands") == (1, 13.6, 13.6)
