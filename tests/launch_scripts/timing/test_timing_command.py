@@ -22,6 +22,7 @@ from launch_scripts.scenario import load_scenario
 from launch_scripts.timing import timing_command
 from launch_scripts.timing.measured_run import whole_cycles
 from launch_scripts.timing.timing_report import Reported
+from launch_scripts.timing.timing_table import print_report
 
 FULL: Final = Path("/dev/full")
 
@@ -208,8 +209,6 @@ def test_what_was_measured_before_a_signal_is_printed_and_written(
 def test_a_signal_while_the_tables_are_printed_cuts_nothing(
     signum: signal.Signals, status: int, over: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    print_report = timing_command.print_report
-
     def signalled(*words: object, **named: object) -> None:
         signal.raise_signal(signum)
         print_report(*words, **named)  # type: ignore[arg-type]
