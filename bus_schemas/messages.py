@@ -104,13 +104,9 @@ class Dispatch(Message, kw_only=True):
 
 
 class Meter(Message, kw_only=True):
-    """What the plant fed in during the interval that just ended, metered at its connection.
-
-    `desired_kw` is the dispatch of that interval, at zero at least and at the rating at most.
-    """
+    """What the plant fed in during the interval that just ended, metered at its connection."""
 
     power_kw: float
-    desired_kw: float
 
 
 class Impp(Message, kw_only=True):
