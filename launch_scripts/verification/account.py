@@ -22,12 +22,18 @@ Kind: TypeAlias = Literal[
     "input not recorded",
     "fails",
 ]
-"""`differs`: in its fields. `two messages in one cycle`: the same, but an external agent sent
-several messages in one cycle, and the agent may have used another than the first recorded one.
-`only recorded`: the agent does not send it now. `only new`: the recording lacks it. `recorded twice`: in
-one cycle. `not recorded`: its number shows that the recording lost messages before it. `input not
-recorded`: the agent used a message that the recording lacks. `fails`: the agent raises an error, or
-sends what cannot be sent."""
+"""How a recorded and a new message differ.
+
+- `differs`: in its fields
+- `two messages in one cycle`: the same, but an external agent sent several messages in one cycle,
+  and the agent may have used another than the first recorded one
+- `only recorded`: the agent does not send it now
+- `only new`: the recording lacks it
+- `recorded twice`: in one cycle
+- `not recorded`: its number shows that the recording lost messages before it
+- `input not recorded`: the agent used a message that the recording lacks
+- `fails`: the agent raises an error, or sends what cannot be sent
+"""
 
 
 @dataclass(frozen=True, slots=True)
