@@ -184,11 +184,11 @@ def _plan(request: ReplayRequest, recorded: RecordedRun) -> RunPlan:
     if request.plan is not None:
         plan = load_plan(request.plan)
         for field in _SHARED:
-            found, recorded = getattr(plan, field), getattr(recorded.plan, field)
-            if found != recorded:
+            found, wanted = getattr(plan, field), getattr(recorded.plan, field)
+            if found != wanted:
                 raise InputError(
                     f"{request.plan}: {field} is {_brief(found)}, accepted is that of the recorded "
-                    f"run, {_brief(recorded)}"
+                    f"run, {_brief(wanted)}"
                 )
     return msgspec.structs.replace(
         plan, run_id=recorded.plan.run_id, cycles=min(cycles, recorded.complete_cycles)
