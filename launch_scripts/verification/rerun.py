@@ -142,6 +142,7 @@ class AgentRerun:
         self._clock = VirtualClock()
         self._bus = RecordingBus(name, plan, recent, self._clock)
         self._given: list[Delivery] = []
+        self._lacked: dict[Port[Message], int] = {}
         self._over = False
         try:
             self._agent = TestedAgent(make)
@@ -256,7 +257,8 @@ class AgentRerun:
     def _lose_inputs(self, cycle: int, stage: Stage, lacking: list[Port[Message]]) -> None:
         """Go on without knowing what a stage used: from here on an agent's memory is not known."""
         for port in lacking:
-            if not self._is_cut_off(cycle, port.publisher):
+            if self._lacked.get(port) != cycle and not self._is_cut_off(cycle, port.publisher):
+                self._lacked[port] = cycle  # Another stage may use it too.
                 self._add("input not recorded", cycle, stage.name, port)
         self._over = self._agent.remembers
 
