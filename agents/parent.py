@@ -182,7 +182,7 @@ class Supervisor:
         self._between_turns = (report,)
 
     def initial_state(self) -> None:
-        """It remembers nothing: the newest messages say all."""
+        """Return nothing: the newest messages say all that it must know."""
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages; between its parent's turns the newest setpoint holds."""
@@ -289,9 +289,7 @@ class CentralController:
             readings=state.readings + 1,
         )
 
-    def _correct(
-        self, state: CentralState, dispatch_kw: float, possible_kw: float
-    ) -> CentralState:
+    def _correct(self, state: CentralState, dispatch_kw: float, possible_kw: float) -> CentralState:
         """Correct by the mean of the readings since the last turn."""
         correction_kw = state.correction_kw
         if self._corrects and state.readings:

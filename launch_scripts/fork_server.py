@@ -26,8 +26,8 @@ import msgspec
 from agents.cycle import kind_of
 from agents.events import Event, Exited, Failed, Started
 from agents.launcher_link import LauncherLink, packets
-from agents.plan import RunPlan, load_plan
 from agents.loop import AgentLoop
+from agents.plan import RunPlan, load_plan
 from agents.process import die_with_parent, run_controller, session_settings
 from agents.team import controller
 from bus_schemas.tree import PLANT, RECORDER, agent_name
@@ -81,7 +81,7 @@ class ForkServer:
                     return
 
     def end(self) -> None:
-        """End what is left: the recorder in order, so that its file is whole, the others at once."""
+        """End what is left: the recorder in order, for its file must be whole, the others at once."""
         for pid, agent in self._pids.items():
             os.kill(pid, signal.SIGTERM if agent == RECORDER else signal.SIGKILL)
         until = time.monotonic() + _LAST_WAIT_S

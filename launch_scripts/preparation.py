@@ -24,8 +24,8 @@ from launch_scripts.machine_table import AS_THE_SCENARIO_SAYS, MachineOptions, m
 from launch_scripts.power_sources import power_source
 from launch_scripts.real_time import cycle_wall_ns, tier_deadlines_ns
 from launch_scripts.scenario import (
-    ControlTable,
     LARGEST_SEED,
+    ControlTable,
     PlantTable,
     Scenario,
     ScenarioFile,

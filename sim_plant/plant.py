@@ -1,6 +1,6 @@
 """The plant: inverters under moving clouds, and the operator's dispatch, as one more agent.
 
-sense  on the clock             -> telemetry and meter of the interval that ended, dispatch for the next
+sense  on the clock             -> telemetry and meter of the interval that ended, next dispatch
 apply  command of each inverter -> production: what really happened in the interval
 """
 
@@ -107,7 +107,7 @@ class Plant:
         return outputs
 
     def _available_kw(self, cycle: int) -> list[float] | list[None]:
-        """What each inverter says that it could have given in the interval that ended."""
+        """Return what each inverter says that it could have given in the interval that ended."""
         if self._available_bias is None:
             return [None] * len(self._rating_kw)
         stated_kw = self._profile.mpp_kw[max(cycle - 1, 0)] * (1.0 + self._available_bias)
