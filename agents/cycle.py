@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias, get_args
 
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port
 from bus_schemas.tree import CENTRAL, PLANT, RECORDER, ControlTree, depth
 
 Kind: TypeAlias = Literal["plant", "central", "supervisor", "direct", "recorder"]
@@ -42,6 +44,10 @@ USED_SHARE: Final = 0.9
 _ALONE: Final[dict[str, Kind]] = {PLANT: "plant", CENTRAL: "central", RECORDER: "recorder"}
 
 
+_LATER: Final = {"setpoint": "solve", "command": "actuate", "production": "apply"}
+"""Stage in which a signal is published, where that is not its publisher's first one."""
+
+
 def kind_of(agent: str, tree: ControlTree) -> Kind:
     """Return the kind of an agent by its name."""
     return _ALONE.get(agent) or ("direct" if tree.is_leaf(agent) else "supervisor")
@@ -51,6 +57,11 @@ def stage_place(agent: str, stage: str, tree: ControlTree) -> int:
     """Return the place of an agent's stage in the order of one cycle."""
     level = 0 if agent in {CENTRAL, PLANT} else depth(agent)
     return PLACES[stage](tree.height, level)
+
+
+def stage_of(port: Port[Message], tree: ControlTree) -> str:
+    """Return the stage in which an agent publishes on a port."""
+    return _LATER.get(port.signal.name) or STAGES[kind_of(port.publisher, tree)][0]
 
 
 @dataclass(frozen=True)

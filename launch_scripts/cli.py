@@ -561,12 +561,6 @@ def replay_command(
     exclude: Annotated[
         str | None, typer.Option(help="All but these; clock too may be one.", metavar="NAMES")
     ] = None,
-    remaps: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--remap", help="Another key, or beginning of keys: oahu/c1=oahu/c9.", metavar="OLD=NEW"
-        ),
-    ] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Begin when a subscriber is there.")] = False,
     listen: Annotated[
         str | None,
@@ -610,7 +604,6 @@ def replay_command(
         loop,
         signals,
         exclude,
-        tuple(remaps or ()),
         wait,
         listen,
         namespace,
