@@ -6,12 +6,14 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+PEERS := .venv-peers
+PEERS_READY := $(PEERS)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test check format bench bench-study soak clean
+.PHONY: help setup run test check format bench bench-peers bench-study soak clean
 
 help: ## list the tasks
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: $(READY) ## make the virtual environment
 
@@ -39,13 +41,21 @@ format: $(READY) ## bring the code into its format
 	$(BIN)/ruff check --fix .
 
 bench: $(READY) ## cycle rate beside a bare Zenoh graph, start-up time, memory
-	$(BIN)/python tests/benchmarks/cycle_rate.py
+	$(BIN)/python benchmarks/cycle_rate.py
+
+bench-peers: $(PEERS_READY) ## cycle rate beside HELICS and mosaik, in a virtual environment of its own
+	$(PEERS)/bin/python benchmarks/peers.py
+
+$(PEERS_READY): pyproject.toml constraints.txt benchmarks/requirements-peers.txt
+	$(PYTHON) -m venv $(PEERS)
+	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --requirement benchmarks/requirements-peers.txt --editable .
+	@touch $@
 
 bench-study: $(READY) ## a whole day through the agents and over arrays
-	$(BIN)/python tests/benchmarks/study_rate.py
+	$(BIN)/python benchmarks/study_rate.py
 
 soak: $(READY) ## the recorder killed 20 times at random moments: what a recording loses
 	$(BIN)/pytest -m soak
 
 clean: ## remove what the tasks made, recordings of runs excepted
-	rm -rf $(VENV) *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -1,8 +1,8 @@
 """What an agent is: stages of a cycle, each a pure step from inputs to outputs.
 
-An agent has no clock, bus, file, log or randomness inside. The driver hands it the inputs of a stage
-once they are complete or their deadline has passed, and publishes what it returns. The same inputs
-in the same cycle give the same outputs, to the last bit.
+An agent has no clock, bus, file, log or randomness inside. The driver hands it the inputs of a
+stage once they are complete or their deadline has passed, and publishes what it returns. The same
+inputs in the same cycle give the same outputs, to the last bit.
 """
 
 from __future__ import annotations

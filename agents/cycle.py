@@ -1,7 +1,7 @@
 """One cycle: its stages, their places in it, and their deadlines. Stated here and nowhere else.
 
-    sense (plant) -> estimate (direct) -> report (supervisors, upwards)
-        -> solve (central, then downwards) -> actuate (direct) -> apply (plant)
+sense (plant) -> estimate (direct) -> report (supervisors, upwards)
+    -> solve (central, then downwards) -> actuate (direct) -> apply (plant)
 """
 
 from __future__ import annotations

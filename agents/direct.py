@@ -106,7 +106,9 @@ class DirectController:
             return estimate_impp(power_kw, alpha, available_kw, rating_kw, last)
         if self._limits and telemetry is not None:
             alpha = 1.0  # It holds its limit, and gives all it has below it.
-        return forecast_impp(power_kw, alpha, available_kw, limit_kw, rating_kw, self._cycle_s, last)
+        return forecast_impp(
+            power_kw, alpha, available_kw, limit_kw, rating_kw, self._cycle_s, last
+        )
 
     def _actuate(self, state: DirectState, turn: Turn) -> list[Delivery]:
         """Command the setpoint; without one the inverter's own share of the dispatch.

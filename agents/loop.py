@@ -1,9 +1,10 @@
 """Takes one agent through its cycles: keeps its inputs, closes its stages, goes on.
 
-There is one rule for time. Of each input the newest message is kept. A stage closes when every input
-that it awaits is of this cycle, or at its deadline. Its decision rests on the newest messages; an
-input older than `hold_cycles` is silent. What the agent sends names, in `missing`, the inputs that
-were not due in this cycle. Lockstep has no deadlines: that is the whole difference.
+There is one rule for time. Of each input the newest message is kept. A stage closes when every
+input that it awaits is of this cycle, or at its deadline. Its decision rests on the newest
+messages; an input older than `hold_cycles` is silent. What the agent sends names, in `missing`, the
+inputs that were older than they should have been. Lockstep has no deadlines: that is the whole
+difference.
 """
 
 from __future__ import annotations
@@ -231,8 +232,8 @@ class AgentLoop(Generic[S]):
         if self._plan.lockstep or abs(run.start_time_ns - now_ns) <= START_WITHIN_NS:
             return run.start_time_ns
         log.warning(
-            "the plant says that the run begins at %d, this host's monotonic clock says %d: cycle 0 "
-            "begins now instead",
+            "the plant says that the run begins at %d, but this host's monotonic clock is at %d: "
+            "cycle 0 begins now instead",
             run.start_time_ns,
             now_ns,
         )
@@ -318,7 +319,7 @@ class AgentLoop(Generic[S]):
     def _inputs_of(
         self, stage: Stage
     ) -> tuple[dict[Port[Message], Message | None], tuple[str, ...]]:
-        """Return the messages that a stage decides on, and what to say of those that are not due."""
+        """Return the messages that a stage decides on, and its outputs' `missing`."""
         cycle = self.cycle
         found: dict[Port[Message], Message | None] = {}
         missing: list[str] = []

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass
-from math import fsum
 from typing import NamedTuple
 
 import msgspec
+from msgspec.structs import replace
 
 from agents.agent import Stage, Turn
-from agents.control.allocation import allocate
+from agents.control.allocation import allocate, total
 from agents.control.correction import corrected
 from agents.control.neighbours import HelpOrder, help_order
 from agents.control.request import residual_kw
@@ -111,8 +111,8 @@ class Children:
     def report_up(self, turn: Turn, reports: list[Report]) -> list[Delivery]:
         """State the sums over the children (eq. 2). A negative residual is a call for help."""
         impp_port, residual_port, help_port = self._own
-        impp_kw = fsum(report.impp_kw for report in reports)
-        left_kw = fsum(report.residual_kw for report in reports)
+        impp_kw = total([report.impp_kw for report in reports])
+        left_kw = total([report.residual_kw for report in reports])
         stale_cycles = max(report.stale_cycles for report in reports)
         outputs: list[Delivery] = [
             (impp_port, Impp(*turn.stamp, power_kw=impp_kw, stale_cycles=stale_cycles)),
@@ -122,16 +122,14 @@ class Children:
             outputs.append((help_port, Help(*turn.stamp, missing_kw=-left_kw)))
         return outputs
 
-    def setpoints(
-        self, turn: Turn, target_kw: float, reports: list[Report]
-    ) -> tuple[list[Delivery], float]:
-        """Divide a target (step 4). Return the setpoints, and what the children cannot meet [kW].
+    def setpoints(self, turn: Turn, target_kw: float, reports: list[Report]) -> list[Delivery]:
+        """Divide a target (step 4): return a setpoint for each child.
 
         Between its turns, or where a report is old, `predictive` gives needy children what they
         lack as well: they can then use power that comes back before the parent hears of it.
         """
         tops_up = self._tops_up or (self._tops_up_old and any(r.is_old for r in reports))
-        power_kw, share_kw, donors, needy, given_kw, shortfall_kw = allocate(
+        power_kw, share_kw, donors, needy, given_kw, _ = allocate(
             target_kw,
             self._ratings_kw,
             [report.impp_kw for report in reports],
@@ -142,7 +140,7 @@ class Children:
         help_given: list[tuple[HelpGiven, ...]] = [()] * len(self._children)
         for donor, asking, kw in zip(donors, needy, given_kw, strict=True):
             help_given[donor] += (HelpGiven(self._children[asking].path, kw),)
-        outputs: list[Delivery] = [
+        return [
             (
                 child.setpoint,
                 Setpoint(*turn.stamp, power_kw=power, share_kw=share, help_given=given),
@@ -151,7 +149,6 @@ class Children:
                 self._children, power_kw, share_kw, help_given, strict=True
             )
         ]
-        return outputs, shortfall_kw
 
     def _order_at(self, sim_time_ns: int) -> HelpOrder:
         place = bisect_right(self._from_times_ns, sim_time_ns) - 1
@@ -185,7 +182,7 @@ class Supervisor:
         self._between_turns = (report,)
 
     def initial_state(self) -> None:
-        """It remembers nothing: the newest messages say all."""
+        """Return nothing: the newest messages say all that it must know."""
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages; between its parent's turns the newest setpoint holds."""
@@ -204,7 +201,7 @@ class Supervisor:
         target_kw = request_kw if setpoint is None else setpoint.power_kw
         if target_kw is None:
             return None, []
-        return None, self._children.setpoints(turn, target_kw, reports)[0]
+        return None, self._children.setpoints(turn, target_kw, reports)
 
 
 class CentralState(msgspec.Struct, frozen=True, gc=False):
@@ -213,19 +210,23 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
     Attributes
     ----------
     correction_kw
-        What it adds to its target because the meter read less than was desired.
+        What it adds to its target because the meter read less than was wanted.
+    wanted_kw
+        The dispatch of its last turn.
+    metered_kw, readings
+        Sum of the meter's readings since then, and their number.
     meter_cycle
-        Cycle of the meter's message that the correction last rests on.
-    is_free
-        Whether it asked for all there is the last time, so that every inverter is free.
+        Cycle of the newest reading. That of cycle 0 is of the time before the run.
     clamped
         How many dispatches it clamped.
     """
 
-    correction_kw: float
-    meter_cycle: int
-    is_free: bool
-    clamped: int
+    correction_kw: float = 0.0
+    wanted_kw: float = 0.0
+    metered_kw: float = 0.0
+    readings: int = 0
+    meter_cycle: int = 0
+    clamped: int = 0
 
 
 class CentralController:
@@ -253,7 +254,7 @@ class CentralController:
 
     def initial_state(self) -> CentralState:
         """Nothing corrected."""
-        return CentralState(0.0, -1, is_free=True, clamped=0)
+        return CentralState()
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stage: it reports in every cycle, and sends setpoints in its turns."""
@@ -263,33 +264,46 @@ class CentralController:
         """Report for the plant as a whole, and divide the dispatch."""
         reports = self._children.reports(turn)
         outputs = self._children.report_up(turn, reports)
+        state = self._read_meter(state, turn.get(self._meter))
         dispatch = turn.get(self._dispatch)
-        correction_kw, meter_cycle = self._correction(state, turn.get(self._meter))
-        is_free, clamped = state.is_free, state.clamped
-        if dispatch is not None:
-            if usable_kw(dispatch) != dispatch.power_kw and dispatch.cycle == turn.cycle:
-                clamped += 1
-                outputs.append((self._notice, _clamped(turn, dispatch, clamped)))
-            if self._periods.is_turn(ROOT, turn.cycle):
-                target_kw = min(usable_kw(dispatch) + correction_kw, self._children.rating_kw)
-                setpoints, shortfall_kw = self._children.setpoints(turn, target_kw, reports)
-                outputs += setpoints
-                is_free = shortfall_kw >= 0.0
-        return CentralState(correction_kw, meter_cycle, is_free, clamped), outputs
+        if dispatch is None:
+            return state, outputs
+        if usable_kw(dispatch) != dispatch.power_kw and dispatch.cycle == turn.cycle:
+            state = replace(state, clamped=state.clamped + 1)
+            outputs.append((self._notice, _clamped(turn, dispatch, state.clamped)))
+        if self._periods.is_turn(ROOT, turn.cycle):
+            possible_kw = total([report.impp_kw for report in reports])
+            state = self._correct(state, usable_kw(dispatch), possible_kw)
+            target_kw = min(state.wanted_kw + state.correction_kw, self._children.rating_kw)
+            outputs += self._children.setpoints(turn, target_kw, reports)
+        return state, outputs
 
-    def _correction(self, state: CentralState, meter: Meter | None) -> tuple[float, int]:
-        """Return the correction after the newest meter reading, and the cycle of that reading."""
-        if not self._corrects or meter is None or meter.cycle <= state.meter_cycle:
-            return state.correction_kw, state.meter_cycle
-        correction_kw = corrected(
-            state.correction_kw,
-            meter.desired_kw,
-            meter.power_kw,
-            state.is_free,
-            self._children.rating_kw,
-            self._cycle_s,
+    def _read_meter(self, state: CentralState, meter: Meter | None) -> CentralState:
+        """Take up the meter's newest reading, each reading once."""
+        if meter is None or meter.cycle <= state.meter_cycle:
+            return state
+        return replace(
+            state,
+            meter_cycle=meter.cycle,
+            metered_kw=state.metered_kw + meter.power_kw,
+            readings=state.readings + 1,
         )
-        return correction_kw, meter.cycle
+
+    def _correct(self, state: CentralState, dispatch_kw: float, possible_kw: float) -> CentralState:
+        """Correct by the mean of the readings since the last turn."""
+        correction_kw = state.correction_kw
+        if self._corrects and state.readings:
+            correction_kw = corrected(
+                correction_kw,
+                state.wanted_kw,
+                state.metered_kw / state.readings,
+                dispatch_kw >= possible_kw,
+                self._children.rating_kw,
+                state.readings * self._cycle_s,
+            )
+        return replace(
+            state, correction_kw=correction_kw, wanted_kw=dispatch_kw, metered_kw=0.0, readings=0
+        )
 
 
 def _clamped(turn: Turn, dispatch: Dispatch, count: int) -> Notice:

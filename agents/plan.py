@@ -22,7 +22,7 @@ from bus_schemas.keys import KeyTable
 from bus_schemas.links import Links, explicit_links
 from bus_schemas.messages import Message, Run
 from bus_schemas.signals import Occurrence, Port, Wiring
-from bus_schemas.tree import PLANT, ControlTree, agent_name, depth, parent_of
+from bus_schemas.tree import PLANT, ControlTree, depth, parent_of
 
 Scheme: TypeAlias = Literal["paper", "predictive"]
 """`paper`: the IMPP is the last cycle's (eq. 1). `predictive`: it is a forecast of this cycle's."""
@@ -105,8 +105,8 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     namespace
         Prefix of the run's keys on the bus. Empty: the `run_id`, so that two runs never meet.
     tier_deadlines_ns
-        In real time: when, after the beginning of a cycle, the last message of each tier must be out
-        at the latest; the central controller's first, the direct controllers' last. Empty: each
+        In real time: when, after the beginning of a cycle, the last message of each tier must be
+        out at the latest; the central controller's first, the direct controllers' last. Empty: each
         stage has the same share of the cycle.
     machine
         What the processes may take of the machine.

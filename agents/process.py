@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 from agents.agent import Agent
@@ -42,7 +42,7 @@ def run_controller(plan: RunPlan, name: str, link: LauncherLink) -> int:
     return run_guarded(name, link, lambda: _run_controller(plan, name, link))
 
 
-def run_guarded(name: str, link: LauncherLink, run: Any) -> int:
+def run_guarded(name: str, link: LauncherLink, run: Callable[[], None]) -> int:
     """Run an agent; tell the launcher if it gives up. Returns the exit status."""
     try:
         run()
@@ -116,8 +116,8 @@ class Seat:
         """Tell the launcher what went out and what was not used."""
         loop = self.loop
         causes: dict[str, dict[str, int]] = {}
-        for (port, cause), number in loop.dropped.items():
-            causes.setdefault(port, {})[cause] = number
+        for (port, reason), number in loop.dropped.items():
+            causes.setdefault(port, {})[reason] = number
         flooded = self._bus.flooded + (self._faults.flooded if self._faults else Counter())
         for cause, counts in (("undecodable", self._bus.undecodable), ("flooded", flooded)):
             for port, number in counts.items():

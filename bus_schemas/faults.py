@@ -366,11 +366,11 @@ def _check_ends(rule: FaultRule, tree: ControlTree, where: str) -> None:
         if pattern == RECORDER:
             raise InputError(
                 f"{where}: {end} is the recorder, which hears everything; accepted are the agents "
-                f"that act: {_some(agents)}"
+                f"that act: {some_of(agents)}"
             )
         if not any(fnmatchcase(agent, pattern) for agent in agents):
             raise InputError(
-                f"{where}: {end} {pattern!r} is no agent of this run, accepted: {_some(agents)}, "
+                f"{where}: {end} {pattern!r} is no agent of this run, accepted: {some_of(agents)}, "
                 "or a pattern such as c1/*"
             )
     if rule.signal in UNHEARD:
@@ -388,11 +388,12 @@ def _check_ends(rule: FaultRule, tree: ControlTree, where: str) -> None:
         )
         raise InputError(
             f"{where}: {rule.source} never sends {rule.signal or 'anything'} to {rule.listener}, "
-            f"accepted from {rule.source}: {_some(list(instead))}"
+            f"accepted from {rule.source}: {some_of(list(instead))}"
         )
 
 
-def _some(names: list[str]) -> str:
+def some_of(names: list[str]) -> str:
+    """List the first of many names."""
     rest = len(names) - _LISTED
     listed = ", ".join(names[:_LISTED])
     return f"{listed} and {rest} more" if rest > 0 else listed

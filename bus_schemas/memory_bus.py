@@ -25,6 +25,7 @@ class VirtualClock:
         self.now_ns = 0
 
     def __call__(self) -> int:
+        """Return its time [ns]."""
         return self.now_ns
 
 

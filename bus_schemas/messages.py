@@ -1,8 +1,8 @@
-"""The message types: one frozen struct for each kind of thing that travels on the bus.
+"""The message types: one struct for each kind of thing that travels on the bus.
 
-Every message begins with the same head (cycle, simulated time, source, which inputs were not of this
-cycle, when it could be decided, when it was published, its number on its key) and goes on with the
-fields of its own kind. Units stand in the field names. On the wire a message is one flat msgpack
+Every message begins with the same head (cycle, simulated time, source, which inputs were old, when
+it could be decided, when it was published, its number on its key) and goes on with the fields of
+its own kind. Units stand in the field names. On the wire a message is one flat msgpack
 map from field name to value, so a reader without this package can still take it apart.
 """
 
@@ -80,8 +80,8 @@ class Telemetry(Message, kw_only=True):
     """What an inverter measured in the interval that just ended, and what it obeyed in it.
 
     `alpha` is the curtailment level it was told. `limit_kw` is the power it did not exceed: its
-    rating, or less where the actuator of the run is `limit` and it is curtailed. `available_kw` is the
-    power that it could have given, where the inverter states it (SunSpec 122 `WAval`).
+    rating, or less where the actuator of the run is `limit` and it is curtailed. `available_kw` is
+    the power that it could have given, where the inverter states it (SunSpec 122 `WAval`).
     """
 
     power_kw: float
@@ -104,13 +104,9 @@ class Dispatch(Message, kw_only=True):
 
 
 class Meter(Message, kw_only=True):
-    """What the plant fed in during the interval that just ended, metered at its connection.
-
-    `desired_kw` is the dispatch of that interval, at zero at least and at the rating at most.
-    """
+    """What the plant fed in during the interval that just ended, metered at its connection."""
 
     power_kw: float
-    desired_kw: float
 
 
 class Impp(Message, kw_only=True):
@@ -131,7 +127,7 @@ class Residual(Message, kw_only=True):
 
 
 class Help(Message, kw_only=True):
-    """A negative residual as a message of its own, for people and recordings. Nobody waits for it."""
+    """A negative residual as a message of its own, for people and recordings."""
 
     missing_kw: float
 

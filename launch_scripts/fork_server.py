@@ -26,9 +26,11 @@ import msgspec
 from agents.cycle import kind_of
 from agents.events import Event, Exited, Failed, Started
 from agents.launcher_link import LauncherLink, packets
+from agents.loop import AgentLoop
 from agents.plan import RunPlan, load_plan
-from agents.process import die_with_parent, run_controller
-from bus_schemas.tree import PLANT, RECORDER
+from agents.process import die_with_parent, run_controller, session_settings
+from agents.team import controller
+from bus_schemas.tree import PLANT, RECORDER, agent_name
 from launch_scripts.fork_requests import Request, Signal, Start, Tell, log_name
 from recordings.process import run_recorder
 from sim_plant.process import run_plant
@@ -79,7 +81,7 @@ class ForkServer:
                     return
 
     def end(self) -> None:
-        """End what is left: the recorder in order, so that its file is whole, the others at once."""
+        """End what is left: the recorder in order, for its file must be whole, the others at once."""
         for pid, agent in self._pids.items():
             os.kill(pid, signal.SIGTERM if agent == RECORDER else signal.SIGKILL)
         until = time.monotonic() + _LAST_WAIT_S
@@ -107,7 +109,10 @@ class ForkServer:
         if PLANT in request.agents:
             profile = load_profile(Path(request.plan).with_name("profile.npz"))
         # What all of them need is worked out once, before there are many.
-        _ = plan.keys, plan.wiring, plan.links, plan.network_faults, plan.links.listening
+        for node in plan.tree.nodes[-1:]:
+            AgentLoop(controller(plan, agent_name(node)), plan)
+            session_settings(plan, agent_name(node))
+        _ = plan.keys, plan.network_faults
         gc.collect()
         gc.freeze()
         for agent in request.agents:

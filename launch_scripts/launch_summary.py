@@ -106,9 +106,7 @@ def launch_summary(
         processes_startup_s=seen.armed_at - seen.started_at,
         processes=tuple(_account(child, seen.cpu_at_start_s) for child in children),
         external=recorded.external,
-        wrong=wrong_messages(
-            plan, recorded.complaints, [account.dropped for account in accounts]
-        ),
+        wrong=wrong_messages(plan, recorded.complaints, [account.dropped for account in accounts]),
     )
 
 

@@ -19,7 +19,7 @@ from agents.events import (
 )
 from agents.machine import refusals
 from agents.plan import RunPlan
-from bus_schemas.links import explicit_links
+from bus_schemas.faults import some_of
 from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.externals import ExternalWatch
 from launch_scripts.fork_requests import Start
@@ -40,14 +40,17 @@ from launch_scripts.supervision import (
 )
 from launch_scripts.tcp_ports import reserved_ports
 
-PLANT_PATIENCE_S: Final = 30.0
-"""How long the plant waits for processes to appear."""
+_PLANT_PATIENCE_S: Final = 30.0
+"""How long the plant waits for processes to appear, and how much longer for each of them."""
+
+_PER_PROCESS_S: Final = 0.1
 
 _GATHER_S: Final = 0.5
 """After the first word of a stall: time for the others to say what they wait for."""
 
 _ARMING_S: Final = 60.0
-"""How long it may take from the command to cycle 0. The plant gives up before that by itself."""
+"""How long it may take from the command to cycle 0, and more for each process. The plant gives up
+before that by itself."""
 
 _PATIENCE_S: Final = 5.0
 """How long processes may take to end once the run is over."""
@@ -122,7 +125,7 @@ class Launch:
             Children(self._server, plan, agents, self._folder.logs) as children,
         ):
             self._started_at = time.monotonic()
-            logs, patience_s = str(self._folder.logs), PLANT_PATIENCE_S + self._patience_s
+            logs, patience_s = str(self._folder.logs), self._plant_patience_s(len(agents))
             self._server.ask(Start(str(self._folder.plan), agents, logs, patience_s))
             self._follow_or_explain(children)
             seen = self._account(children, refused)
@@ -209,10 +212,14 @@ class Launch:
         if late := self._external.late(now):
             raise RunFailure(late)
         complete_at = self._external.complete_at
-        if complete_at is not None and now > complete_at + _ARMING_S:
+        longest_s = _ARMING_S + _PER_PROCESS_S * len(children.by_agent)
+        if complete_at is not None and now > complete_at + longest_s:
             absent = [child.agent for child in children if not child.ready] or [PLANT]
-            text = f"not armed after {_ARMING_S:g} s: nothing came from {', '.join(absent)}"
+            text = f"not armed after {longest_s:.0f} s: nothing came from {some_of(absent)}"
             raise RunFailure(blame(children, absent[0], text))
+
+    def _plant_patience_s(self, processes: int) -> float:
+        return _PLANT_PATIENCE_S + _PER_PROCESS_S * processes + self._patience_s
 
     def _ask_stop(self, children: Children) -> None:
         """Let the plant end the run; lose patience after a while, or at the second Ctrl-C."""
@@ -286,7 +293,7 @@ def launch(
     RunFailure
         See `Launch.run`.
     """
-    agents = explicit_links(preparation.plan.tree).listening
+    agents = preparation.plan.links.listening
     with reserved_ports(agents, preparation.external.base_port) as tcp_ports:
         plan = folder.fill(preparation, tcp_ports)
         server = server or ForkServerProcess()

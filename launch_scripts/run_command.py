@@ -5,9 +5,11 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Final, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 from rich.console import Console
 
@@ -25,11 +27,9 @@ from launch_scripts.scenario import FASTEST_PACE, SLOWEST_PACE, load_scenario
 from launch_scripts.simulation import simulate
 from launch_scripts.summary import RunSummary
 from launch_scripts.summary_table import print_summary
-from launch_scripts.supervision import RunFailure
+from launch_scripts.supervision import ForkServerProcess, RunFailure
 
 Driver: TypeAlias = Callable[[Preparation, RunFolder, View, float], RunSummary]
-
-_DRIVERS: Final[dict[str, Driver]] = {"launch": launch, "simulate": simulate}
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,13 +66,34 @@ def run(request: RunRequest, began_at: float) -> int:
     """
     # With the JSON on standard output, nothing else may go there.
     console = Console(stderr=request.json == "-")
+    with ExitStack() as stack:
+        driver: Driver = simulate
+        if request.driver == "launch":
+            # It imports what the processes need while the run is worked out.
+            driver = partial(launch, server=stack.enter_context(ForkServerProcess()))
+        try:
+            preparation, folder = prepare_run(request)
+        except (OSError, ValueError) as error:
+            # Bad input; a file that may not be read, or a name that no file can have.
+            return complain(error, BAD_INPUT)
+        return _run(request, driver, preparation, folder, console, began_at)
+
+
+def _run(
+    request: RunRequest,
+    driver: Driver,
+    preparation: Preparation,
+    folder: RunFolder,
+    console: Console,
+    began_at: float,
+) -> int:
     try:
-        preparation, folder = prepare_run(request)
-    except (OSError, ValueError) as error:
-        # Bad input; a file that may not be read, or a name that no file can have.
-        return complain(error, BAD_INPUT)
-    try:
-        summary = _drive(request.driver, preparation, folder, console, began_at)
+        with view_for(
+            console, preparation.plan, preparation.scenario.scenario.time.timezone
+        ) as view:
+            for line in (preparation.scenario.scenario.title, *preparation.remarks):
+                view.say(line)
+            summary = driver(preparation, folder, view, began_at)
         status = _conclude(summary, folder, request.json, console)
         if request.report and summary.cycles:
             _report(folder, console)
@@ -86,17 +107,6 @@ def run(request: RunRequest, began_at: float) -> int:
         return complain(f"{error}\n{kept}".strip(), FAILED)
     except KeyboardInterrupt:
         return complain("interrupted; the processes were ended by force", INTERRUPTED)
-
-
-def _drive(
-    driver: str, preparation: Preparation, folder: RunFolder, console: Console, began_at: float
-) -> RunSummary:
-    scenario = preparation.scenario.scenario
-    with view_for(console, preparation.plan, scenario.time.timezone) as view:
-        view.say(scenario.title)
-        for remark in preparation.remarks:
-            view.say(remark)
-        return _DRIVERS[driver](preparation, folder, view, began_at)
 
 
 def _conclude(summary: RunSummary, folder: RunFolder, json: str | None, console: Console) -> int:

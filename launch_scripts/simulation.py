@@ -10,6 +10,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import msgspec
 
@@ -65,7 +66,7 @@ class MemoryRun:
         self.plan = msgspec.structs.replace(plan, cycle_wall_ns=0) if clock is None else plan
         faults = self.plan.network_faults if plan.faults else None
         self.bus = MemoryBus(self.plan.wiring, on_publish, clock, faults)
-        team: list[Agent[object]] = [Plant(self.plan, profile), *controllers(self.plan)]
+        team: list[Agent[Any]] = [Plant(self.plan, profile), *controllers(self.plan)]
         self.loops = {agent.name: AgentLoop(agent, self.plan) for agent in team}
         self._driver = Driver(self.loops.values(), self.bus, clock or time.monotonic_ns)
         self._clock = clock

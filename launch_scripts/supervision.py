@@ -1,4 +1,4 @@
-"""The launcher's side of its processes: starts them, hears them, ends them, finds out what broke."""
+"""The launcher's side of its processes: starts, hears and ends them, and finds out what broke."""
 
 from __future__ import annotations
 
@@ -78,9 +78,10 @@ class ForkServerProcess:
     def __init__(self) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.control = ours
+        self._was_asked = False
         with theirs:
             self._process = subprocess.Popen(
-                # Without the current folder on the path: a user's `signal.py` there is none of ours.
+                # Without the current folder on the path: a `signal.py` there is none of ours.
                 (sys.executable, "-P", "-m", "launch_scripts.fork_server", str(theirs.fileno())),
                 stdin=subprocess.DEVNULL,
                 env={
@@ -94,6 +95,12 @@ class ForkServerProcess:
                 process_group=0,
             )
 
+    def __enter__(self) -> ForkServerProcess:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
     @property
     def pid(self) -> int:
         """Its process id."""
@@ -101,12 +108,15 @@ class ForkServerProcess:
 
     def ask(self, request: Request) -> None:
         """Send a request."""
+        self._was_asked = True
         with suppress(BrokenPipeError, ConnectionResetError):
             self.control.send(msgspec.json.encode(request))
 
     def close(self) -> None:
         """Let it end what is left of its processes, and itself."""
         self.control.close()
+        if not self._was_asked:  # It has no processes.
+            self._process.kill()
         try:
             self._process.wait(_LAST_WAIT_S + 1.0)
         except subprocess.TimeoutExpired:
@@ -316,8 +326,8 @@ class Children:
         if self._server_gone:
             why = self._server_failure or "it was killed or ended by itself"
             raise RunFailure(
-                f"the fork server (process {self.server.pid}) is gone, and with it all processes of "
-                f"the run: {why}"
+                f"the fork server (process {self.server.pid}) is gone, and with it all processes "
+                f"of the run: {why}"
             )
 
 

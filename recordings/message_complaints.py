@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from agents.events import Complaint
+
 ABSURD: Final = "absurd"
 """The cause of complaints about messages of the run whose numbers cannot be right."""
 

@@ -50,9 +50,7 @@ def absurdities(
     return found
 
 
-def _out_of_bounds(
-    rating_kw: float, message: Message
-) -> Iterator[tuple[str, float, float, float]]:
+def _out_of_bounds(rating_kw: float, message: Message) -> Iterator[tuple[str, float, float, float]]:
     yield from out_of_bounds(message, rating_kw)
     if isinstance(message, Telemetry):  # The estimate judges it; this says what it refuses.
         for field, value, high in (

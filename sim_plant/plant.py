@@ -1,6 +1,6 @@
 """The plant: inverters under moving clouds, and the operator's dispatch, as one more agent.
 
-sense  on the clock             -> telemetry and meter of the interval that ended, dispatch for the next
+sense  on the clock             -> telemetry and meter of the interval that ended, next dispatch
 apply  command of each inverter -> production: what really happened in the interval
 """
 
@@ -23,12 +23,11 @@ from sim_plant.profile import Profile
 
 @dataclass(frozen=True, slots=True)
 class PlantState:
-    """What each inverter obeyed and delivered in the last interval, shape (n,), and its dispatch."""
+    """What each inverter obeyed and delivered in the last interval, shape (n,)."""
 
     alpha: NDArray[np.float64]
     limit_kw: NDArray[np.float64]
     power_kw: NDArray[np.float64]
-    desired_kw: float
 
 
 class Plant:
@@ -63,9 +62,7 @@ class Plant:
     def initial_state(self) -> PlantState:
         """Every inverter at its maximum under the first sample."""
         first_kw = self._profile.mpp_kw[0]
-        return PlantState(
-            np.ones_like(first_kw), self._rating_kw, first_kw, float(first_kw.sum())
-        )
+        return PlantState(np.ones_like(first_kw), self._rating_kw, first_kw)
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages, the same in each cycle."""
@@ -88,9 +85,7 @@ class Plant:
             commitment_kw=commitment_kw,
             regulation_kw=regulation_kw,
         )
-        meter = Meter(
-            *turn.stamp, power_kw=float(state.power_kw.sum()), desired_kw=state.desired_kw
-        )
+        meter = Meter(*turn.stamp, power_kw=float(state.power_kw.sum()))
         outputs: list[Delivery] = [(self._dispatch, dispatch), (self._meter, meter)]
         measured_kw = state.power_kw * (1.0 + self._profile.meter_error[cycle])
         for port, power_kw, alpha, limit_kw, available_kw in zip(
@@ -112,7 +107,7 @@ class Plant:
         return outputs
 
     def _available_kw(self, cycle: int) -> list[float] | list[None]:
-        """What each inverter says that it could have given in the interval that ended."""
+        """Return what each inverter says that it could have given in the interval that ended."""
         if self._available_bias is None:
             return [None] * len(self._rating_kw)
         stated_kw = self._profile.mpp_kw[max(cycle - 1, 0)] * (1.0 + self._available_bias)
@@ -134,8 +129,7 @@ class Plant:
             inverter_mpp_kw=tuple(mpp_kw.tolist()),
             inverter_power_kw=tuple(power_kw.tolist()),
         )
-        usable_kw = min(max(desired_kw, 0.0), self._plant_rating_kw)
-        return PlantState(alpha, limit_kw, power_kw, usable_kw), [(self._production, production)]
+        return PlantState(alpha, limit_kw, power_kw), [(self._production, production)]
 
     def _obeyed(
         self, state: PlantState, turn: Turn

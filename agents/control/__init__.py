@@ -1,8 +1,9 @@
 """The paper's mathematics as pure functions: no clock, bus, file, log or randomness inside.
 
-What a controller calculates in each cycle is plain Python over short sequences, with sums by
-`math.fsum`: exactly rounded, so that a result does not depend on the processor or on the order of
-the children. What is calculated once from history (correlation, clusters) uses numpy.
+What a controller works out in each cycle is plain Python over numbers and short sequences. An agent
+calls these functions; a study compiles the same functions with Numba (`launch_scripts.study`). So
+that both give the same bits, sums run in the order of the children, and "no measurement" is NaN.
+What is worked out once from history (correlation, clusters) uses numpy.
 
 S. A. Julien, A. Sajadi, B.-M. Hodge, "Hierarchical Control of Utility-Scale Solar PV Plants for
 Mitigation of Generation Variability and Ancillary Service Provision", section II.

@@ -3,136 +3,138 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import fsum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, TypeAlias
 
-from agents.control.neighbours import HelpOrder
-from agents.control.request import split_by_capacity
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
-
-class HelpLine(NamedTuple):
-    """`donor` gives `power_kw` more than its share because `needy` lacks it. Both are positions."""
-
-    donor: int
-    needy: int
-    power_kw: float
-
-
-class Allocation(NamedTuple):
-    """A node's target, divided among its children.
-
-    Attributes
-    ----------
-    power_kw
-        Power that each child must produce, shape (n,): between 0 and its IMPP, together
-        min(target, sum of IMPP).
-    share_kw
-        Each child's share of the target by capacity, before any help, shape (n,).
-    help_lines
-        Who helps whom.
-    shortfall_kw
-        What the children together cannot meet.
-    """
-
-    power_kw: tuple[float, ...]
-    share_kw: tuple[float, ...]
-    help_lines: tuple[HelpLine, ...]
-    shortfall_kw: float
+    Numbers: TypeAlias = Sequence[float] | NDArray[np.float64]
+    Orders: TypeAlias = Sequence[Sequence[int]] | NDArray[np.int64]
 
 
 def allocate(
     target_kw: float,
-    capacities_kw: Sequence[float],
-    impp_kw: Sequence[float],
-    order: HelpOrder,
-) -> Allocation:
-    """Divide a target among children (paper, section II-D).
+    ratings_kw: Numbers,
+    impp_kw: Numbers,
+    alpha_min: float,
+    order: Orders,
+    tops_up: bool,
+) -> tuple[list[float], list[float], list[int], list[int], list[float], float]:
+    """Divide a target among n children (paper, section II-D).
 
-    Each child's share is by capacity. A child that cannot meet it gives its IMPP, and asks its
-    siblings for the rest, the least correlated first; none is raised above its IMPP.
+    Each child's share is by rating, but not below its floor. A child that cannot meet its share
+    gives its IMPP, and its siblings give what is missing, the least correlated first; none is
+    raised above its IMPP.
 
     Parameters
     ----------
     target_kw
         Power that the children must give together, not negative.
-    capacities_kw, impp_kw
+    ratings_kw, impp_kw
         AC rating and estimated maximum power of each child, shape (n,).
+    alpha_min
+        Lowest curtailment level of an inverter. No child can give less than this share of its
+        IMPP: its floor.
     order
-        The children's virtual neighbours, from `help_order`.
+        For each child the positions of its siblings, the one to ask first at the front, from
+        `help_order`. In an array rows are filled up with -1.
+    tops_up
+        Whether children that lack power are given their part of the shortfall as well, for
+        whatever they may have before their parent acts again.
 
     Returns
     -------
-    Allocation
-        With sum(power_kw) = min(target_kw, sum(impp_kw)).
+    power_kw : list of float
+        The setpoints, shape (n,): from the floor to the IMPP, together min(target, sum of IMPP) or
+        the sum of the floors, if that is more. Topped up they add up to the target itself.
+    share_kw : list of float
+        Each child's share of the target, before any help, shape (n,).
+    donors, needy : list of int
+        Positions of the children between whom help goes, a pair for each help line.
+    given_kw : list of float
+        Power that each of those donors gives.
+    shortfall_kw : float
+        What the children together cannot meet.
     """
-    share_kw = split_by_capacity(target_kw, capacities_kw)
-    lines = _help_lines(share_kw, impp_kw, order)
-    shortfall_kw = target_kw - fsum(impp_kw)
-    if shortfall_kw >= 0.0:
-        return Allocation(tuple(impp_kw), share_kw, lines, shortfall_kw)
-    power_kw = [min(share, impp) for share, impp in zip(share_kw, impp_kw, strict=True)]
-    for line in lines:
-        power_kw[line.donor] = min(power_kw[line.donor] + line.power_kw, impp_kw[line.donor])
-    return Allocation(tuple(power_kw), share_kw, lines, 0.0)
+    count = len(ratings_kw)
+    share_kw = _shares_kw(target_kw, ratings_kw, impp_kw, alpha_min)
+    headroom_kw = [impp_kw[child] - share_kw[child] for child in range(count)]
+    lacks_kw = [max(-headroom, 0.0) for headroom in headroom_kw]
+    donors, needy, given_kw = _help_lines(lacks_kw, headroom_kw, order)
+    impp_sum_kw = total(impp_kw)
+    shortfall_kw = max(target_kw - impp_sum_kw, 0.0)
+    if target_kw >= impp_sum_kw:
+        power_kw = [impp_kw[child] for child in range(count)]
+        lacks_sum_kw = total(lacks_kw)
+        if tops_up and lacks_sum_kw > 0.0:
+            for child in range(count):
+                power_kw[child] += shortfall_kw * (lacks_kw[child] / lacks_sum_kw)
+    else:
+        power_kw = [min(share_kw[child], impp_kw[child]) for child in range(count)]
+        for line in range(len(donors)):
+            donor = donors[line]
+            power_kw[donor] = min(power_kw[donor] + given_kw[line], impp_kw[donor])
+    return power_kw, share_kw, donors, needy, given_kw, shortfall_kw
 
 
-def lent_power_kw(allocation: Allocation, impp_kw: Sequence[float]) -> tuple[float, ...]:
-    """Return the children's powers with what they cannot meet lent to those that lack it.
+def total(values: Numbers) -> float:
+    """Return the sum in the order of the values, with the same bits everywhere.
 
-    A child that acts between its parent's turns keeps the power it was given until the next one. If
-    the children together lack power, that is all they have at this moment; once a cloud has gone,
-    nobody may use what comes back. Nor does anybody know it of a child whose report is old. So each
-    needy child is given its part of what is missing, and meets it as soon as it can. Together they
-    are given the target itself, never more.
-
-    Parameters
-    ----------
-    allocation
-        Of the node's target.
-    impp_kw
-        Estimated maximum power of each child, shape (n,).
-
-    Returns
-    -------
-    tuple of float
-        Power for each child [kW], shape (n,), at most its share; `allocation.power_kw` itself if
-        the target is met.
+    From Python 3.12 on `sum` compensates rounding errors; compiled code does not.
     """
-    if allocation.shortfall_kw <= 0.0:
-        return allocation.power_kw
-    lacks_kw = [
-        max(share - impp, 0.0) for share, impp in zip(allocation.share_kw, impp_kw, strict=True)
-    ]
-    total_kw = fsum(lacks_kw)
-    if total_kw <= 0.0:
-        return allocation.power_kw
-    return tuple(
-        power + allocation.shortfall_kw * (lack / total_kw)
-        for power, lack in zip(allocation.power_kw, lacks_kw, strict=True)
-    )
+    found = 0.0
+    for value in values:
+        found += value
+    return found
+
+
+def _shares_kw(
+    target_kw: float, ratings_kw: Numbers, impp_kw: Numbers, alpha_min: float
+) -> list[float]:
+    """Split a target by rating; a child whose floor is higher gives that, the others the rest."""
+    count = len(ratings_kw)
+    rating_kw = total(ratings_kw)
+    share_kw = [target_kw * (ratings_kw[child] / rating_kw) for child in range(count)]
+    is_raised = [False] * count
+    again = True
+    while again:
+        again = False
+        for child in range(count):
+            floor_kw = alpha_min * impp_kw[child]
+            if not is_raised[child] and share_kw[child] < floor_kw:
+                share_kw[child] = floor_kw
+                is_raised[child] = again = True
+        if again:
+            rest_kw, rating_kw = target_kw, 0.0
+            for child in range(count):
+                if is_raised[child]:
+                    rest_kw -= share_kw[child]
+                else:
+                    rating_kw += ratings_kw[child]
+            for child in range(count):
+                if not is_raised[child]:
+                    share_kw[child] = rest_kw * (ratings_kw[child] / rating_kw)
+    return share_kw
 
 
 def _help_lines(
-    share_kw: Sequence[float], impp_kw: Sequence[float], order: HelpOrder
-) -> tuple[HelpLine, ...]:
-    headroom_kw = [impp - share for share, impp in zip(share_kw, impp_kw, strict=True)]
-    lines: list[HelpLine] = []
-    for needy, own_kw in enumerate(tuple(headroom_kw)):
-        missing_kw = -own_kw
-        if missing_kw <= 0.0:
-            continue
-        for donor in order[needy]:
-            given_kw = min(missing_kw, headroom_kw[donor])
-            if given_kw > 0.0:
-                lines.append(HelpLine(donor, needy, given_kw))
-                headroom_kw[donor] -= given_kw
-                missing_kw -= given_kw
-            if missing_kw <= 0.0:
+    lacks_kw: list[float], headroom_kw: list[float], order: Orders
+) -> tuple[list[int], list[int], list[float]]:
+    """Find donors for those that lack power; takes what they give from their headroom."""
+    donors: list[int] = []
+    needy: list[int] = []
+    given_kw: list[float] = []
+    for child in range(len(lacks_kw)):
+        missing_kw = lacks_kw[child]
+        for donor in order[child]:
+            if missing_kw <= 0.0 or donor < 0:
                 break
-    return tuple(lines)
-
-_olda = allocate
-def allocate(t, r, i, floor, order, tops):
-    a=_olda(t,r,i,order)
-    p = lent_power_kw(a,i) if tops else a.power_kw
-    return p,a.share_kw,[l.donor for l in a.help_lines],[l.needy for l in a.help_lines],[l.power_kw for l in a.help_lines],a.shortfall_kw
+            power_kw = min(missing_kw, headroom_kw[donor])
+            if power_kw > 0.0:
+                donors.append(donor)
+                needy.append(child)
+                given_kw.append(power_kw)
+                headroom_kw[donor] -= power_kw
+                missing_kw -= power_kw
+    return donors, needy, given_kw

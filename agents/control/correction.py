@@ -1,3 +1,54 @@
-def corrected(correction_kw, desired_kw, metered_kw, is_free, rating_kw, cycle_s):
-    if is_free: return 0.0
-    return min(max(correction_kw + 0.5*min(cycle_s,1.0)*(desired_kw-metered_kw),0.0),0.1*rating_kw)
+"""The integral correction: what the plant's meter shows to be missing is asked for on top.
+
+A power plant controller has a meter at the point of interconnection. Its reading shows whatever the
+estimates got wrong, delays and losses included. The central controller adds a correction to its
+target until the reading is what was desired.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Final
+
+GAIN_PER_S: Final = 0.5
+"""Share of what is missing that is added in a second."""
+
+HIGHEST_GAIN: Final = 0.5
+"""Share of it that is added at once, at most. The reading is a turn old: with 1 it would swing."""
+
+HIGHEST_CORRECTION: Final = 0.1
+"""Largest correction, as a share of the plant's rating."""
+
+
+def corrected(
+    correction_kw: float,
+    desired_kw: float,
+    metered_kw: float,
+    is_free: bool,
+    rating_kw: float,
+    cycle_s: float,
+) -> float:
+    """Return the correction that the central controller adds to its target [kW].
+
+    Parameters
+    ----------
+    correction_kw
+        The last correction.
+    desired_kw, metered_kw
+        Power wanted of the plant, without a correction, in the interval that ended, and what its
+        meter read. NaN, where one of them is missing, leaves the correction as it is.
+    is_free
+        Whether every inverter is asked for all it has: nothing can be added then.
+    rating_kw
+        Rating of the plant.
+    cycle_s
+        Time between two corrections [s]. A controller that acts in every m-th cycle corrects in its
+        turns, by the means of the intervals since the last.
+    """
+    if is_free:
+        return 0.0
+    missing_kw = desired_kw - metered_kw
+    if not isfinite(missing_kw):
+        return correction_kw
+    gain = min(GAIN_PER_S * cycle_s, HIGHEST_GAIN)
+    return min(max(correction_kw + gain * missing_kw, 0.0), HIGHEST_CORRECTION * rating_kw)

@@ -5,16 +5,16 @@ from __future__ import annotations
 from typing import Final
 
 ROUNDING: Final = 1e-9
-"""Share of its maximum to which an inverter is asked for all it has."""
+"""An inverter that is asked for all it has but this share of it is asked for all."""
 
 
 def curtailment_level(setpoint_kw: float, impp_kw: float, alpha_min: float) -> float:
     """Return alpha = setpoint / IMPP (eq. 6), within [alpha_min, 1].
 
     Alpha never reaches zero because the next IMPP is measured through it: P / alpha. An inverter
-    without power (IMPP = 0) is let free, alpha = 1, so that its first kilowatt is seen. One that
-    must give all it has but for a rounding error is free as well: what an inverter with a power
-    limit does then must not hang on the last bit of a sum.
+    without power (IMPP = 0) is free, alpha = 1, so that its first kilowatt is seen. An alpha within
+    `ROUNDING` of 1 is 1: a free inverter gives all it has, and whether one is free must not depend
+    on the last bit of a sum.
 
     Parameters
     ----------

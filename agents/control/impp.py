@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from math import isfinite
 from typing import Final, NamedTuple
 
 METER_TOLERANCE: Final = 0.05
-"""Share of the rating by which a meter may read more than the rating before that is absurd."""
+"""Share of the rating by which a meter may read above the rating."""
+
+FIRST_METER_ERROR: Final = 0.002
+"""Assumed error of an inverter's meter before anything is known of it, as a share."""
 
 
 class Estimate(NamedTuple):
@@ -15,48 +17,53 @@ class Estimate(NamedTuple):
     Attributes
     ----------
     power_kw
-        The IMPP: what it tells its parent.
+        The IMPP, which it reports to its parent.
     stale_cycles
-        How many cycles ago the maximum was last measured.
-    measured_kw
-        The maximum as it was last measured; while it is hidden, what is assumed of it.
+        Cycles since the last usable measurement. A limit that hides the maximum is no fault of the
+        measurement: it does not count.
+    is_seen
+        Whether the last measurement showed the maximum, and no limit hid it.
+    maximum_kw
+        The maximum as it was last measured; while it is hidden, what is assumed.
     expected_kw
         What was expected of the next measurement. Its error teaches how far to trust the next.
     spread_kw
         Mean error of what was expected.
     meter_error
         Mean of what the meter read above the limit that held the inverter, as a share of it.
-    below_limit
-        By what share of the limit the last reading lay below it; 0 without a limit.
-    reads_low
-        By what share of a limit readings lie below it although it holds the inverter.
     """
 
     power_kw: float
     stale_cycles: int
-    measured_kw: float = 0.0
+    is_seen: bool = False
+    maximum_kw: float = 0.0
     expected_kw: float = 0.0
     spread_kw: float = 0.0
-    meter_error: float = 0.0
+    meter_error: float = FIRST_METER_ERROR
     below_limit: float = 0.0
     reads_low: float = 0.0
 
 
-def estimate_impp(
-    power_kw: float | None, alpha: float | None, rating_kw: float, last: Estimate
-) -> Estimate:
-    """Estimate the maximum power from measured power and the alpha applied with it (eq. 1).
+NOTHING_KNOWN: Final = Estimate(0.0, 0)
+"""The estimate before the first measurement."""
 
-    A measurement that is missing or absurd keeps the last estimate and makes it one cycle older:
-    power that is NaN, negative or above the rating by more than the meter's error; alpha outside
-    (0, 1].
+
+def estimate_impp(
+    power_kw: float, alpha: float, available_kw: float, rating_kw: float, last: Estimate
+) -> Estimate:
+    """Estimate the maximum power from the measured power and the alpha applied with it (eq. 1).
+
+    A curtailed inverter that states its available power is believed. A measurement that is missing
+    or absurd keeps the last estimate and makes it one cycle older.
 
     Parameters
     ----------
     power_kw
-        Power measured in the interval that just ended, None if there is none.
+        Power measured in the interval that just ended; NaN if there is none.
     alpha
-        Curtailment level that the inverter applied in it.
+        Curtailment level that the inverter applied in it, in (0, 1].
+    available_kw
+        Available power that the inverter states; NaN if it states none.
     rating_kw
         AC rating; the estimate never exceeds it.
     last
@@ -64,21 +71,55 @@ def estimate_impp(
 
     Returns
     -------
-    ImppEstimate
-        `power_kw / alpha`, at most the rating.
+    Estimate
+        With `power_kw / alpha`, at most the rating.
     """
-    if power_kw is None or alpha is None or not is_plausible(power_kw, alpha, rating_kw):
-        return Estimate(last.power_kw, last.stale_cycles + 1)
-    return Estimate(min(power_kw / alpha, rating_kw), 0)
+    if not is_plausible(power_kw, alpha, rating_kw):
+        return stale(last)
+    maximum_kw = measured_maximum_kw(power_kw, alpha, available_kw, rating_kw)
+    return Estimate(
+        power_kw=maximum_kw,
+        stale_cycles=0,
+        is_seen=True,
+        maximum_kw=maximum_kw,
+        expected_kw=maximum_kw,
+        spread_kw=0.0,
+        meter_error=last.meter_error,
+        below_limit=0.0,
+        reads_low=0.0,
+    )
+
+
+def measured_maximum_kw(
+    power_kw: float, alpha: float, available_kw: float, rating_kw: float
+) -> float:
+    """Return the maximum that a plausible measurement shows: P / alpha, or what is stated."""
+    if alpha < 1.0 and is_stated(available_kw, rating_kw):
+        return min(available_kw, rating_kw)
+    return min(power_kw / alpha, rating_kw)
 
 
 def is_plausible(power_kw: float, alpha: float, rating_kw: float) -> bool:
     """Whether an inverter of this rating can have measured this power under this alpha."""
-    # NaN fails every comparison, so it is refused here without a test of its own.
-    highest_kw = rating_kw * (1.0 + METER_TOLERANCE)
-    return isfinite(power_kw) and 0.0 <= power_kw <= highest_kw and 0.0 < alpha <= 1.0
+    # NaN fails every comparison: it needs no test of its own.
+    return 0.0 <= power_kw <= rating_kw * (1.0 + METER_TOLERANCE) and 0.0 < alpha <= 1.0
 
-NOTHING_KNOWN = Estimate(0.0, 1, meter_error=0.002)
-ImppEstimate = Estimate
-_old = estimate_impp
-def estimate_impp(p,a,av,r,last): return _old(p,a,r,last)
+
+def is_stated(available_kw: float, rating_kw: float) -> bool:
+    """Whether an inverter states its available power, and one that its rating allows."""
+    return 0.0 <= available_kw <= rating_kw * (1.0 + METER_TOLERANCE)
+
+
+def stale(last: Estimate) -> Estimate:
+    """Return an estimate that is one cycle older: there was no usable measurement."""
+    return Estimate(
+        power_kw=last.power_kw,
+        stale_cycles=last.stale_cycles + 1,
+        is_seen=False,
+        maximum_kw=last.maximum_kw,
+        expected_kw=last.expected_kw,
+        spread_kw=last.spread_kw,
+        meter_error=last.meter_error,
+        below_limit=last.below_limit,
+        reads_low=last.reads_low,
+    )

@@ -1,34 +1,36 @@
-"""Step 2: what is asked of each child, and what it has left or lacks."""
+"""Step 2: what is asked of a node, and what it has left or lacks."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from math import fsum
+from math import isfinite
 
 
-def split_by_capacity(power_kw: float, capacities_kw: Sequence[float]) -> tuple[float, ...]:
-    """Split a power among children in proportion to their capacities (eq. 3).
-
-    Equal capacities give the paper's P_desired / N.
+def usable_dispatch_kw(dispatch_kw: float, last_kw: float, plant_rating_kw: float) -> float:
+    """Return a dispatch held between 0 and the plant's rating, or the last one if it is no number.
 
     Parameters
     ----------
-    power_kw
-        Power to split, not negative.
-    capacities_kw
-        AC rating of each child, shape (n,), each above zero.
-
-    Returns
-    -------
-    tuple of float
-        Power for each child [kW], shape (n,).
+    dispatch_kw
+        As it was received; NaN if there is none.
+    last_kw
+        The last usable dispatch.
+    plant_rating_kw
+        Sum of the ratings of all inverters.
     """
-    total_kw = fsum(capacities_kw)
-    return tuple(power_kw * (capacity_kw / total_kw) for capacity_kw in capacities_kw)
+    if not isfinite(dispatch_kw):
+        return last_kw
+    return min(max(dispatch_kw, 0.0), plant_rating_kw)
+
+
+def request_kw(dispatch_kw: float, rating_kw: float, plant_rating_kw: float) -> float:
+    """Return a node's own share of the dispatch, by rating (eq. 3) [kW].
+
+    Equal ratings give the paper's P_desired / N. The requests of a node's children add up to its
+    own.
+    """
+    return dispatch_kw * (rating_kw / plant_rating_kw)
 
 
 def residual_kw(impp_kw: float, request_kw: float) -> float:
     """Return what a node could give beyond its request (eq. 4) [kW]; negative: it needs help."""
     return impp_kw - request_kw
-
-def request_kw(d, r, pr): return d*(r/pr)

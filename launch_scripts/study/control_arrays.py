@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.control.neighbours import help_order
 from agents.plan import RunPlan
-from bus_schemas.tree import ROOT, depth
+from bus_schemas.tree import ROOT, ControlTree, depth
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ControlArrays:
-    """N nodes, of which the first n are the inverters; P parents; H hours of virtual neighbours.
+class ControlArrays(NamedTuple):
+    """N nodes, P parents, n inverters, H hours of virtual neighbours.
+
+    Nodes are numbered from the root down, so that the children of a parent follow each other.
 
     Attributes
     ----------
     rating_kw
         AC rating of each node, shape (N,).
+    inverters
+        Node number of each inverter, in the plant's order, shape (n,).
     parents
         Node number of each parent, the root first and each before its children, shape (P,).
-    children
-        Node numbers of each parent's children, filled up with -1, shape (P, C).
+    first, end
+        Node number of each parent's first child, and the number after its last, shape (P,).
     period
         Every how many cycles each parent acts, shape (P,).
     rests
@@ -36,8 +41,10 @@ class ControlArrays:
     """
 
     rating_kw: NDArray[np.float64]
+    inverters: NDArray[np.int64]
     parents: NDArray[np.int64]
-    children: NDArray[np.int64]
+    first: NDArray[np.int64]
+    end: NDArray[np.int64]
     period: NDArray[np.int64]
     rests: NDArray[np.bool_]
     order: NDArray[np.int64]
@@ -55,26 +62,40 @@ def control_arrays(plan: RunPlan, cycles: int) -> ControlArrays:
         How many of its cycles are wanted.
     """
     tree = plan.tree
-    parent_paths = sorted(tree.parents, key=lambda path: (path != ROOT, depth(path)))
-    number = {path: place for place, path in enumerate([*tree.leaves, *parent_paths])}
-    widest = max(len(tree.children(path)) for path in parent_paths)
-    children = np.full((len(parent_paths), widest), -1, dtype=np.int64)
-    for row, path in enumerate(parent_paths):
-        below = [number[child] for child in tree.children(path)]
-        children[row, : len(below)] = below
-    period = [plan.periods.cycles[depth(path)] for path in parent_paths]
+    number = {ROOT: 0}
+    parents, ends = [], []
+    # The dictionary grows on the way: children come after all nodes found before them.
+    for path in _breadth_first(tree, number):
+        parents.append(path)
+        ends.append(len(number))
+    children = [len(tree.children(path)) for path in parents]
     times_ns = sorted({hood.from_time_ns for entry in plan.neighbourhoods for hood in entry.hours})
     sim_time_ns = plan.start_time_ns + plan.cycle_ns * np.arange(cycles, dtype=np.int64)
     hour = np.maximum(np.searchsorted(times_ns, sim_time_ns, side="right") - 1, 0)
     return ControlArrays(
         rating_kw=np.array([tree.rating_kw(path) for path in number]),
-        parents=np.array([number[path] for path in parent_paths], dtype=np.int64),
-        children=children,
-        period=np.array(period, dtype=np.int64),
-        rests=np.array([plan.periods.rests_between(path) for path in parent_paths]),
-        order=_orders(plan, parent_paths, widest, times_ns),
+        inverters=np.array([number[leaf] for leaf in tree.leaves], dtype=np.int64),
+        parents=np.array([number[path] for path in parents], dtype=np.int64),
+        first=np.array(ends, dtype=np.int64) - np.array(children, dtype=np.int64),
+        end=np.array(ends, dtype=np.int64),
+        period=np.array([plan.periods.cycles[depth(path)] for path in parents], dtype=np.int64),
+        rests=np.array([plan.periods.rests_between(path) for path in parents]),
+        order=_orders(plan, parents, max(children), times_ns),
         hour=hour.astype(np.int64),
     )
+
+
+def _breadth_first(tree: ControlTree, number: dict[str, int]) -> Iterator[str]:
+    """Yield the parents from the root down; number each one's children as it is yielded."""
+    waiting = deque([ROOT])
+    while waiting:
+        path = waiting.popleft()
+        children = tree.children(path)
+        if children:
+            for child in children:
+                number[child] = len(number)
+            waiting.extend(children)
+            yield path
 
 
 def _orders(

@@ -4,32 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.control.grouping import grouping_limits_kw
-from agents.plan import Actuator, RunPlan
+from agents.plan import Actuator, RunPlan, Scheme
 from bus_schemas.errors import InputError
-from launch_scripts.study.closed_loop import (
-    PAPER,
-    PREDICTIVE,
-    TOLD,
-    Estimator,
-    LoopResult,
-    run_loop,
-)
+from launch_scripts.study.closed_loop import LoopResult, run_loop
 from recordings.series import RunSeries
 from sim_plant.profile import Profile
-
-_ESTIMATORS: Final = {
-    "paper": Estimator(PAPER),
-    "predictive": Estimator(PREDICTIVE),
-    "extrapolation": Estimator(PREDICTIVE, damping=1.0, margin=0.0),
-    "told": Estimator(TOLD),
-    "told-held": Estimator(TOLD, held=True),
-}
 
 SCHEMES: Final = {
     "uncontrolled": "every inverter at its maximum",
@@ -37,9 +22,6 @@ SCHEMES: Final = {
     "grouping": "reference group at full power, the rest at one uniform limit; see --reference",
     "paper": "hierarchical, IMPP of the last cycle (eq. 1)",
     "predictive": "hierarchical, IMPP forecast with a margin",
-    "extrapolation": "hierarchical, IMPP extrapolated in a line, without a margin",
-    "told": "hierarchical, told the last cycle's true maxima, even behind a limit: cannot be built",
-    "told-held": "the same, each inverter limited to its last maximum where all of it is needed",
     "physical-limit": "the least of dispatch and possible power: no controller does better",
 }
 """Name and one line of each scheme."""
@@ -131,8 +113,9 @@ def run_scheme(
     InputError
         There is no such scheme, or a reference group does not fit the plant.
     """
-    if name in _ESTIMATORS:
-        return [_series(name, plan, profile, run_loop(plan, profile, _ESTIMATORS[name], actuator))]
+    if name in get_args(Scheme):
+        found = run_loop(plan, profile, cast(Scheme, name), actuator)
+        return [_series(name, plan, profile, found)]
     if name == "grouping":
         return _grouping(plan, profile, groups)
     simple = _SIMPLE.get(name)

@@ -10,15 +10,16 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
-from typing import Any, Protocol, get_args
+from typing import Any, Protocol, cast, get_args
 
 from msgspec.structs import replace
 
 from agents.plan import Scheme
 from bus_schemas.errors import InputError
 from launch_scripts.preparation import Preparation, prepare
-from launch_scripts.study.agent_run import AgentRun
+from launch_scripts.simulation import MemoryRun
 from launch_scripts.study.cases import Case
+from launch_scripts.study.closed_loop import is_corrected
 from launch_scripts.study.schemes import ReferenceGroups, run_scheme
 from recordings.metrics import RunMetrics, run_metrics
 from recordings.series import RunSeries, SeriesCollector
@@ -68,7 +69,7 @@ class Comparison:
         Reference groups of grouping control.
     through_agents
         Whether `paper` and `predictive` run through the agents in memory, message by message, and
-        not over arrays. The result is the same to 1e-9; it takes a hundred times longer.
+        not over arrays. The result is the same; it takes a hundred times longer.
     """
 
     schemes: tuple[str, ...]
@@ -109,7 +110,7 @@ def results_of(
     plan, profile = preparation.plan, preparation.profile
     for name in comparison.schemes:
         if comparison.through_agents and name in get_args(Scheme):
-            series = [run_agents(name, preparation)]
+            series = [run_agents(cast(Scheme, name), preparation)]
         else:
             series = run_scheme(name, plan, profile, plan.actuator, comparison.groups)
         metrics = [run_metrics(one) for one in series]
@@ -128,11 +129,15 @@ def results_of(
             yield label, metrics[place], dataclasses.replace(series[place], label=label)
 
 
-def run_agents(scheme: str, preparation: Preparation) -> RunSeries:
+def run_agents(scheme: Scheme, preparation: Preparation) -> RunSeries:
     """Run a hierarchical scheme through the agents in memory, all messages in between."""
-    plan = replace(preparation.plan, scheme=scheme)
+    changes: dict[str, Any] = {"scheme": scheme}
+    if "correction" in preparation.plan.__struct_fields__:
+        changes["correction"] = is_corrected(preparation.plan, scheme)
+    plan = replace(preparation.plan, **changes)
     collector = SeriesCollector(plan)
-    AgentRun(plan, preparation.profile, collector.see).run()
+    for _ in MemoryRun(plan, preparation.profile, collector.see).cycles():
+        pass
     return collector.series(scheme)
 
 

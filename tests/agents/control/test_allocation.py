@@ -1,22 +1,49 @@
 """Step 4: a target is divided among children, and those that lack power are helped."""
 
+from typing import NamedTuple
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.control.allocation import Allocation, HelpLine, allocate, lent_power_kw
-from agents.control.neighbours import help_order
+from agents.control import allocation
+from agents.control.neighbours import HelpOrder, help_order
 
 FOUR = (100.0, 100.0, 100.0, 100.0)
 IN_ORDER = ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
 
 
+class Allocation(NamedTuple):
+    """What `allocate` returns, its help lines as (donor, needy, power)."""
+
+    power_kw: list[float]
+    share_kw: list[float]
+    help_lines: list[tuple[int, int, float]]
+    shortfall_kw: float
+
+
+def allocate(
+    target_kw: float,
+    ratings_kw: tuple[float, ...],
+    impp_kw: tuple[float, ...],
+    order: HelpOrder,
+    *,
+    alpha_min: float = 0.0,
+    tops_up: bool = False,
+) -> Allocation:
+    power_kw, share_kw, donors, needy, given_kw, shortfall_kw = allocation.allocate(
+        target_kw, ratings_kw, impp_kw, alpha_min, order, tops_up
+    )
+    lines = list(zip(donors, needy, given_kw, strict=True))
+    return Allocation(power_kw, share_kw, lines, shortfall_kw)
+
+
 def test_children_that_can_meet_their_share_give_just_that() -> None:
     # 200 kW / 4 = 50 kW each.
     assert allocate(200.0, FOUR, (60.0, 70.0, 80.0, 90.0), IN_ORDER) == Allocation(
-        power_kw=(50.0, 50.0, 50.0, 50.0),
-        share_kw=(50.0, 50.0, 50.0, 50.0),
-        help_lines=(),
+        power_kw=[50.0, 50.0, 50.0, 50.0],
+        share_kw=[50.0, 50.0, 50.0, 50.0],
+        help_lines=[],
         shortfall_kw=0.0,
     )
 
@@ -25,8 +52,8 @@ def test_the_first_in_the_order_helps_alone_if_it_can() -> None:
     # Child 0 has 30 of its 50 kW: 20 kW are missing. Child 2 has 90 - 50 = 40 kW to spare.
     order = ((2, 3, 1), *IN_ORDER[1:])
     found = allocate(200.0, FOUR, (30.0, 90.0, 90.0, 90.0), order)
-    assert found.power_kw == (30.0, 50.0, 70.0, 50.0)
-    assert found.help_lines == (HelpLine(donor=2, needy=0, power_kw=20.0),)
+    assert found.power_kw == [30.0, 50.0, 70.0, 50.0]
+    assert found.help_lines == [(2, 0, 20.0)]
     assert found.shortfall_kw == 0.0
 
 
@@ -34,94 +61,123 @@ def test_the_next_is_asked_once_the_first_is_exhausted() -> None:
     # 50 kW are missing: 15 from child 3 (65 - 50), 30 from child 1 (80 - 50), 5 from child 2.
     order = ((3, 1, 2), *IN_ORDER[1:])
     found = allocate(200.0, FOUR, (0.0, 80.0, 90.0, 65.0), order)
-    assert found.help_lines == (HelpLine(3, 0, 15.0), HelpLine(1, 0, 30.0), HelpLine(2, 0, 5.0))
-    assert found.power_kw == (0.0, 80.0, 55.0, 65.0)
+    assert found.help_lines == [(3, 0, 15.0), (1, 0, 30.0), (2, 0, 5.0)]
+    assert found.power_kw == [0.0, 80.0, 55.0, 65.0]
 
 
 def test_two_in_need_are_served_in_the_order_of_the_children() -> None:
     # Both lack 20 kW. Child 2 has 30 kW to spare: 20 for child 0, 10 for child 1, whose other
     # 10 kW come from child 3.
     found = allocate(200.0, FOUR, (30.0, 30.0, 80.0, 90.0), IN_ORDER)
-    assert found.help_lines == (HelpLine(2, 0, 20.0), HelpLine(2, 1, 10.0), HelpLine(3, 1, 10.0))
-    assert found.power_kw == (30.0, 30.0, 80.0, 60.0)
+    assert found.help_lines == [(2, 0, 20.0), (2, 1, 10.0), (3, 1, 10.0)]
+    assert found.power_kw == [30.0, 30.0, 80.0, 60.0]
 
 
 def test_one_in_need_itself_is_no_donor() -> None:
     # Child 1 comes first in the order of child 0, but has less than its own share.
     found = allocate(200.0, FOUR, (40.0, 45.0, 90.0, 90.0), IN_ORDER)
-    assert found.help_lines == (HelpLine(2, 0, 10.0), HelpLine(2, 1, 5.0))
-    assert found.power_kw == (40.0, 45.0, 65.0, 50.0)
+    assert found.help_lines == [(2, 0, 10.0), (2, 1, 5.0)]
+    assert found.power_kw == [40.0, 45.0, 65.0, 50.0]
 
 
 def test_a_target_beyond_reach_takes_all_and_names_the_shortfall() -> None:
     # 200 kW wanted, 10 + 60 + 20 + 70 = 160 kW there.
     found = allocate(200.0, FOUR, (10.0, 60.0, 20.0, 70.0), IN_ORDER)
-    assert found.power_kw == (10.0, 60.0, 20.0, 70.0)
+    assert found.power_kw == [10.0, 60.0, 20.0, 70.0]
     assert found.shortfall_kw == 40.0
     # Child 0 lacks 40 and gets the 10 of child 1 and the 20 of child 3; child 2 comes too late.
-    assert found.help_lines == (HelpLine(1, 0, 10.0), HelpLine(3, 0, 20.0))
+    assert found.help_lines == [(1, 0, 10.0), (3, 0, 20.0)]
 
 
 def test_a_target_of_exactly_all_there_is_leaves_no_shortfall() -> None:
     found = allocate(200.0, FOUR, (20.0, 80.0, 30.0, 70.0), IN_ORDER)
-    assert found.power_kw == (20.0, 80.0, 30.0, 70.0)
+    assert found.power_kw == [20.0, 80.0, 30.0, 70.0]
     assert found.shortfall_kw == 0.0
 
 
 def test_a_target_of_zero_asks_nothing_of_anybody() -> None:
     found = allocate(0.0, FOUR, (0.0, 50.0, 60.0, 70.0), IN_ORDER)
-    assert found == Allocation((0.0,) * 4, (0.0,) * 4, (), 0.0)
+    assert found == Allocation([0.0] * 4, [0.0] * 4, [], 0.0)
 
 
 def test_a_plant_in_the_dark_gives_nothing() -> None:
     found = allocate(200.0, FOUR, (0.0,) * 4, IN_ORDER)
-    assert found.power_kw == (0.0,) * 4
+    assert found.power_kw == [0.0] * 4
     assert found.shortfall_kw == 200.0
-    assert found.help_lines == ()
+    assert found.help_lines == []
 
 
 def test_shares_follow_the_ratings() -> None:
     # 120 kW over 50 + 100 + 150 = 300 kW: 40 % of each. Child 0 has 5 of its 20 kW; child 2, asked
     # first, has 64 - 60 = 4 kW, child 1 the other 11.
     found = allocate(120.0, (50.0, 100.0, 150.0), (5.0, 90.0, 64.0), ((2, 1), (0, 2), (0, 1)))
-    assert found.share_kw == pytest.approx((20.0, 40.0, 60.0))
-    assert found.power_kw == pytest.approx((5.0, 51.0, 64.0))
-    assert [(line.donor, line.needy) for line in found.help_lines] == [(2, 0), (1, 0)]
-    assert [line.power_kw for line in found.help_lines] == pytest.approx([4.0, 11.0])
+    assert found.share_kw == pytest.approx([20.0, 40.0, 60.0])
+    assert found.power_kw == pytest.approx([5.0, 51.0, 64.0])
+    assert [line[:2] for line in found.help_lines] == [(2, 0), (1, 0)]
+    assert [line[2] for line in found.help_lines] == pytest.approx([4.0, 11.0])
 
 
 def test_an_only_child_gives_what_it_can() -> None:
-    assert allocate(80.0, (100.0,), (60.0,), ((),)) == Allocation((60.0,), (80.0,), (), 20.0)
+    assert allocate(80.0, (100.0,), (60.0,), ((),)) == Allocation([60.0], [80.0], [], 20.0)
 
 
-def test_what_all_together_lack_is_lent_to_those_that_lack_it() -> None:
+THREE = (100.0, 100.0, 100.0)
+THREE_IN_ORDER = ((1, 2), (0, 2), (0, 1))
+
+
+def test_what_all_together_lack_tops_up_those_that_lack_it() -> None:
     # 30 kW for each of three; they have 10, 20 and 36: 24 kW are missing, and 6 kW are to spare.
-    allocation = allocate(90.0, [100.0] * 3, [10.0, 20.0, 36.0], ((1, 2), (0, 2), (0, 1)))
-    assert allocation.power_kw == (10.0, 20.0, 36.0)
-    # The lacks are 20 and 10 kW: of the 24 kW they are lent 16 and 8.
-    lent_kw = lent_power_kw(allocation, [10.0, 20.0, 36.0])
-    assert lent_kw == pytest.approx((26.0, 28.0, 36.0))
-    assert sum(lent_kw) == pytest.approx(90.0), "never more than the target"
+    # The lacks are 20 and 10 kW: of the 24 kW they are given 16 and 8 on top.
+    found = allocate(90.0, THREE, (10.0, 20.0, 36.0), THREE_IN_ORDER, tops_up=True)
+    assert found.power_kw == pytest.approx([26.0, 28.0, 36.0])
+    assert sum(found.power_kw) == pytest.approx(90.0), "never more than the target"
 
 
-def test_nothing_is_lent_where_the_target_is_met() -> None:
-    allocation = allocate(60.0, [100.0] * 3, [10.0, 20.0, 36.0], ((1, 2), (0, 2), (0, 1)))
-    assert lent_power_kw(allocation, [10.0, 20.0, 36.0]) is allocation.power_kw
+def test_nothing_is_topped_up_where_the_target_is_met() -> None:
+    plain = allocate(60.0, THREE, (10.0, 20.0, 36.0), THREE_IN_ORDER)
+    assert allocate(60.0, THREE, (10.0, 20.0, 36.0), THREE_IN_ORDER, tops_up=True) == plain
+
+
+def test_a_child_at_its_floor_gives_more_than_its_share_and_the_others_give_way() -> None:
+    # 9 kW are 3 for each, but child 0 cannot go below 5 % of 80 kW = 4: the others share 5.
+    found = allocate(9.0, THREE, (80.0, 40.0, 30.0), THREE_IN_ORDER, alpha_min=0.05)
+    assert found.power_kw == pytest.approx([4.0, 2.5, 2.5])
+    assert sum(found.power_kw) == pytest.approx(9.0), "no over-delivery"
+
+
+def test_a_floor_that_others_giving_way_would_reach_counts_too() -> None:
+    # 7.2 kW are 2.4 for each. Child 0 stays at 4, which leaves 1.6 for each of the others: child 1
+    # stays at 2, and child 2 gives the 1.2 that remain.
+    found = allocate(7.2, THREE, (80.0, 40.0, 10.0), THREE_IN_ORDER, alpha_min=0.05)
+    assert found.power_kw == pytest.approx([4.0, 2.0, 1.2])
+
+
+def test_what_a_child_must_give_relieves_those_in_need() -> None:
+    # 12 kW are 4 for each. Child 0 gives at least 6, so that the others are asked for 3, of which
+    # child 2 lacks 2.
+    found = allocate(12.0, THREE, (120.0, 50.0, 1.0), ((1, 2), (0, 2), (1, 0)), alpha_min=0.05)
+    assert found.share_kw == pytest.approx([6.0, 3.0, 3.0])
+    assert found.power_kw == pytest.approx([6.0, 5.0, 1.0])
+
+
+def test_below_all_floors_every_child_gives_its_floor() -> None:
+    found = allocate(0.0, THREE, (80.0, 40.0, 0.0), THREE_IN_ORDER, alpha_min=0.05)
+    assert found.power_kw == [4.0, 2.0, 0.0]
+    assert found.shortfall_kw == 0.0
 
 
 @given(
     st.lists(st.tuples(st.floats(1.0, 500.0), st.floats(0.0, 1.0)), min_size=1, max_size=8),
     st.floats(0.0, 1.0),
 )
-def test_lent_powers_add_up_to_the_target_and_stay_within_the_shares(
+def test_topped_up_powers_add_up_to_the_target_and_stay_within_the_shares(
     children: list[tuple[float, float]], share: float
 ) -> None:
-    ratings_kw = [rating for rating, _ in children]
-    impp_kw = [rating * light for rating, light in children]
+    ratings_kw = tuple(rating for rating, _ in children)
+    impp_kw = tuple(rating * light for rating, light in children)
     target_kw = share * sum(ratings_kw)
     order = help_order([[0.0] * len(children)] * len(children))
-    allocation = allocate(target_kw, ratings_kw, impp_kw, order)
-    lent_kw = lent_power_kw(allocation, impp_kw)
-    assert sum(lent_kw) == pytest.approx(target_kw, abs=1e-6)
-    for power_kw, share_kw, impp in zip(lent_kw, allocation.share_kw, impp_kw, strict=True):
+    found = allocate(target_kw, ratings_kw, impp_kw, order, tops_up=True)
+    assert sum(found.power_kw) == pytest.approx(target_kw, abs=1e-6)
+    for power_kw, share_kw, impp in zip(found.power_kw, found.share_kw, impp_kw, strict=True):
         assert power_kw <= max(share_kw, impp) + 1e-9

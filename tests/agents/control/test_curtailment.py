@@ -1,9 +1,11 @@
 """The end of step 4, equation 6: from a setpoint to the curtailment level alpha."""
 
+import math
+
 import pytest
 
 from agents.control.curtailment import curtailment_level
-from agents.control.impp import ImppEstimate, estimate_impp
+from agents.control.impp import NOTHING_KNOWN, estimate_impp
 
 
 @pytest.mark.parametrize(
@@ -23,7 +25,7 @@ def test_alpha_stays_at_its_minimum_so_that_the_impp_can_be_measured(setpoint_kw
     # 0.05 x 50 kW = 2.5 kW is the least that is commanded.
     alpha = curtailment_level(setpoint_kw, 50.0, alpha_min=0.05)
     assert alpha == 0.05
-    assert estimate_impp(alpha * 50.0, alpha, 100.0, ImppEstimate(0.0, 9)).power_kw == 50.0
+    assert estimate_impp(alpha * 50.0, alpha, math.nan, 100.0, NOTHING_KNOWN).power_kw == 50.0
 
 
 def test_a_setpoint_above_the_impp_lets_the_inverter_free() -> None:
@@ -41,3 +43,15 @@ def test_a_minimum_of_one_never_curtails() -> None:
 
 def test_the_faintest_light_does_not_overflow() -> None:
     assert curtailment_level(10.0, 5e-324, alpha_min=0.05) == 1.0
+
+
+@pytest.mark.parametrize("share", [1.0 - 1e-15, 1.0 - 1e-12, 1.0 - 0.99e-9, 1.0 + 1e-15])
+@pytest.mark.parametrize("impp_kw", [1e-9, 3.7, 470.588])
+def test_the_last_bits_of_a_setpoint_do_not_decide_whether_an_inverter_is_free(
+    share: float, impp_kw: float
+) -> None:
+    assert curtailment_level(share * impp_kw, impp_kw, alpha_min=0.05) == 1.0
+
+
+def test_an_alpha_below_1_by_more_than_rounding_is_kept() -> None:
+    assert curtailment_level((1.0 - 1e-8) * 50.0, 50.0, alpha_min=0.05) < 1.0

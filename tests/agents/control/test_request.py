@@ -1,31 +1,40 @@
-"""Step 2, equations 3 and 4: what is asked of each child, what it has left or lacks."""
+"""Step 2, equations 3 and 4: what is asked of a node, what it has left or lacks."""
+
+import math
 
 import pytest
 
-from agents.control.request import residual_kw, split_by_capacity
+from agents.control.request import request_kw, residual_kw, usable_dispatch_kw
 
 
 def test_equation_3_asks_the_same_of_equal_inverters() -> None:
     # 120 kW / 3 inverters.
-    assert split_by_capacity(120.0, [50.0, 50.0, 50.0]) == pytest.approx((40.0, 40.0, 40.0))
+    assert request_kw(120.0, 50.0, 150.0) == pytest.approx(40.0)
 
 
 def test_unequal_ratings_are_asked_in_proportion() -> None:
     # 90 kW over 30 + 60 + 90 = 180 kW: half of each rating.
-    assert split_by_capacity(90.0, [30.0, 60.0, 90.0]) == pytest.approx((15.0, 30.0, 45.0))
+    found = [request_kw(90.0, rating_kw, 180.0) for rating_kw in (30.0, 60.0, 90.0)]
+    assert found == pytest.approx([15.0, 30.0, 45.0])
 
 
-def test_a_request_may_exceed_the_ratings() -> None:
-    # 300 kW over 50 + 100 kW: twice each rating.
-    assert split_by_capacity(300.0, [50.0, 100.0]) == pytest.approx((100.0, 200.0))
+def test_the_requests_of_a_clusters_inverters_add_up_to_its_own() -> None:
+    inverters = [request_kw(333.3, rating_kw, 700.0) for rating_kw in (50.0, 100.0, 75.0)]
+    assert sum(inverters) == pytest.approx(request_kw(333.3, 225.0, 700.0))
 
 
 def test_nothing_asked_is_nothing_for_each() -> None:
-    assert split_by_capacity(0.0, [50.0, 100.0]) == (0.0, 0.0)
+    assert request_kw(0.0, 50.0, 150.0) == 0.0
 
 
-def test_an_only_child_gets_the_whole() -> None:
-    assert split_by_capacity(33.3, [50.0]) == (33.3,)
+@pytest.mark.parametrize(
+    ("dispatch_kw", "usable_kw"),
+    [(40.0, 40.0), (-5.0, 0.0), (150.0, 100.0), (math.nan, 30.0), (math.inf, 30.0)],
+)
+def test_a_dispatch_lies_between_0_and_the_rating_or_the_last_one_holds(
+    dispatch_kw: float, usable_kw: float
+) -> None:
+    assert usable_dispatch_kw(dispatch_kw, 30.0, 100.0) == usable_kw
 
 
 @pytest.mark.parametrize(

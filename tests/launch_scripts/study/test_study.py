@@ -71,8 +71,8 @@ def test_a_scheduler_that_is_no_address_is_refused(study: list[Case]) -> None:
 
 
 def test_through_the_agents_it_is_the_same(study: list[Case]) -> None:
-    arrays = run_case(study[0], Comparison(("paper", "predictive")))
-    agents = run_case(study[0], Comparison(("paper", "predictive"), through_agents=True))
+    arrays = run_case(study[0], Comparison(("paper",)))
+    agents = run_case(study[0], Comparison(("paper",), through_agents=True))
     for by_arrays, by_agents in zip(arrays.schemes, agents.schemes, strict=True):
         found = by_agents.metrics.commitment.unsatisfied_kwh
         assert found == pytest.approx(by_arrays.metrics.commitment.unsatisfied_kwh, abs=1e-9)

@@ -1,6 +1,6 @@
 """Which forecast of an inverter's maximum, and what to assume of one that is hidden.
 
-    .venv/bin/python tests/benchmarks/forecasts.py DATA
+    .venv/bin/python benchmarks/forecasts.py DATA
 
 with the folder that holds `hope-melpitz-1s` and `plant20mw-combiners-10s`. The first table sets
 forecasts beside each other at equal over-delivery: each is given the margin with which the plant

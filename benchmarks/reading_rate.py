@@ -1,6 +1,6 @@
 """How fast a recording is read: by the mcap library, by Heliarch, and one minute of it.
 
-`python tests/benchmarks/reading_rate.py RUN`, with the folder of a run or its MCAP file.
+`python benchmarks/reading_rate.py RUN`, with the folder of a run or its MCAP file.
 """
 
 from __future__ import annotations

@@ -1,0 +1,313 @@
+"""The messages of one cycle over and over, without any control: what the machine and Zenoh can do.
+
+    python benchmarks/bare_graph.py GRAPH.json --cycles 800 [--no-recorder]
+
+GRAPH.json names each process with the keys that it hears and its stages: the keys that a stage
+awaits, one message of each, and the messages that it then puts. `cycle_rate.py` derives it from a
+recording. Nothing of Heliarch is imported here. Processes are forked from one parent that has
+imported everything and runs one thread; Zenoh calls them on its own thread; two processes are
+linked, by TCP on 127.0.0.1, if one puts what the other hears; a recorder hears everything and
+writes the payloads to an MCAP file unread. Nobody decodes, checks or computes anything.
+
+Prints one JSON document. Processor time and context switches are those of the cycles that count,
+in all processes, the recorder included.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import itertools
+import json
+import multiprocessing
+import os
+import queue
+import resource
+import socket
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import zenoh
+from mcap.writer import CompressionType, Writer
+from outside import die_with_parent
+
+RECORDER: Final = "recorder"
+WARM_UP: Final = 50
+ARM_LIMIT_S: Final = 30.0
+STALL_S: Final = 10.0
+RUN_LIMIT_S: Final = 300.0
+NAP_S: Final = 0.002
+FLUSH_S: Final = 0.5
+RUNTIME: Final = (
+    "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app), "
+    "app: (worker_threads: 1))"
+)
+SESSION: Final = {
+    "mode": "peer",
+    "connect/timeout_ms": -1,
+    "connect/exit_on_failure": False,
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "transport/shared_memory/enabled": False,
+}
+
+
+class Put(msgspec.Struct, frozen=True):
+    """One message of each cycle; its payload is bytes, in JSON in base 64."""
+
+    key: str
+    payload: bytes
+
+
+class Stage(msgspec.Struct, frozen=True):
+    """What a process waits for, and what it then puts."""
+
+    awaits: list[str]
+    puts: list[Put]
+
+
+class Process(msgspec.Struct, frozen=True):
+    """A process of the graph. Of two that are linked the one listed first listens."""
+
+    name: str
+    hears: list[str]
+    stages: list[Stage]
+
+    def says(self) -> list[str]:
+        return [put.key for stage in self.stages for put in stage.puts]
+
+
+class Graph(msgspec.Struct, frozen=True):
+    """All processes, the recorder excepted. The first one begins each cycle."""
+
+    processes: list[Process]
+
+    def says(self) -> list[str]:
+        return [key for process in self.processes for key in process.says()]
+
+
+class Report(msgspec.Struct, frozen=True):
+    """What a process used in the cycles that count, and when they began and ended."""
+
+    processor_s: float
+    switches: int
+    began: float
+    ended: float
+    written: int = 0
+
+
+class Meter:
+    """Counts from when it is made: time, processor time and voluntary context switches."""
+
+    def __init__(self) -> None:
+        self._began, self._used = time.monotonic(), resource.getrusage(resource.RUSAGE_SELF)
+
+    def report(self, written: int = 0) -> Report:
+        before, used = self._used, resource.getrusage(resource.RUSAGE_SELF)
+        processor_s = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime
+        switches = used.ru_nvcsw - before.ru_nvcsw
+        return Report(processor_s, switches, self._began, time.monotonic(), written)
+
+
+class Network:
+    """Who links with whom, and through which ports."""
+
+    def __init__(self, graph: Graph, recorder: bool) -> None:
+        pairs = [(RECORDER, process.name) for process in graph.processes if recorder]
+        for one, other in itertools.combinations(graph.processes, 2):
+            if {*one.says()} & {*other.hears} or {*other.says()} & {*one.hears}:
+                pairs.append((one.name, other.name))
+        self._pairs = pairs
+        sockets = {listener: socket.create_server(("127.0.0.1", 0)) for listener, _ in pairs}
+        self._ports = {name: each.getsockname()[1] for name, each in sockets.items()}
+        for each in sockets.values():
+            each.close()
+
+    def open(self, name: str) -> zenoh.Session:
+        listens = [name] if name in self._ports else []
+        connects = [listener for listener, caller in self._pairs if caller == name]
+        config = zenoh.Config()
+        for key, value in SESSION.items():
+            config.insert_json5(key, json.dumps(value))
+        for key, names in (("listen/endpoints", listens), ("connect/endpoints", connects)):
+            addresses = [f"tcp/127.0.0.1:{self._ports[each]}" for each in names]
+            config.insert_json5(key, json.dumps(addresses))
+        return zenoh.open(config)
+
+    def arm(self, name: str, session: zenoh.Session) -> zenoh.LivelinessToken:
+        """Wait until all partners are seen; a token follows its owner's subscriptions."""
+        token = session.liveliness().declare_token(f"alive/{name}")
+        partners = {each for pair in self._pairs if name in pair for each in pair} - {name}
+        wanted = {f"alive/{partner}" for partner in partners}
+        give_up = time.monotonic() + ARM_LIMIT_S
+        while wanted:
+            for reply in session.liveliness().get("alive/**"):
+                wanted.discard(str(reply.ok.key_expr) if reply.ok else "")
+            if time.monotonic() > give_up:
+                raise TimeoutError(f"{name} does not see {sorted(wanted)}")
+            time.sleep(0.05)
+        return token
+
+
+Work = Callable[[], Report]
+
+
+def subscribe(session: zenoh.Session, key: str, inbox: queue.SimpleQueue[str]) -> object:
+    hear: Any = zenoh.handlers.Callback(lambda _sample: inbox.put(key), indirect=False)
+    return session.declare_subscriber(key, hear)
+
+
+def declare(session: zenoh.Session, key: str) -> Callable[[bytes], None]:
+    block, reliable = zenoh.CongestionControl.BLOCK, zenoh.Reliability.RELIABLE
+    return session.declare_publisher(key, congestion_control=block, reliability=reliable).put
+
+
+def player(process: Process, cycles: int, session: zenoh.Session) -> Work:
+    """Return what a process of the graph does: wait, put, wait."""
+    inbox: queue.SimpleQueue[str] = queue.SimpleQueue()
+    surplus: Counter[str] = Counter()
+
+    kept = [subscribe(session, key, inbox) for key in process.hears]
+    stages = [
+        (stage.awaits, [(declare(session, put.key), put.payload) for put in stage.puts])
+        for stage in process.stages
+    ]
+
+    def cycle() -> None:
+        for awaits, puts in stages:
+            missing = sum(surplus[key] <= 0 for key in awaits)
+            for key in awaits:
+                surplus[key] -= 1
+            while missing:
+                key = inbox.get(timeout=STALL_S)
+                surplus[key] += 1
+                missing -= surplus[key] == 0
+            for put, payload in puts:
+                put(payload)
+
+    def play(_kept: object = kept) -> Report:
+        for _ in range(WARM_UP):
+            cycle()
+        meter = Meter()
+        for _ in range(cycles):
+            cycle()
+        return meter.report()
+
+    return play
+
+
+def recorder(graph: Graph, cycles: int, session: zenoh.Session) -> Work:
+    """Return what the recorder does: write each payload until all have come, or nothing more."""
+    subscriber = session.declare_subscriber("**", zenoh.handlers.FifoChannel(65536))
+    keys = graph.says()
+
+    def record() -> Report:
+        written, meter = 0, Meter()
+        with tempfile.TemporaryFile() as file:
+            writer = Writer(file, compression=CompressionType.LZ4)
+            writer.start(profile="bare", library="bare graph")
+            schema = writer.register_schema("bare", "", b"")
+            channels = {key: writer.register_channel(key, "msgpack", schema) for key in keys}
+            heard = flushed = now = time.monotonic()
+            while written < len(keys) * (WARM_UP + cycles) and now - heard < STALL_S:
+                while (sample := subscriber.try_recv()) is not None:
+                    now_ns, data = time.time_ns(), sample.payload.to_bytes()
+                    channel = channels[str(sample.key_expr)]
+                    writer.add_message(channel, now_ns, data, now_ns, written)
+                    written, heard = written + 1, now
+                    if written == len(keys) * WARM_UP:
+                        meter = Meter()
+                if now - flushed > FLUSH_S:
+                    writer.flush()
+                    flushed = now
+                time.sleep(NAP_S)
+                now = time.monotonic()
+            writer.finish()
+        return meter.report(written)
+
+    return record
+
+
+def live(network: Network, name: str, role: Callable[[zenoh.Session], Work], parent: Any) -> None:
+    """Be one process of the graph, from its fork on."""
+    die_with_parent()
+    gc.disable()
+    session = network.open(name)
+    work = role(session)
+    _token = network.arm(name, session)
+    parent.send("armed")
+    parent.recv()
+    parent.send(work())
+    parent.recv()  # Its session stays open until the parent has heard from everybody.
+
+
+def hear(child: Connection, process: BaseProcess, limit_s: float) -> Any:
+    """Return what a process says next."""
+    if child not in wait([child, process.sentinel], limit_s):
+        raise RuntimeError(f"{process.name} failed or hangs")
+    return child.recv()
+
+
+def run(graph: Graph, cycles: int, recorded: bool) -> dict[str, object]:
+    """Run the graph; return its figures."""
+    os.environ["ZENOH_RUNTIME"] = RUNTIME
+    network = Network(graph, recorded)
+    roles = {each.name: partial(player, each, cycles) for each in graph.processes}
+    if recorded:
+        roles[RECORDER] = partial(recorder, graph, cycles)
+    if len(os.listdir("/proc/self/task")) > 1:  # noqa: PTH208
+        raise RuntimeError("a process with several threads must not fork")
+    gc.collect()
+    gc.freeze()
+    fork = multiprocessing.get_context("fork")
+    began = time.monotonic()
+    children: list[tuple[Connection, BaseProcess]] = []
+    try:
+        for name, role in roles.items():
+            child, parent = fork.Pipe()
+            process = fork.Process(target=live, args=(network, name, role, parent), name=name)
+            process.start()
+            children.append((child, process))
+        for each in children:
+            hear(*each, 2 * ARM_LIMIT_S)
+        startup_s = time.monotonic() - began
+        for child, _ in reversed(children):
+            child.send("go")
+        reports: list[Report] = [hear(*each, RUN_LIMIT_S) for each in children]
+    finally:
+        for _, started in children:
+            started.kill()
+            started.join()
+    messages = len(graph.says())
+    switches = sum(report.switches for report in reports)
+    return {
+        "cycles_per_s": cycles / (reports[0].ended - reports[0].began),
+        "startup_s": startup_s,
+        "processor_ms": 1e3 * sum(report.processor_s for report in reports) / cycles,
+        "switches_per_message": switches / (messages * cycles),
+        "messages": messages,
+        "processes": len(reports),
+        "lost": messages * (WARM_UP + cycles) - reports[-1].written if recorded else 0,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("graph", type=Path)
+    parser.add_argument("--cycles", type=int, default=800)
+    parser.add_argument("--no-recorder", action="store_true")
+    options = parser.parse_args()
+    graph = msgspec.json.decode(options.graph.read_bytes(), type=Graph)
+    print(json.dumps(run(graph, options.cycles, recorded=not options.no_recorder)))
+
+
+if __name__ == "__main__":
+    main()
