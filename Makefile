@@ -10,7 +10,7 @@ PEERS := .venv-peers
 PEERS_READY := $(PEERS)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test check format bench bench-peers bench-study soak clean
+.PHONY: help setup run test golden check format bench bench-peers bench-study soak clean
 
 help: ## list the tasks
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -29,6 +29,9 @@ run: $(READY) ## the main job: one simulated hour of broken clouds over 17 inver
 test: $(READY) ## all tests, under 8 minutes on 2 cores
 	$(BIN)/pytest -n 2 --dist loadfile -m 'not processes and not soak'
 	$(BIN)/pytest -m 'processes and not soak'
+
+golden: $(READY) ## record the golden runs anew, after a change of behaviour that is meant
+	$(BIN)/python recordings/golden/make.py
 
 check: $(READY) ## format, lint, types, directions of imports
 	$(BIN)/ruff format --check .

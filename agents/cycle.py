@@ -10,6 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias, get_args
 
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port
 from bus_schemas.tree import CENTRAL, PLANT, RECORDER, ControlTree, depth
 
 Kind: TypeAlias = Literal["plant", "central", "supervisor", "direct", "recorder"]
@@ -42,6 +44,10 @@ USED_SHARE: Final = 0.9
 _ALONE: Final[dict[str, Kind]] = {PLANT: "plant", CENTRAL: "central", RECORDER: "recorder"}
 
 
+_LATER: Final = {"setpoint": "solve", "command": "actuate", "production": "apply"}
+"""Stage in which a signal is published, where that is not its publisher's first one."""
+
+
 def kind_of(agent: str, tree: ControlTree) -> Kind:
     """Return the kind of an agent by its name."""
     return _ALONE.get(agent) or ("direct" if tree.is_leaf(agent) else "supervisor")
@@ -51,6 +57,11 @@ def stage_place(agent: str, stage: str, tree: ControlTree) -> int:
     """Return the place of an agent's stage in the order of one cycle."""
     level = 0 if agent in {CENTRAL, PLANT} else depth(agent)
     return PLACES[stage](tree.height, level)
+
+
+def stage_of(port: Port[Message], tree: ControlTree) -> str:
+    """Return the stage in which an agent publishes on a port."""
+    return _LATER.get(port.signal.name) or STAGES[kind_of(port.publisher, tree)][0]
 
 
 @dataclass(frozen=True)
@@ -90,3 +101,16 @@ class Deadlines:
             return (self.tiers_ns[-1] + self.cycle_ns) // 2
         # A direct controller may hang from any tier: its deadline is that of its like.
         return self.tiers_ns[-1] if stage == "actuate" else self.tiers_ns[depth(agent)]
+
+    def slice_ns(self, agent: str, stage: str) -> int:
+        """Return a stage's part of the cycle: from the deadline before its own to its own [ns].
+
+        The first place has no deadline before it: it has as much as the next one.
+        """
+        central = stage_place(CENTRAL, "solve", self.tree)
+        if not self.tiers_ns:
+            return round(USED_SHARE * self.cycle_ns / stage_place(PLANT, "apply", self.tree))
+        if stage_place(agent, stage, self.tree) <= central:
+            return self.tiers_ns[0] // central
+        before_ns = self.tiers_ns[-1 if agent == PLANT else depth(agent) - 1]
+        return self.deadline_ns(agent, stage) - before_ns

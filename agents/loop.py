@@ -94,6 +94,8 @@ class AgentLoop(Generic[S]):
         The first cycle that does not take place.
     waiting
         Ports of which the open stage still awaits a message.
+    deadline_ns
+        When the open stage closes at the latest, on the run's clock. None: it waits.
     dropped
         Messages that were not used, by port and cause.
     missing_inputs
@@ -112,6 +114,7 @@ class AgentLoop(Generic[S]):
         self.end_cycle = plan.cycles
         self.stop_heard = False
         self.waiting: set[Port[Message]] = set()
+        self.deadline_ns: int | None = None
         self.dropped: Counter[tuple[str, Cause]] = Counter()
         self.missing_inputs = 0
         self.old_inputs = 0
@@ -146,20 +149,7 @@ class AgentLoop(Generic[S]):
         """Whether the open stage has all that it awaits."""
         if self.waiting or self._place >= len(self._stages):
             return False
-        return not (self._stages[self._place].timed and self._is_on_the_clock)
-
-    @property
-    def deadline_ns(self) -> int | None:
-        """When the open stage closes at the latest, on the run's clock. None: it waits."""
-        if not self._is_on_the_clock or self._place >= len(self._stages):
-            return None
-        assert self._start_ns is not None
-        name = self._stages[self._place].name
-        after_ns = self._deadlines_ns.get(name)
-        if after_ns is None:
-            after_ns = self._plan.deadlines.deadline_ns(self.agent.name, name)
-            self._deadlines_ns[name] = after_ns
-        return self._start_ns + self.cycle * self._plan.cycle_wall_ns + after_ns
+        return self.deadline_ns is None or not self._stages[self._place].timed
 
     @property
     def _is_on_the_clock(self) -> bool:
@@ -177,6 +167,9 @@ class AgentLoop(Generic[S]):
             return
         heard = self._inputs.get(port)
         if heard is None or message.cycle < 0 <= self.cycle:  # What is left of arming rounds.
+            return
+        if message.cycle < 0 <= self.cycle:
+            self._drop("late", port, message, "is of an arming round")
             return
         if self.cycle < message.cycle < 0 and port is self._dispatch:
             self.enter(message.cycle, time_ns)
@@ -248,7 +241,7 @@ class AgentLoop(Generic[S]):
         """Let the run end before a cycle: those up to it are still completed."""
         self.end_cycle = min(self.end_cycle, cycle)
         if self.finished:
-            self._stages, self.waiting = (), set()
+            self._stages, self.waiting, self.deadline_ns = (), set(), None
 
     def enter(self, cycle: int, now_ns: int) -> None:
         """Enter an arming round or cycle 0, from the initial state."""
@@ -285,12 +278,24 @@ class AgentLoop(Generic[S]):
 
     def _open_stage(self, now_ns: int) -> None:
         self.waiting = set()
+        self.deadline_ns = None
         self._ready_ns = now_ns
         if self._place < len(self._stages):
-            inputs, cycle = self._inputs, self.cycle
-            for port in self._stages[self._place].awaits:
+            stage, inputs, cycle = self._stages[self._place], self._inputs, self.cycle
+            for port in stage.awaits:
                 if inputs[port].heard != cycle:
                     self.waiting.add(port)
+            if cycle >= 0 and self._start_ns is not None:
+                begin_ns = self._start_ns + cycle * self._plan.cycle_wall_ns
+                self.deadline_ns = begin_ns + self._deadline_after_ns(stage.name)
+
+    def _deadline_after_ns(self, stage: str) -> int:
+        """Deadline of a stage after the beginning of its cycle."""
+        after_ns = self._deadlines_ns.get(stage)
+        if after_ns is None:
+            after_ns = self._plan.deadlines.deadline_ns(self.agent.name, stage)
+            self._deadlines_ns[stage] = after_ns
+        return after_ns
 
     def close_stage(self, now_ns: int) -> list[Delivery]:
         """Close the open stage with what there is; return what the agent sends."""

@@ -40,6 +40,11 @@ LONGEST_MS: Final = 3_600_000.0
 UNHARMED: Final[tuple[int, ...]] = (0,)
 """Fate of a message that one copy of arrives at once."""
 
+UNHEARD: Final = frozenset(
+    signal.name for signal in SIGNALS if signal.is_cyclic and not signal.listeners
+)
+"""Cyclic signals that no agent acts on: what becomes of them changes nothing in a run."""
+
 _LOST: Final[tuple[int, ...]] = ()
 _LISTED: Final = 12
 _MOST_SIGMAS: Final = sqrt(-2.0 * log(2.0**-53))
@@ -368,6 +373,8 @@ def _check_ends(rule: FaultRule, tree: ControlTree, where: str) -> None:
                 f"{where}: {end} {pattern!r} is no agent of this run, accepted: {some_of(agents)}, "
                 "or a pattern such as c1/*"
             )
+    if rule.signal in UNHEARD:
+        return
     found = links(tree)
     names = dict.fromkeys(port.signal.name for port, _ in found)
     if rule.signal in {row.name for row in SIGNALS if row.is_cyclic} - names.keys():

@@ -1,4 +1,4 @@
-"""When each recorded message is due: positions on the tape, and their moments on the wall clock."""
+"""When each recorded message is due: positions in the recording, and moments on the wall clock."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from recordings.reader import RecordedMessage
 
 
 class Spacing(Protocol):
-    """Says where on a tape a message lies [ns]. Only differences of positions mean something."""
+    """Says where in a recording a message lies [ns]. Only differences mean something."""
 
     def position_ns(self, record: RecordedMessage) -> int:
-        """Return the position of the next message in the order of the tape."""
+        """Return the position of the next message in the order of the recorded."""
 
 
 class RecordedSpacing:
@@ -51,7 +51,7 @@ class SimulatedSpacing:
 
 
 class PlaybackClock:
-    """Maps positions on the tape to moments of the monotonic clock.
+    """Maps positions in the recording to moments of the monotonic clock.
 
     Every moment is counted from one anchor, so errors do not add up. Only a pause, a seek and a
     change of rate set a new one.
@@ -59,7 +59,7 @@ class PlaybackClock:
     Parameters
     ----------
     rate
-        Seconds on the tape in a second; 0: everything is due at once.
+        Seconds in the recording in a second; 0: everything is due at once.
     now_ns
         The monotonic clock.
 
@@ -68,7 +68,7 @@ class PlaybackClock:
     rate, now_ns
         See above.
     paused
-        Whether the tape stands still.
+        Whether it stands still.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class PlaybackClock:
         self._moment_ns = now_ns()
 
     def move_to(self, position_ns: int) -> None:
-        """Let the tape be at a position now."""
+        """Be at a position now."""
         self._position_ns, self._moment_ns = position_ns, self.now_ns()
 
     def due_ns(self, position_ns: int) -> int:

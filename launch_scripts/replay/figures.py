@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TextIO
+from typing import Final, TextIO
 
 import msgspec
 from hdrh.histogram import HdrHistogram
 
-from launch_scripts.timing.distributions import distribution
+_LONGEST_NS: Final = 3_600_000_000_000
 
 
 class TimingFigures(msgspec.Struct, frozen=True):
@@ -36,14 +36,26 @@ class ReplayFigures(msgspec.Struct, frozen=True):
     interrupted: bool
 
 
-def timing_figures(timing: HdrHistogram) -> TimingFigures | None:
-    """Return the distribution of timing errors, None where nothing had a due time."""
-    found = distribution(timing)
-    if found is None:
-        return None
-    return TimingFigures(
-        found.count, found.p50_us, found.p99_us, p99_9_us=found.p99_9_us, max_us=found.max_us
-    )
+class TimingErrors:
+    """How late messages went out, in a histogram of bounded size."""
+
+    def __init__(self) -> None:
+        self._histogram = HdrHistogram(1, _LONGEST_NS, 3)
+
+    def add(self, late_ns: int) -> None:
+        """Take in one message."""
+        self._histogram.record_value(min(max(late_ns, 1), _LONGEST_NS))
+
+    def figures(self) -> TimingFigures | None:
+        """Return the distribution, None where nothing had a due time."""
+        found = self._histogram
+        if not found.get_total_count():
+            return None
+        p50_us, p99_us, p99_9_us = (
+            found.get_value_at_percentile(percent) / 1e3 for percent in (50.0, 99.0, 99.9)
+        )
+        count, max_us = found.get_total_count(), found.get_max_value() / 1e3
+        return TimingFigures(count, p50_us, p99_us, p99_9_us, max_us)
 
 
 def print_replay(figures: ReplayFigures, out: TextIO) -> None:

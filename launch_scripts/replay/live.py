@@ -1,4 +1,4 @@
-"""Live agents among recorded ones: gives them what they were given, hears what they say now.
+"""Live agents among recorded ones: gives them what they were given, compares what they say now.
 
 The others do what they did, whatever the live ones say: the loop is open. In lockstep the live
 agents set the pace: the inputs of a cycle go out when all their outputs of the last one are there.
@@ -11,24 +11,31 @@ import time
 from collections.abc import Collection, Iterable, Iterator
 from typing import Final, Literal
 
+from msgspec.structs import replace
+
+from agents.cycle import stage_of
 from agents.events import Waiting
-from agents.garbage import spare_the_collector
-from agents.histograms import new_histogram, record_ns
 from agents.machine import wake_precisely
 from agents.plan import RunPlan
-from bus_schemas.bus import Outbox
 from bus_schemas.codec import decode, encode
 from bus_schemas.messages import Clock, Message
 from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import REPLAYER, ROOT
 from launch_scripts.interruption import Interruption
-from launch_scripts.replay.output_comparison import OutputComparison
+from launch_scripts.replay.absent_agents import AbsentAgents, steady_ports
+from launch_scripts.replay.figures import TimingErrors
 from launch_scripts.replay.progress import ProgressLine
+from launch_scripts.replay.recorded_run import RecordedRun
 from launch_scripts.replay.session import ReplaySession
-from launch_scripts.replay.stand_in import StandIn, steady_ports
-from launch_scripts.replay.tape import Tape
 from launch_scripts.supervision import Children, RunFailure, with_log
+from launch_scripts.verification.account import Account
+from launch_scripts.verification.comparison import Comparison
 from recordings.reader import RecordedMessage
+from sim_plant.conductor import FIRST_ROUND, longest_round_s
+
+_ARMING_S: Final = 30.0
+_EARLY_CYCLES: Final = 100
+"""In so many first cycles everybody has published, even where messages got lost."""
 
 _LEAD_S: Final = 0.2
 """In real time: how long before cycle 0 the live agents are told when it begins."""
@@ -40,12 +47,59 @@ _PATIENCE_S: Final = 5.0
 """How long the live agents may take to end, once all is said."""
 
 
+class LiveComparison:
+    """Compares live agents' messages with the recorded ones, whichever of the two comes first.
+
+    Attributes
+    ----------
+    accounts
+        What the comparison of each live agent came to.
+    """
+
+    def __init__(self, plan: RunPlan, live: Iterable[str]) -> None:
+        self.accounts = {agent: Account() for agent in live}
+        self._tree = plan.tree
+        self._comparison = Comparison()
+        self._recorded: dict[tuple[Port[Message], int], Message] = {}
+        self._new: dict[tuple[Port[Message], int], Message] = {}
+
+    def take_recorded(self, port: Port[Message], message: Message) -> None:
+        """Take in what an agent published when it was recorded."""
+        self.accounts[port.publisher].recorded += 1
+        new = self._new.pop((port, message.cycle), None)
+        if new is None:
+            self._recorded[port, message.cycle] = message
+        else:
+            self._compare(port, message, new)
+
+    def take_new(self, port: Port[Message], message: Message) -> None:
+        """Take in what it publishes now."""
+        recorded = self._recorded.pop((port, message.cycle), None)
+        if recorded is None:
+            self._new[port, message.cycle] = message
+        else:
+            self._compare(port, recorded, message)
+
+    def conclude(self, before_cycle: int) -> None:
+        """Count what has no counterpart in the cycles before one."""
+        for (port, cycle), message in self._recorded.items():
+            if cycle < before_cycle:
+                self._compare(port, message, None)
+        for (port, cycle), message in self._new.items():
+            if cycle < before_cycle:
+                self._compare(port, None, message)
+
+    def _compare(self, port: Port[Message], recorded: Message | None, new: Message | None) -> None:
+        stage = stage_of(port, self._tree)
+        self.accounts[port.publisher].compare(self._comparison, port, recorded, new, stage)
+
+
 class LiveReplay:
-    """A recording with live agents in it, which are armed.
+    """A recording with live agents in it.
 
     Parameters
     ----------
-    tape
+    recorded
         The recording.
     plan
         Of the live agents; its cycles are those to run.
@@ -53,8 +107,8 @@ class LiveReplay:
         Their names.
     children
         Their processes.
-    stand_in
-        The place of all others on the bus.
+    absent
+        All others' place on the bus.
     observers
         Where everything goes out again, for subscribers.
     interruption
@@ -74,32 +128,87 @@ class LiveReplay:
 
     def __init__(
         self,
-        tape: Tape,
+        recorded: RecordedRun,
         plan: RunPlan,
         live: Collection[str],
         children: Children,
-        stand_in: StandIn,
+        absent: AbsentAgents,
         observers: ReplaySession,
         interruption: Interruption,
         progress: ProgressLine,
     ) -> None:
-        self.comparison = OutputComparison()
-        self.timing = new_histogram()
+        self.comparison = LiveComparison(plan, live)
+        self.timing = TimingErrors()
         self.cycles = 0
-        self._tape = tape
+        self._recorded = recorded
         self._plan = plan
         self._live = frozenset(live)
         self._children = children
-        self._stand_in = stand_in
+        self._absent = absent
         self._observers = observers
         self._interruption = interruption
         self._progress = progress
-        self._outbox = Outbox()
         self._heard = 0
         self._newest: dict[Port[Message], int] = {}
         self._announced = -1
         self._look_at = 0.0
         self._waiting: dict[str, Waiting] = {}
+
+    # Before cycle 0 -------------------------------------------------------------------------------
+
+    def arm(self) -> None:
+        """Wait for the live agents, and for an arming round of theirs to close.
+
+        What the others say in a round is the first that they said in the run.
+
+        Raises
+        ------
+        RunFailure
+            A live agent does not come, or says nothing.
+        KeyboardInterrupt
+            The user has asked for an end.
+        """
+        give_up_at = time.monotonic() + _ARMING_S
+        while names := self._absent.not_there():
+            self._look(0.02)
+            if time.monotonic() > give_up_at:
+                raise RunFailure(f"no sign of life from {', '.join(names)}")
+        first = self._first_messages()
+        steady = steady_ports(self._plan, self._live, FIRST_ROUND)
+        silent, rounds = steady, 0
+        while silent:
+            rounds += 1
+            cycle = FIRST_ROUND + rounds
+            self._begin_round(cycle, first)
+            silent = set(steady)
+            until = time.monotonic() + longest_round_s(rounds)
+            while silent and time.monotonic() < until:
+                heard = self._absent.receive(len(silent), _LOOK_S)
+                silent -= {port for port, message, _ in heard if message.cycle == cycle}
+                self._look(0.0)
+            if silent and time.monotonic() > give_up_at:
+                names = sorted(map(str, silent))
+                raise RunFailure(f"no arming round closed: nothing came on {', '.join(names)}")
+
+    def _first_messages(self) -> dict[Port[Message], Message]:
+        """Return the first message of each port on which the others publish in every cycle."""
+        others = set(self._plan.tree.agents()) - self._live
+        wanted = steady_ports(self._plan, others, FIRST_ROUND)
+        first: dict[Port[Message], Message] = {}
+        for record in self._recorded.records(wanted, before_cycle=_EARLY_CYCLES):
+            if record.port not in first:
+                first[record.port] = decode(record.port.signal, record.payload)
+                if len(first) == len(wanted):
+                    break
+        return first
+
+    def _begin_round(self, cycle: int, first: dict[Port[Message], Message]) -> None:
+        sim_time_ns = self._plan.sim_time_ns(cycle)
+        for port, message in first.items():
+            stamped = replace(message, cycle=cycle, sim_time_ns=sim_time_ns, missing=())
+            self._absent.put(port, encode(stamped))
+
+    # The run --------------------------------------------------------------------------------------
 
     def run(self) -> None:
         """Take the live agents through the run, and compare.
@@ -110,7 +219,6 @@ class LiveReplay:
             One of them died, gave up, or says nothing any more.
         """
         wake_precisely()
-        spare_the_collector()
         if self._plan.lockstep:
             self._run_in_lockstep()
         else:
@@ -121,7 +229,7 @@ class LiveReplay:
 
     def _run_in_lockstep(self) -> None:
         self._publish_run("start", 0, time.monotonic_ns())
-        records = self._tape.records(before_cycle=self._plan.cycles)
+        records = self._recorded.records(before_cycle=self._plan.cycles)
         for cycle, group in by_cycle(records, self._plan.periods.longest):
             for record in group:
                 self._pass_on(record)
@@ -135,12 +243,12 @@ class LiveReplay:
         start_ns = time.monotonic_ns() + round(_LEAD_S * 1e9)
         shift_ns = start_ns - self._recorded_start_ns()
         self._publish_run("start", 0, start_ns)
-        for record in self._tape.records(before_cycle=self._plan.cycles):
+        for record in self._recorded.records(before_cycle=self._plan.cycles):
             due_ns = record.publish_time_ns + shift_ns
             while (left_ns := due_ns - time.monotonic_ns()) > 0:
                 self._listen(1, min(left_ns / 1e9, _LOOK_S))
             if self._pass_on(record):
-                record_ns(self.timing, time.monotonic_ns() - due_ns)
+                self.timing.add(time.monotonic_ns() - due_ns)
             self.cycles = max(self.cycles, record.cycle + 1)
             self._progress.show(record.cycle)
             if self._interruption:
@@ -148,29 +256,29 @@ class LiveReplay:
 
     def _recorded_start_ns(self) -> int:
         """Wall time at which cycle 0 of the recorded run began [ns]."""
-        for record in self._tape.records([RUN.of(ROOT)]):
+        for record in self._recorded.records([RUN.of(ROOT)]):
             message = decode(RUN, record.payload)
             if message.state == "start":
                 return record.publish_time_ns + message.start_time_ns - message.publish_time_ns
-        raise RunFailure(f"{self._tape.path}: the message that starts the run is not in it")
+        raise RunFailure(f"{self._recorded.path}: the message that starts the run is not in it")
 
     def _pass_on(self, record: RecordedMessage) -> bool:
         """Send a recorded message, or keep it to be compared. Return whether it was sent."""
         port = record.port
         if port.signal is RUN:
             return False
-        self._announce(record)
+        self._announce(record.cycle)
         if port.publisher in self._live:
             self.comparison.take_recorded(port, decode(port.signal, record.payload))
             return False
-        self._stand_in.put(port, record.payload)
+        self._absent.put(port, record.payload)
         self._observers.put(self._plan.keys.key(port), record.payload)
         return True
 
     def _await(self, cycle: int) -> None:
         """Wait for all that the live agents must say in a cycle."""
         steady = steady_ports(self._plan, self._live, cycle)
-        patience_s = self._plan.stall_timeout_s + 1.0  # they say themselves what they wait for
+        patience_s = self._plan.stall_timeout_s + 1.0  # They say themselves what they wait for.
         give_up_at = time.monotonic() + patience_s
         while awaited := {port for port in steady if self._newest.get(port, -1) < cycle}:
             if self._listen(len(awaited), _LOOK_S):
@@ -182,26 +290,34 @@ class LiveReplay:
 
     def _listen(self, wanted: int, timeout_s: float) -> int:
         """Take in what the live agents say within a time; return how much it was."""
-        heard = self._stand_in.receive(wanted, timeout_s)
+        heard = self._absent.receive(wanted, timeout_s)
         for port, message, payload in heard:
             if message.cycle >= 0:
                 self._heard += 1
                 self._newest[port] = message.cycle
                 self._observers.put(self._plan.keys.key(port), payload)
                 self.comparison.take_new(port, message)
-        now = time.monotonic()
-        if now >= self._look_at:
-            self._look_at = now + _LOOK_S
-            for child, event in self._children.events(0.0):
-                if isinstance(event, Waiting):
-                    self._waiting[child.spec.agent] = event
+        if time.monotonic() >= self._look_at:
+            self._look_at = time.monotonic() + _LOOK_S
+            self._note_waiting(0.0)
         return len(heard)
+
+    def _look(self, timeout_s: float) -> None:
+        """See whether all processes live and the user still wants them to."""
+        self._note_waiting(timeout_s)
+        if self._interruption:
+            raise KeyboardInterrupt
+
+    def _note_waiting(self, timeout_s: float) -> None:
+        for child, event in self._children.events(timeout_s):
+            if isinstance(event, Waiting):
+                self._waiting[child.agent] = event
 
     def _hear_the_last(self) -> None:
         """Let the live agents end, and take in all that they say they have sent."""
         late = self._children.await_exit(list(self._children), _PATIENCE_S)
         if late:
-            names = ", ".join(child.spec.agent for child in late)
+            names = ", ".join(child.agent for child in late)
             raise RunFailure(with_log(late[0], f"{names} did not end with the run"))
         accounts = [child.finished for child in self._children if child.finished is not None]
         sent = sum(sum(account.published.values()) for account in accounts)
@@ -212,18 +328,21 @@ class LiveReplay:
     def _publish_run(self, state: Literal["start", "stop"], cycle: int, start_ns: int) -> None:
         """Say to live agents and observers that the run begins, or is over."""
         port = RUN.of(ROOT)
-        message = self._outbox.stamp(port, self._plan.run_message(state, cycle, start_ns))
+        message = self._plan.run_message(state, cycle, start_ns)
+        message.publish_time_ns = time.monotonic_ns()
+        message.sequence = int(state == "stop")
         payload = encode(message)
-        self._stand_in.put(port, payload)
+        self._absent.put(port, payload)
         self._observers.put(self._plan.keys.key(port), payload)
 
-    def _announce(self, record: RecordedMessage) -> None:
-        if record.cycle > self._announced:
-            self._announced = record.cycle
+    def _announce(self, cycle: int) -> None:
+        if cycle > self._announced:
+            self._announced = cycle
             rate = 0.0 if self._plan.lockstep else 1.0
-            sim_time_ns = self._plan.sim_time_ns(record.cycle)
-            clock = Clock(record.cycle, sim_time_ns, REPLAYER, (), rate=rate, paused=False)
-            self._observers.announce(clock)
+            sim_time_ns = self._plan.sim_time_ns(cycle)
+            self._observers.announce(
+                Clock(cycle, sim_time_ns, REPLAYER, (), rate=rate, paused=False)
+            )
 
     def _explain_stall(self, cycle: int, awaited: Iterable[Port[Message]]) -> str:
         lines = [f"stalled in cycle {cycle}"]

@@ -8,27 +8,27 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final, TextIO
+from typing import Any, Final, TextIO
 
 import msgspec
 
 from agents.plan import RunPlan, load_plan
 from bus_schemas.errors import InputError
 from bus_schemas.tree import agent_name
+from launch_scripts.fork_requests import Start
 from launch_scripts.interruption import Interruption, interruptible
-from launch_scripts.processes import processes
-from launch_scripts.replay.arming import arm
-from launch_scripts.replay.figures import TimingFigures, print_timing, timing_figures, write_json
+from launch_scripts.replay.absent_agents import AbsentAgents, live_plan
+from launch_scripts.replay.figures import TimingFigures, print_timing, write_json
 from launch_scripts.replay.live import LiveReplay
-from launch_scripts.replay.output_comparison import OutputDifference
 from launch_scripts.replay.progress import ProgressLine
+from launch_scripts.replay.recorded_run import RecordedRun
 from launch_scripts.replay.request import ReplayRequest, before_cycle
 from launch_scripts.replay.selection import select
 from launch_scripts.replay.session import await_subscriber, introduce, replay_session
-from launch_scripts.replay.stand_in import StandIn, live_plan
-from launch_scripts.replay.tape import Tape
-from launch_scripts.supervision import Children, RunFailure
+from launch_scripts.supervision import Children, ForkServerProcess, RunFailure
 from launch_scripts.tcp_ports import reserved_ports
+from launch_scripts.verification.account import Account
+from launch_scripts.verification.outcome import account_data, finding_lines
 from recordings.moments import RunClock
 from recordings.selection import find_nodes
 
@@ -36,15 +36,10 @@ EQUAL: Final = 0
 DIFFERENT: Final = 1
 INTERRUPTED: Final = 130
 
-_SHOWN: Final = 20
-"""So many differences are printed."""
-
 _NAMED: Final = 5
 """So many controllers are named before the rest is counted."""
 
-_WIDTH: Final = 100
-
-_STAND_IN: Final = "stand-in"
+_ABSENT: Final = "absent"
 _SHARED: Final = (
     "plant",
     "inverters",
@@ -66,8 +61,8 @@ class LiveFigures(msgspec.Struct, frozen=True):
         Pairs of messages, new and recorded, of the live controllers.
     differing
         Messages that differ or lack their counterpart, by controller.
-    differences
-        The first of them, field by field.
+    agents
+        What the comparison of each came to, as `heliarch verify --json` has it.
     timing_error
         Of the recorded messages, in real time.
     """
@@ -79,12 +74,12 @@ class LiveFigures(msgspec.Struct, frozen=True):
     wall_s: float
     compared: int
     differing: dict[str, int]
-    differences: list[OutputDifference]
+    agents: list[dict[str, Any]]
     timing_error: TimingFigures | None
     interrupted: bool
 
 
-def replay_live(request: ReplayRequest, tape: Tape, out: TextIO) -> int:
+def replay_live(request: ReplayRequest, recorded: RecordedRun, out: TextIO) -> int:
     """Replay with live controllers, and say in what they differ. Returns the exit status.
 
     Raises
@@ -94,27 +89,28 @@ def replay_live(request: ReplayRequest, tape: Tape, out: TextIO) -> int:
     RunFailure
         A live controller died, gave up, or says nothing any more.
     """
-    live = _live_agents(tape.plan, request.live or "")
-    plan = _plan(request, tape)
-    introduce(tape, out)
+    live = _live_agents(recorded.plan, request.live or "")
+    plan = _plan(request, recorded)
+    introduce(recorded, out)
     out.write(f"live: {_named(live)}; all others do as recorded, whatever these say\n")
     with interruptible() as interruption, _folder() as folder:
         began_at = time.monotonic()
-        replay = _run(request, tape, plan, live, folder, interruption, out)
+        replay = _run(request, recorded, plan, live, folder, interruption, out)
         wall_s = time.monotonic() - began_at
+    accounts = replay.comparison.accounts
     figures = LiveFigures(
         plan.run_id,
-        str(tape.path),
+        str(recorded.path),
         list(live),
         replay.cycles,
         wall_s,
-        replay.comparison.compared,
-        dict(replay.comparison.differing),
-        replay.comparison.differences,
-        timing_figures(replay.timing),
+        sum(account.compared for account in accounts.values()),
+        {name: found.counts.total() for name, found in accounts.items() if found.counts},
+        [account_data(name, account) for name, account in accounts.items()],
+        replay.timing.figures(),
         bool(interruption),
     )
-    _print(figures, plan, out)
+    _print(figures, accounts, plan, out)
     write_json(figures, request.json)
     if interruption:
         return INTERRUPTED
@@ -137,31 +133,35 @@ def _folder() -> Iterator[Path]:
 
 def _run(
     request: ReplayRequest,
-    tape: Tape,
+    recorded: RecordedRun,
     plan: RunPlan,
     live: Sequence[str],
     folder: Path,
     interruption: Interruption,
     out: TextIO,
 ) -> LiveReplay:
-    selection = select(plan)
-    with reserved_ports((_STAND_IN, *live)) as tcp_ports:
-        told = live_plan(plan, live, tcp_ports, tcp_ports[_STAND_IN])
-        plan_path = folder / "plan.json"
-        plan_path.write_bytes(told.as_json())
-        specs = [spec for spec in processes(plan.tree, plan_path) if spec.agent in live]
+    server = ForkServerProcess()
+    with (
+        reserved_ports((_ABSENT, *live)) as tcp_ports,
+        Children(server, plan, live, folder) as children,
+    ):
+        told = live_plan(plan, live, tcp_ports, tcp_ports[_ABSENT])
+        path = folder / "plan.json"
+        path.write_bytes(told.as_json())
         with (
-            replay_session(tape, selection, request.namespace, request.listen, out) as observers,
-            StandIn(told, live, tcp_ports[_STAND_IN]) as stand_in,
-            Children(specs, folder) as children,
+            replay_session(
+                recorded, select(plan), request.namespace, request.listen, out
+            ) as observers,
+            AbsentAgents(told, live, tcp_ports[_ABSENT]) as absent,
         ):
-            arm(tape, told, live, stand_in, children, interruption)
-            if request.wait:
-                await_subscriber(observers, interruption, out)
+            server.ask(Start(str(path), tuple(live), str(folder), 0.0))
             progress = ProgressLine(out, plan)
             replay = LiveReplay(
-                tape, told, live, children, stand_in, observers, interruption, progress
+                recorded, told, live, children, absent, observers, interruption, progress
             )
+            replay.arm()
+            if request.wait:
+                await_subscriber(observers, interruption, out)
             replay.run()
             progress.close()
     return replay
@@ -175,23 +175,23 @@ def _live_agents(plan: RunPlan, text: str) -> tuple[str, ...]:
         raise InputError(f"--live: {error}") from None
 
 
-def _plan(request: ReplayRequest, tape: Tape) -> RunPlan:
+def _plan(request: ReplayRequest, recorded: RecordedRun) -> RunPlan:
     """Return the plan that the live controllers run by, with the cycles to replay."""
-    cycles = before_cycle(request.duration, tape, 0) or tape.complete_cycles
+    cycles = before_cycle(request.duration, recorded, 0) or recorded.complete_cycles
     if not cycles:
-        raise InputError(f"{tape.path}: no complete cycle, accepted is a run that has one")
-    plan = tape.plan
+        raise InputError(f"{recorded.path}: no complete cycle, accepted is a run that has one")
+    plan = recorded.plan
     if request.plan is not None:
         plan = load_plan(request.plan)
         for field in _SHARED:
-            found, recorded = getattr(plan, field), getattr(tape.plan, field)
-            if found != recorded:
+            found, wanted = getattr(plan, field), getattr(recorded.plan, field)
+            if found != wanted:
                 raise InputError(
                     f"{request.plan}: {field} is {_brief(found)}, accepted is that of the recorded "
-                    f"run, {_brief(recorded)}"
+                    f"run, {_brief(wanted)}"
                 )
     return msgspec.structs.replace(
-        plan, run_id=tape.plan.run_id, cycles=min(cycles, tape.complete_cycles)
+        plan, run_id=recorded.plan.run_id, cycles=min(cycles, recorded.complete_cycles)
     )
 
 
@@ -200,7 +200,7 @@ def _brief(value: object) -> str:
     return text if len(text) <= 40 else f"{text[:40]}..."
 
 
-def _print(figures: LiveFigures, plan: RunPlan, out: TextIO) -> None:
+def _print(figures: LiveFigures, accounts: dict[str, Account], plan: RunPlan, out: TextIO) -> None:
     out.write(
         f"compared {figures.compared:,} messages of {len(figures.live)} live controllers over "
         f"{figures.cycles:,} cycles in {figures.wall_s:.1f} s\n"
@@ -210,27 +210,12 @@ def _print(figures: LiveFigures, plan: RunPlan, out: TextIO) -> None:
         out.write("no difference\n")
         return
     clock = RunClock(plan, figures.cycles - 1)
-    for difference in figures.differences[:_SHOWN]:
-        out.write(f"{_line(difference, clock)}\n")
+    for name, account in accounts.items():
+        for line in finding_lines(name, account, clock):
+            out.write(f"{line}\n")
     most_first = sorted(figures.differing.items(), key=lambda entry: (-entry[1], entry[0]))
     counts = _named([f"{agent} {count:,}" for agent, count in most_first])
     out.write(f"messages that differ: {counts}\n")
-
-
-def _line(difference: OutputDifference, clock: RunClock) -> str:
-    about_itself = difference.key.startswith(f"{difference.agent}/")
-    key = difference.key.removeprefix(f"{difference.agent}/") if about_itself else difference.key
-    where = f"{difference.agent}, cycle {difference.cycle} ({clock.text(difference.cycle)}), {key}"
-    if difference.kind == "other inputs":
-        lacked, lacks = len(difference.recorded), len(difference.new)
-        return (
-            f"{where}: other inputs, {lacked} were late or missing when recorded, {lacks} are now"
-        )
-    if difference.kind != "differs":
-        return f"{where}: {difference.kind}"
-    where, recorded, new = f"{where} {difference.field}", difference.recorded, difference.new
-    line = f"{where}: recorded {recorded!r}, new {new!r}"
-    return line if len(line) <= _WIDTH else f"{where}\n  recorded {recorded!r}\n  new      {new!r}"
 
 
 def _named(words: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""Plays a tape: waits until each message is due, sends it, and does what the keyboard asks for."""
+"""Plays a recording: waits until each message is due, sends it, and heeds the keyboard."""
 
 from __future__ import annotations
 
@@ -7,19 +7,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol
 
-from hdrh.histogram import HdrHistogram
-
-from agents.garbage import spare_the_collector
-from agents.histograms import new_histogram, record_ns
 from agents.machine import wake_precisely
 from bus_schemas.messages import Clock
 from bus_schemas.tree import REPLAYER
 from launch_scripts.interruption import Interruption
 from launch_scripts.replay.clock import PlaybackClock, Spacing
+from launch_scripts.replay.figures import TimingErrors
 from launch_scripts.replay.keyboard import Key, Keyboard
 from launch_scripts.replay.progress import ProgressLine
+from launch_scripts.replay.recorded_run import RecordedRun
 from launch_scripts.replay.selection import Selection
-from launch_scripts.replay.tape import Tape
 from recordings.reader import RecordedMessage
 
 _LOOK_S: Final = 0.02
@@ -68,15 +65,15 @@ class Played:
 
     messages: int
     cycles: int
-    timing: HdrHistogram
+    timing: TimingErrors
 
 
 class Player:
-    """Plays a tape onto the bus.
+    """Plays a recording onto the bus.
 
     Parameters
     ----------
-    tape
+    recorded
         The recording.
     span
         The part of it.
@@ -100,7 +97,7 @@ class Player:
 
     def __init__(
         self,
-        tape: Tape,
+        recorded: RecordedRun,
         span: Span,
         selection: Selection,
         sink: Sink,
@@ -111,8 +108,8 @@ class Player:
         progress: ProgressLine,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self.played = Played(0, 0, new_histogram())
-        self._tape = tape
+        self.played = Played(0, 0, TimingErrors())
+        self._recorded = recorded
         self._span = span
         self._key_of = selection.key_of
         self._sink = sink
@@ -134,7 +131,6 @@ class Player:
     def play(self, *, loop: bool = False) -> None:
         """Play the span once, or again and again until the user ends it."""
         wake_precisely()
-        spare_the_collector()
         self._seek(self._span.first_cycle)
         if self._clock.paused and self._next is not None:
             self._announce(self._next)
@@ -161,7 +157,7 @@ class Player:
 
     def _seek(self, cycle: int) -> None:
         """Let the first message of a cycle be the next one, and be due now."""
-        self._records = self._tape.records(self._key_of.keys(), cycle, self._span.before_cycle)
+        self._records = self._recorded.records(self._key_of.keys(), cycle, self._span.before_cycle)
         self._spacing = self._make_spacing()
         self._cycle = self._step_to = -1
         self._position_ns = -(1 << 62)
@@ -171,7 +167,7 @@ class Player:
     def _turn_to(self, record: RecordedMessage | None) -> None:
         self._next = record
         if record is not None:
-            # The order of the tape holds, whatever the spacing makes of a straggler.
+            # The order of the recorded holds, whatever the spacing makes of a straggler.
             self._position_ns = max(self._position_ns, self._spacing.position_ns(record))
 
     def _await(self, record: RecordedMessage) -> bool:
@@ -203,7 +199,7 @@ class Player:
     def _send(self, record: RecordedMessage) -> None:
         if record.cycle > self._cycle:
             self._cycle = record.cycle
-            self.played.cycles += record.cycle < self._tape.cycles  # the end lies in none
+            self.played.cycles += record.cycle < self._recorded.cycles  # the end lies in none
             self._announce(record)
         self._sink.put(self._key_of[record.port], record.payload)
         self.played.messages += 1
@@ -211,13 +207,13 @@ class Player:
             self._clock.move_to(self._position_ns)
         elif self._clock.rate:
             late_ns = self._clock.now_ns() - self._clock.due_ns(self._position_ns)
-            record_ns(self.played.timing, late_ns)
+            self.played.timing.add(late_ns)
 
     def _announce(self, record: RecordedMessage) -> None:
         self._sink.announce(
             Clock(
                 record.cycle,
-                self._tape.plan.sim_time_ns(record.cycle),
+                self._recorded.plan.sim_time_ns(record.cycle),
                 REPLAYER,
                 (),
                 rate=self._clock.rate,
@@ -249,10 +245,10 @@ class Player:
 
     def _seek_by(self, seconds: float) -> None:
         """Go on or back by a simulated time, at least a cycle, within the span."""
-        cycles = round(seconds * 1e9 / self._tape.plan.cycle_ns)
+        cycles = round(seconds * 1e9 / self._recorded.plan.cycle_ns)
         cycles = cycles or (1 if seconds > 0.0 else -1)
         here = self._next.cycle if self._next is not None else self._cycle
-        last = (self._span.before_cycle or self._tape.cycles) - 1
+        last = (self._span.before_cycle or self._recorded.cycles) - 1
         self._seek(min(max(here + cycles, self._span.first_cycle), last))
 
 

@@ -15,17 +15,16 @@ from launch_scripts.replay.clock import PlaybackClock, RecordedSpacing, Simulate
 from launch_scripts.replay.figures import (
     ReplayFigures,
     print_replay,
-    timing_figures,
     write_json,
 )
 from launch_scripts.replay.keyboard import KEYS_IN_WORDS, Keyboard, has_keyboard, keyboard
 from launch_scripts.replay.live_command import replay_live
 from launch_scripts.replay.player import Played, Player
 from launch_scripts.replay.progress import ProgressLine
+from launch_scripts.replay.recorded_run import RecordedRun
 from launch_scripts.replay.request import ReplayRequest, check_request, requested_span
 from launch_scripts.replay.selection import select
 from launch_scripts.replay.session import await_subscriber, introduce, replay_session
-from launch_scripts.replay.tape import Tape
 from launch_scripts.supervision import RunFailure
 
 
@@ -35,10 +34,10 @@ def replay(request: ReplayRequest) -> int:
     out = sys.stderr if request.json == "-" else sys.stdout
     try:
         check_request(request)
-        with Tape(request.run) as tape:
+        with RecordedRun(request.run) as recorded:
             if request.live is not None:
-                return replay_live(request, tape, out)
-            return _replay(request, tape, out)
+                return replay_live(request, recorded, out)
+            return _replay(request, recorded, out)
     except InputError as error:
         return complain(error, BAD_INPUT)
     except RunFailure as error:
@@ -47,23 +46,23 @@ def replay(request: ReplayRequest) -> int:
         return complain("interrupted", INTERRUPTED)
 
 
-def _replay(request: ReplayRequest, tape: Tape, out: TextIO) -> int:
-    selection = select(tape.plan, request.signals, request.exclude, request.remaps)
-    span = requested_span(request, tape)
-    introduce(tape, out)
-    progress = ProgressLine(out, tape.plan)
+def _replay(request: ReplayRequest, recorded: RecordedRun, out: TextIO) -> int:
+    selection = select(recorded.plan, request.signals, request.exclude)
+    span = requested_span(request, recorded)
+    introduce(recorded, out)
+    progress = ProgressLine(out, recorded.plan)
     with (
         interruptible() as interruption,
-        replay_session(tape, selection, request.namespace, request.listen, out) as session,
+        replay_session(recorded, selection, request.namespace, request.listen, out) as session,
         _announced_keyboard(out) as keys,
     ):
         player = Player(
-            tape,
+            recorded,
             span,
             selection,
             session,
             PlaybackClock(request.rate, paused=request.start_paused),
-            lambda: _spacing(request, tape),
+            lambda: _spacing(request, recorded),
             keys,
             interruption,
             progress,
@@ -74,7 +73,7 @@ def _replay(request: ReplayRequest, tape: Tape, out: TextIO) -> int:
         player.play(loop=request.loop)
         wall_s = time.monotonic() - began_at
         progress.close()
-    figures = _figures(request, tape, player.played, wall_s, bool(interruption))
+    figures = _figures(request, recorded, player.played, wall_s, bool(interruption))
     print_replay(figures, out)
     write_json(figures, request.json)
     return INTERRUPTED if interruption else OK
@@ -89,21 +88,21 @@ def _announced_keyboard(out: TextIO) -> Iterator[Keyboard]:
         yield keys
 
 
-def _spacing(request: ReplayRequest, tape: Tape) -> Spacing:
-    return RecordedSpacing() if request.clock == "wall" else SimulatedSpacing(tape.plan)
+def _spacing(request: ReplayRequest, recorded: RecordedRun) -> Spacing:
+    return RecordedSpacing() if request.clock == "wall" else SimulatedSpacing(recorded.plan)
 
 
 def _figures(
-    request: ReplayRequest, tape: Tape, played: Played, wall_s: float, interrupted: bool
+    request: ReplayRequest, recorded: RecordedRun, played: Played, wall_s: float, interrupted: bool
 ) -> ReplayFigures:
     return ReplayFigures(
-        tape.plan.run_id,
-        str(tape.path),
+        recorded.plan.run_id,
+        str(recorded.path),
         played.messages,
         played.cycles,
         wall_s,
         request.rate,
         request.clock,
-        timing_figures(played.timing),
+        played.timing.figures(),
         interrupted,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from math import ceil
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Final
 from bus_schemas.errors import InputError
 from launch_scripts.replay.keyboard import has_keyboard
 from launch_scripts.replay.player import Span
-from launch_scripts.replay.tape import Tape
+from launch_scripts.replay.recorded_run import RecordedRun
 from launch_scripts.scenario import parse_duration_s
 from recordings.report.run_report import check_destination
 
@@ -27,7 +26,6 @@ _NOT_LIVE: Final = {
     "loop": "--loop",
     "signals": "--signals",
     "exclude": "--exclude",
-    "remaps": "--remap",
 }
 """Options that make no sense with live agents: those begin with the run, and set its pace."""
 
@@ -45,7 +43,6 @@ class ReplayRequest:
     loop: bool = False
     signals: str | None = None
     exclude: str | None = None
-    remaps: Sequence[str] = ()
     wait: bool = False
     listen: str | None = None
     namespace: str | None = None
@@ -94,7 +91,7 @@ def _check_live(request: ReplayRequest) -> None:
             )
 
 
-def requested_span(request: ReplayRequest, tape: Tape) -> Span:
+def requested_span(request: ReplayRequest, recorded: RecordedRun) -> Span:
     """Return the cycles to replay.
 
     Raises
@@ -105,16 +102,16 @@ def requested_span(request: ReplayRequest, tape: Tape) -> Span:
     first = 0
     if request.start_offset is not None:
         try:
-            first = tape.clock.cycle(request.start_offset)
+            first = recorded.clock.cycle(request.start_offset)
         except InputError as error:
             raise InputError(f"--start-offset {error}") from None
-    return Span(first, before_cycle(request.duration, tape, first))
+    return Span(first, before_cycle(request.duration, recorded, first))
 
 
-def before_cycle(duration: str | None, tape: Tape, first: int) -> int | None:
+def before_cycle(duration: str | None, recorded: RecordedRun, first: int) -> int | None:
     """Return the cycle before which the replay ends, None if that is the end of the recording."""
     if duration is None:
         return None
     duration_ns = round(parse_duration_s(duration, "--duration") * 1e9)
-    before = first + ceil(duration_ns / tape.plan.cycle_ns)
-    return before if before < tape.cycles else None
+    before = first + ceil(duration_ns / recorded.plan.cycle_ns)
+    return before if before < recorded.cycles else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO
@@ -16,8 +17,8 @@ from bus_schemas.signals import CLOCK
 from bus_schemas.tree import REPLAYER, ROOT
 from bus_schemas.zenoh_bus import ENCODING, SessionSettings
 from launch_scripts.interruption import Interruption
+from launch_scripts.replay.recorded_run import RecordedRun
 from launch_scripts.replay.selection import Selection
-from launch_scripts.replay.tape import Tape
 from launch_scripts.tcp_ports import reserved_ports
 
 
@@ -72,7 +73,8 @@ class ReplaySession:
     def announce(self, clock: Clock) -> None:
         """Tell everybody where the replay stands."""
         if self._clock is not None:
-            self._clock.put(encode(self._outbox.stamp(CLOCK.of(ROOT), clock)))
+            self._outbox.stamp(CLOCK.of(ROOT), clock, time.monotonic_ns())
+            self._clock.put(encode(clock))
 
     @property
     def has_subscriber(self) -> bool:
@@ -95,23 +97,27 @@ class ReplaySession:
         )
 
 
-def introduce(tape: Tape, out: TextIO) -> None:
+def introduce(recorded: RecordedRun, out: TextIO) -> None:
     """Say which run is replayed."""
-    out.write(f"{tape.plan.run_id}, {tape.clock.extent()}\n")
-    if not tape.whole:
+    out.write(f"{recorded.plan.run_id}, {recorded.clock.extent()}\n")
+    if not recorded.whole:
         out.write("cut short: replayed up to the cut (`heliarch recover` makes a whole file)\n")
     out.flush()
 
 
 @contextmanager
 def replay_session(
-    tape: Tape, selection: Selection, namespace: str | None, listen: str | None, out: TextIO
+    recorded: RecordedRun,
+    selection: Selection,
+    namespace: str | None,
+    listen: str | None,
+    out: TextIO,
 ) -> Iterator[ReplaySession]:
     """Join the bus and say how a subscriber does.
 
     Parameters
     ----------
-    tape, selection
+    recorded, selection
         What is replayed.
     namespace
         First part of every key; by default that of the run.
@@ -125,12 +131,12 @@ def replay_session(
     InputError
         See `ReplaySession`.
     """
-    prefix = tape.plan.run_id if namespace is None else namespace
+    prefix = recorded.plan.run_id if namespace is None else namespace
     with reserved_ports((REPLAYER,)) as tcp_ports:
         endpoint = listen or f"tcp/127.0.0.1:{tcp_ports[REPLAYER]}"
         keys = selection.key_of.values()
         with ReplaySession(prefix, endpoint, keys, selection.clock_key) as session:
-            out.write(f"endpoint {endpoint}\nkeys {prefix}/{tape.plan.plant}/**\n")
+            out.write(f"endpoint {endpoint}\nkeys {prefix}/{recorded.plan.plant}/**\n")
             out.flush()
             yield session
 

@@ -3,27 +3,37 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
-from launch_scripts.verification.comparison import FieldDifference
+from launch_scripts.verification.comparison import Comparison, FieldDifference
 
 Kind: TypeAlias = Literal[
     "differs",
+    "two messages in one cycle",
     "only recorded",
     "only new",
-    "other order",
     "recorded twice",
+    "not recorded",
     "input not recorded",
     "fails",
 ]
-"""`differs`: in its fields. `only recorded`: the agent does not say it now. `only new`: the
-recording lacks it. `other order`: it says the same of a cycle in another order. `recorded twice`:
-in one cycle. `input not recorded`: the agent must have heard something that the recording lacks.
-`fails`: the agent raises an error, or says what cannot be sent."""
+"""How a recorded and a new message differ.
+
+- `differs`: in its fields
+- `two messages in one cycle`: the same, but an external agent sent several messages in one cycle,
+  and the agent may have used another than the first recorded one
+- `only recorded`: the agent does not send it now
+- `only new`: the recording lacks it
+- `recorded twice`: in one cycle
+- `not recorded`: its number shows that the recording lost messages before it
+- `input not recorded`: the agent used a message that the recording lacks
+- `fails`: the agent raises an error, or sends what cannot be sent
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,19 +47,19 @@ class Difference:
     cycle
         Number of the cycle.
     stage
-        The agent's stage that sends the message, empty if none does.
+        The agent's stage that sends the message, empty if it is not known.
     port
         What the message is about; of `input not recorded` the input.
     fields
-        Fields that differ, of kind `differs`.
+        Fields that differ.
     message
         The message in question: the recorded one if there is one, else the new one.
     inputs
         What the agent was given in that cycle.
     missing
-        What it had to do without, and what took its place, see `bus_schemas.missing`.
+        The inputs that were not of that cycle, see `bus_schemas.missing`.
     text
-        What went wrong, of kind `fails`; both orders, of kind `other order`.
+        What went wrong, of kind `fails`.
     """
 
     kind: Kind
@@ -64,26 +74,6 @@ class Difference:
 
 
 @dataclass(slots=True)
-class Gap:
-    """Cycles in which an agent's messages were not compared.
-
-    Attributes
-    ----------
-    from_cycle, to_cycle
-        The first and the last one with a message that was not compared.
-    messages
-        How many there are.
-    open
-        Whether nothing was compared after it either.
-    """
-
-    from_cycle: int
-    to_cycle: int
-    messages: int = 0
-    open: bool = True
-
-
-@dataclass(slots=True)
 class Account:
     """What the comparison of one agent came to.
 
@@ -92,67 +82,81 @@ class Account:
     recorded
         Its messages in the recording.
     compared
-        Pairs of messages that were held against each other.
-    missed_inputs
-        Inputs that were not there in time.
-    late_used
-        Late words that it used, most of them in their place.
+        Pairs of messages that were compared.
+    missing_inputs, old_inputs
+        Awaited inputs that a deadline found missing, and older ones that were used.
     counts
         Differences by kind.
     first
         The first of them.
     failure
         The error that the agent raised, if any: after it nothing is compared.
-    gaps
-        Where messages were not compared, because nobody knows the agent's state.
+    not_compared
+        Recorded messages of which nobody knows whether the agent would send them now.
+    not_compared_from
+        The first cycle with such a message, None if there is none.
     """
 
     recorded: int = 0
     compared: int = 0
-    missed_inputs: int = 0
-    late_used: int = 0
+    missing_inputs: int = 0
+    old_inputs: int = 0
     counts: Counter[Kind] = field(default_factory=Counter)
     first: Difference | None = None
     failure: Difference | None = None
-    gaps: list[Gap] = field(default_factory=list)
+    not_compared: int = 0
+    not_compared_from: int | None = None
 
-    @property
-    def not_compared(self) -> int:
-        """Recorded messages of which nobody knows whether the agent would send them now."""
-        return sum(gap.messages for gap in self.gaps)
+    def compare(
+        self,
+        comparison: Comparison,
+        port: Port[Message],
+        recorded: Message | None,
+        new: Message | None,
+        stage: str,
+        inputs: Sequence[Delivery] = (),
+        *,
+        ambiguous: bool = False,
+    ) -> None:
+        """Compare a recorded message with a new one; either may be None.
 
-    @property
-    def not_compared_from(self) -> int | None:
-        """The first cycle with such a message, None if there is none."""
-        return self.gaps[0].from_cycle if self.gaps else None
+        Parameters
+        ----------
+        ambiguous
+            Whether an input was sent twice in its cycle.
+
+        Raises
+        ------
+        Unsendable
+            The new message could not be sent.
+        """
+        message = new if recorded is None else recorded
+        assert message is not None
+        kind: Kind = "only new" if recorded is None else "only recorded"
+        fields: tuple[FieldDifference, ...] = ()
+        if recorded is not None and new is not None:
+            self.compared += 1
+            fields = comparison.differences(port, recorded, new)
+            if not fields:
+                return
+            kind = "two messages in one cycle" if ambiguous else "differs"
+        self.add(
+            Difference(
+                kind, message.cycle, stage, port, fields, message, tuple(inputs), message.missing
+            )
+        )
 
     def add(self, difference: Difference) -> None:
         """Count a difference, and keep it if it is the first."""
         self.counts[difference.kind] += 1
         if difference.kind == "fails":
             self.failure = difference
-        self._keep_first(difference)
-
-    def absorb(self, later: Account) -> None:
-        """Add what was not certain when it was found."""
-        self.counts.update(later.counts)
-        if later.first is not None:
-            self._keep_first(later.first)
+        if self.first is None or difference.cycle < self.first.cycle:
+            self.first = difference
 
     def leave_out(self, cycle: int, messages: int) -> None:
         """Count messages of a cycle that are not compared."""
-        if not messages:
-            return
-        if not self.gaps or not self.gaps[-1].open:
-            self.gaps.append(Gap(cycle, cycle))
-        self.gaps[-1].to_cycle = cycle
-        self.gaps[-1].messages += messages
-
-    def resume(self) -> None:
-        """Note that from the next cycle on messages are compared again."""
-        if self.gaps:
-            self.gaps[-1].open = False
-
-    def _keep_first(self, difference: Difference) -> None:
-        if self.first is None or difference.cycle < self.first.cycle:
-            self.first = difference
+        if messages:
+            self.not_compared += messages
+            if self.not_compared_from is None:
+                self.not_compared_from = cycle

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
 import msgspec
-from msgspec.structs import replace
 
 from bus_schemas.codec import decode, encode
 from bus_schemas.messages import Message
@@ -17,8 +16,8 @@ from bus_schemas.signals import SIGNALS, Port
 Value: TypeAlias = Any
 """A field's value as plain data: numbers, text and lists of them."""
 
-NOT_COMPARED: Final = ("publish_time_ns", "sequence")
-"""Set by the bus, when it sends: the agent does not decide them."""
+NOT_COMPARED: Final = ("ready_time_ns", "publish_time_ns", "sequence")
+"""The driver fills these in as it sends: the agent does not decide them."""
 
 COMPARED_FIELDS: Final = tuple(
     sorted(
@@ -32,6 +31,10 @@ COMPARED_FIELDS: Final = tuple(
     )
 )
 """Names of all fields that are compared."""
+
+
+class Unsendable(Exception):  # noqa: N818 - the message is to blame, not the program
+    """A new message that cannot be encoded, or that no listener would accept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,15 +62,40 @@ class Comparison:
     tolerance: float = 0.0
     ignored: frozenset[str] = frozenset()
 
+    def are_equal(self, recorded: Message, new: Message) -> bool:
+        """Whether a new message is the recorded one, bit for bit.
+
+        Raises
+        ------
+        Unsendable
+            The new message cannot be encoded.
+        """
+        new.ready_time_ns = recorded.ready_time_ns
+        new.publish_time_ns = recorded.publish_time_ns
+        new.sequence = recorded.sequence
+        try:
+            return encode(new) == encode(recorded)
+        except Exception as error:
+            raise Unsendable(f"{type(error).__name__}: {error}") from error
+
     def differences(
         self, port: Port[Message], recorded: Message, new: Message
     ) -> tuple[FieldDifference, ...]:
-        """Return the fields in which the new message of a port differs from the recorded one."""
-        if encode(replace(recorded, publish_time_ns=0, sequence=0)) == encode(new):
+        """Return the fields in which the new message of a port differs from the recorded one.
+
+        Raises
+        ------
+        Unsendable
+            The new message could not be sent.
+        """
+        if self.are_equal(recorded, new):
             return ()
-        # As whoever listens would get it: on the wire an int may stand for a float.
-        heard = decode(port.signal, encode(new))
-        return tuple(self._differing_fields(recorded, heard))
+        try:
+            # As whoever listens would get it: on the wire an int may stand for a float.
+            received = decode(port.signal, encode(new))
+        except msgspec.DecodeError as error:
+            raise Unsendable(f"{type(error).__name__}: {error}") from error
+        return tuple(self._differing_fields(recorded, received))
 
     def _differing_fields(self, recorded: Message, new: Message) -> Iterator[FieldDifference]:
         left_out = self.ignored.union(NOT_COMPARED)

@@ -100,7 +100,7 @@ def _origin(run: Path) -> tuple[Path, RunPlan, str, Profile]:
     if not plan.lockstep or driver != "simulate":
         raise InputError(
             f"--accept: {path} was recorded by {driver}"
-            f"{'' if plan.lockstep else ' in real time'}, accepted is a run of `heliarch simulate` "
+            f"{'' if plan.lockstep else ' in real time'}, expected a run of `heliarch simulate` "
             "in lockstep"
         )
     profile = run_profile(plan, path)

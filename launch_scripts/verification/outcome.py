@@ -13,10 +13,9 @@ import msgspec
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
 from bus_schemas.missing import in_words
-from bus_schemas.tree import PLANT
-from launch_scripts.verification.account import Account, Difference, Gap, Kind
+from launch_scripts.verification.account import Account, Difference, Kind
 from launch_scripts.verification.comparison import NOT_COMPARED, Comparison, Value
-from launch_scripts.verification.verification import PROFILE_NAME, Verification
+from launch_scripts.verification.verification import Verification
 from recordings.moments import RunClock
 
 _WIDTH: Final = 100
@@ -28,8 +27,9 @@ _KINDS: Final[dict[Kind, str]] = {
     "differs": "differ",
     "only recorded": "not sent any more",
     "only new": "not in the recording",
-    "other order": "in another order",
+    "two messages in one cycle": "after two messages in one cycle",
     "recorded twice": "recorded twice",
+    "not recorded": "not recorded",
     "input not recorded": "input not in the recording",
     "fails": "failure",
 }
@@ -46,6 +46,7 @@ class Outcome:
     def lines(self) -> Iterator[str]:
         """Yield what there is to say, in lines of at most 100 columns (paths excepted)."""
         found = self.verification
+        clock = RunClock(found.plan, found.plan.cycles - 1)
         yield f"{found.recording}"
         yield (
             f"{found.cycles:,} cycles, {_agents(len(found.accounts))} re-run, "
@@ -57,12 +58,15 @@ class Outcome:
         for name, account in found.accounts.items():
             if account.first is not None:
                 yield ""
-                yield from self._finding(name, account, account.first)
+                yield from finding_lines(name, account, clock)
         if found.differences or found.not_compared:
             yield ""
         for name, account in found.accounts.items():
-            if account.gaps:
-                yield f"{name}: {_gaps_text(account.gaps)}"
+            if account.not_compared:
+                yield (
+                    f"{name}: from cycle {account.not_compared_from} on not compared: "
+                    f"{account.not_compared:,} messages"
+                )
         yield self._verdict()
 
     def as_data(self) -> dict[str, Any]:
@@ -85,15 +89,13 @@ class Outcome:
             "undecided": found.undecided,
             "differences": found.differences,
             "first_agent": found.first[0] if found.first is not None else None,
-            "missed_inputs": found.missed_inputs,
-            "late_used": found.late_used,
+            "missing_inputs": found.missing_inputs,
+            "old_inputs": found.old_inputs,
             "strays": found.strays,
-            "external_strays": found.external_strays,
-            "not_awaited": found.not_awaited,
-            "plant_left_out": found.plant_left_out,
+            "too_late": found.too_late,
+            "left_out": found.left_out,
             "wall_s": self.wall_s,
-            "agents": [_account_data(name, entry) for name, entry in found.accounts.items()],
-            "external": [_account_data(name, entry) for name, entry in found.external.items()],
+            "agents": [account_data(name, entry) for name, entry in found.accounts.items()],
         }
 
     def _speed(self) -> float:
@@ -102,47 +104,23 @@ class Outcome:
 
     def _remarks(self) -> Iterator[str]:
         found = self.verification
-        if found.plant_left_out:
-            yield f"plant: left out, no {PROFILE_NAME} lies beside the recording"
-        if PLANT in found.plan.external and PLANT not in found.accounts:
-            yield "plant: left out, it is external"
-        for name, account in found.external.items():
-            count = account.counts.total()
-            first = f", the first in cycle {account.first.cycle}" if account.first else ""
+        for name, why in found.left_out.items():
+            yield f"{name}: left out, {why}"
+        if found.missing_inputs:
+            old = f"; {found.old_inputs:,} older ones are used again" if found.old_inputs else ""
             yield (
-                f"{name}: external, not held to what Heliarch's own would say: "
-                f"{account.compared:,} messages compared, {count:,} differences{first}"
-            )
-        if found.missed_inputs:
-            late = f"; {found.late_used:,} late words are used again" if found.late_used else ""
-            yield (
-                f"{found.missed_inputs:,} inputs had not come by their deadlines: the agents do "
-                f"without them again{late}"
+                f"{found.missing_inputs:,} inputs had not come by their deadlines: the agents do "
+                f"without them again{old}"
             )
         if found.stop_cycle is None:
             yield "the run or its recording broke off: what was under way then is not missed"
         if found.strays:
-            yield f"{found.strays:,} messages lie too far from their cycle to be compared"
-        if found.not_awaited:
+            yield f"{found.strays:,} messages belong to no cycle of the run"
+        if found.too_late:
             yield (
-                f"{found.not_awaited:,} messages come so long after those of their cycle that it "
+                f"{found.too_late:,} messages come so long after those of their cycle that it "
                 "was not kept for them: not compared"
             )
-        for name, count in found.external_strays.items():
-            yield (
-                f"{name}: external, {count:,} messages lie too far from their cycle: nobody uses "
-                "them, and they decide nothing"
-            )
-
-    def _finding(self, name: str, account: Account, first: Difference) -> Iterator[str]:
-        clock = RunClock(self.verification.plan, self.verification.plan.cycles - 1)
-        counts = ", ".join(f"{count:,} {_KINDS[kind]}" for kind, count in account.counts.items())
-        yield f"{name}: {counts}; the first in cycle {first.cycle} ({clock.text(first.cycle)})"
-        yield from _difference_lines(name, first)
-        if account.failure is not None and account.failure is not first:
-            moment = f"{account.failure.cycle} ({clock.text(account.failure.cycle)})"
-            yield f"{name}: the failure in cycle {moment}"
-            yield from _difference_lines(name, account.failure)
 
     def _verdict(self) -> str:
         found = self.verification
@@ -192,22 +170,17 @@ def _finite(value: Value) -> Value:
     return list(map(_finite, value)) if isinstance(value, list | tuple) else value
 
 
-def _gaps_text(gaps: Sequence[Gap]) -> str:
-    """Say which messages of an agent were not compared."""
-    messages = f"{sum(gap.messages for gap in gaps):,} messages"
-    first, last = gaps[0], gaps[-1]
-    if len(gaps) == 1 and last.open:
-        return f"from cycle {first.from_cycle} on not compared: {messages}"
-    if last.open:
-        return (
-            f"from cycle {first.from_cycle} on in part, from cycle {last.from_cycle} on not "
-            f"compared: {messages}"
-        )
-    spans = f" in {len(gaps):,} spans" if len(gaps) > 1 else ""
-    return (
-        f"from cycle {first.from_cycle} on not compared: {messages}{spans}, compared again after "
-        f"cycle {last.to_cycle}"
-    )
+def finding_lines(name: str, account: Account, clock: RunClock) -> Iterator[str]:
+    """Yield what there is to say of an agent with differences."""
+    first, failure = account.first, account.failure
+    if first is None:
+        return
+    counts = ", ".join(f"{count:,} {_KINDS[kind]}" for kind, count in account.counts.items())
+    yield f"{name}: {counts}; the first in cycle {first.cycle} ({clock.text(first.cycle)})"
+    yield from _difference_lines(name, first)
+    if failure is not None and failure is not first:
+        yield f"{name}: the failure in cycle {failure.cycle} ({clock.text(failure.cycle)})"
+        yield from _difference_lines(name, failure)
 
 
 def _agents(count: int) -> str:
@@ -217,9 +190,10 @@ def _agents(count: int) -> str:
 def _difference_lines(agent: str, difference: Difference) -> Iterator[str]:
     for line in _first_lines(difference):
         yield from _wrapped(line)
-    yield f"  inputs of {agent} in cycle {difference.cycle}"
-    for line in _input_lines(difference):
-        yield from _wrapped(line)
+    if difference.inputs or difference.missing:
+        yield f"  inputs of {agent} in cycle {difference.cycle}"
+        for line in _input_lines(difference):
+            yield from _wrapped(line)
 
 
 def _first_lines(first: Difference) -> Iterator[str]:
@@ -237,11 +211,12 @@ def _what(first: Difference) -> str:
     fields = _fields(first.message) if first.message is not None else ""
     texts: dict[Kind, str] = {
         "differs": "differs",
+        "two messages in one cycle": "differs, and an input has two messages in one cycle",
         "only recorded": f"recorded, not sent any more: {fields}",
         "only new": f"sent now, not in the recording: {fields}",
-        "other order": f"sent in another order: {first.text}",
         "recorded twice": f"recorded twice, the second time {fields}",
-        "input not recorded": "neither in the recording nor named as missing",
+        "not recorded": "the recording lacks messages before this one, its number shows it",
+        "input not recorded": "was used, and is not in the recording",
         "fails": first.text,
     }
     return texts[first.kind]
@@ -254,10 +229,8 @@ def _input_lines(first: Difference) -> Iterator[str]:
         yield f"    {key:{width}}  {_fields(message)}"
     if len(named) > _MOST_INPUTS:
         yield f"    and {len(named) - _MOST_INPUTS} more, all of them in --json"
-    if not named:
-        yield "    none"
     if first.missing:
-        yield f"    {in_words(first.missing, first.cycle)}"
+        yield f"    {in_words(first.missing)}"
 
 
 def _own_fields(message: Message) -> dict[str, Any]:
@@ -286,7 +259,8 @@ def _wrapped(line: str) -> list[str]:
     )
 
 
-def _account_data(name: str, account: Account) -> dict[str, Any]:
+def account_data(name: str, account: Account) -> dict[str, Any]:
+    """Return the comparison of one agent as plain data for JSON."""
     first = account.first
     return {
         "agent": name,
@@ -294,17 +268,8 @@ def _account_data(name: str, account: Account) -> dict[str, Any]:
         "compared": account.compared,
         "not_compared": account.not_compared,
         "not_compared_from": account.not_compared_from,
-        "gaps": [
-            {
-                "from_cycle": gap.from_cycle,
-                "to_cycle": gap.to_cycle,
-                "messages": gap.messages,
-                "compared_again": not gap.open,
-            }
-            for gap in account.gaps
-        ],
-        "missed_inputs": account.missed_inputs,
-        "late_used": account.late_used,
+        "missing_inputs": account.missing_inputs,
+        "old_inputs": account.old_inputs,
         "differences": dict(account.counts),
         "first": None if first is None else _difference_data(first),
         "failure": None if account.failure is None else _difference_data(account.failure),

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
+from agents.agent import Agent
 from agents.cycle import stage_place
 from agents.plan import RunPlan
-from agents.team import Controller, central_controller, direct_controller, supervisor
+from agents.team import controller
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Message
-from bus_schemas.signals import Port, ports
 from bus_schemas.tree import CENTRAL, PLANT, agent_name
 from launch_scripts.verification.account import Account, Difference
 from launch_scripts.verification.comparison import Comparison
-from launch_scripts.verification.recorded_cycles import CycleWalk
+from launch_scripts.verification.recorded_cycles import MOST_HELD, CycleWalk
+from launch_scripts.verification.recording_bus import RecentMessages
 from launch_scripts.verification.rerun import AgentRerun
 from recordings.reader import RunReader
 from sim_plant.plant import Plant
@@ -31,7 +31,7 @@ _SUBTREE: Final = "/*"
 _CUT_OFF_CYCLES: Final = 3
 """In the last cycles of a run that broke off messages are missing, and that is no finding."""
 
-_Make: TypeAlias = Callable[[], Controller]
+_Make: TypeAlias = Callable[[], Agent[Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class Verification:
     whole
         Whether the file was closed in order.
     stop_cycle
-        The first cycle that did not take place, by the plant's word; None if the run broke off.
+        The first cycle that did not take place, by the plant's message; None if the run broke off.
     last_cycle
         The last cycle of which the recording holds anything.
     cycles
@@ -55,22 +55,17 @@ class Verification:
     recorded
         Messages in the recording, of all agents.
     not_decided
-        Those of them that no agent decides: the beginning and end of the run, and what processes
-        count of themselves. They are not compared.
+        Those of them that no agent decides: the beginning and end of the run. They are not
+        compared.
     strays
-        Messages that belong to no cycle of the run, or that lie too far from theirs.
-    external_strays
-        Those of external agents, by agent: they decide nothing.
-    not_awaited
-        Messages of agents that were re-run that lie too far behind their cycle, after others had
-        been held back for them as long as memory allows.
+        Messages that belong to no cycle of the run.
+    too_late
+        Messages of agents that were re-run that lie so far behind their cycle that it was not kept
+        for them: not compared.
     accounts
         Of each agent that was re-run.
-    plant_left_out
-        Whether the plant would have been re-run if the run's profile were there.
-    external
-        Accounts of external agents: what Heliarch's own say in their place. Nobody holds them to
-        it, so their differences do not count, unless they were asked for by name.
+    left_out
+        Agents that were not re-run and why, by name.
     """
 
     recording: Path
@@ -82,15 +77,13 @@ class Verification:
     recorded: int
     not_decided: int
     strays: int
-    external_strays: dict[str, int]
-    not_awaited: int
+    too_late: int
     accounts: dict[str, Account]
-    plant_left_out: bool
-    external: dict[str, Account] = field(default_factory=dict)
+    left_out: dict[str, str]
 
     @property
     def compared(self) -> int:
-        """Pairs of messages that were held against each other."""
+        """Pairs of messages that were compared."""
         return sum(account.compared for account in self.accounts.values())
 
     @property
@@ -102,12 +95,12 @@ class Verification:
     def not_compared(self) -> int:
         """Messages that could not be compared, since others are lost or their agent failed."""
         left_out = sum(account.not_compared for account in self.accounts.values())
-        return left_out + self.not_awaited
+        return left_out + self.too_late
 
     @property
     def undecided(self) -> bool:
         """Whether messages could not be compared other than where a run broke off."""
-        if self.stop_cycle is not None or self.not_awaited:
+        if self.stop_cycle is not None or self.too_late:
             return self.not_compared > 0
         froms = [account.not_compared_from for account in self.accounts.values()]
         cut_off_from = self.last_cycle - _CUT_OFF_CYCLES
@@ -125,26 +118,22 @@ class Verification:
 
     def _moment(self, agent: str, difference: Difference) -> tuple[int, int]:
         tree = self.plan.tree
-        last = stage_place(PLANT, "advance", tree)
-        try:
-            place = stage_place(agent, difference.stage, tree)
-        except KeyError:  # No stage sends it, or one that the code under test has invented.
-            place = last
-        return difference.cycle, place
+        stage = difference.stage
+        return difference.cycle, stage_place(agent, stage, tree) if stage else 0
 
     @property
-    def missed_inputs(self) -> int:
+    def missing_inputs(self) -> int:
         """Inputs that the agents had to do without when the run was recorded."""
-        return sum(account.missed_inputs for account in self.accounts.values())
+        return sum(account.missing_inputs for account in self.accounts.values())
 
     @property
-    def late_used(self) -> int:
-        """Late words that the agents used when the run was recorded."""
-        return sum(account.late_used for account in self.accounts.values())
+    def old_inputs(self) -> int:
+        """Older inputs that the agents used in place of those that were due."""
+        return sum(account.old_inputs for account in self.accounts.values())
 
     @property
     def equal(self) -> bool:
-        """Whether every agent says what it said, as far as the recording can tell."""
+        """Whether every agent publishes what it published, as far as the recording can tell."""
         return not self.differences and not self.strays and not self.undecided
 
 
@@ -154,14 +143,14 @@ def verify(
     comparison: Comparison,
     progress: Callable[[int, int], None] = lambda cycle, cycles: None,
 ) -> Verification:
-    """Re-run agents on the inputs of a recording and compare what they say.
+    """Re-run agents on the inputs of a recording and compare what they publish.
 
     Parameters
     ----------
     run
         Folder of the run, or its MCAP file.
     nodes
-        Agents to re-run, see `select_agents`. None: all.
+        Agents to re-run, see `select_agents`. None: all but external ones.
     comparison
         What counts as equal.
     progress
@@ -173,44 +162,45 @@ def verify(
         There is no such recording or node, or the recording holds nothing to compare.
     """
     with RunReader(run) as reader:
-        plan = reader.plan
-        names = select_agents(plan, nodes)
-        foreign = set() if nodes else set(plan.external)
-        if PLANT in foreign:  # Its sky is its own.
-            names = tuple(name for name in names if name != PLANT)
-        team, plant_left_out = _team(plan, names, reader.path, asked_for=bool(nodes))
-        says = _ports_by_publisher(plan)
+        plan, stop_cycle = reader.plan, reader.stop_cycle
+        team, left_out = _team(plan, nodes, reader.path)
+        walk = CycleWalk(
+            reader.messages(by_time=False),
+            plan.tree,
+            plan.cycles,
+            plan.external,
+            max(MOST_HELD, len(plan.keys.ports) * (plan.periods.longest + 2)),
+        )
+        recent = RecentMessages(plan)
         reruns = [
-            AgentRerun(name, make, says[name], plan, comparison) for name, make in team.items()
+            AgentRerun(name, make, plan, walk, recent, stop_cycle, comparison)
+            for name, make in team.items()
         ]
-        messages = reader.messages(by_time=False)
-        walk = CycleWalk(messages, plan.tree, plan.cycles, external=plan.external)
         cycles = 0
         for cycle in walk:
+            if stop_cycle is not None and cycle.number >= stop_cycle:
+                break  # Some may have begun it all the same.
+            recent.add(cycle)
             for rerun in reruns:
                 rerun.take(cycle)
             cycles += bool(cycle.messages)
             progress(cycle.number, plan.cycles)
-        for rerun in reruns:
-            rerun.conclude(walk.stop_cycle, walk.newest)
         found = Verification(
             reader.path,
             plan,
             reader.whole,
-            walk.stop_cycle,
-            max(walk.newest.values(), default=-1),
+            stop_cycle,
+            max(walk.newest.values()),
             cycles,
             walk.read,
             walk.not_decided,
             walk.strays,
-            dict(walk.external_strays),
-            sum(walk.not_awaited[rerun.name] for rerun in reruns),
-            {rerun.name: rerun.account for rerun in reruns if rerun.name not in foreign},
-            plant_left_out,
-            {rerun.name: rerun.account for rerun in reruns if rerun.name in foreign},
+            sum(walk.too_late[name] for name in team if name not in plan.external),
+            {rerun.name: rerun.account for rerun in reruns},
+            left_out,
         )
     if not found.compared and found.equal:
-        raise InputError(f"{found.recording}: no message of {', '.join(names)}: nothing to verify")
+        raise InputError(f"{found.recording}: no message of {', '.join(team)}: nothing to verify")
     return found
 
 
@@ -261,40 +251,33 @@ def run_profile(plan: RunPlan, recording: Path) -> Profile | None:
     shape = (plan.cycles, len(plan.inverters))
     if profile.mpp_kw.shape != shape:
         raise InputError(
-            f"{path}: {profile.mpp_kw.shape} cycles and inverters, accepted is the profile of the "
+            f"{path}: {profile.mpp_kw.shape} cycles and inverters, expected the profile of the "
             f"recorded run, {shape}"
         )
     return profile
 
 
 def _team(
-    plan: RunPlan, names: Sequence[str], recording: Path, *, asked_for: bool
-) -> tuple[dict[str, _Make], bool]:
-    """Return how each agent is made; the plant only if the profile of the run is there."""
-    team: dict[str, _Make] = {name: partial(_controller, plan, name) for name in names}
-    if PLANT not in names:
-        return team, False
-    profile = run_profile(plan, recording)
-    if profile is not None:
-        return team | {PLANT: partial(Plant, plan.tree, profile, plan.actuator)}, False
-    if asked_for:
-        raise InputError(
-            f"--node {PLANT}: it can be re-run if {PROFILE_NAME} lies beside {recording}"
-        )
-    del team[PLANT]
-    return team, True
+    plan: RunPlan, nodes: Sequence[str], recording: Path
+) -> tuple[dict[str, _Make], dict[str, str]]:
+    """Return how each agent is made, and the agents that are left out, with the reason.
 
-
-def _controller(plan: RunPlan, name: str) -> Controller:
-    if name == CENTRAL:
-        return central_controller(plan)
-    return direct_controller(plan, name) if name in plan.tree.leaves else supervisor(plan, name)
-
-
-def _ports_by_publisher(plan: RunPlan) -> dict[str, list[Port[Message]]]:
-    """Return for each agent the ports of its recorded outputs: of what it decides."""
-    found: dict[str, list[Port[Message]]] = {}
-    for port in ports(plan.tree):
-        if port.signal.logged and port.signal.decided:
-            found.setdefault(port.publisher, []).append(port)
-    return found
+    The plant is re-run if the run's profile is there, an external agent if it is asked for: what
+    Heliarch's own would publish in its place, it need not have published.
+    """
+    team: dict[str, _Make] = {}
+    left_out: dict[str, str] = {}
+    for name in select_agents(plan, nodes):
+        if name in plan.external and not nodes:
+            left_out[name] = "it is external"
+        elif name != PLANT:
+            team[name] = partial(controller, plan, name)
+        elif (profile := run_profile(plan, recording)) is not None:
+            team[name] = partial(Plant, plan, profile)
+        elif nodes:
+            raise InputError(
+                f"--node {PLANT}: it can be re-run if {PROFILE_NAME} lies beside {recording}"
+            )
+        else:
+            left_out[name] = f"no {PROFILE_NAME} lies beside the recording"
+    return team, left_out

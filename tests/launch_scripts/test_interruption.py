@@ -5,10 +5,16 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 
 import pytest
 
 from launch_scripts.interruption import interruptions_wait
+from launch_scripts.preparation import RunOptions, prepare
+from launch_scripts.scenario import load_scenario
+from launch_scripts.timing import delay_study
+
+PREPARED = prepare(load_scenario("oahu"), RunOptions(duration="5"), "interrupted")
 
 _INTERRUPT_ONESELF = """
 import os, signal
@@ -49,3 +55,67 @@ def test_a_process_that_is_started_meanwhile_ends_without_a_word_once_it_has_imp
     told, complained = process.communicate(timeout=60)
     assert (told, complained) == ("imported\n", "")
     assert process.returncode == -signal.SIGINT
+
+
+def test_the_workers_of_a_study_are_started_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[bool] = []
+    initializers: list[Callable[[], None]] = []
+
+    class Pool:
+        def __init__(self, workers: int, *, initializer: Callable[[], None], **_: object) -> None:
+            initializers.append(initializer)
+
+        def submit(self, *_: object) -> int:
+            seen.append(is_held_back())
+            return len(seen)
+
+        def shutdown(self, *, cancel_futures: bool) -> None:
+            assert cancel_futures
+
+    def nothing(_: object) -> Iterator[object]:
+        yield from ()
+
+    ready: list[str] = []
+    monkeypatch.setattr(delay_study, "die_with_parent", lambda: ready.append("dies with us"))
+    monkeypatch.setattr(delay_study, "end_when_interrupted", lambda: ready.append("hears Ctrl-C"))
+    monkeypatch.setattr(delay_study, "ProcessPoolExecutor", Pool)
+    monkeypatch.setattr(delay_study, "as_completed", nothing)
+    chosen = delay_study.conditions(1.0, 3600.0)
+    assert list(delay_study.run_study_over(PREPARED.plan, PREPARED.profile, chosen, 2)) == []
+    assert seen == [True] * len(chosen)
+    assert not is_held_back()
+    (begin_worker,) = initializers
+    begin_worker()
+    assert ready == ["dies with us", "hears Ctrl-C"]
+
+
+def test_workers_of_a_study_that_did_not_hear_the_signal_are_ended(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ended: list[str] = []
+
+    class Worker:
+        def terminate(self) -> None:
+            ended.append("worker")
+
+    class Pool:
+        def __init__(self, *_: object, **__: object) -> None:
+            pass
+
+        def submit(self, *_: object) -> int:
+            return 0
+
+        def shutdown(self, *, cancel_futures: bool) -> None:
+            assert cancel_futures
+            ended.append("pool")
+
+    def interrupted(_: object) -> Iterator[object]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(delay_study, "ProcessPoolExecutor", Pool)
+    monkeypatch.setattr(delay_study, "as_completed", interrupted)
+    monkeypatch.setattr("multiprocessing.active_children", lambda: [Worker()])
+    chosen = delay_study.conditions(1.0, 3600.0)
+    with pytest.raises(KeyboardInterrupt):
+        list(delay_study.run_study_over(PREPARED.plan, PREPARED.profile, chosen, 2))
+    assert ended == ["worker", "pool"], "it waits for what has been ended alone"

@@ -1,10 +1,10 @@
-"""When messages are due: spacing on the tape, rate, pause and seek."""
+"""When messages are due: spacing on the recorded, rate, pause and seek."""
 
 from __future__ import annotations
 
 import pytest
 from clock_by_hand import ClockByHand
-from tapes_by_hand import CYCLE_NS, PLAN
+from runs_by_hand import CYCLE_NS, PLAN
 
 from bus_schemas.signals import IMPP
 from launch_scripts.replay.clock import PlaybackClock, RecordedSpacing, SimulatedSpacing

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from clock_by_hand import ClockByHand
-from tapes_by_hand import PLAN, Said, run_in_memory, write
+from runs_by_hand import PLAN, Said, run_in_memory, write
 
 from bus_schemas.codec import encode
 from bus_schemas.messages import Clock
@@ -18,8 +18,8 @@ from launch_scripts.replay.clock import PlaybackClock, RecordedSpacing
 from launch_scripts.replay.keyboard import Key
 from launch_scripts.replay.player import Player, Span
 from launch_scripts.replay.progress import ProgressLine
+from launch_scripts.replay.recorded_run import RecordedRun
 from launch_scripts.replay.selection import Selection, select
-from launch_scripts.replay.tape import Tape
 
 SAID = run_in_memory()
 ALL = Span(0, None)
@@ -69,7 +69,7 @@ class NoHands:
     """Nobody presses a key."""
 
     def wait(self, seconds: float) -> list[Key]:
-        assert seconds == 0.0, "a tape that plays does not stop to look at the keyboard"
+        assert seconds == 0.0, "a recorded that plays does not stop to look at the keyboard"
         return []
 
 
@@ -92,9 +92,9 @@ def player(
     interruption: Interruption | None = None,
 ) -> Iterator[Player]:
     """A player of the recording, as fast as possible, on the clock of who hears it."""
-    with Tape(recorded) as tape:
+    with RecordedRun(recorded) as run:
         yield Player(
-            tape,
+            run,
             span,
             selection or select(PLAN),
             heard,
@@ -135,7 +135,7 @@ def test_all_bytes_go_out_on_their_keys_in_their_order(recorded: Path) -> None:
     assert heard.payloads == payloads(SAID)
     assert heard.keys == [PLAN.keys.key(entry.port) for entry in SAID]
     assert (played.played.messages, played.played.cycles) == (len(SAID), 40)
-    assert played.played.timing.get_total_count() == 0  # as fast as possible: nothing is due
+    assert played.played.timing.figures() is None  # as fast as possible: nothing is due
 
 
 def test_each_cycle_is_announced_with_its_simulated_time(recorded: Path) -> None:
@@ -185,8 +185,10 @@ def test_each_message_is_sent_when_it_is_due_and_all_is_timed(recorded: Path) ->
         played.play()
     due_ns = due_at_a_quarter(5, 9, heard.moments_ns[0])
     assert heard.moments_ns == due_ns
-    assert played.played.timing.get_total_count() == len(due_ns)
-    assert played.played.timing.get_max_value() < 1_000
+    figures = played.played.timing.figures()
+    assert figures is not None
+    assert figures.count == len(due_ns)
+    assert figures.max_us < 1.0
 
 
 def test_what_a_stall_delayed_goes_out_at_once_and_later_messages_are_in_time_again(
@@ -207,7 +209,9 @@ def test_what_a_stall_delayed_goes_out_at_once_and_later_messages_are_in_time_ag
     assert heard.moments_ns == due_ns[: stalled_at + 1] + delayed
     assert delayed[-1] == due_ns[-1]
     # The one that took so long to send is late by all of it.
-    assert played.played.timing.get_max_value() == pytest.approx(stall_ns, rel=0.01)
+    figures = played.played.timing.figures()
+    assert figures is not None
+    assert figures.max_us == pytest.approx(stall_ns / 1e3, rel=0.01)
 
 
 def test_while_it_is_paused_nothing_goes_out_but_the_word_that_it_is(recorded: Path) -> None:
@@ -228,7 +232,7 @@ def test_a_step_sends_one_cycle(recorded: Path) -> None:
     ends = [0, *(len(step(0, cycle)) for cycle in (0, 0, 1, 2))]
     assert hands.heard_at_keys == ends
     assert heard.payloads == step(0, 2)
-    assert played.played.timing.get_total_count() == 0  # a step has no due time
+    assert played.played.timing.figures() is None  # a step has no due time
 
 
 def test_space_goes_on_from_where_it_stands(recorded: Path) -> None:

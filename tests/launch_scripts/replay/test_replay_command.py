@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from tapes_by_hand import PLAN, run_in_memory, write
+from runs_by_hand import PLAN, run_in_memory, write
 from typer.testing import CliRunner, Result
 
 from launch_scripts.cli import app
@@ -39,7 +39,7 @@ def test_it_says_where_subscribers_connect_and_what_it_came_to(recorded: Path) -
     result = replay(recorded)
     assert result.exit_code == 0, result.output
     assert "endpoint tcp/127.0.0.1:" in result.stdout
-    assert "keys tape-1/field/**" in result.stdout
+    assert "keys recorded-1/field/**" in result.stdout
     assert f"replayed {len(SAID):,} messages of 40 cycles" in result.stdout
     assert "timing error, sent less due: p50" in result.stdout
 
@@ -92,7 +92,6 @@ def test_a_recording_that_was_cut_is_replayed_up_to_the_cut(recorded: Path, tmp_
         (["--from", "noon"], "--start-offset noon: not understood"),
         (["--duration", "-3"], "--duration -3: accepted are seconds above 0"),
         (["--signals", "imp"], "near are impp"),
-        (["--remap", "field/c7=x"], "no key that is replayed begins with field/c7"),
         (["--listen", "7447"], "--listen 7447: accepted is an address such as tcp/127.0.0.1:7447"),
         (["--listen", "tcp/127.0.0.1:99999"], "--listen tcp/127.0.0.1:99999: "),
         (["--namespace", "a*"], "--namespace 'a*': accepted are names"),
@@ -102,7 +101,6 @@ def test_a_recording_that_was_cut_is_replayed_up_to_the_cut(recorded: Path, tmp_
         (["--live", "plant"], "--live: node 'plant': not in this run"),
         (["--live", "c1", "--rate", "2"], "--rate: not accepted with --live"),
         (["--live", "c1", "--loop"], "--loop: not accepted with --live"),
-        (["--live", "c1", "--remap", "a=b"], "--remap: not accepted with --live"),
         (["--live", "c1", "--from", "9"], "--start-offset: not accepted with --live"),
     ],
 )

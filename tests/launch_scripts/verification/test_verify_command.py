@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
-from troubled_runs import AGENTS, TroubledRun, cloudy_profile, lockstep_run, plan_of, record
+from recorded_runs import AGENTS, cloudy_profile, faulty_plan, plan_of, published, record
 from typer.testing import CliRunner, Result
 
 from agents.agent import Turn
@@ -23,7 +23,7 @@ from sim_plant.plant import Plant, PlantState
 
 PLAN = plan_of(cycles=8)
 PROFILE = cloudy_profile(PLAN)
-SAID = lockstep_run(PLAN, PROFILE)
+PUBLISHED = published(PLAN, PROFILE)
 
 
 def heliarch_verify(*words: str | Path) -> Result:
@@ -43,7 +43,7 @@ def refused(*words: str | Path) -> str:
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
     """Folder of a run of two tiers in lockstep."""
-    return record(tmp_path / "run", PLAN, SAID, PROFILE)
+    return record(tmp_path / "run", PLAN, PUBLISHED, PROFILE)
 
 
 @pytest.fixture
@@ -55,7 +55,7 @@ def changed(tmp_path: Path) -> Path:
             return port, replace(message, alpha=0.0625)
         return port, message
 
-    return record(tmp_path / "changed", PLAN, [change(*pair) for pair in SAID], PROFILE)
+    return record(tmp_path / "changed", PLAN, [change(*pair) for pair in PUBLISHED], PROFILE)
 
 
 # What it says -------------------------------------------------------------------------------------
@@ -64,10 +64,10 @@ def changed(tmp_path: Path) -> Path:
 def test_an_equal_run_ends_with_status_0(run: Path) -> None:
     result = heliarch_verify(run)
     assert result.exit_code == 0, result.output
-    count = len(SAID) - 2
+    count = len(PUBLISHED) - 2
     assert f"8 cycles, 8 agents re-run, {count} of {count + 2} messages compared" in result.stdout
     assert result.stdout.splitlines()[-1] == (
-        "equal bit for bit; left out: publish_time_ns, sequence"
+        "equal bit for bit; left out: ready_time_ns, publish_time_ns, sequence"
     )
 
 
@@ -78,7 +78,7 @@ def test_a_difference_is_shown_with_its_place_its_values_and_its_inputs(changed:
     assert "  c2/d/command (stage actuate): differs" in result.stdout
     assert "    alpha  recorded  0.0625\n           new       " in result.stdout
     assert "  inputs of c2/d in cycle 3" in result.stdout
-    for signal in ("request", "setpoint", "telemetry"):
+    for signal in ("setpoint", "telemetry"):
         assert f"    c2/d/{signal}" in result.stdout
     assert result.stdout.splitlines()[-1].endswith("the first: c2/d/command, by c2/d in cycle 3")
     assert max(map(len, result.stdout.splitlines()[1:])) <= 100
@@ -114,7 +114,7 @@ def test_the_json_has_the_difference_whole(changed: Path, tmp_path: Path) -> Non
     path = tmp_path / "outcome.json"
     assert heliarch_verify(changed, "--json", path).exit_code == 1
     (outcome,) = json.loads(path.read_text())["runs"]
-    assert outcome["compared"] == len(SAID) - 2
+    assert outcome["compared"] == len(PUBLISHED) - 2
     assert [entry["agent"] for entry in outcome["agents"]] == list(AGENTS)
     found = {entry["agent"]: entry for entry in outcome["agents"]}["c2/d"]
     assert found["differences"] == {"differs": 1}
@@ -135,7 +135,7 @@ def test_the_json_tells_numbers_that_are_none_from_null(
             return port, replace(message, alpha=float(value))
         return port, message
 
-    folder = record(tmp_path / "run", PLAN, [change(*pair) for pair in SAID])
+    folder = record(tmp_path / "run", PLAN, [change(*pair) for pair in PUBLISHED])
     result = heliarch_verify(folder, "--node", "c2/d", "--json", "-")
     (outcome,) = json.loads(result.stdout)["runs"]
     first = outcome["agents"][0]["first"]
@@ -152,20 +152,25 @@ def test_a_full_disk_is_one_line(run: Path) -> None:
 
 def test_what_was_allowed_is_named_in_the_verdict(changed: Path) -> None:
     for words, verdict in [
-        (["--ignore", "alpha,power_kw"], "equal except for alpha, power_kw, publish_time_ns, seq"),
-        (["--tolerance", "1"], "equal within 1 except for publish_time_ns, sequence"),
+        (
+            ["--ignore", "alpha,power_kw"],
+            "equal except for alpha, power_kw, ready_time_ns, publish_time_ns, seq",
+        ),
+        (
+            ["--tolerance", "1"],
+            "equal within 1 except for ready_time_ns, publish_time_ns, sequence",
+        ),
     ]:
         result = heliarch_verify(changed, "--node", "c2/d", *words)
         assert result.stdout.splitlines()[-1].startswith(verdict)
 
 
 def test_a_run_in_real_time_says_how_many_inputs_were_missed(tmp_path: Path) -> None:
-    plan = plan_of(cycles=20, cycle_wall_ns=1_000_000)
-    troubled = TroubledRun(plan, cloudy_profile(plan), seed=5)
-    folder = record(tmp_path / "run", plan, troubled.run(), troubled.profile)
-    result = heliarch_verify(folder)
+    plan = faulty_plan(cycles=20)
+    profile = cloudy_profile(plan)
+    result = heliarch_verify(record(tmp_path / "run", plan, published(plan, profile), profile))
     assert result.exit_code == 0, result.output
-    assert f"{troubled.missing_inputs} inputs had not come by their deadlines" in result.stdout
+    assert "inputs had not come by their deadlines" in result.stdout
 
 
 def test_without_the_profile_the_plant_is_left_out_and_it_is_said(run: Path) -> None:
@@ -177,7 +182,7 @@ def test_without_the_profile_the_plant_is_left_out_and_it_is_said(run: Path) -> 
 
 
 def test_a_run_that_broke_off_is_verified_as_far_as_it_goes(run: Path) -> None:
-    record(run, PLAN, SAID[: len(SAID) // 2])
+    record(run, PLAN, PUBLISHED[: len(PUBLISHED) // 2])
     result = heliarch_verify(run)
     assert result.exit_code == 0, result.output
     assert "the run or its recording broke off" in result.stdout
@@ -203,13 +208,11 @@ def test_the_plant_without_its_profile_is_refused(run: Path) -> None:
 
 def test_the_profile_of_another_run_is_refused(run: Path) -> None:
     cloudy_profile(plan_of(cycles=9)).save(run / PROFILE_NAME)
-    assert "(9, 4) cycles and inverters, accepted is the profile of the recorded run" in refused(
-        run
-    )
+    assert "(9, 4) cycles and inverters, expected the profile of the recorded run" in refused(run)
 
 
 def test_a_recording_without_a_message_to_compare_is_refused(run: Path) -> None:
-    record(run, PLAN, [SAID[0]])
+    record(run, PLAN, [PUBLISHED[0]])
     assert "nothing to verify" in refused(run)
 
 
@@ -261,7 +264,7 @@ def changed_code(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def bold(self: DirectController, *words: object) -> None:
         right(self, *words)  # type: ignore[arg-type]
-        self.alpha_min = 0.5
+        self._alpha_min = 0.5
 
     monkeypatch.setattr(DirectController, "__init__", bold)
 
@@ -329,12 +332,9 @@ def test_there_is_nothing_to_accept_where_nothing_changed(run: Path) -> None:
 def test_a_recording_that_a_simulation_cannot_make_anew_is_not_replaced(
     run: Path, tmp_path: Path
 ) -> None:
-    plan = plan_of(cycles=8, cycle_wall_ns=1_000_000)
-    troubled = TroubledRun(plan, PROFILE, seed=5)
-    in_real_time = record(tmp_path / "real", plan, troubled.run(), PROFILE)
-    assert "recorded by launch in real time, accepted is a run of" in refused(
-        in_real_time, "--accept"
-    )
+    plan = faulty_plan(cycles=8)
+    in_real_time = record(tmp_path / "real", plan, published(plan, PROFILE), PROFILE)
+    assert "recorded by launch in real time, expected a run of" in refused(in_real_time, "--accept")
     assert "accepted is no --node with it" in refused(run, "--accept", "--node", "c1")
     (run / PROFILE_NAME).unlink()
     assert f"no {PROFILE_NAME} lies beside" in refused(run, "--accept")

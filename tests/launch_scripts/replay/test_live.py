@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
-from tapes_by_hand import PLAN, run_in_memory
+from runs_by_hand import PLAN, run_in_memory
 
 from bus_schemas.codec import encode
 from bus_schemas.links import explicit_links
-from bus_schemas.messages import Residual
-from bus_schemas.signals import (
-    COMMAND,
-    HELP,
-    IMPP,
-    REQUEST,
-    RESIDUAL,
-    SETPOINT,
-    Occurrence,
-)
+from bus_schemas.messages import Impp
+from bus_schemas.signals import COMMAND, IMPP, SETPOINT, Occurrence
 from bus_schemas.tree import RECORDER
-from launch_scripts.replay.arming import first_words
-from launch_scripts.replay.live import by_cycle
-from launch_scripts.replay.stand_in import live_plan, steady_ports
+from launch_scripts.replay.absent_agents import live_plan, steady_ports
+from launch_scripts.replay.live import LiveComparison, by_cycle
+from launch_scripts.verification.comparison import FieldDifference
 from recordings.reader import RecordedMessage
 
 SAID = run_in_memory()
 
 
 def records() -> list[RecordedMessage]:
-    """A run as a tape gives it."""
+    """A run as a recorded gives it."""
     return [
         RecordedMessage(
             port,
@@ -79,26 +73,8 @@ def test_what_must_come_in_a_cycle_is_what_came_in_the_run() -> None:
 def test_the_central_controller_speaks_down_in_its_turns_alone() -> None:
     assert SETPOINT.of("c1") in steady_ports(PLAN, ("central",), 0)
     assert SETPOINT.of("c1") not in steady_ports(PLAN, ("central",), 1)
-    assert REQUEST.of("c1/a") in steady_ports(PLAN, ("c1",), 1)
+    assert SETPOINT.of("c1/a") in steady_ports(PLAN, ("c1",), 1)
     assert COMMAND.of("c1/a") in steady_ports(PLAN, ("c1/a",), 1)
-
-
-def test_the_first_words_are_all_that_live_agents_need_to_close_a_round() -> None:
-    words = dict(first_words(PLAN, ("c1",), records()))
-    needed = {IMPP.of("c1/a"), RESIDUAL.of("c1/b"), REQUEST.of("c1"), SETPOINT.of("c1")}
-    assert needed <= set(words)
-    assert not any(port.publisher == "c1" for port in words)
-    for port, message in words.items():
-        if isinstance(message, Residual):
-            assert (HELP.of(port.node) in words) == (message.power_kw < 0.0)
-
-
-def test_a_port_that_was_silent_at_first_speaks_with_what_it_said_later() -> None:
-    later = [
-        record for record in records() if record.port is not IMPP.of("c2/d") or record.cycle > 4
-    ]
-    words = dict(first_words(PLAN, ("c1/a",), later))
-    assert words[IMPP.of("c2/d")].cycle == 5
 
 
 def test_messages_are_grouped_by_cycle_though_one_agent_is_ahead_of_another() -> None:
@@ -114,7 +90,58 @@ def test_messages_are_grouped_by_cycle_though_one_agent_is_ahead_of_another() ->
 
 
 def test_what_comes_after_its_cycle_is_not_lost() -> None:
-    tape = records()
-    tape.append(tape.pop(40)._replace(cycle=1))
-    groups = dict(by_cycle(tape, 2))
+    recorded = records()
+    recorded.append(recorded.pop(40)._replace(cycle=1))
+    groups = dict(by_cycle(recorded, 2))
     assert sum(len(group) for group in groups.values()) == len(SAID)
+
+
+# What they say -----------------------------------------------------------------------------------
+
+
+def impp(cycle: int, power_kw: float = 50.0) -> Impp:
+    """What an inverter's controller states in a cycle."""
+    return Impp(cycle, 0, "c1/a", (), power_kw=power_kw, stale_cycles=0)
+
+
+@pytest.mark.parametrize("new_first", [False, True])
+@pytest.mark.parametrize("new_kw", [50.0, math.nextafter(50.0, 60.0)])
+def test_messages_are_compared_bit_for_bit_whichever_comes_first(
+    new_kw: float, new_first: bool
+) -> None:
+    comparison, port = LiveComparison(PLAN, ["c1/a"]), IMPP.of("c1/a")
+    if new_first:
+        comparison.take_new(port, impp(3, new_kw))
+    comparison.take_recorded(port, impp(3))
+    if not new_first:
+        comparison.take_new(port, impp(3, new_kw))
+    comparison.conclude(10)
+    account = comparison.accounts["c1/a"]
+    assert account.compared == 1
+    if new_kw == 50.0:
+        assert not account.counts
+    else:
+        assert account.first is not None
+        assert (account.first.kind, account.first.stage) == ("differs", "estimate")
+        assert account.first.fields == (FieldDifference("power_kw", 50.0, new_kw),)
+
+
+def test_a_message_without_its_counterpart_is_a_difference_up_to_the_end() -> None:
+    comparison, port = LiveComparison(PLAN, ["c1/a"]), IMPP.of("c1/a")
+    comparison.take_recorded(port, impp(4))
+    comparison.take_new(port, impp(2))
+    comparison.take_recorded(port, impp(10))
+    comparison.conclude(10)
+    account = comparison.accounts["c1/a"]
+    assert account.counts == {"only recorded": 1, "only new": 1}
+    assert account.first is not None
+    assert account.first.cycle == 2
+
+
+def test_a_message_that_came_twice_is_one_too_many() -> None:
+    comparison, port = LiveComparison(PLAN, ["c1/a"]), IMPP.of("c1/a")
+    comparison.take_recorded(port, impp(3))
+    comparison.take_new(port, impp(3))
+    comparison.take_new(port, impp(3))
+    comparison.conclude(10)
+    assert comparison.accounts["c1/a"].counts == {"only new": 1}

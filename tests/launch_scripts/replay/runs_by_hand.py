@@ -23,7 +23,7 @@ STEP_NS = 100_000
 """Between two messages of a run by hand."""
 
 PLAN = RunPlan(
-    run_id="tape-1",
+    run_id="recorded-1",
     plant="field",
     inverters=(("c1/a", 100.0), ("c1/b", 100.0), ("c2/c", 100.0), ("c2/d", 100.0)),
     start_time_ns=1_270_159_200_000_000_000,  # 2010-04-01 12:00:00 in Honolulu

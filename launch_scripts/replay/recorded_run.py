@@ -1,4 +1,4 @@
-"""A recording as a tape: payloads as they were on the wire, in the order of their publishing."""
+"""A recording to be replayed: payloads as they were on the wire, in the order of publishing."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _STRAGGLER_CYCLES: Final = 10
 _ENDLESS: Final = 1 << 62
 
 
-class Tape:
+class RecordedRun:
     """The messages of a recording; of one that was cut, those up to the cut.
 
     Parameters
@@ -96,7 +96,7 @@ class Tape:
         """Close the file."""
         self._reader.close()
 
-    def __enter__(self) -> Tape:
+    def __enter__(self) -> RecordedRun:
         return self
 
     def __exit__(self, *error: object) -> None:
