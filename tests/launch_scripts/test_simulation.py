@@ -16,8 +16,8 @@ from bus_schemas.signals import (
     DISPATCH,
     HELP,
     IMPP,
-    PRODUCTION,
     METER,
+    PRODUCTION,
     RESIDUAL,
     RUN,
     SETPOINT,
@@ -225,7 +225,10 @@ def wire(prepared: Preparation) -> list[tuple[str, bytes]]:
     told = tell(prepared.plan, prepared.profile)
     keys = prepared.plan.keys
     return [
-        (keys.key(port), encode(msgspec.structs.replace(message, publish_time_ns=0, ready_time_ns=0)))
+        (
+            keys.key(port),
+            encode(msgspec.structs.replace(message, publish_time_ns=0, ready_time_ns=0)),
+        )
         for port, message in told.messages
         if port.signal is not RUN
     ]

@@ -98,9 +98,7 @@ def test_twenty_kills_at_random_moments(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits a process from outside: Linux only")
-def test_a_full_disk_ends_the_recording_and_not_the_plant(
-    heliarch: Start, tmp_path: Path
-) -> None:
+def test_a_full_disk_ends_the_recording_and_not_the_plant(heliarch: Start, tmp_path: Path) -> None:
     run = heliarch("launch", small_plant(tmp_path / "plant"), "--duration", "15m")
     run.until(lambda: recorded_cycles(run.folder) > 0, "cycles that can be read on disk")
     full = (run.folder / "run.mcap").stat().st_size + 20_000
