@@ -42,10 +42,22 @@ def run_controller(plan: RunPlan, name: str, link: LauncherLink) -> int:
     return run_guarded(name, link, lambda: _run_controller(plan, name, link))
 
 
-def run_guarded(name: str, link: LauncherLink, run: Callable[[], None]) -> int:
-    """Run an agent; tell the launcher if it gives up. Returns the exit status."""
+def run_guarded(
+    name: str,
+    link: LauncherLink,
+    run: Callable[[], None],
+    expected: tuple[type[Exception], ...] = (),
+) -> int:
+    """Run an agent; tell the launcher if it gives up. Returns the exit status.
+
+    The text of an `expected` error says all that there is to say.
+    """
     try:
         run()
+    except expected as error:
+        log.error("%s gives up: %s", name, error)
+        link.tell(Failed(str(error)))
+        return 1
     except Exception as error:
         log.exception("%s gives up", name)
         link.tell(Failed(f"{type(error).__name__}: {error}"))

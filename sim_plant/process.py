@@ -6,7 +6,7 @@ from agents.launcher_link import LauncherLink
 from agents.plan import RunPlan
 from agents.process import Seat, run_guarded
 from bus_schemas.tree import PLANT
-from sim_plant.conductor import Conductor
+from sim_plant.conductor import ArmingError, Conductor
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
 
@@ -18,4 +18,4 @@ def run_plant(plan: RunPlan, profile: Profile, link: LauncherLink, patience_s: f
         with Seat(plan, Plant(plan, profile), link) as seat:
             Conductor(seat, patience_s).conduct()
 
-    return run_guarded(PLANT, link, run)
+    return run_guarded(PLANT, link, run, expected=(ArmingError,))

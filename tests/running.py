@@ -172,7 +172,7 @@ def processes_of(folder: Path) -> list[psutil.Process]:
 def _output_of(pid: int) -> str:
     """Path of a process's standard output; empty if it has ended, or is not ours."""
     try:
-        return os.readlink(f"/proc/{pid}/fd/1")
+        return str(Path(f"/proc/{pid}/fd/1").readlink())
     except OSError:
         return ""
 

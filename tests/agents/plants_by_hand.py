@@ -1,4 +1,4 @@
-"""Small plants made by hand: run in memory, or one agent of them in its loop, message by message."""
+"""Small plants made by hand: run in memory, or one agent of them, message by message."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ REAL_TIME = CYCLE_NS
 """A `cycle_wall_ns`: cycles of a second by the clock."""
 
 
-def plan_of(ratings_kw: Mapping[str, float], **changes: Any) -> RunPlan:
+def plan_of(ratings_kw: Mapping[str, float], **changes: object) -> RunPlan:
     """Plan of a run in lockstep, from the path and rating of each inverter."""
     tiers = max(leaf.count("/") + 1 for leaf in ratings_kw)
     plan = RunPlan(

@@ -1,4 +1,4 @@
-"""A dispatch that asks for the impossible is clamped and told; one that is no number is not used."""
+"""A dispatch that asks for the impossible is clamped; one that is no number is not used."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PLAN = plan_of({"a": 100.0, "b": 300.0}, cycles=100, cycle_wall_ns=REAL_TIME)
 
 
 def set_and_noticed(*dispatches_kw: float) -> tuple[list[float], list[int]]:
-    """What is set of `b`, which has 3/4 of the rating, and what is noticed, dispatch by dispatch."""
+    """What is set of `b`, which has 3/4 of the rating, and what is noticed, for each one."""
     central = AtWork(PLAN, "central")
     set_kw: list[float] = []
     counts: list[int] = []

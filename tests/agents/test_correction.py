@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 from plants_by_hand import REAL_TIME, AtWork, Heard, dispatch, hear_profile, meter, plan_of, report
 
-from agents.plan import RunPlan
+from agents.plan import RunPlan, Scheme
 from bus_schemas.messages import Setpoint
 from bus_schemas.signals import METER, PRODUCTION, SETPOINT
 from bus_schemas.tree import ROOT
@@ -21,7 +21,7 @@ from sim_plant.profile import Profile
 CYCLES = 60
 
 
-def dimmed(**changes: Any) -> Heard:
+def dimmed(**changes: object) -> Heard:
     """Two inverters whose meters read 2 % too much, so that they give 2 % too little.
 
     Each has 100 kW, of which 60 kW are desired.
@@ -97,7 +97,7 @@ def test_a_controller_that_acts_rarely_corrects_by_the_mean_of_its_readings() ->
     assert set_kw[10] == pytest.approx(50.0 + 0.5 * 5.0 * 2)
 
 
-def central_plan(**changes: Any) -> RunPlan:
+def central_plan(**changes: object) -> RunPlan:
     """Two inverters below a central controller that corrects, by the clock."""
     plan = plan_of({"a": 100.0, "b": 100.0}, cycles=300, correction=True, cycle_wall_ns=REAL_TIME)
     return msgspec.structs.replace(plan, **changes)
@@ -132,7 +132,7 @@ def test_the_meter_reads_what_was_delivered() -> None:
     ],
 )
 def test_it_goes_with_the_scheme_unless_the_scenario_says_otherwise(
-    tmp_path: Any, scheme: Any, said: str | None, corrects: bool
+    tmp_path: Path, scheme: Scheme, said: str | None, corrects: bool
 ) -> None:
     oahu = load_scenario("oahu")
     text = oahu.text

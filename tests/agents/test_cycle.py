@@ -61,7 +61,9 @@ def test_each_agent_goes_through_the_stages_of_its_kind() -> None:
 
 
 def test_a_cycle_of_three_tiers_has_six_hops() -> None:
-    places = [stage_place(agent, stage, THREE_TIERS) for agent, stage in stages_in_order(THREE_TIERS)]
+    places = [
+        stage_place(agent, stage, THREE_TIERS) for agent, stage in stages_in_order(THREE_TIERS)
+    ]
     assert places == [0, 1, 2, 3, 4, 5, 6]
 
 

@@ -26,7 +26,7 @@ PLAN = plan_of(
 
 
 class FedBus:
-    """Brings what it is given; where that is nothing it lets the time pass for which it may wait."""
+    """Brings what it is given; where that is nothing it lets the time pass."""
 
     def __init__(self, clock: ClockByHand) -> None:
         self.sent: list[tuple[Port[Message], Message]] = []

@@ -24,9 +24,7 @@ from bus_schemas.signals import COMMAND, HELP, IMPP, RESIDUAL, SETPOINT, Port
 from bus_schemas.tree import ROOT
 
 HOLD = 2
-TWO = plan_of(
-    {"a": 100.0, "b": 100.0}, cycles=100, hold_cycles=HOLD, cycle_wall_ns=REAL_TIME
-)
+TWO = plan_of({"a": 100.0, "b": 100.0}, cycles=100, hold_cycles=HOLD, cycle_wall_ns=REAL_TIME)
 """Two inverters below the central controller, by the clock."""
 
 CLUSTER = plan_of(
@@ -224,7 +222,11 @@ def test_without_its_residual_a_report_counts_and_the_residual_is_worked_out() -
     central = central_after_one_cycle()
     for cycle in (1, 2, 3, 4):
         sent = cycle_of(
-            central, cycle, *report("a", cycle, 80.0, 0.0), impp("b", cycle, 50.0), dispatch_kw=160.0
+            central,
+            cycle,
+            *report("a", cycle, 80.0, 0.0),
+            impp("b", cycle, 50.0),
+            dispatch_kw=160.0,
         )
         assert at(sent, IMPP.of(ROOT)).power_kw == 130.0
         assert at(sent, RESIDUAL.of(ROOT)).power_kw == 0.0 + (50.0 - 80.0)
@@ -252,9 +254,7 @@ def test_an_absurd_number_in_a_report_is_not_used(
     impp_kw: float, residual_kw: float, left_kw: float
 ) -> None:
     central = central_after_one_cycle()
-    sent = cycle_of(
-        central, 1, *report("a", 1, 80.0, 20.0), *report("b", 1, impp_kw, residual_kw)
-    )
+    sent = cycle_of(central, 1, *report("a", 1, 80.0, 20.0), *report("b", 1, impp_kw, residual_kw))
     usable = 50.0 if impp_kw == 50.0 else 90.0
     assert at(sent, IMPP.of(ROOT)).power_kw == 80.0 + usable
     assert at(sent, RESIDUAL.of(ROOT)).power_kw == 20.0 + left_kw
@@ -280,7 +280,11 @@ def test_without_telemetry_the_last_impp_holds_and_its_age_is_counted() -> None:
         work.hear(dispatch(cycle, 100.0, 200.0))
         found.append(at(work.at_deadline("estimate"), IMPP.of("c1/a")))
         work.hear(setpoint("c1/a", cycle, 20.0))
-    assert [(sent.power_kw, sent.stale_cycles) for sent in found] == [(80.0, 1), (80.0, 2), (80.0, 3)]
+    assert [(sent.power_kw, sent.stale_cycles) for sent in found] == [
+        (80.0, 1),
+        (80.0, 2),
+        (80.0, 3),
+    ]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The bus inside one process: stamped messages, in the order they were sent or by a virtual clock."""
+"""The bus inside one process: in the order of sending, or by a virtual clock."""
 
 from __future__ import annotations
 

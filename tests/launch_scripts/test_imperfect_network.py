@@ -1,4 +1,4 @@
-"""Runs over an imperfect network, in memory on a virtual clock: what it costs, and what it must not."""
+"""Runs over an imperfect network, in memory on a virtual clock."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def timeless(message: Message) -> Message:
 
 
 def run_with(
-    prepared: Preparation, rules: Sequence[FaultRule], **changes: Any
+    prepared: Preparation, rules: Sequence[FaultRule], **changes: object
 ) -> tuple[MemoryRun, Sent]:
     """Run through in memory, by a virtual clock if there are rules."""
     plan = msgspec.structs.replace(prepared.plan, faults=tuple(rules), **changes)
@@ -191,9 +191,7 @@ def test_the_plant_ticks_on_the_clock_whatever_the_network_does(valley: Preparat
 
 
 def test_the_clock_goes_by_the_pace(valley: Preparation) -> None:
-    _, sent = run_with(
-        valley, [FaultRule(delay_ms=1.0)], cycle_wall_ns=SECOND_NS // 10, cycles=5
-    )
+    _, sent = run_with(valley, [FaultRule(delay_ms=1.0)], cycle_wall_ns=SECOND_NS // 10, cycles=5)
     ticks = [message.publish_time_ns for message in sent.of(DISPATCH.of(ROOT)).values()]
     assert ticks == [cycle * SECOND_NS // 10 for cycle in range(5)]
 

@@ -11,7 +11,6 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from agents.events import ExternalAccount
-from agents.stopwatch import ProcessTiming
 from launch_scripts.summary import (
     MemoryUse,
     MessageCount,
@@ -136,37 +135,25 @@ def test_the_json_has_all_metrics(regulation: bool) -> None:
         assert found["performance"]["hours"][0]["windows"] == 12
 
 
-def account_of(agent: str, missed: int, overruns: int, late_used: int = 0) -> ProcessAccount:
-    timing = ProcessTiming(
-        agent=agent,
-        histograms={},
-        missed_deadlines={"estimate": missed, "actuate": 1} if missed else {},
-        missing_inputs={},
-        overruns={"estimate": overruns},
-        late_used=late_used,
-        cpu_s=0.1,
-        wall_s=1.0,
-        switches_voluntary=1,
-        switches_involuntary=0,
-        resident_mb=30.0,
-        policy="other on CPU 0",
+def test_a_run_over_processes_tells_what_it_took_and_which_cycles_were_skipped() -> None:
+    processes = (
+        ProcessAccount("recorder", "recorder", {}, 40.0, cpu_s=3.6),
+        ProcessAccount("c1/a", "direct", {}, 40.0, skipped_cycles=2, cpu_s=3.6),
+        ProcessAccount("c1/b", "direct", {}, 40.0, skipped_cycles=5),
     )
-    return ProcessAccount(agent, "direct", {}, 30.0, timing)
+    found = replace(
+        summary_of(None), processes=processes, missing_inputs=13, old_inputs=4, skipped_cycles=7
+    )
+    rows = rows_printed(found)
+    assert rows["processor time per cycle"][0] == "2.00 ms"
+    assert rows["inputs missed at deadlines"][0] == "13"
+    assert "4" in rows["inputs missed at deadlines"][1]
+    assert rows["cycles skipped"][0] == "7"
+    assert "c1/b" in rows["cycles skipped"][1]
 
 
-def test_a_run_in_real_time_tells_what_was_late_and_where_most_of_it() -> None:
-    processes = (account_of("c1/a", 3, 0), account_of("c1/b", 8, 0, 2), account_of("c1/c", 0, 0))
-    processes = (*processes[:2], replace(processes[2], cycles_given_up=7))
-    recorder = ProcessAccount("recorder", "recorder", {}, 40.0)
-    rows = rows_printed(replace(summary_of(None), processes=(*processes, recorder)))
-    assert rows["deadlines missed"] == ["13", "most by c1/b: 9"]
-    assert rows["late words used"] == ["2", "most by c1/b: 2"]
-    assert rows["overruns"] == ["0"]
-    assert rows["cycles given up"] == ["7", "most by c1/c: 7"]
-
-
-def test_a_run_in_lockstep_has_no_deadlines_to_miss() -> None:
-    assert "deadlines missed" not in rows_of(None)
+def test_a_run_in_one_process_skips_no_cycles() -> None:
+    assert "cycles skipped" not in rows_of(None)
 
 
 def test_messages_of_a_device_that_cannot_be_read_are_not_said_to_be_lost() -> None:

@@ -6,21 +6,21 @@ import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from running import assert_none_left, small_plant
 
 from agents.events import AnyEvent, Armed
 from agents.plan import RunPlan
 from bus_schemas.links import explicit_links
 from bus_schemas.signals import IMPP, TELEMETRY
 from bus_schemas.tree import PLANT, RECORDER
+from launch_scripts.fork_requests import Start
 from launch_scripts.preparation import RunOptions, prepare
-from launch_scripts.processes import ProcessSpec, processes
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.scenario import load_scenario
-from launch_scripts.supervision import Children, RunFailure
+from launch_scripts.supervision import Children, ForkServerProcess, RunFailure
 from launch_scripts.tcp_ports import reserved_ports
 from recordings.reader import RunReader
 
@@ -28,46 +28,57 @@ pytestmark = pytest.mark.processes
 
 CYCLES = 5
 LATE = "c1/inv01"
+LONG_S = 600.0
 
 
 @contextmanager
 def planned(tmp_path: Path) -> Iterator[tuple[RunPlan, RunFolder]]:
     """A run of a few cycles, ready to be started by hand."""
-    options = RunOptions(duration=str(CYCLES))
-    preparation = prepare(load_scenario("oahu"), options, "arming-test")
+    scenario = load_scenario(small_plant(tmp_path / "plant"))
+    preparation = prepare(scenario, RunOptions(duration=str(CYCLES)), "arming-test")
     folder = RunFolder(tmp_path / "run")
     with reserved_ports(explicit_links(preparation.plan.tree).listening) as tcp_ports:
         yield folder.fill(preparation, tcp_ports), folder
 
 
-def specs(plan: RunPlan, folder: RunFolder) -> tuple[list[ProcessSpec], ProcessSpec]:
-    """All processes but one, and that one."""
-    everybody = processes(plan.tree, folder.plan)
-    return (
-        [spec for spec in everybody if spec.agent != LATE],
-        next(spec for spec in everybody if spec.agent == LATE),
-    )
+@contextmanager
+def started(
+    plan: RunPlan, folder: RunFolder, agents: tuple[str, ...], patience_s: float
+) -> Iterator[Children]:
+    """Some agents of a run, each as a process; the plant waits for the others for so long."""
+    server = ForkServerProcess()
+    with Children(server, plan, agents, folder.logs) as children:
+        server.ask(Start(str(folder.plan), agents, str(folder.logs), patience_s))
+        yield children
 
 
-def with_patience(specs: list[ProcessSpec], patience_s: float) -> list[ProcessSpec]:
-    """The same processes, with a plant that waits for the others for so long."""
-    return [
-        replace(spec, command=(*spec.command, "--patience", str(patience_s)))
-        if spec.agent == PLANT
-        else spec
-        for spec in specs
-    ]
+def all_but_one(plan: RunPlan) -> tuple[str, ...]:
+    return tuple(agent for agent in plan.tree.agents() if agent != LATE)
+
+
+def hear_until(children: Children, condition: str) -> list[AnyEvent]:
+    """Hear the processes until they are all `ready`, or the plant is `finished`."""
+    heard: list[AnyEvent] = []
+    give_up_at = time.monotonic() + 120.0
+    while not (
+        all(child.ready for child in children)
+        if condition == "ready"
+        else children[PLANT].finished is not None
+    ):
+        assert time.monotonic() < give_up_at
+        heard += [event for _, event in children.events(0.1)]
+    return heard
 
 
 def missed_by_the_plant(patience_s: float, folder: Path) -> set[str]:
     """Whom the plant names when one of them never comes and it gives up after a time."""
-    with planned(folder) as (plan, run):
-        others, _ = specs(plan, run)
-        with (
-            Children(with_patience(others, patience_s), run.logs) as children,
-            pytest.raises(RunFailure, match="plant gave up: no sign of life from") as failure,
-        ):
-            until_finished(children)
+    with (
+        planned(folder) as (plan, run),
+        started(plan, run, all_but_one(plan), patience_s) as children,
+        pytest.raises(RunFailure, match="plant gave up: no sign of life from") as failure,
+    ):
+        hear_until(children, "finished")
+    assert_none_left(run.path)
     named = re.search(r"no sign of life from ([^;\n]*)", str(failure.value))
     assert named is not None
     return set(named[1].split(", "))
@@ -77,8 +88,10 @@ def test_the_plant_does_not_begin_without_everybody_and_says_who_is_missing(
     tmp_path: Path,
 ) -> None:
     # On a slow machine others are not there yet either: then they have more time to come.
-    for patience_s in (3.0, 12.0, 48.0):
-        missed = missed_by_the_plant(patience_s, tmp_path / f"{patience_s:g}")
+    for patience_s in (2.0, 8.0, 32.0):
+        folder = tmp_path / f"{patience_s:g}"
+        folder.mkdir()
+        missed = missed_by_the_plant(patience_s, folder)
         assert LATE in missed
         if missed == {LATE}:
             return
@@ -86,37 +99,19 @@ def test_the_plant_does_not_begin_without_everybody_and_says_who_is_missing(
 
 
 def test_a_latecomer_is_waited_for_and_takes_part_from_cycle_0(tmp_path: Path) -> None:
-    with planned(tmp_path) as (plan, folder):
-        others, late = specs(plan, folder)
-        with Children(with_patience(others, 600.0), folder.logs) as children:
-            heard = until_ready(children)
-            assert not any(isinstance(event, Armed) for event in heard)
-            with Children([late], folder.logs) as latecomer:
-                until_finished(children)
-                latecomer.await_exit(list(latecomer), 60.0)
-                children.await_exit(children.controllers(), 60.0)
-                children[RECORDER].tell("expect 0")
-                assert children.await_exit([children[RECORDER]], 60.0) == []
+    with (
+        planned(tmp_path) as (plan, folder),
+        started(plan, folder, all_but_one(plan), LONG_S) as children,
+    ):
+        heard = hear_until(children, "ready")
+        assert not any(isinstance(event, Armed) for event in heard)
+        with started(plan, folder, (LATE,), LONG_S) as latecomer:
+            hear_until(children, "finished")
+            latecomer.await_exit(list(latecomer), 60.0)
+            children.await_exit(children.controllers(), 60.0)
+            children.tell_recorder("expect 0")
+            assert children.await_exit([children[RECORDER]], 60.0) == []
     with RunReader(folder.path) as reader:
-        heard_from = [(m.cycle, str(p)) for p, m in reader.messages(IMPP) if p.node == LATE]
-        told = [(m.cycle, str(p)) for p, m in reader.messages(TELEMETRY) if p.node == LATE]
-    assert heard_from == [(cycle, f"{LATE}/impp") for cycle in range(CYCLES)]
-    assert told == [(cycle, f"{LATE}/telemetry") for cycle in range(CYCLES)]
-
-
-def until_ready(children: Children) -> list[AnyEvent]:
-    """Hear the processes until all of them are on the bus."""
-    heard: list[AnyEvent] = []
-    give_up_at = time.monotonic() + 120.0
-    while not all(child.ready for child in children):
-        assert time.monotonic() < give_up_at
-        heard += [event for _, event in children.events(0.1)]
-    return heard
-
-
-def until_finished(children: Children) -> None:
-    """Hear the processes until the plant is through."""
-    give_up_at = time.monotonic() + 120.0
-    while children[PLANT].finished is None:
-        assert time.monotonic() < give_up_at
-        children.events(0.1)
+        sent = [m.cycle for port, m in reader.messages(IMPP) if port.node == LATE]
+        heard_of = [m.cycle for port, m in reader.messages(TELEMETRY) if port.node == LATE]
+    assert sent == heard_of == list(range(CYCLES))

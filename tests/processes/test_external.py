@@ -7,19 +7,18 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from misbehaving_device import FIRST_ABSURD
 from msgspec.structs import replace
-from running import Heliarch, assert_none_left
+from running import Heliarch, assert_none_left, small_plant
 from test_launch import decisions, summary_of
 
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, Production
-from bus_schemas.signals import COMMAND, HELP, IMPP, PRODUCTION, RESIDUAL, SETPOINT, Port
+from bus_schemas.signals import IMPP, PRODUCTION, Port
 from launch_scripts.preparation import RunOptions, prepare
 from launch_scripts.scenario import load_scenario
 from launch_scripts.simulation import MemoryRun
@@ -38,21 +37,26 @@ CONTROLLER = REPOSITORY / "examples" / "direct_controller.py"
 PLANT = REPOSITORY / "examples" / "plant.py"
 MISBEHAVING = Path(__file__).with_name("misbehaving_device.py")
 NODE = "c1/inv01"
-LOCKSTEP = ("oahu", "--duration", "25", "--seed", "3", "--scheme", "paper")
+LOCKSTEP = ("--duration", "25", "--seed", "3", "--scheme", "paper")
 
 Decisions = dict[tuple[str, int], Message]
 
 
-@cache
-def our_decisions() -> Decisions:
+@pytest.fixture
+def plant(tmp_path: Path) -> str:
+    return small_plant(tmp_path / "plant")
+
+
+def our_decisions(plant: str) -> Decisions:
     """What Heliarch's own controllers decide in the same run, in memory."""
     options = RunOptions(duration="25", seed=3, scheme="paper")
-    preparation = prepare(load_scenario("oahu"), options, "ours")
+    preparation = prepare(load_scenario(plant), options, "ours")
     found: Decisions = {}
 
     def hear(port: Port[Message], message: Message) -> None:
-        if port.signal in {IMPP, RESIDUAL, HELP, SETPOINT, COMMAND}:
-            found[str(port), message.cycle] = replace(message, publish_time_ns=0)
+        if port.signal.decided:
+            timeless = replace(message, publish_time_ns=0, ready_time_ns=0)
+            found[str(port), message.cycle] = timeless
 
     for _ in MemoryRun(preparation.plan, preparation.profile, hear).cycles():
         pass
@@ -87,11 +91,11 @@ def wrong(summary: RunSummary) -> dict[tuple[str, str], int]:
 
 
 def test_the_example_controller_decides_bit_for_bit_what_ours_decides(
-    heliarch: Start, device: Device
+    heliarch: Start, device: Device, plant: str
 ) -> None:
-    run = heliarch("launch", *LOCKSTEP, "--external", NODE)
+    run = heliarch("launch", plant, *LOCKSTEP, "--external", NODE)
     process = controller(device, run)
-    right = our_decisions()
+    right = our_decisions(plant)
     assert run.wait() == 0, run.error_text()
     assert decisions(run.folder) == right
     assert process.wait(timeout=60) == 0
@@ -105,15 +109,17 @@ def test_the_example_controller_decides_bit_for_bit_what_ours_decides(
     assert_none_left(run.folder)
 
 
-def test_in_real_time_a_device_may_die_and_come_back(heliarch: Start, device: Device) -> None:
-    run = heliarch("launch", "oahu", "--duration", "1h", "--pace", "10", "--external", NODE)
+def test_in_real_time_a_device_may_die_and_come_back(
+    heliarch: Start, device: Device, plant: str
+) -> None:
+    run = heliarch("launch", plant, "--duration", "1h", "--pace", "10", "--external", NODE)
     first = controller(device, run)
     run.until_running()
     first.send_signal(signal.SIGKILL)
-    run.until(said(run, f"{NODE} (external) is gone in cycle"), "word that the device is gone")
+    run.until(shown(run, f"{NODE} (external) is gone in cycle"), "news that the device is gone")
     run.until(lambda: silent_cycles(run) >= 3, "cycles without it")
     controller(device, run)
-    run.until(said(run, f"{NODE} (external) is back in cycle"), "word that the device is back")
+    run.until(shown(run, f"{NODE} (external) is back in cycle"), "news that the device is back")
     run.until(lambda: counts_anew(run), "an answer of the device that came back")
     run.process.send_signal(signal.SIGINT)
     run.wait()  # On a slow machine messages of the others may get lost: then the run says so.
@@ -124,7 +130,7 @@ def test_in_real_time_a_device_may_die_and_come_back(heliarch: Start, device: De
     assert_none_left(run.folder)
 
 
-def words_and_cycles(run: Heliarch) -> tuple[list[Message], int]:
+def messages_and_cycles(run: Heliarch) -> tuple[list[Message], int]:
     """What the recording has of the device by now, and how many cycles."""
     try:
         with RunReader(run.folder) as reader:
@@ -136,25 +142,25 @@ def words_and_cycles(run: Heliarch) -> tuple[list[Message], int]:
 
 def silent_cycles(run: Heliarch) -> int:
     """How many cycles are over since the device's last word."""
-    words, cycles = words_and_cycles(run)
+    words, cycles = messages_and_cycles(run)
     return cycles - 1 - words[-1].cycle if words else 0
 
 
 def counts_anew(run: Heliarch) -> bool:
     """Whether there is a word of the device that came back: it counts from 0 again."""
-    words, _ = words_and_cycles(run)
+    words, _ = messages_and_cycles(run)
     return any(later.sequence <= earlier.sequence for earlier, later in pairwise(words))
 
 
-def said(run: Heliarch, text: str) -> Callable[[], bool]:
+def shown(run: Heliarch, text: str) -> Callable[[], bool]:
     return lambda: text in run.output.read_text()
 
 
 @pytest.mark.parametrize("pace", ["max", "10"])
 def test_the_example_plant_conducts_our_controllers(
-    heliarch: Start, device: Device, pace: str
+    heliarch: Start, device: Device, plant: str, pace: str
 ) -> None:
-    run = heliarch("launch", "oahu", "--duration", "20", "--pace", pace, "--external", "plant")
+    run = heliarch("launch", plant, "--duration", "20", "--pace", pace, "--external", "plant")
     process = device(PLANT, "--plan", run.folder / "plan.json")
     run.wait()
     assert process.wait(timeout=60) == 0
@@ -177,27 +183,25 @@ def test_the_example_plant_conducts_our_controllers(
 
 
 def test_a_device_that_does_everything_wrong_is_named_and_contained(
-    heliarch: Start, device: Device
+    heliarch: Start, device: Device, plant: str
 ) -> None:
-    run = heliarch("launch", *LOCKSTEP, "--external", NODE)
+    run = heliarch("launch", plant, *LOCKSTEP, "--external", NODE)
     device(MISBEHAVING, run.folder / "plan.json", NODE)
-    right = our_decisions()
+    right = our_decisions(plant)
     assert run.wait() == 0, run.error_text()
     contained(decisions(run.folder), right)
     summary = summary_of(run.folder)
     found = wrong(summary)
     assert found[f"{NODE}/impp", "undecodable"] == 8
     assert found[f"{NODE}/impp", "foreign"] == 1
-    assert found["c1/inv04/impp", "foreign"] == 1
+    assert found["c1/inv02/impp", "foreign"] == 1
     assert found["c1/nobody/impp", "unknown"] == 1
     assert found[f"{NODE}/impp", "other_cycle"] == 2
     assert found[f"{NODE}/impp", "duplicate"] > 10
     assert found[f"{NODE}/impp", "absurd"] == found[f"{NODE}/command", "absurd"] == 5
     assert summary.lost == 0
-    log = (run.folder / "logs" / "c1.log").read_text()
-    for complaint in ("does not decode", "is from 'central'", "came twice", "of a node or signal"):
-        assert complaint in log
-    assert f"wrong message on oahu/{NODE}/impp: power_kw is" in run.output.read_text()
+    assert "is from 'central'" in (run.folder / "logs" / "c1.log").read_text()
+    assert f"wrong message on small/{NODE}/impp: power_kw" in run.output.read_text()
     largest_mb = max(use.resident_median_mb for use in summary.memory)
     assert largest_mb < 150.0, "a flood fills no memory"
     assert verified(run).equal
@@ -208,14 +212,14 @@ def contained(launched: Decisions, right: Decisions) -> None:
     """Up to the first absurd number in place of a right one nobody decides otherwise."""
     early = {place: message for place, message in launched.items() if place[1] < FIRST_ABSURD}
     assert early == {place: right[place] for place in right if place[1] < FIRST_ABSURD}
-    assert len(launched) >= len(early) > 1000
+    assert len(launched) >= len(early) > 300
 
 
 def test_a_device_that_never_comes_is_named_with_where_it_should_have_come(
-    heliarch: Start,
+    heliarch: Start, plant: str
 ) -> None:
     words = ("--external", NODE, "--external-timeout", "0.5")
-    run = heliarch("launch", "oahu", "--duration", "20", *words)
+    run = heliarch("launch", plant, "--duration", "20", *words)
     assert run.wait() == 1
     plan = json.loads((run.folder / "plan.json").read_text())
     failure, text = run.error_text(), run.output.read_text()
@@ -224,6 +228,6 @@ def test_a_device_that_never_comes_is_named_with_where_it_should_have_come(
     for agent in ("recorder", "plant", "c1"):
         assert f"tcp/127.0.0.1:{plan['tcp_ports'][agent]} ({agent})" in text
     assert f"namespace {plan['run_id']}" in text
-    assert f"liveliness token oahu/{NODE}/alive" in text
+    assert f"liveliness token small/{NODE}/alive" in text
     assert str(run.folder / "plan.json") in text
     assert_none_left(run.folder)

@@ -229,7 +229,11 @@ def test_what_the_fork_server_imports_starts_no_thread() -> None:
         capture_output=True,
         text=True,
         check=True,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[2])},
+        env={
+            **os.environ,
+            "OPENBLAS_NUM_THREADS": "1",
+            "PYTHONPATH": str(Path(__file__).parents[2]),
+        },
     )
     assert done.stdout.split() == ["1", "0"]
 

@@ -80,7 +80,10 @@ def test_so_do_they_by_the_clock(plant: str, heliarch: Start) -> None:
 def test_so_does_a_deeper_plant_whose_tiers_act_more_and_more_rarely(
     tmp_path: Path, heliarch: Start
 ) -> None:
-    deep = ("cluster_sizes = [[2, 2]]", "cluster_sizes = [[1, 1, 2], [2, 1]]\nperiod_cycles = [6, 3, 1]")
+    deep = (
+        "cluster_sizes = [[2, 2]]",
+        "cluster_sizes = [[1, 1, 2], [2, 1]]\nperiod_cycles = [6, 3, 1]",
+    )
     words = (small_plant(tmp_path / "deep", deep), "--duration", "20")
     launched, simulated = heliarch("launch", *words), heliarch("simulate", *words)
     assert launched.wait() == 0, launched.error_text()

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from running import Heliarch, assert_none_left
+from running import Heliarch, assert_none_left, small_plant
 
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
@@ -72,23 +72,23 @@ def kill_recorder(run: Heliarch, phase_s: float) -> Loss:
 
 
 def test_a_recorder_killed_at_a_random_moment_loses_nothing_that_it_had_flushed(
-    heliarch: Start,
+    heliarch: Start, tmp_path: Path
 ) -> None:
     """It flushes every half second: `tests/recordings/test_flushes.py`."""
     phase_s = random.uniform(0.0, 2.0 * FLUSH_S)
-    loss = kill_recorder(heliarch("launch", "oahu", "--duration", "5h"), phase_s)
+    loss = kill_recorder(heliarch("launch", small_plant(tmp_path / "plant")), phase_s)
     assert loss.kept_cycles >= loss.flushed_cycles > 0, f"killed {phase_s:.3f} s after a flush"
 
 
 @pytest.mark.soak
 @pytest.mark.timeout(1800)
 def test_twenty_kills_at_random_moments(
-    heliarch: Start, capsys: pytest.CaptureFixture[str]
+    heliarch: Start, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Measures what is lost, on a machine that does nothing else."""
     losses = []
     for _ in range(20):
-        run = heliarch("launch", "oahu", "--duration", "5h")
+        run = heliarch("launch", small_plant(tmp_path / "plant"))
         losses.append(kill_recorder(run, random.uniform(0.0, 2.0 * FLUSH_S)))
     lost_s = sorted(loss.lost_s for loss in losses)
     with capsys.disabled():
@@ -98,10 +98,10 @@ def test_twenty_kills_at_random_moments(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits a process from outside: Linux only")
-def test_a_full_disk_ends_the_recording_and_not_the_plant(heliarch: Start) -> None:
-    run = heliarch("launch", "oahu", "--duration", "10m")
+def test_a_full_disk_ends_the_recording_and_not_the_plant(heliarch: Start, tmp_path: Path) -> None:
+    run = heliarch("launch", small_plant(tmp_path / "plant"), "--duration", "15m")
     run.until(lambda: recorded_cycles(run.folder) > 0, "cycles that can be read on disk")
-    full = (run.folder / "run.mcap").stat().st_size + 100_000
+    full = (run.folder / "run.mcap").stat().st_size + 20_000
     resource.prlimit(run.process_of("recorder").pid, resource.RLIMIT_FSIZE, (full, full))
     assert run.wait() == 1
     assert_none_left(run.folder)
@@ -109,12 +109,12 @@ def test_a_full_disk_ends_the_recording_and_not_the_plant(heliarch: Start) -> No
     assert re.search(r"the recording ended in cycle \d+: .*; the run goes on without it", said)
     assert re.search("heliarch: the recording ended in cycle .*; what it holds", run.error_text())
     summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
-    assert summary["cycles"] == 600
+    assert summary["cycles"] == 900
     recorded = sum(count["recorded"] for count in summary["messages"])
     with RunReader(run.folder) as reader:
         assert not reader.whole
         assert 0 < recorded == sum(1 for _ in reader.messages())
-    assert 0 < recorded_cycles(run.folder) < 600
+    assert 0 < recorded_cycles(run.folder) < 900
     assert recover(run.folder, None, None) == LOSSY
 
 

@@ -50,7 +50,7 @@ Sent = dict[Port[Message], Any]
 class PlantAtWork:
     """The plant in its loop."""
 
-    def __init__(self, profile: Profile = PROFILE, **changes: Any) -> None:
+    def __init__(self, profile: Profile = PROFILE, **changes: object) -> None:
         plan = msgspec.structs.replace(PLAN, cycles=profile.cycles, **changes)
         self.loop = AgentLoop(Plant(plan, profile), plan)
 
@@ -172,7 +172,9 @@ def test_inverters_of_the_limit_kind_obey_the_power_and_not_the_alpha() -> None:
     assert [sent[TELEMETRY.of(leaf)].limit_kw for leaf in LEAVES] == [30.0, 90.0]
 
 
-def test_an_inverters_meter_reads_what_was_delivered_with_its_error_and_the_plants_is_exact() -> None:
+def test_an_inverters_meter_reads_what_was_delivered_with_its_error_and_the_plants_is_exact() -> (
+    None
+):
     error = np.array([[0.0, 0.0], [0.01, -0.01]])
     profile = Profile(np.full((2, 2), 80.0), np.full(2, 100.0), meter_error=error)
     plant = PlantAtWork(profile)
