@@ -101,3 +101,16 @@ class Deadlines:
             return (self.tiers_ns[-1] + self.cycle_ns) // 2
         # A direct controller may hang from any tier: its deadline is that of its like.
         return self.tiers_ns[-1] if stage == "actuate" else self.tiers_ns[depth(agent)]
+
+    def slice_ns(self, agent: str, stage: str) -> int:
+        """Return a stage's part of the cycle: from the deadline before its own to its own [ns].
+
+        The first place has no deadline before it: it has as much as the next one.
+        """
+        central = stage_place(CENTRAL, "solve", self.tree)
+        if not self.tiers_ns:
+            return round(USED_SHARE * self.cycle_ns / stage_place(PLANT, "apply", self.tree))
+        if stage_place(agent, stage, self.tree) <= central:
+            return self.tiers_ns[0] // central
+        before_ns = self.tiers_ns[-1 if agent == PLANT else depth(agent) - 1]
+        return self.deadline_ns(agent, stage) - before_ns

@@ -10,6 +10,7 @@ import os
 import signal
 import socket
 import sys
+from contextlib import suppress
 from typing import Final
 
 import msgspec
@@ -63,8 +64,10 @@ class LauncherLink:
             sys.stdout.buffer.write(data + b"\n")
             sys.stdout.buffer.flush()
             return
-        for packet in packets(self._agent, data):
-            self._events.send(packet)
+        # Without a launcher nobody is told; the recorder still closes its file.
+        with suppress(BrokenPipeError, ConnectionResetError):
+            for packet in packets(self._agent, data):
+                self._events.send(packet)
 
     def words(self) -> list[str]:
         """Return the words that have come."""

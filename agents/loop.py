@@ -166,7 +166,10 @@ class AgentLoop(Generic[S]):
             self._heed(message, time_ns)
             return
         heard = self._inputs.get(port)
-        if heard is None:
+        if heard is None or message.cycle < 0 <= self.cycle:  # What is left of arming rounds.
+            return
+        if message.cycle < 0 <= self.cycle:
+            self._drop("late", port, message, "is of an arming round")
             return
         if self.cycle < message.cycle < 0 and port is self._dispatch:
             self.enter(message.cycle, time_ns)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from math import inf
 from typing import Final, NamedTuple
 
-from bus_schemas.messages import Command, Dispatch, Impp, Message, Meter, Residual, Setpoint
+from bus_schemas.messages import Command, Dispatch, Help, Impp, Message, Meter, Residual, Setpoint
 
 METER_TOLERANCE: Final = 0.05
 """Share of the rating by which a meter may read more than the rating."""
@@ -28,11 +28,13 @@ class Bound(NamedTuple):
 BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {
     Impp: (Bound("power_kw", 0.0, _ROUNDING),),
     Residual: (Bound("power_kw", -_ROUNDING, _ROUNDING),),
+    Help: (Bound("missing_kw", 0.0, _ROUNDING),),
     Setpoint: (Bound("power_kw", 0.0, _ROUNDING),),
     Meter: (Bound("power_kw", 0.0, 1.0 + METER_TOLERANCE),),
     Command: (Bound("alpha", _ABOVE_ZERO, 1.0), Bound("power_kw", 0.0, _ROUNDING)),
-    # An operator may ask for more than there is, or for less than nothing: it must be a number.
-    Dispatch: (Bound("power_kw", -inf, inf),),
+    # An operator may ask for more than there is, or for less than nothing: it must be a number. And
+    # everybody's share of it must be one.
+    Dispatch: (Bound("power_kw", -inf, inf), Bound("plant_rating_kw", 1e-3, 1e3)),
 }
 """Telemetry is judged by the estimate, which knows what its inverter can have measured."""
 

@@ -40,6 +40,11 @@ LONGEST_MS: Final = 3_600_000.0
 UNHARMED: Final[tuple[int, ...]] = (0,)
 """Fate of a message that one copy of arrives at once."""
 
+UNHEARD: Final = frozenset(
+    signal.name for signal in SIGNALS if signal.is_cyclic and not signal.listeners
+)
+"""Cyclic signals that no agent acts on: what becomes of them changes nothing in a run."""
+
 _LOST: Final[tuple[int, ...]] = ()
 _LISTED: Final = 12
 _MOST_SIGMAS: Final = sqrt(-2.0 * log(2.0**-53))
@@ -314,7 +319,7 @@ def check_rule(
     _check_numbers(rule, where)
     _check_ends(rule, tree, where)
     heard_by = [listener for port, listener in links(tree) if rule.acts_on(port, listener)]
-    if all(listener in external for listener in heard_by):
+    if heard_by and all(listener in external for listener in heard_by):
         raise InputError(
             f"{where}: messages are delayed and lost where they come in, here at external agents "
             f"alone ({', '.join(dict.fromkeys(heard_by))}), accepted are links to other agents"
@@ -368,8 +373,12 @@ def _check_ends(rule: FaultRule, tree: ControlTree, where: str) -> None:
                 f"{where}: {end} {pattern!r} is no agent of this run, accepted: {some_of(agents)}, "
                 "or a pattern such as c1/*"
             )
+    if rule.signal in UNHEARD:
+        return
     found = links(tree)
     names = dict.fromkeys(port.signal.name for port, _ in found)
+    if rule.signal in {row.name for row in SIGNALS if row.is_cyclic} - names.keys():
+        return  # No agent acts on it, so that losing it costs nothing.
     if rule.signal is not None and rule.signal not in names:
         kind = "not cyclic" if rule.signal in {row.name for row in SIGNALS} else "not known"
         raise InputError(f"{where}: signal {rule.signal!r} is {kind}, accepted: {', '.join(names)}")

@@ -81,7 +81,7 @@ class Signal(Generic[M_co]):
         publishes it.
     hop_p99_ms
         Timing budget on one host: from publishing to arrival at a listener, 99 of 100 messages
-        [ms]. None: no budget, since nobody waits for it.
+        [ms]. None: no budget, since no stage waits for it last.
     """
 
     name: str
@@ -139,9 +139,9 @@ class Port(Generic[M_co]):
 
 # fmt: off
 TELEMETRY: Final  = Signal("telemetry",  messages.Telemetry,  About.LEAVES,   Role.PLANT,    (Role.NODE,),    Occurrence.CYCLE, hop_p99_ms=10.0)
-DISPATCH: Final   = Signal("dispatch",   messages.Dispatch,   About.PLANT,    Role.PLANT,    (Role.CONTROLLERS,), Occurrence.CYCLE, hop_p99_ms=10.0)
-METER: Final      = Signal("meter",      messages.Meter,      About.PLANT,    Role.PLANT,    (Role.CENTRAL,), Occurrence.CYCLE, hop_p99_ms=10.0)
-IMPP: Final       = Signal("impp",       messages.Impp,       About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE, hop_p99_ms=10.0)
+DISPATCH: Final   = Signal("dispatch",   messages.Dispatch,   About.PLANT,    Role.PLANT,    (Role.CONTROLLERS,), Occurrence.CYCLE)
+METER: Final      = Signal("meter",      messages.Meter,      About.PLANT,    Role.PLANT,    (Role.CENTRAL,), Occurrence.CYCLE)
+IMPP: Final       = Signal("impp",       messages.Impp,       About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE)
 RESIDUAL: Final   = Signal("residual",   messages.Residual,   About.NODES,    Role.NODE,     (Role.PARENT,),  Occurrence.CYCLE, hop_p99_ms=10.0)
 HELP: Final       = Signal("help",       messages.Help,       About.NODES,    Role.NODE,     (),              Occurrence.NEED)
 SETPOINT: Final   = Signal("setpoint",   messages.Setpoint,   About.CHILDREN, Role.PARENT,   (Role.NODE,),    Occurrence.TURN,  hop_p99_ms=10.0)

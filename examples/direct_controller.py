@@ -20,18 +20,20 @@ from typing import Any
 import msgpack
 import zenoh
 
-METER_TOLERANCE = 0.05  # A meter may read so much above the rating before that is absurd.
+METER_TOLERANCE = 0.05  # Share of the rating by which a meter may read above the rating.
+ROUNDING = 1e-9
 BEFORE_ALL = -(2**31)  # No cycle has begun: each message takes it further.
-REQUEST_BY = 0.3  # Share of a cycle after its telemetry by which a request must be there.
-SETPOINT_BY = 0.75  # The same of a setpoint.
+ESTIMATE_BY = 0.14  # Share of a cycle, after its first message, in which estimate closes.
+ACTUATE_BY = 0.7  # The same for actuate.
 
 
 class DirectController:
-    """Telemetry and request in, IMPP and residual out; then setpoint in, command out."""
+    """Telemetry and dispatch in, IMPP and residual out; then setpoint in, command out."""
 
     def __init__(self, plan: dict[str, Any], node: str, session: zenoh.Session) -> None:
         self.plan, self.node, self.session = plan, node, session
-        self.rating_kw = dict(plan["inverters"])[node]
+        self.rating_kw: float = dict(plan["inverters"])[node]
+        self.parent_period: int = plan["period_cycles"][node.count("/")]
         self.prefix = f"{plan['plant']}/{node}"
         self.sequences: dict[str, int] = {}  # The next number on each key.
         self.cycle = BEFORE_ALL
@@ -44,93 +46,140 @@ class DirectController:
 
     def forget(self) -> None:
         """Go back to the initial state: each arming round begins with it."""
-        self.impp_kw, self.stale_cycles = 0.0, 0
-        self.request_kw, self.setpoint_kw = 0.0, self.rating_kw
-        self.inputs: dict[str, dict[str, Any]] = {}
+        self.impp_kw, self.stale_cycles, self.measured_cycle = 0.0, 0, -1
+        self.heard: dict[str, int] = {}  # Newest cycle of each input, usable or not.
+        self.newest: dict[str, dict[str, Any]] = {}  # Newest usable message of each input.
         self.missing: list[str] = []
-        self.estimated = self.actuated = True
+        self.stage = ""
+
+    # What comes in -------------------------------------------------------------------------------
 
     def hear(self, signal: str, message: dict[str, Any]) -> None:
-        """Take in one message, and answer if it was the last that a step needed."""
+        """Take in one message, and answer if it was the last that a stage awaited."""
         cycle = message["cycle"]
         if cycle > self.cycle:
             self.enter(cycle)
-        if cycle < self.cycle or signal in self.inputs:
-            return  # Of a cycle that is over, or a second time.
-        self.inputs[signal] = message
-        if signal == "telemetry":
-            self.measured_at = time.monotonic()
+        if cycle <= self.heard.get(signal, BEFORE_ALL):
+            return  # It comes a second time, or after a newer one.
+        self.heard[signal] = cycle
+        if self.is_usable(signal, message):
+            self.newest[signal] = message
         self.advance()
 
-    def advance(self, *, time_is_up: bool = False) -> None:
-        """Take the steps whose inputs are there; the next one without, if its time is up."""
-        measured = "telemetry" in self.inputs
-        if not self.estimated and measured and self.need_not_wait("request", time_is_up):
-            self.estimate()
-            time_is_up = False
-        if self.estimated and not self.actuated and self.need_not_wait("setpoint", time_is_up):
-            self.actuate()
-
-    def need_not_wait(self, signal: str, time_is_up: bool) -> bool:
-        """Whether the parent has said it, or says nothing in this cycle, or is too late."""
-        if signal in self.inputs or not self.parent_acts():
-            return True
-        if time_is_up:
-            self.missing.append(f"{self.node}/{signal}")
-        return time_is_up
+    def is_usable(self, signal: str, message: dict[str, Any]) -> bool:
+        """Whether its number can be right. Telemetry is judged where the maximum is estimated."""
+        power_kw: float = message["power_kw"]
+        if signal == "setpoint":
+            highest_kw: float = self.rating_kw * (1.0 + ROUNDING)
+            return 0.0 <= power_kw <= highest_kw
+        return signal == "telemetry" or math.isfinite(power_kw)
 
     def enter(self, cycle: int) -> None:
         """Begin a cycle. In arming rounds, whose numbers are negative, nothing is remembered."""
         if cycle < 0 or self.cycle < 0:
             self.forget()
-        self.cycle, self.inputs, self.missing = cycle, {}, []
-        self.estimated = self.actuated = False
+        self.cycle, self.stage = cycle, "estimate"
+        self.entered_at = time.monotonic()
 
-    def parent_acts(self) -> bool:
-        """Whether the supervisor gives a request and a setpoint in this cycle."""
-        depth_of_parent = self.node.count("/")
-        return self.cycle < 0 or self.cycle % self.plan["period_cycles"][depth_of_parent] == 0
+    # Stages --------------------------------------------------------------------------------------
+
+    def advance(self, *, time_is_up: bool = False) -> None:
+        """Close the open stage if its inputs are there or its time is up; then the next one."""
+        if self.stage == "estimate" and (time_is_up or self.has("telemetry", "dispatch")):
+            self.stage = "actuate"
+            self.estimate()
+            time_is_up = False
+        if self.stage == "actuate":
+            parent_acts = self.cycle < 0 or self.cycle % self.parent_period == 0
+            if time_is_up or not parent_acts or self.has("setpoint"):
+                self.stage = ""
+                self.actuate()
+
+    def has(self, *signals: str) -> bool:
+        """Whether the message of this cycle has come on each of these inputs."""
+        return all(self.heard.get(signal) == self.cycle for signal in signals)
 
     def seconds_left(self) -> float | None:
-        """How long to wait for the parent before going on without; if for ever, None.
+        """How long the open stage may wait; None: until its inputs are there.
 
         So it is in lockstep, in arming rounds, and between command and telemetry.
         """
         cycle_s: float = self.plan["cycle_wall_ns"] / 1e9
-        if not cycle_s or self.cycle < 0 or self.actuated or "telemetry" not in self.inputs:
+        if not cycle_s or self.cycle < 0 or not self.stage:
             return None
-        share = SETPOINT_BY if self.estimated else REQUEST_BY
-        return max(self.measured_at + share * cycle_s - time.monotonic(), 0.0)
+        share = ESTIMATE_BY if self.stage == "estimate" else ACTUATE_BY
+        return max(self.entered_at + share * cycle_s - time.monotonic(), 0.0)
+
+    def inputs(self, *signals: str) -> list[dict[str, Any] | None]:
+        """Return the newest message of each input, None if it is silent. Say so in `missing`."""
+        self.missing, self.ready_ns = [], time.monotonic_ns()
+        found = []
+        for signal in signals:
+            key = signal if signal == "dispatch" else f"{self.node}/{signal}"
+            period = self.parent_period if signal == "setpoint" else 1
+            message = self.newest.get(signal)
+            if message is not None:
+                age = self.cycle - message["cycle"] - period + 1  # Up to 0: no newer one was due.
+                if age > self.plan["hold_cycles"]:
+                    message = None
+                elif age > 0:
+                    self.missing.append(f"{key}@{message['cycle']}")
+            if message is None:
+                self.missing.append(key)
+            found.append(message)
+        return found
 
     def estimate(self) -> None:
-        """Say what the inverter could give (eq. 1), and what it has more or less than asked for."""
-        self.estimated = True
-        power_kw, alpha = self.inputs["telemetry"]["power_kw"], self.inputs["telemetry"]["alpha"]
-        if 0.0 <= power_kw <= self.rating_kw * (1.0 + METER_TOLERANCE) and 0.0 < alpha <= 1.0:
-            self.impp_kw, self.stale_cycles = min(power_kw / alpha, self.rating_kw), 0
-        else:  # Absurd, also if it is NaN: the last estimate holds, and grows old.
-            self.stale_cycles += 1
-        self.request_kw = self.usable("request", self.request_kw)
-        residual_kw = self.impp_kw - self.request_kw
+        """Say what the inverter could give (eq. 1), and how far that is from its request."""
+        telemetry, dispatch = self.inputs("telemetry", "dispatch")
+        if telemetry is not None and 0 <= telemetry["cycle"] <= self.measured_cycle:
+            telemetry = None  # The estimate rests on it already.
+        self.measure(telemetry)
+        residual_kw = self.impp_kw - (self.request_kw(dispatch) or 0.0)
         self.publish("impp", power_kw=self.impp_kw, stale_cycles=self.stale_cycles)
         self.publish("residual", power_kw=residual_kw)
         if residual_kw < 0.0:
             self.publish("help", missing_kw=-residual_kw)
 
+    def measure(self, telemetry: dict[str, Any] | None) -> None:
+        """Estimate the maximum from a measurement; without a usable one the last estimate holds."""
+        self.stale_cycles += 1
+        if telemetry is None:
+            return
+        self.measured_cycle = telemetry["cycle"]
+        power_kw, alpha = telemetry["power_kw"], telemetry["alpha"]
+        highest_kw = self.rating_kw * (1.0 + METER_TOLERANCE)
+        if 0.0 <= power_kw <= highest_kw and 0.0 < alpha <= 1.0:  # Not so if one is NaN.
+            maximum_kw = power_kw / alpha
+            available_kw = telemetry.get("available_kw")  # Some inverters state it.
+            if alpha < 1.0 and available_kw is not None and 0.0 <= available_kw <= highest_kw:
+                maximum_kw = available_kw
+            self.impp_kw, self.stale_cycles = min(maximum_kw, self.rating_kw), 0
+
+    def request_kw(self, dispatch: dict[str, Any] | None) -> float | None:
+        """Return the inverter's share of the dispatch by rating (eq. 3); None if none is heard."""
+        if dispatch is None:
+            return None
+        plant_rating_kw: float = dispatch["plant_rating_kw"]
+        power_kw: float = min(max(dispatch["power_kw"], 0.0), plant_rating_kw)
+        return power_kw * (self.rating_kw / plant_rating_kw)
+
     def actuate(self) -> None:
-        """Turn the setpoint into the share of its maximum that the inverter may give (eq. 6)."""
-        self.actuated = True
-        self.setpoint_kw = self.usable("setpoint", self.setpoint_kw)
+        """Command the setpoint; without one the inverter's own share of the dispatch (eq. 6).
+
+        Without either nothing is sent: the inverter decides for itself.
+        """
+        setpoint, dispatch = self.inputs("setpoint", "dispatch")
+        target_kw = self.request_kw(dispatch) if setpoint is None else setpoint["power_kw"]
+        if target_kw is None:
+            return
         alpha = 1.0
-        if self.setpoint_kw < self.impp_kw * (1.0 - 1e-9):
-            alpha = min(max(self.setpoint_kw / self.impp_kw, self.plan["alpha_min"]), 1.0)
+        if target_kw < self.impp_kw * (1.0 - ROUNDING):
+            alpha = min(max(target_kw / self.impp_kw, self.plan["alpha_min"]), 1.0)
         power_kw = alpha * self.impp_kw if alpha < 1.0 else self.rating_kw
         self.publish("command", alpha=alpha, power_kw=power_kw)
 
-    def usable(self, signal: str, last_kw: float) -> float:
-        """Return the power that the parent names; the last one if it says nothing or nonsense."""
-        power_kw: float = self.inputs.get(signal, {}).get("power_kw", math.nan)
-        return power_kw if 0.0 <= power_kw <= self.rating_kw * (1.0 + 1e-9) else last_kw
+    # The bus -------------------------------------------------------------------------------------
 
     def publish(self, signal: str, **fields: float) -> None:
         """Send a message of this cycle."""
@@ -143,6 +192,7 @@ class DirectController:
             "sim_time_ns": self.plan["start_time_ns"] + self.cycle * self.plan["cycle_ns"],
             "source": self.node,
             "missing": self.missing,
+            "ready_time_ns": self.ready_ns,
             "publish_time_ns": time.monotonic_ns(),
             "sequence": sequence,
             **fields,
@@ -202,7 +252,9 @@ def main() -> None:
         subscribers = [
             session.declare_subscriber(key, arrived.put)
             for key in (
-                *(f"{controller.prefix}/{name}" for name in ("telemetry", "request", "setpoint")),
+                f"{controller.prefix}/telemetry",
+                f"{controller.prefix}/setpoint",
+                f"{plan['plant']}/dispatch",
                 f"{plan['plant']}/run",
             )
         ]

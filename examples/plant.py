@@ -36,7 +36,7 @@ class Plant:
         self.wall_s = plan["cycle_wall_ns"] / 1e9  # 0 is lockstep.
         self.sequences: dict[str, int] = {}
         self.arrived: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
-        self.cycle, self.missing = FIRST_ROUND, [""]
+        self.cycle, self.missing, self.ready_ns = FIRST_ROUND, [""], 0
         self.ready_round: int | None = None
         self.stand_still()
 
@@ -45,6 +45,8 @@ class Plant:
         self.alpha = dict.fromkeys(self.ratings_kw, 1.0)
         self.limit_kw = dict(self.ratings_kw)
         self.power_kw = self.sky_kw(0)
+        self.last_desired_kw = sum(self.power_kw.values())
+        self.obeyed: dict[str, int] = {}  # Cycle of the last command of each inverter.
 
     def sky_kw(self, cycle: int) -> dict[str, float]:
         """Return what each inverter could give, while clouds go by from the first to the last."""
@@ -61,10 +63,18 @@ class Plant:
     # One cycle -----------------------------------------------------------------------------------
 
     def run_cycle(self, cycle: int, until: float) -> bool:
-        """Tick: telemetry and dispatch out, commands in, production out. Whether all answered."""
-        self.cycle, self.missing = cycle, []
-        desired_kw = self.desired_kw()
-        self.publish("dispatch", power_kw=desired_kw, commitment_kw=desired_kw, regulation_kw=0.0)
+        """Tick: dispatch and telemetry out, commands in, production out. Whether all answered."""
+        self.cycle, self.missing, self.ready_ns = cycle, [], time.monotonic_ns()
+        desired_kw, rating_kw = self.desired_kw(), sum(self.ratings_kw.values())
+        self.publish(
+            "dispatch",
+            power_kw=desired_kw,
+            plant_rating_kw=rating_kw,
+            commitment_kw=desired_kw,
+            regulation_kw=0.0,
+        )
+        metered_kw = sum(self.power_kw.values())
+        self.publish("meter", power_kw=metered_kw, desired_kw=self.last_desired_kw)
         for node in self.ratings_kw:
             self.publish(
                 f"{node}/telemetry",
@@ -75,21 +85,33 @@ class Plant:
         silent = self.await_commands(until)
         if silent and cycle < 0:
             return False  # A round that does not close leaves nothing behind.
-        self.missing = sorted(f"{node}/command" for node in silent)
+        self.ready_ns = time.monotonic_ns()
+        self.missing = [self.instead(node) for node in sorted(silent)]
         self.advance()
         return not silent
 
+    def instead(self, node: str) -> str:
+        """Return the entry of `missing` for an inverter that got no command in this cycle."""
+        cycle = self.obeyed.get(node)
+        is_old = cycle is None or self.cycle - cycle > self.plan["hold_cycles"]
+        return f"{node}/command" if is_old else f"{node}/command@{cycle}"
+
     def await_commands(self, until: float) -> set[str]:
-        """Obey the commands of this cycle as they come. Return the inverters that got none."""
+        """Obey commands as they come, until each inverter has that of this cycle.
+
+        Returns the inverters that got none; they go on obeying their last one.
+        """
         silent = set(self.ratings_kw)
         while silent and (message := self.next_message(until)) is not None:
             node = message["source"]
             alpha, limit_kw = message.get("alpha", math.nan), message.get("power_kw", math.nan)
-            if message["cycle"] == self.cycle and node in silent and 0.0 < alpha <= 1.0:
-                self.alpha[node] = alpha
+            cycle, last = message["cycle"], self.obeyed.get(node, FIRST_ROUND)
+            if node in silent and last < cycle <= self.cycle and 0.0 < alpha <= 1.0:
+                self.alpha[node], self.obeyed[node] = alpha, cycle
                 if self.plan["actuator"] == "limit" and limit_kw >= 0.0:
                     self.limit_kw[node] = min(limit_kw, self.ratings_kw[node])
-                silent.discard(node)
+                if cycle == self.cycle:
+                    silent.discard(node)
         return silent
 
     def advance(self) -> None:
@@ -99,6 +121,7 @@ class Plant:
         for node, most_kw in sky_kw.items():
             share = self.alpha[node] if fraction else 1.0
             self.power_kw[node] = min(share * most_kw, self.limit_kw[node])
+        self.last_desired_kw = self.desired_kw()
         self.publish(
             "production",
             desired_kw=self.desired_kw(),
@@ -149,7 +172,7 @@ class Plant:
 
     def say_run(self, state: str, cycle: int, start_ns: int) -> None:
         """Tell everybody that the run begins at a cycle, or ends before it."""
-        self.cycle, self.missing = cycle, []
+        self.cycle, self.missing, self.ready_ns = cycle, [], time.monotonic_ns()
         wall_ns = self.plan["cycle_wall_ns"]
         self.publish("run", state=state, start_time_ns=start_ns, cycle_wall_ns=wall_ns)
 
@@ -178,6 +201,7 @@ class Plant:
             "sim_time_ns": self.plan["start_time_ns"] + self.cycle * self.plan["cycle_ns"],
             "source": "plant",
             "missing": self.missing,
+            "ready_time_ns": self.ready_ns,
             "publish_time_ns": time.monotonic_ns(),
             "sequence": sequence,
             **fields,

@@ -22,7 +22,7 @@ def accepted_words(struct: type[Any], path: str) -> tuple[str, ...]:
         A msgspec struct.
     path
         The field as msgspec names it in an error, without the leading `$.`:
-        `control.late`, `faults[...].distribution`.
+        `control.scheme`, `faults[...].distribution`.
     """
     table, _, name = path.rpartition(".")
     if tags := _tags(struct, table, name):

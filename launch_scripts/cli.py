@@ -208,7 +208,8 @@ def timing_command(
     scenario: Annotated[
         str | None,
         typer.Argument(
-            help="A shipped scenario or a TOML file; default oahu, oahu-day for a study.",
+            help="A shipped scenario or a TOML file, default oahu (oahu-day for a study); or the "
+            "folder or run.mcap of a run that was in real time: nothing is run then.",
             show_default=False,
         ),
     ] = None,
@@ -264,6 +265,8 @@ def timing_command(
     ] = None,
 ) -> None:
     """Run a plant in real time and report whether every tier meets its deadlines, and by how much.
+
+    With a recorded run instead of a scenario, report on that.
 
     Exit status 1: a budget was not kept, or the run failed. A scenario states its own budgets in
     its table timing.budgets; see docs/timing.md.

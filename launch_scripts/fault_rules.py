@@ -12,7 +12,7 @@ from typing import Any, Final
 import msgspec
 
 from bus_schemas.errors import InputError
-from bus_schemas.faults import FaultRule, check_rule
+from bus_schemas.faults import UNHEARD, FaultRule, check_rule
 from bus_schemas.tree import ControlTree
 from launch_scripts.scenario import ScenarioFile
 
@@ -45,6 +45,14 @@ def fault_rules(
         check_rule(rule, tree, f"--fault {text}", external)
         rules += (rule,)
     return rules
+
+
+def fault_remarks(rules: Sequence[FaultRule]) -> tuple[str, ...]:
+    """Say of which signals faults change nothing, a line each."""
+    unheard = dict.fromkeys(rule.signal for rule in rules if rule.signal in UNHEARD)
+    return tuple(
+        f"faults on {signal} change nothing: no agent acts on {signal}" for signal in unheard
+    )
 
 
 def parse_fault(text: str) -> FaultRule:

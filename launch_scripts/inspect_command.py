@@ -188,13 +188,12 @@ def _facts(overview: Overview) -> Iterator[tuple[str, str]]:
         f"{overview.complete_cycles:,} complete, {overview.planned_cycles:,} planned",
     )
     yield "duration", f"{overview.simulated_s:,.0f} s simulated in {overview.wall_s:,.1f} s"
-    yield "versions", ", ".join(f"{name} {text}" for name, text in overview.versions.items())
     origin = overview.origin
-    yield (
-        "host",
-        f"{origin.get('host', '')}, {origin.get('cpu_count', '')} CPUs, Linux "
-        f"{origin.get('kernel', '')}, Python {origin.get('python', '')}",
-    )
+    versions = [f"{name} {text}" for name, text in overview.versions.items()]
+    yield "versions", ", ".join([*versions, f"Python {origin.get('python', 'not stated')}"])
+    if "host" in origin:  # A run in memory does not depend on it.
+        cpus, kernel = origin.get("cpu_count", "?"), origin.get("kernel", "?")
+        yield "host", f"{origin['host']}, {cpus} CPUs, Linux {kernel}"
     yield "file", f"{'whole' if overview.whole else 'cut'}{_recovered(overview)}"
 
 

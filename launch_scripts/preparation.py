@@ -19,7 +19,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree, depth
 from launch_scripts.clustering import control_tree, in_order, neighbourhoods
 from launch_scripts.externals import NO_EXTERNALS, ExternalOptions, check_externals
-from launch_scripts.fault_rules import fault_rules
+from launch_scripts.fault_rules import fault_remarks, fault_rules
 from launch_scripts.machine_table import AS_THE_SCENARIO_SAYS, MachineOptions, machine_settings
 from launch_scripts.power_sources import power_source
 from launch_scripts.real_time import cycle_wall_ns, tier_deadlines_ns
@@ -133,6 +133,7 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
             *day.source.remarks(day.times),
             *(() if of_commitment is None else (of_commitment,)),
             *_regulation_remarks(scenario_file),
+            *fault_remarks(plan.faults),
         ),
         external=options.external,
     )

@@ -65,7 +65,7 @@ def cycle_wall_ns(cycle_s: float, pace: float | Literal["max"], where: str) -> i
 def tier_deadlines_ns(
     deadlines_ms: Sequence[float] | None, tree: ControlTree, cycle_ns: int
 ) -> tuple[int, ...]:
-    """Return when the last word of each tier must be out after the beginning of a cycle [ns].
+    """Return when the last message of each tier must be out after the beginning of a cycle [ns].
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def tier_deadlines_ns(
             raise InputError(
                 f"{_stated(tier, deadlines_ms[tier])}, accepted is {SHORTEST_DEADLINE_MS:g} ms "
                 f"more than that of the tier above it ({deadlines_ms[tier - 1]:g} ms), or later: "
-                f"each tier speaks after its parent"
+                f"each tier acts after its parent"
             )
     _check_first_stages(found[0], tree)
     if cycle_ns:
@@ -128,13 +128,13 @@ def _stated(tier: int, deadline_ms: float) -> str:
 
 
 def _check_first_stages(central_ns: int, tree: ControlTree) -> None:
-    """Refuse a deadline of the central controller that leaves no time to those before its word."""
+    """Refuse a deadline of the central controller that leaves no time to the stages before it."""
     stages = stage_place(CENTRAL, "solve", tree)
     if central_ns < stages * _SHORTEST_SLICE_NS:
         raise InputError(
-            f"{_stated(0, central_ns / 1e6)}: the {stages} stages from the first "
-            f"request to the central controller's solve share it, {central_ns / stages / 1e3:.3g} "
-            f"us each, accepted is {stages * _SHORTEST_SLICE_NS / 1e6:g} ms or more"
+            f"{_stated(0, central_ns / 1e6)}: the {stages} stages from the tick to the central "
+            f"controller's solve share it, {central_ns / stages / 1e3:.3g} us each, expected "
+            f"{stages * _SHORTEST_SLICE_NS / 1e6:g} ms or more"
         )
 
 
@@ -144,6 +144,6 @@ def _check_plant(last_ns: int, cycle_ns: int, tier: int) -> None:
     if slice_ns < _SHORTEST_SLICE_NS:
         latest_ms = (cycle_ns - 2 * _SHORTEST_SLICE_NS) / 1e6
         raise InputError(
-            f"{_stated(tier, last_ns / 1e6)}: the plant's advance has half of the "
+            f"{_stated(tier, last_ns / 1e6)}: the plant's apply has half of the "
             f"rest of the cycle, {slice_ns / 1e3:.3g} us, accepted is at most {latest_ms:.10g} ms"
         )

@@ -26,8 +26,9 @@ _RULES: Final = """\
 ## Byte by byte
 
 A reader has to accept a map's fields in any order and integers in any of msgpack's widths. It must
-refuse a field that it does not know, a missing one (`publish_time_ns` and `sequence` may be left
-out: 0), and bytes after the map. A writer may use these:
+refuse a field that it does not know, a missing one (`ready_time_ns`, `publish_time_ns` and
+`sequence` may be left out: 0; so may a field of which the tables say so), and bytes after the map.
+A writer may use these:
 
 | value | msgpack |
 |---|---|
@@ -39,8 +40,9 @@ out: 0), and bytes after the map. A writer may use these:
 | signed of 1, 2, 4, 8 bytes | `d0`, `d1`, `d2`, `d3`, then big-endian |
 | float 64 | `cb`, then IEEE 754 big-endian; `ca` (float 32) and integers are read as well |
 | boolean | `c2` no, `c3` yes |
+| nil | `c0`, only where the tables say so |
 
-An integer field takes no float, and no field takes nil.
+An integer field takes no float.
 
 """
 
@@ -63,7 +65,16 @@ def _examples() -> Iterator[tuple[str, Message]]:
     yield (
         "Telemetry of `c2/inv07` in cycle 2, after 120.5 kW at alpha 0.5:",
         Telemetry(
-            2, time_ns, PLANT, (), 5_000_000_000, 2, power_kw=120.5, alpha=0.5, limit_kw=470.0
+            2,
+            time_ns,
+            PLANT,
+            (),
+            4_999_900_000,
+            5_000_000_000,
+            2,
+            power_kw=120.5,
+            alpha=0.5,
+            limit_kw=470.0,
         ),
     )
     yield (
@@ -73,6 +84,7 @@ def _examples() -> Iterator[tuple[str, Message]]:
             time_ns - 1_000_001_000_000_000,
             INVERTER,
             (),
+            3_999_900_000,
             4_000_000_000,
             0,
             power_kw=241.0,
@@ -80,8 +92,17 @@ def _examples() -> Iterator[tuple[str, Message]]:
         ),
     )
     yield (
-        "Residual in a cycle in which the request had not come in time:",
-        Residual(2, time_ns, INVERTER, (f"{INVERTER}/request",), 5_003_000_000, 2, power_kw=-20.0),
+        "Residual in a cycle whose dispatch had not come in time: that of cycle 1 was used:",
+        Residual(
+            2,
+            time_ns,
+            INVERTER,
+            ("dispatch@1",),
+            5_002_900_000,
+            5_003_000_000,
+            2,
+            power_kw=-20.0,
+        ),
     )
     yield (
         "Setpoint of 100 kW: the share of 80 kW, and 20 kW more for `c2/inv05`:",
@@ -90,6 +111,7 @@ def _examples() -> Iterator[tuple[str, Message]]:
             time_ns,
             "c2",
             (),
+            5_003_400_000,
             5_003_500_000,
             2,
             power_kw=100.0,
@@ -99,7 +121,17 @@ def _examples() -> Iterator[tuple[str, Message]]:
     )
     yield (
         "The command that answers it:",
-        Command(2, time_ns, INVERTER, (), 5_004_000_000, 2, alpha=100.0 / 241.0, power_kw=100.0),
+        Command(
+            2,
+            time_ns,
+            INVERTER,
+            (),
+            5_003_900_000,
+            5_004_000_000,
+            2,
+            alpha=100.0 / 241.0,
+            power_kw=100.0,
+        ),
     )
     yield (
         "The plant's word that the run begins, in real time with 1 s a cycle:",
@@ -108,6 +140,7 @@ def _examples() -> Iterator[tuple[str, Message]]:
             time_ns - 2_000_000_000,
             PLANT,
             (),
+            2_799_900_000,
             2_800_000_000,
             0,
             state="start",
@@ -133,6 +166,7 @@ def _parts(payload: bytes) -> Iterator[_Part]:
         place += len(part.data)
 
 
+_NIL: Final = 0xC0
 _FIXED: Final = {
     0xCB: (8, ">d", "float 64"),
     0xCC: (1, ">B", "unsigned integer of 1 byte"),
@@ -154,6 +188,8 @@ def _value(payload: bytes, place: int) -> _Part:
     if 0xA0 <= first < 0xC0:
         data = payload[place : place + 1 + (first & 0x1F)]
         return _Part(data, f'string "{data[1:].decode()}"')
+    if first == _NIL:
+        return _Part(payload[place : place + 1], "nil")
     if 0x90 <= first < 0xA0:
         return _Part(payload[place : place + 1], f"an array of {first & 0x0F} entries")
     raise ValueError(f"no example has the msgpack type {first:#x}")

@@ -1,7 +1,7 @@
 """Messages that could not be used, by key and cause: what recorder and listeners say of them.
 
-The recorder hears everything, but does not take part in cycles; an agent hears its own keys alone,
-and knows what came too late. Both may have complained of the same message: the larger count holds.
+The recorder hears everything, but takes no part in cycles. An agent hears only its own keys, and
+knows what came too late. Both may have counted the same message: the larger count holds.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from agents.plan import RunPlan
 from bus_schemas.signals import ports
 
 _LISTENERS_CAUSES: Final = {
-    "late": "of a cycle that was over",
+    "late": "older than the newest one",
     "other_cycle": "of a cycle far from this one",
-    "unexpected": "not expected in its cycle",
+    "unexpected": "not of a turn of its sender",
     "duplicate": "came twice in a cycle",
     "foreign": "not from who may publish there",
     "flooded": "more than can be looked at",
@@ -55,8 +55,8 @@ def wrong_messages(
     complaints
         The recorder's.
     dropped_ports
-        The agents', each by port and cause. Those of external agents' ports count here: what comes
-        late from processes is the machine's doing.
+        The agents' counts, by port and cause. Only ports of external agents count here: what comes
+        late from a process is the machine's fault.
     """
     publishers = {str(port): port.publisher for port in ports(plan.tree)}
     theirs = {port for port, publisher in publishers.items() if publisher in plan.external}

@@ -6,20 +6,13 @@ import msgspec
 
 from agents.plan import RunPlan
 from bus_schemas.messages import Message
-from bus_schemas.signals import Occurrence, Port, Role
-from bus_schemas.tree import depth, parent_of
+from bus_schemas.signals import Occurrence, Port
 
 
 def due_step(plan: RunPlan, port: Port[Message]) -> int:
     """Return in every how many cycles a message is due; 0 where it comes when it is needed."""
-    match port.signal.occurrence:
-        case Occurrence.CYCLE:
-            return 1
-        case Occurrence.TURN:
-            actor = parent_of(port.node) if port.signal.publisher is Role.PARENT else port.node
-            return plan.period_cycles[depth(actor)]
-        case _:
-            return 0
+    comes_regularly = port.signal.occurrence in {Occurrence.CYCLE, Occurrence.TURN}
+    return plan.period(port) if comes_regularly else 0
 
 
 class Shortfall(msgspec.Struct, frozen=True):

@@ -478,7 +478,8 @@ class RunReader:
             raise InputError(f"{self.path}: an MCAP file, but no recording of a heliarch run")
         if found != SCHEMA_VERSION:
             raise InputError(
-                f"{self.path}: schema version {found}, accepted is version {SCHEMA_VERSION}"
+                f"{self.path}: recorded with schema version {found}, this Heliarch reads version "
+                f"{SCHEMA_VERSION}; read it with the Heliarch that wrote it"
             )
 
     def _read_origin(self) -> tuple[str, RunPlan]:

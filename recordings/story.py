@@ -1,4 +1,4 @@
-"""What each node measured, believed, asked, got and gave in one cycle after another."""
+"""What each node measured, estimated, got and gave, cycle by cycle."""
 
 from __future__ import annotations
 
@@ -7,20 +7,21 @@ from typing import Final
 
 import msgspec
 
+from agents.request import own_request_kw
 from bus_schemas.messages import (
     Command,
     Dispatch,
     Help,
     Impp,
     Message,
+    Meter,
     Notice,
     Production,
-    Request,
     Residual,
     Setpoint,
     Telemetry,
 )
-from bus_schemas.signals import HELP, SETPOINT, Port
+from bus_schemas.signals import DISPATCH, HELP, SETPOINT, Port
 from bus_schemas.tree import ROOT, ControlTree, agent_name, parent_of
 from recordings.reader import RunReader
 
@@ -42,12 +43,13 @@ class NodeCycle(msgspec.Struct, omit_defaults=True):
     ----------
     cycle, time, node
         Which; local time at the beginning of the cycle.
-    power_kw, applied_alpha
-        Telemetry of the interval before: what the inverter measured, and the alpha that it obeyed.
+    power_kw, applied_alpha, available_kw
+        Telemetry of the interval before: what the inverter measured, the alpha that it obeyed, and
+        the power that it says it could have given.
     impp_kw, stale_cycles
         Its IMPP, and for how many cycles there was no usable measurement.
     request_kw, residual_kw
-        What its parent asked of it, and the IMPP less that.
+        Its share of the dispatch by rating, and its IMPP less that.
     help_asked_kw
         The power that it called for.
     help_from
@@ -60,6 +62,8 @@ class NodeCycle(msgspec.Struct, omit_defaults=True):
         The curtailment level that it told its inverter.
     dispatch_kw, commitment_kw, regulation_kw
         Central controller: what the operator wanted, and the two parts of it.
+    metered_kw
+        Central controller: what the plant's meter read of the interval before.
     possible_kw, delivered_kw
         Central controller: what the plant could have given in this interval, and what it gave.
     needy
@@ -67,7 +71,7 @@ class NodeCycle(msgspec.Struct, omit_defaults=True):
     moved_kw
         The same: power that its children produced for each other.
     missing
-        Inputs that it had to do without, and what took their place, see `bus_schemas.missing`.
+        Inputs that were not due, see `bus_schemas.missing`.
     notices
         What it said in words.
     """
@@ -77,6 +81,7 @@ class NodeCycle(msgspec.Struct, omit_defaults=True):
     node: str
     power_kw: float | None = None
     applied_alpha: float | None = None
+    available_kw: float | None = None
     impp_kw: float | None = None
     stale_cycles: int = 0
     request_kw: float | None = None
@@ -90,6 +95,7 @@ class NodeCycle(msgspec.Struct, omit_defaults=True):
     dispatch_kw: float | None = None
     commitment_kw: float | None = None
     regulation_kw: float | None = None
+    metered_kw: float | None = None
     possible_kw: float | None = None
     delivered_kw: float | None = None
     needy: list[str] = []
@@ -135,7 +141,7 @@ def _ports_about(run: RunReader, nodes: Collection[str]) -> frozenset[Port[Messa
     parents = {parent_of(node) for node in nodes if node != ROOT}
 
     def tells(port: Port[Message]) -> bool:
-        if port.node in nodes:
+        if port.node in nodes or port.signal is DISPATCH:  # Every node's request follows from it.
             return True
         parent = parent_of(port.node) if port.node != ROOT else None
         if port.signal is SETPOINT:  # A setpoint's account says for whom its power is.
@@ -159,11 +165,13 @@ class _Teller:
         cycle = self._open.get(message.cycle)
         if cycle is None:
             cycle = self._open[message.cycle] = self._begin(message.cycle)
+        if isinstance(message, Dispatch):
+            self._tell_requests(cycle, message)
         own = cycle.get(port.node)
         if own is not None:
             _tell_of(own, message)
         if port.node != ROOT:
-            self._tell_family(cycle, port, message)
+            self._tell_relatives(cycle, port, message)
         sender = cycle.get(ROOT if message.source == agent_name(ROOT) else message.source)
         if sender is not None:
             sender.missing = list(dict.fromkeys([*sender.missing, *message.missing]))
@@ -177,7 +185,11 @@ class _Teller:
         time = self._clock.text(cycle)
         return {node: NodeCycle(cycle, time, agent_name(node)) for node in self._nodes}
 
-    def _tell_family(
+    def _tell_requests(self, cycle: dict[str, NodeCycle], dispatch: Dispatch) -> None:
+        for path, node in cycle.items():
+            node.request_kw = own_request_kw(dispatch, self._tree.rating_kw(path))
+
+    def _tell_relatives(
         self, cycle: dict[str, NodeCycle], port: Port[Message], message: Message
     ) -> None:
         """Tell a node's parent and siblings what its call for help or its setpoint says of them."""
@@ -200,8 +212,7 @@ def _tell_of(node: NodeCycle, message: Message) -> None:
     match message:
         case Telemetry():
             node.power_kw, node.applied_alpha = message.power_kw, message.alpha
-        case Request():
-            node.request_kw = message.power_kw
+            node.available_kw = message.available_kw
         case Impp():
             node.impp_kw, node.stale_cycles = message.power_kw, message.stale_cycles
         case Residual():
@@ -223,6 +234,8 @@ def _tell_of_plant(node: NodeCycle, message: Message) -> None:
             node.dispatch_kw = message.power_kw
             node.commitment_kw = message.commitment_kw
             node.regulation_kw = message.regulation_kw
+        case Meter():
+            node.metered_kw = message.power_kw
         case Production():
             node.possible_kw, node.delivered_kw = message.possible_kw, message.delivered_kw
         case Notice():

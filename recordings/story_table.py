@@ -156,7 +156,7 @@ def _remarks(node: NodeCycle) -> str:
         _help_text("for", node.help_for),
         "need: " + ", ".join(map(_short, node.needy)) if node.needy else "",
         f"stale for {node.stale_cycles}" if node.stale_cycles else "",
-        in_words(node.missing, node.cycle),
+        in_words(node.missing),
         *node.notices,
     ]
     return "; ".join(part for part in said if part)

@@ -15,8 +15,8 @@ from bus_schemas.messages import (
     Help,
     HelpGiven,
     Impp,
+    Meter,
     Production,
-    Request,
     Residual,
     Setpoint,
     Telemetry,
@@ -26,8 +26,8 @@ from bus_schemas.signals import (
     DISPATCH,
     HELP,
     IMPP,
+    METER,
     PRODUCTION,
-    REQUEST,
     RESIDUAL,
     RUN,
     SETPOINT,
@@ -69,13 +69,17 @@ def cycle_of_the_plant(cycle: int) -> Iterator[Delivery]:
     for leaf in tree.leaves:
         telemetry = Telemetry(*stamp(PLANT), power_kw=50.0 + cycle % 7, alpha=0.5, limit_kw=100.0)
         yield TELEMETRY.of(leaf), telemetry
-    dispatch = Dispatch(*stamp(PLANT), power_kw=240.0, commitment_kw=230.0, regulation_kw=10.0)
+    dispatch = Dispatch(
+        *stamp(PLANT),
+        power_kw=240.0,
+        plant_rating_kw=tree.rating_kw(ROOT),
+        commitment_kw=230.0,
+        regulation_kw=10.0,
+    )
     yield DISPATCH.of(ROOT), dispatch
+    yield METER.of(ROOT), Meter(*stamp(PLANT), power_kw=238.0, desired_kw=240.0)
     below = [node for node in tree.nodes if node != ROOT]
     acting = [node for node in below if central_acts or parent_of(node) != ROOT]
-    for node in acting:
-        asked_kw = 0.6 * tree.rating_kw(node)
-        yield REQUEST.of(node), Request(*stamp(agent_name(parent_of(node))), power_kw=asked_kw)
     for node in reversed(tree.nodes):
         spare_kw = {"c1/a": -20.0, "c1/b": 30.0}.get(node, 15.0)
         impp_kw = 0.6 * tree.rating_kw(node) + spare_kw
@@ -145,11 +149,11 @@ def write_run(
     writer = RunWriter(path, plan, SCENARIO, driver="simulate")
     kept = []
     for port, message in deliveries:
-        stamped = outbox.stamp(port, message)
-        if not is_kept((port, stamped)):
+        outbox.stamp(port, message, time.monotonic_ns())
+        if not is_kept((port, message)):
             continue
-        writer.add(port, stamped, encode(stamped), time.monotonic_ns())
-        kept.append((port, stamped))
+        writer.add(port, message, encode(message), time.monotonic_ns())
+        kept.append((port, message))
         if len(kept) % messages_per_chunk == 0:
             writer.flush()
     if close:

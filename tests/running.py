@@ -7,17 +7,67 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
 import pytest
 
-PATIENT_HELIARCH = Path(__file__).with_name("patient_heliarch.py")
+from launch_scripts.fork_requests import log_name
+
 REPOSITORY = Path(__file__).parent.parent
 
-PATIENCE_S = 60.0
-"""Nothing that is alive is silent for so long, on any machine: see `patient_heliarch`."""
+SMALL = """\
+name = "small"
+title = "Four inverters in two clusters"
+
+[time]
+start = 2010-04-01T12:00:00
+timezone = "Pacific/Honolulu"
+duration_s = 3600
+cycle_s = 1
+
+[plant]
+inverters = "small.csv"
+altitude_m = 11
+
+[irradiance]
+kind = "clouds"
+seed = 1
+
+[commitment]
+kind = "share-of-clear-sky"
+share = 0.5
+
+[control]
+cluster_sizes = [[2, 2]]
+clusters = "listed"
+# Nothing that is alive is silent for so long, on any machine.
+stall_timeout_s = 60
+
+[neighbours]
+history = "hindsight"
+"""
+INVERTERS = """\
+inverter,lat,lon,rating_kw
+inv01,21.31533,-158.087,500
+inv02,21.31451,-158.08534,500
+inv03,21.31236,-158.08463,500
+inv04,21.31303,-158.08505,400
+"""
+
+
+def small_plant(folder: Path, *changes: tuple[str, str]) -> str:
+    """Write a scenario of four inverters, with some of its text changed; return its path."""
+    text = SMALL
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    folder.mkdir(exist_ok=True)
+    (folder / "small.csv").write_text(INVERTERS, encoding="utf-8")
+    path = folder / "small.toml"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
 
 
 class Heliarch:
@@ -29,24 +79,15 @@ class Heliarch:
         Of its run.
     words
         The command line.
-    stall_s, heartbeat_s
-        How long it waits for a silent agent, and for a silent recorder.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        *words: str,
-        stall_s: float = PATIENCE_S,
-        heartbeat_s: float = PATIENCE_S,
-    ) -> None:
+    def __init__(self, folder: Path, *words: str) -> None:
         self.folder = folder
         self.output = folder.with_suffix(".out")
         self.errors = folder.with_suffix(".err")
-        patience = (str(stall_s), str(heartbeat_s))
         with self.output.open("wb") as out, self.errors.open("wb") as err:
             self.process = subprocess.Popen(
-                [sys.executable, PATIENT_HELIARCH, *patience, *words, "--out", str(folder)],
+                [sys.executable, "-m", "launch_scripts", *words, "--out", str(folder)],
                 stdout=out,
                 stderr=err,
                 env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
@@ -77,12 +118,19 @@ class Heliarch:
 
     def processes(self) -> list[psutil.Process]:
         """Processes of the run that exist now, the launcher left out."""
-        return processes_of(self.folder)
+        return [found for found in processes_of(self.folder) if found.pid != self.process.pid]
 
     def process_of(self, agent: str) -> psutil.Process:
         """Return the process of one agent."""
-        word = {"plant": "sim_plant", "recorder": "recordings"}.get(agent, agent)
-        (found,) = [process for process in self.processes() if word in process.cmdline()]
+        log = self.folder / "logs" / log_name(agent)
+        (found,) = [process for process in self.processes() if _output_of(process.pid) == str(log)]
+        return found
+
+    def fork_server(self) -> psutil.Process:
+        """Return the fork server."""
+        (found,) = [
+            process for process in self.processes() if _output_of(process.pid) == str(self.output)
+        ]
         return found
 
 
@@ -91,8 +139,8 @@ def commands_in(folder: Path) -> Iterator[Callable[..., Heliarch]]:
     """Start `heliarch` commands, each with a folder of its own; nothing outlives the context."""
     started: list[Heliarch] = []
 
-    def start(*words: str, **patience: float) -> Heliarch:
-        command = Heliarch(folder / f"run{len(started)}", *words, **patience)
+    def start(*words: str) -> Heliarch:
+        command = Heliarch(folder / f"run{len(started)}", *words)
         started.append(command)
         return command
 
@@ -103,17 +151,30 @@ def commands_in(folder: Path) -> Iterator[Callable[..., Heliarch]]:
             command.process.kill()
             command.process.wait()
             for process in command.processes():
-                process.kill()
+                with suppress(psutil.NoSuchProcess):
+                    process.kill()
 
 
 def processes_of(folder: Path) -> list[psutil.Process]:
-    """Processes whose plan is in a run's folder: told by their arguments, not by their names."""
-    plan = str(folder / "plan.json")
+    """Processes that write into a run's folder: the launcher, the fork server and the agents.
+
+    They are told by their standard output, which each of them keeps to its end.
+    """
+    outputs = (str(folder.with_suffix(".out")), str(folder / "logs"))
     found = []
-    for process in psutil.process_iter(["cmdline"]):
-        if plan in (process.info["cmdline"] or []):
-            found.append(process)
+    for pid in psutil.pids():
+        if _output_of(pid).startswith(outputs):
+            with suppress(psutil.NoSuchProcess):
+                found.append(psutil.Process(pid))
     return found
+
+
+def _output_of(pid: int) -> str:
+    """Path of a process's standard output; empty if it has ended, or is not ours."""
+    try:
+        return os.readlink(f"/proc/{pid}/fd/1")
+    except OSError:
+        return ""
 
 
 def assert_none_left(folder: Path) -> None:

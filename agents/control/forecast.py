@@ -23,34 +23,18 @@ from typing import Final
 from agents.control.impp import Estimate, is_plausible, is_stated, measured_maximum_kw, stale
 
 DAMPING: Final = 0.9
-"""Share of the last change that is expected to go on."""
+"""Share of the trend that is expected to go on. Of 0.5, 0.8, 0.9 and 1 the latter two were best on
+measurements of 1 s and 10 s; 0.9 overshoots less."""
 
-TREND_TIME_S: Final = 0.0
+TREND_TIME_S: Final = 0.1
+"""Time constant of the trend [s]. With cycles of 0.1 s the last change alone is mostly the meter's
+noise. With cycles of a second it is nine tenths of the trend."""
 
 MARGIN: Final = 0.4
 """Share of the mean forecast error that is taken off the forecast."""
 
 ERROR_MEMORY_S: Final = 20.0
 """Time constant of the mean forecast error [s]."""
-
-BOUND_TOLERANCE: Final = 0.02
-"""Nearer to its limit than this share of it, an inverter counts as held by the limit."""
-
-BOUND_SPREADS: Final = 10.0
-"""So does one that is nearer than so many times what its meter read above its limits on the mean.
-What lies above a limit can only be the meter's error, while below it a cloud may be. Of normal
-errors that is 4 standard deviations."""
-
-WIDEST_BOUND_TOLERANCE: Final = 0.25
-"""However bad the meter, what is further from its limit is not held by it."""
-
-METER_MEMORY_S: Final = 100.0
-"""Time constant of the meter's mean error [s]."""
-
-LOW_READING: Final = 0.08
-RELEASE_JUMP: Final = 1.1
-LOW_READING_SAFETY: Final = 1.5
-LOW_READING_MEMORY_S: Final = 3600.0
 
 HIDDEN_GROWTH_PER_S: Final = 0.01
 """Share by which a hidden maximum is assumed to grow in a second. Without growth a rising sun is
@@ -59,6 +43,37 @@ not seen, until all inverters are believed to lack power and are let free at onc
 HIDDEN_ALPHA_MIN: Final = 1e-3
 """Lowest curtailment level where a limit hides the maximum in any case: there is nothing to keep
 observable, and 5 % of an assumed maximum would be too much in the first light."""
+
+BOUND_TOLERANCE: Final = 0.005
+"""Nearer to its limit than this share of it, an inverter counts as held by the limit: so exactly
+inverters hold theirs."""
+
+BOUND_SPREADS: Final = 10.0
+"""So does one that is nearer than so many times what its meter read above its limits on the mean.
+What lies above a limit can only be the meter's error, while below it a cloud may be. Of normal
+errors that is 4 standard deviations."""
+
+METER_MEMORY_S: Final = 100.0
+"""Time constant of that mean [s]."""
+
+METER_READINGS: Final = 30.0
+"""Readings that it is taken of at least: that of fewer says too little of a noisy meter."""
+
+WIDEST_BOUND_TOLERANCE: Final = 0.25
+"""However bad the meter, what is further from its limit is not held by it."""
+
+LOW_READING: Final = 0.08
+"""Up to this share a held inverter may read below its limit. That it did is learned from what it
+gives once it is free: without, an error of 1 % let all inverters free again and again."""
+
+RELEASE_JUMP: Final = 1.1
+"""A reading below the limit was wrong if the free inverter then gives so many times as much."""
+
+LOW_READING_SAFETY: Final = 1.5
+"""So many times as far below its limit as that reading, an inverter then counts as held."""
+
+LOW_READING_MEMORY_S: Final = 3600.0
+"""Time constant after which that is forgotten [s]."""
 
 
 def forecast_impp(
@@ -98,20 +113,63 @@ def forecast_impp(
     if not is_plausible(power_kw, alpha, rating_kw):
         return stale(last)
     maximum_kw = measured_maximum_kw(power_kw, alpha, available_kw, rating_kw)
-    reads_low = last.reads_low / (1.0 + cycle_s / LOW_READING_MEMORY_S)
-    if 0.0 < last.below_limit <= LOW_READING and maximum_kw > RELEASE_JUMP * last.maximum_kw:
-        reads_low = max(reads_low, LOW_READING_SAFETY * last.below_limit)
-    is_held = limit_kw < rating_kw and power_kw >= limit_kw * (1.0 - _tolerance(last, reads_low))
-    if not is_held:
-        below = 1.0 - power_kw / limit_kw if 0.0 < limit_kw < rating_kw else 0.0
-        return _seen(maximum_kw, last.meter_error, below, reads_low, rating_kw, cycle_s, last)
+    reads_low = _reads_low(maximum_kw, cycle_s, last)
+    is_limited = limit_kw < rating_kw
+    if not is_limited or power_kw < limit_kw * (1.0 - _tolerance(reads_low, last)):
+        below_limit = 1.0 - power_kw / limit_kw if is_limited else 0.0
+        return _seen(maximum_kw, rating_kw, cycle_s, last.meter_error, below_limit, reads_low, last)
     meter_error = last.meter_error
     if limit_kw > 0.0:
         above = max(power_kw / limit_kw - 1.0, 0.0)
-        meter_error += (above - meter_error) * _gain(cycle_s, METER_MEMORY_S)
+        gain = min(_gain(cycle_s, METER_MEMORY_S), 1.0 / METER_READINGS)
+        meter_error += (above - meter_error) * gain
     if is_stated(available_kw, rating_kw):
         maximum_kw = min(available_kw, rating_kw)
-        return _seen(maximum_kw, meter_error, 0.0, reads_low, rating_kw, cycle_s, last)
+        return _seen(maximum_kw, rating_kw, cycle_s, meter_error, 0.0, reads_low, last)
+    return _hidden(limit_kw, rating_kw, cycle_s, meter_error, reads_low, last)
+
+
+def _seen(
+    maximum_kw: float,
+    rating_kw: float,
+    cycle_s: float,
+    meter_error: float,
+    below_limit: float,
+    reads_low: float,
+    last: Estimate,
+) -> Estimate:
+    """Extrapolate a maximum that was measured or stated."""
+    trend_kw_per_s, spread_kw = 0.0, last.spread_kw
+    if last.is_seen:
+        change_kw_per_s = (maximum_kw - last.maximum_kw) / cycle_s
+        trend_kw_per_s = last.trend_kw_per_s
+        trend_kw_per_s += (change_kw_per_s - trend_kw_per_s) * _gain(cycle_s, TREND_TIME_S)
+        error_kw = abs(maximum_kw - last.expected_kw)
+        spread_kw += (error_kw - spread_kw) * _gain(cycle_s, ERROR_MEMORY_S)
+    expected_kw = min(max(maximum_kw + DAMPING * trend_kw_per_s * cycle_s, 0.0), rating_kw)
+    return Estimate(
+        power_kw=max(expected_kw - MARGIN * spread_kw, 0.0),
+        stale_cycles=0,
+        is_seen=True,
+        maximum_kw=maximum_kw,
+        trend_kw_per_s=trend_kw_per_s,
+        expected_kw=expected_kw,
+        spread_kw=spread_kw,
+        meter_error=meter_error,
+        below_limit=below_limit,
+        reads_low=reads_low,
+    )
+
+
+def _hidden(
+    limit_kw: float,
+    rating_kw: float,
+    cycle_s: float,
+    meter_error: float,
+    reads_low: float,
+    last: Estimate,
+) -> Estimate:
+    """Assume a maximum behind a limit."""
     growth = 1.0 + HIDDEN_GROWTH_PER_S * cycle_s
     assumed_kw = min(max(last.maximum_kw, limit_kw) * growth, rating_kw)
     return Estimate(
@@ -119,6 +177,7 @@ def forecast_impp(
         stale_cycles=0,
         is_seen=False,
         maximum_kw=assumed_kw,
+        trend_kw_per_s=0.0,
         expected_kw=assumed_kw,
         spread_kw=last.spread_kw,
         meter_error=meter_error,
@@ -127,41 +186,20 @@ def forecast_impp(
     )
 
 
-def _seen(
-    maximum_kw: float,
-    meter_error: float,
-    below: float,
-    reads_low: float,
-    rating_kw: float,
-    cycle_s: float,
-    last: Estimate,
-) -> Estimate:
-    """Extrapolate a maximum that was measured or stated."""
-    change_kw, spread_kw = 0.0, last.spread_kw
-    if last.is_seen:
-        change_kw = maximum_kw - last.maximum_kw
-        error_kw = abs(maximum_kw - last.expected_kw)
-        spread_kw += (error_kw - spread_kw) * _gain(cycle_s, ERROR_MEMORY_S)
-    expected_kw = min(max(maximum_kw + DAMPING * change_kw, 0.0), rating_kw)
-    return Estimate(
-        power_kw=max(expected_kw - MARGIN * spread_kw, 0.0),
-        stale_cycles=0,
-        is_seen=True,
-        maximum_kw=maximum_kw,
-        expected_kw=expected_kw,
-        spread_kw=spread_kw,
-        meter_error=meter_error,
-        below_limit=below,
-        reads_low=reads_low,
-    )
-
-
-def _tolerance(last: Estimate, reads_low: float) -> float:
+def _tolerance(reads_low: float, last: Estimate) -> float:
     """How far below its limit, as a share of it, an inverter that it holds may read."""
     widest = max(BOUND_TOLERANCE, BOUND_SPREADS * last.meter_error, reads_low)
     return min(widest, WIDEST_BOUND_TOLERANCE)
 
 
+def _reads_low(maximum_kw: float, cycle_s: float, last: Estimate) -> float:
+    """Learn from an inverter that had far more than it seemed to have below its limit."""
+    reads_low = last.reads_low * (1.0 - _gain(cycle_s, LOW_READING_MEMORY_S))
+    if 0.0 < last.below_limit <= LOW_READING and maximum_kw > RELEASE_JUMP * last.maximum_kw:
+        reads_low = max(reads_low, LOW_READING_SAFETY * last.below_limit)
+    return reads_low
+
+
 def _gain(cycle_s: float, time_constant_s: float) -> float:
-    """Weight of one cycle in a mean with this time constant."""
+    """Weight of the newest value in a mean with this time constant."""
     return cycle_s / (time_constant_s + cycle_s)

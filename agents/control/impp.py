@@ -25,18 +25,25 @@ class Estimate(NamedTuple):
         Whether the last measurement showed the maximum, and no limit hid it.
     maximum_kw
         The maximum as it was last measured; while it is hidden, what is assumed.
+    trend_kw_per_s
+        How fast it rises or falls, smoothed.
     expected_kw
         What was expected of the next measurement. Its error teaches how far to trust the next.
     spread_kw
         Mean error of what was expected.
     meter_error
         Mean of what the meter read above the limit that held the inverter, as a share of it.
+    below_limit
+        By what share of the limit the last reading lay below it; 0 if the limit held it.
+    reads_low
+        By what share of a limit readings may lie below it although it holds the inverter.
     """
 
     power_kw: float
     stale_cycles: int
     is_seen: bool = False
     maximum_kw: float = 0.0
+    trend_kw_per_s: float = 0.0
     expected_kw: float = 0.0
     spread_kw: float = 0.0
     meter_error: float = FIRST_METER_ERROR
@@ -82,6 +89,7 @@ def estimate_impp(
         stale_cycles=0,
         is_seen=True,
         maximum_kw=maximum_kw,
+        trend_kw_per_s=0.0,
         expected_kw=maximum_kw,
         spread_kw=0.0,
         meter_error=last.meter_error,
@@ -117,6 +125,7 @@ def stale(last: Estimate) -> Estimate:
         stale_cycles=last.stale_cycles + 1,
         is_seen=False,
         maximum_kw=last.maximum_kw,
+        trend_kw_per_s=last.trend_kw_per_s,
         expected_kw=last.expected_kw,
         spread_kw=last.spread_kw,
         meter_error=last.meter_error,

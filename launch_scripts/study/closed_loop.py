@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cache
+from math import isfinite, nan
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -52,6 +53,26 @@ class Settings(NamedTuple):
     is_corrected: bool
     alpha_min: float
     cycle_s: float
+
+
+class Central(NamedTuple):
+    """What the central controller remembers.
+
+    Attributes
+    ----------
+    dispatch_kw
+        The last usable dispatch; before the first the plant's rating, so that nothing is held back.
+    wanted_kw, correction_kw
+        The dispatch of its last turn, and the correction that it added then.
+    metered_kw, metered_cycles
+        Sum of what the plant's meter has read since, and in how many cycles.
+    """
+
+    dispatch_kw: float
+    wanted_kw: float
+    correction_kw: float
+    metered_kw: float
+    metered_cycles: int
 
 
 class LoopResult(NamedTuple):
@@ -158,8 +179,7 @@ def closed_loop(
     estimates = [NOTHING_KNOWN for _ in range(inverters)]
     node_impp_kw = np.zeros(len(tree.rating_kw))
     target_kw = tree.rating_kw.copy()
-    dispatched_kw = plant_rating_kw
-    wanted_kw, correction_kw, metered_kw, metered_cycles = 0.0, 0.0, 0.0, 0
+    central = Central(plant_rating_kw, 0.0, 0.0, 0.0, 0)
     for cycle in range(cycles):
         for i in range(inverters):
             node = tree.inverters[i]
@@ -174,26 +194,15 @@ def closed_loop(
             )
             node_impp_kw[node] = estimates[i].power_kw
         report_up(tree, node_impp_kw)
-        dispatched_kw = usable_dispatch_kw(dispatch_kw[cycle], dispatched_kw, plant_rating_kw)
-        if cycle > 0:
-            metered_kw += total(last_kw)
-            metered_cycles += 1
+        metered_kw = total(last_kw) if cycle > 0 else nan
+        central = hear(central, dispatch_kw[cycle], metered_kw, plant_rating_kw)
         if cycle % tree.period[0] == 0:
-            if settings.is_corrected and metered_cycles > 0:
-                correction_kw = corrected(
-                    correction_kw,
-                    wanted_kw,
-                    metered_kw / metered_cycles,
-                    dispatched_kw + FREE_WITH * correction_kw >= node_impp_kw[0],
-                    plant_rating_kw,
-                    metered_cycles * settings.cycle_s,
-                )
-            wanted_kw, metered_kw, metered_cycles = dispatched_kw, 0.0, 0
-            target_kw[0] = min(wanted_kw + correction_kw, plant_rating_kw)
+            central = take_turn(central, node_impp_kw[0], plant_rating_kw, settings)
+            target_kw[0] = min(central.wanted_kw + central.correction_kw, plant_rating_kw)
         solve_down(cycle, tree, settings, node_impp_kw, target_kw)
         for i in range(inverters):
             node = tree.inverters[i]
-            own_kw = request_kw(dispatched_kw, tree.rating_kw[node], plant_rating_kw)
+            own_kw = request_kw(central.dispatch_kw, tree.rating_kw[node], plant_rating_kw)
             residuals_kw[cycle, i] = residual_kw(node_impp_kw[node], own_kw)
             impp_kw[cycle, i] = node_impp_kw[node]
             level[i] = curtailment_level(target_kw[node], node_impp_kw[node], settings.alpha_min)
@@ -204,9 +213,6 @@ def closed_loop(
                 share = 1.0
             power_kw[cycle, i] = last_kw[i] = min(share * mpp_kw[cycle, i], limit_kw[i])
     return power_kw, impp_kw, residuals_kw, alpha
-
-
-FREE_WITH = 0.0  # measured below
 
 
 def estimate(
@@ -229,6 +235,39 @@ def report_up(tree: ControlArrays, impp_kw: Floats) -> None:
     """Add up the children's IMPP, from the inverters to the root."""
     for row in range(len(tree.parents) - 1, -1, -1):
         impp_kw[tree.parents[row]] = total(impp_kw[tree.first[row] : tree.end[row]])
+
+
+def hear(last: Central, dispatch_kw: float, metered_kw: float, plant_rating_kw: float) -> Central:
+    """Take up the dispatch of a cycle and what the meter read in the interval that ended."""
+    is_metered = isfinite(metered_kw)
+    return Central(
+        dispatch_kw=usable_dispatch_kw(dispatch_kw, last.dispatch_kw, plant_rating_kw),
+        wanted_kw=last.wanted_kw,
+        correction_kw=last.correction_kw,
+        metered_kw=last.metered_kw + metered_kw if is_metered else last.metered_kw,
+        metered_cycles=last.metered_cycles + 1 if is_metered else last.metered_cycles,
+    )
+
+
+def take_turn(last: Central, impp_kw: float, plant_rating_kw: float, settings: Settings) -> Central:
+    """Correct by what the meter has read since the last turn, and want the newest dispatch."""
+    correction_kw = last.correction_kw
+    if settings.is_corrected and last.metered_cycles > 0:
+        correction_kw = corrected(
+            correction_kw,
+            last.wanted_kw,
+            last.metered_kw / last.metered_cycles,
+            last.dispatch_kw >= impp_kw,
+            plant_rating_kw,
+            last.metered_cycles * settings.cycle_s,
+        )
+    return Central(
+        dispatch_kw=last.dispatch_kw,
+        wanted_kw=last.dispatch_kw,
+        correction_kw=correction_kw,
+        metered_kw=0.0,
+        metered_cycles=0,
+    )
 
 
 def solve_down(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from hashlib import sha256
 from pathlib import Path
 from types import CodeType, FunctionType
-from typing import Any, Final, ParamSpec, TypeVar, cast
+from typing import Final, ParamSpec, TypeGuard, TypeVar, cast
 
 from numba import njit
 
@@ -34,25 +34,42 @@ def compiled(
     """
     constants = constants or {}
     plain = cast(FunctionType, function)
-    callees: dict[FunctionType, Any] = {}
-    copy = _copy(plain, constants, callees)
-    copy.__qualname__ += f"_{_digest((plain, *callees), constants)}"
-    return cast(Callable[P, R], njit(cache=True)(copy))
+    name = _digest(_callees(plain), constants)
+    return cast(Callable[P, R], njit(cache=True)(_copy(plain, name, constants, {})))
+
+
+def _callees(function: FunctionType) -> set[FunctionType]:
+    """Return all functions of ours that a function calls, and itself."""
+    found, open_ones = {function}, [function]
+    while open_ones:
+        one = open_ones.pop()
+        used = [one.__globals__.get(name) for name in _names(one.__code__)]
+        new = {callee for callee in used if _is_ours(callee)} - found
+        found |= new
+        open_ones += new
+    return found
+
+
+def _is_ours(used: object) -> TypeGuard[FunctionType]:
+    return isinstance(used, FunctionType) and used.__module__.startswith(_PACKAGES)
 
 
 def _copy(
-    function: FunctionType, constants: Mapping[str, float], callees: dict[FunctionType, Any]
+    function: FunctionType, name: str, constants: Mapping[str, float], known: dict[object, object]
 ) -> FunctionType:
     seen = dict(function.__globals__)
-    for name in _names(function.__code__):
-        used = seen.get(name)
-        if name in constants and name in seen:
-            seen[name] = constants[name]
-        elif isinstance(used, FunctionType) and used.__module__.startswith(_PACKAGES):
-            if used not in callees:
-                callees[used] = njit(_copy(used, constants, callees))
-            seen[name] = callees[used]
-    return FunctionType(function.__code__, seen, function.__name__)
+    for used in _names(function.__code__):
+        if used in constants and used in seen:
+            seen[used] = constants[used]
+        elif _is_ours(seen.get(used)):
+            callee = seen[used]
+            if callee not in known:
+                known[callee] = njit(_copy(callee, name, constants, known))
+            seen[used] = known[callee]
+    copy = FunctionType(function.__code__, seen, function.__name__)
+    # Numba names machine code after this. Of two versions with one name, one would run as both.
+    copy.__qualname__ += f"_{name}"
+    return copy
 
 
 def _names(code: CodeType) -> Iterator[str]:
@@ -63,8 +80,8 @@ def _names(code: CodeType) -> Iterator[str]:
             yield from _names(constant)
 
 
-def _digest(functions: tuple[FunctionType, ...], constants: Mapping[str, float]) -> str:
-    """Return a name for the sources of all modules that a function or a constant comes from."""
+def _digest(functions: set[FunctionType], constants: Mapping[str, float]) -> str:
+    """Return a name for the sources of all modules that these functions come from."""
     found = sha256(repr(sorted(constants.items())).encode())
     for file in sorted({function.__code__.co_filename for function in functions}):
         found.update(Path(file).read_bytes())

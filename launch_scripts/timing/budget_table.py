@@ -24,7 +24,7 @@ _BY_NAME: Final = {
 _COUNTS: Final = (
     "missed_deadlines",
     "overruns",
-    "cycles_given_up",
+    "skipped_cycles",
     "lost_messages",
     "dropped_messages",
 )
@@ -37,7 +37,7 @@ class BudgetTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     Attributes
     ----------
     loop_p99_ms, loop_max_ms
-        From the plant's scheduled tick to the last command applied. Default of the first: half
+        From the plant's scheduled tick to the last command at the plant. Default of the first: half
         the cycle; the second has none.
     decision_p99_ms
         By tier (`plant`, `central`, `supervisor`, `direct`). Default: each stage's slice of the
@@ -47,8 +47,8 @@ class BudgetTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     jitter_p99_ms, age_p99_ms
         By tier, for each of its stages. Default: none.
     hop_p99_ms
-        By signal. Default: as the table of signals says.
-    missed_deadlines, overruns, cycles_given_up, lost_messages
+        By signal that completes a stage. Default: as the table of signals says.
+    missed_deadlines, overruns, skipped_cycles, lost_messages
         How many in the whole run, of all tiers together. Default: 0.
     dropped_messages
         The same. Default: none.
@@ -67,7 +67,7 @@ class BudgetTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     hop_p99_ms: dict[str, float] = {}
     missed_deadlines: int = 0
     overruns: int = 0
-    cycles_given_up: int = 0
+    skipped_cycles: int = 0
     lost_messages: int = 0
     dropped_messages: int | None = None
     cpu_percent: dict[str, float] = {}

@@ -14,18 +14,13 @@ from typing import Final
 
 import msgspec
 
-from agents.kinds import STAGES
+from agents.cycle import STAGES, kind_of
 from agents.plan import RunPlan
-from bus_schemas.signals import SIGNALS
-from bus_schemas.tree import CENTRAL, PLANT
+from bus_schemas.signals import SIGNALS, listeners, ports
+from bus_schemas.tree import CENTRAL, PLANT, RECORDER
 from launch_scripts.timing.budget_table import BudgetTable
-from launch_scripts.timing.measures import (
-    LOOP,
-    WHOLE_LOOP,
-    TierAccount,
-    Tiers,
-    Times,
-)
+from launch_scripts.timing.tiers import TierAccount
+from recordings.timing import LOOP, WHOLE_LOOP, Times, tier_of
 
 _PAPER_MS: Final = {"direct": 1_000.0, "supervisor": 10_000.0, CENTRAL: 60_000.0}
 
@@ -110,42 +105,53 @@ def _decision_limits_ms(plan: RunPlan, table: BudgetTable) -> dict[str, float]:
 
     A row of a tier is of all its processes, so the shortest of their slices holds.
     """
-    tiers = Tiers(plan.tree)
     found: dict[str, float] = {}
     for agent in plan.tree.agents():
-        for stage in STAGES.get(tiers.kind(agent), ()):
+        kind = kind_of(agent, plan.tree)
+        for stage in STAGES.get(kind, ()):
             limit_ms = _decision_limit_ms(agent, stage, plan, table)
-            row, kind = f"{tiers.tier(agent)} {stage}", tiers.kind(agent)
+            row = f"{tier_of(agent, plan.tree)} {stage}"
             found[row] = min(limit_ms, found.get(row, limit_ms))
             found.setdefault(kind, limit_ms)
     return found
 
 
 def _response_limits_ms(plan: RunPlan, table: BudgetTable) -> dict[str, float]:
-    """Return the limits of the response times of external agents: by agent and stage, and kind."""
-    tiers = Tiers(plan.tree)
-    found: dict[str, float] = {}
-    for agent in plan.external:
-        for stage in STAGES.get(tiers.kind(agent), ()):
-            limit_ms = _decision_limit_ms(agent, stage, plan, table)
-            found[f"{agent} {stage}"] = limit_ms
-            found.setdefault(tiers.kind(agent), limit_ms)
-    return found
+    """Return the limits of the response times of external agents, by agent and stage."""
+    return {
+        f"{agent} {stage}": _decision_limit_ms(agent, stage, plan, table)
+        for agent in plan.external
+        for stage in STAGES.get(kind_of(agent, plan.tree), ())
+    }
 
 
 def _decision_limit_ms(agent: str, stage: str, plan: RunPlan, table: BudgetTable) -> float:
-    kind = Tiers(plan.tree).kind(agent)
+    kind = kind_of(agent, plan.tree)
     stated_ms = table.decision_p99_ms.get(kind)
     if stated_ms is not None:
         return stated_ms
     return min(plan.deadlines.slice_ns(agent, stage) / 1e6, _PAPER_MS.get(kind, inf))
 
 
+def expected_rows(plan: RunPlan) -> set[tuple[str, str]]:
+    """Measure, and row, kind or signal, of what a run must have measured if it was at work."""
+    tree, external = plan.tree, set(plan.external)
+    own = set(tree.agents()) - external - {RECORDER}
+    expected = {(LOOP, WHOLE_LOOP)}
+    expected |= {("decision", kind_of(agent, tree)) for agent in own}
+    expected |= {("response", row) for row in _response_limits_ms(plan, BudgetTable())}
+    for port in ports(tree):
+        heard = own.intersection(listeners(port, tree))
+        if port.signal.hop_p99_ms is not None and port.publisher in own and heard:
+            expected.add(("hop", port.signal.name))
+    return expected
+
+
 def judge(
     budgets: Budgets,
     times: Sequence[Times],
     tiers: Sequence[TierAccount],
-    lost_messages: int,
+    lost_messages: int | None,
     expected: Collection[tuple[str, str]],
 ) -> tuple[Verdict, ...]:
     """Hold what was measured against the budgets.
@@ -157,7 +163,7 @@ def judge(
     times, tiers
         What was measured.
     lost_messages
-        How many messages are not in the recording.
+        How many messages are not in the recording; None if it is not known.
     expected
         Measure, and row, kind or signal, of what must have been measured: of these no row is a
         failure, a row that is not there being no row that is good.
@@ -210,30 +216,28 @@ def _absent_verdicts(
 
 
 def _count_verdicts(
-    table: BudgetTable, tiers: Sequence[TierAccount], lost_messages: int
+    table: BudgetTable, tiers: Sequence[TierAccount], lost_messages: int | None
 ) -> Iterator[Verdict]:
+    known = [tier.dropped for tier in tiers if tier.dropped is not None]
     counts = (
         ("missed deadlines", sum(tier.missed_deadlines for tier in tiers), table.missed_deadlines),
         ("overruns", sum(tier.overruns for tier in tiers), table.overruns),
-        (
-            "cycles given up",
-            sum(tier.cycles_given_up for tier in tiers),
-            table.cycles_given_up,
-        ),
+        ("skipped cycles", sum(tier.skipped_cycles for tier in tiers), table.skipped_cycles),
         ("messages not recorded", lost_messages, table.lost_messages),
-        ("dropped messages", sum(tier.dropped for tier in tiers), table.dropped_messages),
+        ("dropped messages", sum(known) if known else None, table.dropped_messages),
     )
     for line, count, limit in counts:
-        if limit is not None:
+        if limit is not None and count is not None:
             yield Verdict(line, "", "", count, limit, "", count <= limit)
 
 
 def _share_verdicts(table: BudgetTable, tiers: Sequence[TierAccount]) -> Iterator[Verdict]:
     for tier in tiers:
-        limit = table.cpu_percent.get(tier.kind, _CPU_PERCENT)
-        share = tier.cpu_highest_percent
-        yield Verdict(f"CPU of a {tier.tier}", "", "", share, limit, "%", share <= limit)
-        limit_mb = table.resident_mb.get(tier.kind)
-        if limit_mb is not None:
-            line, size_mb = f"memory of a {tier.tier}", tier.resident_mb
-            yield Verdict(line, "", "", size_mb, limit_mb, "MB", size_mb <= limit_mb)
+        limits = (
+            ("CPU", tier.cpu_highest_percent, table.cpu_percent.get(tier.kind, _CPU_PERCENT), "%"),
+            ("memory", tier.resident_mb, table.resident_mb.get(tier.kind), "MB"),
+        )
+        for what, value, limit, unit in limits:
+            if value is not None and limit is not None:
+                line = f"{what} of a {tier.tier}"
+                yield Verdict(line, "", "", value, limit, unit, value <= limit)

@@ -18,12 +18,12 @@ from typing import Final, Literal, TypeAlias, get_args
 import msgspec
 from msgspec.structs import replace
 
-from agents.late_words import LatePolicy
-from agents.parent_death import on_parent_death
 from agents.plan import RunPlan, Scheme
+from agents.process import die_with_parent
 from bus_schemas.faults import FaultRule
 from launch_scripts.interruption import end_when_interrupted, interruptions_wait
-from launch_scripts.timed_simulation import TimedRun, on_the_clock
+from launch_scripts.simulation import MemoryRun, on_the_clock
+from recordings.cycle_waits import StageTable
 from recordings.metrics import RunMetrics, run_metrics
 from recordings.series import RunSeries, SeriesCollector
 from sim_plant.profile import Profile
@@ -62,14 +62,15 @@ class Condition:
         What is worse than in the scenario, and how bad it is.
     scheme
         How the inverters' maxima are estimated.
-    late
-        What becomes of messages that come after their deadline.
+    correction
+        Whether the central controller corrects its target by the plant's meter. None: with
+        `predictive` alone.
     """
 
     trouble: Trouble
     value: float
     scheme: Scheme
-    late: LatePolicy
+    correction: bool | None = None
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
@@ -77,7 +78,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes
     ----------
-    trouble, value, scheme, late
+    trouble, value, scheme
         See `Condition`.
     control_caused_percent, over_delivered_percent
         Energy that control alone did not deliver, and that it delivered too much, in % of what was
@@ -89,9 +90,9 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     score
         PJM's performance score.
     missed_percent
-        Inputs that were not there at their deadline, in % of all messages that are acted on.
-    late_used
-        Late messages that were used instead of those.
+        Inputs that were not there at their deadline, in % of all that were awaited.
+    old_inputs
+        Older messages that were used in place of those.
     lost
         Messages that the network lost.
     """
@@ -99,21 +100,18 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     trouble: Trouble
     value: float
     scheme: Scheme
-    late: LatePolicy
     control_caused_percent: float | None
     over_delivered_percent: float | None
     mileage_kw_per_h: float
     fulfilled_percent: float | None
     score: float | None
     missed_percent: float
-    late_used: int
+    old_inputs: int
     lost: int
 
 
-def conditions(cycle_s: float, counted_s: float) -> list[Condition]:
+def conditions(cycle_s: float, counted_s: float, correction: bool | None = None) -> list[Condition]:
     """List the runs of the study: each value with each scheme.
-
-    With delays there are late messages: those runs come twice, with late messages used and dropped.
 
     Parameters
     ----------
@@ -122,27 +120,26 @@ def conditions(cycle_s: float, counted_s: float) -> list[Condition]:
     counted_s
         How much of each run counts [s]. Left out are central periods of which it does not hold two:
         nothing could be said of them.
+    correction
+        See `Condition`.
     """
     found = []
     for trouble, values in VALUES.items():
-        lates: Sequence[LatePolicy] = ("use", "drop") if trouble == "delay" else ("use",)
         for value in values:
             if trouble == "period" and not (value / cycle_s).is_integer():
                 continue
             if trouble == "period" and 2.0 * value > counted_s:
                 continue
-            found += [
-                Condition(trouble, value, scheme, late)
-                for scheme in get_args(Scheme)
-                for late in lates
-            ]
+            found += [Condition(trouble, value, scheme, correction) for scheme in get_args(Scheme)]
     return found
 
 
 def plan_under(plan: RunPlan, condition: Condition) -> RunPlan:
     """Return a plan with the trouble of a condition in it, on the clock."""
-    timed = replace(on_the_clock(plan), scheme=condition.scheme, late=condition.late)
-    value = condition.value
+    scheme, value, correction = condition.scheme, condition.value, condition.correction
+    if correction is None:
+        correction = scheme == "predictive"
+    timed = replace(on_the_clock(plan), scheme=scheme, correction=correction)
     match condition.trouble:
         case "period":
             cycles = round(value * 1e9) // plan.cycle_ns
@@ -158,7 +155,7 @@ def run_under(plan: RunPlan, profile: Profile, condition: Condition) -> Outcome:
     """Run a plan under a condition. The run must last longer than `WARM_UP_S`."""
     troubled = plan_under(plan, condition)
     collector = SeriesCollector(troubled)
-    run = TimedRun(troubled, profile, collector.see)
+    run = MemoryRun(troubled, profile, collector.see)
     for _ in run.cycles():
         pass
     cycles = round(WARM_UP_S * 1e9) // plan.cycle_ns
@@ -175,28 +172,38 @@ def _without_beginning(series: RunSeries, cycles: int) -> RunSeries:
     )
 
 
-def _outcome(condition: Condition, run: TimedRun, metrics: RunMetrics) -> Outcome:
+def _outcome(condition: Condition, run: MemoryRun, metrics: RunMetrics) -> Outcome:
     energy, regulation = metrics.commitment, metrics.regulation
-    sequencers = run.sequencers.values()
-    missed = sum(sequencer.missing_inputs for sequencer in sequencers)
+    loops, tally = run.loops.values(), run.bus.tally
+    missed = sum(loop.missing_inputs for loop in loops)
     return Outcome(
         trouble=condition.trouble,
         value=condition.value,
         scheme=condition.scheme,
-        late=condition.late,
         control_caused_percent=energy.percent(energy.control_caused_kwh),
         over_delivered_percent=energy.percent(energy.over_delivered_kwh),
         mileage_kw_per_h=metrics.support.per_hour_kw,
         fulfilled_percent=regulation.requests[-1].fulfilled_percent if regulation else None,
         score=regulation.performance.score if regulation and regulation.performance else None,
-        missed_percent=100.0 * missed / run.tally.seen,
-        late_used=sum(sequencer.late_used for sequencer in sequencers),
-        lost=run.tally.lost,
+        missed_percent=100.0 * missed / _awaited(run.plan),
+        old_inputs=sum(loop.old_inputs for loop in loops),
+        lost=tally.lost,
+    )
+
+
+def _awaited(plan: RunPlan) -> int:
+    """Return how many inputs the stages of a run await in all."""
+    table = StageTable(plan)
+    return sum(
+        len(stage.awaits)
+        for cycle in range(plan.cycles)
+        for agent in table.agents
+        for stage in table.stages(agent, cycle)
     )
 
 
 def _begin_worker() -> None:
-    on_parent_death()
+    die_with_parent()
     end_when_interrupted()
 
 

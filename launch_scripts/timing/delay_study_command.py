@@ -13,14 +13,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from bus_schemas.errors import InputError
-from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
+from launch_scripts.exit_status import FAILED, INTERRUPTED, OK, complain
 from launch_scripts.json_rows import check_json_destination
-from launch_scripts.lasting_console import LastingConsole, write_if_read
 from launch_scripts.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenario import load_scenario, parse_duration_s
 from launch_scripts.study.cases import cases, parse_setting
 from launch_scripts.study.study import remarks_of
-from launch_scripts.termination import Termination, terminable
+from launch_scripts.termination import Termination
 from launch_scripts.timing.delay_study import (
     WARM_UP_S,
     Outcome,
@@ -29,7 +28,7 @@ from launch_scripts.timing.delay_study import (
 )
 from launch_scripts.timing.delay_study_page import study_page
 from launch_scripts.timing.delay_study_table import counted_s, print_study
-from launch_scripts.timing.lasting_files import write_or_tell
+from launch_scripts.timing.written_files import concluded, write_files
 
 DEFAULT_SCENARIO: Final = "oahu-day"
 DEFAULT_START: Final = "11:58"
@@ -38,7 +37,6 @@ DEFAULT_SETTINGS: Final = ("commitment.share=0.6",)
 """At the scenario's own share, 0.8, the clouds take more than control ever could."""
 
 _MOST_WORKERS: Final = 256
-_PIPE_WIDTH: Final = 120
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,36 +70,30 @@ class _StudyDocument(msgspec.Struct, frozen=True, kw_only=True):
     outcomes: tuple[Outcome, ...]
 
 
-def run_study(request: StudyRequest) -> int:
+def run_study(request: StudyRequest, console: Console, termination: Termination) -> int:
     """Run the study that was asked for and print its tables. Returns the exit status.
 
-    SIGTERM and SIGHUP end it as Ctrl-C does, and change the exit status.
+    Raises
+    ------
+    InputError
+        It cannot be.
     """
-    with terminable() as termination:
-        return termination.status(_study(request, termination))
-
-
-def _study(request: StudyRequest, termination: Termination) -> int:
-    console = LastingConsole(stderr=request.json == "-")
-    if not console.is_terminal:
-        console = LastingConsole(stderr=request.json == "-", width=_PIPE_WIDTH)
+    request, preparation = _prepared(request)
     try:
-        request, preparation = _prepared(request)
         outcomes = _run(preparation, request.workers, console)
-        with termination.held():
-            print_study(preparation, outcomes, console)
-            unwritten = _write(request, preparation, outcomes, console)
-    except InputError as error:
-        return complain(error, BAD_INPUT)
     except BrokenProcessPool:
         if termination.number is not None:  # `timeout` sends its signal to the workers, too.
             return complain("interrupted", INTERRUPTED)
         return complain("a worker was killed, often for a lack of memory: fewer --workers", FAILED)
-    except KeyboardInterrupt:
-        return complain("interrupted", INTERRUPTED)
-    for text in unwritten:
-        complain(f"not written: {text}", FAILED)
-    return FAILED if unwritten or console.lost else OK
+    with termination.held():
+        unwritten = write_files(
+            request.json,
+            lambda: _document(request, preparation, outcomes),
+            request.page,
+            lambda: study_page(preparation, outcomes),
+        )
+        print_study(preparation, outcomes, console)
+    return concluded(OK, unwritten)
 
 
 def _prepared(request: StudyRequest) -> tuple[StudyRequest, Preparation]:
@@ -178,7 +170,8 @@ def _prepare(request: StudyRequest) -> Preparation:
 
 def _run(preparation: Preparation, workers: int, console: Console) -> list[Outcome]:
     plan = preparation.plan
-    chosen = conditions(plan.cycle_ns / 1e9, counted_s(preparation))
+    correction = preparation.scenario.scenario.control.correction
+    chosen = conditions(plan.cycle_ns / 1e9, counted_s(preparation), correction)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -194,10 +187,9 @@ def _run(preparation: Preparation, workers: int, console: Console) -> list[Outco
     return [found[number] for number in sorted(found)]
 
 
-def _write(
-    request: StudyRequest, preparation: Preparation, outcomes: Sequence[Outcome], console: Console
-) -> list[str]:
-    """Write JSON and page; tell what could not be written, and why. Neither costs the other."""
+def _document(
+    request: StudyRequest, preparation: Preparation, outcomes: Sequence[Outcome]
+) -> bytes:
     plan = preparation.plan
     document = _StudyDocument(
         scenario=plan.plant,
@@ -208,23 +200,4 @@ def _write(
         remarks=remarks_of(preparation),
         outcomes=tuple(outcomes),
     )
-    text = msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
-    told = []
-    if request.json == "-":
-        told.append(write_if_read(text.decode()))
-    elif request.json is not None:
-        told.append(write_or_tell(Path(request.json), text))
-    if request.page is not None:
-        told.append(_write_page(request.page, study_page(preparation, outcomes)))
-        if not told[-1]:
-            console.print(f"page: {request.page}", highlight=False, soft_wrap=True, markup=False)
-    return list(filter(None, told))
-
-
-def _write_page(path: Path, page: str) -> str:
-    """Write the page, also into a folder that is not there; tell why it could not be written."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        return f"{path}: {error.strerror}"
-    return write_or_tell(path, page.encode())
+    return msgspec.json.format(msgspec.json.encode(document), indent=1)

@@ -25,8 +25,7 @@ from recordings.report.tables import ReportTable
 _DRAWN: Final = ("control-caused [%]", "mileage [kW/h]", "RegD fulfilled [%]", "PJM score")
 _CAPTION: Final = (
     "Along each panel one thing is worse than in the scenario, in even steps from nothing to very "
-    "bad; all else is perfect. Late messages are used; where they are dropped instead, see the "
-    "table."
+    "bad; all else is perfect."
 )
 
 
@@ -56,7 +55,7 @@ def study_curves(outcomes: Sequence[Outcome]) -> list[StudyCurve]:
 def _page_table(trouble: Trouble, outcomes: Sequence[Outcome]) -> ReportTable:
     what, unit = TROUBLES[trouble]
     rows = tuple(
-        (f"{one.value:g}, {one.scheme}, late: {one.late}", "", figures(one))
+        (f"{one.value:g}, {one.scheme}", "", figures(one))
         for one in outcomes
         if one.trouble == trouble
     )

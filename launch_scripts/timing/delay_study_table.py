@@ -9,7 +9,6 @@ from typing import Final, get_args
 from rich.console import Console
 from rich.markup import escape
 
-from agents.late_words import LatePolicy
 from agents.plan import Scheme
 from launch_scripts.preparation import Preparation
 from launch_scripts.study.study import remarks_of
@@ -35,7 +34,7 @@ MERITS: Final[dict[str, Callable[[Outcome], float | None]]] = {
 }
 """What a run is judged by."""
 
-FIGURES: Final = (*MERITS, "absent [%]", "late used")
+FIGURES: Final = (*MERITS, "absent [%]", "old inputs")
 """Headings of what is told of each run."""
 
 _WIDTH: Final = 9
@@ -44,8 +43,7 @@ _WIDTH: Final = 9
 _LEGEND: Final = (
     "control-caused, over-delivered: in % of the desired energy; RegD: requests fulfilled to 1 % "
     "of the rating; absent: inputs that were not there at their deadline, in % of all",
-    "use: a late message stands in for the next one that does not come in time; drop: it does not "
-    "(control.late of the scenario)",
+    "old inputs: older messages used in place of those",
     f"the first {WARM_UP_S:g} s of each run do not count",
 )
 
@@ -84,20 +82,13 @@ def study_notes(preparation: Preparation) -> tuple[str, ...]:
     return (*remarks_of(preparation), *_LEGEND, *(too_long if shorter else ()))
 
 
-def column_of(
-    outcomes: Sequence[Outcome], trouble: Trouble, scheme: str, late: LatePolicy = "use"
-) -> list[Outcome]:
+def column_of(outcomes: Sequence[Outcome], trouble: Trouble, scheme: str) -> list[Outcome]:
     """Return what a scheme comes to under a growing trouble."""
-    return [
-        one for one in outcomes if (one.trouble, one.scheme, one.late) == (trouble, scheme, late)
-    ]
+    return [one for one in outcomes if (one.trouble, one.scheme) == (trouble, scheme)]
 
 
 def survived(outcomes: Sequence[Outcome]) -> list[str]:
-    """Say, for each scheme, up to where each trouble costs less than 1 % of the desired energy.
-
-    With dropped late messages for itself, where the study has such runs.
-    """
+    """Say, for each scheme, up to where each trouble costs less than 1 % of the desired energy."""
     return [
         f"{scheme}: the shortfall that control causes stays below {BEARABLE_PERCENT:g} % of the "
         "desired energy at " + ", ".join(_limits(outcomes, scheme))
@@ -107,14 +98,10 @@ def survived(outcomes: Sequence[Outcome]) -> list[str]:
 
 def _limits(outcomes: Sequence[Outcome], scheme: Scheme) -> Iterator[str]:
     for trouble, (_, unit) in TROUBLES.items():
-        for late in get_args(LatePolicy):
-            column = column_of(outcomes, trouble, scheme, late)
-            if late == "drop" and not column:
-                continue
-            borne = [one.value for one in takewhile(_is_bearable, column)]
-            name, _, in_unit = unit.partition(" [")
-            limit = f"{name} up to {borne[-1]:g} {in_unit[:-1]}" if borne else f"no {name}"
-            yield f"{limit} where late messages are dropped" if late == "drop" else limit
+        column = column_of(outcomes, trouble, scheme)
+        borne = [one.value for one in takewhile(_is_bearable, column)]
+        name, _, in_unit = unit.partition(" [")
+        yield f"{name} up to {borne[-1]:g} {in_unit[:-1]}" if borne else f"no {name}"
 
 
 def _is_bearable(one: Outcome) -> bool:
@@ -123,14 +110,14 @@ def _is_bearable(one: Outcome) -> bool:
 
 def _print_trouble(trouble: Trouble, outcomes: Sequence[Outcome], console: Console) -> None:
     what, unit = TROUBLES[trouble]
-    title = f"[bold]{what}[/]: {escape(unit)}, scheme, late messages"
+    title = f"[bold]{what}[/]: {escape(unit)}, scheme"
     columns = [Column(_folded(heading), _WIDTH) for heading in FIGURES]
     rows = []
     last = None
     for one in outcomes:
         if one.trouble == trouble:
             value = "" if one.value == last else f"{one.value:g}"
-            rows.append((f"{value:>4}  {one.scheme:<10}  {one.late:<4}", *figures(one)))
+            rows.append((f"{value:>4}  {one.scheme:<10}", *figures(one)))
             last = one.value
     print_table(console, title, columns, rows)
 
@@ -143,7 +130,7 @@ def _folded(heading: str) -> str:
 def figures(one: Outcome) -> tuple[str, ...]:
     """Return what a run came to, in the order of `FIGURES`."""
     merits = (_text(name, read(one)) for name, read in MERITS.items())
-    return (*merits, f"{one.missed_percent:.1f}", f"{one.late_used:,}")
+    return (*merits, f"{one.missed_percent:.1f}", f"{one.old_inputs:,}")
 
 
 def _text(merit: str, value: float | None) -> str:

@@ -1,35 +1,33 @@
 """One probe of the machine's floor as a process: a bare timer loop, or a bare Zenoh round trip.
 
 `python -m launch_scripts.timing.floor_probe SETTINGS`, where the settings are `ProbeSettings` as
-JSON. It says `Prepared`, waits for the word `begin`, measures, and says `Probed`.
+JSON. The word `begin SECONDS` on standard input lets it measure for so long, or until the next
+word. At the end it writes `Probed` as JSON to standard output.
 """
 
 from __future__ import annotations
 
 import queue
+import select
 import sys
-import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Final, Literal
 
 import msgspec
 import zenoh
 
-from agents.events import Event
-from agents.histograms import Extremes, extremes_of, new_histogram, record_ns
-from agents.lifeline import Lifeline
 from agents.machine import MachineSettings, take_machine
-from agents.process_setup import join_run
-from bus_schemas.zenoh_bus import SessionSettings
+from agents.process import die_with_parent
+from bus_schemas.zenoh_bus import SessionSettings, open_session
+from recordings.durations import Distribution, Durations
 
 PAYLOAD: Final = bytes(20)
 """About as much as a message of the plant carries besides its head."""
 
 _PING: Final = "floor/ping"
 _PONG: Final = "floor/pong"
-_LEAD_S: Final = 0.05
-_SLEEP_S: Final = 0.1
+_LEAD_NS: Final = 50_000_000
 _LONGEST_S: Final = 1.0
 """How long a ping is waited for before it counts as lost."""
 
@@ -57,158 +55,110 @@ class ProbeSettings(msgspec.Struct, frozen=True):
     machine: MachineSettings = MachineSettings()
 
 
-class Prepared(Event, frozen=True):
-    """The probe can begin."""
+class Probed(msgspec.Struct, frozen=True):
+    """What a probe measured, and how many pings did not return."""
 
-
-class Probed(Event, frozen=True):
-    """What a probe measured: a histogram as text, and how many pings did not return."""
-
-    histogram: str
+    times: Distribution | None
     lost: int = 0
-    extremes: Extremes | None = None
 
 
-class Probe:
-    """What the roles have in common: when to begin, when to end, and the periods in between.
+def due_times(
+    period_ns: int,
+    until_ns: int,
+    now_ns: Callable[[], int],
+    stopped_within: Callable[[float], bool],
+) -> Iterator[int]:
+    """Yield the scheduled time of each period when it has come.
 
     Parameters
     ----------
-    period_ns
-        Length of a period.
-    now_ns, sleep
-        The monotonic clock, and what waits for so many seconds of it.
+    period_ns, until_ns
+        Length of a period, and the time after which none begins.
+    now_ns
+        The clock.
+    stopped_within
+        Waits for so many seconds; returns at once and says so if the probe must end.
     """
-
-    def __init__(
-        self,
-        period_ns: int,
-        now_ns: Callable[[], int] = time.monotonic_ns,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self._period_ns = period_ns
-        self._now_ns = now_ns
-        self._sleep = sleep
-        self._begun = threading.Event()
-        self._stopped = threading.Event()
-        self._until_ns = 0
-
-    def hear(self, word: str) -> None:
-        """Heed a word of the parent: `begin SECONDS` or `stop`."""
-        if word.startswith("begin"):
-            self._until_ns = self._now_ns() + round(float(word.split()[1]) * 1e9)
-            self._begun.set()
-        else:
-            self._stopped.set()
-            self._begun.set()
-
-    def await_begin(self) -> None:
-        """Wait for the word."""
-        self._begun.wait()
-
-    @property
-    def stopped(self) -> bool:
-        """Whether the parent has said so."""
-        return self._stopped.is_set()
-
-    def on_each_period(self, act: Callable[[int], None]) -> None:
-        """Call a function at the scheduled time of each period, which it is given, to the end."""
-        due_ns = self._now_ns() + round(_LEAD_S * 1e9)
-        while due_ns <= self._until_ns and not self.stopped:
-            # Only the last part is slept through: a long period must not delay the end.
-            if self._stopped.wait((due_ns - self._now_ns()) / 1e9 - _SLEEP_S):
-                return
-            left_ns = due_ns - self._now_ns()
-            if left_ns > 0:
-                self._sleep(left_ns / 1e9)
-            act(due_ns)
-            due_ns += self._period_ns
+    due_ns = now_ns() + _LEAD_NS
+    while due_ns <= until_ns:
+        if stopped_within(max(due_ns - now_ns(), 0) / 1e9):
+            return
+        yield due_ns
+        due_ns += period_ns
 
 
-def run_timer(probe: Probe, lifeline: Lifeline) -> None:
+def heard_within(seconds: float) -> bool:
+    """Wait for a word of the parent; return whether it spoke, or is gone."""
+    return bool(select.select([sys.stdin], [], [], seconds)[0])
+
+
+def periods(settings: ProbeSettings) -> Iterator[int]:
+    """Wait for the parent to let the probe begin; then yield the time of each period."""
+    word, _, seconds = sys.stdin.readline().partition(" ")
+    if word == "begin":
+        until_ns = time.monotonic_ns() + round(float(seconds) * 1e9)
+        yield from due_times(settings.period_ns, until_ns, time.monotonic_ns, heard_within)
+
+
+def run_timer(settings: ProbeSettings) -> Probed:
     """Measure how late this machine wakes a process that does nothing else."""
-    histogram = new_histogram()
-    lifeline.tell(Prepared())
-    probe.await_begin()
-    probe.on_each_period(lambda due_ns: record_ns(histogram, time.monotonic_ns() - due_ns))
-    lifeline.tell(Probed(histogram.encode().decode("ascii"), extremes=extremes_of(histogram)))
+    late = Durations()
+    for due_ns in periods(settings):
+        late.add(time.monotonic_ns() - due_ns)
+    return Probed(late.distribution())
 
 
-def run_echo(probe: Probe, settings: ProbeSettings, lifeline: Lifeline) -> None:
-    """Return each message at once."""
-    arrived: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
+def run_echo(settings: ProbeSettings) -> Probed:
+    """Return each message at once, until the parent ends this process."""
     endpoint = [f"tcp/127.0.0.1:{settings.tcp_port}"]
-    with zenoh.open(_session(settings, listen=endpoint, connect=[])) as session:
+    with _session(settings, listen=endpoint, connect=[]) as session:
         pong = _publisher(session, _PONG)
-        subscriber = session.declare_subscriber(_PING, arrived.put)
-        lifeline.tell(Prepared())
-        while not probe.stopped:
+        subscriber, arrived = _subscribe(session, _PING)
+        while not heard_within(0.0):
             try:
-                pong.put(arrived.get(timeout=0.1).payload)
+                pong.put(arrived.get(timeout=_LONGEST_S).payload)
             except queue.Empty:
                 continue
         subscriber.undeclare()
+    return Probed(None)
 
 
-def run_ping(probe: Probe, settings: ProbeSettings, lifeline: Lifeline) -> None:
-    """Measure how long a message takes there and back."""
-    endpoint = [f"tcp/127.0.0.1:{settings.tcp_port}"]
-    with zenoh.open(_session(settings, listen=[], connect=endpoint)) as session:
-        pinger = Pinger(session)
-        while not pinger.round_trip(0.1) and not probe.stopped:
-            pass
-        lifeline.tell(Prepared())
-        probe.await_begin()
-        probe.on_each_period(pinger.measure)
-        found = pinger.histogram
-        lifeline.tell(Probed(found.encode().decode("ascii"), pinger.lost, extremes_of(found)))
+def run_ping(settings: ProbeSettings) -> Probed:
+    """Measure how long a message takes there and back.
 
-
-class Pinger:
-    """Sends messages and awaits their return.
-
-    Attributes
-    ----------
-    histogram
-        Of the round trips.
-    lost
-        How many messages did not return.
+    One that had to wait for the return of the last counts from its scheduled time.
     """
+    endpoint = [f"tcp/127.0.0.1:{settings.tcp_port}"]
+    with _session(settings, listen=[], connect=endpoint) as session:
+        ping = _publisher(session, _PING)
+        subscriber, returned = _subscribe(session, _PONG)
 
-    def __init__(self, session: zenoh.Session) -> None:
-        self.histogram = new_histogram()
-        self.lost = 0
-        self._returned: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
-        self._ping = _publisher(session, _PING)
-        self._subscriber = session.declare_subscriber(_PONG, self._returned.put)
-        self._last_end_ns = 0
+        def round_trip(timeout_s: float) -> bool:
+            while not returned.empty():
+                returned.get()  # of a message that was given up
+            ping.put(PAYLOAD)
+            try:
+                returned.get(timeout=timeout_s)
+            except queue.Empty:
+                return False
+            return True
 
-    def round_trip(self, timeout_s: float) -> bool:
-        """Send a message; return whether it came back."""
-        while not self._returned.empty():
-            self._returned.get()  # of a message that was given up
-        self._ping.put(PAYLOAD)
-        try:
-            self._returned.get(timeout=timeout_s)
-        except queue.Empty:
-            return False
-        return True
-
-    def measure(self, due_ns: int) -> None:
-        """Send the message of a period.
-
-        One that had to wait for the return of the last counts from its scheduled time.
-        """
-        began_ns = due_ns if self._last_end_ns > due_ns else time.monotonic_ns()
-        if self.round_trip(_LONGEST_S):
-            self._last_end_ns = time.monotonic_ns()
-            record_ns(self.histogram, self._last_end_ns - began_ns)
-        else:
-            self.lost += 1
+        while not round_trip(0.1) and not heard_within(0.0):
+            pass
+        trips, lost, ended_ns = Durations(), 0, 0
+        for due_ns in periods(settings):
+            began_ns = due_ns if ended_ns > due_ns else time.monotonic_ns()
+            if round_trip(_LONGEST_S):
+                ended_ns = time.monotonic_ns()
+                trips.add(ended_ns - began_ns)
+            else:
+                lost += 1
+        subscriber.undeclare()
+    return Probed(trips.distribution(), lost)
 
 
-def _session(settings: ProbeSettings, listen: list[str], connect: list[str]) -> zenoh.Config:
-    return SessionSettings(settings.namespace, listen, connect, lockstep=False).config()
+def _session(settings: ProbeSettings, listen: list[str], connect: list[str]) -> zenoh.Session:
+    return open_session(SessionSettings(settings.namespace, listen, connect, lockstep=False))
 
 
 def _publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
@@ -219,21 +169,23 @@ def _publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
     )
 
 
+def _subscribe(
+    session: zenoh.Session, key: str
+) -> tuple[zenoh.Subscriber[None], queue.SimpleQueue[zenoh.Sample]]:
+    arrived: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
+    callback = zenoh.handlers.Callback(arrived.put, indirect=False)
+    return session.declare_subscriber(key, callback), arrived
+
+
 def main() -> int:
     """Run the probe that the command line describes. Returns the exit status."""
     settings = msgspec.json.decode(sys.argv[1], type=ProbeSettings)
-    join_run(attached=True)
+    die_with_parent()
     take_machine(settings.machine, "direct", lockstep=False)
-    probe = Probe(settings.period_ns)
-    # The parent closes the line once it has said that this is the end.
-    lifeline = Lifeline(attached=True, on_word=probe.hear, on_orphaned=lambda: probe.hear("stop"))
-    match settings.role:
-        case "timer":
-            run_timer(probe, lifeline)
-        case "echo":
-            run_echo(probe, settings, lifeline)
-        case "ping":
-            run_ping(probe, settings, lifeline)
+    run = {"timer": run_timer, "echo": run_echo, "ping": run_ping}[settings.role]
+    probed = run(settings)
+    sys.stdout.buffer.write(msgspec.json.encode(probed) + b"\n")
+    sys.stdout.flush()
     return 0
 
 

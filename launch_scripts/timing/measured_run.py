@@ -8,10 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-import msgspec
 from rich.console import Console
 
-from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from launch_scripts.interruption import interruptible
 from launch_scripts.launcher import launch
@@ -20,29 +18,13 @@ from launch_scripts.preparation import Preparation
 from launch_scripts.run_command import RunRequest, prepare_run
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.scenario import parse_duration_s
-from launch_scripts.summary import RunSummary
-from launch_scripts.timing.budget_table import BudgetTable
-from launch_scripts.timing.floor import Floor, FloorTimes
-from launch_scripts.timing.host import Host, host, load_average
-from launch_scripts.timing.lasting_files import write_or_tell
+from launch_scripts.supervision import RunFailure
+from launch_scripts.timing.floor import Floor
+from launch_scripts.timing.host import load_average, this_host
 from launch_scripts.timing.rates import cycles_per_s
+from launch_scripts.timing.timing_report import Reported, report_on
 
 _REAL_TIME: Final = "1"
-
-
-class MeasuredRun(msgspec.Struct, frozen=True):
-    """A run that is over, what was measured beside it, and the budgets that its scenario states.
-
-    `unwritten` says why its summary could not be written; it is empty if it was.
-    """
-
-    plan: RunPlan
-    summary: RunSummary
-    floor: tuple[FloorTimes, ...]
-    host: Host
-    recording: Path
-    budgets: BudgetTable
-    unwritten: str = ""
 
 
 def prepare_at(
@@ -78,8 +60,10 @@ def prepare_at(
         raise InputError(str(error)) from None
 
 
-def measured_run(preparation: Preparation, folder: RunFolder, console: Console) -> MeasuredRun:
-    """Run a plant that is prepared, and measure the floor beside it.
+def measured_run(
+    preparation: Preparation, folder: RunFolder, console: Console, *, by_agent: bool = False
+) -> Reported:
+    """Run a plant that is prepared, measure the floor beside it, and report on it.
 
     Parameters
     ----------
@@ -87,6 +71,8 @@ def measured_run(preparation: Preparation, folder: RunFolder, console: Console) 
         See `prepare_at`.
     console
         Shows progress.
+    by_agent
+        Whether each process gets rows of its own.
 
     Raises
     ------
@@ -95,28 +81,26 @@ def measured_run(preparation: Preparation, folder: RunFolder, console: Console) 
     OSError
         What the processes need cannot be written: the disk is full.
     RunFailure
-        The run could not go on.
+        The run could not go on, or its recording cannot be read.
     """
     plan, scenario = preparation.plan, preparation.scenario.scenario
-    cycle_s = plan.cycle_wall_ns / 1e9
+    duration_s = plan.cycles * plan.cycle_wall_ns / 1e9
     began_at, load_before = time.monotonic(), load_average()
     with (
         Floor(plan.run_id, plan.cycle_wall_ns, plan.machine) as floor,
         view_for(console, plan, scenario.time.timezone) as view,
     ):
         view.say(scenario.title)
-        view.say(f"{cycles_per_s(1.0 / cycle_s)} for {round(plan.cycles * cycle_s, 2):g} s")
-        begin_floor = partial(floor.begin, plan.cycles * cycle_s)
-        summary = launch(preparation, folder, view, began_at, begin_floor)
-        with interruptible() as late:  # The run is over: that throws nothing away any more.
+        view.say(f"{cycles_per_s(1e9 / plan.cycle_wall_ns)} for {round(duration_s, 2):g} s")
+        summary = launch(preparation, folder, view, began_at, partial(floor.begin, duration_s))
+        with interruptible():  # The run is over: Ctrl-C throws nothing away any more.
             rows = floor.finish()
-    if late:
-        summary = msgspec.structs.replace(summary, interrupted=True)
-    unwritten = write_or_tell(folder.summary, summary.as_json() + b"\n")
-    timings = [account.timing for account in summary.processes if account.timing is not None]
-    machine = host(timings, plan, summary.remarks, load_before)
-    budgets = scenario.timing.stated
-    return MeasuredRun(plan, summary, rows, machine, folder.recording, budgets, unwritten)
+            folder.summary.write_bytes(summary.as_json() + b"\n")
+    host = this_host(plan, summary.remarks, load_before)
+    try:
+        return report_on(folder.path, summary, host, rows, by_agent=by_agent)
+    except InputError as error:  # The disk was full, for instance.
+        raise RunFailure(f"{summary.recording_ended or 'not measured'}: {error}") from None
 
 
 def whole_cycles(rate_hz: float, duration: str) -> int:
@@ -130,7 +114,7 @@ def whole_cycles(rate_hz: float, duration: str) -> int:
     duration_s = parse_duration_s(duration, "--duration")
     if duration_s * rate_hz < 1.0:
         raise InputError(
-            f"--duration {duration}: shorter than one cycle, accepted is {1.0 / rate_hz:g} s or "
+            f"--duration {duration}: shorter than one cycle, expected {1.0 / rate_hz:g} s or "
             f"more at {cycles_per_s(rate_hz)}"
         )
     return round(duration_s * rate_hz)

@@ -8,13 +8,16 @@ from typing import Final, TypeAlias
 import msgspec
 from rich.console import Console
 
+from bus_schemas.errors import InputError
+from launch_scripts.supervision import RunFailure
 from launch_scripts.timing.figure_tables import Column, print_table
 from launch_scripts.timing.floor import FloorTimes
 from launch_scripts.timing.host import Host
-from launch_scripts.timing.measures import LOOP, WHOLE_LOOP
 from launch_scripts.timing.rates import LOWEST_HZ, Rates, cycles_per_s
+from launch_scripts.timing.tiers import MISSING, total
 from launch_scripts.timing.timing_report import TimingReport
-from launch_scripts.timing.timing_table import host_lines, how_often, print_floor
+from launch_scripts.timing.timing_table import host_lines, how_often, ms, print_floor
+from recordings.timing import LOOP, WHOLE_LOOP
 
 _CLOSE_ENOUGH: Final = 1.1
 """The search ends where the lowest rate that fails is no further above the highest clean one."""
@@ -34,14 +37,11 @@ class RateRow(msgspec.Struct, frozen=True):
     cpu_percent
         Processor time of all processes together, the recorder too [% of one core].
     clean
-        Whether none was missed, none overran and nothing was lost.
+        Whether none was missed, none overran and nothing was skipped or lost.
     trouble
         What was missed, overran or was lost, and in which tier; empty if nothing was.
     failed
         Why the run failed; empty if it did not.
-    unwritable
-        Whether it failed since something could not be written, the disk was full for instance: then
-        it proves nothing either.
     interrupted
         Whether the user ended it early: then it proves nothing.
     host, floor
@@ -56,10 +56,9 @@ class RateRow(msgspec.Struct, frozen=True):
     missed_deadlines: int = 0
     overruns: int = 0
     lost_messages: int = 0
-    cpu_percent: float = 0.0
+    cpu_percent: float | None = None
     clean: bool = False
     failed: str = ""
-    unwritable: bool = False
     interrupted: bool = False
     trouble: str = ""
     host: Host | None = None
@@ -77,7 +76,7 @@ class RateRow(msgspec.Struct, frozen=True):
     @property
     def too_fast(self) -> bool:
         """Whether it shows that the plant does not keep up at this rate."""
-        return not (self.clean or self.interrupted or self.unwritable)
+        return not (self.clean or self.interrupted)
 
 
 class Sweep(msgspec.Struct, frozen=True):
@@ -102,6 +101,9 @@ class Sweep(msgspec.Struct, frozen=True):
         return msgspec.json.format(msgspec.json.encode(self), indent=1)
 
 
+Timed: TypeAlias = Callable[[float], TimingReport]
+"""Runs the plant at a rate and reports on it."""
+
 _TITLE: Final = "Loop time \\[ms] against rate \\[cycles/s], and processor time \\[% of a core]"
 _COLUMNS: Final = (
     Column("cycles", 8),
@@ -116,12 +118,12 @@ _COLUMNS: Final = (
     Column("", 11),
 )
 
-Timed: TypeAlias = Callable[[float], tuple[RateRow, bool]]
-"""Runs the plant at a rate; tells what it came to, and whether the user wants no further one."""
-
 
 def sweep(rates: Rates, timed: Timed) -> Sweep:
     """Run at the listed rates; or look for the highest clean one, doubling and then halving steps.
+
+    A rate that a search comes to may be refused, since stated deadlines do not fit into its cycle,
+    or its run may fail: then the rate has failed, and those before it count all the same.
 
     Parameters
     ----------
@@ -129,27 +131,35 @@ def sweep(rates: Rates, timed: Timed) -> Sweep:
         The rates.
     timed
         Runs the plant at one of them.
+
+    Raises
+    ------
+    InputError
+        The first rate of all is refused.
     """
     rows: dict[float, RateRow] = {}
-    interrupted = False
     for rate_hz in _search(rates.search_hz, rows) if rates.search_hz else rates.listed_hz:
         try:
-            rows[rate_hz], interrupted = timed(rate_hz)
-        except KeyboardInterrupt:  # Before the first cycle, or for the second time.
-            rows[rate_hz], interrupted = RateRow(rate_hz, interrupted=True), True
-        if interrupted:
+            rows[rate_hz] = rate_row(timed(rate_hz))
+        except KeyboardInterrupt:
+            rows[rate_hz] = RateRow(rate_hz, interrupted=True)
+        except InputError as error:
+            if not rows:
+                raise
+            rows[rate_hz] = RateRow(rate_hz, failed=str(error))
+        except RunFailure as failure:
+            rows[rate_hz] = RateRow(rate_hz, failed=str(failure).splitlines()[0])
+        if rows[rate_hz].interrupted:
             break
     clean = [rate_hz for rate_hz, row in rows.items() if row.clean]
-    return Sweep(
-        tuple(rows[rate_hz] for rate_hz in sorted(rows)), max(clean, default=None), interrupted
-    )
+    in_order = tuple(rows[rate_hz] for rate_hz in sorted(rows))
+    return Sweep(in_order, max(clean, default=None), any(row.interrupted for row in in_order))
 
 
 def rate_row(report: TimingReport) -> RateRow:
     """Return what a run says of its rate. One that was interrupted proves nothing."""
-    loop = next(
-        (row.times for row in report.times if (row.measure, row.of) == (LOOP, WHOLE_LOOP)), None
-    )
+    rows = {(row.measure, row.of): row.times for row in report.times}
+    loop = rows.get((LOOP, WHOLE_LOOP))
     return RateRow(
         rate_hz=report.rate_hz,
         cycles=report.cycles,
@@ -158,8 +168,8 @@ def rate_row(report: TimingReport) -> RateRow:
         loop_max_us=loop.max_us if loop else None,
         missed_deadlines=sum(tier.missed_deadlines for tier in report.tiers),
         overruns=sum(tier.overruns for tier in report.tiers),
-        lost_messages=report.lost_messages,
-        cpu_percent=sum(tier.cpu_percent for tier in report.tiers),
+        lost_messages=report.lost_messages or 0,
+        cpu_percent=total(tier.cpu_percent for tier in report.tiers),
         clean=report.clean and not report.interrupted,
         interrupted=report.interrupted,
         trouble=_trouble(report),
@@ -175,12 +185,11 @@ def _trouble(report: TimingReport) -> str:
         counts = (
             ("missed a deadline", tier.missed_deadlines),
             ("overran", tier.overruns),
-            ("gave a cycle up", tier.cycles_given_up),
+            ("skipped a cycle", tier.skipped_cycles),
         )
         told += [f"{tier.tier} {what} {how_often(count)}" for what, count in counts if count]
     if report.lost_messages:
-        plural = "" if report.lost_messages == 1 else "s"
-        told.append(f"{report.lost_messages:,} message{plural} not recorded")
+        told.append(f"messages not recorded: {report.lost_messages:,}")
     return ", ".join(told)
 
 
@@ -188,17 +197,11 @@ def print_sweep(found: Sweep, console: Console) -> None:
     """Print the rates, on what they were run, and the highest clean one."""
     for line in machine_lines(found):
         console.print(line, highlight=False, markup=False)
-    rows = [_cells(row) for row in found.rows]
-    print_table(
-        console,
-        _TITLE,
-        _COLUMNS,
-        rows,
-    )
+    print_table(console, _TITLE, _COLUMNS, [_cells(row) for row in found.rows])
     for row in found.rows:
         if row.floor:
-            heading = f"[bold]floor[/] at {cycles_per_s(row.rate_hz)} \\[µs]"
-            print_floor(heading, row.floor, lambda value_us: f"{value_us:,.0f}", console)
+            heading = f"[bold]floor[/] at {cycles_per_s(row.rate_hz)} \\[ms]"
+            print_floor(heading, row.floor, console)
     console.print()
     for line in (*trouble_lines(found), conclusion(found)):
         console.print(line, highlight=False, markup=False)
@@ -249,19 +252,22 @@ def _bounds(rows: Collection[RateRow]) -> tuple[float, float] | None:
     return (clean_hz, min(failed)) if failed else None
 
 
-def _cells(row: RateRow) -> tuple[str, ...]:
+def rate_figures(row: RateRow) -> tuple[str, ...]:
+    """Return the figures of a rate in the order of the columns after its cycles."""
     loops = (row.loop_p50_us, row.loop_p99_us, row.loop_max_us)
     return (
-        f"{row.rate_hz:.4g}",
-        f"{row.cycles:,}",
-        f"{1e3 / row.rate_hz:,.2f}",
-        *("-" if value_us is None else f"{value_us / 1e3:,.2f}" for value_us in loops),
+        *map(ms, loops),
         f"{row.missed_deadlines:,}",
         f"{row.overruns:,}",
         f"{row.lost_messages:,}",
-        f"{row.cpu_percent:.0f}",
-        row.outcome if row.clean else f"[bold red]{row.outcome}[/]",
+        MISSING if row.cpu_percent is None else f"{row.cpu_percent:.0f}",
     )
+
+
+def _cells(row: RateRow) -> tuple[str, ...]:
+    outcome = row.outcome if row.clean else f"[bold red]{row.outcome}[/]"
+    cycle_ms = f"{1e3 / row.rate_hz:,.2f}"
+    return (f"{row.rate_hz:.4g}", f"{row.cycles:,}", cycle_ms, *rate_figures(row), outcome)
 
 
 def conclusion(found: Sweep) -> str:
@@ -272,7 +278,7 @@ def conclusion(found: Sweep) -> str:
     at_least = "" if known else "at least "
     return (
         f"highest clean rate: {at_least}{cycles_per_s(found.highest_clean_hz)} (no deadline "
-        "missed, no stage overrun, no message lost)"
+        "missed, no stage overrun, no cycle skipped, no message lost)"
     )
 
 
@@ -281,15 +287,8 @@ def _none_was_clean(found: Sweep) -> str:
         return "interrupted before a rate was found to be clean"
     tried_hz = [row.rate_hz for row in found.rows]
     lowest_hz = min(tried_hz)
+    what = f"no rate was clean: {len(tried_hz)} tried, from {cycles_per_s(lowest_hz)} on"
+    if lowest_hz <= LOWEST_HZ or all(row.failed for row in found.rows):
+        return what
     below = f"{max(lowest_hz / 10.0, LOWEST_HZ):.3g}..{lowest_hz:.4g}"
-    what = (
-        "no rate was clean: at each a deadline was missed, a stage overran, a message was lost or "
-        "the run failed"
-    )
-    if len(tried_hz) == 1:
-        what = f"no rate was clean: {cycles_per_s(lowest_hz)} alone was tried, and was not"
-    if all(row.failed for row in found.rows):
-        what = "no rate was clean: each one failed"
-    slower_helps = lowest_hz > LOWEST_HZ and any(row.too_fast for row in found.rows)
-    hint = f"; slower ones are tried by --rate {below}" if slower_helps else ""
-    return f"{what}{hint}"
+    return f"{what}; slower ones are tried by --rate {below}"

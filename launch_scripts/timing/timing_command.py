@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -13,26 +12,19 @@ from rich.console import Console
 from bus_schemas.errors import InputError
 from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
 from launch_scripts.json_rows import check_json_destination
-from launch_scripts.lasting_console import LastingConsole, write_if_read
 from launch_scripts.run_command import RunRequest
 from launch_scripts.run_folder import new_run_id, run_folder
 from launch_scripts.supervision import RunFailure
 from launch_scripts.termination import Termination, terminable
 from launch_scripts.timing.delay_study_command import StudyRequest, run_study
-from launch_scripts.timing.figure_tables import WIDTH
-from launch_scripts.timing.lasting_files import write_or_tell
-from launch_scripts.timing.measured_run import (
-    MeasuredRun,
-    measured_run,
-    prepare_at,
-    whole_cycles,
-)
+from launch_scripts.timing.figure_tables import console_for
+from launch_scripts.timing.measured_run import measured_run, prepare_at, whole_cycles
 from launch_scripts.timing.rates import Rates, parse_rates
 from launch_scripts.timing.sweep import Sweep, print_sweep, sweep
-from launch_scripts.timing.timing_page import PAGE_NAME, write_page, write_sweep_page
-from launch_scripts.timing.timing_report import TimingReport, report_on
+from launch_scripts.timing.timing_page import PAGE_NAME, run_page, sweep_page
+from launch_scripts.timing.timing_report import Reported, TimingReport, report_on
 from launch_scripts.timing.timing_table import print_report
-from launch_scripts.timing.trials import Trials
+from launch_scripts.timing.written_files import concluded, write_files
 
 STUDY_PAGE_NAME: Final = "delay-study.html"
 
@@ -51,7 +43,8 @@ class TimingRequest:
     run
         What to run, as for `heliarch launch`.
     scenario
-        Which, None where the user named none: then a study takes another one than a run.
+        Which, or a recording; None where the user named none: then a study takes another one than
+        a run.
     rate
         Cycles a second: one, several, a range, or `auto`.
     duration
@@ -77,50 +70,79 @@ class TimingRequest:
 
 
 def timing(request: TimingRequest) -> int:
-    """Time a plant; print what it came to. Returns the exit status.
+    """Time a plant, or a run that is over; print what it came to. Returns the exit status.
 
     SIGTERM and SIGHUP end the measurement as Ctrl-C does, and change the exit status. Of a study
     that is ended so nothing is printed.
     """
-    # With the JSON on standard output, nothing else may go there.
-    to_stdout = request.run.json == "-"
-    console = LastingConsole(stderr=to_stdout)
-    if not console.is_terminal:
-        console = LastingConsole(stderr=to_stdout, width=WIDTH)
+    console = console_for(request.run.json)
+    if request.study:
+        return _guarded(lambda termination: run_study(_study(request), console, termination))
+    return _guarded(lambda termination: _time(request, console, termination))
+
+
+def studied(request: StudyRequest) -> int:
+    """Study delay and loss; print what they cost. Returns the exit status."""
+    console = console_for(request.json)
+    return _guarded(lambda termination: run_study(request, console, termination))
+
+
+def _guarded(act: Callable[[Termination], int]) -> int:
+    """Do what was asked for; say in one line why it could not be done."""
     try:
-        if request.study:
-            return run_study(_study(request))
-        rates = _check(request)
         with terminable() as termination:
-            return termination.status(_time(rates, request, console, termination))
+            try:
+                return termination.status(act(termination))
+            except KeyboardInterrupt:
+                return termination.status(complain("interrupted", INTERRUPTED))
     except InputError as error:
         return complain(error, BAD_INPUT)
     except OSError as error:
-        named = f"{error.filename}: {error.strerror}" if error.filename else error
-        return complain(named, FAILED)
+        return complain(f"{error.filename}: {error.strerror}" if error.filename else error, FAILED)
     except RunFailure as error:
         return complain(error, FAILED)
-    except KeyboardInterrupt:
-        return complain("interrupted", INTERRUPTED)
 
 
-def _time(
-    rates: Rates, request: TimingRequest, console: LastingConsole, termination: Termination
-) -> int:
-    """Measure; print and write what it came to, at the end and when it is interrupted."""
-    try:
-        if rates.single_hz is not None:
-            return _time_one(rates.single_hz, request, console, termination)
-        return _time_several(rates, request, console, termination)
-    except KeyboardInterrupt:
-        return complain("interrupted", INTERRUPTED)
+def _time(request: TimingRequest, console: Console, termination: Termination) -> int:
+    recording = _recording(request)
+    if recording is not None:
+        reported = report_on(recording, by_agent=request.processes)
+        return _tell_one(reported, recording, request, console)
+    rates = _check(request)
+    if rates.single_hz is not None:
+        return _time_one(rates.single_hz, request, console, termination)
+    return _time_several(rates, request, console, termination)
 
 
-def _study(request: TimingRequest) -> StudyRequest:
-    """Return the study that was asked for; refuse what would be lost on it."""
+def _recording(request: TimingRequest) -> Path | None:
+    """Return the recording that the user named; None if it is a scenario to run."""
+    path = Path(request.scenario or "")
+    if not request.scenario or not (path.is_dir() or path.suffix == ".mcap"):
+        return None
+    check_json_destination(request.run.json)
     run = request.run
-    lost: dict[str, object] = {
-        "--rate": request.rate,
+    _refuse(
+        {
+            "--rate": request.rate,
+            "--duration": request.duration,
+            "--out": run.out,
+            **_of_a_run(run),
+        },
+        f"{path} was run already; expected beside it --processes, --report or --json",
+    )
+    return path
+
+
+def _of_a_run(run: RunRequest) -> dict[str, object]:
+    return {
+        "--start": run.start,
+        "--seed": run.seed,
+        **_not_of_a_study(run),
+    }
+
+
+def _not_of_a_study(run: RunRequest) -> dict[str, object]:
+    return {
         "--scheme": run.scheme,
         "--actuator": run.actuator,
         "--fault": run.faults,
@@ -128,15 +150,24 @@ def _study(request: TimingRequest) -> StudyRequest:
         "--base-port": run.external.base_port,
         "--cpus": run.machine.cpus,
         "--priority": run.machine.priority,
-        "--processes": request.processes,
     }
-    for option, given in lost.items():
+
+
+def _refuse(options: dict[str, object], why: str) -> None:
+    for option, given in options.items():
         if given or given == "":
-            raise InputError(
-                f"{option}: a study runs in memory, each scheme with delays and losses of its own; "
-                "accepted beside --study are --start, --duration, --seed, --set, --data, "
-                "--workers, --report, --out and --json"
-            )
+            raise InputError(f"{option}: {why}")
+
+
+def _study(request: TimingRequest) -> StudyRequest:
+    """Return the study that was asked for; refuse what would be lost on it."""
+    run = request.run
+    _refuse(
+        {"--rate": request.rate, "--processes": request.processes, **_not_of_a_study(run)},
+        "a study runs in memory, each scheme with delays and losses of its own; expected beside "
+        "--study are --start, --duration, --seed, --set, --data, --workers, --report, --out and "
+        "--json",
+    )
     page = (run.out or Path()) / STUDY_PAGE_NAME if request.report else None
     return StudyRequest(
         request.scenario,
@@ -152,9 +183,9 @@ def _study(request: TimingRequest) -> StudyRequest:
 
 
 def _check(request: TimingRequest) -> Rates:
-    if request.settings or request.workers is not None:
-        option = "--set" if request.settings else "--workers"
-        raise InputError(f"{option}: it is for a study, accepted is with --study")
+    _refuse(
+        {"--set": request.settings, "--workers": request.workers}, "it is for a study (--study)"
+    )
     rates = parse_rates(_RATE if request.rate is None else request.rate)
     check_json_destination(request.run.json)
     for rate_hz in rates.listed_hz or (rates.search_hz or ())[:1]:
@@ -163,66 +194,71 @@ def _check(request: TimingRequest) -> Rates:
 
 
 def _time_one(
-    rate_hz: float, request: TimingRequest, console: LastingConsole, termination: Termination
+    rate_hz: float, request: TimingRequest, console: Console, termination: Termination
 ) -> int:
     duration = request.duration or _DURATION
-    preparation, place = prepare_at(rate_hz, duration, request.run, request.run.out)
-    try:
-        run = measured_run(preparation, place, console)
-    except KeyboardInterrupt:
-        return complain("interrupted; the processes were ended by force", INTERRUPTED)
+    preparation, folder = prepare_at(rate_hz, duration, request.run, request.run.out)
+    reported = measured_run(preparation, folder, console, by_agent=request.processes)
     with termination.held():
-        return _tell_one(run, request, console)
+        return _tell_one(reported, folder.path, request, console)
 
 
-def _tell_one(run: MeasuredRun, request: TimingRequest, console: LastingConsole) -> int:
-    """Print and write what a run came to. A file that cannot be written costs no other."""
-    report, slowest = report_on(run)
+def _tell_one(reported: Reported, run: Path, request: TimingRequest, console: Console) -> int:
+    """Write and print what a run came to."""
+    report = reported.report
+    page = (run if run.is_dir() else run.parent) / PAGE_NAME
+    unwritten = write_files(
+        request.run.json,
+        report.as_json,
+        page if request.report else None,
+        lambda: run_page(reported),
+    )
     print_report(report, console, processes=request.processes)
-    _say(console, f"recording: {run.recording}")
-    unwritten = [run.unwritten, _write_json(report.as_json(), request.run.json)]
-    if request.report:
-        path = run.recording.with_name(PAGE_NAME)
-        unwritten.append(_write_page(partial(write_page, path, report, slowest, run.plan.tree)))
-        if not unwritten[-1]:
-            _say(console, f"page: {path}")
-    return _after_writing(exit_status(report), unwritten, console)
+    _say(console, f"recording: {run}")
+    return concluded(exit_status(report), unwritten)
 
 
 def _time_several(
-    rates: Rates, request: TimingRequest, console: LastingConsole, termination: Termination
+    rates: Rates, request: TimingRequest, console: Console, termination: Termination
 ) -> int:
     folder = run_folder(f"{new_run_id('timing')}-rates", request.run.out).path
     duration = request.duration or _SWEEP_DURATION
-    trials = Trials(request.run, duration, folder, console, termination)
-    trials.prepare(rates.listed_hz)
-    found = sweep(rates, trials.run)
+    reports: list[TimingReport] = []
+
+    def prepared(rate_hz: float) -> Callable[[], Reported]:
+        out = folder / f"rate-{rate_hz:g}"
+        preparation, place = prepare_at(rate_hz, duration, request.run, out)
+        return lambda: measured_run(preparation, place, console)
+
+    # All listed rates are worked out before the first one runs, so that none is refused then.
+    listed = {rate_hz: prepared(rate_hz) for rate_hz in rates.listed_hz}
+
+    def timed(rate_hz: float) -> TimingReport:
+        run = listed.get(rate_hz) or prepared(rate_hz)
+        reports.append(run().report)
+        return reports[-1]
+
+    found = sweep(rates, timed)
     with termination.held():
-        return _tell_several(found, trials, folder, request, console)
+        return _tell_several(found, reports, folder, request, console)
 
 
 def _tell_several(
-    found: Sweep, trials: Trials, folder: Path, request: TimingRequest, console: LastingConsole
+    found: Sweep,
+    reports: list[TimingReport],
+    folder: Path,
+    request: TimingRequest,
+    console: Console,
 ) -> int:
-    """Print and write what the rates came to. A file that cannot be written costs no other."""
+    """Write and print what the rates came to."""
+    page = folder / PAGE_NAME if request.report and reports else None
+    unwritten = write_files(
+        request.run.json, found.as_json, page, lambda: sweep_page(found, reports[-1])
+    )
     print_sweep(found, console)
     _say(console, f"recordings: {folder}")
-    unwritten = [*trials.unwritten, _write_json(found.as_json(), request.run.json)]
-    if request.report and trials.latest is not None:
-        path = folder / PAGE_NAME
-        unwritten.append(_write_page(partial(write_sweep_page, path, found, trials.latest)))
-        if not unwritten[-1]:
-            _say(console, f"page: {path}")
     status = FAILED if found.highest_clean_hz is None else OK
-    return _after_writing(INTERRUPTED if found.interrupted else status, unwritten, console)
-
-
-def _after_writing(status: int, unwritten: Iterable[str], console: LastingConsole) -> int:
-    """Return the exit status: a measurement of which something was not written is no success."""
-    told = list(filter(None, unwritten))
-    for text in told:
-        complain(f"not written: {text}", FAILED)
-    return FAILED if status == OK and (told or console.lost) else status
+    return concluded(INTERRUPTED if found.interrupted else status, unwritten)
 
 
 def _say(console: Console, text: str) -> None:
@@ -234,21 +270,3 @@ def exit_status(report: TimingReport) -> int:
     if report.interrupted:
         return INTERRUPTED
     return OK if report.passed else FAILED
-
-
-def _write_json(document: bytes, json: str | None) -> str:
-    """Write a document; tell why it could not be written, nothing if it was."""
-    if json is None:
-        return ""
-    if json == "-":
-        return write_if_read(document.decode() + "\n")
-    return write_or_tell(Path(json), document + b"\n")
-
-
-def _write_page(write: Callable[[], None]) -> str:
-    """Write a page; tell why it could not be written, nothing if it was."""
-    try:
-        write()
-    except (InputError, OSError) as error:
-        return str(error)
-    return ""

@@ -1,97 +1,68 @@
-"""What a timed run came to, as one document: all that the table, the page and the JSON say."""
+"""What a run in real time came to, as one document: all that table, page and JSON say."""
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Final
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import msgspec
 
 from agents.events import ExternalAccount
-from agents.histograms import new_histogram, record_ns
-from agents.kinds import STAGES
 from agents.plan import RunPlan
-from agents.stopwatch import ProcessTiming
 from bus_schemas.errors import InputError
-from bus_schemas.signals import Occurrence, listeners, ports
-from bus_schemas.tree import PLANT, RECORDER
-from launch_scripts.summary import ProcessAccount
-from launch_scripts.supervision import RunFailure
-from launch_scripts.timing.budgets import Verdict, budgets_of, judge
-from launch_scripts.timing.distributions import distribution
+from launch_scripts.run_folder import RunFolder
+from launch_scripts.summary import ProcessAccount, RunSummary
+from launch_scripts.timing.budget_table import BudgetTable, TimingTable
+from launch_scripts.timing.budgets import Verdict, budgets_of, expected_rows, judge
 from launch_scripts.timing.floor import FloorTimes
-from launch_scripts.timing.host import Host
-from launch_scripts.timing.measured_run import MeasuredRun
-from launch_scripts.timing.measures import (
-    LOOP,
-    MEASURES,
-    WHOLE_LOOP,
-    TierAccount,
-    Tiers,
-    Times,
-    cpu_percent,
-    distribution_of,
-    tier_accounts,
-    times_by_tier,
-    times_of,
-)
+from launch_scripts.timing.host import Host, recorded_host
+from launch_scripts.timing.tiers import TierAccount, cpu_percent, tier_accounts
 from launch_scripts.wrong_messages import WrongMessages
-from recordings.cycle_waits import (
-    CycleWaits,
-    last_cycle_with_all,
-    loop_times_ns,
-    response_times_ns,
-    slowest_cycles,
-)
+from recordings.cycle_waits import CycleWaits
 from recordings.reader import RunReader
-
-SLOWEST: Final = 3
-"""How many of the slowest cycles are looked into."""
+from recordings.timing import RunTiming, Times, run_timing, tier_of
 
 
 class ProcessTimes(msgspec.Struct, frozen=True):
-    """What one process measured of itself.
+    """What one process came to; None stands for what only its launcher knew.
 
     Attributes
     ----------
     agent, tier
         Its name and tier.
-    policy
-        Scheduling policy and processors that it really had.
     cpu_percent
         Processor time [% of one core].
     resident_mb
-        Most memory that was resident [MB].
-    switches_voluntary, switches_involuntary
-        How often it gave the processor up, and how often it was taken from it.
+        Most memory that was seen resident [MB].
+    voluntary_switches
+        How often it waited for something, over its whole life.
+    slowest_decision_us
+        Its longest decision [us].
     missed_deadlines, overruns
         By stage.
     missing_inputs
         By port.
-    late_used
-        Words of earlier cycles that stood in for absent ones.
-    cycles_given_up
-        Cycles that were over before it came to them.
+    old_inputs, skipped_cycles
+        See `TierAccount`.
     dropped
         Messages that could not be used, by cause.
     times
-        Its durations, row by row.
+        Its durations, row by row; empty unless `--processes` asked for them.
     """
 
     agent: str
     tier: str
-    policy: str
-    cpu_percent: float
-    resident_mb: float
-    switches_voluntary: int
-    switches_involuntary: int
+    cpu_percent: float | None
+    resident_mb: float | None
+    voluntary_switches: int | None
+    slowest_decision_us: float
     missed_deadlines: dict[str, int]
     overruns: dict[str, int]
     missing_inputs: dict[str, int]
-    late_used: int
-    cycles_given_up: int
-    dropped: dict[str, int]
+    old_inputs: int
+    skipped_cycles: int
+    dropped: dict[str, int] | None
     times: tuple[Times, ...]
 
 
@@ -129,7 +100,7 @@ class TimingReport(msgspec.Struct, frozen=True):
     faults
         What the faults of the network did to messages, if there were any.
     lost_messages
-        Messages that were published and are not in the recording.
+        Messages that were published and are not in the recording; None if it is not known.
     times
         Durations by tier and stage, and by signal, of all processes together.
     tiers
@@ -156,7 +127,7 @@ class TimingReport(msgspec.Struct, frozen=True):
     external: tuple[ExternalAccount, ...]
     wrong: tuple[WrongMessages, ...]
     faults: dict[str, int]
-    lost_messages: int
+    lost_messages: int | None
     times: tuple[Times, ...]
     tiers: tuple[TierAccount, ...]
     processes: tuple[ProcessTimes, ...]
@@ -171,11 +142,11 @@ class TimingReport(msgspec.Struct, frozen=True):
 
     @property
     def clean(self) -> bool:
-        """Whether the plant kept up: no deadline missed, no overrun, nothing given up or lost."""
+        """Whether the plant kept up: no deadline missed, no overrun, nothing skipped or lost."""
         late = sum(
-            tier.missed_deadlines + tier.overruns + tier.cycles_given_up for tier in self.tiers
+            tier.missed_deadlines + tier.overruns + tier.skipped_cycles for tier in self.tiers
         )
-        return self.cycles > 0 and late == 0 and self.lost_messages == 0
+        return self.cycles > 0 and late == 0 and not self.lost_messages
 
     def as_json(self) -> bytes:
         """Return the report as JSON, with the verdict on all of it."""
@@ -183,161 +154,134 @@ class TimingReport(msgspec.Struct, frozen=True):
         return msgspec.json.format(msgspec.json.encode(document), indent=1)
 
 
-def report_on(run: MeasuredRun) -> tuple[TimingReport, tuple[CycleWaits, ...]]:
-    """Work out the report of a run, and the waits of its slowest cycles.
+class Reported(msgspec.Struct, frozen=True):
+    """A report, and what its page draws besides: the waits of the slowest cycles."""
+
+    report: TimingReport
+    slowest: tuple[CycleWaits, ...]
+    plan: RunPlan
+
+
+def report_on(
+    run: Path,
+    summary: RunSummary | None = None,
+    host: Host | None = None,
+    floor: tuple[FloorTimes, ...] = (),
+    *,
+    by_agent: bool = False,
+) -> Reported:
+    """Work out the timing of a run from its recording.
+
+    Parameters
+    ----------
+    run
+        Its folder, or the MCAP file.
+    summary
+        Of the run. None: that in its folder, if there is one.
+    host
+        What it was run on. None: as far as the recording tells.
+    floor
+        What was measured of the machine beside it.
+    by_agent
+        Whether each process gets rows of its own.
 
     Raises
     ------
-    RunFailure
-        Its recording cannot be read.
+    InputError
+        It is no recording of a run in real time, or it is damaged.
     """
-    plan, summary = run.plan, run.summary
-    timings = [account.timing for account in summary.processes if account.timing is not None]
-    slowest, seen = _recorded(run)
-    times = _in_order((*times_by_tier(timings, plan.tree), *_hops_from(timings, plan), *seen))
-    tiers = tier_accounts(summary.processes, plan.tree)
-    budgets, expected = budgets_of(plan, run.budgets), _expected(plan, timings)
+    with RunReader(run) as reader:
+        plan, table = reader.plan, budgets_in(reader)
+        timing = run_timing(reader, by_agent=by_agent)
+        folder, metadata = reader.path.parent, reader.metadata["run"]
+    summary = summary or _summary_in(folder, plan)
+    accounts = summary.processes if summary else ()
+    wall_s = summary.wall_s if summary else timing.cycles * plan.cycle_wall_ns / 1e9
+    lost = summary.lost if summary else None
+    remarks = _remarks(summary)
+    tiers = tier_accounts(timing.agents, accounts, wall_s, plan.tree)
+    verdicts = judge(budgets_of(plan, table), timing.times, tiers, lost, _expected(plan, table))
     report = TimingReport(
-        scenario=summary.scenario,
-        run_id=summary.run_id,
-        folder=summary.folder,
-        host=run.host,
+        scenario=plan.plant,
+        run_id=plan.run_id,
+        folder=str(folder),
+        host=host or recorded_host(plan, remarks, metadata),
         rate_hz=1e9 / plan.cycle_wall_ns,
-        cycles=summary.cycles,
-        wall_s=summary.wall_s,
-        interrupted=summary.interrupted,
-        remarks=(*summary.remarks, *([summary.recording_ended] * bool(summary.recording_ended))),
-        external=summary.external,
-        wrong=summary.wrong,
-        faults=summary.faults,
-        lost_messages=summary.lost,
-        times=times,
+        cycles=timing.cycles,
+        wall_s=wall_s,
+        interrupted=summary.interrupted if summary else False,
+        remarks=remarks,
+        external=summary.external if summary else (),
+        wrong=summary.wrong if summary else (),
+        faults=summary.faults if summary else {},
+        lost_messages=lost,
+        times=timing.times,
         tiers=tiers,
-        processes=_process_times(summary.processes, plan),
-        floor=run.floor,
-        slowest_cycles=tuple(_slow_cycle(cycle) for cycle in slowest),
-        verdicts=judge(budgets, times, tiers, summary.lost, expected),
+        processes=_processes(timing, accounts, wall_s, plan),
+        floor=floor,
+        slowest_cycles=tuple(map(_slow_cycle, timing.slowest)),
+        verdicts=verdicts,
     )
-    return report, slowest
+    return Reported(report, timing.slowest, plan)
 
 
-def _recorded(run: MeasuredRun) -> tuple[tuple[CycleWaits, ...], list[Times]]:
-    """Return what the recording tells: the slowest cycles, and rows of external agents.
-
-    That is nothing where the recording ended, with a full disk, before it could be read.
-    """
-    plan = run.plan
+def budgets_in(reader: RunReader) -> BudgetTable:
+    """Return the budgets that the scenario of a recording states."""
     try:
-        with RunReader(run.recording) as reader:
-            last_cycle = _last_cycle(reader, plan, interrupted=run.summary.interrupted)
-            slowest = tuple(slowest_cycles(reader, SLOWEST, last_cycle))
-            rows = [*_responses(response_times_ns(reader, plan.external, last_cycle), plan)]
-            if PLANT in plan.external:
-                rows += _outside_rows(LOOP, WHOLE_LOOP, "", loop_times_ns(reader, last_cycle))
-    except InputError as error:
-        if not run.summary.recording_ended:
-            raise RunFailure(str(error)) from None
-        return (), []  # What the processes measured of themselves needs no recording.
-    return slowest, rows
+        stated = tomllib.loads(reader.scenario).get("timing", {})
+        return msgspec.convert(stated, TimingTable).stated
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+        raise InputError(f"{reader.path}: scenario.toml in it: {error}") from None
 
 
-def _expected(plan: RunPlan, timings: Sequence[ProcessTiming]) -> set[tuple[str, str]]:
-    """Measure, and row, kind or signal, of what this run must have measured if it was at work."""
-    tiers = Tiers(plan.tree)
-    expected = {("decision", tiers.kind(timing.agent)) for timing in timings}
-    expected |= {
-        ("response", f"{agent} {stage}")
-        for agent in plan.external
-        for stage in STAGES.get(tiers.kind(agent), ())
-    }
-    expected.add((LOOP, WHOLE_LOOP))
-    own = set(plan.tree.agents()) - set(plan.external) - {RECORDER}
-    for port in ports(plan.tree):
-        regular = port.signal.occurrence in {Occurrence.CYCLE, Occurrence.TURN}
-        if regular and port.publisher in own and own.intersection(listeners(port, plan.tree)):
-            expected.add(("hop", port.signal.name))
-    return expected
+def _expected(plan: RunPlan, table: BudgetTable) -> set[tuple[str, str]]:
+    return expected_rows(plan) | {("hop", signal) for signal in table.hop_p99_ms}
 
 
-def _last_cycle(reader: RunReader, plan: RunPlan, *, interrupted: bool) -> int | None:
-    """Return the last cycle that counts; None: all do.
-
-    An external plant goes on after Ctrl-C, when the controllers have left it.
-    """
-    if not interrupted or PLANT not in plan.external:
+def _summary_in(folder: Path, plan: RunPlan) -> RunSummary | None:
+    """Return the summary of a run in a folder; None if there is none of this run."""
+    try:
+        document = RunFolder(folder).summary.read_bytes()
+        summary = msgspec.json.decode(document, type=RunSummary)
+    except (OSError, msgspec.DecodeError):
         return None
-    return last_cycle_with_all(reader, set(plan.tree.leaves) - set(plan.external))
+    return summary if summary.run_id == plan.run_id else None
 
 
-def _hops_from(timings: Sequence[ProcessTiming], plan: RunPlan) -> Iterator[Times]:
-    """Yield the hop latency of each signal of external agents, as their listeners measured it.
-
-    What an external plant alone says has its row already.
-    """
-    measured: dict[tuple[str, str], list[tuple[ProcessTiming, str]]] = defaultdict(list)
-    for port in ports(plan.tree):
-        if port.publisher in plan.external and port.publisher != PLANT:
-            name = f"hop/{port}"
-            own = [(timing, name) for timing in timings if name in timing.histograms]
-            measured[port.publisher, port.signal.name] += own
-    for (agent, signal), parts in measured.items():
-        hops = distribution_of(parts)
-        if hops is not None:
-            yield Times("hop", f"{signal} of {agent}", signal, hops)
-
-
-def _responses(
-    responses_ns: Mapping[tuple[str, str], Sequence[int]], plan: RunPlan
-) -> Iterator[Times]:
-    """Yield the rows of external agents, which the recording tells of them."""
-    tiers = Tiers(plan.tree)
-
-    def place(found: tuple[str, str]) -> tuple[str, int]:
-        agent, stage = found
-        return agent, STAGES[tiers.kind(agent)].index(stage)
-
-    for agent, stage in sorted(responses_ns, key=place):
-        times_ns = responses_ns[agent, stage]
-        yield from _outside_rows("response", f"{agent} {stage}", tiers.kind(agent), times_ns)
-
-
-def _outside_rows(measure: str, of: str, kind: str, times_ns: Sequence[int]) -> Iterator[Times]:
-    """Yield the row of these durations, if there are any."""
-    histogram = new_histogram()
-    for time_ns in times_ns:
-        record_ns(histogram, time_ns)
-    found = distribution(histogram)
-    if found is not None:
-        yield Times(measure, of, kind, found, outside=True)
-
-
-def _in_order(times: Sequence[Times]) -> tuple[Times, ...]:
-    """Bring what was seen from outside to its place, measure by measure."""
-    return tuple(sorted(times, key=lambda row: MEASURES.index(row.measure)))
-
-
-def _process_times(accounts: Sequence[ProcessAccount], plan: RunPlan) -> tuple[ProcessTimes, ...]:
-    tiers = Tiers(plan.tree)
-    return tuple(
-        ProcessTimes(
-            agent=account.agent,
-            tier=tiers.tier(account.agent),
-            policy=timing.policy,
-            cpu_percent=cpu_percent(timing),
-            resident_mb=timing.resident_mb,
-            switches_voluntary=timing.switches_voluntary,
-            switches_involuntary=timing.switches_involuntary,
-            missed_deadlines=timing.missed_deadlines,
-            overruns=timing.overruns,
-            missing_inputs=timing.missing_inputs,
-            late_used=timing.late_used,
-            cycles_given_up=account.cycles_given_up,
-            dropped=account.dropped,
-            times=times_of(timing, plan.tree),
+def _remarks(summary: RunSummary | None) -> tuple[str, ...]:
+    if summary is None:
+        return (
+            "no summary.json of this run beside the recording: processor time, memory, dropped and "
+            "lost messages are not known",
         )
-        for account in accounts
-        if (timing := account.timing) is not None
-    )
+    return (*summary.remarks, *filter(None, [summary.recording_ended]))
+
+
+def _processes(
+    timing: RunTiming, accounts: Sequence[ProcessAccount], wall_s: float, plan: RunPlan
+) -> tuple[ProcessTimes, ...]:
+    seen: Mapping[str, ProcessAccount] = {account.agent: account for account in accounts}
+    found = []
+    for agent, own in timing.agents.items():
+        account = seen.get(agent)
+        found.append(
+            ProcessTimes(
+                agent=agent,
+                tier=tier_of(agent, plan.tree),
+                cpu_percent=cpu_percent(account, wall_s) if account else None,
+                resident_mb=account.resident_mb if account else None,
+                voluntary_switches=account.voluntary_switches if account else None,
+                slowest_decision_us=own.slowest_decision_ns / 1e3,
+                missed_deadlines=dict(own.missed_deadlines),
+                overruns=dict(own.overruns),
+                missing_inputs=dict(own.missing_inputs),
+                old_inputs=own.old_inputs,
+                skipped_cycles=own.skipped_cycles,
+                dropped=account.dropped if account else None,
+                times=own.times,
+            )
+        )
+    return tuple(found)
 
 
 def _slow_cycle(cycle: CycleWaits) -> SlowCycle:

@@ -1,33 +1,33 @@
-"""The timing of a run as tables in a terminal, at most 100 columns wide."""
+"""The timing of a run as tables in a terminal, at most 100 columns wide. Durations are in ms."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
-from typing import Final, TypeAlias
+from typing import Final
 
 from rich.console import Console
 from rich.markup import escape
 
 from launch_scripts.timing.budgets import Verdict
-from launch_scripts.timing.distributions import Distribution
 from launch_scripts.timing.figure_tables import Column, print_table
 from launch_scripts.timing.floor import FloorTimes
 from launch_scripts.timing.host import Host
-from launch_scripts.timing.measures import TierAccount, Times
 from launch_scripts.timing.rates import cycles_per_s
-from launch_scripts.timing.tier_columns import TIER_COLUMNS
+from launch_scripts.timing.tiers import MISSING, TIER_COLUMNS, TierAccount, figure
 from launch_scripts.timing.timing_report import ProcessTimes, TimingReport
 from launch_scripts.wrong_messages import one_line_each
+from recordings.durations import Distribution
+from recordings.timing import Times
 
 MEANINGS: Final = {
-    "loop": "plant's scheduled tick to the applied command",
-    "decision": "stage could close, to its last message handed to the bus",
-    "hop": "published to arrived",
-    "lateness": "after the scheduled time, of what the clock drives",
-    "jitter": "difference of the time between two closings from the cycle",
-    "age": "of the oldest input, at the decision",
-    "response": "last input published, to own message published",
+    "loop": "plant's scheduled tick to its last command; each command: to its publishing",
+    "decision": "stage could close, to its last message published",
+    "hop": "input that completed a stage published, to stage could close",
+    "lateness": "scheduled time of what the clock closes, to its first message published",
+    "jitter": "difference of the time between two first messages from the cycles between",
+    "age": "oldest input published, to stage could close",
+    "response": "last input published, to own last message published",
     "floor": "this machine, beside the plant, at the same rate",
 }
 """What each measure is of, in a few words; docs/timing.md has the definitions."""
@@ -39,46 +39,27 @@ _TIMES: Final = (
     Column("", 4),
 )
 
-_MOST_US: Final = 10e6
-"""What is longer needs milliseconds."""
-
 _HOPS: Final = "(from the publishing of what each waited for: the hop to it is part of its time)"
-
 _PASSED: Final = {True: "PASS", False: "[bold red]FAIL[/]"}
-
 _DECIMALS: Final = {"ms": 3, "%": 2, "MB": 1, "": 0}
 """How many a budget's figure has, by its unit."""
 
-_Format: TypeAlias = Callable[[float], str]
-
 
 def print_report(report: TimingReport, console: Console, *, processes: bool) -> None:
-    """Print the tables of a run.
-
-    Parameters
-    ----------
-    report
-        Of the run.
-    console
-        Where to.
-    processes
-        Whether each process has a table of its own as well.
-    """
+    """Print the tables of a run; with `processes` one for each process as well."""
     for line in header_lines(report):
         console.print(line, highlight=False, markup=False)
-    show, unit = _format(report)
-    _print_times(report, show, unit, console)
+    _print_times(report, console)
     _print_tiers(report.tiers, console)
     for process in report.processes if processes else ():
-        _print_process(process, show, unit, console)
+        _print_process(process, console)
     console.print()
     for line in (*cycle_lines(report), *network_lines(report)):
         console.print(line, highlight=False, markup=False)
     _print_other_verdicts(report.verdicts, console)
-    failed = [verdict for verdict in report.verdicts if not verdict.passed]
     console.print(verdict_line(report), highlight=False, markup=False)
-    for verdict in failed:
-        console.print(f"  not kept: {failure(verdict)}", highlight=False, markup=False)
+    for line in failures(report):
+        console.print(f"  not kept: {line}", highlight=False, markup=False)
 
 
 def header_lines(report: TimingReport) -> list[str]:
@@ -88,7 +69,7 @@ def header_lines(report: TimingReport) -> list[str]:
         f"{'' if report.cycles == 1 else 's'} in {report.wall_s:.1f} s"
         f"{', interrupted' if report.interrupted else ''}",
         *host_lines(report.host),
-        *_busy(report),
+        *_busy(report.host),
         *report.remarks,
     ]
 
@@ -96,18 +77,18 @@ def header_lines(report: TimingReport) -> list[str]:
 def host_lines(host: Host) -> list[str]:
     """Return on what it was run."""
     locked = "; memory locked" if host.memory_locked else ""
+    before, after = figure(host.load_before, 2), figure(host.load_after, 2)
     return [
         f"kernel {host.kernel}",
-        f"{host.cpus} CPUs, {host.cpu}; load average {host.load_before:.2f} before, "
-        f"{host.load_after:.2f} after",
-        f"scheduling: {'; '.join(host.policies) or 'not known'}{locked}",
+        f"{host.cpus} CPUs{', ' * bool(host.cpu)}{host.cpu}; load average {before} before, "
+        f"{after} after",
+        f"scheduling: {host.scheduling}{locked}",
         f"Python {host.python}, heliarch {host.heliarch}, Zenoh {host.zenoh}",
     ]
 
 
-def _busy(report: TimingReport) -> list[str]:
-    host = report.host
-    if host.load_before <= host.cpus:
+def _busy(host: Host) -> list[str]:
+    if host.load_before is None or host.load_before <= host.cpus:
         return []
     return [
         "the machine was busy before the run began, with more than its processors can do: see the "
@@ -128,11 +109,8 @@ def network_lines(report: TimingReport) -> list[str]:
         for entry in one_line_each(report.wrong)
     ]
     faults = ", ".join(f"{count:,} {name}" for name, count in report.faults.items())
-    return [
-        *external,
-        *wrong,
-        *([f"faults of the network, as was asked for: {faults}"] if faults else []),
-    ]
+    asked_for = [f"faults of the network, as was asked for: {faults}"] if faults else []
+    return [*external, *wrong, *asked_for]
 
 
 def cycle_lines(report: TimingReport) -> list[str]:
@@ -146,19 +124,22 @@ def cycle_lines(report: TimingReport) -> list[str]:
 
 def verdict_line(report: TimingReport) -> str:
     """Return the verdict on the whole run."""
-    failed = sum(not verdict.passed for verdict in report.verdicts)
+    failed = len(failures(report))
     if not failed:
         return f"PASS: all {len(report.verdicts)} budgets were kept"
-    were = "was" if failed == 1 else "were"
-    return f"FAIL: {failed} of {len(report.verdicts)} budgets {were} not kept"
+    return f"FAIL: {failed} of {len(report.verdicts)} budgets not kept"
 
 
-def failure(verdict: Verdict) -> str:
-    """Return a budget that was not kept, with what was measured."""
-    if verdict.value is None:
-        return f"{verdict.line}: nothing was measured"
-    value, limit = (amount(figure, verdict.unit) for figure in (verdict.value, verdict.limit))
-    return f"{verdict.line} {value} (at most {limit})"
+def failures(report: TimingReport) -> list[str]:
+    """Return the budgets that were not kept, with what was measured."""
+    return [
+        f"{verdict.line}: nothing was measured"
+        if verdict.value is None
+        else f"{verdict.line} {amount(verdict.value, verdict.unit)} "
+        f"(at most {amount(verdict.limit, verdict.unit)})"
+        for verdict in report.verdicts
+        if not verdict.passed
+    ]
 
 
 def amount(value: float, unit: str) -> str:
@@ -171,61 +152,52 @@ def how_often(count: int) -> str:
     return f"{count:,} time{'' if count == 1 else 's'}"
 
 
+def ms(value_us: float | None) -> str:
+    """Write a duration in ms."""
+    return MISSING if value_us is None else f"{value_us / 1e3:,.3f}"
+
+
 def row_name(row: Times) -> str:
     """Return the name of a row of durations."""
     return f"{row.of} (seen from outside)" if row.outside else row.of
 
 
-def percentiles(times: Distribution) -> tuple[float, ...]:
-    """Return the figures of a distribution in the order of the columns [us]."""
-    return times.min_us, times.p50_us, times.p99_us, times.p99_9_us, times.max_us
+def times_cells(times: Distribution) -> tuple[str, ...]:
+    """Return the figures of a distribution in the order of the columns."""
+    values_us = (times.min_us, times.p50_us, times.p99_us, times.p99_9_us, times.max_us)
+    return (f"{times.count:,}", *map(ms, values_us))
 
 
-def _format(report: TimingReport) -> tuple[_Format, str]:
-    """Choose one unit for all columns of durations, and how they are written."""
-    longest_us = max((row.times.max_us for row in report.times), default=0.0)
-    if longest_us < _MOST_US:
-        return lambda value_us: f"{value_us:,.0f}", "µs"
-    return lambda value_us: f"{value_us / 1e3:,.1f}", "ms"
+def verdict_cells(row: Times, verdicts: Iterable[Verdict]) -> tuple[str, str]:
+    """Return the limit of a row of durations and whether it was kept, empty if it has none."""
+    for verdict in verdicts:
+        if (verdict.measure, verdict.of) == (row.measure, row.of):
+            return f"{verdict.limit:,.3f}", "PASS" if verdict.passed else "FAIL"
+    return "", ""
 
 
-def _print_times(report: TimingReport, show: _Format, unit: str, console: Console) -> None:
+def _print_times(report: TimingReport, console: Console) -> None:
     """Print a table for each measure, and one for the floor."""
-    verdicts = {(entry.measure, entry.of): entry for entry in reversed(report.verdicts)}
     for measure, found in groupby(report.times, lambda row: row.measure):
-        rows = list(found)
+        rows, cells = list(found), []
+        for row in rows:
+            limit, verdict = verdict_cells(row, report.verdicts)
+            verdict = f"[bold red]{verdict}[/]" if verdict == "FAIL" else verdict
+            cells.append((f"  {escape(row.of)}", *times_cells(row.times), limit, verdict))
         outside = " (seen from outside)" if all(row.outside for row in rows) else ""
-        heading = f"[bold]{measure}[/] \\[{unit}]: {MEANINGS[measure]}{outside}"
-        cells = [
-            (
-                f"  {escape(row.of)}",
-                f"{row.times.count:,}",
-                *map(show, percentiles(row.times)),
-                *_verdict_cells(verdicts.get((row.measure, row.of)), show),
-            )
-            for row in rows
-        ]
-        print_table(console, heading, _TIMES, cells)
-    print_floor(f"[bold]floor[/] \\[{unit}]: {MEANINGS['floor']}", report.floor, show, console)
+        title = f"[bold]{measure}[/] \\[ms]: {MEANINGS[measure]}{outside}"
+        print_table(console, title, _TIMES, cells)
+    if report.floor:
+        print_floor(f"[bold]floor[/] \\[ms]: {MEANINGS['floor']}", report.floor, console)
 
 
-def print_floor(title: str, floor: Sequence[FloorTimes], show: _Format, console: Console) -> None:
+def print_floor(title: str, floor: Sequence[FloorTimes], console: Console) -> None:
     """Print what the machine itself needs, and why some of it was not measured."""
-    cells = [
-        (f"  {row.name}", f"{row.times.count:,}", *map(show, percentiles(row.times)))
-        for row in floor
-        if row.times is not None
-    ]
+    cells = [(f"  {row.name}", *times_cells(row.times)) for row in floor if row.times is not None]
     print_table(console, title, _TIMES[:6], cells)
     for row in floor:
         if row.note:
             console.print(f"  {row.name}: {row.note}", highlight=False, markup=False)
-
-
-def _verdict_cells(verdict: Verdict | None, show: _Format) -> tuple[str, str]:
-    if verdict is None:
-        return "", ""
-    return show(verdict.limit * 1e3), _PASSED[verdict.passed]
 
 
 def _print_tiers(tiers: Iterable[TierAccount], console: Console) -> None:
@@ -235,18 +207,13 @@ def _print_tiers(tiers: Iterable[TierAccount], console: Console) -> None:
     print_table(console, heading, columns, rows)
 
 
-def _print_process(process: ProcessTimes, show: _Format, unit: str, console: Console) -> None:
+def _print_process(process: ProcessTimes, console: Console) -> None:
     title = (
-        f"{process.agent} ({process.tier}), times in {unit}: CPU {process.cpu_percent:.1f} %, "
-        f"{process.resident_mb:.1f} MB, {how_often(process.switches_involuntary)} preempted; "
-        f"{_counts(process)}"
+        f"{process.agent} ({process.tier}), times in ms: CPU {figure(process.cpu_percent, 1)} %, "
+        f"{figure(process.resident_mb, 1)} MB; {_counts(process)}"
     )
     rows = [
-        (
-            escape(f"  {row.measure} {row.of}".rstrip()),
-            f"{row.times.count:,}",
-            *map(show, percentiles(row.times)),
-        )
+        (escape(f"  {row.measure} {row.of}".rstrip()), *times_cells(row.times))
         for row in process.times
     ]
     print_table(console, escape(title), _TIMES[:6], rows)
@@ -257,15 +224,15 @@ def _counts(process: ProcessTimes) -> str:
         ("missed", process.missed_deadlines),
         ("overruns", process.overruns),
         ("missing", process.missing_inputs),
-        ("dropped", process.dropped),
+        ("dropped", process.dropped or {}),
     )
     told = [
         f"{name} {', '.join(f'{key} {count:,}' for key, count in found.items())}"
         for name, found in counts
         if found
     ]
-    if process.cycles_given_up:
-        told.append(f"{process.cycles_given_up:,} cycles given up")
+    if process.skipped_cycles:
+        told.append(f"{process.skipped_cycles:,} cycles skipped")
     return "; ".join(told) or "kept every deadline"
 
 

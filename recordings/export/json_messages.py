@@ -18,9 +18,11 @@ from msgspec.inspect import (
     FloatType,
     IntType,
     LiteralType,
+    NoneType,
     StrType,
     StructType,
     Type,
+    UnionType,
     VarTupleType,
     type_info,
 )
@@ -57,10 +59,13 @@ class JsonEncoder:
         found = type_info(signal.type)
         assert isinstance(found, StructType)
         self._nested = any(_holds_structs(field.type) for field in found.fields)
+        self._optional = [f.name for f in found.fields if isinstance(f.type, UnionType)]
 
     def encode(self, message: Message) -> bytes:
         """Return a message as a JSON object."""
-        text = self._encoder.encode(_plain(message) if self._nested else message)
+        absent = any(getattr(message, name) is None for name in self._optional)
+        is_plain = self._nested or absent
+        text = self._encoder.encode(_plain(message) if is_plain else message)
         if _NULL in text:  # Or the word stands in a text: then nothing is left out.
             text = self._encoder.encode(self._finite(_plain(message)))
         return text
@@ -78,10 +83,11 @@ class JsonEncoder:
 
 
 def _plain(value: msgspec.Struct) -> JsonObject:
-    """Return a struct as a dictionary, those inside it in lists too."""
+    """Return a struct as a dictionary, those inside it in lists too, without what is nil."""
     return {
         name: [_plain(item) for item in entry] if _is_structs(entry) else entry
         for name, entry in msgspec.structs.asdict(value).items()
+        if entry is not None
     }
 
 
@@ -96,6 +102,7 @@ def _all_finite(value: object) -> bool:
 
 
 def _schema(kind: Type) -> JsonObject:
+    kind = _not_nil(kind)
     match kind:
         case StructType():
             return _struct_schema(kind)
@@ -132,7 +139,15 @@ def _bounds(kind: IntType) -> JsonObject:
 
 def _may_be_left_out(field: Field) -> bool:
     kind = field.type.item_type if isinstance(field.type, VarTupleType) else field.type
-    return isinstance(kind, FloatType)
+    return isinstance(kind, FloatType | UnionType)
+
+
+def _not_nil(kind: Type) -> Type:
+    """Return the type of a field when it is there: one that is nil is left out."""
+    if not isinstance(kind, UnionType):
+        return kind
+    (found,) = (member for member in kind.types if not isinstance(member, NoneType))
+    return found
 
 
 def _holds_structs(kind: Type) -> bool:

@@ -1,7 +1,7 @@
 """Which tidy tables a recording comes to: one row for each observation, one value in each cell.
 
 Every signal has a table of its own, named after it. What is a list inside a message has one as
-well: help given, the inverters of a production, the inputs that a sender had to do without.
+well: help given, the inverters of a production, the inputs that were not due.
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ from msgspec.inspect import (
     FloatType,
     IntType,
     LiteralType,
+    NoneType,
     StrType,
     StructType,
     Type,
+    UnionType,
     VarTupleType,
     type_info,
 )
@@ -25,7 +27,7 @@ from msgspec.inspect import (
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, Production, Setpoint
-from bus_schemas.missing import absence
+from bus_schemas.missing import parse_missing
 from bus_schemas.signals import PRODUCTION, SETPOINT, Signal
 from bus_schemas.tree import agent_name
 from recordings.export.records import Record
@@ -66,6 +68,7 @@ class Table:
 
 _WHEN: Final = (Column("time", "time"), Column("cycle", "integer"))
 _SEQUENCE: Final = Column("sequence", "integer")
+_READY: Final = Column("ready_time_ns", "integer")
 _PUBLISHED: Final = Column("publish_time_ns", "integer")
 _LOGGED: Final = Column("log_time_ns", "integer")
 
@@ -109,13 +112,13 @@ def tables_of(
 def signal_table(signal: Signal[Message], anchor: ClockAnchor) -> Table:
     """Return the table of a signal: a row for each message, a column for each plain field.
 
-    `publish_time_ns` and `log_time_ns` are both of the host's monotonic clock: their difference is
-    the time from the sender to the recorder.
+    `ready_time_ns`, `publish_time_ns` and `log_time_ns` are of the host's monotonic clock. The
+    decision took the time between the first two, the way to the recorder that between the last two.
     """
     own = _own_columns(signal)
     names = [column.name for column in own]
     when = attrgetter("sim_time_ns", "cycle")
-    rest = attrgetter(*names, "source", "sequence", "publish_time_ns")
+    rest = attrgetter(*names, "source", "sequence", "ready_time_ns", "publish_time_ns")
     monotonic_less_wall_ns = anchor.monotonic_ns - anchor.wall_ns
 
     def rows(record: Record) -> Iterable[Row]:
@@ -135,6 +138,7 @@ def signal_table(signal: Signal[Message], anchor: ClockAnchor) -> Table:
         *own,
         Column("source", "text"),
         _SEQUENCE,
+        _READY,
         _PUBLISHED,
         _LOGGED,
     )
@@ -194,10 +198,9 @@ def inverters_table(plan: RunPlan) -> Table:
 
 
 def missing_inputs_table() -> Table:
-    """Return the table of what senders had to do without: a row for each input of each message.
+    """Return the table of inputs that were not due: a row for each of each message.
 
-    `used_cycle` is that of the late word that took its place, empty where nothing did. Where the
-    input is `skipped`, the sender gave up its own cycles from there on.
+    `used_cycle` is the cycle of the older message that the sender used; empty if it used none.
     """
 
     def rows(record: Record) -> Iterable[Row]:
@@ -206,7 +209,7 @@ def missing_inputs_table() -> Table:
             return ()
         says = (agent_name(record.port.node), record.port.signal.name, message.sequence)
         when = (message.sim_time_ns, message.cycle)
-        return ((*when, *says, *absence(entry)) for entry in message.missing)
+        return ((*when, *says, *parse_missing(entry)) for entry in message.missing)
 
     columns = (
         *_WHEN,
@@ -224,7 +227,14 @@ def _own_columns(signal: Signal[Message]) -> tuple[Column, ...]:
     found = type_info(signal.type)
     assert isinstance(found, StructType)
     return tuple(
-        Column(field.name, _KIND_OF[type(field.type)])
+        Column(field.name, _kind(field.type))
         for field in found.fields
         if field.name not in _HEAD and not isinstance(field.type, VarTupleType)
     )
+
+
+def _kind(field: Type) -> Kind:
+    """Return what is in a field's column; a field that may be nil leaves its cell empty."""
+    if isinstance(field, UnionType):
+        (field,) = (member for member in field.types if not isinstance(member, NoneType))
+    return _KIND_OF[type(field)]

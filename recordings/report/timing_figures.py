@@ -191,9 +191,9 @@ def rate_figure(points: Sequence[RatePoint]) -> ReportFigure:
     )
     figure.update_yaxes(type="log", title_text="time [ms]", **_round_ticks())
     caption = (
-        "Time from the plant's scheduled tick to its applied commands. A circle is a rate at which "
-        "no deadline was missed, no stage overran and nothing was lost; a cross is one that the "
-        "plant did not keep up with."
+        "Time from the plant's scheduled tick to its last command. A circle is a rate at which no "
+        "deadline was missed, no stage overran and nothing was lost; a cross is one that the plant "
+        "did not keep up with."
     )
     return ReportFigure("rates", "Loop time against rate", caption, figure)
 

@@ -1,60 +1,69 @@
-"""Small plants made by hand, run in memory, and everything that is said in them."""
+"""Small plants made by hand: run in memory, or one agent of them in its loop, message by message."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
 
-from agents.plan import NodeNeighbourhoods, RunPlan
-from agents.sequencer import Sequencer
+from agents.agent import Agent
+from agents.loop import AgentLoop
+from agents.plan import RunPlan
+from agents.team import controller
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Impp, Message, Residual
-from bus_schemas.signals import IMPP, RESIDUAL, Port, Signal
+from bus_schemas.messages import Dispatch, Impp, Message, Meter, Residual, Setpoint, Telemetry
+from bus_schemas.signals import (
+    DISPATCH,
+    IMPP,
+    METER,
+    RESIDUAL,
+    SETPOINT,
+    TELEMETRY,
+    Port,
+    Signal,
+)
+from bus_schemas.tree import CENTRAL, PLANT, ROOT
 from launch_scripts.simulation import MemoryRun
 from sim_plant.profile import Profile
 
 M = TypeVar("M", bound=Message)
 
 CYCLE_NS = 1_000_000_000
+REAL_TIME = CYCLE_NS
+"""A `cycle_wall_ns`: cycles of a second by the clock."""
 
 
-def plan_of(
-    ratings_kw: Mapping[str, float],
-    *,
-    cycles: int = 1,
-    period_cycles: tuple[int, ...] | None = None,
-    hold_cycles: int = 3,
-    neighbourhoods: tuple[NodeNeighbourhoods, ...] = (),
-) -> RunPlan:
+def plan_of(ratings_kw: Mapping[str, float], **changes: Any) -> RunPlan:
     """Plan of a run in lockstep, from the path and rating of each inverter."""
     tiers = max(leaf.count("/") + 1 for leaf in ratings_kw)
-    return RunPlan(
+    plan = RunPlan(
         run_id="by-hand",
         plant="oahu",
         inverters=tuple(ratings_kw.items()),
         start_time_ns=0,
         cycle_ns=CYCLE_NS,
-        cycles=cycles,
+        cycles=1,
         timezone="UTC",
         regulation_capacity_kw=0.0,
         cycle_wall_ns=0,
-        period_cycles=period_cycles or (1,) * tiers,
+        period_cycles=(1,) * tiers,
         scheme="paper",
         actuator="fraction",
         alpha_min=0.05,
-        hold_cycles=hold_cycles,
+        hold_cycles=3,
         stall_timeout_s=3.0,
-        neighbourhoods=neighbourhoods,
+        neighbourhoods=(),
         tcp_ports={},
     )
+    return msgspec.structs.replace(plan, **changes)
 
 
 @dataclass
 class Heard:
-    """All that was said in a run, by cycle and port."""
+    """All that was sent in a run, by cycle and port."""
 
     _messages: dict[tuple[int, Port[Message]], Message] = field(default_factory=dict)
 
@@ -75,8 +84,12 @@ class Heard:
         return message
 
     def cycles(self) -> set[int]:
-        """The cycles in which anything was said."""
+        """The cycles in which anything was sent."""
         return {cycle for cycle, _ in self._messages}
+
+    def cycles_of(self, port: Port[Message]) -> list[int]:
+        """The cycles in which a port's message was sent."""
+        return [cycle for cycle, sent_on in self._messages if sent_on is port]
 
     def of(self, signal: Signal[M]) -> Iterator[tuple[str, M]]:
         """Node and message, of all messages of a signal."""
@@ -88,32 +101,103 @@ class Heard:
 
 def hear(plan: RunPlan, mpp_kw: Sequence[Sequence[float]], dispatch_kw: Sequence[float]) -> Heard:
     """Run a plan in memory under what sun and operator do, and listen."""
+    return hear_profile(plan, Profile(np.array(mpp_kw), np.array(dispatch_kw)))[1]
+
+
+def hear_profile(plan: RunPlan, profile: Profile) -> tuple[MemoryRun, Heard]:
+    """Run a plan in memory under a profile, and listen."""
     heard = Heard()
-    run = MemoryRun(plan, Profile(np.array(mpp_kw), np.array(dispatch_kw)), heard)
+    run = MemoryRun(plan, profile, heard)
     assert list(run.cycles()) == list(range(plan.cycles))
-    assert all(sequencer.drops.total() == 0 for sequencer in run.sequencers.values())
-    return heard
+    return run, heard
+
+
+class AtWork:
+    """An agent in its loop, in cycle 0. Stages close as soon as they are complete.
+
+    Parameters
+    ----------
+    plan
+        Of the run.
+    agent
+        The agent, or the name of a controller.
+    """
+
+    def __init__(self, plan: RunPlan, agent: str | Agent[Any]) -> None:
+        made = controller(plan, agent) if isinstance(agent, str) else agent
+        self.loop: AgentLoop[Any] = AgentLoop(made, plan)
+        self.loop.begin(0, 0)
+        self._now_ns = 0
+
+    def hear(self, *deliveries: Delivery) -> dict[Port[Message], Message]:
+        """Let it hear messages, and return what it sends in answer."""
+        for port, message in deliveries:
+            self.loop.hear(port, message, self._now_ns)
+        sent: dict[Port[Message], Message] = {}
+        while self.loop.is_complete:
+            sent.update(self.loop.close_stage(self._now_ns))
+        return sent
+
+    def at_deadline(self, stage: str) -> dict[Port[Message], Message]:
+        """Let the deadline of the open stage pass, and return what it sends."""
+        assert self.loop.stage == stage
+        assert self.loop.deadline_ns is not None
+        self._now_ns = self.loop.deadline_ns
+        sent = dict(self.loop.close_stage(self._now_ns))
+        return sent | self.hear()
+
+
+def at(sent: Mapping[Port[Message], Message], port: Port[M]) -> M:
+    """The message that was sent on a port."""
+    message = sent[port]
+    assert isinstance(message, port.signal.type)
+    return message
+
+
+# Messages by hand ---------------------------------------------------------------------------------
+
+
+def head(cycle: int, source: str) -> tuple[int, int, str, tuple[str, ...]]:
+    """The first fields of a message."""
+    return cycle, cycle * CYCLE_NS, source, ()
+
+
+def dispatch(cycle: int, power_kw: float, plant_rating_kw: float) -> Delivery:
+    """What the operator wants."""
+    message = Dispatch(
+        *head(cycle, PLANT),
+        power_kw=power_kw,
+        plant_rating_kw=plant_rating_kw,
+        commitment_kw=power_kw,
+        regulation_kw=0.0,
+    )
+    return DISPATCH.of(ROOT), message
+
+
+def meter(cycle: int, power_kw: float) -> Delivery:
+    """What the plant fed in."""
+    return METER.of(ROOT), Meter(*head(cycle, PLANT), power_kw=power_kw)
+
+
+def telemetry(node: str, cycle: int, power_kw: float, alpha: float = 1.0) -> Delivery:
+    """What an inverter of 100 kW measured."""
+    message = Telemetry(*head(cycle, PLANT), power_kw=power_kw, alpha=alpha, limit_kw=100.0)
+    return TELEMETRY.of(node), message
+
+
+def setpoint(node: str, cycle: int, power_kw: float) -> Delivery:
+    """What a parent wants of a node."""
+    parent = node.rpartition("/")[0] or CENTRAL
+    message = Setpoint(*head(cycle, parent), power_kw=power_kw, share_kw=power_kw, help_given=())
+    return SETPOINT.of(node), message
+
+
+def impp(node: str, cycle: int, power_kw: float) -> Delivery:
+    """What a node could give."""
+    return IMPP.of(node), Impp(*head(cycle, node), power_kw=power_kw, stale_cycles=0)
 
 
 def report(child: str, cycle: int, impp_kw: float, residual_kw: float) -> list[Delivery]:
-    """What a child says of itself in a cycle."""
-    stamp = (cycle, cycle * CYCLE_NS, child, ())
-    return [
-        (IMPP.of(child), Impp(*stamp, power_kw=impp_kw, stale_cycles=0)),
-        (RESIDUAL.of(child), Residual(*stamp, power_kw=residual_kw)),
-    ]
-
-
-def tell(sequencer: Sequencer[object], *deliveries: Delivery) -> dict[Port[Message], Message]:
-    """Let an agent hear messages, and return what it says in answer."""
-    said: dict[Port[Message], Message] = {}
-    for port, message in deliveries:
-        said.update(sequencer.accept(port, message))
-    return said
-
-
-def at(said: Mapping[Port[Message], Message], port: Port[M]) -> M:
-    """The message that was said on a port."""
-    message = said[port]
-    assert isinstance(message, port.signal.type)
-    return message
+    """What a child reports in a cycle."""
+    residual = Residual(*head(cycle, child), power_kw=residual_kw)
+    return [impp(child, cycle, impp_kw), (RESIDUAL.of(child), residual)]

@@ -1,137 +1,78 @@
-"""A dispatch that makes no sense is refused or clamped, counted and told."""
+"""A dispatch that asks for the impossible is clamped and told; one that is no number is not used."""
 
 from __future__ import annotations
 
 import math
 
 import pytest
-from plants_by_hand import CYCLE_NS, at, plan_of, report, tell
+from plants_by_hand import REAL_TIME, AtWork, at, dispatch, meter, plan_of, report
 
-from agents.sequencer import Sequencer
-from agents.team import Controller, central_controller
-from bus_schemas.messages import Dispatch, Message, Notice, Request
-from bus_schemas.signals import DISPATCH, HELP, NOTICE, REQUEST, SETPOINT, Port
+from bus_schemas.messages import Notice
+from bus_schemas.signals import DISPATCH, NOTICE, RESIDUAL, SETPOINT
 from bus_schemas.tree import ROOT
 
-PLAN = plan_of({"a": 100.0, "b": 300.0})
+FLOOR_KW = 0.05 * 300.0
+"""What `b` gives at least: an inverter is not curtailed further."""
+
+PLAN = plan_of({"a": 100.0, "b": 300.0}, cycles=100, cycle_wall_ns=REAL_TIME)
 
 
-def asked_and_noticed(*dispatches_kw: float) -> tuple[list[float], list[tuple[str, int]]]:
-    """What is asked of `b`, which has 3/4 of the rating, and what is noticed, for each dispatch."""
-    agent = central_controller(PLAN)
-    asked_kw: list[float] = []
-    noticed: list[tuple[str, int]] = []
-    central = Sequencer(agent, PLAN.sim_time_ns, lockstep=False, horizon=1)
+def set_and_noticed(*dispatches_kw: float) -> tuple[list[float], list[int]]:
+    """What is set of `b`, which has 3/4 of the rating, and what is noticed, dispatch by dispatch."""
+    central = AtWork(PLAN, "central")
+    set_kw: list[float] = []
+    counts: list[int] = []
     for cycle, power_kw in enumerate(dispatches_kw):
-        if cycle == 0:
-            central.enter(0)
-        said: dict[Port[Message], Message] = dict(
-            central.accept(
-                DISPATCH.of(ROOT),
-                Dispatch(
-                    cycle,
-                    cycle * CYCLE_NS,
-                    "plant",
-                    (),
-                    power_kw=power_kw,
-                    commitment_kw=power_kw,
-                    regulation_kw=0.0,
-                ),
-            )
+        sent = central.hear(
+            dispatch(cycle, power_kw, 400.0),
+            meter(cycle, 0.0),
+            *report("a", cycle, 100.0, 0.0),
+            *report("b", cycle, 300.0, 0.0),
         )
-        request = said[REQUEST.of("b")]
-        assert isinstance(request, Request)
-        asked_kw.append(request.power_kw)
-        notice = said.get(NOTICE.of(ROOT))
+        set_kw.append(at(sent, SETPOINT.of("b")).power_kw)
+        notice = sent.get(NOTICE.of(ROOT))
         if isinstance(notice, Notice):
-            noticed.append((notice.text, notice.count))
-        central.close_stage()
-    return asked_kw, noticed
+            counts.append(notice.count)
+    return set_kw, counts
 
 
 @pytest.mark.parametrize("power_kw", [0.0, 200.0, 400.0])
-def test_a_dispatch_from_zero_to_the_rating_is_taken_without_a_word(power_kw: float) -> None:
-    assert asked_and_noticed(power_kw) == ([0.75 * power_kw], [])
+def test_a_dispatch_from_zero_to_the_rating_is_followed_without_a_notice(power_kw: float) -> None:
+    assert set_and_noticed(power_kw) == ([max(0.75 * power_kw, FLOOR_KW)], [])
+
+
+@pytest.mark.parametrize("power_kw", [math.nan, math.inf, -math.inf])
+def test_one_that_is_no_number_is_not_used_and_the_last_one_holds(power_kw: float) -> None:
+    assert set_and_noticed(200.0, power_kw) == ([150.0, 150.0], [])
 
 
 @pytest.mark.parametrize(
-    ("power_kw", "shown"),
-    [(math.nan, "nan"), (math.inf, "inf"), (-math.inf, "-inf")],
+    ("power_kw", "set_kw"), [(400.0001, 300.0), (1e12, 300.0), (-0.5, FLOOR_KW), (-1e12, FLOOR_KW)]
 )
-def test_a_dispatch_that_makes_no_sense_is_refused_and_the_last_one_holds(
-    power_kw: float, shown: str
+def test_one_that_asks_for_the_impossible_is_clamped_and_noticed(
+    power_kw: float, set_kw: float
 ) -> None:
-    assert asked_and_noticed(200.0, power_kw) == (
-        [150.0, 150.0],
-        [(f"dispatch of {shown} kW refused, accepted is 0 to 400 kW: 200 kW still holds", 1)],
-    )
+    assert set_and_noticed(power_kw) == ([set_kw], [1])
 
 
-def test_before_the_first_good_dispatch_nothing_is_asked() -> None:
-    text = (
-        "dispatch of nan kW refused, accepted is 0 to 400 kW: there was none before it, nothing is "
-        "held back"
-    )
-    assert asked_and_noticed(math.nan) == ([0.0], [(text, 1)])
+def test_clamped_dispatches_are_counted_together() -> None:
+    set_kw, counts = set_and_noticed(100.0, -1.0, 500.0, 200.0)
+    assert set_kw == [75.0, FLOOR_KW, 300.0, 150.0]
+    assert counts == [1, 2]
 
 
-def test_a_dispatch_of_zero_is_one() -> None:
-    asked_kw, noticed = asked_and_noticed(0.0, math.nan)
-    assert asked_kw == [0.0, 0.0]
-    assert noticed[0][0].endswith(": 0 kW still holds")
+@pytest.mark.parametrize("rating_kw", [0.0, -400.0, math.nan, math.inf, 5e-324])
+def test_a_dispatch_without_a_rating_to_share_by_is_not_used(rating_kw: float) -> None:
+    central = AtWork(PLAN, "central")
+    central.hear(dispatch(0, 200.0, rating_kw), meter(0, 0.0))
+    central.hear(*report("a", 0, 100.0, 0.0))
+    central.at_deadline("solve")
+    assert central.loop.dropped == {(str(DISPATCH.of(ROOT)), "absurd"): 1}
 
 
-def in_cycle_0_without_dispatch() -> Sequencer[object]:
-    agent: Controller = central_controller(PLAN)
-    central: Sequencer[object] = Sequencer(agent, PLAN.sim_time_ns, lockstep=False, horizon=1)
-    central.enter(0)
-    asked = dict(central.close_stage())
-    assert at(asked, REQUEST.of("a")).power_kw == 0.0
-    assert at(asked, REQUEST.of("b")).power_kw == 0.0
-    return central
-
-
-def test_before_the_first_dispatch_nothing_is_held_back() -> None:
-    central = in_cycle_0_without_dispatch()
-    said = tell(central, *report("a", 0, 80.0, 80.0), *report("b", 0, 90.0, 90.0))
-    assert [at(said, SETPOINT.of(child)).power_kw for child in ("a", "b")] == [80.0, 90.0]
-    assert HELP.of(ROOT) not in said
-
-
-def test_before_the_first_dispatch_and_the_first_report_nothing_is_held_back() -> None:
-    said = dict(in_cycle_0_without_dispatch().close_stage())
-    assert [at(said, SETPOINT.of(child)).power_kw for child in ("a", "b")] == [100.0, 300.0]
-    assert HELP.of(ROOT) not in said
-
-
-@pytest.mark.parametrize(
-    ("power_kw", "shown"), [(400.0001, "400.0001"), (500.0, "500"), (1e12, "1e+12")]
-)
-def test_a_dispatch_above_the_rating_is_clamped_to_it(power_kw: float, shown: str) -> None:
-    assert asked_and_noticed(power_kw) == (
-        [300.0],
-        [(f"dispatch of {shown} kW clamped to the rating, 400 kW", 1)],
-    )
-
-
-@pytest.mark.parametrize(("power_kw", "shown"), [(-0.5, "-0.5"), (-1e12, "-1e+12")])
-def test_a_dispatch_below_zero_is_clamped_to_it(power_kw: float, shown: str) -> None:
-    # Regulation downwards can ask for more than the commitment: the plant goes as low as it can.
-    assert asked_and_noticed(200.0, power_kw) == (
-        [150.0, 0.0],
-        [(f"dispatch of {shown} kW clamped to 0 kW", 1)],
-    )
-
-
-def test_all_that_could_not_be_used_are_counted_together() -> None:
-    asked_kw, noticed = asked_and_noticed(100.0, -1.0, 500.0, 200.0, math.nan)
-    assert asked_kw == [75.0, 0.0, 300.0, 150.0, 150.0]
-    assert [count for _, count in noticed] == [1, 2, 3]
-
-
-def test_after_a_clamped_dispatch_a_refused_one_leaves_the_rating_asked() -> None:
-    asked_kw, noticed = asked_and_noticed(1e12, math.nan)
-    assert asked_kw == [300.0, 300.0]
-    assert noticed[1][0] == (
-        "dispatch of nan kW refused, accepted is 0 to 400 kW: 400 kW still holds"
-    )
+def test_before_the_first_dispatch_nothing_is_set_and_nothing_is_lacking() -> None:
+    central = AtWork(PLAN, "central")
+    central.hear(*report("a", 0, 80.0, 80.0), *report("b", 0, 90.0, 90.0))
+    sent = central.at_deadline("solve")
+    assert at(sent, RESIDUAL.of(ROOT)).power_kw == 170.0
+    assert SETPOINT.of("a") not in sent

@@ -6,32 +6,21 @@ import logging
 import tracemalloc
 
 import pytest
+from plants_by_hand import REAL_TIME, AtWork, plan_of, telemetry
 
-from agents.direct import DirectController
 from agents.drop_log import DropLog
-from agents.periods import Periods
-from agents.sequencer import Sequencer
-from bus_schemas.messages import Telemetry
-from bus_schemas.signals import TELEMETRY
-
-NODE = "c1/inv07"
-
-
-def telemetry(cycle: int) -> Telemetry:
-    return Telemetry(cycle, cycle, "plant", (), power_kw=1.0, alpha=1.0, limit_kw=470.0)
 
 
 def test_of_each_cycle_to_come_one_message_of_a_key_is_kept() -> None:
-    controller = DirectController(NODE, 470.0, 0.05, Periods((60, 10)), "paper", "fraction")
-    sequencer = Sequencer(controller, lambda cycle: cycle, lockstep=False, horizon=60)
-    sequencer.enter(0)
+    plan = plan_of({"c1/a": 100.0}, period_cycles=(60, 10), cycles=100, cycle_wall_ns=REAL_TIME)
+    work = AtWork(plan, "c1/a")
     tracemalloc.start()
-    for number in range(50_000):
-        sequencer.accept(TELEMETRY.of(NODE), telemetry(1 + number % 60))
+    for number in range(20_000):
+        work.loop.hear(*telemetry("c1/a", 1 + number % 61, 1.0), 0)
     grown, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert grown < 1_000_000
-    assert sequencer.drops.duplicate == 50_000 - 60
+    assert work.loop.dropped == {("c1/a/telemetry", "duplicate"): 20_000 - 61}
 
 
 def test_a_flood_of_one_kind_does_not_hide_another_in_the_log(

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import pytest
 
-from agents.kinds import Kind
+from agents.cycle import Kind
 from agents.machine import (
     MachineSettings,
     refusals,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 from plants_by_hand import CYCLE_NS, hear, plan_of
 
-from agents.family import Neighbourhood
-from agents.plan import NodeNeighbourhoods
+from agents.plan import Neighbourhood, NodeNeighbourhoods
 from bus_schemas.messages import HelpGiven
 from bus_schemas.signals import SETPOINT
 from bus_schemas.tree import ROOT

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import fsum, inf, isfinite, nan
 from typing import NamedTuple
 
@@ -10,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plants_by_hand import Heard, hear, plan_of
 
-from agents.family import Neighbourhood
-from agents.plan import NodeNeighbourhoods, RunPlan
-from bus_schemas.signals import DISPATCH, HELP, IMPP, NOTICE, REQUEST, RESIDUAL, SETPOINT
+from agents.plan import Neighbourhood, NodeNeighbourhoods, RunPlan
+from bus_schemas.signals import HELP, IMPP, NOTICE, RESIDUAL, SETPOINT
 from bus_schemas.tree import ROOT, ControlTree
 
 TOLERANCE_KW = 1e-6
@@ -63,10 +63,8 @@ def weathers(draw: st.DrawFn) -> Weather:
     cycles = draw(st.integers(1, 3))
     plant_kw = plant_rating_kw(tree)
     light = st.one_of(st.sampled_from([0.0, 1.0, 1.01, nan]), st.floats(0.0, 1.0))
-    wish = st.one_of(
-        st.floats(0.0, 1.0).map(lambda share: share * plant_kw),
-        st.sampled_from([0.0, plant_kw, -1.0, nan, inf, -inf, 1e12]),
-    )
+    usable = st.floats(0.0, 1.0).map(lambda share: share * plant_kw)
+    wish = st.one_of(usable, st.sampled_from([0.0, plant_kw, -1.0, nan, inf, -inf, 1e12]))
     count = len(ratings_kw)
     lights = draw(
         st.lists(st.lists(light, min_size=count, max_size=count), min_size=cycles, max_size=cycles)
@@ -77,16 +75,15 @@ def weathers(draw: st.DrawFn) -> Weather:
             [share * rating for share, rating in zip(row, ratings_kw.values(), strict=True)]
             for row in lights
         ],
-        draw(st.lists(wish, min_size=cycles, max_size=cycles)),
+        [draw(usable), *draw(st.lists(wish, min_size=cycles - 1, max_size=cycles - 1))],
     )
 
 
-def usable_dispatches_kw(weather: Weather, heard: Heard) -> list[float | None]:
-    """In each cycle the last dispatch that can be used, None before the first."""
-    rating_kw, last_kw = plant_rating_kw(weather.plan.tree), None
-    usable_kw: list[float | None] = []
-    for cycle in range(weather.plan.cycles):
-        wished_kw = heard.get(cycle, DISPATCH.of(ROOT)).power_kw
+def usable_dispatches_kw(weather: Weather) -> list[float]:
+    """In each cycle the last dispatch that can be used."""
+    rating_kw, last_kw = plant_rating_kw(weather.plan.tree), 0.0
+    usable_kw: list[float] = []
+    for wished_kw in weather.dispatch_kw:
         last_kw = min(max(wished_kw, 0.0), rating_kw) if isfinite(wished_kw) else last_kw
         usable_kw.append(last_kw)
     return usable_kw
@@ -94,32 +91,31 @@ def usable_dispatches_kw(weather: Weather, heard: Heard) -> list[float | None]:
 
 def targets_kw(weather: Weather, heard: Heard) -> dict[tuple[int, str], float]:
     """Each parent's target in each cycle: the dispatch for the root, its setpoint for the rest."""
-    tree = weather.plan.tree
     targets: dict[tuple[int, str], float] = {}
-    for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather, heard)):
-        # Before the first dispatch nothing is held back.
-        targets[cycle, ROOT] = plant_rating_kw(tree) if dispatch_kw is None else dispatch_kw
-        for node in tree.parents[1:]:
+    for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather)):
+        targets[cycle, ROOT] = dispatch_kw
+        for node in weather.plan.tree.parents[1:]:
             targets[cycle, node] = heard.get(cycle, SETPOINT.of(node)).power_kw
     return targets
 
 
 @given(weathers())
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_setpoints_add_up_to_the_target_or_to_all_there_is(weather: Weather) -> None:
     heard = weather.hear()
     for (cycle, node), target_kw in targets_kw(weather, heard).items():
         children = weather.plan.tree.children(node)
         setpoints_kw = [heard.get(cycle, SETPOINT.of(child)).power_kw for child in children]
         impp_kw = [heard.get(cycle, IMPP.of(child)).power_kw for child in children]
-        expected_kw = min(target_kw, fsum(impp_kw))
+        most_kw = fsum(impp_kw)
+        expected_kw = min(max(target_kw, weather.plan.alpha_floor * most_kw), most_kw)
         assert fsum(setpoints_kw) == pytest.approx(expected_kw, rel=0.0, abs=TOLERANCE_KW)
         for setpoint_kw, most_kw in zip(setpoints_kw, impp_kw, strict=True):
-            assert 0.0 <= setpoint_kw <= most_kw
+            assert weather.plan.alpha_floor * most_kw - TOLERANCE_KW <= setpoint_kw <= most_kw
 
 
 @given(weathers())
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_what_a_parent_reports_is_the_sum_of_what_its_children_report(weather: Weather) -> None:
     heard = weather.hear()
     tree = weather.plan.tree
@@ -128,15 +124,19 @@ def test_what_a_parent_reports_is_the_sum_of_what_its_children_report(weather: W
             impps = [heard.get(cycle, IMPP.of(child)) for child in tree.children(node)]
             residuals = [heard.get(cycle, RESIDUAL.of(child)) for child in tree.children(node)]
             own = heard.get(cycle, IMPP.of(node))
-            assert own.power_kw == fsum(impp.power_kw for impp in impps)
+            assert own.power_kw == approx_kw(impp.power_kw for impp in impps)
             assert own.stale_cycles == max(impp.stale_cycles for impp in impps)
-            assert heard.get(cycle, RESIDUAL.of(node)).power_kw == fsum(
-                residual.power_kw for residual in residuals
-            )
+            found = heard.get(cycle, RESIDUAL.of(node))
+            assert found.power_kw == approx_kw(residual.power_kw for residual in residuals)
+
+
+def approx_kw(powers_kw: Iterable[float]) -> object:
+    """A sum, but for rounding errors."""
+    return pytest.approx(fsum(powers_kw), rel=0.0, abs=TOLERANCE_KW)
 
 
 @given(weathers())
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_help_is_called_for_exactly_when_and_as_much_as_power_is_missing(
     weather: Weather,
 ) -> None:
@@ -151,37 +151,24 @@ def test_help_is_called_for_exactly_when_and_as_much_as_power_is_missing(
 
 
 @given(weathers())
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_what_the_plant_cannot_meet_is_missing_at_the_root(weather: Weather) -> None:
     heard = weather.hear()
-    for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather, heard)):
-        missing_kw = (dispatch_kw or 0.0) - heard.get(cycle, IMPP.of(ROOT)).power_kw
+    for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather)):
+        missing_kw = dispatch_kw - heard.get(cycle, IMPP.of(ROOT)).power_kw
         call = heard.find(cycle, HELP.of(ROOT))
         called_kw = call.missing_kw if call else 0.0
         assert called_kw == pytest.approx(max(missing_kw, 0.0), rel=0.0, abs=TOLERANCE_KW)
 
 
 @given(weathers())
-@settings(max_examples=60)
-def test_requests_of_the_children_add_up_to_that_of_their_parent(weather: Weather) -> None:
+@settings(max_examples=30)
+def test_a_dispatch_that_is_clamped_is_noticed_and_no_other(weather: Weather) -> None:
     heard = weather.hear()
-    tree = weather.plan.tree
-    for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather, heard)):
-        for node in tree.parents:
-            asked_kw = heard.get(cycle, REQUEST.of(node)).power_kw if node else dispatch_kw or 0.0
-            requests_kw = [
-                heard.get(cycle, REQUEST.of(child)).power_kw for child in tree.children(node)
-            ]
-            assert fsum(requests_kw) == pytest.approx(asked_kw, rel=0.0, abs=TOLERANCE_KW)
-
-
-@given(weathers())
-@settings(max_examples=60)
-def test_a_dispatch_that_cannot_be_used_is_noticed_and_no_other(weather: Weather) -> None:
-    heard = weather.hear()
-    refused = 0
+    clamped = 0
+    rating_kw = plant_rating_kw(weather.plan.tree)
     for cycle, wished_kw in enumerate(weather.dispatch_kw):
-        usable = 0.0 <= wished_kw <= plant_rating_kw(weather.plan.tree)
+        is_clamped = isfinite(wished_kw) and not 0.0 <= wished_kw <= rating_kw
         notice = heard.find(cycle, NOTICE.of(ROOT))
-        refused += not usable
-        assert (notice.count if notice else None) == (None if usable else refused)
+        clamped += is_clamped
+        assert (notice.count if notice else None) == (clamped if is_clamped else None)

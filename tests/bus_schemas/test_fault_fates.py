@@ -294,14 +294,14 @@ def test_a_tally_counts_what_the_faults_did() -> None:
         (FaultRule(listener="recorder", loss=0.1), "listener is the recorder, which hears"),
         (
             FaultRule(signal="imp", loss=0.1),
-            "signal 'imp' is not known, accepted: telemetry, dispatch, request, impp, residual, "
-            "help, setpoint, command",
+            "signal 'imp' is not known, accepted: telemetry, dispatch, meter, impp, residual, "
+            "setpoint, command",
         ),
         (FaultRule(signal="run", loss=0.1), "signal 'run' is not cyclic, accepted: telemetry"),
         (
             FaultRule(source="c1/a", listener="c2", loss=0.1),
             "c1/a never sends anything to c2, accepted from c1/a: impp to c1, residual to c1, "
-            "help to c1, command to plant",
+            "command to plant",
         ),
         (
             FaultRule(source="plant", signal="impp", loss=0.1),
@@ -329,3 +329,9 @@ def test_telemetry_to_all_below_a_cluster_is_one_rule() -> None:
     for leaf in TREE.leaves:
         fate = faults.fates(TELEMETRY.of(leaf), leaf, telemetry)
         assert fate == (() if leaf.startswith("c1/") else (0,))
+
+
+def test_a_rule_on_what_no_agent_hears_is_accepted_and_takes_nothing_from_anybody() -> None:
+    rule = FaultRule(signal="help", loss=1.0)
+    check_rule(rule, TREE, "rule")
+    assert not any(NetworkFaults((rule,), 1, TREE, 1).concern(agent) for agent in TREE.agents())

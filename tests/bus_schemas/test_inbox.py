@@ -1,102 +1,104 @@
-"""The queue between the bus's threads and an agent's: wakes it when there is enough to do."""
+"""The queue between the bus's thread and an agent's: wakes it when there is enough to do."""
 
 from __future__ import annotations
 
 import threading
 import time
-from typing import cast
+from dataclasses import dataclass
+from typing import Any, cast
 
-import zenoh
-
+from bus_schemas.messages import Message
+from bus_schemas.signals import IMPP, RUN, SETPOINT, Port
+from bus_schemas.tree import ROOT
 from bus_schemas.zenoh_bus import Inbox
 
-
-def sample(number: int) -> zenoh.Sample:
-    """Something to put into an inbox, which does not look at it."""
-    return cast("zenoh.Sample", number)
+PORT = IMPP.of("c1/inv07")
+FOR_EVER_S = 100.0
 
 
-def take(inbox: Inbox, wanted: int, timeout_s: float | None) -> list[int]:
-    """What an inbox gives, as the numbers that were put into it."""
-    return [cast("int", number) for _, number in inbox.take(wanted, timeout_s)]
+@dataclass(frozen=True)
+class Sample:
+    """What an inbox takes from a sample, which it does not look at."""
+
+    payload: Any
 
 
-def in_threads(*works: threading.Thread) -> None:
-    for work in works:
-        work.start()
+def put(inbox: Inbox, *numbers: int, port: Port[Message] = PORT) -> None:
+    """Let samples come on a port, as Zenoh calls the inbox."""
+    hear = inbox.callback(port)
+    for number in numbers:
+        hear(cast(Any, Sample(number)))
 
 
-def test_what_is_there_already_is_taken_at_once_in_its_order() -> None:
+def take(inbox: Inbox, wanted: int, timeout_s: float) -> list[Any]:
+    """What an inbox gives, as the numbers that came."""
+    return [number for _, number, _ in inbox.take(wanted, timeout_s)]
+
+
+def test_what_is_there_already_is_taken_at_once_in_its_order_with_its_time() -> None:
     inbox = Inbox()
-    for number in range(3):
-        inbox.put(sample(number))
-    assert take(inbox, 2, timeout_s=None) == [0, 1, 2]
-
-
-def test_what_was_taken_is_gone() -> None:
-    inbox = Inbox()
-    inbox.put(sample(1))
-    assert take(inbox, 1, timeout_s=None) == [1]
-    assert take(inbox, 1, timeout_s=0.0) == []
+    before_ns = time.monotonic_ns()
+    put(inbox, 0, 1, 2)
+    found = inbox.take(2, FOR_EVER_S)
+    assert [(port, number) for port, number, _ in found] == [(PORT, 0), (PORT, 1), (PORT, 2)]
+    times_ns = [before_ns, *(time_ns for _, _, time_ns in found), time.monotonic_ns()]
+    assert times_ns == sorted(times_ns)
+    assert take(inbox, 1, timeout_s=0.0) == [], "it is gone"
 
 
 def test_at_the_time_out_whatever_is_there_is_taken() -> None:
     inbox = Inbox()
-    inbox.put(sample(1))
+    put(inbox, 1)
     began_s = time.monotonic()
     assert take(inbox, 2, timeout_s=0.02) == [1]
     assert time.monotonic() - began_s >= 0.02
-
-
-def test_a_time_out_that_has_passed_does_not_wait() -> None:
-    assert take(Inbox(), 1, timeout_s=-1.0) == []
+    assert take(inbox, 2, timeout_s=-1.0) == [], "a time-out that has passed does not wait"
 
 
 def test_a_waiting_agent_is_woken_by_the_last_sample_that_it_wants() -> None:
     inbox = Inbox()
+    puts = threading.Thread(target=put, args=(inbox, 0, 1, 2))
+    puts.start()
+    assert take(inbox, 3, FOR_EVER_S) == [0, 1, 2]
+    puts.join()
 
-    def put_all() -> None:
-        for number in range(3):
-            inbox.put(sample(number))
 
-    puts = threading.Thread(target=put_all)
-    in_threads(puts)
-    # Without a time-out: if the third one did not wake it, this would wait for ever.
-    assert take(inbox, 3, timeout_s=None) == [0, 1, 2]
+def test_a_rare_event_wakes_it_however_many_it_wants() -> None:
+    inbox = Inbox()
+    puts = threading.Thread(target=put, args=(inbox, 7), kwargs={"port": RUN.of(ROOT)})
+    puts.start()
+    assert take(inbox, 1000, FOR_EVER_S) == [7]
     puts.join()
 
 
 def test_samples_that_come_between_two_waits_do_not_wake_the_second_too_soon() -> None:
     inbox = Inbox()
-    inbox.put(sample(0))
-    assert take(inbox, 1, timeout_s=None) == [0]
-    inbox.put(sample(1))
-    inbox.put(sample(2))
-    puts = threading.Thread(target=inbox.put, args=(sample(3),))
-    in_threads(puts)
-    assert take(inbox, 3, timeout_s=None) == [1, 2, 3]
+    put(inbox, 0)
+    assert take(inbox, 1, FOR_EVER_S) == [0]
+    put(inbox, 1, 2)
+    puts = threading.Thread(target=put, args=(inbox, 3))
+    puts.start()
+    assert take(inbox, 3, FOR_EVER_S) == [1, 2, 3]
     puts.join()
 
 
 def test_nothing_is_lost_or_turned_round_between_several_threads() -> None:
     inbox = Inbox()
     threads, each = 4, 500
-
-    def put_all(thread: int) -> None:
-        for number in range(each):
-            inbox.put(sample(thread * each + number))
-
-    puts = [threading.Thread(target=put_all, args=(thread,)) for thread in range(threads)]
-    in_threads(*puts)
+    puts = [
+        threading.Thread(target=put, args=(inbox, *range(thread * each, (thread + 1) * each)))
+        for thread in range(threads)
+    ]
+    for thread in puts:
+        thread.start()
     taken: list[int] = []
     while len(taken) < threads * each:
-        wanted = min(17, threads * each - len(taken))
-        taken += take(inbox, wanted, timeout_s=None)
-    for put in puts:
-        put.join()
+        taken += take(inbox, min(17, threads * each - len(taken)), FOR_EVER_S)
+    for thread in puts:
+        thread.join()
     assert sorted(taken) == list(range(threads * each))
-    for thread in range(threads):
-        own = [number for number in taken if number // each == thread]
+    for number in range(threads):
+        own = [found for found in taken if found // each == number]
         assert own == sorted(own)
 
 
@@ -106,16 +108,41 @@ def test_an_agent_that_wants_one_at_a_time_gets_them_all() -> None:
 
     def put_one_after_the_other() -> None:
         for number in range(200):
-            inbox.put(sample(number))
+            put(inbox, number)
             replies.acquire()
 
     puts = threading.Thread(target=put_one_after_the_other)
-    in_threads(puts)
+    puts.start()
     taken: list[int] = []
     while len(taken) < 200:
-        got = take(inbox, 1, timeout_s=None)
+        got = take(inbox, 1, FOR_EVER_S)
         taken += got
         for _ in got:
             replies.release()
     puts.join()
     assert taken == list(range(200))
+
+
+# A flood ------------------------------------------------------------------------------------------
+
+
+def test_a_flood_of_one_port_is_bounded_and_counted_and_others_are_heard_through_it() -> None:
+    inbox = Inbox()
+    put(inbox, *range(50_000))
+    put(inbox, -1, port=IMPP.of("c1/inv01"))
+    put(inbox, *range(50_000))
+    put(inbox, -2, port=SETPOINT.of("c1/inv01"))
+    found = take(inbox, 1, timeout_s=0.0)
+    assert len(found) < 11_000
+    assert {-1, -2} <= set(found)
+    assert inbox.flooded == {"c1/inv07/impp": 100_002 - len(found)}
+    put(inbox, *range(5))
+    assert take(inbox, 1, timeout_s=0.0) == [*range(5)], "there is room again"
+
+
+def test_what_a_whole_plant_sends_at_once_finds_room() -> None:
+    inbox = Inbox()
+    for number in range(9_000):
+        put(inbox, number, port=IMPP.of(f"c1/inv{number}"))
+    assert len(take(inbox, 1, timeout_s=0.0)) == 9_000
+    assert not inbox.flooded

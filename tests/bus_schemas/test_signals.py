@@ -13,18 +13,17 @@ from bus_schemas.signals import (
     DISPATCH,
     HELP,
     IMPP,
+    METER,
     NOTICE,
-    PLANT_TIMING,
     PRODUCTION,
     READY,
-    REQUEST,
     RESIDUAL,
     RUN,
     SETPOINT,
     SIGNALS,
     TELEMETRY,
-    TIMING,
     Port,
+    Wiring,
     listeners,
     ports,
 )
@@ -36,18 +35,18 @@ FLAT = ControlTree((("inv01", 1.0),))
 TREES = [OAHU, RAGGED, FLAT]
 
 KEYS = KeyTable("oahu", OAHU)
+LEAVES = ("c1/inv07", "c1/inv08", "c2/inv09")
 
 
 @pytest.mark.parametrize(
     ("key", "published_by", "heard_by"),
     [
         ("oahu/c1/inv07/telemetry", "plant", ("c1/inv07",)),
-        ("oahu/dispatch", "plant", ("central",)),
-        ("oahu/c1/request", "central", ("c1",)),
-        ("oahu/c1/inv07/request", "c1", ("c1/inv07",)),
+        ("oahu/dispatch", "plant", ("central", "c1", "c2", *LEAVES)),
+        ("oahu/meter", "plant", ("central",)),
         ("oahu/c1/inv07/impp", "c1/inv07", ("c1",)),
         ("oahu/c1/inv07/residual", "c1/inv07", ("c1",)),
-        ("oahu/c1/inv07/help", "c1/inv07", ("c1",)),
+        ("oahu/c1/inv07/help", "c1/inv07", ()),
         ("oahu/c1/impp", "c1", ("central",)),
         ("oahu/impp", "central", ()),
         ("oahu/help", "central", ()),
@@ -68,8 +67,8 @@ def test_who_speaks_and_who_listens(key: str, published_by: str, heard_by: tuple
     assert listeners(port, OAHU) == heard_by
 
 
-def test_everybody_but_the_plant_itself_hears_when_the_run_begins_and_ends() -> None:
-    assert set(listeners(RUN.of(ROOT), OAHU)) == set(OAHU.agents()) - {"plant"}
+def test_every_controller_hears_when_the_run_begins_and_ends() -> None:
+    assert set(listeners(RUN.of(ROOT), OAHU)) == set(OAHU.agents()) - {"plant", "recorder"}
 
 
 def test_no_controller_hears_what_really_happened() -> None:
@@ -112,7 +111,7 @@ def test_keys_name_one_port_each_and_lead_back_to_it(tree: ControlTree) -> None:
     [
         "oahu/c1/inv99/impp",
         "oahu/c1/inv07/speed",
-        "oahu/request",
+        "oahu/setpoint",
         "oahu/c1/telemetry",
         "lanai/c1/inv07/impp",
         "oahu/c1/inv07/alive",
@@ -130,11 +129,11 @@ def test_signs_of_life_have_keys_of_their_own() -> None:
 
 def test_each_signal_is_about_the_nodes_that_it_makes_sense_for() -> None:
     nodes = {signal.name: signal.nodes(OAHU) for signal in SIGNALS}
-    leaves = ("c1/inv07", "c1/inv08", "c2/inv09")
+    leaves = LEAVES
     assert nodes == {
         "telemetry": leaves,
         "dispatch": (ROOT,),
-        "request": ("c1", "c2", *leaves),
+        "meter": (ROOT,),
         "impp": (ROOT, "c1", "c2", *leaves),
         "residual": (ROOT, "c1", "c2", *leaves),
         "help": (ROOT, "c1", "c2", *leaves),
@@ -145,8 +144,6 @@ def test_each_signal_is_about_the_nodes_that_it_makes_sense_for() -> None:
         "run": (ROOT,),
         "ready": (ROOT,),
         "clock": (ROOT,),
-        "timing": (ROOT, "c1", "c2", *leaves),
-        "plant_timing": (ROOT,),
     }
 
 
@@ -156,36 +153,24 @@ def test_a_port_is_one_object() -> None:
     assert len(different) == 3
 
 
-def test_all_is_logged_but_the_words_of_recorder_and_replayer() -> None:
+def test_all_is_logged_but_the_messages_of_recorder_and_replayer() -> None:
     assert {signal for signal in SIGNALS if not signal.logged} == {READY, CLOCK}
-    assert set(SIGNALS) == {
-        *(TELEMETRY, DISPATCH, REQUEST, IMPP, RESIDUAL, HELP),
-        *(SETPOINT, COMMAND, PRODUCTION, NOTICE, RUN, READY, CLOCK),
-        *(TIMING, PLANT_TIMING),
-    }
 
 
-def test_all_is_decided_by_agents_but_what_is_said_about_the_run_and_the_processes() -> None:
-    undecided = {RUN, READY, CLOCK, TIMING, PLANT_TIMING}
-    assert {signal for signal in SIGNALS if not signal.decided} == undecided
+def test_all_is_decided_by_agents_but_what_is_said_about_the_run() -> None:
+    assert {signal for signal in SIGNALS if not signal.decided} == {RUN, READY, CLOCK}
 
 
-def test_the_table_goes_on_at_its_end() -> None:
-    """Recordings number their channels in the order of the table: rows stay where they are."""
-    names = [signal.name for signal in SIGNALS]
-    before = ["telemetry", "dispatch", "request", "impp", "residual", "help", "setpoint"]
-    before += ["command", "production", "notice", "run", "ready", "clock"]
-    assert names[: len(before)] == before
-
-
-def test_who_says_what_a_process_has_counted() -> None:
-    assert TIMING.of(ROOT).publisher == "central"
-    assert TIMING.of("c1/inv07").publisher == "c1/inv07"
-    assert PLANT_TIMING.of(ROOT).publisher == "plant"
-    assert listeners(TIMING.of("c1"), OAHU) == ()
-
-
-def test_signal_names_differ_and_so_do_types_but_for_the_two_of_timing() -> None:
+def test_names_and_types_of_signals_differ() -> None:
     assert len({signal.name for signal in SIGNALS}) == len(SIGNALS)
-    types = [signal.type for signal in SIGNALS if signal is not PLANT_TIMING]
-    assert len(set(types)) == len(types)
+    assert len({signal.type for signal in SIGNALS}) == len(SIGNALS)
+
+
+@pytest.mark.parametrize("tree", TREES)
+def test_the_wiring_says_for_each_agent_what_it_publishes_and_hears(tree: ControlTree) -> None:
+    wiring = Wiring(tree)
+    for port in ports(tree):
+        assert port in wiring.published[port.publisher]
+        assert wiring.listeners[port] == listeners(port, tree)
+        for agent in tree.agents():
+            assert (port in wiring.heard.get(agent, ())) == (agent in listeners(port, tree))

@@ -1,4 +1,4 @@
-"""The example controller keeps to docs/wire.md where its parent's words do not come in time."""
+"""The example controller does as docs/wire.md says where an input does not come in time."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ PLAN: dict[str, Any] = {
     "cycle_wall_ns": int(CYCLE_S * 1e9),
     "period_cycles": [1, 5],
     "alpha_min": 0.05,
+    "hold_cycles": 2,
 }
 
 
@@ -60,6 +61,13 @@ class Device:
     def measure(self, cycle: int) -> list[str]:
         return self.hear("telemetry", cycle, power_kw=60.0, alpha=1.0)
 
+    def dispatch(self, cycle: int, power_kw: float = 100.0) -> list[str]:
+        return self.hear("dispatch", cycle, power_kw=power_kw, plant_rating_kw=200.0)
+
+    def last(self) -> dict[str, Any]:
+        """Return the message that was sent last."""
+        return self.sent[-1][1]
+
     def wait(self) -> tuple[float, list[str]]:
         """Let nothing come for as long as it waits: how long that is, and what it then says."""
         left_s, before = self.controller.seconds_left(), len(self.sent)
@@ -74,32 +82,78 @@ def test_without_a_setpoint_in_time_the_last_one_is_commanded(
 ) -> None:
     device = Device(monkeypatch)
     device.measure(0)
-    assert device.hear("request", 0, power_kw=50.0) == ["impp", "residual"]
+    assert device.dispatch(0) == ["impp", "residual"]
     assert device.hear("setpoint", 0, power_kw=30.0) == ["command"]
     assert device.controller.seconds_left() is None
     device.measure(5)
-    device.hear("request", 5, power_kw=50.0)
-    assert device.wait() == (0.75 * CYCLE_S, ["command"])
-    _, command = device.sent[-1]
+    device.dispatch(5)
+    assert device.wait() == (0.7 * CYCLE_S, ["command"])
+    command = device.last()
     assert (command["cycle"], command["alpha"], command["missing"]) == (
         5,
         0.5,
-        [f"{NODE}/setpoint"],
+        [f"{NODE}/setpoint@0"],
     )
     assert isinstance(decode(COMMAND, msgpack.packb(command)), Command)
-    assert device.hear("setpoint", 5, power_kw=10.0) == [], "it comes too late"
+    assert device.hear("setpoint", 5, power_kw=15.0) == [], "it comes too late for this cycle"
     device.measure(6)
-    assert device.sent[-1][1]["alpha"] == 0.5, "of a cycle in which none is awaited"
+    device.dispatch(6)
+    assert (device.last()["alpha"], device.last()["missing"]) == (0.25, [])
 
 
-def test_without_any_word_of_its_parent_both_are_done_without(
+def test_without_any_setpoint_its_own_request_is_commanded(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    device = Device(monkeypatch)
+    device.measure(0)
+    device.dispatch(0, power_kw=90.0)
+    assert device.wait() == (0.7 * CYCLE_S, ["command"])
+    assert (device.last()["power_kw"], device.last()["missing"]) == (45.0, [f"{NODE}/setpoint"])
+
+
+def test_an_old_setpoint_gives_way_to_its_own_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    device = Device(monkeypatch)
+    for cycle in range(9):  # Its parent acts in every fifth cycle, and only in the first it does.
+        device.measure(cycle)
+        device.dispatch(cycle, power_kw=90.0)
+        if cycle == 0:
+            device.hear("setpoint", 0, power_kw=30.0)
+        elif cycle == 5:
+            device.wait()
+        expected_kw = 30.0 if cycle < 7 else 45.0
+        assert device.last()["power_kw"] == pytest.approx(expected_kw)
+
+
+def test_without_setpoint_and_dispatch_nothing_is_commanded(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     device = Device(monkeypatch)
     assert device.measure(0) == []
-    assert device.wait() == (0.3 * CYCLE_S, ["impp", "residual"])
-    assert device.wait() == (0.45 * CYCLE_S, ["command"])
-    assert device.sent[-1][1]["missing"] == [f"{NODE}/request", f"{NODE}/setpoint"]
+    assert device.wait() == (0.14 * CYCLE_S, ["impp", "residual"])
+    assert device.last()["missing"] == ["dispatch"]
+    assert device.wait() == (round(0.56 * CYCLE_S, 9), [])
+    assert device.controller.seconds_left() is None
+
+
+def test_without_telemetry_the_last_estimate_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    device = Device(monkeypatch)
+    device.measure(1)
+    device.dispatch(1)
+    device.dispatch(2)
+    assert device.wait()[1] == ["impp", "residual", "command"]
+    (impp,) = [message for name, message in device.sent if name == "impp" and message["cycle"] == 2]
+    assert (impp["power_kw"], impp["stale_cycles"]) == (60.0, 1)
+    assert impp["missing"] == [f"{NODE}/telemetry@1"]
+
+
+def test_an_inverter_that_states_its_available_power_is_believed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    device = Device(monkeypatch)
+    device.dispatch(1)
+    device.hear("telemetry", 1, power_kw=30.0, alpha=0.5, available_kw=70.0)
+    (impp,) = [message for name, message in device.sent if name == "impp"]
+    assert impp["power_kw"] == 70.0
 
 
 @pytest.mark.parametrize(("cycle", "plan"), [(5, {"cycle_wall_ns": 0}), (-3, {})])
@@ -109,7 +163,7 @@ def test_in_lockstep_and_in_arming_rounds_nothing_is_done_without(
     device = Device(monkeypatch, **plan)
     assert device.measure(cycle) == []
     assert device.controller.seconds_left() is None
-    device.hear("request", cycle, power_kw=50.0)
+    assert device.dispatch(cycle) == ["impp", "residual"]
     assert device.controller.seconds_left() is None
     assert device.hear("setpoint", cycle, power_kw=30.0) == ["command"]
 
@@ -120,7 +174,7 @@ def test_it_counts_the_cycles_that_it_controlled_and_no_others(
     device = Device(monkeypatch, cycle_wall_ns=0)
     for cycle in (-2, -1, 68, 69, 70):  # It comes into a run under way.
         device.measure(cycle)
-        device.hear("request", cycle, power_kw=50.0)
+        device.dispatch(cycle)
         device.hear("setpoint", cycle, power_kw=30.0)
     assert [name for name, _ in device.sent].count("command") == 5
     assert device.controller.commands == 3

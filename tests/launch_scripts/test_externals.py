@@ -14,10 +14,8 @@ from agents.events import Complaint, Presence, Status
 from agents.plan import RunPlan, load_plan
 from bus_schemas.errors import InputError
 from bus_schemas.links import explicit_links
-from bus_schemas.tree import PLANT
 from launch_scripts.externals import ExternalOptions, ExternalWatch, check_externals
 from launch_scripts.preparation import RunOptions, prepare
-from launch_scripts.processes import processes
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.scenario import load_scenario
 from launch_scripts.tcp_ports import reserved_ports
@@ -44,15 +42,6 @@ def watch(*agents: str, pace: float | Literal["max"] = "max") -> ExternalWatch:
         tcp_ports={agent: 7500 + place for place, agent in enumerate(listening)},
     )
     return ExternalWatch(plan, Path("my-run/plan.json"), 60.0, began_at=100.0)
-
-
-def test_an_external_agent_is_no_process_and_the_plant_is_patient() -> None:
-    plan = planned(NODE, "central")
-    specs = processes(plan.tree, Path("plan.json"), plan.external, patience_s=60.0)
-    assert not {NODE, "central"} & {spec.agent for spec in specs}
-    assert len(specs) == len(plan.tree.agents()) - 2
-    (plant,) = [spec for spec in specs if spec.agent == PLANT]
-    assert plant.command[-2:] == ("--patience", "90.0")
 
 
 def test_the_plan_names_them_in_the_order_of_the_tree() -> None:

@@ -5,14 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 from typer.testing import CliRunner
 
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port
 from launch_scripts.cli import app
 from launch_scripts.fault_rules import parse_fault
 from launch_scripts.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenario import load_scenario
+from launch_scripts.simulation import MemoryRun
 
 SHIPPED = Path(__file__).parents[2] / "launch_scripts" / "scenarios"
 
@@ -127,6 +131,27 @@ def test_a_bad_rule_of_a_scenario_is_named_with_file_and_place(
 def test_a_bad_rule_of_an_option_is_named_with_its_words(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--fault source=c9/\\*,loss=1%: source 'c9/\\*' is no"):
         prepared(tmp_path, "", faults=("source=c9/*,loss=1%",))
+
+
+def test_faults_on_help_are_said_to_change_nothing_and_change_nothing(tmp_path: Path) -> None:
+    lost = prepared(tmp_path, "", faults=("signal=help,loss=100%",))
+    assert [remark for remark in lost.remarks if "help" in remark]
+    assert decisions(lost) == decisions(prepared(tmp_path, ""))
+
+
+def decisions(preparation: Preparation) -> dict[tuple[str, int], Message]:
+    """What the agents of a run in memory decide, whenever they do it."""
+    found: dict[tuple[str, int], Message] = {}
+
+    def hear(port: Port[Message], message: Message) -> None:
+        if port.signal.decided:
+            found[str(port), message.cycle] = replace(message, ready_time_ns=0, publish_time_ns=0)
+
+    plan = replace(preparation.plan, cycle_wall_ns=preparation.plan.cycle_ns)
+    run = MemoryRun(plan, preparation.profile, hear)
+    assert len(list(run.cycles())) == plan.cycles
+    assert sum(loop.missing_inputs for loop in run.loops.values()) == 0
+    return found
 
 
 def test_launch_in_lockstep_with_faults_is_refused(tmp_path: Path) -> None:

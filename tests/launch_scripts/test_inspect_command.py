@@ -47,6 +47,9 @@ def test_a_recording_is_told_with_what_is_missing_in_it(recording: Path) -> None
     assert "time        2010-04-01 12:00:00 to 2010-04-01 12:01:59, Pacific/Honolulu" in text
     assert "cycles      0 to 119 of 1 s, 120 complete, 1,000 planned" in text
     assert "file        whole" in text
+    assert not any(line.startswith("host") for line in text.splitlines()), (
+        "a run in memory has none"
+    )
     (row,) = [line for line in text.splitlines() if "│ impp " in line]
     assert [cell.strip() for cell in row.split("│")][2:4] == ["7", "835"]
     assert [cell.strip() for cell in row.split("│")][6:9] == ["5", "0", "5"]

@@ -76,7 +76,7 @@ def test_the_workers_of_a_study_are_started_so(monkeypatch: pytest.MonkeyPatch) 
         yield from ()
 
     ready: list[str] = []
-    monkeypatch.setattr(delay_study, "on_parent_death", lambda: ready.append("dies with us"))
+    monkeypatch.setattr(delay_study, "die_with_parent", lambda: ready.append("dies with us"))
     monkeypatch.setattr(delay_study, "end_when_interrupted", lambda: ready.append("hears Ctrl-C"))
     monkeypatch.setattr(delay_study, "ProcessPoolExecutor", Pool)
     monkeypatch.setattr(delay_study, "as_completed", nothing)

@@ -44,7 +44,7 @@ def test_the_shortest_deadlines_leave_each_stage_what_it_takes_to_wake_a_process
     shortest_ms = [0.5, 0.6, 0.7]
     found = tier_deadlines_ns(shortest_ms, THREE_LAYERS, 900_000)
     assert found == (500_000, 600_000, 700_000)
-    with pytest.raises(InputError, match="the plant's advance"):
+    with pytest.raises(InputError, match="the plant's apply"):
         tier_deadlines_ns(shortest_ms, THREE_LAYERS, 899_000)
 
 
@@ -93,12 +93,12 @@ def test_in_lockstep_deadlines_lie_idle_whatever_the_cycle() -> None:
         ),
         (
             [0.1, 500.0, 900.0],
-            "control.deadlines_ms[0] is 0.1 ms: the 5 stages from the first request to the central "
-            "controller's solve share it, 20 us each, accepted is 0.5 ms or more",
+            "control.deadlines_ms[0] is 0.1 ms: the 3 stages from the tick to the central "
+            "controller's solve share it, 33.3 us each, expected 0.3 ms or more",
         ),
         (
             [100.0, 500.0, 999.9999],
-            "control.deadlines_ms[2] is 999.9999 ms: the plant's advance has half of the rest of "
+            "control.deadlines_ms[2] is 999.9999 ms: the plant's apply has half of the rest of "
             "the cycle, 0.05 us, accepted is at most 999.8 ms",
         ),
         (

@@ -153,13 +153,29 @@ def test_the_command_line_may_change_time_and_pace(folder: Folder) -> None:
     assert found.plan.cycle_wall_ns == 500_000_000
 
 
-def test_deadlines_and_late_words_are_as_the_scenario_says(folder: Folder) -> None:
-    found = folder.prepare(pace=1.0).plan
-    assert (found.late, found.tier_deadlines_ns) == ("use", ())
-    said = '[[2, 1]]\nlate = "drop"\ndeadlines_ms = [20, 30.5, 40]'
+def test_deadlines_are_as_the_scenario_says(folder: Folder) -> None:
+    assert folder.prepare(pace=1.0).plan.tier_deadlines_ns == ()
+    said = "[[2, 1]]\ndeadlines_ms = [20, 30.5, 40]"
     folder.write("scenario.toml", SCENARIO.replace("[[2, 1]]", said))
     found = folder.prepare(pace=1.0).plan
-    assert (found.late, found.tier_deadlines_ns) == ("drop", (20_000_000, 30_500_000, 40_000_000))
+    assert found.tier_deadlines_ns == (20_000_000, 30_500_000, 40_000_000)
+
+
+def test_the_meter_corrects_with_the_scheme_that_looks_ahead_unless_the_scenario_says(
+    folder: Folder,
+) -> None:
+    assert folder.prepare(scheme="predictive").plan.correction
+    assert not folder.prepare(scheme="paper").plan.correction
+    folder.change("[[2, 1]]", "[[2, 1]]\ncorrection = true")
+    assert folder.prepare(scheme="paper").plan.correction
+    folder.change("correction = true", "correction = false")
+    assert not folder.prepare(scheme="predictive").plan.correction
+
+
+def test_inverters_state_their_available_power_if_the_scenario_says(folder: Folder) -> None:
+    assert folder.prepare().plan.available_bias is None
+    folder.change("[plant]", "[plant]\navailable_bias = 0.02")
+    assert folder.prepare().plan.available_bias == 0.02
 
 
 def test_a_cycle_too_short_for_any_clock_is_refused(folder: Folder) -> None:
@@ -279,7 +295,8 @@ def test_durations(text: str, seconds: float) -> None:
             "rating_kw",
             "rating_mw",
             "plant: Object contains unknown field `rating_mw`, accepted: inverters, rating_kw, "
-            "altitude_m, actuator, meter_noise, meter_seed, ramp_limit_percent_per_min",
+            "altitude_m, actuator, meter_noise, available_bias, meter_seed, "
+            "ramp_limit_percent_per_min",
         ),
         (
             'title = "',
@@ -365,8 +382,8 @@ def test_durations(text: str, seconds: float) -> None:
         ),
         (
             "[[2, 1]]",
-            '[[2, 1]]\nlate = "hold"',
-            "control.late: Invalid enum value 'hold', accepted: drop, use",
+            '[[2, 1]]\nscheme = "hold"',
+            "control.scheme: Invalid enum value 'hold', accepted: paper, predictive",
         ),
         (
             'inverters = "plant.csv"\n',

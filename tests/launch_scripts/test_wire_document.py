@@ -12,7 +12,7 @@ import pytest
 from agents.plan import RunPlan
 from bus_schemas.codec import decode
 from bus_schemas.messages import LONGEST_MISSING, MOST_MISSING
-from bus_schemas.signals import REQUEST, SIGNALS
+from bus_schemas.signals import RESIDUAL, SIGNALS
 from bus_schemas.tree import LONGEST_PATH
 from launch_scripts import cli
 from launch_scripts.preparation import RunOptions, prepare
@@ -45,7 +45,7 @@ def test_the_examples_are_whole_messages_that_any_msgpack_reader_takes_apart() -
     telemetry, impp, residual, setpoint, command, start = found
     assert (telemetry["source"], telemetry["power_kw"], telemetry["cycle"]) == ("plant", 120.5, 2)
     assert (impp["cycle"], impp["sequence"], impp["power_kw"]) == (-999_999, 0, 241.0)
-    assert (residual["missing"], residual["power_kw"]) == (["c2/inv07/request"], -20.0)
+    assert (residual["missing"], residual["power_kw"]) == (["dispatch@1"], -20.0)
     assert setpoint["help_given"] == [["c2/inv05", 20.0]]
     assert (command["source"], command["power_kw"], command["missing"]) == ("c2/inv07", 100.0, [])
     assert (start["state"], start["cycle_wall_ns"]) == ("start", 1_000_000_000)
@@ -60,7 +60,7 @@ def test_what_it_says_of_payloads_is_what_the_codec_does() -> None:
         msgpack.packb(head | {"power_kw": 3}),
         msgpack.packb(head | {"power_kw": 3.5}, use_single_float=True),
     ):
-        assert decode(REQUEST, accepted).cycle == 1
+        assert decode(RESIDUAL, accepted).cycle == 1
     for refused in (
         whole + b"\x00",
         msgpack.packb(head),
@@ -70,16 +70,16 @@ def test_what_it_says_of_payloads_is_what_the_codec_does() -> None:
         msgpack.packb(head | {"power_kw": 3.5, "source": b"c1"}),
     ):
         with pytest.raises(msgspec.DecodeError):
-            decode(REQUEST, refused)
+            decode(RESIDUAL, refused)
 
 
 def test_what_a_docstring_says_of_fields_stands_in_the_table_and_not_as_a_heading() -> None:
     text = wire_document()
     assert "Attributes" not in text
     assert not re.search(r"^-{3,}$", text, re.MULTILINE), "an underlined line renders as a heading"
-    row = re.search(r"^\| `slowest_decision_ns` \| integer \| ns \| (.+) \|$", text, re.MULTILINE)
+    row = re.search(r"^\| `ready_time_ns` \| integer \| (.+) \|$", text, re.MULTILINE)
     assert row
-    assert row[1].startswith("Longest time from the moment")
+    assert row[1].startswith("Monotonic clock of the sending host")
 
 
 def test_the_bounds_of_texts_are_those_that_are_kept() -> None:
@@ -93,9 +93,11 @@ def test_the_bounds_of_texts_are_those_that_are_kept() -> None:
 
 def test_each_stage_says_what_it_publishes() -> None:
     text = wire_document()
-    assert "| estimate | request, telemetry |  | impp, residual, `help` if it is negative |" in text
-    assert "| actuate | setpoint |  | command |" in text
-    assert "| report | impp, residual | help | impp, residual, `help` if it is negative |" in text
+    states = "impp, residual, `help` if it is negative"
+    assert f"| estimate | dispatch, telemetry |  | {states} |" in text
+    assert "| actuate | setpoint | dispatch | command |" in text
+    assert f"| report | dispatch, impp, residual |  | {states} |" in text
+    assert "| apply | command |  | production |" in text
 
 
 def test_the_nodes_in_the_commands_of_the_documents_are_those_of_the_scenario() -> None:

@@ -25,7 +25,7 @@ def test_of_recorder_and_listeners_the_larger_count_holds() -> None:
         ("c1/inv01/impp", "late", 3),
     ]
     assert found[0].example == "it came twice in cycle 3"
-    assert found[1].example == "of a cycle that was over"
+    assert found[1].example == "older than the newest one"
 
 
 def test_of_a_flood_the_key_is_named() -> None:
@@ -83,5 +83,5 @@ def test_one_thing_that_a_device_does_wrong_is_one_line() -> None:
 
 
 def test_one_key_stays_as_it_is() -> None:
-    one = WrongMessages("c1/inv01/impp", "late", 3, "of a cycle that was over", "c1/inv01")
+    one = WrongMessages("c1/inv01/impp", "late", 3, "older than the newest one", "c1/inv01")
     assert one_line_each([one]) == (one,)

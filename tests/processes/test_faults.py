@@ -2,33 +2,45 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
+import psutil
 import pytest
-from running import Heliarch, assert_none_left
+from running import Heliarch, assert_none_left, small_plant
 
-from agents.plan import load_plan
 from bus_schemas.errors import InputError
-from bus_schemas.signals import PRODUCTION
+from bus_schemas.messages import Message
+from bus_schemas.signals import IMPP, PRODUCTION, RESIDUAL, RUN, SETPOINT
+from launch_scripts.launcher import launch
+from launch_scripts.live_view import View
+from launch_scripts.preparation import RunOptions, prepare
+from launch_scripts.run_folder import RunFolder
+from launch_scripts.scenario import load_scenario
 from recordings.reader import RunReader
 
 pytestmark = pytest.mark.processes
 
 Start = Callable[..., Heliarch]
 
+INVERTER = "c2/inv03"
 
-def long_run(heliarch: Start, **patience: float) -> Heliarch:
+
+def long_run(heliarch: Start, scenario: str) -> Heliarch:
     """A run that would go on for long, in its first cycles, of which some are on disk."""
-    command = heliarch("launch", "oahu", "--duration", "5h", **patience)
+    command = heliarch("launch", scenario, "--duration", "1h", "--pace", "20")
     command.until(lambda: recorded_cycles(command) > 0, "cycles that can be read on disk")
     return command
 
 
 @pytest.fixture
-def run(heliarch: Start) -> Heliarch:
-    return long_run(heliarch)
+def run(heliarch: Start, tmp_path: Path) -> Heliarch:
+    return long_run(heliarch, small_plant(tmp_path / "plant"))
 
 
 def recorded_cycles(run: Heliarch) -> int:
@@ -40,81 +52,89 @@ def recorded_cycles(run: Heliarch) -> int:
         return 0
 
 
-def a_direct_controller(run: Heliarch) -> str:
-    """Name of the first direct controller of cluster c2."""
-    return load_plan(run.folder / "plan.json").tree.children("c2")[0]
+# Whoever is killed, the run ends, says who it was, and leaves no process -------------------------
 
 
-def test_a_killed_controller_ends_the_run_and_is_named(run: Heliarch) -> None:
-    name = a_direct_controller(run)
-    victim = run.process_of(name)
-    victim.send_signal(signal.SIGKILL)
+@pytest.mark.parametrize("victim", [INVERTER, "c2", "central", "plant", "recorder"])
+def test_a_killed_process_ends_the_run_and_is_named(run: Heliarch, victim: str) -> None:
+    process = run.process_of(victim)
+    process.send_signal(signal.SIGKILL)
     assert run.wait() == 1
-    assert f"{name} (process {victim.pid}) was killed by signal 9" in run.error_text()
-    assert f"{name} is on the bus" in run.error_text(), "the last lines of its log"
+    assert f"{victim} (process {process.pid})" in run.error_text()
     assert_none_left(run.folder)
     assert recorded_cycles(run) > 0
 
 
-def test_a_frozen_controller_is_named_with_those_who_wait_for_it(heliarch: Start) -> None:
-    run = long_run(heliarch, stall_s=3.0)
-    name = a_direct_controller(run)
-    run.process_of(name).send_signal(signal.SIGSTOP)
+def test_a_killed_fork_server_ends_the_run_and_is_named(run: Heliarch) -> None:
+    server = run.fork_server()
+    server.send_signal(signal.SIGKILL)
     assert run.wait() == 1
-    # One who waits for it and is slow to say so is named beside it.
-    blamed = re.search(r"nothing more came from (.*)", run.error_text())
-    assert blamed is not None, run.error_text()
-    assert name in blamed[1].split(", ")
-    # Where in its cycle it froze decides whether its parent or the plant misses it first.
-    assert re.search(rf"(c2|plant) waits for {name}/(impp|residual|command)", run.error_text())
+    assert f"fork server (process {server.pid})" in run.error_text()
     assert_none_left(run.folder)
-    assert recorded_cycles(run) > 0
+    assert is_whole(run), "its recorder has closed its file"
 
 
-def test_a_killed_recorder_ends_the_run_and_is_named(run: Heliarch) -> None:
-    run.process_of("recorder").send_signal(signal.SIGKILL)
-    assert run.wait() == 1
-    assert "recorder (process" in run.error_text()
-    assert_none_left(run.folder)
-    assert recorded_cycles(run) > 0, "what was flushed before the kill can be read"
-
-
-def test_a_frozen_recorder_ends_the_run_and_is_named(heliarch: Start) -> None:
-    run = long_run(heliarch, heartbeat_s=2.0)
-    run.process_of("recorder").send_signal(signal.SIGSTOP)
-    assert run.wait() == 1
-    assert "recorder has not been heard of" in run.error_text()
-    assert_none_left(run.folder)
-    assert recorded_cycles(run) > 0
-
-
-def test_a_killed_plant_ends_the_run_and_is_named(run: Heliarch) -> None:
-    run.process_of("plant").send_signal(signal.SIGKILL)
-    assert run.wait() == 1
-    assert "plant (process" in run.error_text()
-    assert_none_left(run.folder)
-
-
-def test_a_killed_launcher_leaves_no_process_and_a_readable_recording(run: Heliarch) -> None:
+def test_a_killed_launcher_leaves_no_process_and_a_whole_recording(run: Heliarch) -> None:
     run.process.send_signal(signal.SIGKILL)
     run.wait()
     assert_none_left(run.folder)
     assert recorded_cycles(run) > 0
+    assert is_whole(run)
 
 
-@pytest.mark.parametrize("processes", [1, 12])
+def is_whole(run: Heliarch) -> bool:
+    with RunReader(run.folder) as reader:
+        return reader.whole
+
+
+@pytest.mark.parametrize("processes", [1, 2, 6])
 def test_a_launcher_killed_while_it_starts_processes_leaves_none(
-    heliarch: Start, processes: int
+    heliarch: Start, tmp_path: Path, processes: int
 ) -> None:
-    run = heliarch("launch", "oahu", "--duration", "5h")
+    run = heliarch("launch", small_plant(tmp_path / "plant"))
     run.until(lambda: len(run.processes()) >= processes, "its processes")
     run.process.send_signal(signal.SIGKILL)
     run.wait()
     assert_none_left(run.folder)
 
 
-def test_ctrl_c_ends_a_simulation_with_its_table_and_130(heliarch: Start) -> None:
-    run = heliarch("simulate", "oahu", "--duration", "10h")
+def test_the_fork_server_is_the_launchers_child_and_the_agents_are_its_own(run: Heliarch) -> None:
+    server = run.fork_server()
+    assert server.ppid() == run.process.pid
+    agents = [found for found in run.processes() if found != server]
+    assert len(agents) == 9
+    assert {agent.ppid() for agent in agents} == {server.pid}
+    assert len(list((run.folder / "logs").glob("*.log"))) == 9
+
+
+# Told to end --------------------------------------------------------------------------------------
+
+
+def test_ctrl_c_completes_the_cycle_and_ends_with_130(run: Heliarch) -> None:
+    run.process.send_signal(signal.SIGINT)
+    assert run.wait() == 130, run.error_text()
+    assert "satisfied commitment" in run.output.read_text()
+    assert_none_left(run.folder)
+    assert is_whole(run)
+
+
+def test_sigterm_ends_all_with_143(run: Heliarch) -> None:
+    run.process.send_signal(signal.SIGTERM)
+    assert run.wait() == 143
+    assert_none_left(run.folder)
+    assert recorded_cycles(run) > 0
+
+
+def test_ctrl_c_before_the_first_cycle_ends_everything(heliarch: Start, tmp_path: Path) -> None:
+    run = heliarch("launch", small_plant(tmp_path / "plant"))
+    run.until(lambda: len(run.processes()) > 3, "its processes")
+    run.process.send_signal(signal.SIGINT)
+    assert run.wait() == 130
+    assert_none_left(run.folder)
+
+
+def test_ctrl_c_ends_a_simulation_with_its_table_and_130(heliarch: Start, tmp_path: Path) -> None:
+    run = heliarch("simulate", small_plant(tmp_path / "plant"), "--pace", "20")
     run.until(lambda: recorded_cycles(run) > 0, "cycles that can be read on disk")
     run.process.send_signal(signal.SIGINT)
     assert run.wait() == 130, run.error_text()
@@ -122,28 +142,111 @@ def test_ctrl_c_ends_a_simulation_with_its_table_and_130(heliarch: Start) -> Non
     assert recorded_cycles(run) > 0
 
 
-def test_each_agent_is_a_process_with_a_log_and_sigterm_to_the_launcher_ends_all(
-    run: Heliarch,
+# Frozen -------------------------------------------------------------------------------------------
+
+
+def test_in_lockstep_a_frozen_controller_is_named_with_those_who_wait_for_it(
+    heliarch: Start, tmp_path: Path
 ) -> None:
-    assert len({process.pid for process in run.processes()}) == 23
-    assert len(list((run.folder / "logs").glob("*.log"))) == 23
-    run.process.send_signal(signal.SIGTERM)
-    assert run.wait() == 143
+    impatient = ("stall_timeout_s = 60", "stall_timeout_s = 3")
+    run = heliarch("launch", small_plant(tmp_path / "plant", impatient))
+    run.until(lambda: recorded_cycles(run) > 0, "cycles that can be read on disk")
+    run.process_of(INVERTER).send_signal(signal.SIGSTOP)
+    assert run.wait() == 1
+    assert re.search(rf"stopped by a signal: {INVERTER}", run.error_text()), run.error_text()
+    # Where in its cycle it froze decides whether its parent or the plant misses it first.
+    assert re.search(rf"(c2|plant) waits for {INVERTER}/", run.error_text())
     assert_none_left(run.folder)
-    assert recorded_cycles(run) > 0
 
 
-def test_ctrl_c_completes_the_cycle_and_ends_with_130(run: Heliarch) -> None:
-    run.process.send_signal(signal.SIGINT)
-    assert run.wait() == 130
-    assert "satisfied commitment" in run.output.read_text()
+def test_in_lockstep_a_frozen_recorder_ends_the_run_and_is_named(
+    heliarch: Start, tmp_path: Path
+) -> None:
+    run = heliarch("launch", small_plant(tmp_path / "plant"))
+    run.until(lambda: recorded_cycles(run) > 0, "cycles that can be read on disk")
+    run.process_of("recorder").send_signal(signal.SIGSTOP)
+    assert run.wait() == 1
+    assert "recorder has not been heard of" in run.error_text()
     assert_none_left(run.folder)
-    assert recorded_cycles(run) > 0
 
 
-def test_ctrl_c_before_the_first_cycle_ends_everything(heliarch: Start) -> None:
-    run = heliarch("launch", "oahu", "--duration", "5h")
-    run.until(lambda: len(run.processes()) > 5, "its processes")
-    run.process.send_signal(signal.SIGINT)
-    assert run.wait() == 130
+FIRST, LAST, CYCLES = 13, 33, 45
+
+
+def test_by_the_clock_a_supervisor_that_stood_still_goes_to_the_cycle_under_way(
+    heliarch: Start, tmp_path: Path
+) -> None:
+    rarely = ('clusters = "listed"', 'clusters = "listed"\nperiod_cycles = [60, 10]')
+    scenario = small_plant(tmp_path / "plant", rarely)
+    run = heliarch("launch", scenario, "--duration", str(CYCLES), "--pace", "5")
+    run.until(lambda: recorded_cycles(run) >= FIRST, "the cycle in which it is stopped")
+    stopped = run.process_of("c1")
+    stopped.send_signal(signal.SIGSTOP)
+    run.until(lambda: recorded_cycles(run) >= LAST, "the cycle in which it goes on")
+    stopped.send_signal(signal.SIGCONT)
+    run.wait()
+    sent = sent_by(run, "c1")
+    assert max(sent[IMPP.name], default=0) == CYCLES - 1
+    skipped = set(range(CYCLES)) - set(sent[IMPP.name])
+    assert len(skipped & set(range(FIRST, LAST))) >= 10
+    assert set(sent[SETPOINT.name]) <= {0, 10, 20, 30, 40}
+    assert 40 in sent[SETPOINT.name], "its next turn"
     assert_none_left(run.folder)
+
+
+def sent_by(run: Heliarch, agent: str) -> dict[str, list[int]]:
+    """Cycles of what an agent sent, each message within its own cycle and one of a port."""
+    cycles: dict[str, list[int]] = {signal.name: [] for signal in (IMPP, RESIDUAL, SETPOINT)}
+    with RunReader(run.folder) as reader:
+        begin_ns = next(m.start_time_ns for _, m in reader.messages(RUN) if m.state == "start")
+        wall_ns = reader.plan.cycle_wall_ns
+        seen: set[tuple[str, int]] = set()
+        for port, message in reader.messages(IMPP, RESIDUAL, SETPOINT):
+            if message.source != agent:
+                continue
+            assert is_in_its_cycle(message, begin_ns, wall_ns), f"{port} of {message.cycle}"
+            assert (str(port), message.cycle) not in seen
+            seen.add((str(port), message.cycle))
+            cycles[port.signal.name].append(message.cycle)
+    return cycles
+
+
+def is_in_its_cycle(message: Message, begin_ns: int, wall_ns: int) -> bool:
+    """Whether a message went out before the next cycle began."""
+    return message.publish_time_ns < begin_ns + (message.cycle + 1) * wall_ns
+
+
+# What a run takes of the machine ------------------------------------------------------------------
+
+
+def test_what_the_fork_server_imports_starts_no_thread() -> None:
+    code = (
+        "import launch_scripts.fork_server, psutil; own = psutil.Process(); "
+        "print(own.num_threads(), len(own.net_connections()))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+    assert done.stdout.split() == ["1", "0"]
+
+
+def test_after_a_run_the_launcher_has_no_more_files_and_processes_than_before(
+    tmp_path: Path,
+) -> None:
+    scenario = load_scenario(small_plant(tmp_path / "plant"))
+
+    def run(number: int) -> tuple[int, int, int]:
+        preparation = prepare(scenario, RunOptions(duration="5"), f"run{number}")
+        launch(preparation, RunFolder(tmp_path / f"run{number}"), SilentView(), 0.0)
+        own = psutil.Process()
+        return own.num_fds(), len(own.children(recursive=True)), own.num_threads()
+
+    assert run(1) == run(2)
+
+
+class SilentView(View):
+    """Shows nothing."""

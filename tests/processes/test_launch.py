@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import msgspec
 import pytest
-from running import Heliarch, assert_none_left
+from running import Heliarch, assert_none_left, small_plant
 
 from bus_schemas.messages import Message
-from bus_schemas.signals import COMMAND, HELP, IMPP, RESIDUAL, SETPOINT
+from bus_schemas.signals import SIGNALS
 from launch_scripts.summary import RunSummary
 from recordings.reader import RunReader
 
@@ -19,17 +18,18 @@ pytestmark = pytest.mark.processes
 
 Start = Callable[..., Heliarch]
 
+DECIDED = tuple(signal for signal in SIGNALS if signal.decided)
+
 
 def decisions(folder: Path) -> dict[tuple[str, int], Message]:
-    """All that the controllers of a run decided, without the time at which it went out.
+    """All that the agents of a run decided, without the times at which they did.
 
-    Of what a device says several times in a cycle, the first.
+    Of what a device sends several times in a cycle, the first.
     """
     found: dict[tuple[str, int], Message] = {}
-    signals = (IMPP, RESIDUAL, HELP, SETPOINT, COMMAND)
     with RunReader(folder) as reader:
-        for port, message in reader.messages(*signals, by_time=False):
-            timeless = msgspec.structs.replace(message, publish_time_ns=0)
+        for port, message in reader.messages(*DECIDED, by_time=False):
+            timeless = msgspec.structs.replace(message, publish_time_ns=0, ready_time_ns=0)
             found.setdefault((str(port), message.cycle), timeless)
     return found
 
@@ -40,67 +40,91 @@ def summary_of(folder: Path) -> RunSummary:
     return msgspec.convert(document, RunSummary)
 
 
-CYCLES = 60
-
-
-class SideBySide(NamedTuple):
-    """Two plants of processes that ran at the same time, and the first of them in one process."""
-
-    one: Heliarch
-    other: Heliarch
-    simulated: Heliarch
+CYCLES = 40
 
 
 @pytest.fixture(scope="module")
-def side_by_side(lasting_heliarch: Start) -> SideBySide:
-    words = ("oahu", "--duration", str(CYCLES), "--seed")
-    one = lasting_heliarch("launch", *words, "3", "--json", "-")
-    other = lasting_heliarch("launch", *words, "2")
-    assert (one.wait(), other.wait()) == (0, 0), one.error_text() + other.error_text()
-    simulated = lasting_heliarch("simulate", *words, "3")
-    assert simulated.wait() == 0, simulated.error_text()
-    return SideBySide(one, other, simulated)
+def plant(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return small_plant(tmp_path_factory.mktemp("plant"))
 
 
-def test_processes_decide_bit_for_bit_what_one_process_decides(side_by_side: SideBySide) -> None:
-    ours, theirs = decisions(side_by_side.one.folder), decisions(side_by_side.simulated.folder)
-    assert len(ours) > CYCLES * 21 * 2
-    assert ours == theirs
-    assert_none_left(side_by_side.one.folder)
+@pytest.fixture(scope="module")
+def launched(plant: str, lasting_heliarch: Start) -> Heliarch:
+    """A plant of processes that has ended."""
+    run = lasting_heliarch("launch", plant, "--duration", str(CYCLES), "--json", "-")
+    assert run.wait() == 0, run.error_text()
+    return run
 
 
-def test_every_message_that_was_published_is_in_the_recording(side_by_side: SideBySide) -> None:
-    run = side_by_side.one
-    summary = summary_of(run.folder)
-    with RunReader(run.folder) as reader:
-        recorded = [port.signal.name for port, _ in reader.messages()]
-    counts = {count.signal: count.recorded for count in summary.messages}
-    assert counts["telemetry"] == CYCLES * 17
-    assert counts["impp"] == CYCLES * 21
-    assert {name: recorded.count(name) for name in counts} == counts
-
-
-def test_two_plants_side_by_side_do_not_hear_each_other(side_by_side: SideBySide) -> None:
-    for run in (side_by_side.one, side_by_side.other):
-        summary = summary_of(run.folder)
-        assert (summary.cycles, summary.lost, summary.dropped) == (CYCLES, 0, {})
-    assert decisions(side_by_side.one.folder) != decisions(side_by_side.other.folder)
-
-
-def test_the_summary_goes_to_standard_output_alone_if_asked_for(side_by_side: SideBySide) -> None:
-    document = msgspec.json.decode(side_by_side.one.output.read_bytes())
-    assert document["cycles"] == CYCLES
-    assert document["messages_lost"] == 0
-    assert "armed" in side_by_side.one.error_text()
-
-
-def test_a_deeper_and_larger_plant_decides_alike_too(heliarch: Start) -> None:
-    words = ("valley", "--duration", "10", "--seed", "3")
-    launched = heliarch("launch", *words)
-    assert launched.wait() == 0, launched.error_text()
-    simulated = heliarch("simulate", *words)
+def test_processes_decide_bit_for_bit_what_one_process_decides(
+    launched: Heliarch, plant: str, heliarch: Start
+) -> None:
+    simulated = heliarch("simulate", plant, "--duration", str(CYCLES))
     assert simulated.wait() == 0, simulated.error_text()
     ours = decisions(launched.folder)
-    assert len(ours) > 10 * 76 * 2
+    assert len(ours) > CYCLES * (3 + 4 + 2 * 7 + 6 + 4)
     assert ours == decisions(simulated.folder)
     assert_none_left(launched.folder)
+
+
+def test_so_do_they_by_the_clock(plant: str, heliarch: Start) -> None:
+    words = (plant, "--duration", "5", "--pace", "1")
+    launched, simulated = heliarch("launch", *words), heliarch("simulate", *words)
+    assert launched.wait() == 0, launched.error_text()
+    assert simulated.wait() == 0, simulated.error_text()
+    summary = summary_of(launched.folder)
+    assert (summary.missing_inputs, summary.skipped_cycles, summary.lost) == (0, 0, 0)
+    assert decisions(launched.folder) == decisions(simulated.folder)
+
+
+def test_so_does_a_deeper_plant_whose_tiers_act_more_and_more_rarely(
+    tmp_path: Path, heliarch: Start
+) -> None:
+    deep = ("cluster_sizes = [[2, 2]]", "cluster_sizes = [[1, 1, 2], [2, 1]]\nperiod_cycles = [6, 3, 1]")
+    words = (small_plant(tmp_path / "deep", deep), "--duration", "20")
+    launched, simulated = heliarch("launch", *words), heliarch("simulate", *words)
+    assert launched.wait() == 0, launched.error_text()
+    assert simulated.wait() == 0, simulated.error_text()
+    assert decisions(launched.folder) == decisions(simulated.folder)
+
+
+def test_every_message_that_was_published_is_in_the_recording(launched: Heliarch) -> None:
+    summary = summary_of(launched.folder)
+    with RunReader(launched.folder) as reader:
+        recorded = [port.signal.name for port, _ in reader.messages()]
+    counts = {count.signal: count.recorded for count in summary.messages}
+    assert counts["telemetry"] == counts["command"] == CYCLES * 4
+    assert counts["impp"] == counts["residual"] == CYCLES * 7
+    assert {name: recorded.count(name) for name in counts} == counts
+    assert (summary.lost, summary.dropped) == (0, {})
+
+
+def test_the_summary_goes_to_standard_output_alone_if_asked_for(launched: Heliarch) -> None:
+    document = msgspec.json.decode(launched.output.read_bytes())
+    assert document["cycles"] == CYCLES
+    assert document["messages_lost"] == 0
+    assert "armed" in launched.error_text()
+
+
+def test_two_plants_side_by_side_do_not_hear_each_other(plant: str, heliarch: Start) -> None:
+    runs = [heliarch("launch", plant, "--duration", str(CYCLES), "--seed", seed) for seed in "23"]
+    assert [run.wait() for run in runs] == [0, 0]
+    for run in runs:
+        summary = summary_of(run.folder)
+        assert (summary.cycles, summary.lost, summary.dropped) == (CYCLES, 0, {})
+    assert decisions(runs[0].folder) != decisions(runs[1].folder)
+
+
+def test_the_default_plant_runs_as_23_processes_of_99_messages_a_cycle_and_help(
+    heliarch: Start,
+) -> None:
+    run = heliarch("launch", "oahu", "--duration", "10")
+    assert run.wait() == 0, run.error_text()
+    summary = summary_of(run.folder)
+    assert len(summary.processes) == 23
+    counts = {count.signal: count.recorded for count in summary.messages}
+    for other in ("help", "run", "notice"):
+        counts.pop(other, None)
+    # Telemetry and command of 17, dispatch, meter, production; impp and residual of 21; setpoint
+    # of 20.
+    assert sum(counts.values()) == 10 * (2 * 17 + 3 + 2 * 21 + 20) == 10 * 99

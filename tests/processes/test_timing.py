@@ -9,12 +9,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import psutil
 import pytest
 from running import Heliarch, assert_none_left
 
 from bus_schemas.signals import PRODUCTION
 from launch_scripts.scenario import load_scenario
+from launch_scripts.summary import RunSummary
+from launch_scripts.timing.timing_report import report_on
 from recordings.reader import RunReader
 
 pytestmark = pytest.mark.processes
@@ -22,12 +25,13 @@ pytestmark = pytest.mark.processes
 Start = Callable[..., Heliarch]
 
 STAGES = {
-    "plant": {"begin", "advance"},
-    "central": {"request", "solve"},
-    "supervisor": {"request", "report", "solve"},
+    "plant": {"sense", "apply"},
+    "central": {"solve"},
+    "supervisor": {"report", "solve"},
     "direct": {"estimate", "actuate"},
 }
-SIGNALS = {"telemetry", "dispatch", "request", "impp", "residual", "setpoint", "command"}
+SIGNALS = {"telemetry", "residual", "setpoint", "command"}
+"""Those that complete a stage."""
 
 IMPOSSIBLE = """
 [timing.budgets]
@@ -60,10 +64,10 @@ def test_a_timed_run_has_all_rows_its_floor_and_the_budget_that_it_broke(
     rows = {(row["measure"], row["of"]): row["times"] for row in report["times"]}
     decided = {of for measure, of in rows if measure == "decision"}
     assert decided == {f"{tier} {stage}" for tier in STAGES for stage in STAGES[tier]}
-    assert {of for measure, of in rows if measure == "hop"} - {"help"} == SIGNALS
+    assert {of for measure, of in rows if measure == "hop"} >= SIGNALS
     assert {measure for measure, _ in rows} >= {"loop", "lateness", "jitter", "age"}
     assert rows["loop", "all commands"]["count"] == 40
-    assert rows["loop", "each command"]["count"] == 40 * 17
+    assert rows["loop", "each command"]["count"] <= 40 * 17
     assert {row["times"]["min_us"] >= 0.0 for row in report["times"]} == {True}
 
     assert {tier["tier"]: tier["processes"] for tier in report["tiers"]} == {
@@ -80,7 +84,6 @@ def test_a_timed_run_has_all_rows_its_floor_and_the_budget_that_it_broke(
     # Once a period at most, up to the end of the run, which may come upon a probe that slept.
     assert 0 < floor["timer"]["times"]["count"] <= 40
     assert 0 < floor["Zenoh round trip"]["times"]["count"] <= 40
-    assert floor["cyclictest"]["times"] or floor["cyclictest"]["note"]
     assert report["host"]["kernel"]
     assert [len(report["slowest_cycles"]), len(report["processes"])] == [3, 22]
 
@@ -97,6 +100,20 @@ def test_a_timed_run_has_all_rows_its_floor_and_the_budget_that_it_broke(
         assert report["cycles"] == sum(1 for _ in reader.messages(PRODUCTION))
     assert_none_left(run.folder)
     assert probes_of(report["run_id"]) == []
+
+    # The recording tells the same later, with what the launcher saw beside it.
+    found = report_on(run.folder).report
+    again = json.loads(found.as_json())
+    assert again["times"] == report["times"]
+    assert again["tiers"] == report["tiers"]
+    # What each process counted of itself is what its messages tell.
+    summary = msgspec.json.decode((run.folder / "summary.json").read_bytes(), type=RunSummary)
+    told = {process.agent: sum(process.missing_inputs.values()) for process in found.processes}
+    assert told == {
+        process.agent: process.missing_inputs
+        for process in summary.processes
+        if process.agent != "recorder"
+    }
 
 
 def test_what_was_measured_up_to_an_interruption_is_told(heliarch: Start) -> None:

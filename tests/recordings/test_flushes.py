@@ -13,7 +13,7 @@ from clock_by_hand import ClockByHand
 from recordings_by_hand import PLAN, SCENARIO, whole_run
 
 from agents.events import Event
-from agents.lifeline import Lifeline
+from agents.launcher_link import LauncherLink
 from bus_schemas.codec import encode
 from bus_schemas.zenoh_bus import ZenohTap
 from recordings import recorder
@@ -49,8 +49,11 @@ class BusyTap:
         return []
 
 
-class SilentLine:
+class SilentLink:
     def tell(self, event: Event) -> None: ...
+
+    def words(self) -> list[str]:
+        return []
 
 
 @pytest.mark.parametrize("bursts_s", [0.0, 0.1])
@@ -78,7 +81,7 @@ def test_it_flushes_every_half_second_however_much_comes(
         PLAN,
         cast("ZenohTap", BusyTap(clock, end, bursts_s)),
         NotedWriter(tmp_path / "run.mcap", PLAN, SCENARIO, "launch"),
-        cast("Lifeline", SilentLine()),
+        cast("LauncherLink", SilentLink()),
         end,
         lambda text: None,
         attached=True,

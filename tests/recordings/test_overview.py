@@ -70,16 +70,16 @@ def test_what_was_published_and_not_recorded_is_lost(look: Callable[..., Overvie
     overview = look(
         is_kept=lambda pair: (
             (str(pair[0]), pair[1].cycle)
-            not in {("c1/a/impp", 0), ("c1/a/impp", 7), ("c1/a/impp", 8), ("c2/request", 10)}
+            not in {("c1/a/impp", 0), ("c1/a/impp", 7), ("c1/a/impp", 8), ("c2/setpoint", 10)}
         )
     )
-    impp, request = count_of(overview, "impp"), count_of(overview, "request")
+    impp, setpoint = count_of(overview, "impp"), count_of(overview, "setpoint")
     assert (impp.lost, impp.missing_cycles) == (3, 3)
-    assert (request.lost, request.missing_cycles) == (1, 1)
+    assert (setpoint.lost, setpoint.missing_cycles) == (1, 1)
     assert overview.gaps == (
         Gap("c1/a/impp", 0, 0, 1),
         Gap("c1/a/impp", 7, 8, 2),
-        Gap("c2/request", 10, 10, 1),
+        Gap("c2/setpoint", 10, 10, 1),
     )
 
 
@@ -108,7 +108,7 @@ def test_an_agent_that_falls_silent_for_good_is_missed_up_to_the_end(
 def test_a_part_is_counted_by_itself(look: Callable[..., Overview]) -> None:
     overview = look(cycles=range(11, 21))
     assert count_of(overview, "impp").messages == 70
-    assert count_of(overview, "request").messages == 10 * 4 + 5 * 2
+    assert count_of(overview, "setpoint").messages == 10 * 4 + 5 * 2
     assert (overview.gaps, overview.complete_cycles) == ((), 10)
     assert sum(count.lost for count in overview.signals) == 0
 
@@ -140,7 +140,7 @@ def test_what_is_missing_at_the_end_is_counted_up_to_where_the_plant_ended_the_r
     assert (overview.last_cycle, overview.complete_cycles) == (END, 50)
     gaps = {gap.port: (gap.first_cycle, gap.last_cycle, gap.cycles) for gap in overview.gaps}
     assert gaps["production"] == gaps["c1/a/impp"] == (50, END, 10)
-    assert gaps["c1/request"] == (50, END - 1, 5)
+    assert gaps["c1/setpoint"] == (50, END - 1, 5)
 
 
 def test_a_part_lacks_what_was_due_up_to_its_own_end(look: Callable[..., Overview]) -> None:

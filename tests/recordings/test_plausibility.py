@@ -73,23 +73,27 @@ def test_powers_outside_of_what_the_inverter_can_are_named(power_kw: float) -> N
         (TELEMETRY.of(LEAF), Telemetry(*HEAD, power_kw=power_kw, alpha=1.0, limit_kw=0.0)),
     ]
     for port, message in absurd:
-        assert f"is {power_kw * (1e3 if port.signal is RESIDUAL else 1):.10g}, accepted is" in (
+        assert f"is {power_kw * (1e3 if port.signal is RESIDUAL else 1):.10g}, expected" in (
             absurdity(PLAN, port, message, HEARD_NS)
         )
 
 
 @pytest.mark.parametrize("power_kw", [-2000.0, 0.0, 1e9])
 def test_a_dispatch_beyond_the_ratings_is_acted_on_and_so_not_absurd(power_kw: float) -> None:
-    dispatch = Dispatch(*HEAD, power_kw=power_kw, commitment_kw=0.0, regulation_kw=power_kw)
+    dispatch = Dispatch(
+        *HEAD, power_kw=power_kw, plant_rating_kw=1.0, commitment_kw=0.0, regulation_kw=power_kw
+    )
     assert absurdity(PLAN, DISPATCH.of(ROOT), dispatch, HEARD_NS) == ""
 
 
 @pytest.mark.parametrize("field", ["power_kw", "commitment_kw", "regulation_kw"])
 @pytest.mark.parametrize("value", [nan, inf, -inf])
 def test_a_dispatch_without_a_number_is_named(field: str, value: float) -> None:
-    dispatch = Dispatch(*HEAD, power_kw=1.0, commitment_kw=1.0, regulation_kw=0.0)
+    dispatch = Dispatch(
+        *HEAD, power_kw=1.0, plant_rating_kw=1.0, commitment_kw=1.0, regulation_kw=0.0
+    )
     found = absurdity(PLAN, DISPATCH.of(ROOT), replace(dispatch, **{field: value}), HEARD_NS)
-    assert found == f"{field} is {value:g}, accepted are finite numbers"
+    assert found == f"{field} is {value:g}, expected finite numbers"
 
 
 @pytest.mark.parametrize("alpha", [nan, 0.0, -0.1, 1.01])
@@ -110,7 +114,7 @@ def test_each_field_that_cannot_be_right_is_named() -> None:
     bad = Command(3, 7, "somebody", (), alpha=nan, power_kw=-1.0)
     found = absurdities(PLAN, COMMAND.of(LEAF), bad, HEARD_NS)
     assert list(found) == ["sim_time_ns", "alpha", "power_kw"]
-    assert found["alpha"].startswith("alpha is nan, accepted is")
+    assert found["alpha"].startswith("alpha is nan, expected")
 
 
 @pytest.mark.parametrize(("entries", "total_kw"), [(16, 1.0), (17, nan), (0, 1.0)])
@@ -140,9 +144,9 @@ def start(**changes: object) -> Run:
         ({"start_time_ns": HEARD_NS - 9_000_000_000}, ""),
         ({"start_time_ns": 0}, "start_time_ns is 0 and came at 77000000000 of this host's"),
         ({"start_time_ns": HEARD_NS + 11_000_000_000}, "start_time_ns is 88000000000"),
-        ({"cycle_wall_ns": 0}, "cycle_wall_ns is 0, accepted is 1000000000"),
-        ({"cycle_wall_ns": 2_000_000_000}, "cycle_wall_ns is 2000000000, accepted is"),
-        ({"cycle": 3, "sim_time_ns": HEAD[1]}, "the run begins with cycle 3, accepted is 0"),
+        ({"cycle_wall_ns": 0}, "cycle_wall_ns is 0, expected 1000000000"),
+        ({"cycle_wall_ns": 2_000_000_000}, "cycle_wall_ns is 2000000000, expected"),
+        ({"cycle": 3, "sim_time_ns": HEAD[1]}, "the run begins with cycle 3, expected 0"),
     ],
 )
 def test_a_run_that_begins_at_an_impossible_time_is_named(
@@ -162,4 +166,4 @@ def test_in_lockstep_no_clock_is_looked_at() -> None:
 def test_no_curtailment_level_is_zero() -> None:
     zero = Command(*HEAD, alpha=0.0, power_kw=1.0)
     told = absurdity(PLAN, COMMAND.of(LEAF), zero, HEARD_NS)
-    assert told == "alpha is 0, accepted is above 0 to 1"
+    assert told == "alpha is 0, expected above 0 to 1"

@@ -80,9 +80,9 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Delive
     writer = RunWriter(path, PLAN, SCENARIO, driver="simulate")
     deliveries = []
     for port, message in said():
-        stamped = outbox.stamp(port, message)
-        writer.add(port, stamped, encode(stamped), time.monotonic_ns())
-        deliveries.append((port, stamped))
+        outbox.stamp(port, message, time.monotonic_ns())
+        writer.add(port, message, encode(message), time.monotonic_ns())
+        deliveries.append((port, message))
     writer.flush()
     writer.close()
     assert writer.recorded == outbox.published
@@ -208,7 +208,7 @@ def test_metadata_and_attachments_tell_where_a_recording_comes_from(
         attachments = {entry.name: entry for entry in reader.iter_attachments()}
     assert (run["run_id"], run["plant"], run["driver"]) == ("by-hand-1", "oahu", "simulate")
     assert run["schema_version"] == SCHEMA_VERSION
-    assert {"host", "kernel", "python", "version heliarch", "version mcap"} <= set(run)
+    assert {"python", "version heliarch", "version mcap"} <= set(run)
     assert attachments["scenario.toml"].media_type == "application/toml"
     assert attachments["scenario.toml"].data.decode() == SCENARIO
     plan_json = tmp_path / "plan.json"
@@ -312,4 +312,7 @@ def test_an_mcap_file_of_somebody_elses_is_refused(tmp_path: Path) -> None:
 
 def test_a_recording_of_another_version_is_refused(tmp_path: Path) -> None:
     path = mcap_file(tmp_path / "run.mcap", schema_version="99")
-    assert complaint(path) == f"{path}: schema version 99, accepted is version {SCHEMA_VERSION}"
+    told = complaint(path)
+    assert told.startswith(f"{path}: recorded with schema version 99")
+    assert SCHEMA_VERSION in told
+    assert "\n" not in told

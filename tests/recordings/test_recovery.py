@@ -186,8 +186,8 @@ def test_a_run_whose_agents_stop_before_its_end_may_lack_messages(tmp_path: Path
         recovery = recover_run(run, tmp_path / "new.mcap")
     assert recovery.ended
     assert not recovery.lossless
-    # Of c1: IMPP, residual, and requests and setpoints of its two inverters; ten of each.
-    assert (recovery.shortfall.early_ports, recovery.shortfall.early_messages) == (6, 60)
+    # Of c1: IMPP, residual, and the setpoints of its two inverters; ten of each.
+    assert (recovery.shortfall.early_ports, recovery.shortfall.early_messages) == (4, 40)
     assert recovery.shortfall.lost == 0
 
 

@@ -64,7 +64,7 @@ def test_a_supervisor_knows_who_is_in_need_and_what_it_moved(recording: Path) ->
     acting, between = told(recording, "c1", range(10, 12))
     assert (acting.needy, acting.moved_kw) == (["c1/a"], 20.0)
     assert (acting.request_kw, acting.setpoint_kw) == (120.0, 120.0)
-    assert (between.request_kw, between.setpoint_kw) == (None, None), "not its parent's turn"
+    assert (between.request_kw, between.setpoint_kw) == (120.0, None), "not its parent's turn"
     assert between.moved_kw == 20.0
 
 
@@ -78,6 +78,7 @@ def test_the_central_controller_has_the_operators_word_and_what_came_of_it(
         230.0,
         10.0,
     )
+    assert (row.request_kw, row.metered_kw) == (240.0, 238.0)
     assert (row.possible_kw, row.delivered_kw, row.needy) == (280.0, 239.0, [])
 
 
@@ -111,17 +112,17 @@ def test_what_a_node_had_to_do_without_and_said_in_words_is_told(tmp_path: Path)
     assert line.startswith("0 12:00:00 - 40.00 60.00 -20.00 20.00 40.00 0.8000 from b 20.00;")
 
 
-def test_late_words_and_skipped_cycles_are_told_in_words(tmp_path: Path) -> None:
+def test_inputs_that_were_not_due_are_said_in_words(tmp_path: Path) -> None:
     def behind(pair: Delivery) -> Delivery:
         port, message = pair
         if port.signal is IMPP and port.node == "c1/a":
-            message = replace(message, missing=("skipped@0", "c1/a/request@1", "c1/a/telemetry"))
+            message = replace(message, missing=("dispatch@1", "c1/a/telemetry"))
         return port, message
 
     path = written(tmp_path, [behind(pair) for pair in cycle_of_the_plant(3)])
     (row,) = told(path, "c1/a", range(3, 4))
     text = " ".join(" ".join(StoryTable(PLAN.tree, "c1/a", 8).row(row)).split())
-    assert "skipped cycles 0 to 2; without c1/a/telemetry; used c1/a/request of cycle 1" in text
+    assert "without c1/a/telemetry; used dispatch of cycle 1" in text
 
 
 # As text ------------------------------------------------------------------------------------------

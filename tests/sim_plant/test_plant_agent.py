@@ -3,151 +3,196 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
-from agents.sequencer import Sequencer
-from bus_schemas.messages import Command, Dispatch, Message, Production, Telemetry
-from bus_schemas.signals import COMMAND, DISPATCH, PRODUCTION, TELEMETRY, Port
-from bus_schemas.tree import ROOT, ControlTree
+from agents.loop import AgentLoop
+from agents.plan import RunPlan
+from bus_schemas.messages import Command, Message, Production
+from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY, Port
+from bus_schemas.tree import ROOT
 from sim_plant.inverter import delivered_power_kw
-from sim_plant.plant import Plant, PlantState
+from sim_plant.plant import Plant
 from sim_plant.profile import Profile
 
-TREE = ControlTree((("c1/a", 100.0), ("c1/b", 100.0)))
 PROFILE = Profile(
     mpp_kw=np.array([[80.0, 60.0], [100.0, 40.0], [50.0, 0.0]]),
     commitment_kw=np.array([100.0, 90.0, 70.0]),
 )
 CYCLE_NS = 1_000_000_000
+LEAVES = ("c1/a", "c1/b")
+PLAN = RunPlan(
+    run_id="by-hand",
+    plant="pair",
+    inverters=tuple((leaf, 100.0) for leaf in LEAVES),
+    start_time_ns=0,
+    cycle_ns=CYCLE_NS,
+    cycles=3,
+    timezone="UTC",
+    regulation_capacity_kw=0.0,
+    cycle_wall_ns=0,
+    period_cycles=(1, 1),
+    scheme="paper",
+    actuator="fraction",
+    alpha_min=0.05,
+    hold_cycles=2,
+    stall_timeout_s=3.0,
+    neighbourhoods=(),
+    tcp_ports={},
+)
 
-Said = dict[Port[Message], Message]
+Sent = dict[Port[Message], Any]
 
 
-def plant(*, lockstep: bool = True) -> Sequencer[PlantState]:
-    sequencer = Sequencer(
-        Plant(TREE, PROFILE), lambda cycle: cycle * CYCLE_NS, lockstep=lockstep, horizon=1
-    )
-    sequencer.end_before(PROFILE.cycles)
-    return sequencer
+class PlantAtWork:
+    """The plant in its loop."""
+
+    def __init__(self, profile: Profile = PROFILE, **changes: Any) -> None:
+        plan = msgspec.structs.replace(PLAN, cycles=profile.cycles, **changes)
+        self.loop = AgentLoop(Plant(plan, profile), plan)
+
+    def begin(self) -> Sent:
+        self.loop.begin(0, 0)
+        return self._sent()
+
+    def command(self, *alphas: float, power_kw: tuple[float, ...] = (0.0, 0.0)) -> Sent:
+        """Command inverters, in their order; return what the plant sends then."""
+        cycle = self.loop.cycle
+        for leaf, alpha, kw in zip(LEAVES, alphas, power_kw, strict=False):
+            message = Command(cycle, cycle * CYCLE_NS, leaf, (), alpha=alpha, power_kw=kw)
+            self.loop.hear(COMMAND.of(leaf), message, 0)
+        return self._sent()
+
+    def at_deadline(self) -> Sent:
+        return dict(self.loop.close_stage(0)) | self._sent()
+
+    def _sent(self) -> Sent:
+        found: Sent = {}
+        while self.loop.is_complete:
+            found.update(self.loop.close_stage(0))
+        return found
 
 
-def command(sequencer: Sequencer[PlantState], node: str, alpha: float) -> Said:
-    cycle = sequencer.cycle
-    message = Command(cycle, cycle * CYCLE_NS, node, (), alpha=alpha, power_kw=0.0)
-    return dict(sequencer.accept(COMMAND.of(node), message))
-
-
-def told(said: Said, cycle: int) -> list[tuple[float, float]]:
+def measured(sent: Sent, cycle: int) -> list[tuple[float, float]]:
     """Power and alpha in the telemetry of each inverter."""
-    found = []
-    for leaf in TREE.leaves:
-        message = said[TELEMETRY.of(leaf)]
-        assert isinstance(message, Telemetry)
-        assert (message.cycle, message.sim_time_ns) == (cycle, cycle * CYCLE_NS)
-        found.append((message.power_kw, message.alpha))
-    return found
+    found = [sent[TELEMETRY.of(leaf)] for leaf in LEAVES]
+    assert {(m.cycle, m.sim_time_ns) for m in found} == {(cycle, cycle * CYCLE_NS)}
+    return [(m.power_kw, m.alpha) for m in found]
 
 
-def production(said: Said) -> Production:
-    message = said[PRODUCTION.of(ROOT)]
-    assert isinstance(message, Production)
-    return message
+def powers_kw(sent: Sent) -> tuple[float, ...]:
+    made = sent[PRODUCTION.of(ROOT)]
+    assert isinstance(made, Production)
+    return made.inverter_power_kw
 
 
 def test_before_cycle_0_the_inverters_stand_uncurtailed_under_the_first_sample() -> None:
-    assert told(dict(plant().enter(0)), 0) == [(80.0, 1.0), (60.0, 1.0)]
+    assert measured(PlantAtWork().begin(), 0) == [(80.0, 1.0), (60.0, 1.0)]
 
 
-def test_a_cycle_begins_with_the_operators_wish_for_it() -> None:
-    assert plant().enter(0)[0] == (
-        DISPATCH.of(ROOT),
-        Dispatch(0, 0, "plant", (), power_kw=100.0, commitment_kw=100.0, regulation_kw=0.0),
-    )
+def test_a_cycle_begins_with_the_operators_wish_and_the_rating_that_it_is_shared_by() -> None:
+    profile = Profile(np.full((1, 2), 80.0), np.array([100.0]), np.array([-20.0]), 50.0)
+    found = PlantAtWork(profile).begin()[DISPATCH.of(ROOT)]
+    assert (found.power_kw, found.commitment_kw, found.regulation_kw) == (80.0, 100.0, -20.0)
+    assert found.plant_rating_kw == 200.0
 
 
-def test_telemetry_is_of_the_interval_that_just_ended() -> None:
-    sequencer = plant()
-    sequencer.enter(0)
-    command(sequencer, "c1/a", 0.5)
-    said = command(sequencer, "c1/b", 1.0)
+def test_telemetry_and_meter_are_of_the_interval_that_just_ended() -> None:
+    plant = PlantAtWork()
+    plant.begin()
+    sent = plant.command(0.5, 1.0)
     # In cycle 0: 0.5 x 80 and 1.0 x 60 kW.
-    assert told(said, 1) == [(40.0, 0.5), (60.0, 1.0)]
-    command(sequencer, "c1/a", 0.9)
-    said = command(sequencer, "c1/b", 0.25)
+    assert measured(sent, 1) == [(40.0, 0.5), (60.0, 1.0)]
+    assert sent[METER.of(ROOT)].power_kw == 100.0
+    sent = plant.command(0.9, 0.25)
     # In cycle 1: 0.9 x 100 and 0.25 x 40 kW.
-    assert told(said, 2) == [(90.0, 0.9), (10.0, 0.25)]
+    assert measured(sent, 2) == [(90.0, 0.9), (10.0, 0.25)]
+    assert sent[METER.of(ROOT)].power_kw == 100.0
 
 
 def test_production_adds_up() -> None:
-    sequencer = plant()
-    sequencer.enter(0)
-    command(sequencer, "c1/a", 0.5)
-    assert production(command(sequencer, "c1/b", 1.0)) == Production(
-        0,
-        0,
-        "plant",
-        (),
-        desired_kw=100.0,
-        possible_kw=140.0,
-        delivered_kw=100.0,
-        inverter_mpp_kw=(80.0, 60.0),
-        inverter_power_kw=(40.0, 60.0),
-    )
+    plant = PlantAtWork()
+    plant.begin()
+    made = plant.command(0.5, 1.0)[PRODUCTION.of(ROOT)]
+    assert (made.cycle, made.source, made.missing) == (0, "plant", ())
+    assert (made.desired_kw, made.possible_kw, made.delivered_kw) == (100.0, 140.0, 100.0)
+    assert made.inverter_mpp_kw == (80.0, 60.0)
+    assert made.inverter_power_kw == (40.0, 60.0)
 
 
 def test_the_last_cycle_is_followed_by_no_other() -> None:
-    sequencer = plant()
-    sequencer.enter(0)
-    said: Said = {}
+    plant = PlantAtWork()
+    plant.begin()
     for _ in range(PROFILE.cycles):
-        command(sequencer, "c1/a", 1.0)
-        said = command(sequencer, "c1/b", 1.0)
-    assert list(said) == [PRODUCTION.of(ROOT)]
-    assert production(said).delivered_kw == 50.0
-    assert sequencer.finished
+        sent = plant.command(1.0, 1.0)
+    assert list(sent) == [PRODUCTION.of(ROOT)]
+    assert plant.loop.finished
 
 
 def test_without_a_command_an_inverter_keeps_its_last_alpha() -> None:
-    sequencer = plant(lockstep=False)
-    sequencer.enter(0)
-    sequencer.close_stage()  # the tick
-    command(sequencer, "c1/a", 0.5)
-    command(sequencer, "c1/b", 0.5)
-    sequencer.close_stage()
-    command(sequencer, "c1/a", 0.25)
-    said = dict(sequencer.close_stage())
+    plant = PlantAtWork(cycle_wall_ns=CYCLE_NS)
+    assert plant.begin() == {}, "in real time the plant waits for the tick"
+    assert measured(plant.at_deadline(), 0) == [(80.0, 1.0), (60.0, 1.0)]
+    plant.command(0.5, 0.5)
+    plant.at_deadline()
+    plant.command(0.25)
+    sent = plant.at_deadline()
     # 0.25 x 100 and, with the alpha of the cycle before, 0.5 x 40 kW.
-    assert production(said).inverter_power_kw == (25.0, 20.0)
-    assert production(said).missing == ("c1/b/command",)
-    assert told(dict(sequencer.close_stage()), 2) == [(25.0, 0.25), (20.0, 0.5)]
+    assert powers_kw(sent) == (25.0, 20.0)
+    assert sent[PRODUCTION.of(ROOT)].missing == ("c1/b/command@0",)
+    assert measured(plant.at_deadline(), 2) == [(25.0, 0.25), (20.0, 0.5)]
 
 
 @pytest.mark.parametrize("alpha", [math.nan, math.inf, -math.inf, -0.5, 0.0, 1.001])
 def test_an_absurd_alpha_is_not_applied(alpha: float) -> None:
-    sequencer = plant()
-    sequencer.enter(0)
-    command(sequencer, "c1/a", 0.5)
-    command(sequencer, "c1/b", 0.5)
-    command(sequencer, "c1/a", alpha)
-    said = command(sequencer, "c1/b", 1.0)
-    assert production(said).inverter_power_kw == (50.0, 40.0)
-    assert told(said, 2) == [(50.0, 0.5), (40.0, 1.0)]
-
-
-def test_in_real_time_the_plant_waits_for_the_tick() -> None:
-    sequencer = plant(lockstep=False)
-    assert sequencer.enter(0) == []
-    assert told(dict(sequencer.close_stage()), 0) == [(80.0, 1.0), (60.0, 1.0)]
+    plant = PlantAtWork()
+    plant.begin()
+    plant.command(0.5, 0.5)
+    sent = plant.command(alpha, 1.0)
+    assert powers_kw(sent) == (50.0, 40.0)
+    assert measured(sent, 2) == [(50.0, 0.5), (40.0, 1.0)]
 
 
 def test_an_arming_round_stands_under_the_first_sample_and_moves_nothing() -> None:
-    sequencer = plant()
-    assert told(dict(sequencer.enter(-5)), -5) == [(80.0, 1.0), (60.0, 1.0)]
-    command(sequencer, "c1/a", 0.5)
-    assert production(command(sequencer, "c1/b", 0.5)).inverter_power_kw == (40.0, 30.0)
-    assert told(dict(sequencer.enter(0)), 0) == [(80.0, 1.0), (60.0, 1.0)]
+    plant = PlantAtWork()
+    plant.loop.enter(-5, 0)
+    assert measured(plant.command(), -5) == [(80.0, 1.0), (60.0, 1.0)]
+    assert powers_kw(plant.command(0.5, 0.5)) == (40.0, 30.0)
+    assert measured(plant.begin(), 0) == [(80.0, 1.0), (60.0, 1.0)]
+
+
+def test_inverters_of_the_limit_kind_obey_the_power_and_not_the_alpha() -> None:
+    plant = PlantAtWork(actuator="limit")
+    plant.begin()
+    sent = plant.command(0.5, 0.5, power_kw=(30.0, 90.0))
+    assert powers_kw(sent) == (30.0, 60.0)
+    assert [sent[TELEMETRY.of(leaf)].limit_kw for leaf in LEAVES] == [30.0, 90.0]
+
+
+def test_an_inverters_meter_reads_what_was_delivered_with_its_error_and_the_plants_is_exact() -> None:
+    error = np.array([[0.0, 0.0], [0.01, -0.01]])
+    profile = Profile(np.full((2, 2), 80.0), np.full(2, 100.0), meter_error=error)
+    plant = PlantAtWork(profile)
+    plant.begin()
+    sent = plant.command(0.5, 1.0)
+    assert measured(sent, 1) == [(40.0 * 1.01, 0.5), (80.0 * 0.99, 1.0)]
+    assert sent[METER.of(ROOT)].power_kw == 120.0
+
+
+@pytest.mark.parametrize(
+    ("bias", "stated_kw"), [(None, (None, None)), (0.0, (80.0, 60.0)), (0.5, (100.0, 90.0))]
+)
+def test_inverters_state_their_available_power_with_a_bias_up_to_the_rating_or_not_at_all(
+    bias: float | None, stated_kw: tuple[float | None, ...]
+) -> None:
+    plant = PlantAtWork(available_bias=bias)
+    plant.begin()
+    # What was available in cycle 0, curtailed or not.
+    sent = plant.command(0.5, 0.5)
+    assert tuple(sent[TELEMETRY.of(leaf)].available_kw for leaf in LEAVES) == stated_kw
 
 
 def test_an_inverter_delivers_its_fraction_of_what_is_there() -> None:
@@ -160,39 +205,3 @@ def test_an_inverter_delivers_its_fraction_of_what_is_there() -> None:
 def test_an_inverter_with_a_limit_holds_it_and_gives_all_it_has_below_it() -> None:
     found = delivered_power_kw(np.array([80.0, 60.0, 20.0]), np.ones(3), np.full(3, 60.0))
     assert found.tolist() == [60.0, 60.0, 20.0]
-
-
-def test_inverters_of_the_limit_kind_obey_the_power_and_not_the_alpha() -> None:
-    limited = Sequencer(
-        Plant(TREE, PROFILE, "limit"), lambda cycle: cycle * CYCLE_NS, lockstep=True, horizon=1
-    )
-    limited.enter(0)
-    for node, power_kw in (("c1/a", 30.0), ("c1/b", 90.0)):
-        message = Command(0, 0, node, (), alpha=0.5, power_kw=power_kw)
-        said = dict(limited.accept(COMMAND.of(node), message))
-    assert production(said).inverter_power_kw == (30.0, 60.0)
-    limits_kw = [m.limit_kw for m in said.values() if isinstance(m, Telemetry)]
-    assert limits_kw == [30.0, 90.0]
-
-
-def test_a_meter_reads_what_was_delivered_with_its_error() -> None:
-    error = np.array([[0.0, 0.0], [0.01, -0.01]])
-    profile = Profile(np.full((2, 2), 80.0), np.full(2, 100.0), meter_error=error)
-    sequencer = Sequencer(
-        Plant(TREE, profile), lambda cycle: cycle * CYCLE_NS, lockstep=True, horizon=1
-    )
-    sequencer.end_before(2)
-    assert told(dict(sequencer.enter(0)), 0) == [(80.0, 1.0), (80.0, 1.0)]
-    command(sequencer, "c1/a", 0.5)
-    said = command(sequencer, "c1/b", 1.0)
-    assert production(said).inverter_power_kw == (40.0, 80.0)
-    assert told(said, 1) == [(40.0 * 1.01, 0.5), (80.0 * 0.99, 1.0)]
-
-
-def test_the_dispatch_is_commitment_and_regulation() -> None:
-    profile = Profile(np.full((1, 2), 80.0), np.array([100.0]), np.array([-20.0]), 50.0)
-    said = dict(Sequencer(Plant(TREE, profile), lambda c: 0, lockstep=True, horizon=1).enter(0))
-    dispatch = said[DISPATCH.of("")]
-    assert isinstance(dispatch, Dispatch)
-    found = (dispatch.power_kw, dispatch.commitment_kw, dispatch.regulation_kw)
-    assert found == (80.0, 100.0, -20.0)

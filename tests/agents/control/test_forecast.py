@@ -12,7 +12,9 @@ from agents.control.forecast import (
     DAMPING,
     ERROR_MEMORY_S,
     HIDDEN_GROWTH_PER_S,
+    LOW_READING_SAFETY,
     MARGIN,
+    TREND_TIME_S,
     forecast_impp,
 )
 from agents.control.impp import NOTHING_KNOWN, Estimate
@@ -59,10 +61,12 @@ def test_the_last_change_is_expected_to_go_on_damped_and_the_own_error_is_taken_
     None
 ):
     found = measured(40.0, 50.0)
+    trend_kw_per_s = 10.0 / (1.0 + TREND_TIME_S)
     spread_kw = 10.0 / (1.0 + ERROR_MEMORY_S)
-    assert found.expected_kw == pytest.approx(50.0 + DAMPING * 10.0)
+    assert found.trend_kw_per_s == pytest.approx(trend_kw_per_s)
+    assert found.expected_kw == pytest.approx(50.0 + DAMPING * trend_kw_per_s)
     assert found.spread_kw == pytest.approx(spread_kw)
-    assert found.power_kw == pytest.approx(59.0 - MARGIN * spread_kw)
+    assert found.power_kw == pytest.approx(found.expected_kw - MARGIN * spread_kw)
 
 
 def test_a_steady_sky_is_trusted_in_full() -> None:
@@ -172,20 +176,40 @@ def test_a_meters_error_is_learned_alike_whatever_the_cycle() -> None:
     found = []
     for cycle_s in CYCLES_S:
         estimate = measured(80.0, cycle_s=cycle_s)
-        for _ in range(round(100.0 / cycle_s)):
+        for _ in range(round(900.0 / cycle_s)):
             estimate = forecast(40.0 * 1.02, 40.0, estimate, cycle_s=cycle_s)
         found.append(estimate.meter_error)
-    assert found == pytest.approx([found[1]] * 3, rel=0.05)
+    assert found == pytest.approx([0.02] * 3, rel=0.1)
+
+
+def test_a_steady_rise_is_expected_to_go_on_alike_whatever_the_cycle() -> None:
+    for cycle_s in CYCLES_S:
+        rise_kw = [40.0 + 0.5 * cycle_s * cycle for cycle in range(10)]
+        found = measured(*rise_kw, cycle_s=cycle_s)
+        assert found.expected_kw - rise_kw[-1] == pytest.approx(DAMPING * 0.5 * cycle_s, rel=0.05)
+
+
+def test_short_cycles_do_not_make_a_trend_of_the_meters_noise() -> None:
+    noise = 50.0 + 0.25 * np.random.default_rng(4).standard_normal(500)
+
+    def error_kw(cycle_s: float) -> float:
+        estimate, found = NOTHING_KNOWN, []
+        for power_kw in noise.tolist():
+            estimate = forecast(power_kw, RATING_KW, estimate, cycle_s=cycle_s)
+            found.append(abs(estimate.expected_kw - power_kw))
+        return float(np.mean(found))
+
+    assert error_kw(0.1) < 0.6 * error_kw(10.0)
 
 
 # Limit or cloud? ----------------------------------------------------------------------------------
 
 
 def test_a_noisy_meter_is_learned_from_what_it_reads_above_the_limit() -> None:
-    noise = 0.05 * np.random.default_rng(2).standard_normal(400)
+    noise = 0.05 * np.random.default_rng(2).standard_normal(600)
     found = readings(40.0, noise.tolist(), measured(80.0))
     # Once it is known, no reading is taken for the maximum, and what is assumed of it only grows.
-    assert not any(estimate.is_seen for estimate in found[100:])
+    assert not any(estimate.is_seen for estimate in found[300:])
     assert found[-1].power_kw == RATING_KW
     assert found[-1].meter_error == pytest.approx(0.05 * 0.4, rel=0.4)  # E max(0, e) = 0.4 sigma
 
@@ -196,12 +220,43 @@ def test_a_cloud_below_the_limit_is_never_taken_for_the_meters_error() -> None:
     assert found[-1].maximum_kw == pytest.approx(40.0 * (1.0 - 0.059))
 
 
+@pytest.mark.parametrize("below", [0.01, 0.015, 0.02])
+def test_an_inverter_shaded_to_just_below_its_limit_does_not_count_as_held_by_it(
+    below: float,
+) -> None:
+    # Its meter has proved exact while the limit held.
+    held = readings(40.0, [0.0] * 600, measured(60.0))[-1]
+    shaded = readings(40.0, [-below] * 30, held)
+    assert all(estimate.is_seen for estimate in shaded)
+    assert shaded[-1].power_kw == pytest.approx(40.0 * (1.0 - below), rel=1e-3)
+
+
+def test_an_inverter_that_holds_its_limit_inexactly_counts_as_held_by_it() -> None:
+    held = readings(40.0, [-0.003] * 600, measured(60.0))
+    assert not any(estimate.is_seen for estimate in held)
+
+
+def test_a_meter_that_reads_low_is_known_by_what_the_inverter_gives_once_it_is_free() -> None:
+    deceived = forecast(37.6, 40.0, measured(80.0))
+    assert deceived.maximum_kw == 37.6, "6 % below its limit it seems to be in the shade"
+    free = forecast(75.2, RATING_KW, deceived)
+    assert free.reads_low == pytest.approx(LOW_READING_SAFETY * 0.06)
+    again = forecast(37.6, 40.0, free)
+    assert again.power_kw >= 75.2, "the same reading deceives it no more"
+
+
 # Available power ----------------------------------------------------------------------------------
 
 
 def test_behind_a_limit_an_inverter_is_believed_what_it_states() -> None:
     found = forecast(40.0, 40.0, measured(60.0), available_kw=55.0)
     assert found.maximum_kw == 55.0
+
+
+def test_what_is_stated_behind_a_limit_has_a_trend_too() -> None:
+    seen = forecast(40.0, 40.0, measured(60.0), available_kw=55.0)
+    falling = forecast(40.0, 40.0, seen, available_kw=50.0)
+    assert falling.power_kw < 50.0
 
 
 def test_below_its_limit_its_own_meter_shows_the_maximum_whatever_it_states() -> None:

@@ -19,9 +19,9 @@ from launch_scripts.study.closed_loop import (
     loop_inputs,
     run_loop,
 )
+from launch_scripts.study.compiled import compiled
 from launch_scripts.study.schemes import ReferenceGroups, run_scheme
 from launch_scripts.study.study import run_agents
-from recordings.metrics import run_metrics
 from recordings.series import RunSeries
 
 AGENTS_CORRECT = "correction" in RunPlan.__struct_fields__
@@ -188,9 +188,35 @@ def test_the_correction_makes_up_for_what_the_estimates_got_wrong(
     assert without.power_kw[200:].sum(axis=1) == pytest.approx(3000.0 / 1.04, abs=1.0)
 
 
-def test_a_constant_can_be_given_another_value_to_tell_what_it_is_worth(oahu: Preparation) -> None:
+@pytest.mark.parametrize("actuator", get_args(Actuator))
+def test_so_they_do_with_available_power_stated(oahu: Preparation, actuator: Actuator) -> None:
     plan, profile = oahu.plan, oahu.profile
-    plain = run_metrics(series_of(oahu, "predictive")).commitment
-    certain = run_loop(plan, profile, "predictive", "fraction", {"MARGIN": 0.0})
-    missing_kw = np.maximum(profile.commitment_kw - certain.power_kw.sum(axis=1), 0.0)
-    assert missing_kw.sum() / 3600.0 > plain.unsatisfied_kwh
+    loop = compiled(closed_loop)
+    stated_kw = np.minimum(profile.mpp_kw * 1.02, 8000.0 / 17.0)
+    for scheme in get_args(Scheme):
+        inputs = loop_inputs(plan, profile, scheme, actuator)
+        assert np.isnan(inputs[-1]).all()
+        found = closed_loop(*inputs[:-1], stated_kw)
+        np.testing.assert_array_equal(loop(*inputs[:-1], stated_kw), found)
+
+
+def test_other_constants_count_whatever_else_is_compiled(oahu: Preparation) -> None:
+    plan, profile = oahu.plan, oahu.profile
+    plain = run_loop(plan, profile, "predictive", "fraction")
+    daring = run_loop(plan, profile, "predictive", "fraction", {"MARGIN": 0.0})
+    assert (daring.impp_kw >= plain.impp_kw - 1e-9).mean() > 0.99
+    assert (daring.impp_kw > plain.impp_kw).any()
+
+
+def test_meters_that_read_a_little_low_do_not_set_all_inverters_free_again_and_again() -> None:
+    hour = prepare(load_scenario("oahu"), RunOptions(actuator="limit", duration="20m"), "loop")
+    low = replace(hour.profile, meter_error=np.full_like(hour.profile.mpp_kw, -0.01))
+
+    def over_delivered_percent(constants: dict[str, float]) -> float:
+        found = run_loop(hour.plan, low, "predictive", "limit", constants)
+        desired_kw = low.commitment_kw + low.regulation_kw
+        above_kw = np.maximum(found.power_kw.sum(axis=1) - desired_kw, 0.0)
+        return float(100.0 * above_kw.sum() / desired_kw.sum())
+
+    assert over_delivered_percent({}) < 0.5
+    assert over_delivered_percent({"LOW_READING": 0.0}) > 10.0

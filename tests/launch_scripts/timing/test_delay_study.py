@@ -36,7 +36,7 @@ def outcome(prepared: Preparation, condition: Condition) -> Outcome:
     return run_under(prepared.plan, prepared.profile, condition)
 
 
-PERFECT = Condition("delay", 0.0, "predictive", "use")
+PERFECT = Condition("delay", 0.0, "predictive")
 
 
 @pytest.fixture(scope="module")
@@ -45,10 +45,9 @@ def perfect(prepared: Preparation) -> Outcome:
     return outcome(prepared, PERFECT)
 
 
-def test_every_trouble_comes_with_each_scheme_and_delays_with_late_messages_dropped_too() -> None:
+def test_every_trouble_comes_with_each_scheme() -> None:
     found = conditions(1.0, 3600.0)
-    assert len(found) == len(set(found)) == 9 * 2 * 2 + 7 * 2 + 6 * 2
-    assert {one.late for one in found if one.trouble != "delay"} == {"use"}
+    assert len(found) == len(set(found)) == (9 + 7 + 6) * 2
 
 
 def test_central_periods_that_are_no_whole_number_of_cycles_are_left_out() -> None:
@@ -62,13 +61,16 @@ def test_central_periods_of_which_what_counts_does_not_hold_two_are_left_out() -
 
 
 def test_a_condition_stands_in_the_plan(prepared: Preparation) -> None:
-    delayed = plan_under(prepared.plan, Condition("delay", 0.2, "paper", "drop"))
+    delayed = plan_under(prepared.plan, Condition("delay", 0.2, "paper"))
     assert delayed.faults == (FaultRule(delay_ms=200.0),)
-    assert (delayed.scheme, delayed.late, delayed.cycle_wall_ns) == ("paper", "drop", 10**9)
-    lossy = plan_under(prepared.plan, Condition("loss", 0.5, "paper", "use"))
+    assert (delayed.scheme, delayed.correction, delayed.cycle_wall_ns) == ("paper", False, 10**9)
+    lossy = plan_under(prepared.plan, Condition("loss", 0.5, "paper"))
     assert lossy.faults == (FaultRule(loss=0.005),)
-    slow = plan_under(prepared.plan, Condition("period", 30.0, "paper", "use"))
+    slow = plan_under(prepared.plan, Condition("period", 30.0, "paper"))
     assert (slow.faults, slow.period_cycles) == ((), (30, 1))
+    corrected = plan_under(prepared.plan, Condition("loss", 0.5, "paper", correction=True))
+    assert corrected.correction
+    assert plan_under(prepared.plan, PERFECT).correction
 
 
 def test_a_perfect_network_gives_what_lockstep_gives_without_the_beginning(
@@ -95,43 +97,29 @@ def test_a_perfect_network_gives_what_lockstep_gives_without_the_beginning(
     assert perfect.mileage_kw_per_h == metrics.support.per_hour_kw
     assert metrics.regulation is not None
     assert perfect.fulfilled_percent == metrics.regulation.requests[-1].fulfilled_percent
-    assert (perfect.missed_percent, perfect.late_used, perfect.lost) == (0.0, 0, 0)
+    assert (perfect.missed_percent, perfect.old_inputs, perfect.lost) == (0.0, 0, 0)
 
 
 def test_a_delay_that_the_deadlines_have_room_for_costs_nothing(
     prepared: Preparation, perfect: Outcome
 ) -> None:
-    # A cycle has 8 slices of 112 ms, one for each hop.
-    within = outcome(prepared, Condition("delay", 0.1, "predictive", "use"))
+    # A cycle has 6 slices of 150 ms, one for each hop.
+    within = outcome(prepared, Condition("delay", 0.1, "predictive"))
     assert within.control_caused_percent == perfect.control_caused_percent
     assert within.missed_percent == 0.0
 
 
 def test_a_longer_delay_costs_the_more_the_longer_it_is(prepared: Preparation) -> None:
     shortfalls = [
-        outcome(prepared, Condition("delay", value, "predictive", "use")).control_caused_percent
+        outcome(prepared, Condition("delay", value, "predictive")).control_caused_percent
         for value in (0.0, 0.5, 2.0, 5.0)
     ]
     assert all(shortfall is not None for shortfall in shortfalls)
     assert np.all(np.diff(np.array(shortfalls, dtype=float)) > 0.0)
 
 
-def test_where_late_messages_are_dropped_a_long_delay_leaves_the_plant_uncontrolled(
-    prepared: Preparation, perfect: Outcome
-) -> None:
-    found = outcome(prepared, Condition("delay", 0.5, "predictive", "drop"))
-    assert found.missed_percent > 99.0
-    assert found.late_used == 0
-    # No command ever arrives: every inverter gives all that it has.
-    assert found.over_delivered_percent is not None
-    assert perfect.over_delivered_percent is not None
-    assert found.over_delivered_percent > 10.0 * perfect.over_delivered_percent
-
-
 def test_losses_cost_the_more_the_more_there_are(prepared: Preparation) -> None:
-    found = [
-        outcome(prepared, Condition("loss", value, "paper", "use")) for value in (0.0, 5.0, 20.0)
-    ]
+    found = [outcome(prepared, Condition("loss", value, "paper")) for value in (0.0, 5.0, 20.0)]
     assert [one.lost > 0 for one in found] == [False, True, True]
     assert found[1].missed_percent == pytest.approx(5.0, abs=0.5)
     mileages = [one.mileage_kw_per_h for one in found]
@@ -140,7 +128,7 @@ def test_losses_cost_the_more_the_more_there_are(prepared: Preparation) -> None:
 
 def test_a_slow_central_controller_costs_more_than_a_fast_one(prepared: Preparation) -> None:
     fast, slow = (
-        outcome(prepared, Condition("period", value, "paper", "use")).control_caused_percent
+        outcome(prepared, Condition("period", value, "paper")).control_caused_percent
         for value in (1.0, 60.0)
     )
     assert fast is not None
@@ -151,6 +139,6 @@ def test_a_slow_central_controller_costs_more_than_a_fast_one(prepared: Preparat
 def test_over_processes_each_condition_comes_back_with_its_number(
     prepared: Preparation, perfect: Outcome
 ) -> None:
-    lossy = Condition("loss", 5.0, "paper", "use")
+    lossy = Condition("loss", 5.0, "paper")
     found = run_study_over(prepared.plan, prepared.profile, [lossy, PERFECT], workers=2)
     assert dict(found) == {0: outcome(prepared, lossy), 1: perfect}

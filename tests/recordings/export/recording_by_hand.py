@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from math import inf, nan
 from pathlib import Path
@@ -17,13 +18,12 @@ from bus_schemas.messages import (
     Help,
     HelpGiven,
     Impp,
+    Meter,
     Notice,
     Production,
-    Request,
     Residual,
     Setpoint,
     Telemetry,
-    Timing,
 )
 from bus_schemas.tree import ROOT
 from recordings.writer import RunWriter
@@ -62,10 +62,10 @@ def written(path: Path) -> list[Delivery]:
     writer = RunWriter(path, PLAN, 'title = "by hand"\n', driver="launch")
     deliveries = []
     for port, message in _said():
-        stamped = outbox.stamp(port, message)
-        logged_ns = stamped.publish_time_ns + RECORDER_LAG_NS
-        writer.add(port, stamped, encode(stamped), logged_ns)
-        deliveries.append((port, stamped))
+        message.ready_time_ns = time.monotonic_ns()
+        outbox.stamp(port, message, time.monotonic_ns())
+        writer.add(port, message, encode(message), message.publish_time_ns + RECORDER_LAG_NS)
+        deliveries.append((port, message))
     writer.close()
     return deliveries
 
@@ -85,12 +85,21 @@ def _of_the_plant(cycle: int) -> Iterator[Delivery]:
         power_kw = (nan, inf, -inf, hard)[(cycle + place) % 4]
         yield (
             signals.TELEMETRY.of(leaf),
-            Telemetry(*stamp, power_kw=power_kw, alpha=1.0, limit_kw=hard),
+            Telemetry(
+                *stamp,
+                power_kw=power_kw,
+                alpha=1.0,
+                limit_kw=hard,
+                available_kw=None if place == 0 else hard,
+            ),
         )
     yield (
         signals.DISPATCH.of(ROOT),
-        Dispatch(*stamp, power_kw=hard, commitment_kw=200.0, regulation_kw=-0.0),
+        Dispatch(
+            *stamp, power_kw=hard, plant_rating_kw=300.0, commitment_kw=200.0, regulation_kw=-0.0
+        ),
     )
+    yield signals.METER.of(ROOT), Meter(*stamp, power_kw=hard, desired_kw=-0.0)
     yield (
         signals.PRODUCTION.of(ROOT),
         Production(
@@ -107,11 +116,8 @@ def _of_the_plant(cycle: int) -> Iterator[Delivery]:
 def _of_the_tree(cycle: int) -> Iterator[Delivery]:
     time_ns = PLAN.sim_time_ns(cycle)
     hard = HARD[(cycle + 3) % len(HARD)]
-    for node in ("c1", "c2", *PLAN.tree.leaves):
-        parent = node.rpartition("/")[0] or "central"
-        yield signals.REQUEST.of(node), Request(cycle, time_ns, parent, (), power_kw=hard)
     for node in PLAN.tree.nodes:
-        missing = ("c1/b/impp@0", "c1/b/residual", "skipped@0") if node == "c1" and cycle else ()
+        missing = ("c1/b/impp@0", "c1/b/residual") if node == "c1" and cycle else ()
         stamp = (cycle, time_ns, node or "central", missing)
         yield signals.IMPP.of(node), Impp(*stamp, power_kw=hard, stale_cycles=cycle)
         yield signals.RESIDUAL.of(node), Residual(*stamp, power_kw=-hard)
@@ -130,20 +136,3 @@ def _of_the_tree(cycle: int) -> Iterator[Delivery]:
             signals.NOTICE.of("c2"),
             Notice(cycle, time_ns, "c2", (), text=QUOTED, count=2**53 + 1),
         )
-        yield signals.TIMING.of("c2"), _timing(cycle, time_ns, "c2")
-        yield signals.PLANT_TIMING.of(ROOT), _timing(cycle, time_ns, "plant")
-
-
-def _timing(cycle: int, time_ns: int, source: str) -> Timing:
-    return Timing(
-        cycle,
-        time_ns,
-        source,
-        (),
-        missed_deadlines=2,
-        missing_inputs=5,
-        late_used=3,
-        overruns=0,
-        dropped=1,
-        slowest_decision_ns=2**53 + 1,
-    )

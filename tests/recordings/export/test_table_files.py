@@ -18,7 +18,7 @@ from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import HelpGiven, Message, Production
-from bus_schemas.missing import Absence
+from bus_schemas.missing import Missing
 from bus_schemas.signals import PRODUCTION, SIGNALS, TELEMETRY, Signal
 from bus_schemas.tree import ROOT, agent_name
 from recordings.export import parquet_table
@@ -75,7 +75,7 @@ def rebuilt(frames: Frames) -> Iterator[tuple[str, str, Message]]:
         help_given[row["donor"], row["sequence"]].append(HelpGiven(row["needy"], row["power_kw"]))
     for row in frames["missing_inputs"]:
         missing[row["signal"], row["node"], row["sequence"]].append(
-            str(Absence(row["input"], None if isnan(row["used_cycle"]) else int(row["used_cycle"])))
+            str(Missing(row["input"], None if isnan(row["used_cycle"]) else int(row["used_cycle"])))
         )
     for row in frames["production_inverters"]:
         mpp_kw[row["sequence"]].append(row["mpp_kw"])
@@ -86,6 +86,8 @@ def rebuilt(frames: Frames) -> Iterator[tuple[str, str, Message]]:
             row["sim_time_ns"] = row.pop("time").value
             row["missing"] = missing[signal.name, node, number]
             assert row.pop("log_time_ns") - row["publish_time_ns"] == RECORDER_LAG_NS
+            if signal.name == "telemetry" and isnan(row["available_kw"]):
+                row["available_kw"] = None
             if signal.name == "setpoint":
                 row["help_given"] = help_given[node, number]
             if signal.name == "production":
@@ -179,7 +181,7 @@ def test_rows_are_written_in_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_a_number_beyond_64_bits_is_refused_by_name(tmp_path: Path) -> None:
     (table, _) = tables_of([TELEMETRY], PLAN, ClockAnchor(0, 0))[TELEMETRY]
     file = ParquetTable(tmp_path / "telemetry.parquet", table, PLAN)
-    row = (2**63, 0, "c1/a", 1.0, 1.0, 1.0, "plant", 0, 0, 0)
+    row = (2**63, 0, "c1/a", 1.0, 1.0, 1.0, None, "plant", 0, 0, 0, 0)
     with pytest.raises(InputError, match=r"telemetry: .*accepted are integers of 64 bits"):
         file.write([row])
     file.close()

@@ -73,8 +73,8 @@ def said(payload: bytes) -> dict[str, Any]:
 
 
 def finite(fields: dict[str, Any]) -> dict[str, Any]:
-    """Leave out what JSON cannot hold."""
-    return {name: value for name, value in fields.items() if holds(value)}
+    """Leave out what JSON cannot hold, and what is nil."""
+    return {name: value for name, value in fields.items() if value is not None and holds(value)}
 
 
 def holds(value: object) -> bool:
@@ -127,7 +127,7 @@ def test_a_schema_refuses_what_its_message_does_not_say() -> None:
     (impp,) = [signal for signal in RECORDED if signal.name == "impp"]
     validator = Draft202012Validator(object_schema(impp))
     fields = {"cycle": 1, "sim_time_ns": 2, "source": "c1", "missing": [], "stale_cycles": 0}
-    fields |= {"publish_time_ns": 3, "sequence": 4}
+    fields |= {"ready_time_ns": 2, "publish_time_ns": 3, "sequence": 4}
     assert validator.is_valid({**fields, "power_kw": 1.5})
     assert not validator.is_valid({**fields, "power_kw": "1.5"})
     assert not validator.is_valid({**fields, "power_w": 1.5})

@@ -1,0 +1,144 @@
+"""The central controller corrects its target by what the plant's meter read: the integral part."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from plants_by_hand import REAL_TIME, AtWork, Heard, dispatch, hear_profile, meter, plan_of, report
+
+from agents.plan import RunPlan
+from bus_schemas.messages import Setpoint
+from bus_schemas.signals import METER, PRODUCTION, SETPOINT
+from bus_schemas.tree import ROOT
+from launch_scripts.preparation import RunOptions, prepare
+from launch_scripts.scenario import load_scenario
+from sim_plant.profile import Profile
+
+CYCLES = 60
+
+
+def dimmed(**changes: Any) -> Heard:
+    """Two inverters whose meters read 2 % too much, so that they give 2 % too little.
+
+    Each has 100 kW, of which 60 kW are desired.
+    """
+    plan = plan_of({"a": 100.0, "b": 100.0}, cycles=CYCLES, **changes)
+    error = np.full((CYCLES, 2), 0.02)
+    profile = Profile(np.full((CYCLES, 2), 80.0), np.full(CYCLES, 120.0), meter_error=error)
+    return hear_profile(plan, profile)[1]
+
+
+def target_kw(heard: Heard, cycle: int) -> float:
+    """What is set in all."""
+    return sum(heard.get(cycle, SETPOINT.of(node)).power_kw for node in ("a", "b"))
+
+
+def test_a_lasting_error_is_corrected_away() -> None:
+    heard = dimmed(correction=True)
+    first, last = (heard.get(cycle, PRODUCTION.of(ROOT)).delivered_kw for cycle in (1, CYCLES - 1))
+    assert first < 120.0 - 1.0
+    assert last == pytest.approx(120.0, abs=0.05)
+    assert target_kw(heard, CYCLES - 1) > 121.0
+
+
+def test_without_correction_it_stays() -> None:
+    heard = dimmed(correction=False)
+    assert heard.get(CYCLES - 1, PRODUCTION.of(ROOT)).delivered_kw == pytest.approx(120.0 / 1.02)
+    assert target_kw(heard, CYCLES - 1) == pytest.approx(120.0)
+
+
+def test_where_all_there_is_falls_short_nothing_is_added() -> None:
+    plan = plan_of({"a": 100.0, "b": 100.0}, cycles=CYCLES, correction=True)
+    # Too dark for a while; then there is more than is desired again.
+    mpp_kw = np.array([[40.0 if cycle < CYCLES - 2 else 90.0] * 2 for cycle in range(CYCLES)])
+    _, heard = hear_profile(plan, Profile(mpp_kw, np.full(CYCLES, 120.0)))
+    assert target_kw(heard, CYCLES - 1) <= 120.0 + 1e-9
+
+
+def test_the_correction_is_a_tenth_of_the_rating_at_most_and_never_negative() -> None:
+    central = AtWork(central_plan(), "central")
+    for cycle in range(100):
+        over_kw = cycle_with_meter(central, cycle, 100.0)
+    assert over_kw == pytest.approx(50.0), "too much is not taken back"
+    for cycle in range(100, 200):
+        short_kw = cycle_with_meter(central, cycle, 0.0)
+    assert short_kw == pytest.approx(50.0 + 20.0)
+
+
+@pytest.mark.parametrize("absurd_kw", [math.nan, math.inf, -math.inf, -1.0, 1e9])
+def test_an_absurd_meter_leaves_no_trace(absurd_kw: float) -> None:
+    central = AtWork(central_plan(), "central")
+    for cycle, metered_kw in enumerate((50.0, absurd_kw)):
+        cycle_with_meter(central, cycle, metered_kw)
+    assert cycle_with_meter(central, 2, 50.0) == pytest.approx(50.0)
+    assert central.loop.dropped == {("meter", "absurd"): 1}
+
+
+def test_a_reading_counts_once_however_long_it_holds() -> None:
+    central = AtWork(central_plan(), "central")
+    cycle_with_meter(central, 0, 50.0)
+    once_kw = cycle_with_meter(central, 1, 40.0)
+    assert once_kw == pytest.approx(50.0 + 0.5 * 10.0)
+    assert [cycle_with_meter(central, cycle, None) for cycle in (2, 3, 4, 5)] == [once_kw] * 4
+    assert cycle_with_meter(central, 6, 40.0) == pytest.approx(50.0 + 10.0)
+
+
+def test_a_controller_that_acts_rarely_corrects_by_the_mean_of_its_readings() -> None:
+    central = AtWork(central_plan(period_cycles=(5,)), "central")
+    set_kw = [cycle_with_meter(central, cycle, 45.0) for cycle in range(11)]
+    # In cycle 0 there was no dispatch before that could have been missed.
+    assert set_kw[0] == pytest.approx(50.0)
+    assert set_kw[1:5] == [0.0] * 4
+    assert set_kw[5] == pytest.approx(50.0 + 0.5 * 5.0)
+    assert set_kw[10] == pytest.approx(50.0 + 0.5 * 5.0 * 2)
+
+
+def central_plan(**changes: Any) -> RunPlan:
+    """Two inverters below a central controller that corrects, by the clock."""
+    plan = plan_of({"a": 100.0, "b": 100.0}, cycles=300, correction=True, cycle_wall_ns=REAL_TIME)
+    return msgspec.structs.replace(plan, **changes)
+
+
+def cycle_with_meter(central: AtWork, cycle: int, metered_kw: float | None) -> float:
+    """Let a cycle go by in which 50 kW are dispatched; return what is set in all."""
+    reports = report("a", cycle, 80.0, 55.0) + report("b", cycle, 80.0, 55.0)
+    sent = central.hear(dispatch(cycle, 50.0, 200.0), *reports)
+    if metered_kw is None:
+        sent |= central.at_deadline("solve")
+    else:
+        sent |= central.hear(meter(cycle, metered_kw))
+    return sum(message.power_kw for message in sent.values() if isinstance(message, Setpoint))
+
+
+def test_the_meter_reads_what_was_delivered() -> None:
+    plan = plan_of({"a": 100.0, "b": 100.0}, cycles=4)
+    mpp_kw = np.array([[80.0, 60.0], [50.0, 60.0], [90.0, 90.0], [90.0, 90.0]])
+    _, heard = hear_profile(plan, Profile(mpp_kw, np.array([100.0, 120.0, 0.0, 500.0])))
+    read_kw = [heard.get(cycle, METER.of(ROOT)).power_kw for cycle in range(1, 4)]
+    assert read_kw == [heard.get(cycle, PRODUCTION.of(ROOT)).delivered_kw for cycle in range(3)]
+
+
+@pytest.mark.parametrize(
+    ("scheme", "said", "corrects"),
+    [
+        ("predictive", None, True),
+        ("paper", None, False),
+        ("predictive", "false", False),
+        ("paper", "true", True),
+    ],
+)
+def test_it_goes_with_the_scheme_unless_the_scenario_says_otherwise(
+    tmp_path: Any, scheme: Any, said: str | None, corrects: bool
+) -> None:
+    oahu = load_scenario("oahu")
+    text = oahu.text
+    if said is not None:
+        text = text.replace("[control]", f"[control]\ncorrection = {said}")
+    path = tmp_path / "scenario.toml"
+    path.write_text(text)
+    plan = prepare(load_scenario(str(path)), RunOptions(duration="1", scheme=scheme), "any").plan
+    assert plan.correction is corrects

@@ -1,0 +1,119 @@
+"""The stages of a cycle, their places and deadlines, stated once: the agents agree with them."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from plants_by_hand import plan_of
+
+from agents.agent import Agent
+from agents.cycle import KINDS, STAGES, USED_SHARE, Deadlines, Kind, kind_of, stage_place
+from agents.team import controllers
+from bus_schemas.tree import CENTRAL, PLANT, ControlTree
+from sim_plant.plant import Plant
+from sim_plant.profile import Profile
+
+FLAT = ControlTree((("a", 1.0), ("b", 1.0)))
+THREE_TIERS = ControlTree((("c1/a", 100.0), ("c1/b", 100.0), ("c2/a", 100.0)))
+RAGGED = ControlTree((("a", 1.0), ("c1/b", 1.0), ("z1/c1/d", 1.0), ("z1/y1/x1/e", 1.0)))
+MS = 1_000_000
+
+
+def team(tree: ControlTree) -> list[Agent[Any]]:
+    """All agents of a plant but the recorder."""
+    plan = plan_of(dict(tree.inverters))
+    count = len(tree.leaves)
+    return [Plant(plan, Profile(np.ones((1, count)), np.ones(1))), *controllers(plan)]
+
+
+def stages_in_order(tree: ControlTree) -> list[tuple[str, str]]:
+    """Agent and stage, as one comes after the other on the way of a message."""
+    chain = [("plant", "sense"), ("c1/a", "estimate"), ("c1", "report"), ("central", "solve")]
+    return [*chain, ("c1", "solve"), ("c1/a", "actuate"), ("plant", "apply")]
+
+
+@pytest.mark.parametrize(
+    ("agent", "kind"),
+    [
+        ("recorder", "recorder"),
+        ("plant", "plant"),
+        ("central", "central"),
+        ("z1", "supervisor"),
+        ("z1/c1", "supervisor"),
+        ("a", "direct"),
+        ("z1/c1/d", "direct"),
+    ],
+)
+def test_the_kind_of_an_agent_follows_from_the_tree(agent: str, kind: Kind) -> None:
+    assert kind_of(agent, RAGGED) == kind
+
+
+def test_each_agent_goes_through_the_stages_of_its_kind() -> None:
+    found = {}
+    for agent in team(RAGGED):
+        kind = kind_of(agent.name, RAGGED)
+        found[kind] = tuple(stage.name for stage in agent.stages(0))
+        assert found[kind] == STAGES[kind]
+    assert set(found) == set(KINDS) - {"recorder"}
+
+
+def test_a_cycle_of_three_tiers_has_six_hops() -> None:
+    places = [stage_place(agent, stage, THREE_TIERS) for agent, stage in stages_in_order(THREE_TIERS)]
+    assert places == [0, 1, 2, 3, 4, 5, 6]
+
+
+@pytest.mark.parametrize("tree", [FLAT, THREE_TIERS, RAGGED])
+@pytest.mark.parametrize("by_tier", [False, True])
+def test_whoever_hears_waits_longer_than_whoever_sends(tree: ControlTree, by_tier: bool) -> None:
+    tiers_ns = tuple(800 * MS + 10 * MS * tier for tier in range(tree.height + 1))
+    deadlines = Deadlines(tree, 1_000 * MS, tiers_ns if by_tier else ())
+    for agent in team(tree):
+        for stage in agent.stages(0):
+            own_ns = deadlines.deadline_ns(agent.name, stage.name)
+            for port in stage.awaits:
+                sent_in = sender_stage(port.signal.name, port.publisher, tree)
+                assert deadlines.deadline_ns(port.publisher, sent_in) < own_ns, f"{port}"
+                assert stage_place(port.publisher, sent_in, tree) < stage_place(
+                    agent.name, stage.name, tree
+                )
+
+
+def sender_stage(signal: str, publisher: str, tree: ControlTree) -> str:
+    """The stage in which an agent sends a signal."""
+    if publisher == PLANT:
+        return "sense"
+    if publisher == CENTRAL or signal == "setpoint":
+        return "solve"
+    if signal == "command":
+        return "actuate"
+    return "estimate" if tree.is_leaf(publisher) else "report"
+
+
+def test_by_default_each_place_has_the_same_share_of_the_cycle() -> None:
+    deadlines = Deadlines(THREE_TIERS, 1_200 * MS)
+    found = [deadlines.deadline_ns(*place) for place in stages_in_order(THREE_TIERS)]
+    assert found == [180 * MS * place for place in range(7)]
+    assert found[-1] == USED_SHARE * 1_200 * MS
+
+
+def test_a_tiers_deadline_is_that_of_its_last_message() -> None:
+    deadlines = Deadlines(THREE_TIERS, 1_000 * MS, (300 * MS, 500 * MS, 600 * MS))
+    found = [deadlines.deadline_ns(*place) for place in stages_in_order(THREE_TIERS)]
+    assert found == [0, 100 * MS, 200 * MS, 300 * MS, 500 * MS, 600 * MS, 800 * MS]
+
+
+def test_a_direct_controller_has_the_deadline_of_its_like_from_whatever_tier_it_hangs() -> None:
+    deadlines = Deadlines(RAGGED, 60_000, (10_000, 20_000, 30_000, 40_000, 50_000))
+    leaves = ("a", "c1/b", "z1/c1/d", "z1/y1/x1/e")
+    assert {deadlines.deadline_ns(leaf, "actuate") for leaf in leaves} == {50_000}
+    assert deadlines.deadline_ns("z1/y1", "solve") == 30_000
+
+
+def test_the_stages_of_an_agent_follow_one_another() -> None:
+    for tree in (FLAT, THREE_TIERS, RAGGED):
+        for agent in team(tree):
+            places = [stage_place(agent.name, stage.name, tree) for stage in agent.stages(0)]
+            assert all(earlier < later for earlier, later in pairwise(places))

@@ -1,0 +1,304 @@
+"""What controllers do while inputs do not come, or make no sense: the fallback ladder."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import pytest
+from plants_by_hand import (
+    REAL_TIME,
+    AtWork,
+    at,
+    dispatch,
+    impp,
+    plan_of,
+    report,
+    setpoint,
+    telemetry,
+)
+
+from bus_schemas.bus import Delivery
+from bus_schemas.messages import HelpGiven, Message, Setpoint
+from bus_schemas.signals import COMMAND, HELP, IMPP, RESIDUAL, SETPOINT, Port
+from bus_schemas.tree import ROOT
+
+HOLD = 2
+TWO = plan_of(
+    {"a": 100.0, "b": 100.0}, cycles=100, hold_cycles=HOLD, cycle_wall_ns=REAL_TIME
+)
+"""Two inverters below the central controller, by the clock."""
+
+CLUSTER = plan_of(
+    {"c1/a": 100.0, "c1/b": 100.0}, cycles=100, hold_cycles=HOLD, cycle_wall_ns=REAL_TIME
+)
+"""Two inverters below one supervisor."""
+
+Sent = Mapping[Port[Message], Message]
+ABSURD_KW = [math.nan, math.inf, -math.inf, -1.0, 1.7e308]
+
+
+def setpoints_kw(sent: Sent) -> tuple[float, ...]:
+    return tuple(message.power_kw for message in sent.values() if isinstance(message, Setpoint))
+
+
+# A direct controller without its parent -----------------------------------------------------------
+
+
+def direct() -> AtWork:
+    """An inverter of 100 kW that could give 80 kW."""
+    return AtWork(CLUSTER, "c1/a")
+
+
+def alpha_in(
+    work: AtWork, cycle: int, *, setpoint_kw: float | None = None, dispatch_kw: float | None = 100.0
+) -> float | None:
+    """Let a cycle go by, and return the alpha that is commanded, if any."""
+    work.hear(telemetry("c1/a", cycle, 80.0))
+    if dispatch_kw is None:
+        work.at_deadline("estimate")
+    else:
+        work.hear(dispatch(cycle, dispatch_kw, 200.0))
+    if setpoint_kw is None:
+        sent = work.at_deadline("actuate")
+    else:
+        sent = work.hear(setpoint("c1/a", cycle, setpoint_kw))
+    command = COMMAND.of("c1/a")
+    return at(sent, command).alpha if command in sent else None
+
+
+def test_a_direct_controller_goes_down_the_ladder_and_up_again() -> None:
+    work = direct()
+    assert alpha_in(work, 0, setpoint_kw=20.0) == 0.25
+    # The newest setpoint holds,
+    assert [alpha_in(work, cycle) for cycle in (1, 2)] == [0.25] * HOLD
+    # then the inverter's own share of the dispatch: 100 of 200 kW x 100 kW,
+    assert [alpha_in(work, cycle) for cycle in (3, 4)] == [0.625] * 2
+    assert alpha_in(work, 5, dispatch_kw=60.0) == 0.375
+    # and where the dispatch is silent too, nothing is sent.
+    silent = [alpha_in(work, cycle, dispatch_kw=None) for cycle in (6, 7, 8, 9)]
+    assert silent == [0.375] * HOLD + [None] * 2
+    assert alpha_in(work, 10) == 0.625
+    assert alpha_in(work, 11, setpoint_kw=20.0) == 0.25
+
+
+def test_from_cycle_0_on_an_inverter_keeps_to_its_own_share_of_the_dispatch() -> None:
+    assert alpha_in(direct(), 0) == 0.625
+
+
+def test_before_dispatch_and_setpoint_an_inverter_is_left_to_itself() -> None:
+    assert alpha_in(direct(), 0, dispatch_kw=None) is None
+
+
+def test_a_command_names_what_it_does_without() -> None:
+    work = direct()
+    work.hear(telemetry("c1/a", 0, 80.0), dispatch(0, 100.0, 200.0))
+    command = at(work.at_deadline("actuate"), COMMAND.of("c1/a"))
+    assert command.missing == ("c1/a/setpoint",)
+
+
+@pytest.mark.parametrize("absurd_kw", [*ABSURD_KW, 100.1])
+def test_an_absurd_setpoint_is_as_good_as_none(absurd_kw: float) -> None:
+    work = direct()
+    assert alpha_in(work, 0, setpoint_kw=20.0) == 0.25
+    assert alpha_in(work, 1, setpoint_kw=absurd_kw) == 0.25
+    assert work.loop.dropped == {("c1/a/setpoint", "absurd"): 1}
+
+
+@pytest.mark.parametrize("most_kw", [100.0, 100.0 * (1.0 + 1e-12)])
+def test_a_setpoint_may_exceed_the_rating_by_a_rounding_error(most_kw: float) -> None:
+    assert alpha_in(direct(), 0, setpoint_kw=most_kw) == 1.0
+
+
+# A supervisor without its parent ------------------------------------------------------------------
+
+
+def setpoints_in(
+    work: AtWork, cycle: int, *, setpoint_kw: float | None = None, dispatch_kw: float | None = 100.0
+) -> tuple[float, ...]:
+    """Let a cycle go by in which c1/a could give 20 and c1/b 90 kW; return their setpoints."""
+    work.hear(*report("c1/a", cycle, 20.0, 0.0), *report("c1/b", cycle, 90.0, 0.0))
+    if dispatch_kw is None:
+        work.at_deadline("report")
+    else:
+        work.hear(dispatch(cycle, dispatch_kw, 200.0))
+    if setpoint_kw is None:
+        return setpoints_kw(work.at_deadline("solve"))
+    return setpoints_kw(work.hear(setpoint("c1", cycle, setpoint_kw)))
+
+
+def test_a_supervisor_goes_down_the_same_ladder() -> None:
+    work = AtWork(CLUSTER, "c1")
+    assert setpoints_in(work, 0, setpoint_kw=60.0) == (20.0, 40.0)
+    assert [setpoints_in(work, cycle) for cycle in (1, 2)] == [(20.0, 40.0)] * HOLD
+    assert setpoints_in(work, 3) == (20.0, 80.0), "all of the dispatch is the cluster's"
+    assert setpoints_in(work, 4, dispatch_kw=50.0) == (20.0, 30.0)
+    silent = [setpoints_in(work, cycle, dispatch_kw=None) for cycle in (5, 6, 7)]
+    assert silent == [(20.0, 30.0)] * HOLD + [()]
+    assert setpoints_in(work, 8, setpoint_kw=60.0) == (20.0, 40.0)
+
+
+def test_from_cycle_0_on_a_supervisor_keeps_to_its_own_share_of_the_dispatch() -> None:
+    assert setpoints_in(AtWork(CLUSTER, "c1"), 0, dispatch_kw=50.0) == (20.0, 30.0)
+
+
+@pytest.mark.parametrize("absurd_kw", [*ABSURD_KW, 200.1])
+def test_a_supervisor_does_not_use_an_absurd_setpoint(absurd_kw: float) -> None:
+    work = AtWork(CLUSTER, "c1")
+    assert setpoints_in(work, 0, setpoint_kw=60.0) == (20.0, 40.0)
+    assert setpoints_in(work, 1, setpoint_kw=absurd_kw) == (20.0, 40.0)
+
+
+def test_a_supervisor_names_what_it_does_without() -> None:
+    work = AtWork(CLUSTER, "c1")
+    setpoints_in(work, 0, setpoint_kw=60.0)
+    work.hear(*report("c1/a", 1, 20.0, 0.0), dispatch(1, 100.0, 200.0))
+    missing = ("c1/b/impp@0", "c1/b/residual@0")
+    assert at(work.at_deadline("report"), IMPP.of("c1")).missing == missing
+    sent = work.at_deadline("solve")
+    assert at(sent, SETPOINT.of("c1/a")).missing == ("c1/setpoint@0", *missing)
+
+
+# A silent child -----------------------------------------------------------------------------------
+
+
+def central_after_one_cycle() -> AtWork:
+    """120 kW dispatched; a could give 80 kW, b 90 kW."""
+    central = AtWork(TWO, "central")
+    sent = cycle_of(central, 0, *report("a", 0, 80.0, 20.0), *report("b", 0, 90.0, 30.0))
+    assert setpoints_kw(sent) == (60.0, 60.0)
+    return central
+
+
+def cycle_of(central: AtWork, cycle: int, *reports: Delivery, dispatch_kw: float = 120.0) -> Sent:
+    """Let a cycle go by with what children report; the plant's meter is silent."""
+    sent = central.hear(dispatch(cycle, dispatch_kw, 200.0), *reports)
+    return sent | central.at_deadline("solve")
+
+
+def without_b(central: AtWork, cycle: int) -> Sent:
+    return cycle_of(central, cycle, *report("a", cycle, 80.0, 20.0))
+
+
+def test_the_last_report_of_a_silent_child_holds_and_then_is_zero() -> None:
+    central = central_after_one_cycle()
+    sent = [without_b(central, cycle) for cycle in (1, 2, 3, 4)]
+    assert [at(found, IMPP.of(ROOT)).power_kw for found in sent] == [170.0, 170.0, 80.0, 80.0]
+    assert [at(found, IMPP.of(ROOT)).stale_cycles for found in sent][:2] == [1, 2]
+
+
+def test_the_others_take_over_the_share_of_a_child_that_stays_silent() -> None:
+    central = central_after_one_cycle()
+    sent = [without_b(central, cycle) for cycle in (1, 2, 3)]
+    assert [setpoints_kw(found) for found in sent] == [(60.0, 60.0), (60.0, 60.0), (80.0, 0.0)]
+    assert at(sent[2], SETPOINT.of("a")).help_given == (HelpGiven("b", 20.0),)
+
+
+def test_the_share_of_a_silent_child_is_missing_in_the_residual() -> None:
+    central = central_after_one_cycle()
+    sent = [without_b(central, cycle) for cycle in (1, 2, 3)]
+    # Of 120 kW, 60 are b's share: a's 80 - 60 kW and b's 30 kW, later b's 0 - 60 kW.
+    assert [at(found, RESIDUAL.of(ROOT)).power_kw for found in sent] == [50.0, 50.0, -40.0]
+    assert [HELP.of(ROOT) in found for found in sent] == [False, False, True]
+    assert at(sent[2], HELP.of(ROOT)).missing_kw == 40.0
+
+
+def test_the_share_that_is_missing_is_that_of_the_childs_rating() -> None:
+    plan = plan_of({"a": 100.0, "b": 300.0}, cycle_wall_ns=REAL_TIME)
+    central = AtWork(plan, "central")
+    central.hear(dispatch(0, 200.0, 400.0), *report("a", 0, 80.0, 30.0))
+    sent = central.at_deadline("solve")
+    assert at(sent, RESIDUAL.of(ROOT)).power_kw == 30.0 - 150.0
+
+
+def test_a_child_that_speaks_again_is_taken_back() -> None:
+    central = central_after_one_cycle()
+    for cycle in (1, 2, 3):
+        without_b(central, cycle)
+    sent = cycle_of(central, 4, *report("a", 4, 80.0, 20.0), *report("b", 4, 90.0, 30.0))
+    assert at(sent, IMPP.of(ROOT)).power_kw == 170.0
+    assert setpoints_kw(without_b(central, 5)) == (60.0, 60.0)
+
+
+def test_without_its_residual_a_report_counts_and_the_residual_is_worked_out() -> None:
+    central = central_after_one_cycle()
+    for cycle in (1, 2, 3, 4):
+        sent = cycle_of(
+            central, cycle, *report("a", cycle, 80.0, 0.0), impp("b", cycle, 50.0), dispatch_kw=160.0
+        )
+        assert at(sent, IMPP.of(ROOT)).power_kw == 130.0
+        assert at(sent, RESIDUAL.of(ROOT)).power_kw == 0.0 + (50.0 - 80.0)
+        assert setpoints_kw(sent) == (80.0, 50.0)
+
+
+def test_a_residual_without_impp_is_silence() -> None:
+    central = central_after_one_cycle()
+    found = []
+    for cycle in (1, 2, 3):
+        residual = report("b", cycle, 50.0, 10.0)[1]
+        sent = cycle_of(central, cycle, *report("a", cycle, 80.0, 20.0), residual)
+        found.append(at(sent, IMPP.of(ROOT)).power_kw)
+    assert found == [170.0, 170.0, 80.0]
+
+
+@pytest.mark.parametrize(
+    ("impp_kw", "residual_kw", "left_kw"),
+    [
+        *[(absurd_kw, 0.0, 30.0) for absurd_kw in (*ABSURD_KW, 100.1)],
+        *[(50.0, absurd_kw, -10.0) for absurd_kw in (math.nan, math.inf, 1.7e308, 100.1, -100.1)],
+    ],
+)
+def test_an_absurd_number_in_a_report_is_not_used(
+    impp_kw: float, residual_kw: float, left_kw: float
+) -> None:
+    central = central_after_one_cycle()
+    sent = cycle_of(
+        central, 1, *report("a", 1, 80.0, 20.0), *report("b", 1, impp_kw, residual_kw)
+    )
+    usable = 50.0 if impp_kw == 50.0 else 90.0
+    assert at(sent, IMPP.of(ROOT)).power_kw == 80.0 + usable
+    assert at(sent, RESIDUAL.of(ROOT)).power_kw == 20.0 + left_kw
+
+
+# A silent operator, a silent inverter -------------------------------------------------------------
+
+
+def test_without_a_new_dispatch_the_last_one_holds_and_then_nothing_is_set() -> None:
+    central = central_after_one_cycle()
+    found = []
+    for cycle in (1, 2, 3):
+        central.hear(*report("a", cycle, 80.0, 20.0), *report("b", cycle, 90.0, 30.0))
+        found.append(setpoints_kw(central.at_deadline("solve")))
+    assert found == [(60.0, 60.0)] * HOLD + [()]
+
+
+def test_without_telemetry_the_last_impp_holds_and_its_age_is_counted() -> None:
+    work = direct()
+    alpha_in(work, 0, setpoint_kw=20.0)
+    found = []
+    for cycle in (1, 2, 3):
+        work.hear(dispatch(cycle, 100.0, 200.0))
+        found.append(at(work.at_deadline("estimate"), IMPP.of("c1/a")))
+        work.hear(setpoint("c1/a", cycle, 20.0))
+    assert [(sent.power_kw, sent.stale_cycles) for sent in found] == [(80.0, 1), (80.0, 2), (80.0, 3)]
+
+
+@pytest.mark.parametrize(
+    ("power_kw", "alpha"),
+    [(math.nan, 0.5), (-1.0, 0.5), (105.1, 1.0), (40.0, 0.0), (40.0, math.nan), (40.0, 1.1)],
+)
+def test_absurd_telemetry_is_as_good_as_none(power_kw: float, alpha: float) -> None:
+    work = direct()
+    alpha_in(work, 0, setpoint_kw=20.0)
+    sent = work.hear(telemetry("c1/a", 1, power_kw, alpha), dispatch(1, 100.0, 200.0))
+    found = at(sent, IMPP.of("c1/a"))
+    assert (found.power_kw, found.stale_cycles) == (80.0, 1)
+
+
+def test_before_the_first_telemetry_there_is_no_power_to_count_on() -> None:
+    work = direct()
+    work.hear(dispatch(0, 100.0, 200.0))
+    sent = work.at_deadline("estimate")
+    found = at(sent, IMPP.of("c1/a"))
+    assert (found.power_kw, found.missing) == (0.0, ("c1/a/telemetry",))
+    assert at(sent, HELP.of("c1/a")).missing_kw == 50.0

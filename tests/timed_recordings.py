@@ -1,0 +1,154 @@
+"""Recordings in real time made by hand: four inverters, and the times of each message stated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from msgspec.structs import replace
+
+from agents.plan import RunPlan
+from bus_schemas.bus import Delivery
+from bus_schemas.codec import encode
+from bus_schemas.messages import Run
+from bus_schemas.signals import RUN, Port
+from bus_schemas.tree import ROOT
+from recordings.writer import ClockAnchor, RunWriter
+
+MS = 1_000_000
+START_NS = 5_000_000_000
+CYCLE_MS = 100
+
+PLAN = RunPlan(
+    run_id="by-hand-2",
+    plant="field",
+    inverters=(("c1/a", 100.0), ("c1/b", 100.0), ("c2/c", 100.0), ("c2/d", 100.0)),
+    start_time_ns=1_270_159_200_000_000_000,
+    cycle_ns=CYCLE_MS * MS,
+    cycles=1000,
+    timezone="Pacific/Honolulu",
+    regulation_capacity_kw=0.0,
+    cycle_wall_ns=CYCLE_MS * MS,
+    period_cycles=(1, 1),
+    scheme="paper",
+    actuator="fraction",
+    alpha_min=0.05,
+    hold_cycles=3,
+    stall_timeout_s=3.0,
+    neighbourhoods=(),
+    tcp_ports={},
+)
+SCENARIO = 'name = "field"\ntitle = "Four inverters"\n'
+
+FIELDS: Mapping[str, dict[str, Any]] = {
+    "telemetry": {"power_kw": 50.0, "alpha": 0.5, "limit_kw": 100.0},
+    "dispatch": {
+        "power_kw": 240.0,
+        "plant_rating_kw": 400.0,
+        "commitment_kw": 240.0,
+        "regulation_kw": 0.0,
+    },
+    "meter": {"power_kw": 240.0, "desired_kw": 240.0},
+    "impp": {"power_kw": 75.0, "stale_cycles": 0},
+    "residual": {"power_kw": 15.0},
+    "help": {"missing_kw": 15.0},
+    "setpoint": {"power_kw": 60.0, "share_kw": 60.0, "help_given": ()},
+    "command": {"alpha": 0.8, "power_kw": 60.0},
+    "production": {
+        "desired_kw": 240.0,
+        "possible_kw": 280.0,
+        "delivered_kw": 240.0,
+        "inverter_mpp_kw": (70.0, 70.0, 70.0, 70.0),
+        "inverter_power_kw": (60.0, 60.0, 60.0, 60.0),
+    },
+}
+
+TIMES_MS = {
+    # When the stage could close, and when the message went out.
+    "dispatch": (0.0, 0.9),
+    "meter": (0.0, 0.95),
+    "c1/a/telemetry": (0.0, 1.0),
+    "c1/b/telemetry": (0.0, 1.1),
+    "c2/c/telemetry": (0.0, 1.2),
+    "c2/d/telemetry": (0.0, 1.3),
+    "c1/a/impp": (2.0, 4.0),
+    "c1/a/residual": (2.0, 4.1),
+    "c1/a/help": (2.0, 4.15),
+    "c1/b/impp": (2.1, 4.2),
+    "c1/b/residual": (2.1, 4.3),
+    "c2/c/impp": (2.2, 9.0),
+    "c2/c/residual": (2.2, 9.1),
+    "c2/d/impp": (2.3, 4.4),
+    "c2/d/residual": (2.3, 4.5),
+    "c1/impp": (4.6, 5.0),
+    "c1/residual": (4.6, 5.1),
+    "c2/impp": (9.6, 10.0),
+    "c2/residual": (9.6, 10.1),
+    "impp": (10.5, 11.0),
+    "residual": (10.5, 11.1),
+    "c1/setpoint": (10.5, 11.5),
+    "c2/setpoint": (10.5, 11.6),
+    "c1/a/setpoint": (11.8, 12.0),
+    "c1/b/setpoint": (11.8, 12.1),
+    "c2/c/setpoint": (11.9, 12.2),
+    "c2/d/setpoint": (11.9, 12.3),
+    "c1/a/command": (12.4, 13.0),
+    "c1/b/command": (12.5, 13.1),
+    "c2/c/command": (12.6, 13.2),
+    "c2/d/command": (12.7, 13.4),
+    "production": (13.6, 14.0),
+}
+"""A cycle of 14 ms in which `c2/c` is slow to estimate: everybody waits for it but c1."""
+
+PORTS = {str(port): port for port in PLAN.keys.ports}
+
+Times = Mapping[str, tuple[float, float]]
+
+
+def cycle(
+    number: int,
+    times_ms: Times = TIMES_MS,
+    missing: Mapping[str, tuple[str, ...]] = {},
+    plan: RunPlan = PLAN,
+) -> Iterator[Delivery]:
+    """The messages of a cycle, in the order of their times; what has none is not said."""
+    tick_ns = START_NS + number * CYCLE_MS * MS
+    for key, (ready_ms, publish_ms) in sorted(times_ms.items(), key=lambda entry: entry[1][1]):
+        port: Port[Any] = PORTS[key]
+        message = port.signal.type(
+            number,
+            plan.sim_time_ns(number),
+            port.publisher,
+            missing.get(key, ()),
+            round(tick_ns + ready_ms * MS),
+            round(tick_ns + publish_ms * MS),
+            number,
+            **FIELDS[port.signal.name],
+        )
+        yield port, message
+
+
+def without(*keys: str) -> dict[str, tuple[float, float]]:
+    """The times of all messages but these."""
+    return {key: times for key, times in TIMES_MS.items() if key not in keys}
+
+
+def recorded(
+    folder: Path,
+    *cycles: Iterable[Delivery],
+    plan: RunPlan = PLAN,
+    scenario: str = SCENARIO,
+    driver: str = "launch",
+    start: Run | None = None,
+) -> Path:
+    """A recording of these cycles, each message logged when it was published."""
+    anchor = ClockAnchor(0, 1_700_000_000_000_000_000)
+    writer = RunWriter(folder / "run.mcap", plan, scenario, driver, anchor)
+    first = replace(plan.run_message("start", 0, START_NS), publish_time_ns=START_NS - 200 * MS)
+    run: list[Delivery] = [(RUN.of(ROOT), start or first)]
+    for port, message in (*run, *(entry for messages in cycles for entry in messages)):
+        logged_ns = max(message.publish_time_ns, START_NS - 200 * MS)
+        writer.add(port, message, encode(message), logged_ns)
+    writer.close()
+    return folder
