@@ -162,18 +162,15 @@ class AgentRerun:
         except AgentFailure as failure:
             self._fail(0, "", str(failure))
 
-    @property
-    def ports(self) -> tuple[Port[Message], ...]:
-        """The ports of its recorded outputs."""
-        return tuple(self._stage_of)
-
     def take(self, cycle: RecordedCycle) -> None:
         """Re-run a cycle and compare what the agent publishes in it."""
         recorded: dict[str, dict[Port[Message], Message]] = {}
         count = 0
-        for port in self._stage_of.keys() & cycle.messages.keys():
-            recorded.setdefault(self._stage_of[port], {})[port] = cycle.messages[port]
-            count += 1
+        for port, stage in self._stage_of.items():
+            message = cycle.messages.get(port)
+            if message is not None:
+                recorded.setdefault(stage, {})[port] = message
+                count += 1
         self.account.recorded += count
         for port, message in cycle.repeated:
             if port in self._stage_of:
