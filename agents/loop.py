@@ -166,7 +166,7 @@ class AgentLoop(Generic[S]):
             self._heed(message, time_ns)
             return
         heard = self._inputs.get(port)
-        if heard is None or message.cycle < 0 <= self.cycle:  # What is left of arming rounds.
+        if heard is None:
             return
         if message.cycle < 0 <= self.cycle:
             self._drop("late", port, message, "is of an arming round")
