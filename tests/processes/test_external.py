@@ -105,7 +105,7 @@ def test_the_example_controller_decides_bit_for_bit_what_ours_decides(
     assert (summary.lost, summary.wrong) == (0, ())
     found = verified(run)
     assert found.equal
-    assert list(found.external) == [NODE]
+    assert list(found.left_out) == [NODE]
     assert_none_left(run.folder)
 
 
