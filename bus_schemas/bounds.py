@@ -41,7 +41,11 @@ BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {
 
 def is_plausible(message: Message, rating_kw: float) -> bool:
     """Whether all numbers of a message are within their bounds."""
-    return next(out_of_bounds(message, rating_kw), None) is None
+    for field, low, high in BOUNDS.get(type(message), ()):
+        value = getattr(message, field)
+        if not _is_within(value, low, high, rating_kw if field.endswith("_kw") else 1.0):
+            return False
+    return True
 
 
 def out_of_bounds(message: Message, rating_kw: float) -> Iterator[tuple[str, float, float, float]]:
@@ -49,6 +53,10 @@ def out_of_bounds(message: Message, rating_kw: float) -> Iterator[tuple[str, flo
     for field, low, high in BOUNDS.get(type(message), ()):
         value = getattr(message, field)
         scale = rating_kw if field.endswith("_kw") else 1.0
-        # NaN fails every comparison, an infinite value its own.
-        if not (low * scale <= value <= high * scale and -inf < value < inf):
+        if not _is_within(value, low, high, scale):
             yield field, value, low * scale, high * scale
+
+
+def _is_within(value: float, low: float, high: float, scale: float) -> bool:
+    # NaN fails every comparison, an infinite value its own.
+    return low * scale <= value <= high * scale and -inf < value < inf

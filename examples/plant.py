@@ -45,7 +45,6 @@ class Plant:
         self.alpha = dict.fromkeys(self.ratings_kw, 1.0)
         self.limit_kw = dict(self.ratings_kw)
         self.power_kw = self.sky_kw(0)
-        self.last_desired_kw = sum(self.power_kw.values())
         self.obeyed: dict[str, int] = {}  # Cycle of the last command of each inverter.
 
     def sky_kw(self, cycle: int) -> dict[str, float]:
@@ -73,8 +72,7 @@ class Plant:
             commitment_kw=desired_kw,
             regulation_kw=0.0,
         )
-        metered_kw = sum(self.power_kw.values())
-        self.publish("meter", power_kw=metered_kw, desired_kw=self.last_desired_kw)
+        self.publish("meter", power_kw=sum(self.power_kw.values()))
         for node in self.ratings_kw:
             self.publish(
                 f"{node}/telemetry",
@@ -121,7 +119,6 @@ class Plant:
         for node, most_kw in sky_kw.items():
             share = self.alpha[node] if fraction else 1.0
             self.power_kw[node] = min(share * most_kw, self.limit_kw[node])
-        self.last_desired_kw = self.desired_kw()
         self.publish(
             "production",
             desired_kw=self.desired_kw(),

@@ -379,8 +379,10 @@ order of sums, and what `predictive` gives on top between turns, are in `agents/
   the `impp` does not count: the parent works it out as IMPP - request.
 - A supervisor's target follows the ladder of a direct controller: setpoint, newest setpoint, own
   request, nothing. The central controller's target is the dispatch, held between 0 and the rating.
-  Where `correction` is on, it adds what the plant's `meter` shows to be missing: the correction
-  grows by a share of desired_kw - power_kw, from 0 to a tenth of the rating.
+  Where `correction` is on, the central controller adds what the plant's `meter` shows to be
+  missing: in each of its turns the correction grows by a share of the last turn's dispatch less the
+  mean reading since then, from 0 to a tenth of the rating. It is 0 while the dispatch is the sum of
+  all IMPPs or more.
 - A child's `share_kw` is its part of the target by rating, but not less than the lowest alpha times
   its IMPP. Its headroom is IMPP - share. If the target is the sum of all IMPPs or more, each
   child's `power_kw` is its IMPP. Otherwise the children with negative headroom, in their order, ask
@@ -458,10 +460,10 @@ that joins a run under way begins with the first cycle of which it hears.
 3. `run` of state `start`, cycle 0, `cycle_wall_ns` as in the plan. `start_time_ns` is the monotonic
    time of the first tick, some 0.2 s ahead; in lockstep it is now. (`sequence` of `run`: 0.)
 4. Cycles 0 to `cycles` - 1. At the tick: `dispatch` with the plant's rating, `meter` with the power
-   fed in during the interval before and the dispatch of that interval, `telemetry` with what each
-   inverter did in it. At the end: `production`. Where `actuator` is `fraction`, an inverter gives
-   alpha times its maximum; where it is `limit`, it gives its maximum up to `command.power_kw`. An
-   inverter without a command goes on obeying its last one.
+   fed in during the interval before, `telemetry` with what each inverter did in it. At the end:
+   `production`. Where `actuator` is `fraction`, an inverter gives alpha times its maximum; where it
+   is `limit`, it gives its maximum up to `command.power_kw`. An inverter without a command goes on
+   obeying its last one.
 5. `run` of state `stop`, with the cycle after the last one. (`sequence`: 1.)
 
 The launcher follows an external plant through the recorder. It cannot stop one: on Ctrl-C the

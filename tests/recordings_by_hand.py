@@ -77,7 +77,7 @@ def cycle_of_the_plant(cycle: int) -> Iterator[Delivery]:
         regulation_kw=10.0,
     )
     yield DISPATCH.of(ROOT), dispatch
-    yield METER.of(ROOT), Meter(*stamp(PLANT), power_kw=238.0, desired_kw=240.0)
+    yield METER.of(ROOT), Meter(*stamp(PLANT), power_kw=238.0)
     below = [node for node in tree.nodes if node != ROOT]
     acting = [node for node in below if central_acts or parent_of(node) != ROOT]
     for node in reversed(tree.nodes):

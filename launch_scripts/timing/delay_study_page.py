@@ -7,20 +7,19 @@ from typing import Final, get_args
 
 from agents.plan import Scheme
 from launch_scripts.preparation import Preparation
-from launch_scripts.timing.delay_study import VALUES, Outcome, Trouble
+from launch_scripts.timing.delay_study import VALUES, Outcome
 from launch_scripts.timing.delay_study_table import (
-    FIGURES,
     MERITS,
     TROUBLES,
     column_of,
-    figures,
     study_notes,
     study_title,
     survived,
+    trouble_table,
 )
+from launch_scripts.timing.figure_tables import page_table
 from recordings.report.delay_figures import StudyCurve, study_figure
 from recordings.report.page import html_page
-from recordings.report.tables import ReportTable
 
 _DRAWN: Final = ("control-caused [%]", "mileage [kW/h]", "RegD fulfilled [%]", "PJM score")
 _CAPTION: Final = (
@@ -34,7 +33,7 @@ def study_page(preparation: Preparation, outcomes: Sequence[Outcome]) -> str:
     title = f"{study_title(preparation)}: delay, loss and a slow central controller"
     figure = study_figure("study", "What each trouble costs", _CAPTION, study_curves(outcomes))
     notes = [*study_notes(preparation), *survived(outcomes)]
-    tables = [_page_table(trouble, outcomes) for trouble in VALUES]
+    tables = [page_table(trouble_table(trouble, outcomes)) for trouble in VALUES]
     return html_page(title, notes, tables, [figure])
 
 
@@ -50,13 +49,3 @@ def study_curves(outcomes: Sequence[Outcome]) -> list[StudyCurve]:
                     StudyCurve(merit, unit, scheme, [one.value for one in column], merits)
                 )
     return curves
-
-
-def _page_table(trouble: Trouble, outcomes: Sequence[Outcome]) -> ReportTable:
-    what, unit = TROUBLES[trouble]
-    rows = tuple(
-        (f"{one.value:g}, {one.scheme}", "", figures(one))
-        for one in outcomes
-        if one.trouble == trouble
-    )
-    return ReportTable(f"{what[0].upper()}{what[1:]}", FIGURES, rows, f"First column: {unit}.")

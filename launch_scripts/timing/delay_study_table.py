@@ -7,13 +7,12 @@ from itertools import takewhile
 from typing import Final, get_args
 
 from rich.console import Console
-from rich.markup import escape
 
 from agents.plan import Scheme
 from launch_scripts.preparation import Preparation
 from launch_scripts.study.study import remarks_of
 from launch_scripts.timing.delay_study import VALUES, WARM_UP_S, Outcome, Trouble
-from launch_scripts.timing.figure_tables import Column, print_table
+from launch_scripts.timing.figure_tables import Column, FigureTable, print_table
 
 BEARABLE_PERCENT: Final = 1.0
 """Control-caused shortfall, in % of desired, up to which a trouble counts as survived."""
@@ -53,7 +52,7 @@ def print_study(preparation: Preparation, outcomes: Sequence[Outcome], console: 
     for line in (study_title(preparation), *study_notes(preparation)):
         console.print(line, highlight=False)
     for trouble in VALUES:
-        _print_trouble(trouble, outcomes, console)
+        print_table(console, trouble_table(trouble, outcomes))
     for line in survived(outcomes):
         console.print(line, highlight=False)
 
@@ -108,23 +107,19 @@ def _is_bearable(one: Outcome) -> bool:
     return one.control_caused_percent is not None and one.control_caused_percent < BEARABLE_PERCENT
 
 
-def _print_trouble(trouble: Trouble, outcomes: Sequence[Outcome], console: Console) -> None:
+def trouble_table(trouble: Trouble, outcomes: Sequence[Outcome]) -> FigureTable:
+    """Return what each run under a trouble came to."""
     what, unit = TROUBLES[trouble]
-    title = f"[bold]{what}[/]: {escape(unit)}, scheme"
     columns = [Column(_folded(heading), _WIDTH) for heading in FIGURES]
-    rows = []
-    last = None
-    for one in outcomes:
-        if one.trouble == trouble:
-            value = "" if one.value == last else f"{one.value:g}"
-            rows.append((f"{value:>4}  {one.scheme:<10}", *figures(one)))
-            last = one.value
-    print_table(console, title, columns, rows)
+    rows = [
+        (f"{one.value:g} {one.scheme}", *figures(one)) for one in outcomes if one.trouble == trouble
+    ]
+    return FigureTable(what, f": {unit}, scheme", columns, rows)
 
 
 def _folded(heading: str) -> str:
     """Return a heading in short lines, its unit in the last one."""
-    return escape(heading.replace("-", "-\n").replace(" ", "\n"))
+    return heading.replace("-", "-\n").replace(" ", "\n")
 
 
 def figures(one: Outcome) -> tuple[str, ...]:

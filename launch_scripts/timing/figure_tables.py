@@ -1,4 +1,4 @@
-"""Tables of figures in a terminal."""
+"""Tables of figures, for a terminal and for a page alike."""
 
 from __future__ import annotations
 
@@ -6,10 +6,15 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple, TypeAlias
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
+from recordings.report.tables import ReportTable
+
 WIDTH: Final = 100
-"""The widest that a table becomes, so that names and figures stay close to each other."""
+"""The widest that a table becomes in a terminal, so that names and figures stay close together."""
+
+_RED: Final = frozenset({"FAIL", "not clean", "failed"})
 
 
 class Column(NamedTuple):
@@ -19,8 +24,17 @@ class Column(NamedTuple):
     width: int
 
 
-Row: TypeAlias = Sequence[str]
-"""A name, and a figure for each column; with rich's markup."""
+Row: TypeAlias = tuple[str, ...]
+"""A name, and a figure for each column."""
+
+
+class FigureTable(NamedTuple):
+    """A table: its title, what its figures are, its columns and rows."""
+
+    title: str
+    meaning: str
+    columns: Sequence[Column]
+    rows: Sequence[Row]
 
 
 def console_for(json: str | None) -> Console:
@@ -29,20 +43,29 @@ def console_for(json: str | None) -> Console:
     return console if console.is_terminal else Console(stderr=json == "-", width=WIDTH)
 
 
-def print_table(
-    console: Console, title: str, columns: Sequence[Column], rows: Sequence[Row]
-) -> None:
+def print_table(console: Console, table: FigureTable) -> None:
     """Print a table under its title. Where there is no room, figures fold and are not cut."""
-    console.print(f"\n{title}", highlight=False)
-    if not rows:
+    console.print(f"\n[bold]{escape(table.title)}[/]{escape(table.meaning)}", highlight=False)
+    if not table.rows:
         return
     width = min(console.width, WIDTH)
-    table = Table(
+    shown = Table(
         box=None, padding=(0, 1, 0, 0), pad_edge=False, header_style="", expand=True, width=width
     )
-    table.add_column(ratio=1, overflow="fold")
-    for column in columns:
-        table.add_column(column.heading, justify="right", min_width=column.width, overflow="fold")
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)
+    shown.add_column(ratio=1, overflow="fold")
+    for column in table.columns:
+        shown.add_column(
+            escape(column.heading), justify="right", min_width=column.width, overflow="fold"
+        )
+    for name, *figures in table.rows:
+        cells = (f"[bold red]{text}[/]" if text in _RED else escape(text) for text in figures)
+        shown.add_row(f"  {escape(name)}", *cells)
+    console.print(shown)
+
+
+def page_table(table: FigureTable) -> ReportTable:
+    """Return a table as a page has it."""
+    columns = tuple(column.heading.replace("\n", " ") for column in table.columns)
+    rows = tuple((name, "", tuple(figures)) for name, *figures in table.rows)
+    heading = f"{table.title[0].upper()}{table.title[1:]}"
+    return ReportTable(heading, columns, rows, table.meaning.strip(" :,"))

@@ -104,7 +104,8 @@ class Floor:
         except (subprocess.TimeoutExpired, msgspec.DecodeError):
             last = complaint.decode(errors="replace").splitlines()[-1:] or ["no answer"]
             return FloorTimes(name, None, f"not measured: {last[0]}")
-        return FloorTimes(name, probed.times, f"{probed.lost} lost" if probed.lost else "")
+        note = "" if probed.times else "nothing was measured"
+        return FloorTimes(name, probed.times, f"{probed.lost} lost" if probed.lost else note)
 
 
 def _started(settings: ProbeSettings) -> _Probe:

@@ -10,13 +10,13 @@ from rich.console import Console
 
 from bus_schemas.errors import InputError
 from launch_scripts.supervision import RunFailure
-from launch_scripts.timing.figure_tables import Column, print_table
+from launch_scripts.timing.figure_tables import Column, FigureTable, print_table
 from launch_scripts.timing.floor import FloorTimes
 from launch_scripts.timing.host import Host
 from launch_scripts.timing.rates import LOWEST_HZ, Rates, cycles_per_s
-from launch_scripts.timing.tiers import MISSING, total
+from launch_scripts.timing.tiers import figure, total
 from launch_scripts.timing.timing_report import TimingReport
-from launch_scripts.timing.timing_table import host_lines, how_often, ms, print_floor
+from launch_scripts.timing.timing_table import floor_table, host_lines, how_often, ms
 from recordings.timing import LOOP, WHOLE_LOOP
 
 _CLOSE_ENOUGH: Final = 1.1
@@ -104,7 +104,7 @@ class Sweep(msgspec.Struct, frozen=True):
 Timed: TypeAlias = Callable[[float], TimingReport]
 """Runs the plant at a rate and reports on it."""
 
-_TITLE: Final = "Loop time \\[ms] against rate \\[cycles/s], and processor time \\[% of a core]"
+_MEANING: Final = " [cycles/s]: cycle and loop time [ms], processor time [% of a core]"
 _COLUMNS: Final = (
     Column("cycles", 8),
     Column("cycle", 8),
@@ -197,14 +197,22 @@ def print_sweep(found: Sweep, console: Console) -> None:
     """Print the rates, on what they were run, and the highest clean one."""
     for line in machine_lines(found):
         console.print(line, highlight=False, markup=False)
-    print_table(console, _TITLE, _COLUMNS, [_cells(row) for row in found.rows])
-    for row in found.rows:
-        if row.floor:
-            heading = f"[bold]floor[/] at {cycles_per_s(row.rate_hz)} \\[ms]"
-            print_floor(heading, row.floor, console)
+    for table in sweep_tables(found):
+        print_table(console, table)
     console.print()
     for line in (*trouble_lines(found), conclusion(found)):
         console.print(line, highlight=False, markup=False)
+
+
+def sweep_tables(found: Sweep) -> list[FigureTable]:
+    """Return the rates, and the machine's floor at each."""
+    rates = FigureTable("rates", _MEANING, _COLUMNS, [_cells(row) for row in found.rows])
+    floors = [
+        floor_table("floor", f" at {cycles_per_s(row.rate_hz)} [ms]", row.floor)
+        for row in found.rows
+        if row.floor
+    ]
+    return [rates, *floors]
 
 
 def machine_lines(found: Sweep) -> list[str]:
@@ -252,22 +260,18 @@ def _bounds(rows: Collection[RateRow]) -> tuple[float, float] | None:
     return (clean_hz, min(failed)) if failed else None
 
 
-def rate_figures(row: RateRow) -> tuple[str, ...]:
-    """Return the figures of a rate in the order of the columns after its cycles."""
-    loops = (row.loop_p50_us, row.loop_p99_us, row.loop_max_us)
+def _cells(row: RateRow) -> tuple[str, ...]:
     return (
-        *map(ms, loops),
+        f"{row.rate_hz:.4g}",
+        f"{row.cycles:,}",
+        f"{1e3 / row.rate_hz:,.2f}",
+        *map(ms, (row.loop_p50_us, row.loop_p99_us, row.loop_max_us)),
         f"{row.missed_deadlines:,}",
         f"{row.overruns:,}",
         f"{row.lost_messages:,}",
-        MISSING if row.cpu_percent is None else f"{row.cpu_percent:.0f}",
+        figure(row.cpu_percent),
+        row.outcome,
     )
-
-
-def _cells(row: RateRow) -> tuple[str, ...]:
-    outcome = row.outcome if row.clean else f"[bold red]{row.outcome}[/]"
-    cycle_ms = f"{1e3 / row.rate_hz:,.2f}"
-    return (f"{row.rate_hz:.4g}", f"{row.cycles:,}", cycle_ms, *rate_figures(row), outcome)
 
 
 def conclusion(found: Sweep) -> str:

@@ -139,10 +139,8 @@ def _account(
 
 
 class TierColumn(NamedTuple):
-    """A figure of a tier: name and unit for a page, two short lines for a terminal, its text."""
+    """A figure of a tier: its heading in two short lines, its width, and its text."""
 
-    name: str
-    unit: str
     heading: str
     width: int
     text: Callable[[TierAccount], str]
@@ -154,35 +152,15 @@ def figure(value: float | None, decimals: int = 0) -> str:
 
 
 TIER_COLUMNS: Final = (
-    TierColumn("Processes", "", "processes", 9, lambda tier: figure(tier.processes)),
-    TierColumn(
-        "Missed deadlines", "", "missed\ndeadlines", 9, lambda tier: figure(tier.missed_deadlines)
-    ),
-    TierColumn(
-        "Missing inputs", "", "missing\ninputs", 7, lambda tier: figure(tier.missing_inputs)
-    ),
-    TierColumn("Old inputs used", "", "old\ninputs", 7, lambda tier: figure(tier.old_inputs)),
-    TierColumn("Dropped messages", "", "dropped", 7, lambda tier: figure(tier.dropped)),
-    TierColumn("Overruns", "", "overruns", 8, lambda tier: figure(tier.overruns)),
-    TierColumn(
-        "Skipped cycles", "", "skipped\ncycles", 7, lambda tier: figure(tier.skipped_cycles)
-    ),
-    TierColumn(
-        "Processor time, all",
-        "% of a core",
-        "CPU [%]\nall",
-        7,
-        lambda tier: figure(tier.cpu_percent, 1),
-    ),
-    TierColumn(
-        "Processor time, highest",
-        "% of a core",
-        "CPU [%]\nhighest",
-        7,
-        lambda tier: figure(tier.cpu_highest_percent, 1),
-    ),
-    TierColumn(
-        "Memory, largest", "MB", "memory\n[MB]", 6, lambda tier: figure(tier.resident_mb, 1)
-    ),
+    TierColumn("processes", 9, lambda tier: figure(tier.processes)),
+    TierColumn("missed\ndeadlines", 9, lambda tier: figure(tier.missed_deadlines)),
+    TierColumn("missing\ninputs", 7, lambda tier: figure(tier.missing_inputs)),
+    TierColumn("old\ninputs", 7, lambda tier: figure(tier.old_inputs)),
+    TierColumn("dropped", 7, lambda tier: figure(tier.dropped)),
+    TierColumn("overruns", 8, lambda tier: figure(tier.overruns)),
+    TierColumn("skipped\ncycles", 7, lambda tier: figure(tier.skipped_cycles)),
+    TierColumn("CPU [%]\nall", 7, lambda tier: figure(tier.cpu_percent, 1)),
+    TierColumn("CPU [%]\nhighest", 7, lambda tier: figure(tier.cpu_highest_percent, 1)),
+    TierColumn("memory\n[MB]", 6, lambda tier: figure(tier.resident_mb, 1)),
 )
 """What is told of each tier besides durations."""

@@ -5,28 +5,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from launch_scripts.timing.floor import FloorTimes
-from launch_scripts.timing.rates import cycles_per_s
+from launch_scripts.timing.figure_tables import Column, FigureTable, page_table
 from launch_scripts.timing.sweep import (
     Sweep,
     conclusion,
     machine_lines,
-    rate_figures,
+    sweep_tables,
     trouble_lines,
 )
-from launch_scripts.timing.tiers import TIER_COLUMNS, figure
+from launch_scripts.timing.tiers import figure
 from launch_scripts.timing.timing_report import Reported, TimingReport
 from launch_scripts.timing.timing_table import (
-    MEANINGS,
-    amount,
+    budgets_table,
+    counts_table,
     cycle_lines,
     failures,
     header_lines,
     ms,
     network_lines,
     row_name,
-    times_cells,
-    verdict_cells,
+    times_tables,
     verdict_line,
 )
 from recordings.durations import curve_ms
@@ -43,9 +41,6 @@ from recordings.report.timing_figures import (
 from recordings.timing import LOOP
 
 PAGE_NAME: Final = "timing.html"
-
-_COLUMNS: Final = ("count", "min", "p50", "p99", "p99.9", "max", "p99 at most", "")
-_VERDICT: Final = {True: "PASS", False: "FAIL"}
 
 _CAPTION: Final = (
     "Each step to the right leaves a tenth of the durations: at 99 % one in a hundred is longer. "
@@ -100,12 +95,18 @@ def sweep_page(found: Sweep, last: TimingReport) -> str:
     ]
     title = f"{last.scenario}: loop time against rate"
     figures = [rate_figure(points)] if points else []
-    return html_page(title, text, [_rates_table(found), _rates_floor_table(found)], figures)
+    return html_page(title, text, [page_table(table) for table in sweep_tables(found)], figures)
 
 
 def page_tables(report: TimingReport) -> list[ReportTable]:
     """Return the tables of a run: durations, counts, other budgets, and each process."""
-    return [_times_table(report), _counts_table(report), _budgets_table(report), _processes(report)]
+    tables = (
+        *times_tables(report),
+        counts_table(report.tiers),
+        budgets_table(report.verdicts),
+        _processes_table(report),
+    )
+    return [page_table(table) for table in tables]
 
 
 def percentile_figures(report: TimingReport) -> list[ReportFigure]:
@@ -134,87 +135,8 @@ def _curves(report: TimingReport, measures: Sequence[str]) -> list[PercentileCur
     return curves + floor if curves else []
 
 
-def _times_table(report: TimingReport) -> ReportTable:
-    rows = [
-        (
-            f"{row.measure}: {row_name(row)}",
-            "ms",
-            (*times_cells(row.times), *verdict_cells(row, report.verdicts)),
-        )
-        for row in report.times
-    ]
-    rows += [(_floor_name(floor), "ms", (*_floor_cells(floor), "", "")) for floor in report.floor]
-    meanings = "; ".join(f"{measure}: {meaning}" for measure, meaning in MEANINGS.items())
-    return ReportTable("Durations", _COLUMNS, tuple(rows), f"What they are of. {meanings}.")
-
-
-def _floor_name(floor: FloorTimes) -> str:
-    return f"floor: {floor.name}{', ' if floor.note else ''}{floor.note}"
-
-
-def _floor_cells(floor: FloorTimes) -> tuple[str, ...]:
-    return ("",) * 6 if floor.times is None else times_cells(floor.times)
-
-
-def _rates_floor_table(found: Sweep) -> ReportTable:
-    rows = tuple(
-        (f"{_floor_name(floor)}, at {cycles_per_s(row.rate_hz)}", "ms", _floor_cells(floor))
-        for row in found.rows
-        for floor in row.floor
-    )
-    text = "What this machine needs by itself, measured beside the plant at the same rate."
-    return ReportTable("The machine's floor", _COLUMNS[:6], rows, text)
-
-
-def _rates_table(found: Sweep) -> ReportTable:
-    columns = (
-        "cycles",
-        "loop p50 [ms]",
-        "loop p99 [ms]",
-        "loop max [ms]",
-        "missed deadlines",
-        "overruns",
-        "lost messages",
-        "CPU [% of a core]",
-        "",
-    )
-    rows = tuple(
-        (
-            f"{row.rate_hz:.4g}",
-            "cycles/s",
-            (f"{row.cycles:,}", *rate_figures(row), row.failed or row.outcome),
-        )
-        for row in found.rows
-    )
-    return ReportTable("Rates", columns, rows)
-
-
-def _counts_table(report: TimingReport) -> ReportTable:
-    columns = tuple(tier.tier for tier in report.tiers)
-    rows = tuple(
-        (row.name, row.unit, tuple(row.text(tier) for tier in report.tiers)) for row in TIER_COLUMNS
-    )
-    return ReportTable("Counts and shares by tier", columns, rows)
-
-
-def _budgets_table(report: TimingReport) -> ReportTable:
-    rows = tuple(
-        (
-            verdict.line,
-            "",
-            (
-                "nothing" if verdict.value is None else amount(verdict.value, verdict.unit),
-                amount(verdict.limit, verdict.unit),
-                _VERDICT[verdict.passed],
-            ),
-        )
-        for verdict in report.verdicts
-    )
-    return ReportTable("Budgets", ("measured", "at most", ""), rows)
-
-
-def _processes(report: TimingReport) -> ReportTable:
-    columns = (
+def _processes_table(report: TimingReport) -> FigureTable:
+    headings = (
         "slowest decision [ms]",
         "CPU [% of a core]",
         "memory [MB]",
@@ -224,21 +146,18 @@ def _processes(report: TimingReport) -> ReportTable:
         "skipped cycles",
         "dropped",
     )
-    rows = tuple(
+    rows = [
         (
             process.agent if process.agent == process.tier else f"{process.agent} ({process.tier})",
-            "",
-            (
-                ms(process.slowest_decision_us),
-                figure(process.cpu_percent, 1),
-                figure(process.resident_mb, 1),
-                figure(process.voluntary_switches),
-                f"{sum(process.missed_deadlines.values()):,}",
-                f"{sum(process.overruns.values()):,}",
-                f"{process.skipped_cycles:,}",
-                figure(None if process.dropped is None else sum(process.dropped.values())),
-            ),
+            ms(process.slowest_decision_us),
+            figure(process.cpu_percent, 1),
+            figure(process.resident_mb, 1),
+            figure(process.voluntary_switches),
+            f"{sum(process.missed_deadlines.values()):,}",
+            f"{sum(process.overruns.values()):,}",
+            f"{process.skipped_cycles:,}",
+            figure(None if process.dropped is None else sum(process.dropped.values())),
         )
         for process in report.processes
-    )
-    return ReportTable("Processes", columns, rows)
+    ]
+    return FigureTable("processes", "", [Column(heading, 0) for heading in headings], rows)

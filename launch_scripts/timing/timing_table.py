@@ -7,10 +7,9 @@ from itertools import groupby
 from typing import Final
 
 from rich.console import Console
-from rich.markup import escape
 
 from launch_scripts.timing.budgets import Verdict
-from launch_scripts.timing.figure_tables import Column, print_table
+from launch_scripts.timing.figure_tables import Column, FigureTable, print_table
 from launch_scripts.timing.floor import FloorTimes
 from launch_scripts.timing.host import Host
 from launch_scripts.timing.rates import cycles_per_s
@@ -40,7 +39,7 @@ _TIMES: Final = (
 )
 
 _HOPS: Final = "(from the publishing of what each waited for: the hop to it is part of its time)"
-_PASSED: Final = {True: "PASS", False: "[bold red]FAIL[/]"}
+_PASSED: Final = {True: "PASS", False: "FAIL"}
 _DECIMALS: Final = {"ms": 3, "%": 2, "MB": 1, "": 0}
 """How many a budget's figure has, by its unit."""
 
@@ -49,14 +48,14 @@ def print_report(report: TimingReport, console: Console, *, processes: bool) -> 
     """Print the tables of a run; with `processes` one for each process as well."""
     for line in header_lines(report):
         console.print(line, highlight=False, markup=False)
-    _print_times(report, console)
-    _print_tiers(report.tiers, console)
+    for table in (*times_tables(report), counts_table(report.tiers)):
+        print_table(console, table)
     for process in report.processes if processes else ():
-        _print_process(process, console)
+        print_table(console, _process_table(process))
     console.print()
     for line in (*cycle_lines(report), *network_lines(report)):
         console.print(line, highlight=False, markup=False)
-    _print_other_verdicts(report.verdicts, console)
+    print_table(console, budgets_table(report.verdicts))
     console.print(verdict_line(report), highlight=False, markup=False)
     for line in failures(report):
         console.print(f"  not kept: {line}", highlight=False, markup=False)
@@ -158,7 +157,7 @@ def ms(value_us: float | None) -> str:
 
 
 def row_name(row: Times) -> str:
-    """Return the name of a row of durations."""
+    """Return the name of a row of durations, where it stands beside others."""
     return f"{row.of} (seen from outside)" if row.outside else row.of
 
 
@@ -168,55 +167,71 @@ def times_cells(times: Distribution) -> tuple[str, ...]:
     return (f"{times.count:,}", *map(ms, values_us))
 
 
-def verdict_cells(row: Times, verdicts: Iterable[Verdict]) -> tuple[str, str]:
+def times_tables(report: TimingReport) -> list[FigureTable]:
+    """Return a table for each measure, and one for the floor."""
+    tables = []
+    for measure, found in groupby(report.times, lambda row: row.measure):
+        rows = list(found)
+        outside = " (seen from outside)" if all(row.outside for row in rows) else ""
+        cells = [(row.of, *times_cells(row.times), *_limit(row, report.verdicts)) for row in rows]
+        meaning = f" [ms]: {MEANINGS[measure]}{outside}"
+        tables.append(FigureTable(measure, meaning, _TIMES, cells))
+    if report.floor:
+        tables.append(floor_table("floor", f" [ms]: {MEANINGS['floor']}", report.floor))
+    return tables
+
+
+def _limit(row: Times, verdicts: Iterable[Verdict]) -> tuple[str, str]:
     """Return the limit of a row of durations and whether it was kept, empty if it has none."""
     for verdict in verdicts:
         if (verdict.measure, verdict.of) == (row.measure, row.of):
-            return f"{verdict.limit:,.3f}", "PASS" if verdict.passed else "FAIL"
+            return f"{verdict.limit:,.3f}", _PASSED[verdict.passed]
     return "", ""
 
 
-def _print_times(report: TimingReport, console: Console) -> None:
-    """Print a table for each measure, and one for the floor."""
-    for measure, found in groupby(report.times, lambda row: row.measure):
-        rows, cells = list(found), []
-        for row in rows:
-            limit, verdict = verdict_cells(row, report.verdicts)
-            verdict = f"[bold red]{verdict}[/]" if verdict == "FAIL" else verdict
-            cells.append((f"  {escape(row.of)}", *times_cells(row.times), limit, verdict))
-        outside = " (seen from outside)" if all(row.outside for row in rows) else ""
-        title = f"[bold]{measure}[/] \\[ms]: {MEANINGS[measure]}{outside}"
-        print_table(console, title, _TIMES, cells)
-    if report.floor:
-        print_floor(f"[bold]floor[/] \\[ms]: {MEANINGS['floor']}", report.floor, console)
+def floor_table(title: str, meaning: str, floor: Iterable[FloorTimes]) -> FigureTable:
+    """Return what the machine itself needs, or why it was not measured."""
+    rows = [
+        (
+            f"{row.name}: {row.note}" if row.note else row.name,
+            *(("",) * 6 if row.times is None else times_cells(row.times)),
+        )
+        for row in floor
+    ]
+    return FigureTable(title, meaning, _TIMES[:6], rows)
 
 
-def print_floor(title: str, floor: Sequence[FloorTimes], console: Console) -> None:
-    """Print what the machine itself needs, and why some of it was not measured."""
-    cells = [(f"  {row.name}", *times_cells(row.times)) for row in floor if row.times is not None]
-    print_table(console, title, _TIMES[:6], cells)
-    for row in floor:
-        if row.note:
-            console.print(f"  {row.name}: {row.note}", highlight=False, markup=False)
+def counts_table(tiers: Iterable[TierAccount]) -> FigureTable:
+    """Return what the processes of each tier counted and took."""
+    columns = [Column(column.heading, column.width) for column in TIER_COLUMNS]
+    rows = [(tier.tier, *(column.text(tier) for column in TIER_COLUMNS)) for tier in tiers]
+    meaning = ", processor time [% of a core] and memory (of the largest process)"
+    return FigureTable("counts", meaning, columns, rows)
 
 
-def _print_tiers(tiers: Iterable[TierAccount], console: Console) -> None:
-    heading = "[bold]counts[/], processor time \\[% of a core] and memory (of the largest process)"
-    columns = [Column(escape(column.heading), column.width) for column in TIER_COLUMNS]
-    rows = [(f"  {tier.tier}", *(column.text(tier) for column in TIER_COLUMNS)) for tier in tiers]
-    print_table(console, heading, columns, rows)
+def budgets_table(verdicts: Iterable[Verdict]) -> FigureTable:
+    """Return the budgets that no row of the durations shows."""
+    columns = (Column("measured", 12), Column("at most", 12), Column("", 4))
+    rows = [
+        (
+            verdict.line,
+            "nothing" if verdict.value is None else amount(verdict.value, verdict.unit),
+            amount(verdict.limit, verdict.unit),
+            _PASSED[verdict.passed],
+        )
+        for verdict in verdicts
+        if not verdict.measure or verdict.value is None or not verdict.line.endswith("p99")
+    ]
+    return FigureTable("other budgets", "", columns, rows)
 
 
-def _print_process(process: ProcessTimes, console: Console) -> None:
-    title = (
-        f"{process.agent} ({process.tier}), times in ms: CPU {figure(process.cpu_percent, 1)} %, "
+def _process_table(process: ProcessTimes) -> FigureTable:
+    meaning = (
+        f" ({process.tier}), times in ms: CPU {figure(process.cpu_percent, 1)} %, "
         f"{figure(process.resident_mb, 1)} MB; {_counts(process)}"
     )
-    rows = [
-        (escape(f"  {row.measure} {row.of}".rstrip()), *times_cells(row.times))
-        for row in process.times
-    ]
-    print_table(console, escape(title), _TIMES[:6], rows)
+    rows = [(f"{row.measure} {row.of}".rstrip(), *times_cells(row.times)) for row in process.times]
+    return FigureTable(process.agent, meaning, _TIMES[:6], rows)
 
 
 def _counts(process: ProcessTimes) -> str:
@@ -234,19 +249,3 @@ def _counts(process: ProcessTimes) -> str:
     if process.skipped_cycles:
         told.append(f"{process.skipped_cycles:,} cycles skipped")
     return "; ".join(told) or "kept every deadline"
-
-
-def _print_other_verdicts(verdicts: Iterable[Verdict], console: Console) -> None:
-    """Print the budgets that no row of the durations shows."""
-    columns = (Column("measured", 12), Column("at most", 12), Column("", 4))
-    rows = [
-        (
-            f"  {escape(verdict.line)}",
-            "nothing" if verdict.value is None else amount(verdict.value, verdict.unit),
-            amount(verdict.limit, verdict.unit),
-            _PASSED[verdict.passed],
-        )
-        for verdict in verdicts
-        if not verdict.measure or verdict.value is None or not verdict.line.endswith("p99")
-    ]
-    print_table(console, "[bold]other budgets[/]", columns, rows)

@@ -64,7 +64,10 @@ class TestedAgent:
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages of a cycle."""
-        own = _guarded(lambda: self._agent.stages(cycle))
+        try:
+            own = self._agent.stages(cycle)
+        except (Exception, SystemExit) as error:
+            raise AgentFailure(f"{type(error).__name__}: {error}") from error
         stages = self._stages.get(own)
         if stages is None:
             stages = tuple(with_stages(stage, timed=True) for stage in own)
@@ -90,6 +93,11 @@ def _guarded(call: Callable[[], T]) -> T:
         raise AgentFailure(f"{type(error).__name__}: {error}") from error
 
 
+def on_a_clock(plan: RunPlan) -> RunPlan:
+    """Return the plan of a run with deadlines, also if it was in lockstep."""
+    return replace(plan, cycle_wall_ns=_CYCLE_NS, tier_deadlines_ns=())
+
+
 class AgentRerun:
     """One agent on its way through a recording.
 
@@ -99,8 +107,8 @@ class AgentRerun:
         Name of the agent.
     make
         Makes the agent, as the code is now.
-    plan
-        Of the recorded run.
+    plan, clocked
+        Of the recorded run, and the same by the clock of a re-run, see `on_a_clock`.
     walk
         Through the recording.
     recent
@@ -121,6 +129,7 @@ class AgentRerun:
         name: str,
         make: Callable[[], Agent[Any]],
         plan: RunPlan,
+        clocked: RunPlan,
         walk: CycleWalk,
         recent: RecentMessages,
         stop_cycle: int | None,
@@ -146,26 +155,22 @@ class AgentRerun:
         self._over = False
         try:
             self._agent = TestedAgent(make)
-            on_the_clock = replace(plan, cycle_wall_ns=_CYCLE_NS, tier_deadlines_ns=())
-            self._loop = AgentLoop(self._agent, on_the_clock)
+            self._loop = AgentLoop(self._agent, clocked)
             self._driver = Driver([self._loop], self._bus, self._clock)
             self._loop.begin(0, 0)
             self._driver.go_on(self._loop)
         except AgentFailure as failure:
             self._fail(0, "", str(failure))
 
-    @property
-    def ports(self) -> tuple[Port[Message], ...]:
-        """The ports of its recorded outputs."""
-        return tuple(self._stage_of)
-
     def take(self, cycle: RecordedCycle) -> None:
         """Re-run a cycle and compare what the agent publishes in it."""
         recorded: dict[str, dict[Port[Message], Message]] = {}
         count = 0
-        for port in self._stage_of.keys() & cycle.messages.keys():
-            recorded.setdefault(self._stage_of[port], {})[port] = cycle.messages[port]
-            count += 1
+        for port, stage in self._stage_of.items():
+            message = cycle.messages.get(port)
+            if message is not None:
+                recorded.setdefault(stage, {})[port] = message
+                count += 1
         self.account.recorded += count
         for port, message in cycle.repeated:
             if port in self._stage_of:

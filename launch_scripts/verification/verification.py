@@ -19,7 +19,7 @@ from launch_scripts.verification.account import Account, Difference
 from launch_scripts.verification.comparison import Comparison
 from launch_scripts.verification.recorded_cycles import MOST_HELD, CycleWalk
 from launch_scripts.verification.recording_bus import RecentMessages
-from launch_scripts.verification.rerun import AgentRerun
+from launch_scripts.verification.rerun import AgentRerun, on_a_clock
 from recordings.reader import RunReader
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile, load_profile
@@ -171,9 +171,9 @@ def verify(
             plan.external,
             max(MOST_HELD, len(plan.keys.ports) * (plan.periods.longest + 2)),
         )
-        recent = RecentMessages(plan)
+        recent, clocked = RecentMessages(plan), on_a_clock(plan)
         reruns = [
-            AgentRerun(name, make, plan, walk, recent, stop_cycle, comparison)
+            AgentRerun(name, make, plan, clocked, walk, recent, stop_cycle, comparison)
             for name, make in team.items()
         ]
         cycles = 0

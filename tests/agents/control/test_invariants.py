@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.control.allocation import allocate
+from agents.control.allocation import allocate, total
 from agents.control.neighbours import HelpOrder, help_order
 from agents.control.request import request_kw
 
@@ -81,7 +81,7 @@ def cases_with_one_in_need(draw: st.DrawFn) -> tuple[Case, int]:
     capacities_kw = draw(capacities(least=2))
     count = len(capacities_kw)
     target_kw = fsum(capacities_kw) * draw(st.floats(1e-3, 1.0))
-    rating_kw = fsum(capacities_kw)
+    rating_kw = total(capacities_kw)
     share_kw = [request_kw(target_kw, capacity, rating_kw) for capacity in capacities_kw]
     impp_kw = [
         share * (1.0 + more) for share, more in zip(share_kw, draw(fractions(count)), strict=True)

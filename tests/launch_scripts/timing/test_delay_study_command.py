@@ -139,7 +139,7 @@ def test_tables_json_and_page_tell_the_same(
     worst = document["outcomes"][2]
     assert (worst["value"], worst["scheme"]) == (0.5, "paper")
     shortfall = f"{worst['control_caused_percent']:.3f}"
-    assert re.search(rf"0\.5  paper +{re.escape(shortfall)} ", printed)
+    assert re.search(rf"0\.5 paper +{re.escape(shortfall)} ", printed)
     text = page.read_text()
     assert f'<td class="number">{shortfall}</td>' in text
     assert '<div class="plot" id="study-plot"' in text

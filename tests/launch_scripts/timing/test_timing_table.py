@@ -40,7 +40,7 @@ def test_each_row_has_its_figures_its_budget_and_its_verdict(tmp_path: Path) -> 
     assert [float(time) for time in times_ms] == pytest.approx([0.3, 0.4, 0.5, 0.5, 0.5], rel=0.01)
     assert row(lines, "central solve")[-2:] == ["15.000", "PASS"]
     assert row(lines, "timer")[:2] == ["2", "0.050"]
-    assert "  Zenoh round trip: not measured: no answer" in lines
+    assert any(line.startswith("  Zenoh round trip:") for line in lines)
     assert max(map(len, lines)) <= 100
     headings = [line.partition(" ")[0] for line in lines if "[ms]" in line]
     assert headings == ["loop", "decision", "hop", "lateness", "jitter", "age", "floor"]

@@ -99,7 +99,7 @@ def _of_the_plant(cycle: int) -> Iterator[Delivery]:
             *stamp, power_kw=hard, plant_rating_kw=300.0, commitment_kw=200.0, regulation_kw=-0.0
         ),
     )
-    yield signals.METER.of(ROOT), Meter(*stamp, power_kw=hard, desired_kw=-0.0)
+    yield signals.METER.of(ROOT), Meter(*stamp, power_kw=hard)
     yield (
         signals.PRODUCTION.of(ROOT),
         Production(
