@@ -16,13 +16,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from agents.control.forecast import ERROR_MEMORY_CYCLES
+from agents.control.forecast import ERROR_MEMORY_S
+from agents.plan import Scheme
 from launch_scripts.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenario import load_scenario
 from launch_scripts.study.cases import cases, parse_setting
-from launch_scripts.study.closed_loop import PAPER, PREDICTIVE, Estimator, run_loop
+from launch_scripts.study.closed_loop import run_loop
 from recordings.metrics import commitment_metrics
 
 Floats = NDArray[np.float64]
@@ -80,24 +82,34 @@ FORECASTS: dict[str, Callable[[Floats], Floats]] = {
     "Holt, gains 0.8 and 0.6": lambda measured: holt(measured, 0.8, 0.6),
 }
 
-HIDDEN = {
-    "P / alpha (the paper)": Estimator(PAPER),
-    "stays what was last seen": Estimator(PREDICTIVE, growth=0.0),
-    "grows 1 % a cycle": Estimator(PREDICTIVE, growth=0.01),
-    "grows 2 % a cycle": Estimator(PREDICTIVE, growth=0.02),
-    "grows 5 % a cycle": Estimator(PREDICTIVE, growth=0.05),
-    "is the rating": Estimator(PREDICTIVE, growth=1e9),
-    "grows 2 %, all needy held": Estimator(PREDICTIVE, growth=0.02, held=True),
+Rule = tuple[Scheme, dict[str, float]]
+"""A scheme, and other values of constants of its forecast."""
+
+HIDDEN: dict[str, Rule] = {
+    "P / alpha (the paper)": ("paper", {}),
+    "stays what was last seen": ("predictive", {"HIDDEN_GROWTH_PER_S": 0.0}),
+    "grows 1 % a second": ("predictive", {"HIDDEN_GROWTH_PER_S": 0.01}),
+    "grows 2 % a second": ("predictive", {"HIDDEN_GROWTH_PER_S": 0.02}),
+    "grows 5 % a second": ("predictive", {"HIDDEN_GROWTH_PER_S": 0.05}),
+    "is the rating": ("predictive", {"HIDDEN_GROWTH_PER_S": 1e9}),
 }
 
 
-def mean_error(error: Floats) -> Floats:
+def behind_limits(day: Preparation, rule: Rule) -> Floats:
+    """Power of the plant under a rule, with the limit actuator and without a correction."""
+    scheme, constants = rule
+    plan = replace(day.plan, scheme=scheme, correction=False)
+    power_kw = run_loop(plan, day.profile, scheme, "limit", constants).power_kw
+    return np.asarray(power_kw.sum(axis=1))
+
+
+def mean_error(error: Floats, cycle_s: float) -> Floats:
     """Mean absolute error as a direct controller knows it in each cycle."""
     found = np.empty_like(error)
     mean = np.zeros_like(error[0])
     for cycle, value in enumerate(error):
         found[cycle] = mean
-        mean = mean + (value - mean) / ERROR_MEMORY_CYCLES
+        mean = mean + (value - mean) * cycle_s / (ERROR_MEMORY_S + cycle_s)
     return found
 
 
@@ -129,7 +141,7 @@ def at_equal_over_delivery(day: Preparation, forecast: Callable[[Floats], Floats
     rating = day.plan.tree.rating_kw(day.plan.tree.leaves[0])
     allowed = percent(day, delivered(day, last_value(measured)))[1]
     expected = np.clip(forecast(measured), 0.0, rating)
-    spread = mean_error(np.abs(measured - expected))
+    spread = mean_error(np.abs(measured - expected), day.plan.cycle_ns / 1e9)
 
     def with_margin(margin: float) -> tuple[float, float]:
         return percent(day, delivered(day, np.maximum(expected - margin * spread, 0.0)))
@@ -178,11 +190,10 @@ def clear_morning() -> Preparation:
     return prepare(case.scenario, case.options, "morning")
 
 
-def largest_over_delivery(day: Preparation, rule: Estimator) -> float:
+def largest_over_delivery(day: Preparation, rule: Rule) -> float:
     """Largest power beyond what was desired [kW]."""
     desired = day.profile.commitment_kw + day.profile.regulation_kw
-    power = run_loop(day.plan, day.profile, rule, "limit").power_kw.sum(axis=1)
-    return float((power - desired).max())
+    return float((behind_limits(day, rule) - desired).max())
 
 
 def table(title: str, names: list[str], rows: dict[str, list[float]]) -> None:
@@ -203,13 +214,8 @@ def main() -> None:
     }
     table("fraction actuator, at the over-delivery of the paper's rule", list(known), forecasts)
     hidden = {
-        name: [
-            percent(day, run_loop(day.plan, day.profile, estimator, "limit").power_kw.sum(axis=1))[
-                0
-            ]
-            for day in known.values()
-        ]
-        for name, estimator in HIDDEN.items()
+        name: [percent(day, behind_limits(day, rule))[0] for day in known.values()]
+        for name, rule in HIDDEN.items()
     }
     table("limit actuator: what is assumed of a hidden maximum", list(known), hidden)
     morning = clear_morning()

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from agents.control.clusters import within_cluster_correlation
 from agents.control.correlation import hourly_correlation, hourly_covariance
-from agents.family import Neighbourhood
-from agents.plan import NodeNeighbourhoods, RunPlan, Scheme
+from agents.plan import Neighbourhood, NodeNeighbourhoods, RunPlan, Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree, parent_of
 from launch_scripts.clustering import control_tree, in_order, neighbourhoods

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from runs_by_hand import PLAN, run_in_memory
+from replayed_runs import PLAN, run_in_memory
 
 from bus_schemas.codec import encode
 from bus_schemas.links import explicit_links

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from clock_by_hand import ClockByHand
-from runs_by_hand import CYCLE_NS, PLAN
+from replayed_runs import CYCLE_NS, PLAN
 
 from bus_schemas.signals import IMPP
 from launch_scripts.replay.clock import PlaybackClock, RecordedSpacing, SimulatedSpacing

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from clock_by_hand import ClockByHand
-from runs_by_hand import PLAN, Said, run_in_memory, write
+from replayed_runs import PLAN, Said, run_in_memory, write
 
 from bus_schemas.codec import encode
 from bus_schemas.messages import Clock

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from runs_by_hand import PLAN, STEP_NS, Said, run_in_memory, without, write
+from replayed_runs import PLAN, STEP_NS, Said, run_in_memory, without, write
 
 from bus_schemas.codec import encode
 from bus_schemas.errors import InputError

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from runs_by_hand import PLAN, run_in_memory, write
+from replayed_runs import PLAN, run_in_memory, write
 from typer.testing import CliRunner, Result
 
 from launch_scripts.cli import app

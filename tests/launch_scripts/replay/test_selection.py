@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from runs_by_hand import PLAN
+from replayed_runs import PLAN
 
 from bus_schemas.errors import InputError
 from bus_schemas.signals import CLOCK, HELP, IMPP, READY, SIGNALS
