@@ -222,6 +222,15 @@ class ZenohBus:
         timeout_s = self._patience_s
         if until_ns is not None:
             timeout_s = min(timeout_s, (until_ns - time.monotonic_ns()) / 1e9)
+        until_s = time.monotonic() + timeout_s
+        while not (arrivals := self._take(wanted, timeout_s)):
+            # What does not decode wakes the agent, but is no end of the wait.
+            timeout_s = until_s - time.monotonic()
+            if timeout_s <= 0.0:
+                break
+        return arrivals
+
+    def _take(self, wanted: int, timeout_s: float) -> list[Arrival]:
         arrivals = []
         for port, payload, time_ns in self._inbox.take(wanted, timeout_s):
             try:

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from agents.plan import Actuator, RunPlan
+from agents.plan import RunPlan
 from launch_scripts.preparation import RunOptions, prepare
 from launch_scripts.scenario import load_scenario
 from launch_scripts.simulation import MemoryRun
-from launch_scripts.study.schemes import ReferenceGroups, run_scheme
-from recordings.metrics import CommitmentMetrics, commitment_metrics, run_metrics
+from recordings.metrics import CommitmentMetrics, commitment_metrics
 from recordings.monitor import RunMonitor
 from sim_plant.profile import Profile
 
@@ -86,29 +85,3 @@ def test_the_hope_hour_gives_what_an_independent_calculation_gave(
     assert energy.percent(energy.control_caused_kwh) == pytest.approx(
         control_caused_percent, abs=6e-4
     )
-
-
-@pytest.mark.parametrize(
-    ("scheme", "actuator", "noise", "control_caused_percent", "tolerance"),
-    [
-        ("extrapolation", "fraction", 0.0, (0.070, 0.065, 0.063, 0.059), 1e-3),
-        # Another draw of the noise than the calculation's own.
-        ("extrapolation", "fraction", 0.005, (0.121, 0.109, 0.104, 0.091), 4e-3),
-        ("told-held", "limit", 0.0, (0.005, 0.031, 0.063, 0.189), 1e-3),
-    ],
-)
-def test_so_do_other_estimators(
-    data_folder: Path,
-    scheme: str,
-    actuator: Actuator,
-    noise: float,
-    control_caused_percent: tuple[float, ...],
-    tolerance: float,
-) -> None:
-    found = []
-    for share in (0.5, 0.7, 0.8, 0.9):
-        plan, profile = hope_hour(data_folder / "hope-melpitz-1s", share, noise)
-        (series,) = run_scheme(scheme, plan, profile, actuator, ReferenceGroups())
-        energy = run_metrics(series).commitment
-        found.append(energy.percent(energy.control_caused_kwh))
-    assert found == pytest.approx(control_caused_percent, abs=tolerance)

@@ -141,7 +141,8 @@ def pair() -> Iterator[tuple[ZenohBus, FaultyBus]]:
         real = stack.enter_context(ZenohBus("a", keys, wiring, of_inverter))
         inverter = FaultyBus(real, "a", FAULTS)
         # An arming round passes as soon as the link is up, and each in its order.
-        first, heard = -1, []
+        first = -1
+        heard: list[Arrival] = []
         while not heard:
             first -= 1
             plant.publish(PORT, telemetry(first), 0)

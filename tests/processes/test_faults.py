@@ -14,11 +14,11 @@ import psutil
 import pytest
 from running import Heliarch, assert_none_left, small_plant
 
+from agents.events import Status
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Message
+from bus_schemas.messages import Message, Run
 from bus_schemas.signals import IMPP, PRODUCTION, RESIDUAL, RUN, SETPOINT
 from launch_scripts.launcher import launch
-from launch_scripts.live_view import View
 from launch_scripts.preparation import RunOptions, prepare
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.scenario import load_scenario
@@ -198,7 +198,7 @@ def sent_by(run: Heliarch, agent: str) -> dict[str, list[int]]:
     """Cycles of what an agent sent, each message within its own cycle and one of a port."""
     cycles: dict[str, list[int]] = {signal.name: [] for signal in (IMPP, RESIDUAL, SETPOINT)}
     with RunReader(run.folder) as reader:
-        begin_ns = next(m.start_time_ns for _, m in reader.messages(RUN) if m.state == "start")
+        begin_ns = next(m.start_time_ns for _, m in reader.messages(RUN) if isinstance(m, Run))
         wall_ns = reader.plan.cycle_wall_ns
         seen: set[tuple[str, int]] = set()
         for port, message in reader.messages(IMPP, RESIDUAL, SETPOINT):
@@ -252,5 +252,17 @@ def test_after_a_run_the_launcher_has_no_more_files_and_processes_than_before(
     assert run(1) == run(2)
 
 
-class SilentView(View):
+class SilentView:
     """Shows nothing."""
+
+    def __enter__(self) -> SilentView:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def say(self, text: str) -> None:
+        pass
+
+    def show(self, status: Status) -> None:
+        pass

@@ -1,0 +1,70 @@
+"""A direct controller sends numbers that can be used, whatever its inverter states."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plants_by_hand import AtWork, at, dispatch, head, hear_profile, plan_of, setpoint
+
+from agents.plan import Actuator, Scheme
+from bus_schemas.bounds import is_plausible
+from bus_schemas.messages import Telemetry
+from bus_schemas.signals import COMMAND, IMPP, PRODUCTION, RESIDUAL, TELEMETRY
+from bus_schemas.tree import PLANT, ROOT
+from sim_plant.profile import Profile
+
+NODE = "c1/a"
+RATING_KW = 100.0
+ANY = st.one_of(st.floats(), st.floats(-1.0, 120.0), st.sampled_from([0.0, 1.0, 100.0]))
+
+
+@given(
+    scheme=st.sampled_from(["paper", "predictive"]),
+    actuator=st.sampled_from(["fraction", "limit"]),
+    stated=st.lists(st.tuples(ANY, ANY, ANY, st.none() | ANY), min_size=1, max_size=6),
+    wanted_kw=st.floats(0.0, RATING_KW),
+)
+@settings(max_examples=150)
+def test_whatever_telemetry_says_estimate_and_command_are_within_their_bounds(
+    scheme: Scheme,
+    actuator: Actuator,
+    stated: list[tuple[float, float, float, float | None]],
+    wanted_kw: float,
+) -> None:
+    plan = plan_of({NODE: RATING_KW}, cycles=len(stated), scheme=scheme, actuator=actuator)
+    work = AtWork(plan, NODE)
+    for cycle, (power_kw, alpha, limit_kw, available_kw) in enumerate(stated):
+        telemetry = Telemetry(
+            *head(cycle, PLANT),
+            power_kw=power_kw,
+            alpha=alpha,
+            limit_kw=limit_kw,
+            available_kw=available_kw,
+        )
+        sent = work.hear((TELEMETRY.of(NODE), telemetry), dispatch(cycle, 50.0, RATING_KW))
+        assert is_plausible(at(sent, IMPP.of(NODE)), RATING_KW)
+        assert is_plausible(at(sent, RESIDUAL.of(NODE)), RATING_KW)
+        command = at(work.hear(setpoint(NODE, cycle, wanted_kw)), COMMAND.of(NODE))
+        assert is_plausible(command, RATING_KW)
+        assert command.alpha >= plan.alpha_floor
+
+
+def test_where_an_inverter_states_its_available_power_nothing_is_hidden_behind_a_limit() -> None:
+    """Each could give 90 kW, and 30 kW are wanted of it."""
+    profile = Profile(np.full((30, 2), 90.0), np.full(30, 60.0))
+    furthest_kw = {}
+    for bias in (None, 0.0):
+        plan = plan_of(
+            {"a": 100.0, "b": 100.0},
+            cycles=30,
+            scheme="predictive",
+            actuator="limit",
+            available_bias=bias,
+        )
+        _, heard = hear_profile(plan, profile)
+        impp_kw = [heard.get(cycle, IMPP.of("a")).power_kw for cycle in range(5, 30)]
+        furthest_kw[bias] = max(abs(kw - 90.0) for kw in impp_kw)
+        assert heard.get(29, PRODUCTION.of(ROOT)).delivered_kw == pytest.approx(60.0, abs=1.0)
+    assert furthest_kw[0.0] < 1e-6 < furthest_kw[None]
