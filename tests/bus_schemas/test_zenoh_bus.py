@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from typing import Any
 
 from bus_schemas.codec import encode
 from bus_schemas.keys import KeyTable
@@ -26,7 +27,7 @@ def test_what_cannot_be_read_does_not_end_a_wait() -> None:
             ZenohBus("c1", keys, Wiring(TREE), settings, patience_s=30.0) as bus,
             open_session(SessionSettings("test", [], [endpoint])) as device,
         ):
-            publisher = device.declare_publisher(keys.key(PORT))
+            publisher: Any = device.declare_publisher(keys.key(PORT))
             until = threading.Event()
             while not publisher.matching_status.matching:
                 until.wait(0.01)
