@@ -222,17 +222,16 @@ class ZenohBus:
         timeout_s = self._patience_s
         if until_ns is not None:
             timeout_s = min(timeout_s, (until_ns - time.monotonic_ns()) / 1e9)
-        until_s = time.monotonic() + timeout_s
-        while not (arrivals := self._take(wanted, timeout_s)):
-            # What does not decode wakes the agent, but is no end of the wait.
-            timeout_s = until_s - time.monotonic()
-            if timeout_s <= 0.0:
-                break
-        return arrivals
+        give_up_at = time.monotonic() + timeout_s
+        while taken := self._inbox.take(wanted, give_up_at - time.monotonic()):
+            arrivals = self._decoded(taken)
+            if arrivals:  # Otherwise nothing has come that could be read.
+                return arrivals
+        return []
 
-    def _take(self, wanted: int, timeout_s: float) -> list[Arrival]:
+    def _decoded(self, taken: list[tuple[Port[Message], zenoh.ZBytes, int]]) -> list[Arrival]:
         arrivals = []
-        for port, payload, time_ns in self._inbox.take(wanted, timeout_s):
+        for port, payload, time_ns in taken:
             try:
                 message = decode(port.signal, payload.to_bytes())
             except msgspec.DecodeError:
