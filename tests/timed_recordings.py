@@ -49,7 +49,7 @@ FIELDS: Mapping[str, dict[str, Any]] = {
         "commitment_kw": 240.0,
         "regulation_kw": 0.0,
     },
-    "meter": {"power_kw": 240.0, "desired_kw": 240.0},
+    "meter": {"power_kw": 240.0},
     "impp": {"power_kw": 75.0, "stale_cycles": 0},
     "residual": {"power_kw": 15.0},
     "help": {"missing_kw": 15.0},
