@@ -166,10 +166,7 @@ class AgentLoop(Generic[S]):
             self._heed(message, time_ns)
             return
         heard = self._inputs.get(port)
-        if heard is None:
-            return
-        if message.cycle < 0 <= self.cycle:
-            self._drop("late", port, message, "is of an arming round")
+        if heard is None or message.cycle < 0 <= self.cycle:  # What is left of arming rounds.
             return
         if self.cycle < message.cycle < 0 and port is self._dispatch:
             self.enter(message.cycle, time_ns)
