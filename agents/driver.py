@@ -45,7 +45,10 @@ class Driver:
     @property
     def finished(self) -> bool:
         """Whether the run has ended for all agents."""
-        return all(loop.finished for loop in self.loops.values())
+        for loop in self.loops.values():  # noqa: SIM110 - asked for after each wait
+            if not loop.finished:
+                return False
+        return True
 
     def run(self) -> Iterator[Sequence[Arrival]]:
         """Go on to the end of the run; yield, after each wait, the messages that came."""
@@ -62,9 +65,9 @@ class Driver:
         longest_ns
             Time of the run's clock up to which to wait at most.
         """
-        until_ns = self._deadlines[0][0] if self._deadlines else longest_ns
-        if longest_ns is not None and until_ns is not None:
-            until_ns = min(until_ns, longest_ns)
+        until_ns = self._next_deadline_ns()
+        if until_ns is None or (longest_ns is not None and longest_ns < until_ns):
+            until_ns = longest_ns
         only = self._only
         arrivals = self.bus.receive(until_ns, len(only.waiting) or 1 if only is not None else 1)
         if only is not None and only.catch_up(self.now_ns()):
@@ -75,7 +78,7 @@ class Driver:
             if not loop.waiting or port.signal is RUN:
                 self.go_on(loop)
         # In memory all messages of a moment come before its deadlines.
-        if self._deadlines and (only is not None or not arrivals):
+        if only is not None or not arrivals:
             self._close_overdue()
         return arrivals
 
@@ -97,11 +100,19 @@ class Driver:
         for port, message in loop.close_stage(now_ns()):
             bus.publish(port, message, now_ns())
 
+    def _next_deadline_ns(self) -> int | None:
+        """Return the next deadline of an open stage."""
+        while self._deadlines:
+            deadline_ns, _, name = self._deadlines[0]
+            if self.loops[name].deadline_ns == deadline_ns:
+                return deadline_ns
+            heappop(self._deadlines)  # That stage is closed.
+        return None
+
     def _close_overdue(self) -> None:
-        """Close the next stage whose deadline has passed."""
-        if self._deadlines[0][0] <= self.now_ns():
-            deadline_ns, _, name = heappop(self._deadlines)
-            loop = self.loops[name]
-            if loop.deadline_ns == deadline_ns:
-                self._close(loop)
+        """Close the next stage if its deadline has passed."""
+        deadline_ns = self._next_deadline_ns()
+        if deadline_ns is not None and deadline_ns <= self.now_ns():
+            loop = self.loops[heappop(self._deadlines)[2]]
+            self._close(loop)
             self.go_on(loop)

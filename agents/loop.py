@@ -16,7 +16,7 @@ from typing import Final, Generic, Literal, TypeAlias, TypeVar
 
 from agents.agent import Agent, Stage, Turn
 from agents.plan import START_WITHIN_NS, RunPlan
-from bus_schemas.bounds import is_plausible
+from bus_schemas.bounds import bounds_of, is_within
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Run
 from bus_schemas.missing import Missing
@@ -52,12 +52,12 @@ class _Input:
         Messages of later cycles: a child may run ahead of a parent that acts rarely.
     """
 
-    __slots__ = ("ahead", "heard", "newest", "period", "port", "rating_kw")
+    __slots__ = ("ahead", "bounds", "heard", "newest", "period", "port")
 
     def __init__(self, port: Port[Message], period: int, rating_kw: float) -> None:
         self.port = port
         self.period = period
-        self.rating_kw = rating_kw
+        self.bounds = bounds_of(port.signal.type, rating_kw)
         self.forget()
 
     def forget(self) -> None:
@@ -151,10 +151,6 @@ class AgentLoop(Generic[S]):
             return False
         return self.deadline_ns is None or not self._stages[self._place].timed
 
-    @property
-    def _is_on_the_clock(self) -> bool:
-        return self.cycle >= 0 and self._start_ns is not None
-
     # What comes in --------------------------------------------------------------------------------
 
     def hear(self, port: Port[Message], message: Message, time_ns: int) -> None:
@@ -186,7 +182,7 @@ class AgentLoop(Generic[S]):
             self._drop("unexpected", port, message, "is not of a turn of its sender")
             return
         heard.heard = cycle
-        if is_plausible(message, heard.rating_kw):
+        if is_within(message, heard.bounds):
             heard.newest = message
         else:
             self._drop("absurd", port, message, "has a number that cannot be")
@@ -251,9 +247,8 @@ class AgentLoop(Generic[S]):
 
     def catch_up(self, now_ns: int) -> bool:
         """Go to the cycle under way if the agent's own is over; return whether it was."""
-        if not self._is_on_the_clock or self.finished or not self.agent.may_skip:
+        if self._start_ns is None or self.finished or not self.agent.may_skip:
             return False
-        assert self._start_ns is not None
         under_way = min((now_ns - self._start_ns) // self._plan.cycle_wall_ns, self.end_cycle)
         if under_way <= self.cycle:
             return False

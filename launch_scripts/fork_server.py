@@ -81,7 +81,7 @@ class ForkServer:
                     return
 
     def end(self) -> None:
-        """End what is left: the recorder in order, so that its file is whole; the others at once."""
+        """End what is left: the recorder in order, since its file must be whole, others at once."""
         for pid, agent in self._pids.items():
             os.kill(pid, signal.SIGTERM if agent == RECORDER else signal.SIGKILL)
         until = time.monotonic() + _LAST_WAIT_S

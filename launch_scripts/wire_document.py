@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
-from math import inf
 from typing import Any, Final, cast
 
 import numpy as np
@@ -21,7 +20,7 @@ from agents.agent import Agent, Stage, Turn
 from agents.control.forecast import HIDDEN_ALPHA_MIN
 from agents.plan import RunPlan
 from agents.team import controllers
-from bus_schemas.bounds import BOUNDS, METER_TOLERANCE, Bound
+from bus_schemas.bounds import BOUNDS, LARGEST, METER_TOLERANCE, Bound
 from bus_schemas.messages import Dispatch, Message
 from bus_schemas.signals import DISPATCH, HELP, RESIDUAL, SIGNALS
 from bus_schemas.tree import CENTRAL, PLANT, ROOT
@@ -509,7 +508,7 @@ def _bounds() -> Iterator[str]:
 
 def _bound(bound: Bound, value: float) -> str:
     """Say a bound in words; those of powers are multiples of a rating."""
-    if value in {inf, -inf}:
+    if abs(value) == LARGEST:
         return "any finite number"
     if 0.0 < value < 1e-300:
         return "above 0"

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from math import isfinite
 
 from agents.plan import START_WITHIN_NS, RunPlan
-from bus_schemas.bounds import METER_TOLERANCE, out_of_bounds
+from bus_schemas.bounds import METER_TOLERANCE, Bound, bounds_of
 from bus_schemas.messages import Dispatch, Message, Production, Run, Telemetry
 from bus_schemas.signals import Port
 from bus_schemas.tree import ROOT
@@ -51,14 +51,15 @@ def absurdities(
 
 
 def _out_of_bounds(rating_kw: float, message: Message) -> Iterator[tuple[str, float, float, float]]:
-    yield from out_of_bounds(message, rating_kw)
+    """Yield field, value, lowest and highest value of each number that is out of its bounds."""
+    bounds = bounds_of(type(message), rating_kw)
     if isinstance(message, Telemetry):  # The estimate judges it; this says what it refuses.
-        for field, value, high in (
-            ("power_kw", message.power_kw, rating_kw * (1.0 + METER_TOLERANCE)),
-            ("alpha", message.alpha, 1.0),
-        ):
-            if not 0.0 <= value <= high:
-                yield field, value, 0.0, high
+        most_kw = rating_kw * (1.0 + METER_TOLERANCE)
+        bounds = (Bound("power_kw", 0.0, most_kw), Bound("alpha", 0.0, 1.0))
+    for field, low, high in bounds:
+        value = getattr(message, field)
+        if not low <= value <= high:
+            yield field, value, low, high
 
 
 def _absurd_production(inverters: int, message: Production) -> dict[str, str]:

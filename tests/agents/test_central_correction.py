@@ -69,7 +69,7 @@ def test_the_correction_is_a_tenth_of_the_rating_at_most_and_never_negative() ->
     assert short_kw == pytest.approx(50.0 + 20.0)
 
 
-@pytest.mark.parametrize("absurd_kw", [math.nan, math.inf, -math.inf, -1.0, 1e9])
+@pytest.mark.parametrize("absurd_kw", [math.nan, math.inf, -math.inf, -100.0, 1e9])
 def test_an_absurd_meter_leaves_no_trace(absurd_kw: float) -> None:
     central = AtWork(central_plan(), "central")
     for cycle, metered_kw in enumerate((50.0, absurd_kw)):
