@@ -50,7 +50,7 @@ class DirectController:
         self._predicts = plan.scheme == "predictive"
         self._limits = plan.actuator == "limit"
         self._alpha_min = plan.alpha_floor
-        self._periods = plan.periods
+        self._periods, self._parent = plan.periods, parent_of(node)
         self._telemetry = TELEMETRY.of(node)
         self._dispatch = DISPATCH.of(ROOT)
         self._setpoint = SETPOINT.of(node)
@@ -68,8 +68,7 @@ class DirectController:
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages; between its parent's turns it waits for nobody but its inverter."""
-        parent_acts = self._periods.is_turn(parent_of(self.name), cycle)
-        return self._with_parent if parent_acts else self._alone
+        return self._with_parent if self._periods.is_turn(self._parent, cycle) else self._alone
 
     def step(self, state: DirectState, turn: Turn) -> tuple[DirectState, list[Delivery]]:
         """Close a stage."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from collections.abc import Callable
+from typing import Final, TypeVar
 
 import msgspec
 
@@ -11,15 +12,12 @@ from bus_schemas.signals import SIGNALS, Signal
 
 M = TypeVar("M", bound=Message)
 
-_encoder = msgspec.msgpack.Encoder()
+encode: Final[Callable[[Message], bytes]] = msgspec.msgpack.Encoder().encode
+"""Returns a message as a msgpack map."""
+
 _decoders: dict[type[Message], msgspec.msgpack.Decoder[Message]] = {
     signal.type: msgspec.msgpack.Decoder(signal.type) for signal in SIGNALS
 }
-
-
-def encode(message: Message) -> bytes:
-    """Return a message as a msgpack map."""
-    return _encoder.encode(message)
 
 
 def decode(signal: Signal[M], payload: bytes) -> M:
