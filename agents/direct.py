@@ -80,7 +80,10 @@ class DirectController:
         telemetry = turn.get(self._telemetry)
         if telemetry is not None and 0 <= telemetry.cycle <= state.telemetry_cycle:
             telemetry = None  # The estimate rests on it already.
-        estimate = self._estimate_now(telemetry, state.estimate)
+        last = state.estimate
+        if telemetry is not None and telemetry.cycle > state.telemetry_cycle + 1:
+            last = last._replace(is_seen=False)  # After a gap its change tells no trend.
+        estimate = self._estimate_now(telemetry, last)
         request_kw = own_request_kw(turn.get(self._dispatch), self._rating_kw) or 0.0
         residual = residual_kw(estimate.power_kw, request_kw)
         impp = Impp(*turn.stamp, power_kw=estimate.power_kw, stale_cycles=estimate.stale_cycles)

@@ -62,6 +62,8 @@ class Finished(Event, frozen=True):
         Cycles that were over before the agent came to them.
     faults
         What an imperfect network did to messages on their way to it.
+    dismissed
+        Whether SIGTERM ended it before the run was over.
     """
 
     published: dict[str, int]
@@ -70,6 +72,7 @@ class Finished(Event, frozen=True):
     old_inputs: int = 0
     skipped_cycles: int = 0
     faults: dict[str, int] = msgspec.field(default_factory=dict)
+    dismissed: bool = False
 
 
 class Started(Event, frozen=True):

@@ -15,7 +15,7 @@ from typing import Final
 
 import msgspec
 
-from agents.events import AnyEvent, Event
+from agents.events import AnyEvent, Event, Status
 
 _PART: Final = 60_000
 """Bytes of an event in one packet: a socket takes packets of some 200 kB at most."""
@@ -64,10 +64,12 @@ class LauncherLink:
             sys.stdout.buffer.write(data + b"\n")
             sys.stdout.buffer.flush()
             return
+        # A launcher that stands still must not hold up the run: its view can wait.
+        flags = socket.MSG_DONTWAIT if isinstance(event, Status) else 0
         # Without a launcher nobody is told; the recorder still closes its file.
-        with suppress(BrokenPipeError, ConnectionResetError):
+        with suppress(BrokenPipeError, ConnectionResetError, BlockingIOError):
             for packet in packets(self._agent, data):
-                self._events.send(packet)
+                self._events.send(packet, flags)
 
     def words(self) -> list[str]:
         """Return the words that have come."""
@@ -88,6 +90,11 @@ def packets(agent: str, data: bytes) -> list[bytes]:
     return [b"+" + head + part for part in parts[:-1]] + [b"." + head + parts[-1]]
 
 
+def server_packet(agent: str, data: bytes) -> bytes:
+    """Return what the fork server says of an agent: it stands for itself."""
+    return b"!" + f"{agent}\n".encode() + data
+
+
 class EventReader:
     """The launcher's end: puts events together again."""
 
@@ -98,7 +105,10 @@ class EventReader:
         """Take in a packet; return agent and event once it is whole."""
         name, _, part = packet[1:].partition(b"\n")
         agent = name.decode()
-        data = self._parts.pop(agent, b"") + part
+        begun = self._parts.pop(agent, b"")
+        if packet[:1] == b"!":  # What the agent may have begun to say is never completed.
+            return agent, _decoder.decode(part)
+        data = begun + part
         if packet[:1] == b"+":
             self._parts[agent] = data
             return None

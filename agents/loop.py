@@ -32,6 +32,9 @@ BEFORE_ARMING: Final = -(2**31)
 
 _NONE_YET: Final = -(2**62)
 
+_PLANT_HORIZON: Final = 1_000
+"""Cycles by which controllers may be ahead of a plant that stood still."""
+
 Cause: TypeAlias = Literal["late", "other_cycle", "unexpected", "duplicate", "foreign", "absurd"]
 """Why a message was not used."""
 
@@ -101,9 +104,9 @@ class AgentLoop(Generic[S]):
     missing_inputs
         Awaited inputs that a deadline found missing.
     old_inputs
-        Inputs of an earlier cycle that a stage used in place of those.
+        Inputs that a stage used and that were older than they should have been.
     skipped_cycles
-        Cycles that were over before the agent came to them.
+        Cycles that were over before the agent was through them.
     """
 
     def __init__(
@@ -126,6 +129,8 @@ class AgentLoop(Generic[S]):
         self._place = 0
         self._ready_ns = 0
         self._start_ns: int | None = None
+        # The plant, which goes through every cycle, hears controllers that did not wait for it.
+        self._horizon = plan.periods.longest + 1 if agent.may_skip else _PLANT_HORIZON
         self._dispatch = DISPATCH.of(ROOT)
         self._inputs = {
             port: _Input(port, plan.period(port), plan.tree.rating_kw(port.node))
@@ -193,7 +198,7 @@ class AgentLoop(Generic[S]):
 
     def _keep_ahead(self, heard: _Input, message: Message) -> None:
         """Keep a message of a cycle to come, one of each cycle."""
-        cycle, horizon = message.cycle, self._plan.periods.longest + 1
+        cycle, horizon = message.cycle, self._horizon
         is_near = cycle < 0 or cycle <= max(self.cycle, 0) + horizon
         if not is_near or len(heard.ahead) > horizon:
             self._drop("other_cycle", heard.port, message, f"is too far from {self.cycle}")

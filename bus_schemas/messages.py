@@ -54,9 +54,9 @@ class Message(msgspec.Struct, forbid_unknown_fields=True, gc=False):
         Name of the agent that decided it: `plant`, `central`, `recorder` or a node's path. At most
         200 characters.
     missing
-        The inputs of the decision that were not of this cycle, so that a recording tells which
-        messages an output used. `KEY@CYCLE`: the newest message was of that earlier cycle. `KEY`:
-        there was none, or it was too old to count. Always empty in lockstep. At most 4,096 entries
+        The inputs of the decision that were older than they should have been, so that a recording
+        tells which messages an output used. `KEY@CYCLE`: the newest usable message was of that
+        earlier cycle. `KEY`: there was none, or it was too old to count. At most 4,096 entries
         of up to 256 characters.
     ready_time_ns
         Monotonic clock of the sending host when the decision could be made: its last awaited input

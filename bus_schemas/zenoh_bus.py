@@ -136,10 +136,11 @@ class Inbox:
         """Return all that is there, once `wanted` or an urgent one are, or at the time-out."""
         items = self._items
         until = time.monotonic() + timeout_s
-        while len(items) < wanted and not self._urgent and timeout_s > 0.0:
+        # The flag may be left over from a message that was taken already.
+        while len(items) < wanted and not (self._urgent and items) and timeout_s > 0.0:
             self._wanted = wanted
             # The last one may have come just before `wanted` was set.
-            if len(items) < wanted and not self._urgent:
+            if len(items) < wanted and not (self._urgent and items):
                 # An opening may also be left over from messages that were taken already.
                 self._gate.acquire(timeout=timeout_s)
             timeout_s = until - time.monotonic()

@@ -4,7 +4,8 @@ It has neither threads nor a session, so a fork copies nothing that a child coul
 with the launcher through one socket that keeps packets apart: requests come in, events of all
 processes go out. `python -m launch_scripts.fork_server SOCKET`
 
-Nobody outlives the launcher: the kernel ends the server with it, and the others with the server.
+Nobody outlives the launcher: the kernel ends the server with it, and with the server the agents at
+once, and the recorder as soon as it has closed its file.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ import msgspec
 
 from agents.cycle import kind_of
 from agents.events import Event, Exited, Failed, Started
-from agents.launcher_link import LauncherLink, packets
+from agents.launcher_link import LauncherLink, server_packet
 from agents.loop import AgentLoop
 from agents.plan import RunPlan, load_plan
 from agents.process import die_with_parent, run_controller, session_settings
@@ -38,7 +39,7 @@ from sim_plant.profile import Profile, load_profile
 
 _LARGEST: Final = 1 << 20
 _LAST_WAIT_S: Final = 5.0
-"""How long the recorder may take to close its file when the launcher is gone."""
+"""How long the recorder may take to close its file when the launcher has hung up."""
 
 
 _decoder = msgspec.json.Decoder(Request)
@@ -57,12 +58,13 @@ class ForkServer:
         self._control = control
         self._pids: dict[int, str] = {}
         self._words: int | None = None
-        self._ended, wake = os.pipe()
-        os.set_blocking(wake, False)
+        self._pid = os.getpid()
+        self._ended, self._wake = os.pipe()
+        os.set_blocking(self._wake, False)
         os.set_blocking(self._ended, False)
         signal.signal(signal.SIGCHLD, lambda *_: None)
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal is for the launcher.
-        signal.set_wakeup_fd(wake)
+        signal.set_wakeup_fd(self._wake)
 
     def serve(self) -> None:
         """Do what the launcher asks until it is gone."""
@@ -97,7 +99,8 @@ class ForkServer:
                 self._start(request)
             case Tell():
                 if self._words is not None:
-                    os.write(self._words, f"{request.word}\n".encode())
+                    with suppress(BrokenPipeError):  # The recorder has ended: the launcher is told.
+                        os.write(self._words, f"{request.word}\n".encode())
             case Signal():
                 for pid, agent in self._pids.items():
                     if agent in request.agents:
@@ -152,9 +155,10 @@ class ForkServer:
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         os.setpgid(0, 0)
         die_with_parent(signal.SIGTERM if agent == RECORDER else signal.SIGKILL)
-        if os.getppid() == 1:  # The server has died in the meantime.
+        if os.getppid() != self._pid:  # The server has died in the meantime.
             os._exit(1)
         os.close(self._ended)
+        os.close(self._wake)
         if self._words is not None:
             os.close(self._words)
         log_file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
@@ -181,8 +185,7 @@ class ForkServer:
 
     def _tell(self, agent: str, event: Event) -> None:
         with suppress(BrokenPipeError, ConnectionResetError):
-            for packet in packets(agent, msgspec.json.encode(event)):
-                self._control.send(packet)
+            self._control.send(server_packet(agent, msgspec.json.encode(event)))
 
 
 def _run(
@@ -207,9 +210,8 @@ def main() -> None:
         server.serve()
     except Exception as error:
         with suppress(OSError):
-            event = Failed(f"the fork server gives up: {type(error).__name__}: {error}")
-            for packet in packets("", msgspec.json.encode(event)):
-                control.send(packet)
+            event = Failed(f"{type(error).__name__}: {error}")
+            control.send(server_packet("", msgspec.json.encode(event)))
         raise
     finally:
         server.end()

@@ -243,8 +243,11 @@ class Launch:
     def _finish(self, children: Children) -> Recorded:
         """Let everybody end; then let the recorder close its file with all that was published."""
         late = children.await_exit(children.controllers(), _PATIENCE_S)
+        if late and all(child.finished for child in late):
+            server = f"the fork server (process {self._server.pid})"
+            raise RunFailure(f"{server} does not say that the run's processes have ended")
         if late:
-            names = ", ".join(child.agent for child in late)
+            names = some_of([child.agent for child in late])
             raise RunFailure(with_log(late[0], f"{names} did not end with the run"))
         published = merge_counts(
             [child.finished.published for child in children if child.finished is not None]
@@ -274,8 +277,8 @@ def launch(
     folder: RunFolder,
     view: View,
     began_at: float,
+    server: ForkServerProcess,
     on_armed: Callable[[], None] = lambda: None,
-    server: ForkServerProcess | None = None,
 ) -> RunSummary:
     """Run a plant as processes over Zenoh, recorded.
 
@@ -286,7 +289,7 @@ def launch(
     view
         Shows the run.
     server
-        A fork server that was started ahead. Default: one is started now.
+        Starts the processes.
 
     Raises
     ------
@@ -296,5 +299,4 @@ def launch(
     agents = preparation.plan.links.listening
     with reserved_ports(agents, preparation.external.base_port) as tcp_ports:
         plan = folder.fill(preparation, tcp_ports)
-        server = server or ForkServerProcess()
         return Launch(preparation, plan, folder, view, began_at, server, on_armed).run()

@@ -106,6 +106,10 @@ class ForkServerProcess:
         """Its process id."""
         return self._process.pid
 
+    def has_ended(self) -> bool:
+        """Whether it has ended, for whatever reason."""
+        return self._process.poll() is not None
+
     def ask(self, request: Request) -> None:
         """Send a request."""
         self._was_asked = True
@@ -215,6 +219,7 @@ class Children:
             for agent in agents
         }
         self._reader = EventReader()
+        self._asked_to_end: set[str] = set()
         self._server_gone = False
         self._server_failure = ""
         self._samples = 0
@@ -267,10 +272,12 @@ class Children:
 
     def tell_recorder(self, word: str) -> None:
         """Send a word to the recorder."""
+        self._asked_to_end.add(RECORDER)
         self.server.ask(Tell(word))
 
     def ask_to_end(self, agents: Sequence[str]) -> None:
         """Let agents end in order."""
+        self._asked_to_end.update(agents)
         self._signal(agents, signal.SIGTERM)
 
     def await_exit(self, children: list[Child], timeout_s: float) -> list[Child]:
@@ -317,21 +324,27 @@ class Children:
             child.memory = max(child.memory, memory_of(child.pid))
 
     def _check(self) -> None:
-        for child in self:
-            if child.failed is not None:
-                raise RunFailure(with_log(child, f"{child.agent} gave up: {child.failed.text}"))
-            done = child.finished is not None or child.recorded is not None
-            if child.exited is not None and (not done or child.exited.status):
-                raise RunFailure(_obituary(child, child.exited))
-        if self._server_gone:
+        if self._server_gone or self.server.has_ended():
             why = self._server_failure or "it was killed or ended by itself"
             raise RunFailure(
                 f"the fork server (process {self.server.pid}) is gone, and with it all processes "
                 f"of the run: {why}"
             )
+        for child in self:
+            if child.failed is not None:
+                raise RunFailure(with_log(child, f"{child.agent} gave up: {child.failed.text}"))
+            ended_early = child.recorded is not None or (
+                child.finished and child.finished.dismissed
+            )
+            if ended_early and child.agent not in self._asked_to_end:
+                how = "was ended by SIGTERM in the middle of the run"
+                raise RunFailure(with_log(child, f"{child.agent} (process {child.pid}) {how}"))
+            done = child.finished is not None or child.recorded is not None
+            if child.exited is not None and (not done or child.exited.status):
+                raise RunFailure(_cause_of_end(child, child.exited))
 
 
-def _obituary(child: Child, exited: Exited) -> str:
+def _cause_of_end(child: Child, exited: Exited) -> str:
     code = exited.status
     how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
     return with_log(child, f"{child.agent} (process {child.pid}) {how} in the middle of the run")

@@ -20,7 +20,8 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink, *, attached: b
     """Record a run into its folder until the launcher says so or is gone. Returns the status."""
     end = RecordingEnd()
     # Whatever ends the run, the file must be closed in order.
-    signal.signal(signal.SIGTERM, lambda *_: end.ask())
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: end.ask())
     set_up_process(plan, RECORDER)
 
     def run() -> None:

@@ -71,16 +71,16 @@ class RecordingEnd:
 
     def __init__(self) -> None:
         self.expected: int | None = None
-        self.asked = False
+        self.asked_at: float | None = None
 
     def ask(self) -> None:
-        """Let the recording end once nothing comes any more."""
-        self.asked = True
+        """Let the recording end once nothing comes any more, or soon if something always does."""
+        self.asked_at = self.asked_at or time.monotonic()
 
     def hear(self, word: str) -> None:
         """Take in the launcher's word: `expect N` messages."""
         self.expected = int(word.removeprefix("expect "))
-        self.asked = True
+        self.ask()
 
 
 class Recorder:
@@ -164,12 +164,12 @@ class Recorder:
             self._end.hear(word)
 
     def _may_end(self, quiet_s: float) -> bool:
-        if not self._end.asked:
+        asked_at, expected = self._end.asked_at, self._end.expected
+        if asked_at is None:
             return False
-        expected = self._end.expected
-        if expected is not None and self._writer.heard - self._external.heard >= expected:
-            return True
-        return quiet_s > (_QUIET_S if expected is not None else FLUSH_S)
+        if expected is None:
+            return quiet_s > FLUSH_S or time.monotonic() > asked_at + _QUIET_S
+        return self._writer.heard - self._external.heard >= expected or quiet_s > _QUIET_S
 
     def _drain(self) -> int:
         heard = 0

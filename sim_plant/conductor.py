@@ -15,6 +15,7 @@ from typing import Final, Literal
 from agents.events import Armed
 from agents.process import Seat
 from bus_schemas.bus import Arrival
+from bus_schemas.faults import some_of
 from bus_schemas.messages import Message
 from bus_schemas.signals import READY, RUN, Port
 from bus_schemas.tree import PLANT, ROOT
@@ -116,7 +117,7 @@ class Conductor:
         while not others.keys() <= alive():
             if time.monotonic() > give_up_at:
                 absent = [agent for key, agent in others.items() if key not in alive()]
-                raise ArmingError(f"no sign of life from {', '.join(absent)}")
+                raise ArmingError(f"no sign of life from {some_of(absent)}")
             time.sleep(_LOOK_S)
 
     def _arm(self, give_up_at: float) -> int:

@@ -140,8 +140,8 @@ def _run(
     interruption: Interruption,
     out: TextIO,
 ) -> LiveReplay:
-    server = ForkServerProcess()
     with (
+        ForkServerProcess() as server,
         reserved_ports((_ABSENT, *live)) as tcp_ports,
         Children(server, plan, live, folder) as children,
     ):

@@ -18,7 +18,7 @@ from launch_scripts.preparation import Preparation
 from launch_scripts.run_command import RunRequest, prepare_run
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.scenario import parse_duration_s
-from launch_scripts.supervision import RunFailure
+from launch_scripts.supervision import ForkServerProcess, RunFailure
 from launch_scripts.timing.floor import Floor
 from launch_scripts.timing.host import load_average, this_host
 from launch_scripts.timing.rates import cycles_per_s
@@ -87,12 +87,14 @@ def measured_run(
     duration_s = plan.cycles * plan.cycle_wall_ns / 1e9
     began_at, load_before = time.monotonic(), load_average()
     with (
+        ForkServerProcess() as server,
         Floor(plan.run_id, plan.cycle_wall_ns, plan.machine) as floor,
         view_for(console, plan, scenario.time.timezone) as view,
     ):
         view.say(scenario.title)
         view.say(f"{cycles_per_s(1e9 / plan.cycle_wall_ns)} for {round(duration_s, 2):g} s")
-        summary = launch(preparation, folder, view, began_at, partial(floor.begin, duration_s))
+        begin_floor = partial(floor.begin, duration_s)
+        summary = launch(preparation, folder, view, began_at, server, begin_floor)
         with interruptible():  # The run is over: Ctrl-C throws nothing away any more.
             rows = floor.finish()
             folder.summary.write_bytes(summary.as_json() + b"\n")

@@ -6,12 +6,23 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plants_by_hand import AtWork, at, dispatch, head, hear_profile, plan_of, setpoint
+from plants_by_hand import (
+    AtWork,
+    at,
+    dispatch,
+    head,
+    hear_profile,
+    plan_of,
+    setpoint,
+    telemetry,
+)
 
+from agents.agent import Turn
 from agents.plan import Actuator, Scheme
+from agents.team import controller
 from bus_schemas.bounds import bounds_of, is_within
 from bus_schemas.messages import Message, Telemetry
-from bus_schemas.signals import COMMAND, IMPP, PRODUCTION, RESIDUAL, TELEMETRY
+from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, RESIDUAL, TELEMETRY
 from bus_schemas.tree import PLANT, ROOT
 from sim_plant.profile import Profile
 
@@ -40,14 +51,14 @@ def test_whatever_telemetry_says_estimate_and_command_are_within_their_bounds(
     plan = plan_of({NODE: RATING_KW}, cycles=len(stated), scheme=scheme, actuator=actuator)
     work = AtWork(plan, NODE)
     for cycle, (power_kw, alpha, limit_kw, available_kw) in enumerate(stated):
-        telemetry = Telemetry(
+        stated_now = Telemetry(
             *head(cycle, PLANT),
             power_kw=power_kw,
             alpha=alpha,
             limit_kw=limit_kw,
             available_kw=available_kw,
         )
-        sent = work.hear((TELEMETRY.of(NODE), telemetry), dispatch(cycle, 50.0, RATING_KW))
+        sent = work.hear((TELEMETRY.of(NODE), stated_now), dispatch(cycle, 50.0, RATING_KW))
         assert is_sound(at(sent, IMPP.of(NODE)))
         assert is_sound(at(sent, RESIDUAL.of(NODE)))
         command = at(work.hear(setpoint(NODE, cycle, wanted_kw)), COMMAND.of(NODE))
@@ -72,3 +83,19 @@ def test_where_an_inverter_states_its_available_power_nothing_is_hidden_behind_a
         furthest_kw[bias] = max(abs(kw - 90.0) for kw in impp_kw)
         assert heard.get(29, PRODUCTION.of(ROOT)).delivered_kw == pytest.approx(60.0, abs=1.0)
     assert furthest_kw[0.0] < 1e-6 < furthest_kw[None]
+
+
+def test_after_cycles_that_it_skipped_a_change_is_no_trend() -> None:
+    """Its maximum falls from 90 to 50 kW while it stands still, and stays there."""
+    agent = controller(plan_of({NODE: RATING_KW}, cycles=100, scheme="predictive"), NODE)
+    state = agent.initial_state()
+    readings_kw = {**dict.fromkeys(range(10), 90.0), 30: 50.0}
+    for cycle, power_kw in readings_kw.items():
+        _, asked = dispatch(cycle, 50.0, RATING_KW)
+        inputs = {
+            TELEMETRY.of(NODE): telemetry(NODE, cycle, power_kw)[1],
+            DISPATCH.of(ROOT): asked,
+        }
+        turn = Turn("estimate", cycle, 0, head(cycle, NODE), inputs)
+        state, sent = agent.step(state, turn)
+    assert at(dict(sent), IMPP.of(NODE)).power_kw == pytest.approx(50.0, abs=1.0)

@@ -65,6 +65,17 @@ def test_a_killed_process_ends_the_run_and_is_named(run: Heliarch, victim: str) 
     assert recorded_cycles(run) > 0
 
 
+@pytest.mark.parametrize("victim", [INVERTER, "central", "plant", "recorder"])
+def test_an_agent_that_sigterm_ends_is_named_and_its_run_is_no_success(
+    run: Heliarch, victim: str
+) -> None:
+    process = run.process_of(victim)
+    process.send_signal(signal.SIGTERM)
+    assert run.wait() == 1
+    assert f"{victim} (process {process.pid})" in run.error_text()
+    assert_none_left(run.folder)
+
+
 def test_a_killed_fork_server_ends_the_run_and_is_named(run: Heliarch) -> None:
     server = run.fork_server()
     server.send_signal(signal.SIGKILL)
