@@ -11,9 +11,10 @@ import os
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import msgspec
@@ -23,7 +24,7 @@ from bus_schemas.bus import Arrival, Outbox
 from bus_schemas.codec import decode, encode
 from bus_schemas.keys import KeyTable
 from bus_schemas.messages import Message
-from bus_schemas.signals import Occurrence, Port, Wiring
+from bus_schemas.signals import Occurrence, Port, Signal, Wiring
 
 ENCODING: Final = "application/msgpack"
 
@@ -33,6 +34,9 @@ ZENOH_RUNTIME: Final = (
 )
 """One worker thread for all of Zenoh's work: see docs/decisions/0003-zenoh-tuning.md."""
 
+MOST_LINKS: Final = 10_000
+"""Sessions that one agent may be linked with."""
+
 _NEVER: Final = 1 << 60
 _TAP_CAPACITY: Final = 65536
 
@@ -41,6 +45,10 @@ _CROWDED: Final = 10_000
 neither take all memory nor keep the others out."""
 
 _MOST_OF_A_PORT: Final = 100
+
+_MANY: Final = 30
+"""Ports of one signal from which on an agent declares them together: a session tells every peer of
+each declaration, which among 1,000 inverters would be a million messages."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +90,9 @@ class SessionSettings:
             "scouting/multicast/enabled": False,
             "scouting/gossip/enabled": False,
             "transport/shared_memory/enabled": False,
+            # By default 1,000 and 100: plant and recorder are linked with everybody.
+            "transport/unicast/max_sessions": MOST_LINKS,
+            "transport/unicast/accept_pending": MOST_LINKS,
             "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 20000,
         }
         for key, value in settings.items():
@@ -188,16 +199,24 @@ class ZenohBus:
         self._patience_s = patience_s
         self._inbox = Inbox()
         self._session = open_session(settings)
+        published, heard = wiring.published[agent], wiring.heard.get(agent, [])
+        many = _signals_of_many(published)
         self._put = {
-            port: self._publisher(port, settings.lockstep).put for port in wiring.published[agent]
+            port: self._putter(port, settings.lockstep, declared=port.signal not in many)
+            for port in published
         }
+        many = _signals_of_many(heard)
+        hear = self._inbox.callback
         self._subscribers = [
-            self._session.declare_subscriber(
-                keys.key(port),
-                zenoh.handlers.Callback(self._inbox.callback(port), indirect=False),
-                allowed_origin=zenoh.Locality.REMOTE,
-            )
-            for port in wiring.heard.get(agent, ())
+            *(
+                self._subscribe(keys.key(port), hear(port))
+                for port in heard
+                if port.signal not in many
+            ),
+            *(
+                self._subscribe(f"{keys.plant}/**/{signal.name}", _by_key(hear, heard, keys))
+                for signal in many
+            ),
         ]
         self._token = self._session.liveliness().declare_token(keys.alive_key(agent))
 
@@ -245,16 +264,52 @@ class ZenohBus:
         """Follow the liveliness tokens of all agents; the result returns the keys seen now."""
         return _TokenWatch(self._session, self._keys).alive
 
-    def _publisher(self, port: Port[Message], lockstep: bool) -> zenoh.Publisher:
+    def _subscribe(self, key: str, hear: Callable[[zenoh.Sample], None]) -> zenoh.Subscriber[None]:
+        callback = zenoh.handlers.Callback(hear, indirect=False)
+        return self._session.declare_subscriber(key, callback, allowed_origin=zenoh.Locality.REMOTE)
+
+    def _putter(
+        self, port: Port[Message], lockstep: bool, *, declared: bool
+    ) -> Callable[[bytes], None]:
+        """Return what puts the payloads of a port on the bus."""
         must_arrive = lockstep or port.signal.occurrence is Occurrence.EVENT
-        return self._session.declare_publisher(
+        control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
+        if not declared:
+            key = zenoh.KeyExpr(self._keys.key(port))
+            put: Callable[[bytes], None] = partial(
+                self._session.put, key, encoding=ENCODING, congestion_control=control
+            )
+            return put
+        publisher = self._session.declare_publisher(
             self._keys.key(port),
             encoding=ENCODING,
-            congestion_control=(
-                zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
-            ),
+            congestion_control=control,
             reliability=zenoh.Reliability.RELIABLE,
         )
+        declared_put: Callable[[bytes], None] = publisher.put
+        return declared_put
+
+
+def _signals_of_many(ports: Sequence[Port[Message]]) -> list[Signal[Message]]:
+    """Return the signals of which there are many ports."""
+    counts = Counter(port.signal for port in ports)
+    return [signal for signal, count in counts.items() if count >= _MANY]
+
+
+def _by_key(
+    callback: Callable[[Port[Message]], Callable[[zenoh.Sample], None]],
+    heard: Sequence[Port[Message]],
+    keys: KeyTable,
+) -> Callable[[zenoh.Sample], None]:
+    """Return a callback that finds each message's port by its key."""
+    hear_of = {keys.key(port): callback(port) for port in heard}
+
+    def hear(sample: zenoh.Sample) -> None:
+        found = hear_of.get(str(sample.key_expr))
+        if found is not None:
+            found(sample)
+
+    return hear
 
 
 class _TokenWatch:

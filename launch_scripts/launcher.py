@@ -53,7 +53,7 @@ _ARMING_S: Final = 60.0
 before that by itself."""
 
 _PATIENCE_S: Final = 5.0
-"""How long processes may take to end once the run is over."""
+"""How long processes may take to end once the run is over, and more for each process."""
 
 
 class Launch:
@@ -242,7 +242,8 @@ class Launch:
 
     def _finish(self, children: Children) -> Recorded:
         """Let everybody end; then let the recorder close its file with all that was published."""
-        late = children.await_exit(children.controllers(), _PATIENCE_S)
+        longest_s = _PATIENCE_S + _PER_PROCESS_S * len(children.by_agent)
+        late = children.await_exit(children.controllers(), longest_s)
         if late and all(child.finished for child in late):
             server = f"the fork server (process {self._server.pid})"
             raise RunFailure(f"{server} does not say that the run's processes have ended")
@@ -254,7 +255,7 @@ class Launch:
         )
         recorder = children[RECORDER]
         children.tell_recorder(f"expect {sum(published.values())}")
-        if children.await_exit([recorder], 2.0 * _PATIENCE_S) or recorder.recorded is None:
+        if children.await_exit([recorder], 2.0 * longest_s) or recorder.recorded is None:
             raise RunFailure(with_log(recorder, "the recorder did not close its file"))
         return recorder.recorded
 

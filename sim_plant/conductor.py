@@ -28,7 +28,9 @@ FIRST_ROUND: Final = -1_000_000
 _FIRST_ROUND_S: Final = 0.3
 _ROUND_GROWTH: Final = 1.25
 _LONGEST_ROUND_S: Final = 3.0
-"""How long the first arming round may take, how much longer each next one, and the longest."""
+_ROUND_PER_AGENT_S: Final = 0.005
+"""How long the first arming round may take, how much longer each next one, and the longest; and how
+much longer all of them for each agent."""
 
 _ARMING_S: Final = 30.0
 """How long the arming rounds may take, once everybody is there."""
@@ -126,7 +128,8 @@ class Conductor:
             cycle = FIRST_ROUND + number
             self._loop.enter(cycle, time.monotonic_ns())
             self._seat.driver.go_on(self._loop)
-            if self._round_closes(cycle, time.monotonic() + longest_round_s(number)):
+            longest_s = longest_round_s(number) + _ROUND_PER_AGENT_S * len(self._plan.tree.nodes)
+            if self._round_closes(cycle, time.monotonic() + longest_s):
                 return number
             if time.monotonic() > give_up_at:
                 break

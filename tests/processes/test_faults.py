@@ -22,6 +22,7 @@ from launch_scripts.launcher import launch
 from launch_scripts.preparation import RunOptions, prepare
 from launch_scripts.run_folder import RunFolder
 from launch_scripts.scenario import load_scenario
+from launch_scripts.supervision import ForkServerProcess
 from recordings.reader import RunReader
 
 pytestmark = pytest.mark.processes
@@ -256,7 +257,8 @@ def test_after_a_run_the_launcher_has_no_more_files_and_processes_than_before(
 
     def run(number: int) -> tuple[int, int, int]:
         preparation = prepare(scenario, RunOptions(duration="5"), f"run{number}")
-        launch(preparation, RunFolder(tmp_path / f"run{number}"), SilentView(), 0.0)
+        with ForkServerProcess() as server:
+            launch(preparation, RunFolder(tmp_path / f"run{number}"), SilentView(), 0.0, server)
         own = psutil.Process()
         return own.num_fds(), len(own.children(recursive=True)), own.num_threads()
 
