@@ -179,7 +179,7 @@ def _plan(request: ReplayRequest, recorded: RecordedRun) -> RunPlan:
     """Return the plan that the live controllers run by, with the cycles to replay."""
     cycles = before_cycle(request.duration, recorded, 0) or recorded.complete_cycles
     if not cycles:
-        raise InputError(f"{recorded.path}: no complete cycle, accepted is a run that has one")
+        raise InputError(f"{recorded.path}: no complete cycle, expected a run that has one")
     plan = recorded.plan
     if request.plan is not None:
         plan = load_plan(request.plan)
