@@ -374,8 +374,8 @@ order of sums, and what `predictive` gives on top between turns, are in `agents/
 
 - `impp.power_kw` and `residual.power_kw` are the sums of the children's, `stale_cycles` is the
   largest of theirs plus the age of their `impp`, and `help.missing_kw` = -residual where that is
-  above 0. A silent child has an IMPP of 0, and lacks its request. A residual of another cycle than
-  the `impp` does not count: the parent works it out as IMPP - request.
+  above 0. A silent child has an IMPP of 0, and lacks its request. A residual counts only if it
+  belongs to the cycle of the `impp`; otherwise the parent works it out as IMPP - request.
 - A supervisor's target follows the ladder of a direct controller: setpoint, newest setpoint, own
   request, nothing. The central controller's target is the dispatch, held between 0 and the rating.
   Where `correction` is on, the central controller adds what the plant's `meter` shows to be
