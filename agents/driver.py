@@ -45,10 +45,7 @@ class Driver:
     @property
     def finished(self) -> bool:
         """Whether the run has ended for all agents."""
-        for loop in self.loops.values():  # noqa: SIM110 - asked for after each wait
-            if not loop.finished:
-                return False
-        return True
+        return all(loop.finished for loop in self.loops.values())
 
     def run(self) -> Iterator[Sequence[Arrival]]:
         """Go on to the end of the run; yield, after each wait, the messages that came."""

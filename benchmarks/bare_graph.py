@@ -263,7 +263,7 @@ def run(graph: Graph, cycles: int, recorded: bool) -> dict[str, object]:
     roles = {each.name: partial(player, each, cycles) for each in graph.processes}
     if recorded:
         roles[RECORDER] = partial(recorder, graph, cycles)
-    if len(os.listdir("/proc/self/task")) > 1:  # noqa: PTH208
+    if len(list(Path("/proc/self/task").iterdir())) > 1:
         raise RuntimeError("a process with several threads must not fork")
     gc.collect()
     gc.freeze()

@@ -16,12 +16,13 @@ from typing import Final, NamedTuple, TypeAlias
 import msgspec
 
 from agents.agent import Stage
+from agents.cycle import stage_of
 from agents.plan import RunPlan
 from agents.team import controllers
 from bus_schemas.messages import Message
 from bus_schemas.missing import parse_missing
-from bus_schemas.signals import COMMAND, PRODUCTION, SETPOINT, Port
-from bus_schemas.tree import CENTRAL, PLANT, ROOT, ControlTree
+from bus_schemas.signals import COMMAND, PRODUCTION, Port
+from bus_schemas.tree import PLANT, ROOT
 
 _DOING: Final = {
     "sense": "to begin the cycle",
@@ -180,7 +181,9 @@ class StageTable:
         self._plant = (Stage("sense", (), timed=True), Stage("apply", commands))
         self._team = {agent.name: agent.stages for agent in controllers(plan)}
         self.agents = (PLANT, *self._team)
-        self.stage_of = {port: _stage_of(port, plan.tree) for port in plan.keys.ports}
+        self.stage_of = {
+            port: stage_of(port, plan.tree) for port in plan.keys.ports if port.signal.decided
+        }
 
     def stages(self, agent: str, cycle: int) -> tuple[Stage, ...]:
         """Return an agent's stages of a cycle, in their order."""
@@ -209,17 +212,6 @@ def _closing(
     first_ns = min(heads[port].publish_time_ns for port in published)
     missing = dict(map(parse_missing, head.missing))
     return Closing(agent, stage, last, head.ready_time_ns, first_ns, head.publish_time_ns, missing)
-
-
-def _stage_of(port: Port[Message], tree: ControlTree) -> str:
-    """Return the stage of its publisher that a message comes from."""
-    if port.publisher == PLANT:
-        return "apply" if port.signal is PRODUCTION else "sense"
-    if port.publisher == CENTRAL or port.signal is SETPOINT:
-        return "solve"
-    if port.signal is COMMAND:
-        return "actuate"
-    return "estimate" if tree.is_leaf(port.node) else "report"
 
 
 def cycle_waits(table: StageTable, cycle: int, tick_ns: int, heads: CycleHeads) -> CycleWaits:
