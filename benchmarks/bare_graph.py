@@ -16,6 +16,7 @@ in all processes, the recorder included.
 from __future__ import annotations
 
 import argparse
+import ctypes
 import gc
 import itertools
 import json
@@ -25,6 +26,7 @@ import queue
 import resource
 import socket
 import tempfile
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -160,9 +162,17 @@ class Network:
 Work = Callable[[], Report]
 
 
+THREAD: Final = threading.local()
+
+
 def subscribe(session: zenoh.Session, key: str, inbox: queue.SimpleQueue[str]) -> object:
-    hear: Any = zenoh.handlers.Callback(lambda _sample: inbox.put(key), indirect=False)
-    return session.declare_subscriber(key, hear)
+    def hear(_sample: zenoh.Sample) -> None:
+        if not hasattr(THREAD, "is_kept"):  # Python would set up a thread state for each callback.
+            ctypes.pythonapi.PyGILState_Ensure()
+            THREAD.is_kept = True
+        inbox.put(key)
+
+    return session.declare_subscriber(key, zenoh.handlers.Callback(hear, indirect=False))
 
 
 def declare(session: zenoh.Session, key: str) -> Callable[[bytes], None]:
@@ -240,6 +250,7 @@ def live(network: Network, name: str, role: Callable[[zenoh.Session], Work], par
     """Be one process of the graph, from its fork on."""
     die_with_parent()
     gc.disable()
+    os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     session = network.open(name)
     work = role(session)
     _token = network.arm(name, session)
