@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 from agents.control.forecast import ERROR_MEMORY_S
 from agents.plan import Scheme
-from launch_scripts.preparation import Preparation, RunOptions, prepare
-from launch_scripts.scenario import load_scenario
-from launch_scripts.study.cases import cases, parse_setting
-from launch_scripts.study.closed_loop import run_loop
-from recordings.metrics import commitment_metrics
+from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
+from studies.arrays.closed_loop import run_loop
+from studies.compare.cases import cases, parse_setting
+from studies.metrics import commitment_metrics
 
 Floats = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from mcap.reader import make_reader
 
 from recordings import open_run
-from recordings.chunks import messages_in, unpack_chunk
+from recordings.read.chunks import messages_in, unpack_chunk
 
 
 def measure(what: str, messages: Callable[[], Iterable[object]]) -> None:

@@ -14,11 +14,11 @@ from functools import partial
 from typing import get_args
 
 from agents.plan import Scheme
-from launch_scripts.preparation import Preparation, RunOptions, prepare
-from launch_scripts.scenario import load_scenario
-from launch_scripts.study.schemes import SCHEMES, ReferenceGroups, run_scheme
-from launch_scripts.study.study import run_agents
-from recordings.metrics import run_metrics
+from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
+from studies.arrays.schemes import SCHEMES, ReferenceGroups, run_scheme
+from studies.compare.study import run_agents
+from studies.metrics import run_metrics
 
 PAPER_S = 14.144
 """Julien, Sajadi and Hodge, section III: one simulated day, on a machine they do not name."""

@@ -14,9 +14,9 @@ import matplotlib.pyplot as plt
 import msgspec
 from matplotlib.axes import Axes
 
-from launch_scripts.timing.delay_study import Outcome
-from launch_scripts.timing.delay_study_page import study_curves
-from recordings.report.delay_figures import StudyCurve
+from studies.delays.figures import StudyCurve
+from studies.delays.page import study_curves
+from studies.delays.study import Outcome
 
 mpl.use("Agg")
 

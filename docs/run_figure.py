@@ -1,6 +1,6 @@
 """Draws a run: possible, desired and delivered power, and who called for help.
 
-python docs/run_figure.py recordings/runs/oahu-... docs/run.png
+python docs/run_figure.py runs/oahu-... docs/run.png
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from bus_schemas.messages import Production
 from bus_schemas.signals import HELP, PRODUCTION
 from bus_schemas.tree import ROOT
-from recordings.reader import RunReader
+from recordings.read.reader import RunReader
 
 mpl.use("Agg")
 

@@ -102,7 +102,7 @@ PriorityOption: TypeAlias = Annotated[
 ]
 OutOption: TypeAlias = Annotated[
     Path | None,
-    typer.Option(help="Folder of the run; default recordings/runs/NAME-TIME.", metavar="DIR"),
+    typer.Option(help="Folder of the run; default runs/NAME-TIME.", metavar="DIR"),
 ]
 DataOption: TypeAlias = Annotated[
     Path | None,
@@ -143,9 +143,10 @@ def launch_command(
     controller and the recorder, each as a process of its own; ends them all; prints what the run
     came to.
     """
-    from launch_scripts.externals import ExternalOptions
-    from launch_scripts.machine_table import MachineOptions
-    from launch_scripts.run_command import RunRequest, run
+    from launch_scripts.commands.run import run
+    from launch_scripts.launcher.request import RunRequest
+    from launch_scripts.scenarios.externals import ExternalOptions
+    from launch_scripts.scenarios.machine_table import MachineOptions
 
     request = RunRequest(
         "launch",
@@ -183,7 +184,8 @@ def simulate_command(
     fault: FaultOption = None,
 ) -> None:
     """Run the same agents in this one process: the same messages, the same recording."""
-    from launch_scripts.run_command import RunRequest, run
+    from launch_scripts.commands.run import run
+    from launch_scripts.launcher.request import RunRequest
 
     request = RunRequest(
         "simulate",
@@ -271,10 +273,10 @@ def timing_command(
     Exit status 1: a budget was not kept, or the run failed. A scenario states its own budgets in
     its table timing.budgets; see docs/timing.md.
     """
-    from launch_scripts.externals import ExternalOptions
-    from launch_scripts.machine_table import MachineOptions
-    from launch_scripts.run_command import RunRequest
-    from launch_scripts.timing.timing_command import TimingRequest, timing
+    from launch_scripts.commands.timing import TimingRequest, timing
+    from launch_scripts.launcher.request import RunRequest
+    from launch_scripts.scenarios.externals import ExternalOptions
+    from launch_scripts.scenarios.machine_table import MachineOptions
 
     run = RunRequest(
         "launch",
@@ -299,7 +301,7 @@ def timing_command(
     raise typer.Exit(timing(request))
 
 
-@app.command("report", epilog="Example: heliarch report recordings/runs/oahu-20261121-120000-4711")
+@app.command("report", epilog="Example: heliarch report runs/oahu-20261121-120000-4711")
 def report_command(
     run: Annotated[
         Path, typer.Argument(help="Folder of a run, or its run.mcap.", show_default=False)
@@ -312,7 +314,7 @@ def report_command(
     ] = None,
 ) -> None:
     """Write the figures and tables of a run as one HTML page, which opens without a network."""
-    from launch_scripts.report_command import report
+    from launch_scripts.commands.report import report
 
     raise typer.Exit(report(run, out))
 
@@ -367,7 +369,7 @@ def compare_command(
     json: JsonOption = None,
 ) -> None:
     """Put control schemes side by side: the paper's tables, for any day or for many."""
-    from launch_scripts.study.compare_command import CompareRequest, compare
+    from launch_scripts.commands.compare import CompareRequest, compare
 
     request = CompareRequest(
         scenario,
@@ -419,7 +421,7 @@ def clusters_command(
     json: JsonOption = None,
 ) -> None:
     """Show what virtual neighbours are worth beside geographic and random clusters."""
-    from launch_scripts.study.clusters_command import ClustersRequest, clusters
+    from launch_scripts.commands.clusters import ClustersRequest, clusters
 
     request = ClustersRequest(
         scenario, start, duration, periods, random, scheme, learn, settings or [], data, json
@@ -427,9 +429,7 @@ def clusters_command(
     raise typer.Exit(clusters(request))
 
 
-@app.command(
-    "export", epilog="Example: heliarch export recordings/runs/oahu-20261121-120000-4711 --to csv"
-)
+@app.command("export", epilog="Example: heliarch export runs/oahu-20261121-120000-4711 --to csv")
 def export_command(
     run: Annotated[
         Path, typer.Argument(help="Folder of a run, or its run.mcap.", show_default=False)
@@ -475,7 +475,7 @@ def export_command(
     json: JsonOption = None,
 ) -> None:
     """Make a file for viewers, or tidy tables, of a recording."""
-    from launch_scripts.export_command import ExportRequest, run_export
+    from launch_scripts.commands.export import ExportRequest, run_export
 
     request = ExportRequest(run, to, out, signals, nodes, start, end, clock, json)
     raise typer.Exit(run_export(request))
@@ -483,7 +483,7 @@ def export_command(
 
 @app.command(
     "verify",
-    epilog="Example: heliarch verify recordings/runs/oahu-20261121-120000-4711 --node 'c2/*'",
+    epilog="Example: heliarch verify runs/oahu-20261121-120000-4711 --node 'c2/*'",
 )
 def verify_command(
     runs: Annotated[
@@ -518,7 +518,7 @@ def verify_command(
     Exit status 1: they differ, each agent's first difference is shown with its inputs; or what was
     lost leaves it undecided.
     """
-    from launch_scripts.verification.verify_command import VerifyRequest, run_verify
+    from launch_scripts.commands.verify import VerifyRequest, run_verify
 
     request = VerifyRequest(runs, nodes or [], tolerance, ignored or [], accept, json)
     raise typer.Exit(run_verify(request))
@@ -591,8 +591,8 @@ def replay_command(
     the rate, arrows seek (left and right 10 s, up and down 1 min of simulated
     time), q ends.
     """
-    from launch_scripts.replay.replay_command import replay
-    from launch_scripts.replay.request import ReplayRequest
+    from launch_scripts.commands.replay import replay
+    from launch_scripts.commands.replay_request import ReplayRequest
 
     request = ReplayRequest(
         run,
@@ -647,7 +647,7 @@ def inspect_command(
     Without --node and --cycle: scenario, duration, versions, messages and
     rate of each signal, and what is missing in between.
     """
-    from launch_scripts.inspect_command import InspectRequest, inspect
+    from launch_scripts.commands.inspect import InspectRequest, inspect
 
     raise typer.Exit(inspect(InspectRequest(run, node, start, end, cycle, json)))
 
@@ -670,7 +670,7 @@ def recover_command(
     Exit status: 0 if nothing is missing, 3 if something is or may be,
     1 if there is nothing to recover.
     """
-    from launch_scripts.recover_command import recover
+    from launch_scripts.commands.recover import recover
 
     raise typer.Exit(recover(run, out, json))
 
@@ -678,7 +678,7 @@ def recover_command(
 @app.command("scenarios", epilog="Example: heliarch scenarios")
 def scenarios_command() -> None:
     """List the scenarios that come with Heliarch."""
-    from launch_scripts.scenario import load_scenario, shipped_scenarios
+    from launch_scripts.scenarios.scenario import load_scenario, shipped_scenarios
 
     for name in shipped_scenarios():
         typer.echo(f"{name:14} {load_scenario(name).scenario.title}")

@@ -11,7 +11,7 @@ BAD_INPUT: Final = 2
 INTERRUPTED: Final = 130
 """As a shell tells of a program that Ctrl-C has ended: 128 and the number of the signal.
 
-Of one that SIGTERM or SIGHUP has ended it tells 143 or 129, see `launch_scripts/termination.py`.
+Of one that SIGTERM or SIGHUP has ended it tells 143 or 129: see `commands/termination.py`.
 """
 
 

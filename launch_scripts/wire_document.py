@@ -24,7 +24,7 @@ from bus_schemas.bounds import BOUNDS, LARGEST, METER_TOLERANCE, Bound
 from bus_schemas.messages import Dispatch, Message
 from bus_schemas.signals import DISPATCH, HELP, RESIDUAL, SIGNALS
 from bus_schemas.tree import CENTRAL, PLANT, ROOT
-from launch_scripts.field_notes import field_notes, without_field_notes
+from launch_scripts.scenarios.field_notes import field_notes, without_field_notes
 from launch_scripts.wire_layout import INVERTER, layout
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile

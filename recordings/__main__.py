@@ -11,7 +11,7 @@ from agents.launcher_link import LauncherLink
 from agents.plan import load_plan
 from bus_schemas.errors import InputError
 from bus_schemas.tree import RECORDER
-from recordings.process import run_recorder
+from recordings.record.process import run_recorder
 
 
 def main() -> int:

@@ -34,7 +34,7 @@ from bus_schemas.signals import (
     TELEMETRY,
 )
 from bus_schemas.tree import PLANT, ROOT, agent_name, parent_of
-from recordings.writer import RunWriter
+from recordings.record.writer import RunWriter
 
 PLAN = RunPlan(
     run_id="by-hand-2",

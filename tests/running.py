@@ -13,7 +13,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from launch_scripts.fork_requests import log_name
+from launch_scripts.launcher.fork_requests import log_name
 
 REPOSITORY = Path(__file__).parent.parent
 

@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from agents.plan import RunPlan
-from launch_scripts.preparation import RunOptions, prepare
-from launch_scripts.scenario import load_scenario
-from launch_scripts.simulation import MemoryRun
-from recordings.metrics import CommitmentMetrics, commitment_metrics
-from recordings.monitor import RunMonitor
+from launch_scripts.launcher.simulation import MemoryRun
+from launch_scripts.scenarios.preparation import RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
+from recordings.record.monitor import RunMonitor
 from sim_plant.profile import Profile
+from studies.metrics import CommitmentMetrics, commitment_metrics
 
 
 def run_agents(plan: RunPlan, profile: Profile) -> RunMonitor:

@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from launch_scripts.preparation import RunOptions, prepare
-from launch_scripts.scenario import ScenarioFile, load_scenario
-from launch_scripts.study.cases import cases, parse_setting
-from launch_scripts.study.schemes import ReferenceGroups, run_scheme
-from launch_scripts.study.study import CaseResult, Comparison, run_cases
-from recordings.metrics import run_metrics
+from launch_scripts.scenarios.preparation import RunOptions, prepare
+from launch_scripts.scenarios.scenario import ScenarioFile, load_scenario
+from studies.arrays.schemes import ReferenceGroups, run_scheme
+from studies.compare.cases import cases, parse_setting
+from studies.compare.study import CaseResult, Comparison, run_cases
+from studies.metrics import run_metrics
 
 COMPARISON = Comparison(("grouping", "paper", "predictive"))
 SETTINGS = ("plant.meter_noise=0,0.005", "plant.actuator=fraction,limit")

@@ -14,7 +14,7 @@ from bus_schemas.codec import encode
 from bus_schemas.messages import Run
 from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import ROOT
-from recordings.writer import ClockAnchor, RunWriter
+from recordings.record.writer import ClockAnchor, RunWriter
 
 MS = 1_000_000
 START_NS = 5_000_000_000

@@ -19,7 +19,7 @@ from recordings.export.records import Record, Selection, clock_anchor, records
 from recordings.export.table_files import OpenTable, TableFiles
 from recordings.export.unfinished import unfinished
 from recordings.export.viewer_file import Clock, ViewerFile
-from recordings.reader import RunReader
+from recordings.read.reader import RunReader
 
 Form: TypeAlias = Literal["json-mcap", "parquet", "csv"]
 """A file for viewers of MCAP, or a folder with a file for each table."""

@@ -12,8 +12,8 @@ from bus_schemas.codec import decode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port, Signal
-from recordings.reader import RunReader
-from recordings.writer import ClockAnchor
+from recordings.read.reader import RunReader
+from recordings.record.writer import ClockAnchor
 
 _TELL_EVERY: Final = 4096
 """Records between two words of progress."""

@@ -13,7 +13,7 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import Signal
 from recordings.export.records import Record
 from recordings.export.tables import Row, Table, tables_of
-from recordings.writer import ClockAnchor
+from recordings.record.writer import ClockAnchor
 
 _BATCH: Final = 4096
 """Rows that are handed on at once."""

@@ -31,7 +31,7 @@ from bus_schemas.missing import parse_missing
 from bus_schemas.signals import PRODUCTION, SETPOINT, Signal
 from bus_schemas.tree import agent_name
 from recordings.export.records import Record
-from recordings.writer import ClockAnchor
+from recordings.record.writer import ClockAnchor
 
 Cell: TypeAlias = int | float | str | None
 Row: TypeAlias = tuple[Cell, ...]

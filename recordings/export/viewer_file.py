@@ -14,7 +14,7 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import Port, Signal
 from recordings.export.json_messages import JsonEncoder, object_schema
 from recordings.export.records import Record, clock_anchor
-from recordings.reader import RunReader
+from recordings.read.reader import RunReader
 
 Clock: TypeAlias = Literal["wall", "sim"]
 """Which time a viewer shows: when a message was really sent, or the time of the plant."""

@@ -26,7 +26,7 @@ from bus_schemas.signals import (
     Signal,
 )
 from bus_schemas.tree import CENTRAL, PLANT, ROOT
-from launch_scripts.simulation import MemoryRun
+from launch_scripts.launcher.simulation import MemoryRun
 from sim_plant.profile import Profile
 
 M = TypeVar("M", bound=Message)

@@ -14,8 +14,8 @@ from agents.plan import RunPlan, Scheme
 from bus_schemas.messages import Setpoint
 from bus_schemas.signals import METER, PRODUCTION, SETPOINT
 from bus_schemas.tree import ROOT
-from launch_scripts.preparation import RunOptions, prepare
-from launch_scripts.scenario import load_scenario
+from launch_scripts.scenarios.preparation import RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
 from sim_plant.profile import Profile
 
 CYCLES = 60

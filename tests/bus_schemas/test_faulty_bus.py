@@ -18,7 +18,7 @@ from bus_schemas.messages import Run, Telemetry
 from bus_schemas.signals import RUN, TELEMETRY, Wiring
 from bus_schemas.tree import PLANT, ROOT, ControlTree
 from bus_schemas.zenoh_bus import SessionSettings, ZenohBus
-from launch_scripts.tcp_ports import reserved_ports
+from launch_scripts.launcher.tcp_ports import reserved_ports
 
 TREE = ControlTree((("a", 100.0), ("b", 100.0)))
 PORT = TELEMETRY.of("a")

@@ -15,7 +15,7 @@ from bus_schemas.messages import Telemetry
 from bus_schemas.signals import Wiring
 from bus_schemas.tree import PLANT, ControlTree
 from bus_schemas.zenoh_bus import SessionSettings, ZenohBus
-from launch_scripts.tcp_ports import reserved_ports
+from launch_scripts.launcher.tcp_ports import reserved_ports
 
 TREE = ControlTree((("a", 100.0),))
 KEY = "pair/a/telemetry"

@@ -15,8 +15,8 @@ from bus_schemas.messages import LONGEST_MISSING, MOST_MISSING
 from bus_schemas.signals import RESIDUAL, SIGNALS
 from bus_schemas.tree import LONGEST_PATH
 from launch_scripts import cli
-from launch_scripts.preparation import RunOptions, prepare
-from launch_scripts.scenario import load_scenario
+from launch_scripts.scenarios.preparation import RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
 from launch_scripts.wire_document import wire_document
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "wire.md"

@@ -16,13 +16,13 @@ from agents.plan import RunPlan
 from bus_schemas.links import explicit_links
 from bus_schemas.signals import IMPP, TELEMETRY
 from bus_schemas.tree import PLANT, RECORDER
-from launch_scripts.fork_requests import Start
-from launch_scripts.preparation import RunOptions, prepare
-from launch_scripts.run_folder import RunFolder
-from launch_scripts.scenario import load_scenario
-from launch_scripts.supervision import Children, ForkServerProcess, RunFailure
-from launch_scripts.tcp_ports import reserved_ports
-from recordings.reader import RunReader
+from launch_scripts.launcher.fork_requests import Start
+from launch_scripts.launcher.run_folder import RunFolder
+from launch_scripts.launcher.supervision import Children, ForkServerProcess, RunFailure
+from launch_scripts.launcher.tcp_ports import reserved_ports
+from launch_scripts.scenarios.preparation import RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
+from recordings.read.reader import RunReader
 
 pytestmark = pytest.mark.processes
 

@@ -19,13 +19,13 @@ from test_launch import decisions, summary_of
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, Production
 from bus_schemas.signals import IMPP, PRODUCTION, Port
-from launch_scripts.preparation import RunOptions, prepare
-from launch_scripts.scenario import load_scenario
-from launch_scripts.simulation import MemoryRun
-from launch_scripts.summary import RunSummary
-from launch_scripts.verification.comparison import Comparison
-from launch_scripts.verification.verification import Verification, verify
-from recordings.reader import RunReader
+from launch_scripts.launcher.simulation import MemoryRun
+from launch_scripts.launcher.summary import RunSummary
+from launch_scripts.scenarios.preparation import RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
+from recordings.read.reader import RunReader
+from recordings.verify.comparison import Comparison
+from recordings.verify.verification import Verification, verify
 
 pytestmark = pytest.mark.processes
 

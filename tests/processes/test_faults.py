@@ -18,12 +18,12 @@ from agents.events import Status
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, Run
 from bus_schemas.signals import IMPP, PRODUCTION, RESIDUAL, RUN, SETPOINT
-from launch_scripts.launcher import launch
-from launch_scripts.preparation import RunOptions, prepare
-from launch_scripts.run_folder import RunFolder
-from launch_scripts.scenario import load_scenario
-from launch_scripts.supervision import ForkServerProcess
-from recordings.reader import RunReader
+from launch_scripts.launcher.launch import launch
+from launch_scripts.launcher.run_folder import RunFolder
+from launch_scripts.launcher.supervision import ForkServerProcess
+from launch_scripts.scenarios.preparation import RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
+from recordings.read.reader import RunReader
 
 pytestmark = pytest.mark.processes
 
@@ -233,7 +233,7 @@ def is_in_its_cycle(message: Message, begin_ns: int, wall_ns: int) -> bool:
 
 def test_what_the_fork_server_imports_starts_no_thread() -> None:
     code = (
-        "import launch_scripts.fork_server, psutil; own = psutil.Process(); "
+        "import launch_scripts.launcher.fork_server, psutil; own = psutil.Process(); "
         "print(own.num_threads(), len(own.net_connections()))"
     )
     done = subprocess.run(

@@ -14,7 +14,7 @@ from bus_schemas.messages import Message
 from bus_schemas.missing import parse_missing
 from bus_schemas.signals import Port, listeners
 from bus_schemas.tree import RECORDER
-from recordings.reader import RunReader
+from recordings.read.reader import RunReader
 
 pytestmark = pytest.mark.processes
 

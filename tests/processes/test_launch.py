@@ -11,8 +11,8 @@ from running import Heliarch, assert_none_left, small_plant
 
 from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS
-from launch_scripts.summary import RunSummary
-from recordings.reader import RunReader
+from launch_scripts.launcher.summary import RunSummary
+from recordings.read.reader import RunReader
 
 pytestmark = pytest.mark.processes
 

@@ -18,9 +18,9 @@ from running import Heliarch, assert_none_left, small_plant
 
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
-from launch_scripts.recover_command import LOSSY, recover
-from recordings.reader import RunReader
-from recordings.recorder import FLUSH_S
+from launch_scripts.commands.recover import LOSSY, recover
+from recordings.read.reader import RunReader
+from recordings.record.recorder import FLUSH_S
 
 pytestmark = pytest.mark.processes
 

@@ -28,9 +28,9 @@ from bus_schemas.codec import decode, encode
 from bus_schemas.messages import Telemetry
 from bus_schemas.signals import RUN
 from launch_scripts.cli import app
-from launch_scripts.scenario import load_scenario
-from recordings.reader import RunReader
-from recordings.writer import RunWriter
+from launch_scripts.scenarios.scenario import load_scenario
+from recordings.read.reader import RunReader
+from recordings.record.writer import RunWriter
 
 pytestmark = pytest.mark.processes
 

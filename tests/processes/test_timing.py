@@ -15,10 +15,10 @@ import pytest
 from running import Heliarch, assert_none_left
 
 from bus_schemas.signals import PRODUCTION
-from launch_scripts.scenario import load_scenario
-from launch_scripts.summary import RunSummary
-from launch_scripts.timing.timing_report import report_on
-from recordings.reader import RunReader
+from launch_scripts.launcher.summary import RunSummary
+from launch_scripts.scenarios.scenario import load_scenario
+from recordings.read.reader import RunReader
+from studies.timing.report import report_on
 
 pytestmark = pytest.mark.processes
 

@@ -13,7 +13,7 @@ from verifying import assert_equal_as_far_as_recorded, findings, verified
 from agents.plan import load_plan
 from bus_schemas.errors import InputError
 from bus_schemas.signals import IMPP, PRODUCTION
-from recordings.reader import RunReader
+from recordings.read.reader import RunReader
 
 pytestmark = pytest.mark.processes
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from running import Heliarch
 
-from launch_scripts.verification.comparison import Comparison
-from launch_scripts.verification.verification import Verification, verify
+from recordings.verify.comparison import Comparison
+from recordings.verify.verification import Verification, verify
 
 
 def verified(run: Heliarch) -> Verification:

@@ -20,8 +20,9 @@ from bus_schemas.errors import InputError
 from bus_schemas.messages import Help, HelpGiven, Impp, Residual, Run, Setpoint
 from bus_schemas.signals import HELP, IMPP, RESIDUAL, RUN, SETPOINT, SIGNALS, ports
 from bus_schemas.tree import ROOT
-from recordings.reader import RunReader
-from recordings.writer import SCHEMA_VERSION, ClockAnchor, RunWriter
+from recordings.read.reader import RunReader
+from recordings.read.run_file import SCHEMA_VERSION
+from recordings.record.writer import ClockAnchor, RunWriter
 
 PLAN = RunPlan(
     run_id="by-hand-1",

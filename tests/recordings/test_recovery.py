@@ -14,7 +14,7 @@ from recordings_by_hand import whole_run, write_run
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
 from recordings import open_run
-from recordings.recovery import RECOVERY_METADATA, Recovery, is_sound, recover_run
+from recordings.recover import RECOVERY_METADATA, Recovery, is_sound, recover_run
 
 CYCLES = 100
 

@@ -26,7 +26,7 @@ from bus_schemas.messages import (
     Telemetry,
 )
 from bus_schemas.tree import ROOT
-from recordings.writer import RunWriter
+from recordings.record.writer import RunWriter
 
 PLAN: Final = RunPlan(
     run_id="by-hand-2",

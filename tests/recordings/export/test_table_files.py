@@ -27,8 +27,8 @@ from recordings.export.parquet_table import ParquetTable
 from recordings.export.records import Record, Selection, clock_anchor, records
 from recordings.export.table_files import OpenTable, TableFiles
 from recordings.export.tables import inverters_table, tables_of
-from recordings.reader import RunReader
-from recordings.writer import ClockAnchor
+from recordings.read.reader import RunReader
+from recordings.record.writer import ClockAnchor
 
 RECORDED = tuple(signal for signal in SIGNALS if signal.logged)
 

@@ -21,7 +21,7 @@ from bus_schemas.signals import SIGNALS, Signal
 from recordings.export.json_messages import object_schema
 from recordings.export.records import Selection, records
 from recordings.export.viewer_file import Clock, ViewerFile
-from recordings.reader import RunReader
+from recordings.read.reader import RunReader
 
 RECORDED = tuple(signal for signal in SIGNALS if signal.logged)
 

@@ -1,0 +1,221 @@
+"""The fork server: one process that has imported everything starts all processes of a run by fork.
+
+It has neither threads nor a session, so a fork copies nothing that a child could not use. It speaks
+with the launcher through one socket that keeps packets apart: requests come in, events of all
+processes go out. `python -m launch_scripts.launcher.fork_server SOCKET`
+
+Nobody outlives the launcher: the kernel ends the server with it, and with the server the agents at
+once, and the recorder as soon as it has closed its file.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import os
+import select
+import signal
+import socket
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Final, NoReturn
+
+import msgspec
+
+from agents.cycle import kind_of
+from agents.events import Event, Exited, Failed, Started
+from agents.launcher_link import LauncherLink, server_packet
+from agents.loop import AgentLoop
+from agents.plan import RunPlan, load_plan
+from agents.process import die_with_parent, run_controller, session_settings
+from agents.team import controller
+from bus_schemas.tree import PLANT, RECORDER, agent_name
+from launch_scripts.launcher.fork_requests import Request, Signal, Start, Tell, log_name
+from recordings.record.process import run_recorder
+from sim_plant.process import run_plant
+from sim_plant.profile import Profile, load_profile
+
+_LARGEST: Final = 1 << 20
+_LAST_WAIT_S: Final = 5.0
+"""How long the recorder may take to close its file when the launcher has hung up."""
+
+
+_decoder = msgspec.json.Decoder(Request)
+
+
+class ForkServer:
+    """The server.
+
+    Parameters
+    ----------
+    control
+        Its end of the socket.
+    """
+
+    def __init__(self, control: socket.socket) -> None:
+        self._control = control
+        self._pids: dict[int, str] = {}
+        self._words: int | None = None
+        self._pid = os.getpid()
+        self._ended, self._wake = os.pipe()
+        os.set_blocking(self._wake, False)
+        os.set_blocking(self._ended, False)
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal is for the launcher.
+        signal.set_wakeup_fd(self._wake)
+
+    def serve(self) -> None:
+        """Do what the launcher asks until it is gone."""
+        poll = select.poll()
+        poll.register(self._control, select.POLLIN)
+        poll.register(self._ended, select.POLLIN)
+        while True:
+            for fd, _ in poll.poll():
+                if fd == self._ended:
+                    with suppress(BlockingIOError):
+                        os.read(self._ended, 4096)
+                    self._reap()
+                elif packet := self._control.recv(_LARGEST):
+                    self._do(_decoder.decode(packet))
+                else:
+                    return
+
+    def end(self) -> None:
+        """End what is left: the recorder in order, since its file must be whole, others at once."""
+        for pid, agent in self._pids.items():
+            os.kill(pid, signal.SIGTERM if agent == RECORDER else signal.SIGKILL)
+        until = time.monotonic() + _LAST_WAIT_S
+        while self._pids and time.monotonic() < until:
+            self._reap()
+            time.sleep(0.01)
+        for pid in self._pids:
+            os.kill(pid, signal.SIGKILL)
+
+    def _do(self, request: Request) -> None:
+        match request:
+            case Start():
+                self._start(request)
+            case Tell():
+                if self._words is not None:
+                    with suppress(BrokenPipeError):  # The recorder has ended: the launcher is told.
+                        os.write(self._words, f"{request.word}\n".encode())
+            case Signal():
+                for pid, agent in self._pids.items():
+                    if agent in request.agents:
+                        os.kill(pid, request.number)
+
+    def _start(self, request: Start) -> None:
+        plan = load_plan(Path(request.plan))
+        profile = None
+        if PLANT in request.agents:
+            profile = load_profile(Path(request.plan).with_name("profile.npz"))
+        # What all of them need is worked out once, before there are many.
+        for node in plan.tree.nodes[-1:]:
+            AgentLoop(controller(plan, agent_name(node)), plan)
+            session_settings(plan, agent_name(node))
+        _ = plan.keys, plan.network_faults
+        gc.collect()
+        gc.freeze()
+        for agent in request.agents:
+            self._fork(agent, plan, profile, request)
+
+    def _fork(self, agent: str, plan: RunPlan, profile: Profile | None, request: Start) -> None:
+        words = None
+        if agent == RECORDER:
+            words, self._words = os.pipe()
+            os.set_blocking(words, False)
+        pid = os.fork()
+        if pid == 0:
+            self._become(agent, plan, profile, request, words)
+        if words is not None:
+            os.close(words)
+        self._pids[pid] = agent
+        self._tell(agent, Started(pid))
+
+    def _become(
+        self, agent: str, plan: RunPlan, profile: Profile | None, request: Start, words: int | None
+    ) -> NoReturn:
+        """Be the process of an agent."""
+        status = 1
+        try:
+            self._set_up(agent, Path(request.logs) / log_name(agent))
+            link = LauncherLink(agent, self._control, words)
+            link.heed_sigterm()
+            status = _run(agent, plan, profile, link, request)
+        except BaseException:
+            logging.exception("%s gives up", agent)
+        finally:
+            logging.shutdown()
+            os._exit(status)
+
+    def _set_up(self, agent: str, log: Path) -> None:
+        signal.set_wakeup_fd(-1)
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        os.setpgid(0, 0)
+        die_with_parent(signal.SIGTERM if agent == RECORDER else signal.SIGKILL)
+        if os.getppid() != self._pid:  # The server has died in the meantime.
+            os._exit(1)
+        os.close(self._ended)
+        os.close(self._wake)
+        if self._words is not None:
+            os.close(self._words)
+        log_file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+        for stream in (1, 2):
+            os.dup2(log_file, stream)
+        os.close(log_file)
+        with suppress(OSError):  # The name that `top` and `ps` show.
+            Path("/proc/self/comm").write_text(agent[-15:], encoding="ascii")
+        logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
+
+    def _reap(self) -> None:
+        """Tell the launcher of processes that have ended."""
+        while self._pids:
+            pid, status, usage = os.wait4(-1, os.WNOHANG)
+            if pid == 0:
+                return
+            exited = Exited(
+                os.waitstatus_to_exitcode(status),
+                usage.ru_utime + usage.ru_stime,
+                usage.ru_nvcsw,
+                usage.ru_nivcsw,
+            )
+            self._tell(self._pids.pop(pid), exited)
+
+    def _tell(self, agent: str, event: Event) -> None:
+        with suppress(BrokenPipeError, ConnectionResetError):
+            self._control.send(server_packet(agent, msgspec.json.encode(event)))
+
+
+def _run(
+    agent: str, plan: RunPlan, profile: Profile | None, link: LauncherLink, request: Start
+) -> int:
+    match kind_of(agent, plan.tree):
+        case "recorder":
+            return run_recorder(plan, Path(request.plan).parent, link, attached=True)
+        case "plant":
+            assert profile is not None
+            return run_plant(plan, profile, link, request.patience_s)
+        case _:
+            return run_controller(plan, agent, link)
+
+
+def main() -> None:
+    """Serve the launcher at the other end of a socket."""
+    die_with_parent()
+    control = socket.socket(fileno=int(sys.argv[1]))
+    server = ForkServer(control)
+    try:
+        server.serve()
+    except Exception as error:
+        with suppress(OSError):
+            event = Failed(f"{type(error).__name__}: {error}")
+            control.send(server_packet("", msgspec.json.encode(event)))
+        raise
+    finally:
+        server.end()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,303 @@
+"""`heliarch launch`: a plant as a team of processes, from start to summary."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Final
+
+from agents.events import (
+    AnyEvent,
+    Armed,
+    Complaint,
+    Over,
+    Presence,
+    Recorded,
+    RecordingEnded,
+    Status,
+    Waiting,
+)
+from agents.machine import refusals
+from agents.plan import RunPlan
+from bus_schemas.faults import some_of
+from bus_schemas.tree import PLANT, RECORDER
+from launch_scripts.launcher.fork_requests import Start
+from launch_scripts.launcher.interruption import Interruption, interruptible
+from launch_scripts.launcher.launch_summary import LaunchAccount, launch_summary
+from launch_scripts.launcher.live_view import View
+from launch_scripts.launcher.run_folder import RunFolder
+from launch_scripts.launcher.run_pulse import HEARTBEAT_S, RunPulse
+from launch_scripts.launcher.summary import RunSummary, merge_counts
+from launch_scripts.launcher.supervision import (
+    Children,
+    ForkServerProcess,
+    RunFailure,
+    blame,
+    explain_stall,
+    with_log,
+)
+from launch_scripts.launcher.tcp_ports import reserved_ports
+from launch_scripts.scenarios.externals import ExternalWatch
+from launch_scripts.scenarios.preparation import Preparation
+
+_PLANT_PATIENCE_S: Final = 30.0
+"""How long the plant waits for processes to appear, and how much longer for each of them."""
+
+_PER_PROCESS_S: Final = 0.1
+
+_GATHER_S: Final = 0.5
+"""After the first word of a stall: time for the others to say what they wait for."""
+
+_ARMING_S: Final = 60.0
+"""How long it may take from the command to cycle 0, and more for each process. The plant gives up
+before that by itself."""
+
+_PATIENCE_S: Final = 5.0
+"""How long processes may take to end once the run is over, and more for each process."""
+
+
+class Launch:
+    """One run over processes.
+
+    Parameters
+    ----------
+    preparation, plan
+        The run.
+    folder
+        Where it goes.
+    view
+        Shows it.
+    began_at
+        Monotonic time at which the user asked for it [s]: start-up counts from there.
+    server
+        Starts the processes.
+    on_armed
+        Called when everybody is there: in real time just before cycle 0 begins.
+    """
+
+    def __init__(
+        self,
+        preparation: Preparation,
+        plan: RunPlan,
+        folder: RunFolder,
+        view: View,
+        began_at: float,
+        server: ForkServerProcess,
+        on_armed: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._server = server
+        self._preparation = preparation
+        self._plan = plan
+        self._folder = folder
+        self._view = view
+        self._began_at = began_at
+        self._on_armed = on_armed
+        self._patience_s = preparation.external.timeout_s if plan.external else 0.0
+        self._armed_at = began_at
+        self._pulse = RunPulse(plan, view.say)
+        self._stalled_at: float | None = None
+        self._asked_at: float | None = None
+        self._rounds = 0
+        self._cpu_at_start_s: dict[str, float | None] = {}
+        self._started_at = began_at
+        self._over = False
+        self._external = ExternalWatch(plan, folder.plan, self._patience_s, time.monotonic())
+        self._interruption = Interruption()
+
+    def run(self) -> RunSummary:
+        """Start the processes, see them through the run, compare what they say at its end.
+
+        Raises
+        ------
+        RunFailure
+            A process died or gave up, a cycle stalled, or messages got lost.
+        """
+        plan, view = self._plan, self._view
+        refused = refusals(plan.machine, lockstep=plan.lockstep)
+        for refusal in refused:
+            view.say(refusal)
+        agents = tuple(agent for agent in plan.tree.agents() if agent not in plan.external)
+        view.say(f"starting {len(agents)} processes, logs in {self._folder.logs}")
+        for line in self._external.directions():
+            view.say(line)
+        with (
+            interruptible() as self._interruption,
+            Children(self._server, plan, agents, self._folder.logs) as children,
+        ):
+            self._started_at = time.monotonic()
+            logs, patience_s = str(self._folder.logs), self._plant_patience_s(len(agents))
+            self._server.ask(Start(str(self._folder.plan), agents, logs, patience_s))
+            self._follow_or_explain(children)
+            seen = self._account(children, refused)
+            recorded = self._finish(children)
+            return launch_summary(
+                self._preparation,
+                plan,
+                self._folder,
+                list(children),
+                recorded,
+                seen,
+                interrupted=bool(self._interruption),
+            )
+
+    def _follow_or_explain(self, children: Children) -> None:
+        """Follow the run; where it fails, say what external agents may have to do with it."""
+        try:
+            self._follow(children)
+        except RunFailure as failure:
+            text = self._external.explain(str(failure), running=bool(self._rounds))
+            raise RunFailure(text) from failure
+
+    def _follow(self, children: Children) -> None:
+        """Show the run until the plant says that it is over."""
+        while not self._is_over(children):
+            for _, event in children.events(0.1):
+                self._hear(event)
+                if isinstance(event, Armed):
+                    self._cpu_at_start_s = {child.agent: child.cpu_s() for child in children}
+            self._check_progress(children)
+            if self._interruption:
+                self._ask_stop(children)
+
+    def _is_over(self, children: Children) -> bool:
+        """Whether the run is over: of an external plant the recorder says so."""
+        if PLANT in children.by_agent:
+            return children[PLANT].finished is not None
+        # Nobody can stop an external plant: after Ctrl-C the controllers end by themselves.
+        left = [child for child in children.controllers() if child.finished is None]
+        return self._over or (self._asked_at is not None and not left)
+
+    def _hear(self, event: AnyEvent) -> None:
+        now = time.monotonic()
+        match event:
+            case Armed():
+                self._armed_at = now
+                self._pulse.begin(now)
+                self._rounds = event.rounds
+                self._on_armed()
+                self._view.say(
+                    f"armed: cycle 0 began {now - self._started_at:.2f} s after the processes were "
+                    f"started, {now - self._began_at:.1f} s after the command"
+                )
+            case Status():
+                self._pulse.hear(event.cycle, now)
+                self._external.note(event)
+                self._view.show(event)
+            case Waiting():
+                self._stalled_at = self._stalled_at or now
+            case Presence():
+                self._view.say(self._external.hear(event, now, running=bool(self._rounds)))
+            case Over():
+                self._over = True
+            case Complaint():
+                self._external.complain(event)
+                self._view.say(f"wrong message on {event.key}: {event.example}")
+            case RecordingEnded():
+                self._view.say(f"{event.text}; the run goes on without it")
+
+    def _check_progress(self, children: Children) -> None:
+        now = time.monotonic()
+        if not self._rounds:
+            self._check_arming(children, now)
+        if self._stalled_at is not None and now > self._stalled_at + _GATHER_S:
+            raise RunFailure(explain_stall(children))
+        if self._rounds and (trouble := self._pulse.check(now)) is not None:
+            agent, text = trouble
+            raise RunFailure(blame(children, agent, text))
+        gone_at = self._external.plant_gone_at
+        if self._rounds and gone_at is not None and now > gone_at + HEARTBEAT_S:
+            raise RunFailure("the plant (external) is gone and did not say that the run is over")
+
+    def _check_arming(self, children: Children, now: float) -> None:
+        if late := self._external.late(now):
+            raise RunFailure(late)
+        complete_at = self._external.complete_at
+        longest_s = _ARMING_S + _PER_PROCESS_S * len(children.by_agent)
+        if complete_at is not None and now > complete_at + longest_s:
+            absent = [child.agent for child in children if not child.ready] or [PLANT]
+            text = f"not armed after {longest_s:.0f} s: nothing came from {some_of(absent)}"
+            raise RunFailure(blame(children, absent[0], text))
+
+    def _plant_patience_s(self, processes: int) -> float:
+        return _PLANT_PATIENCE_S + _PER_PROCESS_S * processes + self._patience_s
+
+    def _ask_stop(self, children: Children) -> None:
+        """Let the plant end the run; lose patience after a while, or at the second Ctrl-C."""
+        if not self._rounds:
+            raise KeyboardInterrupt  # There is no cycle yet that could be completed.
+        if self._asked_at is None:
+            self._tell_stop(children)
+            self._asked_at = time.monotonic()
+        longest_s = _PATIENCE_S + 2.0 * self._plan.cycle_wall_ns / 1e9
+        if self._interruption.count > 1 or time.monotonic() > self._asked_at + longest_s:
+            raise KeyboardInterrupt
+
+    def _tell_stop(self, children: Children) -> None:
+        if PLANT in children.by_agent:
+            self._view.say("interrupted: ending after this cycle")
+            children.ask_to_end((PLANT,))
+            return
+        self._view.say("interrupted: the controllers end now; the plant is external and goes on")
+        children.ask_to_end([child.agent for child in children.controllers()])
+
+    def _finish(self, children: Children) -> Recorded:
+        """Let everybody end; then let the recorder close its file with all that was published."""
+        longest_s = _PATIENCE_S + _PER_PROCESS_S * len(children.by_agent)
+        late = children.await_exit(children.controllers(), longest_s)
+        if late and all(child.finished for child in late):
+            server = f"the fork server (process {self._server.pid})"
+            raise RunFailure(f"{server} does not say that the run's processes have ended")
+        if late:
+            names = some_of([child.agent for child in late])
+            raise RunFailure(with_log(late[0], f"{names} did not end with the run"))
+        published = merge_counts(
+            [child.finished.published for child in children if child.finished is not None]
+        )
+        recorder = children[RECORDER]
+        children.tell_recorder(f"expect {sum(published.values())}")
+        if children.await_exit([recorder], 2.0 * longest_s) or recorder.recorded is None:
+            raise RunFailure(with_log(recorder, "the recorder did not close its file"))
+        return recorder.recorded
+
+    def _account(self, children: Children, refused: tuple[str, ...]) -> LaunchAccount:
+        """Say what was seen of the run, which has just come to its end."""
+        ended_at = time.monotonic()
+        return LaunchAccount(
+            began_at=self._began_at,
+            armed_at=self._armed_at,
+            ended_at=ended_at,
+            arming_rounds=self._rounds,
+            started_at=self._started_at,
+            cpu_at_start_s=self._cpu_at_start_s,
+            refusals=refused,
+        )
+
+
+def launch(
+    preparation: Preparation,
+    folder: RunFolder,
+    view: View,
+    began_at: float,
+    server: ForkServerProcess,
+    on_armed: Callable[[], None] = lambda: None,
+) -> RunSummary:
+    """Run a plant as processes over Zenoh, recorded.
+
+    Parameters
+    ----------
+    preparation, folder, began_at, on_armed
+        See `Launch`.
+    view
+        Shows the run.
+    server
+        Starts the processes.
+
+    Raises
+    ------
+    RunFailure
+        See `Launch.run`.
+    """
+    agents = preparation.plan.links.listening
+    with reserved_ports(agents, preparation.external.base_port) as tcp_ports:
+        plan = folder.fill(preparation, tcp_ports)
+        return Launch(preparation, plan, folder, view, began_at, server, on_armed).run()

@@ -1,0 +1,91 @@
+"""What the user asks of a run: from the command line's words to a prepared run and its folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from agents.plan import Actuator, Scheme
+from bus_schemas.errors import InputError
+from launch_scripts.launcher.json_rows import check_json_destination
+from launch_scripts.launcher.run_folder import RunFolder, new_run_id, run_folder
+from launch_scripts.scenarios.externals import NO_EXTERNALS, ExternalOptions
+from launch_scripts.scenarios.machine_table import AS_THE_SCENARIO_SAYS, MachineOptions
+from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.scenario import FASTEST_PACE, SLOWEST_PACE, load_scenario
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """The words of the command line, None where the user said nothing."""
+
+    driver: Literal["launch", "simulate"]
+    scenario: str
+    start: str | None
+    duration: str | None
+    pace: str | None
+    seed: int | None
+    scheme: Scheme | None
+    actuator: Actuator | None
+    out: Path | None
+    data: Path | None
+    json: str | None
+    report: bool
+    cycle_s: float | None = None
+    faults: tuple[str, ...] = ()
+    external: ExternalOptions = NO_EXTERNALS
+    machine: MachineOptions = AS_THE_SCENARIO_SAYS
+
+
+def prepare_run(request: RunRequest) -> tuple[Preparation, RunFolder]:
+    """Work out the run and its folder, of which nothing is made yet.
+
+    Raises
+    ------
+    InputError
+        The words of the command line, the scenario and its data do not go together.
+    """
+    check_json_destination(request.json)
+    scenario = load_scenario(request.scenario, request.data)
+    run_id = new_run_id(scenario.scenario.name)
+    folder = run_folder(run_id, request.out)
+    options = RunOptions(
+        request.start,
+        request.duration,
+        _pace(request.pace),
+        request.seed,
+        request.scheme,
+        request.actuator,
+        request.cycle_s,
+        request.faults,
+        request.external,
+        request.machine,
+    )
+    preparation = prepare(scenario, options, run_id)
+    _check_faults(request, preparation)
+    return preparation, folder
+
+
+def _check_faults(request: RunRequest, preparation: Preparation) -> None:
+    plan = preparation.plan
+    if request.driver == "launch" and plan.lockstep and plan.faults:
+        where = f"--fault {request.faults[0]}" if request.faults else "faults of the scenario"
+        raise InputError(
+            f"{where}: a message that is lost in lockstep is waited for without end, accepted is "
+            "a --pace such as 1"
+        )
+
+
+def _pace(text: str | None) -> float | Literal["max"] | None:
+    if text is None or text == "max":
+        return "max" if text else None
+    try:
+        pace = float(text)
+    except ValueError:
+        pace = 0.0
+    if not SLOWEST_PACE <= pace <= FASTEST_PACE:
+        raise InputError(
+            f"--pace {text}: accepted is a number from {SLOWEST_PACE:g} to {FASTEST_PACE:g}, or max"
+        )
+    return pace

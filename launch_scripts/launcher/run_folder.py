@@ -1,0 +1,92 @@
+"""The folder that a run leaves behind."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import msgspec
+
+from agents.plan import RunPlan
+from bus_schemas.errors import InputError
+from launch_scripts.scenarios.preparation import Preparation
+from recordings.read.run_file import RECORDING_NAME
+
+
+@dataclass(frozen=True, slots=True)
+class RunFolder:
+    """Plan, profile, scenario, logs, recording and summary of one run."""
+
+    path: Path
+
+    @property
+    def plan(self) -> Path:
+        """What the processes agree on."""
+        return self.path / "plan.json"
+
+    @property
+    def logs(self) -> Path:
+        """Folder of the processes' logs."""
+        return self.path / "logs"
+
+    @property
+    def recording(self) -> Path:
+        """The MCAP file."""
+        return self.path / RECORDING_NAME
+
+    @property
+    def summary(self) -> Path:
+        """The summary as JSON."""
+        return self.path / "summary.json"
+
+    def fill(self, preparation: Preparation, tcp_ports: dict[str, int]) -> RunPlan:
+        """Write what the processes need; return the plan with its ports.
+
+        The plan comes last and at one blow: a device may be waiting for it to appear.
+
+        Raises
+        ------
+        InputError
+            No folder can be made there.
+        """
+        try:
+            self.logs.mkdir(parents=True)
+        except OSError as error:
+            raise _no_folder(self.path, error.strerror) from None
+        plan = msgspec.structs.replace(preparation.plan, tcp_ports=tcp_ports)
+        preparation.profile.save(self.path / "profile.npz")
+        (self.path / "scenario.toml").write_text(preparation.scenario.text, encoding="utf-8")
+        unfinished = self.plan.with_suffix(".json.part")
+        unfinished.write_bytes(plan.as_json())
+        unfinished.replace(self.plan)
+        return plan
+
+
+def _no_folder(path: Path, reason: str | None) -> InputError:
+    return InputError(
+        f"--out {path}: no folder can be made there ({reason}), accepted is a new or empty folder"
+    )
+
+
+def new_run_id(scenario: str) -> str:
+    """Return a name that no other run has: scenario, time, process."""
+    return f"{scenario}-{datetime.now():%Y%m%d-%H%M%S}-{os.getpid()}"
+
+
+def run_folder(run_id: str, out: Path | None) -> RunFolder:
+    """Choose the folder of a run; it is not made yet.
+
+    Raises
+    ------
+    InputError
+        It holds something already, or no folder can be made there.
+    """
+    path = out or Path("runs") / run_id
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise InputError(f"--out {path}: it exists already, accepted is a new or empty folder")
+    parent = next(folder for folder in path.absolute().parents if folder.exists())
+    if not parent.is_dir() or not os.access(parent, os.W_OK):
+        raise _no_folder(path, f"{parent} is no folder that may be written to")
+    return RunFolder(path)

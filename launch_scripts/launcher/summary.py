@@ -1,0 +1,176 @@
+"""What a run came to: its figures and counts, as one document."""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter
+from collections.abc import Mapping
+
+import msgspec
+
+from agents.events import ExternalAccount, PlantPower, Recorded
+from agents.plan import RunPlan
+from launch_scripts.launcher.supervision import Memory
+from launch_scripts.launcher.wrong_messages import WrongMessages
+from recordings.read.series import plant_series
+from studies.metrics import RunMetrics, run_metrics
+
+
+class MessageCount(msgspec.Struct, frozen=True):
+    """Messages of one signal: published by the agents, found in the recording, and the rest."""
+
+    signal: str
+    published: int
+    recorded: int
+
+    @property
+    def lost(self) -> int:
+        """Published and not recorded; negative: recorded and not published."""
+        return self.published - self.recorded
+
+
+class MemoryUse(msgspec.Struct, frozen=True):
+    """Memory of the processes of one kind, the median process and the largest [MB]."""
+
+    kind: str
+    processes: int
+    resident_median_mb: float
+    resident_largest_mb: float
+    own_median_mb: float
+
+
+class ProcessAccount(msgspec.Struct, frozen=True):
+    """What one process of a run over processes said at its end, and what it took.
+
+    Attributes
+    ----------
+    agent, kind
+        Its name, and `recorder`, `plant`, `central`, `supervisor` or `direct`.
+    dropped
+        Messages that it could not use, by cause.
+    resident_mb
+        Most memory that was seen resident [MB].
+    missing_inputs
+        Awaited inputs that a deadline found missing.
+    old_inputs
+        Inputs of an earlier cycle that it used in place of them.
+    skipped_cycles
+        Cycles that were over before it came to them.
+    cpu_s
+        Processor time from cycle 0 to its end [s].
+    voluntary_switches
+        How often it waited for something, over its whole life.
+    """
+
+    agent: str
+    kind: str
+    dropped: dict[str, int]
+    resident_mb: float
+    missing_inputs: int = 0
+    old_inputs: int = 0
+    skipped_cycles: int = 0
+    cpu_s: float | None = None
+    voluntary_switches: int = 0
+
+
+class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
+    """The figures of a run.
+
+    `recording_ended` says why its recording does not go up to its end; it is empty if it does.
+    `processes` is empty where the run was in one process. `messages` are those of the processes;
+    of external agents, which give no account of themselves, `external` tells what was heard.
+    """
+
+    run_id: str
+    scenario: str
+    driver: str
+    folder: str
+    sim_start: str
+    cycles: int
+    cycle_s: float
+    wall_s: float
+    startup_s: float
+    arming_rounds: int
+    metrics: RunMetrics | None
+    messages: tuple[MessageCount, ...]
+    dropped: dict[str, int]
+    missing_inputs: int
+    memory: tuple[MemoryUse, ...]
+    hindsight_neighbours: bool
+    remarks: tuple[str, ...]
+    interrupted: bool
+    recording_ended: str = ""
+    faults: dict[str, int] = msgspec.field(default_factory=dict)
+    old_inputs: int = 0
+    skipped_cycles: int = 0
+    processes_startup_s: float = 0.0
+    processes: tuple[ProcessAccount, ...] = ()
+    external: tuple[ExternalAccount, ...] = ()
+    wrong: tuple[WrongMessages, ...] = ()
+
+    @property
+    def cycles_per_s(self) -> float:
+        """Cycles per second of wall time, arming left out."""
+        return self.cycles / self.wall_s if self.wall_s > 0.0 else 0.0
+
+    @property
+    def lost(self) -> int:
+        """Messages that differ between what was published and what was recorded."""
+        return sum(abs(count.lost) for count in self.messages)
+
+    def as_json(self) -> bytes:
+        """Return the summary as JSON, with the figures that follow from others."""
+        document = msgspec.to_builtins(self)
+        document["cycles_per_s"] = self.cycles_per_s
+        if self.metrics is not None:
+            energy = self.metrics.commitment
+            document["metrics"]["commitment"]["satisfied_percent"] = energy.satisfied_percent
+        document["messages_lost"] = self.lost
+        return msgspec.json.format(msgspec.json.encode(document), indent=2)
+
+
+def plant_metrics(plan: RunPlan, power: PlantPower) -> RunMetrics | None:
+    """Work out the figures of merit of a run; None of one without a complete cycle."""
+    return run_metrics(plant_series(plan, power)) if power.desired_kw else None
+
+
+def count_messages(
+    published: Mapping[str, int], recorded: Mapping[str, int]
+) -> tuple[MessageCount, ...]:
+    """Set what was published beside what was recorded, signal by signal."""
+    signals = dict.fromkeys([*published, *recorded])
+    return tuple(
+        MessageCount(signal, published.get(signal, 0), recorded.get(signal, 0))
+        for signal in signals
+    )
+
+
+def without_external(recorded: Recorded) -> dict[str, int]:
+    """Return how many messages of each signal were recorded, those of external agents set aside."""
+    counts = Counter(recorded.recorded)
+    for account in recorded.external:
+        counts.subtract(account.recorded)
+    # A recording that had to end early may hold less than was heard.
+    return {signal: max(count, 0) for signal, count in counts.items()}
+
+
+def memory_use(samples: Mapping[str, list[Memory]]) -> tuple[MemoryUse, ...]:
+    """Summarise the largest memory seen of each process, kind by kind."""
+    return tuple(
+        MemoryUse(
+            kind,
+            len(values),
+            statistics.median(value.resident_mb for value in values),
+            max(value.resident_mb for value in values),
+            statistics.median(value.own_mb for value in values),
+        )
+        for kind, values in samples.items()
+    )
+
+
+def merge_counts(counts: list[dict[str, int]]) -> dict[str, int]:
+    """Add up counts by name."""
+    total: Counter[str] = Counter()
+    for count in counts:
+        total.update(count)
+    return dict(total)

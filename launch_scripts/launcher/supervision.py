@@ -1,0 +1,392 @@
+"""The launcher's side of its processes: starts, hears and ends them, and finds out what broke."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import msgspec
+import psutil
+
+from agents.cycle import Kind, kind_of
+from agents.events import (
+    AnyEvent,
+    Exited,
+    Failed,
+    Finished,
+    Joined,
+    Recorded,
+    Started,
+    Waiting,
+)
+from agents.launcher_link import EventReader
+from agents.plan import RunPlan
+from bus_schemas.tree import RECORDER
+from bus_schemas.zenoh_bus import ZENOH_RUNTIME
+from launch_scripts.launcher.fork_requests import Request, Signal, Tell, log_name
+
+_LOG_LINES: Final = 5
+"""Lines of a log that are shown when its process is to blame."""
+
+_SAMPLE_S: Final = 0.5
+"""Time between two looks at the memory of a process, once all have been looked at."""
+
+_LARGEST_PACKET: Final = 1 << 18
+_MOST_PACKETS: Final = 500
+_LAST_WAIT_S: Final = 5.0
+
+
+class Memory(NamedTuple):
+    """Memory of a process [MB of 1,000,000 bytes]: resident in all, and its own.
+
+    The difference is shared with the other processes: the pages of Python and of its libraries.
+    """
+
+    resident_mb: float
+    own_mb: float
+
+
+def memory_of(pid: int) -> Memory:
+    """Return the memory of a process.
+
+    Raises
+    ------
+    psutil.Error
+        It has ended.
+    """
+    info = psutil.Process(pid).memory_full_info()
+    return Memory(info.rss / 1e6, info.uss / 1e6)
+
+
+class RunFailure(Exception):  # noqa: N818 - what failed is the run, not the program
+    """A run that could not go on. The text names the process, who waited for what, and its log."""
+
+
+class ForkServerProcess:
+    """The fork server as the launcher sees it. Start it early: it imports while others prepare."""
+
+    def __init__(self) -> None:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.control = ours
+        self._was_asked = False
+        with theirs:
+            self._process = subprocess.Popen(
+                # Without the current folder on the path: a `signal.py` there is none of ours.
+                (
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    "launch_scripts.launcher.fork_server",
+                    str(theirs.fileno()),
+                ),
+                stdin=subprocess.DEVNULL,
+                env={
+                    **os.environ,
+                    "ZENOH_RUNTIME": os.environ.get("ZENOH_RUNTIME", ZENOH_RUNTIME),
+                    "PYTHONUNBUFFERED": "1",
+                    # An import must start no thread: this library would.
+                    "OPENBLAS_NUM_THREADS": "1",
+                },
+                pass_fds=(theirs.fileno(),),
+                process_group=0,
+            )
+
+    def __enter__(self) -> ForkServerProcess:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    def has_ended(self) -> bool:
+        """Whether it has ended, for whatever reason."""
+        return self._process.poll() is not None
+
+    def ask(self, request: Request) -> None:
+        """Send a request."""
+        self._was_asked = True
+        with suppress(BrokenPipeError, ConnectionResetError):
+            self.control.send(msgspec.json.encode(request))
+
+    def close(self) -> None:
+        """Let it end what is left of its processes, and itself."""
+        self.control.close()
+        if not self._was_asked:  # It has no processes.
+            self._process.kill()
+        try:
+            self._process.wait(_LAST_WAIT_S + 1.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+@dataclass
+class Child:
+    """One process of a run.
+
+    Attributes
+    ----------
+    finished
+        Its account at the end; None while it runs.
+    waiting
+        What it last said it waited for.
+    """
+
+    agent: str
+    kind: Kind
+    log: Path
+    pid: int = 0
+    ready: bool = False
+    finished: Finished | None = None
+    recorded: Recorded | None = None
+    waiting: Waiting | None = None
+    failed: Failed | None = None
+    exited: Exited | None = None
+    memory: Memory = field(default_factory=lambda: Memory(0.0, 0.0))
+
+    def note(self, event: AnyEvent) -> None:
+        """Keep what it says of itself."""
+        match event:
+            case Started():
+                self.pid = event.pid
+            case Joined():
+                self.ready = True
+            case Finished():
+                self.finished = event
+            case Recorded():
+                self.recorded = event
+            case Waiting():
+                self.waiting = event
+            case Failed():
+                self.failed = event
+            case Exited():
+                self.exited = event
+
+    def cpu_s(self) -> float | None:
+        """Return the processor time of all its threads so far; None if it is not known."""
+        if self.exited is not None:
+            return self.exited.cpu_s
+        try:
+            times = psutil.Process(self.pid).cpu_times()
+        except psutil.Error:
+            return None
+        return float(times.user + times.system)
+
+    def is_stopped(self) -> bool:
+        """Whether a signal has stopped it."""
+        try:
+            return bool(psutil.Process(self.pid).status() == psutil.STATUS_STOPPED)
+        except psutil.Error:
+            return False
+
+    def last_log_lines(self) -> str:
+        """Return the end of its log, empty if it said nothing."""
+        if not self.log.exists():
+            return ""
+        lines = self.log.read_text(encoding="utf-8", errors="replace").splitlines()
+        return "\n".join(f"  | {line}" for line in lines[-_LOG_LINES:])
+
+
+class Children:
+    """All processes of a run. Leaving the context ends those that are left.
+
+    Parameters
+    ----------
+    server
+        Starts them.
+    plan
+        Of the run.
+    agents
+        Those that are processes of this run.
+    logs
+        Folder of the log files.
+    """
+
+    def __init__(
+        self, server: ForkServerProcess, plan: RunPlan, agents: Sequence[str], logs: Path
+    ) -> None:
+        self.server = server
+        self.by_agent = {
+            agent: Child(agent, kind_of(agent, plan.tree), logs / log_name(agent))
+            for agent in agents
+        }
+        self._reader = EventReader()
+        self._asked_to_end: set[str] = set()
+        self._server_gone = False
+        self._server_failure = ""
+        self._samples = 0
+        self._sample_at = 0.0
+
+    def __enter__(self) -> Children:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.end()
+
+    def __getitem__(self, agent: str) -> Child:
+        return self.by_agent[agent]
+
+    def __iter__(self) -> Iterator[Child]:
+        return iter(self.by_agent.values())
+
+    def events(self, timeout_s: float) -> list[tuple[Child, AnyEvent]]:
+        """Return what the processes say within a time; note what they report of themselves.
+
+        Raises
+        ------
+        RunFailure
+            A process gave up, or ended before its time.
+        """
+        heard: list[tuple[Child, AnyEvent]] = []
+        control = self.server.control
+        control.settimeout(timeout_s)
+        for _ in range(_MOST_PACKETS):
+            try:
+                packet = control.recv(_LARGEST_PACKET)
+            except (TimeoutError, BlockingIOError):
+                break
+            except ConnectionResetError:
+                packet = b""
+            if not packet:
+                self._server_gone = True
+                break
+            control.settimeout(0.0)
+            told = self._reader.feed(packet)
+            if told is not None:
+                self._note(*told, heard)
+        self._sample_memory()
+        self._check()
+        return heard
+
+    def controllers(self) -> list[Child]:
+        """Return all but the recorder."""
+        return [child for child in self if child.agent != RECORDER]
+
+    def tell_recorder(self, word: str) -> None:
+        """Send a word to the recorder."""
+        self._asked_to_end.add(RECORDER)
+        self.server.ask(Tell(word))
+
+    def ask_to_end(self, agents: Sequence[str]) -> None:
+        """Let agents end in order."""
+        self._asked_to_end.update(agents)
+        self._signal(agents, signal.SIGTERM)
+
+    def await_exit(self, children: list[Child], timeout_s: float) -> list[Child]:
+        """Wait for processes to end; return those that have not."""
+        until = time.monotonic() + timeout_s
+        left = [child for child in children if child.exited is None]
+        while left and time.monotonic() < until:
+            self.events(0.02)
+            left = [child for child in left if child.exited is None]
+        return left
+
+    def end(self) -> None:
+        """End every process: the recorder in order, so that its file is whole, the others at once.
+
+        The server does so when the launcher hangs up.
+        """
+        self.server.close()
+
+    def _signal(self, agents: Sequence[str], number: signal.Signals) -> None:
+        self.server.ask(Signal(tuple(agents), int(number)))
+
+    def _note(self, agent: str, event: AnyEvent, heard: list[tuple[Child, AnyEvent]]) -> None:
+        if agent in self.by_agent:
+            child = self.by_agent[agent]
+            child.note(event)
+            heard.append((child, event))
+        elif isinstance(event, Failed):
+            self._server_failure = event.text
+
+    def _sample_memory(self) -> None:
+        """Look at the memory of one process, each in its turn.
+
+        The kernel walks through all pages of a process for it, a millisecond in which that process
+        may have to wait: once everybody has been seen, that is done rarely.
+        """
+        children = [child for child in self if child.ready and child.exited is None]
+        now = time.monotonic()
+        if not children or now < self._sample_at:
+            return
+        child = children[self._samples % len(children)]
+        self._samples += 1
+        self._sample_at = now + (_SAMPLE_S if self._samples >= len(children) else 0.0)
+        with suppress(psutil.Error):
+            child.memory = max(child.memory, memory_of(child.pid))
+
+    def _check(self) -> None:
+        if self._server_gone or self.server.has_ended():
+            why = self._server_failure or "it was killed or ended by itself"
+            raise RunFailure(
+                f"the fork server (process {self.server.pid}) is gone, and with it all processes "
+                f"of the run: {why}"
+            )
+        for child in self:
+            if child.failed is not None:
+                raise RunFailure(with_log(child, f"{child.agent} gave up: {child.failed.text}"))
+            ended_early = child.recorded is not None or (
+                child.finished and child.finished.dismissed
+            )
+            if ended_early and child.agent not in self._asked_to_end:
+                how = "was ended by SIGTERM in the middle of the run"
+                raise RunFailure(with_log(child, f"{child.agent} (process {child.pid}) {how}"))
+            done = child.finished is not None or child.recorded is not None
+            if child.exited is not None and (not done or child.exited.status):
+                raise RunFailure(_cause_of_end(child, child.exited))
+
+
+def _cause_of_end(child: Child, exited: Exited) -> str:
+    code = exited.status
+    how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
+    return with_log(child, f"{child.agent} (process {child.pid}) {how} in the middle of the run")
+
+
+def with_log(child: Child, text: str) -> str:
+    """Return a text with the last log lines of the process that it is about."""
+    lines = child.last_log_lines()
+    return f"{text}; last lines of {child.log}:\n{lines}" if lines else text
+
+
+def blame(children: Children, agent: str, text: str) -> str:
+    """Return a text about an agent, with its last log lines if it is a process of this run."""
+    if agent in children.by_agent:
+        return with_log(children[agent], text)
+    return f"{text} ({agent} is external)"
+
+
+def explain_stall(children: Children) -> str:
+    """Say who is waited for and does not answer, and who waits for which message.
+
+    A process that a signal has stopped is to blame; else those that others wait for and that do not
+    wait themselves.
+    """
+    waiting = {child.agent: child.waiting for child in children if child.waiting is not None}
+    needed: dict[str, list[str]] = {}
+    for agent, event in waiting.items():
+        for port, publisher in event.needs:
+            needed.setdefault(publisher, []).append(f"{agent} waits for {port}")
+    stopped = [child.agent for child in children if child.is_stopped()]
+    culprits = stopped or [agent for agent in needed if agent not in waiting] or list(needed)
+    cycle = max(event.cycle for event in waiting.values())
+    what = "stopped by a signal: " if stopped else "nothing more came from "
+    lines = [f"stalled in cycle {cycle}: {what}{', '.join(culprits) or 'the bus'}"]
+    for agent in culprits:
+        reasons = Counter(needed.get(agent, ()))
+        lines += [f"  {reason}" for reason in list(reasons)[:4]]
+        lines[-1] = blame(children, agent, lines[-1])
+    return "\n".join(lines)

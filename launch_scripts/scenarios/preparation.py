@@ -1,0 +1,344 @@
+"""Works out, before anything starts, all that a run needs: from a scenario to plan and profile."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime, time
+from typing import Final, Literal
+
+import numpy as np
+import pandas as pd
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from agents.control.correlation import HourlyMatrices, hourly_covariance
+from agents.periods import Periods
+from agents.plan import Actuator, RunPlan, Scheme
+from bus_schemas.errors import InputError
+from bus_schemas.tree import ControlTree, depth
+from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
+from launch_scripts.scenarios.externals import NO_EXTERNALS, ExternalOptions, check_externals
+from launch_scripts.scenarios.fault_rules import fault_remarks, fault_rules
+from launch_scripts.scenarios.machine_table import (
+    AS_THE_SCENARIO_SAYS,
+    MachineOptions,
+    machine_settings,
+)
+from launch_scripts.scenarios.power_sources import power_source
+from launch_scripts.scenarios.real_time import cycle_wall_ns, tier_deadlines_ns
+from launch_scripts.scenarios.scenario import (
+    LARGEST_SEED,
+    ControlTable,
+    PlantTable,
+    Scenario,
+    ScenarioFile,
+    TimeTable,
+    local_start,
+    parse_duration_s,
+    with_two_digit_hour,
+)
+from sim_plant.commitment import commitment_kw, hindsight
+from sim_plant.profile import Profile
+from sim_plant.regulation import regulation_kw, regulation_remarks
+from sim_plant.sources import PowerSource
+
+_HOUR_NS: Final = 3_600_000_000_000
+_FIRST_YEAR: Final = 1900
+_LAST_YEAR: Final = 2200
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What the command line may change about a scenario. None leaves it as it is."""
+
+    start: str | None = None
+    duration: str | None = None
+    pace: float | Literal["max"] | None = None
+    seed: int | None = None
+    scheme: Scheme | None = None
+    actuator: Actuator | None = None
+    cycle_s: float | None = None
+    faults: tuple[str, ...] = ()
+    external: ExternalOptions = NO_EXTERNALS
+    machine: MachineOptions = AS_THE_SCENARIO_SAYS
+
+
+@dataclass(frozen=True, slots=True)
+class Preparation:
+    """A run that is ready to start."""
+
+    plan: RunPlan
+    profile: Profile
+    scenario: ScenarioFile
+    hindsight: bool
+    remarks: tuple[str, ...]
+    external: ExternalOptions = NO_EXTERNALS
+
+    def local_start(self) -> str:
+        """Return the local time of cycle 0, to be read."""
+        moment = pd.Timestamp(self.plan.start_time_ns, tz="UTC")
+        return f"{moment.tz_convert(self.scenario.scenario.time.timezone):%Y-%m-%d %H:%M:%S %Z}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Day:
+    """What sun and market do in a run, inverter by inverter, and the tree that the past suggests.
+
+    Inverters are in the order of the source here; `order` brings them into that of the tree, since
+    clusters may have mixed them up.
+    """
+
+    times: pd.DatetimeIndex
+    source: PowerSource
+    possible_kw: NDArray[np.float64]
+    commitment_kw: NDArray[np.float64]
+    covariance: HourlyMatrices
+    tree: ControlTree
+
+    @property
+    def order(self) -> list[int]:
+        """Place in the source of each inverter of the tree."""
+        names = self.source.sites.names
+        return [names.index(leaf.rpartition("/")[2]) for leaf in self.tree.leaves]
+
+
+def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Preparation:
+    """Work out a run.
+
+    Raises
+    ------
+    InputError
+        Scenario, options and data do not go together.
+    """
+    if options.seed is not None and not 0 <= options.seed <= LARGEST_SEED:
+        raise InputError(f"--seed {options.seed}: accepted is 0 to {LARGEST_SEED}")
+    scenario = _with_cycle(scenario_file.scenario, options.cycle_s)
+    try:
+        day = _day(scenario_file, scenario, options)
+        plan = _plan(scenario_file, scenario, options, run_id, day)
+        regulation = _regulation_kw(scenario_file, day.times)
+    except InputError as error:
+        raise InputError(_with_file(scenario_file, str(error))) from None
+    profile = Profile(
+        np.ascontiguousarray(day.possible_kw[:, day.order]),
+        day.commitment_kw,
+        regulation,
+        plan.regulation_capacity_kw,
+        meter_error=_meter_error(scenario.plant, day.possible_kw.shape),
+    )
+    of_commitment = hindsight(scenario.commitment)
+    return Preparation(
+        plan,
+        profile,
+        scenario_file,
+        hindsight=scenario.neighbours.history == "hindsight",
+        remarks=(
+            *day.source.remarks(day.times),
+            *(() if of_commitment is None else (of_commitment,)),
+            *_regulation_remarks(scenario_file),
+            *fault_remarks(plan.faults),
+        ),
+        external=options.external,
+    )
+
+
+def _day(scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions) -> _Day:
+    """Work out what sun and market do, and the control tree.
+
+    Clusters and neighbours are those of the scenario's own times and cycle, whatever the options.
+    """
+    own = scenario_file.scenario
+    times = _times(scenario, options)
+    source = power_source(scenario_file, options.seed, times)
+    possible_kw = source.possible_kw(times)
+    commitment = commitment_kw(
+        scenario.commitment,
+        times,
+        possible_kw.sum(axis=1),
+        source.clear_sky_kw,
+        scenario_file.data_path,
+    )
+    covariance = _covariance(own, source, times)
+    hours = _hours_of(_times(own, RunOptions()), covariance, own)
+    tree = control_tree(scenario.control, source.sites, covariance, hours)
+    return _Day(times, source, possible_kw, commitment, covariance, tree)
+
+
+def _plan(
+    scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions, run_id: str, day: _Day
+) -> RunPlan:
+    """Return what all agents of the run agree on."""
+    control, pace = scenario.control, options.pace or scenario.pace
+    periods = _periods(scenario, day.tree)
+    wall_ns = cycle_wall_ns(scenario.time.cycle_s, pace, "--pace" if options.pace else "pace")
+    deadlines_ns = tier_deadlines_ns(control.deadlines_ms, day.tree, wall_ns)
+    external = check_externals(options.external, day.tree)
+    return RunPlan(
+        run_id=run_id,
+        plant=scenario.name,
+        inverters=day.tree.inverters,
+        start_time_ns=day.times[0].value,
+        cycle_ns=round(scenario.time.cycle_s * 1e9),
+        cycles=len(day.times),
+        timezone=scenario.time.timezone,
+        regulation_capacity_kw=scenario.regulation.capacity_kw if scenario.regulation else 0.0,
+        cycle_wall_ns=wall_ns,
+        period_cycles=periods.cycles,
+        scheme=options.scheme or control.scheme,
+        actuator=options.actuator or scenario.plant.actuator,
+        alpha_min=control.alpha_min,
+        hold_cycles=control.hold_cycles,
+        stall_timeout_s=control.stall_timeout_s,
+        neighbourhoods=neighbourhoods(
+            day.tree, in_order(day.covariance, day.order), _beginnings_ns(day.times, scenario)
+        ),
+        tcp_ports={},
+        ramp_limit_percent_per_min=scenario.plant.ramp_limit_percent_per_min,
+        external=external,
+        # Where the ports stay the same from run to run, all that a device is told does.
+        namespace=scenario.name if options.external.base_port is not None else "",
+        faults=fault_rules(scenario_file, options.faults, day.tree, external),
+        faults_seed=scenario.faults_seed,
+        machine=machine_settings(scenario.machine, options.machine, lockstep=pace == "max"),
+        correction=_corrects(control, options.scheme or control.scheme),
+        available_bias=scenario.plant.available_bias,
+        tier_deadlines_ns=deadlines_ns,
+    )
+
+
+def _corrects(control: ControlTable, scheme: Scheme) -> bool:
+    """Whether the central controller corrects by the meter: as the scenario says, or the scheme."""
+    return scheme == "predictive" if control.correction is None else control.correction
+
+
+def _regulation_kw(scenario_file: ScenarioFile, times: pd.DatetimeIndex) -> NDArray[np.float64]:
+    """Return what the market asks for on top of the commitment, 0 where it asks for nothing."""
+    scenario = scenario_file.scenario
+    if scenario.regulation is None:
+        return np.zeros(len(times))
+    return regulation_kw(
+        scenario.regulation, times, scenario.time.timezone, scenario_file.data_path
+    )
+
+
+def _regulation_remarks(scenario_file: ScenarioFile) -> tuple[str, ...]:
+    settings = scenario_file.scenario.regulation
+    return () if settings is None else regulation_remarks(settings, scenario_file.data_path)
+
+
+def _meter_error(plant: PlantTable, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Relative errors of the inverters' meters: normal, independent, the same for each run."""
+    generator = np.random.default_rng(plant.meter_seed)
+    return plant.meter_noise * generator.standard_normal(shape)
+
+
+def _with_cycle(scenario: Scenario, cycle_s: float | None) -> Scenario:
+    if cycle_s is None:
+        return scenario
+    return replace(scenario, time=replace(scenario.time, cycle_s=cycle_s))
+
+
+def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
+    table = scenario.time
+    start = _start(table, options.start)
+    where, duration_s = f"time.duration_s: {table.duration_s:g} s,", table.duration_s
+    if options.duration is not None:
+        where = f"--duration {options.duration}:"
+        duration_s = parse_duration_s(options.duration, "--duration")
+    cycles = round(duration_s / table.cycle_s)
+    if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:
+        raise InputError(f"{where} accepted are multiples of the cycle, {table.cycle_s:g} s")
+    step = pd.Timedelta(seconds=table.cycle_s)
+    first = pd.Timestamp(start).tz_convert("UTC")
+    return pd.date_range(first, periods=cycles, freq=step, unit="ns")
+
+
+def _start(table: TimeTable, option: str | None) -> datetime:
+    if option is None and not _FIRST_YEAR <= table.start.year <= _LAST_YEAR:
+        raise InputError(
+            f"time.start: {table.start}, accepted are the years {_FIRST_YEAR} to {_LAST_YEAR}"
+        )
+    scheduled = local_start(table)
+    if option is None:
+        return scheduled
+    with suppress(ValueError):
+        clock = time.fromisoformat(with_two_digit_hour(option))
+        if clock.tzinfo is None:
+            return datetime.combine(scheduled.date(), clock, scheduled.tzinfo)
+    with suppress(ValueError):
+        moment = datetime.fromisoformat(with_two_digit_hour(option))
+        if _FIRST_YEAR <= moment.year <= _LAST_YEAR:
+            return moment if moment.tzinfo else moment.replace(tzinfo=scheduled.tzinfo)
+    raise InputError(
+        f"--start {option}: accepted is a local time such as 12:30 or 2010-04-01T12:30:00, "
+        f"{_FIRST_YEAR} to {_LAST_YEAR}"
+    )
+
+
+def _covariance(scenario: Scenario, source: PowerSource, times: pd.DatetimeIndex) -> HourlyMatrices:
+    """Covariance of the inverters' power in the past, for the hours of scenario and run.
+
+    The past does not depend on which part of the scenario is run, nor at which rate: the same
+    plant keeps its clusters and neighbours.
+    """
+    measured = source.measured_times
+    if scenario.neighbours.history == "hindsight":
+        past = times if measured is None else measured
+        history_kw = source.possible_kw(past)
+    else:
+        step = pd.Timedelta(seconds=scenario.time.cycle_s)
+        of_scenario = _whole_hours(_times(scenario, RunOptions()), step)
+        whole_hours = of_scenario.union(_whole_hours(times, step))
+        past = whole_hours if measured is None else measured
+        history_kw = source.earlier_day_kw(past)
+    return hourly_covariance(history_kw, _local_hours(past, scenario.time.timezone))
+
+
+def _whole_hours(times: pd.DatetimeIndex, step: pd.Timedelta) -> pd.DatetimeIndex:
+    """Return times, in steps, over the whole of the hours that these times touch."""
+    return pd.date_range(
+        times[0].floor("h"),
+        times[-1].floor("h") + pd.Timedelta(hours=1),
+        freq=step,
+        inclusive="left",
+        unit="ns",
+    )
+
+
+def _local_hours(times: pd.DatetimeIndex, timezone: str) -> NDArray[np.int64]:
+    """Return hours of local time since 1970, so that each hour of a run is one of its own."""
+    local = times.tz_convert(timezone).tz_localize(None)
+    return (local.as_unit("ns").asi8 // _HOUR_NS).astype(np.int64)
+
+
+def _hours_of(times: pd.DatetimeIndex, covariance: HourlyMatrices, scenario: Scenario) -> list[int]:
+    """Hours of these times of which there is a past; all there are if there is none."""
+    hours = {int(hour) for hour in _local_hours(times, scenario.time.timezone)}
+    return sorted(hours.intersection(covariance.hours)) or list(covariance.hours)
+
+
+def _beginnings_ns(times: pd.DatetimeIndex, scenario: Scenario) -> dict[int, int]:
+    """For each hour of the run the simulated time at which it begins [ns]."""
+    hours, first = np.unique(_local_hours(times, scenario.time.timezone), return_index=True)
+    return {int(hour): times[int(row)].value for hour, row in zip(hours, first, strict=True)}
+
+
+def _periods(scenario: Scenario, tree: ControlTree) -> Periods:
+    tiers = 1 + max(depth(parent) for parent in tree.parents)
+    cycles = scenario.control.period_cycles or (1,) * tiers
+    if len(cycles) != tiers:
+        raise InputError(
+            f"control.period_cycles has {len(cycles)} entries, accepted is one for each of the "
+            f"{tiers} tiers that have children"
+        )
+    return Periods(tuple(cycles))
+
+
+def _with_file(scenario_file: ScenarioFile, text: str) -> str:
+    """Name the scenario where the text speaks of one of its fields."""
+    tables = {"commitment", "control", "machine", "plant", "neighbours", "regulation", "time"}
+    of_a_field = text.split(".", 1)[0] in tables or text.startswith(
+        ("plant:", "stations:", "pace ")
+    )
+    return f"{scenario_file.path}: {text}" if of_a_field else text

@@ -1,0 +1,35 @@
+"""The recorder as a process of a run."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+from agents.drop_log import DropLog
+from agents.events import Joined
+from agents.launcher_link import LauncherLink
+from agents.plan import RunPlan
+from agents.process import run_guarded, session_settings, set_up_process
+from bus_schemas.tree import RECORDER
+from bus_schemas.zenoh_bus import ZenohTap
+from recordings.read.run_file import RECORDING_NAME
+from recordings.record.recorder import Recorder, RecordingEnd
+from recordings.record.writer import RunWriter
+
+
+def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink, *, attached: bool) -> int:
+    """Record a run into its folder until the launcher says so or is gone. Returns the status."""
+    end = RecordingEnd()
+    # Whatever ends the run, the file must be closed in order.
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: end.ask())
+    set_up_process(plan, RECORDER)
+
+    def run() -> None:
+        scenario = (folder / "scenario.toml").read_text(encoding="utf-8")
+        writer = RunWriter(folder / RECORDING_NAME, plan, scenario, driver="launch")
+        with ZenohTap(RECORDER, plan.keys, session_settings(plan, RECORDER)) as tap:
+            link.tell(Joined())
+            Recorder(plan, tap, writer, link, end, DropLog(), attached).run()
+
+    return run_guarded(RECORDER, link, run)

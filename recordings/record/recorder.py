@@ -1,0 +1,323 @@
+"""The recorder: hears everything on the bus of a run and writes it down. A process of its own.
+
+A full disk ends the recording, not the run: the recorder then goes on to hear, since publishers in
+lockstep wait for a listener who falls behind, and to say where the run stands.
+
+It knows best where the run stands, since it sees all of it, and tells the launcher; and in the
+arming rounds it tells the plant that it hears everybody.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Collection
+from typing import Final
+
+import msgspec
+from msgspec.structs import replace
+
+from agents.events import Armed, Over, Presence, Recorded, RecordingEnded
+from agents.launcher_link import LauncherLink
+from agents.plan import RunPlan
+from bus_schemas.codec import decode
+from bus_schemas.messages import Message, Ready, Run
+from bus_schemas.signals import DISPATCH, PRODUCTION, READY, RUN, Occurrence, Port, ports
+from bus_schemas.tree import PLANT, RECORDER, ROOT
+from bus_schemas.zenoh_bus import ZenohTap
+from recordings.record.external_agents import ExternalAgents
+from recordings.record.lasting_writer import LastingWriter
+from recordings.record.message_complaints import ABSURD, REPEATED, Complaints
+from recordings.record.monitor import RunMonitor
+from recordings.record.plausibility import absurdities
+from recordings.record.writer import RunWriter
+
+log = logging.getLogger(__name__)
+
+FLUSH_S: Final = 0.5
+"""Time between flushes: as much as a crash can lose."""
+
+_NAP_S: Final = 0.005
+_STATUS_S: Final = 0.25
+_MOST_AT_ONCE: Final = 2000
+_QUIET_S: Final = 2.0
+"""How long nothing must have come before the recorder stops waiting for what it was told of."""
+
+_FAR_AHEAD: Final = 1000
+"""A message this many cycles ahead of the dispatch is of a cycle that cannot be."""
+
+
+class Head(msgspec.Struct, gc=False):
+    """What the recorder must know of every message; the rest is written down unread."""
+
+    cycle: int
+    source: str
+    sim_time_ns: int = 0
+    publish_time_ns: int = 0
+    sequence: int = 0
+
+
+_decode_head = msgspec.msgpack.Decoder(Head).decode
+
+
+class RecordingEnd:
+    """Whether the recording has been asked to end.
+
+    Attributes
+    ----------
+    expected
+        Messages that must be in the file first; None: whatever still comes.
+    """
+
+    def __init__(self) -> None:
+        self.expected: int | None = None
+        self.asked_at: float | None = None
+
+    def ask(self) -> None:
+        """Let the recording end once nothing comes any more, or soon if something always does."""
+        self.asked_at = self.asked_at or time.monotonic()
+
+    def hear(self, word: str) -> None:
+        """Take in the launcher's word: `expect N` messages."""
+        self.expected = int(word.removeprefix("expect "))
+        self.ask()
+
+
+class Recorder:
+    """Writes down a run.
+
+    Parameters
+    ----------
+    plan
+        Of the run.
+    tap
+        The recorder's place on the bus.
+    writer
+        The file.
+    link
+        To the launcher.
+    end
+        Asked from outside.
+    on_wrong
+        Called with a line of text for each payload that is no message of the run.
+    attached
+        Whether a launcher says when to end. Otherwise the run's own stop does.
+    """
+
+    def __init__(
+        self,
+        plan: RunPlan,
+        tap: ZenohTap,
+        writer: RunWriter,
+        link: LauncherLink,
+        end: RecordingEnd,
+        on_wrong: Callable[[str], None],
+        attached: bool,
+    ) -> None:
+        self.monitor = RunMonitor()
+        self.complaints = Complaints(on_wrong, link.tell)
+        self._plan = plan
+        self._tap = tap
+        self._writer = LastingWriter(writer, self._tell_end)
+        self._link = link
+        self._end = end
+        self._attached = attached
+        self._external = ExternalAgents(plan)
+        self._newest_cycle = -1
+        self._stop_cycle: int | None = None
+        self._last_cycle: dict[Port[Message], int] = {}
+        self._round = Round(plan)
+        self._port_of = {plan.keys.key(port): port for port in plan.keys.ports}
+        # These are read, the others are only written down.
+        self._read = {
+            port
+            for port in plan.keys.ports
+            if port.signal in {DISPATCH, PRODUCTION, RUN} or port.publisher in plan.external
+        }
+
+    def run(self) -> None:
+        """Record until told to end, then close the file and report."""
+        if self._plan.external:
+            self._tap.watch_presence()
+        flush_at = status_at = heard_at = time.monotonic()
+        while not self._may_end(time.monotonic() - heard_at):
+            heard = self._drain()
+            now = time.monotonic()
+            if heard:
+                heard_at = now
+            else:
+                self._heed_launcher()
+                time.sleep(_NAP_S)
+            if now >= flush_at:
+                self._writer.flush()
+                flush_at = now + FLUSH_S
+            if now >= status_at:
+                self._tell_presence()
+                self._tell_status()
+                self._heed_launcher()
+                status_at = now + _STATUS_S
+        self._writer.close()
+        self._report()
+
+    def _heed_launcher(self) -> None:
+        for word in self._link.words():
+            self._end.hear(word)
+
+    def _may_end(self, quiet_s: float) -> bool:
+        asked_at, expected = self._end.asked_at, self._end.expected
+        if asked_at is None:
+            return False
+        if expected is None:
+            return quiet_s > FLUSH_S or time.monotonic() > asked_at + _QUIET_S
+        return self._writer.heard - self._external.heard >= expected or quiet_s > _QUIET_S
+
+    def _drain(self) -> int:
+        heard = 0
+        for key, payload in self._tap.drain():
+            self._hear(key, payload)
+            heard += 1
+            if heard == _MOST_AT_ONCE:
+                break  # Flush and status must have their turn, however much comes.
+        return heard
+
+    def _hear(self, key: str, payload: bytes) -> None:
+        port = self._port_of.get(key)
+        if port is None:
+            self.complaints.add(key, "unknown", "this run has no such node or signal")
+            return
+        try:
+            head = _decode_head(payload)
+            message = decode(port.signal, payload) if port in self._read else None
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            self.complaints.add(key, "undecodable", str(error))
+            return
+        if head.source != port.publisher:
+            self.complaints.add(key, "foreign", f"it is from {head.source!r}")
+        elif head.cycle < 0:
+            if self._round.sees(port, head.cycle):
+                ready = Ready(head.cycle, head.sim_time_ns, RECORDER, ())
+                self._tap.publish(READY.of(ROOT), ready)
+        elif port.signal.logged and not self._is_far_off(key, port, head.cycle):
+            self._record(port, head, message, payload)
+
+    def _is_far_off(self, key: str, port: Port[Message], cycle: int) -> bool:
+        """Whether a message of an external agent is of a cycle that cannot be."""
+        if port.publisher not in self._plan.external or port.publisher == PLANT:
+            return False
+        if self._round.answered and cycle <= self._newest_cycle + _FAR_AHEAD:
+            return False
+        self.complaints.add(key, "other_cycle", f"it is of cycle {cycle}, not {self._newest_cycle}")
+        return True
+
+    def _record(
+        self, port: Port[Message], head: Head, message: Message | None, payload: bytes
+    ) -> None:
+        heard_ns = time.monotonic_ns()
+        self._writer.add(port, head, payload, heard_ns)
+        is_first = head.cycle > self._last_cycle.get(port, -1)
+        self._last_cycle[port] = max(head.cycle, self._last_cycle.get(port, -1))
+        if message is not None:
+            self._follow(port, message, heard_ns, is_first=is_first)
+        else:
+            self.monitor.see_head(port, head.cycle)
+
+    def _follow(
+        self, port: Port[Message], message: Message, heard_ns: int, *, is_first: bool
+    ) -> None:
+        """Follow the run by the messages that say where it stands, and those of external agents."""
+        if port.publisher in self._plan.external:
+            self._external.hear(port, message, is_answer=is_first)
+            key = self._plan.keys.key(port)
+            if not is_first and port.signal.is_cyclic:
+                self.complaints.add(key, REPEATED, f"it came again for cycle {message.cycle}")
+                return
+            if absurd := absurdities(self._plan, port, message, heard_ns):
+                self.complaints.add(key, ABSURD, absurd)
+                return
+        if isinstance(message, Run):
+            self._heed_run(message)
+        elif port.signal is DISPATCH:
+            self._newest_cycle = max(message.cycle, self._newest_cycle)
+        self.monitor.see(port, message)
+
+    def _heed_run(self, message: Run) -> None:
+        """Follow the plant's word. What an external one says, the launcher hears from here."""
+        if message.state == "stop":
+            self._stop_cycle = message.cycle
+            if not self._attached:
+                self._end.ask()
+        if PLANT in self._plan.external:
+            began = message.state == "start"
+            self._link.tell(Armed(self._round.count) if began else Over(message.cycle))
+
+    def _tell_end(self, text: str) -> None:
+        log.error("%s", text)
+        self._link.tell(RecordingEnded(text))
+
+    def _tell_presence(self) -> None:
+        """Say which external agents have come or gone. At the run's end all of them go."""
+        for key, alive in self._tap.presence():
+            agent = self._external.named(key)
+            if agent is not None and self._stop_cycle is None:
+                self._link.tell(Presence(agent, alive, self._newest_cycle))
+
+    def _tell_status(self) -> None:
+        status = self.monitor.status(self._writer.recorded.total())
+        if self._plan.external and self._newest_cycle < 0:
+            status = replace(status, unheard=self._round.unheard(self._plan.external))
+        self._link.tell(status)
+
+    def _report(self) -> None:
+        cycles = self._newest_cycle + 1 if self._stop_cycle is None else self._stop_cycle
+        self._link.tell(
+            Recorded(
+                recorded=dict(self._writer.recorded),
+                foreign=self.complaints.set_aside,
+                plant=self.monitor.plant,
+                ended_early=self._writer.trouble,
+                external=self._external.accounts(cycles),
+                complaints=self.complaints.all(),
+            )
+        )
+
+
+class Round:
+    """The arming round under way: which of the messages that always come have been heard.
+
+    Attributes
+    ----------
+    count
+        How many rounds have begun.
+    answered
+        Whether all of a round has been heard.
+    """
+
+    def __init__(self, plan: RunPlan) -> None:
+        steady = {Occurrence.CYCLE, Occurrence.TURN}
+        self._all = frozenset(port for port in ports(plan.tree) if port.signal.occurrence in steady)
+        self.count = 0
+        self.answered = False
+        self._cycle: int | None = None
+        self._open: set[Port[Message]] = set()
+        self._last: dict[Port[Message], int] = {}
+
+    def sees(self, port: Port[Message], cycle: int) -> bool:
+        """Take in a message of a round; return whether it was the last one that was missing.
+
+        Only the plant begins a round: what another one says of a later round is remembered, in case
+        it has overtaken the plant's messages.
+        """
+        if port.publisher == PLANT and (self._cycle is None or cycle > self._cycle):
+            self._cycle = cycle
+            self._open = {port for port in self._all if self._last.get(port) != cycle}
+            self.count += 1
+        self._last[port] = cycle
+        if cycle != self._cycle or port not in self._open:
+            return False
+        self._open.discard(port)
+        self.answered = self.answered or not self._open
+        return not self._open
+
+    def unheard(self, agents: Collection[str]) -> list[str]:
+        """Keys, without the plant's name, on which some agents have said nothing in this round."""
+        return sorted(str(port) for port in self._open if port.publisher in agents)

@@ -1,0 +1,274 @@
+"""Makes a whole recording of one that was cut: everything up to the cut, with its index again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO, Final
+
+import msgspec
+from mcap.writer import CompressionType, Writer
+
+from bus_schemas.codec import decode
+from bus_schemas.signals import PRODUCTION, RUN
+from recordings.export.unfinished import unfinished
+from recordings.read.chunks import (
+    ChunkPlace,
+    DamagedChunkError,
+    RawMessage,
+    messages_in,
+    unpack_chunk,
+)
+from recordings.read.completeness import Completeness, Shortfall
+from recordings.read.outline import Outline
+from recordings.read.reader import RunReader, cycle_of
+
+RECOVERY_METADATA: Final = "recovery"
+"""Name of the metadata that tells where a recovered file is from."""
+
+
+class DamagedChunk(msgspec.Struct, frozen=True):
+    """A chunk in the middle of a file that could not be read.
+
+    Attributes
+    ----------
+    offset
+        Its first byte in the file.
+    first_ns, last_ns
+        Wall clock between which its messages were recorded [ns since 1970-01-01 UTC].
+    reason
+        Why.
+    """
+
+    offset: int
+    first_ns: int
+    last_ns: int
+    reason: str
+
+
+class Recovery(msgspec.Struct, frozen=True):
+    """What came of a recovery.
+
+    Attributes
+    ----------
+    source, out
+        The recording, and the new one.
+    closed
+        Whether the recorder had come to the end of the messages.
+    ended
+        Whether it goes up to the end of the run, and the plant completed all cycles.
+    messages
+        How many were kept.
+    complete_cycles, last_cycle, planned_cycles
+        Cycles that the plant completed, the last one of which there is anything, and how many the
+        plan of the run has.
+    last_ns
+        Wall clock at which the last message was recorded [ns since 1970-01-01 UTC].
+    cut_bytes
+        Bytes at the end of the file that make up no whole record: of an incomplete chunk, as a
+        rule.
+    cut_messages
+        Messages that could be read of that chunk; they are among those that were kept. No
+        checksum vouches for them: that of the chunk is of all of it.
+    shortfall
+        What is not there of the run, up to its end where that is told.
+    damaged
+        Chunks that could not be read.
+    damaged_attachments
+        Names of attachments that are not what was written; they were kept as they are.
+    """
+
+    source: str
+    out: str
+    closed: bool
+    ended: bool
+    messages: int
+    complete_cycles: int
+    last_cycle: int
+    planned_cycles: int
+    last_ns: int
+    cut_bytes: int
+    cut_messages: int
+    shortfall: Shortfall
+    damaged: tuple[DamagedChunk, ...]
+    damaged_attachments: tuple[str, ...]
+
+    @property
+    def lossless(self) -> bool:
+        """Whether nothing that was recorded can be missing."""
+        there = (self.closed or self.ended) and not self.shortfall
+        return there and not self.damaged and not self.damaged_attachments
+
+
+def is_sound(run: RunReader, follow: Callable[[float], None] = lambda share: None) -> bool:
+    """Whether a recording was closed in order and all that is in it can be read.
+
+    Parameters
+    ----------
+    run
+        The recording.
+    follow
+        Called every now and then with how far the reading has come, 0 to 1.
+    """
+    if not run.whole or run.outline.damaged_attachments:
+        return False
+    for place in run.outline.chunks:
+        follow(place.offset / run.outline.size)
+        try:
+            unpack_chunk(run.file, place)
+        except DamagedChunkError:
+            return False
+    return True
+
+
+def recover_run(
+    run: RunReader, out: Path, follow: Callable[[float], None] = lambda share: None
+) -> Recovery:
+    """Copy all that can be read of a recording into a new one.
+
+    Attachments, metadata, schemas and channels are the same; so are the messages, byte for byte,
+    with their times, sequence numbers and order. Metadata named `recovery` is added.
+
+    Parameters
+    ----------
+    run
+        The recording.
+    out
+        The new file. It appears when it is complete.
+    follow
+        Called every now and then with how far the reading has come, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        There is something at `out` already, or no folder for it.
+    OSError
+        It cannot be written: the disk is full.
+    """
+    with unfinished(out) as beside, beside.open("xb") as file:
+        copy = _Copy(run, file)
+        for place in run.outline.chunks:
+            follow(place.offset / run.outline.size)
+            copy.add_chunk(place)
+        return copy.finish(out)
+
+
+class _Copy:
+    """A new recording that is being filled from an old one.
+
+    Parameters
+    ----------
+    run
+        The old one.
+    file
+        The new one.
+    """
+
+    def __init__(self, run: RunReader, file: BinaryIO) -> None:
+        self._run = run
+        self._messages = self._cut_messages = self._last_ns = 0
+        self._productions = 0
+        self._last_cycle = -1
+        self._end_cycle: int | None = None
+        self._completeness = Completeness(run.plan)
+        self._damaged: list[DamagedChunk] = []
+        self._writer = Writer(file, compression=CompressionType.LZ4)
+        self._write_origin(run.outline)
+        self._channel_of = self._register(run.outline)
+        self._port_of = {
+            number: run.plan.keys.port(channel.topic)
+            for number, channel in run.outline.channels.items()
+        }
+
+    def add_chunk(self, place: ChunkPlace) -> None:
+        """Copy the messages of a chunk; note it if it cannot be read."""
+        try:
+            records = unpack_chunk(self._run.file, place)
+            for raw in messages_in(records, self._channel_of):
+                if place.cut and cycle_of(raw[4]) > self._run.plan.cycles:
+                    return
+                self._add(raw)
+                self._cut_messages += place.cut
+        except (DamagedChunkError, msgspec.DecodeError) as error:
+            # Of a chunk that was cut there is no checksum: it is read for as long as it decodes.
+            if not place.cut:
+                self._damaged.append(
+                    DamagedChunk(place.offset, place.first_ns, place.last_ns, str(error))
+                )
+
+    def finish(self, out: Path) -> Recovery:
+        """Write down where the file is from, and its index; return what came of it."""
+        run = self._run
+        recovery = Recovery(
+            source=str(run.path),
+            out=str(out),
+            closed=run.outline.closed,
+            ended=self._end_cycle is not None and self._end_cycle == self._productions,
+            messages=self._messages,
+            complete_cycles=self._productions,
+            last_cycle=self._last_cycle,
+            planned_cycles=run.plan.cycles,
+            last_ns=self._last_ns,
+            cut_bytes=0 if run.outline.closed else run.outline.size - run.outline.readable_end,
+            cut_messages=self._cut_messages,
+            shortfall=self._completeness.shortfall(self._end_cycle),
+            damaged=tuple(self._damaged),
+            damaged_attachments=tuple(run.outline.damaged_attachments),
+        )
+        told = {
+            "recovered_from": run.path.name,
+            "lossless": str(recovery.lossless).lower(),
+            "cut_bytes": str(recovery.cut_bytes),
+            "damaged_chunks": str(len(recovery.damaged)),
+        }
+        if recovery.damaged_attachments:
+            # Their new checksums will be right.
+            told["damaged_attachments"] = ", ".join(recovery.damaged_attachments)
+        self._writer.add_metadata(RECOVERY_METADATA, told)
+        self._writer.finish()
+        return recovery
+
+    def _add(self, raw: RawMessage) -> None:
+        channel, sequence, log_time_ns, publish_time_ns, payload = raw
+        cycle = cycle_of(payload)
+        port = self._port_of[channel]
+        if port is not None and port.signal is RUN:
+            message = decode(RUN, payload)
+            self._end_cycle = message.cycle if message.state == "stop" else self._end_cycle
+        else:
+            self._productions += port is not None and port.signal is PRODUCTION
+            self._last_cycle = max(self._last_cycle, cycle)
+        if port is not None:
+            self._completeness.see(port, cycle, sequence)
+        self._writer.add_message(
+            self._channel_of[channel], log_time_ns, payload, publish_time_ns, sequence
+        )
+        self._messages += 1
+        self._last_ns = log_time_ns
+
+    def _write_origin(self, outline: Outline) -> None:
+        header = outline.header
+        self._writer.start(header.profile if header else "", header.library if header else "")
+        for entry in outline.attachments:
+            self._writer.add_attachment(
+                entry.create_time, entry.log_time, entry.name, entry.media_type, entry.data
+            )
+        for record in outline.metadata:
+            self._writer.add_metadata(record.name, record.metadata)
+
+    def _register(self, outline: Outline) -> dict[int, int]:
+        """Declare schemas and channels anew; return the channels' new numbers by their old ones."""
+        schema_of = {0: 0}
+        for number, schema in sorted(outline.schemas.items()):
+            schema_of[number] = self._writer.register_schema(
+                schema.name, schema.encoding, schema.data
+            )
+        return {
+            number: self._writer.register_channel(
+                channel.topic,
+                channel.message_encoding,
+                schema_of[channel.schema_id],
+                channel.metadata,
+            )
+            for number, channel in sorted(outline.channels.items())
+        }

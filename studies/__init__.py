@@ -1,0 +1,1 @@
+"""What control is worth: figures of merit, comparisons, timing, and their pages."""

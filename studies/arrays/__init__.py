@@ -1,0 +1,1 @@
+"""The closed loop over arrays: many runs in little time."""

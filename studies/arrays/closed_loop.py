@@ -1,0 +1,289 @@
+"""The whole hierarchy and its plant as one loop over the cycles of a run.
+
+It calls the functions of `agents.control` in the order in which the agents call them when all
+messages arrive, and is compiled by Numba together with them. So a study of thousands of days needs
+no second copy of the control law: what an agent works out in Python, the loop works out in machine
+code, bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from math import isfinite, nan
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.control.allocation import allocate, total
+from agents.control.correction import corrected
+from agents.control.curtailment import curtailment_level
+from agents.control.forecast import HIDDEN_ALPHA_MIN, forecast_impp
+from agents.control.impp import NOTHING_KNOWN, Estimate, estimate_impp
+from agents.control.request import request_kw, residual_kw, usable_dispatch_kw
+from agents.plan import Actuator, RunPlan, Scheme
+from sim_plant.profile import Profile
+from studies.arrays.compiled import compiled
+from studies.arrays.control_arrays import ControlArrays, control_arrays
+
+Floats: TypeAlias = NDArray[np.float64]
+LoopArrays: TypeAlias = tuple[Floats, Floats, Floats, Floats]
+
+
+class Settings(NamedTuple):
+    """What a run's agents agree on besides the control tree.
+
+    Attributes
+    ----------
+    is_forecast
+        Whether the IMPP is a forecast (`predictive`) or that of the last cycle (`paper`).
+    is_limited
+        Whether inverters hold a power limit, or give a fraction of their maximum.
+    is_corrected
+        Whether the central controller corrects its target by the plant's meter.
+    alpha_min
+        Lowest curtailment level.
+    cycle_s
+        Length of a cycle [s].
+    """
+
+    is_forecast: bool
+    is_limited: bool
+    is_corrected: bool
+    alpha_min: float
+    cycle_s: float
+
+
+class Central(NamedTuple):
+    """What the central controller remembers.
+
+    Attributes
+    ----------
+    dispatch_kw
+        The last usable dispatch; before the first the plant's rating, so that nothing is held back.
+    wanted_kw, correction_kw
+        The dispatch of its last turn, and the correction that it added then.
+    metered_kw, metered_cycles
+        Sum of what the plant's meter has read since, and in how many cycles.
+    """
+
+    dispatch_kw: float
+    wanted_kw: float
+    correction_kw: float
+    metered_kw: float
+    metered_cycles: int
+
+
+class LoopResult(NamedTuple):
+    """What the inverters did and what was believed of them, each of shape (cycles, n)."""
+
+    power_kw: Floats
+    impp_kw: Floats
+    residual_kw: Floats
+    alpha: Floats
+
+
+def run_loop(
+    plan: RunPlan,
+    profile: Profile,
+    scheme: Scheme,
+    actuator: Actuator,
+    constants: Mapping[str, float] | None = None,
+) -> LoopResult:
+    """Run a plan's hierarchy on a profile.
+
+    Parameters
+    ----------
+    plan, profile
+        The run. The plan's own scheme and actuator do not count.
+    scheme, actuator
+        How maxima are estimated, and what inverters do with a command.
+    constants
+        Other values of constants in `agents.control`, by name, to tell what they are worth.
+    """
+    loop = _compiled_loop(tuple(sorted((constants or {}).items())))
+    return LoopResult(*loop(*loop_inputs(plan, profile, scheme, actuator)))
+
+
+@cache
+def _compiled_loop(
+    constants: tuple[tuple[str, float], ...],
+) -> Callable[[ControlArrays, Settings, Floats, Floats, Floats, Floats], LoopArrays]:
+    return compiled(closed_loop, dict(constants))
+
+
+def loop_inputs(
+    plan: RunPlan, profile: Profile, scheme: Scheme, actuator: Actuator
+) -> tuple[ControlArrays, Settings, Floats, Floats, Floats, Floats]:
+    """Return what `closed_loop` takes."""
+    is_forecast, is_limited = scheme == "predictive", actuator == "limit"
+    settings = Settings(
+        is_forecast=is_forecast,
+        is_limited=is_limited,
+        is_corrected=is_corrected(plan, scheme),
+        alpha_min=HIDDEN_ALPHA_MIN if is_forecast and is_limited else plan.alpha_min,
+        cycle_s=plan.cycle_ns / 1e9,
+    )
+    return (
+        control_arrays(plan, profile.cycles),
+        settings,
+        profile.mpp_kw,
+        profile.commitment_kw + profile.regulation_kw,
+        profile.meter_error,
+        _available_kw(plan, profile),
+    )
+
+
+def is_corrected(plan: RunPlan, scheme: Scheme) -> bool:
+    """Whether a scheme corrects its target by the plant's meter.
+
+    The plan says so for its own scheme. Of others `predictive` does.
+    """
+    correction = getattr(plan, "correction", None)
+    if correction is None or scheme != plan.scheme:
+        return scheme == "predictive"
+    return bool(correction)
+
+
+def _available_kw(plan: RunPlan, profile: Profile) -> Floats:
+    """Return what each inverter states of the interval that ended: nothing, or with a bias."""
+    bias = getattr(plan, "available_bias", None)
+    if bias is None:
+        return np.full_like(profile.mpp_kw, np.nan)
+    ended_kw = np.concatenate([profile.mpp_kw[:1], profile.mpp_kw[:-1]])
+    rating_kw = np.array([plan.tree.rating_kw(leaf) for leaf in plan.tree.leaves])
+    return np.asarray(np.minimum(ended_kw * (1.0 + bias), rating_kw))
+
+
+def closed_loop(
+    tree: ControlArrays,
+    settings: Settings,
+    mpp_kw: Floats,
+    dispatch_kw: Floats,
+    meter_error: Floats,
+    available_kw: Floats,
+) -> LoopArrays:
+    """Return power, IMPP, residual and alpha of each inverter in each cycle."""
+    cycles, inverters = mpp_kw.shape
+    power_kw = np.empty((cycles, inverters))
+    impp_kw = np.empty((cycles, inverters))
+    residuals_kw = np.empty((cycles, inverters))
+    alpha = np.empty((cycles, inverters))
+    plant_rating_kw = tree.rating_kw[0]
+    last_kw = mpp_kw[0].copy()
+    level = np.ones(inverters)
+    limit_kw = np.empty(inverters)
+    for i in range(inverters):
+        limit_kw[i] = tree.rating_kw[tree.inverters[i]]
+    estimates = [NOTHING_KNOWN for _ in range(inverters)]
+    node_impp_kw = np.zeros(len(tree.rating_kw))
+    target_kw = tree.rating_kw.copy()
+    central = Central(plant_rating_kw, 0.0, 0.0, 0.0, 0)
+    for cycle in range(cycles):
+        for i in range(inverters):
+            node = tree.inverters[i]
+            estimates[i] = estimate(
+                settings,
+                last_kw[i] * (1.0 + meter_error[cycle, i]),
+                level[i],
+                available_kw[cycle, i],
+                limit_kw[i],
+                tree.rating_kw[node],
+                estimates[i],
+            )
+            node_impp_kw[node] = estimates[i].power_kw
+        report_up(tree, node_impp_kw)
+        metered_kw = total(last_kw) if cycle > 0 else nan
+        central = hear(central, dispatch_kw[cycle], metered_kw, plant_rating_kw)
+        if cycle % tree.period[0] == 0:
+            central = take_turn(central, node_impp_kw[0], plant_rating_kw, settings)
+            target_kw[0] = min(central.wanted_kw + central.correction_kw, plant_rating_kw)
+        solve_down(cycle, tree, settings, node_impp_kw, target_kw)
+        for i in range(inverters):
+            node = tree.inverters[i]
+            own_kw = request_kw(central.dispatch_kw, tree.rating_kw[node], plant_rating_kw)
+            residuals_kw[cycle, i] = residual_kw(node_impp_kw[node], own_kw)
+            impp_kw[cycle, i] = node_impp_kw[node]
+            level[i] = curtailment_level(target_kw[node], node_impp_kw[node], settings.alpha_min)
+            alpha[cycle, i] = share = level[i]
+            if settings.is_limited:
+                is_free = share >= 1.0
+                limit_kw[i] = tree.rating_kw[node] if is_free else share * node_impp_kw[node]
+                share = 1.0
+            power_kw[cycle, i] = last_kw[i] = min(share * mpp_kw[cycle, i], limit_kw[i])
+    return power_kw, impp_kw, residuals_kw, alpha
+
+
+def estimate(
+    settings: Settings,
+    power_kw: float,
+    alpha: float,
+    available_kw: float,
+    limit_kw: float,
+    rating_kw: float,
+    last: Estimate,
+) -> Estimate:
+    """Estimate an inverter's maximum, as its direct controller does from its telemetry."""
+    if not settings.is_forecast:
+        return estimate_impp(power_kw, alpha, available_kw, rating_kw, last)
+    share = 1.0 if settings.is_limited else alpha
+    return forecast_impp(power_kw, share, available_kw, limit_kw, rating_kw, settings.cycle_s, last)
+
+
+def report_up(tree: ControlArrays, impp_kw: Floats) -> None:
+    """Add up the children's IMPP, from the inverters to the root."""
+    for row in range(len(tree.parents) - 1, -1, -1):
+        impp_kw[tree.parents[row]] = total(impp_kw[tree.first[row] : tree.end[row]])
+
+
+def hear(last: Central, dispatch_kw: float, metered_kw: float, plant_rating_kw: float) -> Central:
+    """Take up the dispatch of a cycle and what the meter read in the interval that ended."""
+    is_metered = isfinite(metered_kw)
+    return Central(
+        dispatch_kw=usable_dispatch_kw(dispatch_kw, last.dispatch_kw, plant_rating_kw),
+        wanted_kw=last.wanted_kw,
+        correction_kw=last.correction_kw,
+        metered_kw=last.metered_kw + metered_kw if is_metered else last.metered_kw,
+        metered_cycles=last.metered_cycles + 1 if is_metered else last.metered_cycles,
+    )
+
+
+def take_turn(last: Central, impp_kw: float, plant_rating_kw: float, settings: Settings) -> Central:
+    """Correct by what the meter has read since the last turn, and want the newest dispatch."""
+    correction_kw = last.correction_kw
+    if settings.is_corrected and last.metered_cycles > 0:
+        correction_kw = corrected(
+            correction_kw,
+            last.wanted_kw,
+            last.metered_kw / last.metered_cycles,
+            last.dispatch_kw >= impp_kw,
+            plant_rating_kw,
+            last.metered_cycles * settings.cycle_s,
+        )
+    return Central(
+        dispatch_kw=last.dispatch_kw,
+        wanted_kw=last.dispatch_kw,
+        correction_kw=correction_kw,
+        metered_kw=0.0,
+        metered_cycles=0,
+    )
+
+
+def solve_down(
+    cycle: int, tree: ControlArrays, settings: Settings, impp_kw: Floats, target_kw: Floats
+) -> None:
+    """Divide each parent's last target among its children in its turns, from the root down."""
+    for row in range(len(tree.parents)):
+        if cycle % tree.period[row] == 0:
+            first, end = tree.first[row], tree.end[row]
+            setpoints_kw, _, _, _, _, _ = allocate(
+                target_kw[tree.parents[row]],
+                tree.rating_kw[first:end],
+                impp_kw[first:end],
+                settings.alpha_min,
+                tree.order[tree.hour[cycle], row],
+                tree.rests[row] and settings.is_forecast,
+            )
+            for place in range(end - first):
+                target_kw[first + place] = setpoints_kw[place]

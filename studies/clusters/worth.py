@@ -1,0 +1,302 @@
+"""What clusters are worth: one day again and again, its inverters clustered in different ways."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple, TypeAlias
+
+import msgspec
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from agents.control.clusters import within_cluster_correlation
+from agents.control.correlation import hourly_correlation, hourly_covariance
+from agents.plan import Neighbourhood, NodeNeighbourhoods, RunPlan, Scheme
+from bus_schemas.errors import InputError
+from bus_schemas.tree import ControlTree, parent_of
+from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
+from launch_scripts.scenarios.power_sources import power_source
+from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.scenario import ControlTable, ScenarioFile
+from recordings.read.series import RunSeries
+from sim_plant.profile import Profile
+from studies.arrays.schemes import ReferenceGroups, run_scheme
+from studies.metrics import CommitmentMetrics, commitment_metrics
+from studies.metrics.help import HelpMetrics, help_metrics
+
+_HOUR_NS: Final = 3_600_000_000_000
+
+
+class Arrangement(NamedTuple):
+    """A run whose inverters have been put into clusters: ready for any scheme."""
+
+    plan: RunPlan
+    profile: Profile
+
+
+Arrange: TypeAlias = Callable[[ControlTable], Arrangement]
+"""Puts the inverters of one and the same day into the clusters that a control table asks for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Past:
+    """What clusters are chosen from.
+
+    Attributes
+    ----------
+    inverters
+        Names of the n inverters.
+    correlation
+        Their mean hourly correlation in the past (paper, eq. 5), shape (n, n).
+    """
+
+    inverters: tuple[str, ...]
+    correlation: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Shortfall:
+    """Energy that a run missed, in % of the energy desired.
+
+    Attributes
+    ----------
+    period_cycles
+        Every how many cycles the central controller acted.
+    unavoidable_percent, control_caused_percent
+        What no controller could have met, and the rest.
+    begun_lacking_percent
+        That part of the control-caused shortfall that fell into periods at whose beginning the
+        whole plant lacked. The paper's central controller then asks each cluster for what it has
+        at that moment, and this holds until its next turn, however soon the clouds have gone. The
+        predictive scheme lends them what they lack.
+    """
+
+    period_cycles: int
+    unavoidable_percent: float
+    control_caused_percent: float
+    begun_lacking_percent: float
+
+
+@dataclass(frozen=True, slots=True)
+class ClustersWorth:
+    """What a run came to with its inverters clustered in one way.
+
+    Attributes
+    ----------
+    clusters
+        Names of the inverters in each cluster of the lowest tier.
+    past_correlation, run_correlation
+        Mean correlation over all pairs that share such a cluster: in the past that clusters are
+        chosen from, and in the run itself. Both are means of hourly correlations of power.
+    help
+        Where inverters in need found help, with the central controller acting as often as in the
+        first of the periods.
+    shortfalls
+        What was missed with each of the central controller's periods.
+    """
+
+    clusters: tuple[tuple[str, ...], ...]
+    past_correlation: float
+    run_correlation: float
+    help: HelpMetrics
+    shortfalls: tuple[Shortfall, ...]
+
+
+def by_scenario(scenario: ScenarioFile, options: RunOptions) -> Arrange:
+    """Arrange a scenario's run as any other command does: clusters from the scenario's past."""
+
+    def arrange(control: ControlTable) -> Arrangement:
+        changed = msgspec.structs.replace(scenario.scenario, control=control)
+        prepared = prepare(msgspec.structs.replace(scenario, scenario=changed), options, "clusters")
+        return Arrangement(prepared.plan, prepared.profile)
+
+    return arrange
+
+
+def by_first_part(preparation: Preparation, learn_s: float) -> Arrange:
+    """Arrange what is left of a run after its first part, clusters chosen from that part alone.
+
+    So a measurement of one day can be used without hindsight. Whatever the scenario says of the
+    past does not count, and the first part is one past, not one for each of its hours.
+
+    Parameters
+    ----------
+    preparation
+        The whole run.
+    learn_s
+        Length of its first part [s].
+
+    Raises
+    ------
+    InputError
+        The first part is no multiple of the cycle, shorter than two cycles, or the whole run.
+    """
+    plan, profile = preparation.plan, preparation.profile
+    cycle_s = plan.cycle_ns / 1e9
+    learned = round(learn_s / cycle_s)
+    if abs(learned * cycle_s - learn_s) > 1e-6 or not 2 <= learned < plan.cycles:
+        raise InputError(
+            f"--learn {learn_s:g} s: accepted are multiples of the cycle, {cycle_s:g} s, from "
+            f"{2 * cycle_s:g} to {(plan.cycles - 1) * cycle_s:g} s"
+        )
+    first = pd.DatetimeIndex([pd.Timestamp(plan.start_time_ns, tz="UTC")])
+    sites = power_source(preparation.scenario, None, first).sites
+    listed = [_leaf_names(plan.tree).index(name) for name in sites.names]
+    past = hourly_covariance(profile.mpp_kw[:learned, listed], np.zeros(learned, dtype=np.int64))
+    begins_ns = plan.sim_time_ns(learned)
+
+    def arrange(control: ControlTable) -> Arrangement:
+        tree = control_tree(control, sites, past, past.hours)
+        order = [sites.names.index(name) for name in _leaf_names(tree)]
+        rest = msgspec.structs.replace(
+            plan,
+            inverters=tree.inverters,
+            neighbourhoods=neighbourhoods(tree, in_order(past, order), {0: begins_ns}),
+            start_time_ns=begins_ns,
+            cycles=plan.cycles - learned,
+        )
+        return Arrangement(rest, _rest_of(profile, learned, [listed[place] for place in order]))
+
+    return arrange
+
+
+def past_of(arrange: Arrange, control: ControlTable, inverters: int) -> Past:
+    """Return the past of a run, hours of the run alone.
+
+    Clusters are chosen from the hours of the whole scenario. That is the same, unless only a part
+    of it is run.
+
+    Parameters
+    ----------
+    arrange
+        The run.
+    control
+        The scenario's control table.
+    inverters
+        How many inverters the plant has.
+    """
+    # In one cluster of all, every inverter is every other's neighbour.
+    one_cluster = msgspec.structs.replace(
+        control,
+        clusters="listed",
+        cluster_sizes=((inverters,),),
+        cluster_count=None,
+        period_cycles=None,
+    )
+    plan = arrange(one_cluster).plan
+    (cluster,) = plan.tree.children("")
+    hourly = [hood.correlation for hood in plan.neighbourhoods_of(cluster)]
+    return Past(_leaf_names(plan.tree), np.asarray(np.mean(hourly, axis=0)))
+
+
+def worth_of(
+    arrangement: Arrangement, past: Past, scheme: Scheme, periods: Sequence[int]
+) -> ClustersWorth:
+    """Run an arrangement, once for each period of the central controller.
+
+    Parameters
+    ----------
+    arrangement
+        The run and its clusters.
+    past
+        What the clusters were, or could have been, chosen from.
+    scheme
+        How maxima are estimated.
+    periods
+        Every how many cycles the central controller acts.
+    """
+    runs = [_run(arrangement, scheme, period) for period in periods]
+    clusters = _lowest_clusters(arrangement.plan.tree)
+    names = _leaf_names(arrangement.plan.tree)
+    in_past = [[past.inverters.index(names[leaf]) for leaf in cluster] for cluster in clusters]
+    return ClustersWorth(
+        clusters=tuple(tuple(names[leaf] for leaf in cluster) for cluster in clusters),
+        past_correlation=within_cluster_correlation(past.correlation, in_past),
+        run_correlation=within_cluster_correlation(_correlation_in(runs[0]), clusters),
+        help=help_metrics(runs[0].residual_kw, runs[0].inverters),
+        shortfalls=tuple(
+            _shortfall(run, period) for run, period in zip(runs, periods, strict=True)
+        ),
+    )
+
+
+def in_other_orders(arrangement: Arrangement) -> dict[str, Arrangement]:
+    """Return the same clusters with other orders in which an inverter in need asks for help."""
+    plan, profile = arrangement
+    reversed_order = tuple(
+        NodeNeighbourhoods(entry.node, tuple(_reversed(hood) for hood in entry.hours))
+        for entry in plan.neighbourhoods
+    )
+    return {
+        "least alike first": arrangement,
+        "as listed": Arrangement(msgspec.structs.replace(plan, neighbourhoods=()), profile),
+        "most alike first": Arrangement(
+            msgspec.structs.replace(plan, neighbourhoods=reversed_order), profile
+        ),
+    }
+
+
+def _reversed(hood: Neighbourhood) -> Neighbourhood:
+    """Turn a correlation round, so that those most alike are asked first."""
+    turned = tuple(tuple(-value for value in row) for row in hood.correlation)
+    return Neighbourhood(hood.from_time_ns, turned)
+
+
+def _run(arrangement: Arrangement, scheme: Scheme, central_period: int) -> RunSeries:
+    plan = msgspec.structs.replace(
+        arrangement.plan, period_cycles=(central_period, *arrangement.plan.period_cycles[1:])
+    )
+    (series,) = run_scheme(scheme, plan, arrangement.profile, plan.actuator, ReferenceGroups())
+    return series
+
+
+def _shortfall(run: RunSeries, period: int) -> Shortfall:
+    turn = np.arange(run.cycles) // period * period
+    begun_lacking = run.residual_kw.sum(axis=1)[turn] < 0.0
+    energy = _energies(run, slice(None))
+    if not energy.desired_kwh > 0.0:
+        raise InputError("nothing is desired of the plant, accepted is a commitment above 0")
+    in_percent = 100.0 / energy.desired_kwh
+    return Shortfall(
+        period,
+        in_percent * energy.unavoidable_kwh,
+        in_percent * energy.control_caused_kwh,
+        in_percent * _energies(run, begun_lacking).control_caused_kwh,
+    )
+
+
+def _energies(run: RunSeries, cycles: slice | NDArray[np.bool_]) -> CommitmentMetrics:
+    return commitment_metrics(
+        run.desired_kw[cycles], run.possible_kw[cycles], run.delivered_kw[cycles], run.cycle_s
+    )
+
+
+def _rest_of(profile: Profile, learned: int, order: Sequence[int]) -> Profile:
+    """Return a profile without its first cycles, its inverters in another order."""
+    return Profile(
+        np.ascontiguousarray(profile.mpp_kw[learned:, order]),
+        profile.commitment_kw[learned:],
+        profile.regulation_kw[learned:],
+        profile.regulation_capacity_kw,
+        np.ascontiguousarray(profile.meter_error[learned:, order]),
+    )
+
+
+def _correlation_in(run: RunSeries) -> NDArray[np.float64]:
+    """Mean of a run's hourly correlations, by hours of local time."""
+    hours = run.times.tz_localize(None).as_unit("ns").asi8 // _HOUR_NS
+    return np.asarray(hourly_correlation(run.mpp_kw, hours).values.mean(axis=0))
+
+
+def _lowest_clusters(tree: ControlTree) -> list[list[int]]:
+    """Positions of the inverters that share a parent, cluster by cluster."""
+    members: dict[str, list[int]] = {}
+    for place, leaf in enumerate(tree.leaves):
+        members.setdefault(parent_of(leaf), []).append(place)
+    return list(members.values())
+
+
+def _leaf_names(tree: ControlTree) -> tuple[str, ...]:
+    return tuple(leaf.rpartition("/")[2] for leaf in tree.leaves)

@@ -1,0 +1,237 @@
+"""The cases of a study: one scenario on many days, with many settings."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import date, datetime, timedelta
+from itertools import chain, product
+from typing import Any, Final
+
+import msgspec
+
+from bus_schemas.errors import InputError
+from launch_scripts.scenarios.preparation import RunOptions
+from launch_scripts.scenarios.scenario import (
+    Scenario,
+    ScenarioFile,
+    check_scenario,
+    local_start,
+    place_and_objection,
+    readable,
+    with_two_digit_hour,
+)
+
+_MOST: Final = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A field of the scenario and the values that it takes in a study, as TOML."""
+
+    field: str
+    values: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One day with one choice of settings.
+
+    Attributes
+    ----------
+    label
+        What is particular to it; empty if it is the only one.
+    scenario
+        The scenario with its settings.
+    options
+        Start, duration and seed.
+    """
+
+    label: str
+    scenario: ScenarioFile
+    options: RunOptions
+
+
+def parse_setting(text: str) -> Setting:
+    """Read `commitment.share=0.5,0.7`: a field of the scenario, and its values as TOML.
+
+    Raises
+    ------
+    InputError
+        It is not of that form.
+    """
+    field, equals, values = text.partition("=")
+    if not equals or not re.fullmatch(r"\w+(\.\w+)*", field.strip()) or not values.strip():
+        raise InputError(
+            f"--set {text}: accepted is a field of the scenario and values, such as "
+            "commitment.share=0.5,0.7"
+        )
+    return Setting(field.strip(), tuple(_split(values)))
+
+
+def parse_seeds(text: str) -> tuple[int, ...]:
+    """Read `1..5,9`.
+
+    Raises
+    ------
+    InputError
+        It is not a list of whole numbers and ranges.
+    """
+    if not re.fullmatch(r"\d+(\.\.\d+)?(,\d+(\.\.\d+)?)*", text):
+        raise InputError(f"--seeds {text}: accepted are whole numbers and ranges, such as 1..5,9")
+    ranges = []
+    for part in text.split(","):
+        first, _, last = part.partition("..")
+        ranges.append(range(int(first), int(last or first) + 1))
+    # Counted before they are listed: a slip of the finger must not fill the memory.
+    if not all(ranges) or sum(map(len, ranges)) > _MOST:
+        raise InputError(
+            f"--seeds {text}: accepted are ranges from low to high, at most {_MOST:,} seeds in all"
+        )
+    return tuple(dict.fromkeys(chain.from_iterable(ranges)))
+
+
+def parse_days(text: str) -> tuple[date, ...]:
+    """Read `2010-04-01`, `2010-04-01..2010-04-30`, or several of them with commas between.
+
+    Raises
+    ------
+    InputError
+        It is not a list of dates and ranges.
+    """
+    found: list[date] = []
+    try:
+        for part in text.split(","):
+            first, _, last = part.partition("..")
+            begin = date.fromisoformat(first.strip())
+            end = date.fromisoformat(last.strip()) if last else begin
+            found += [begin + timedelta(days=day) for day in range((end - begin).days + 1)]
+    except ValueError:
+        found = []
+    if not found:
+        raise InputError(
+            f"--days {text}: accepted are dates and ranges, such as 2010-04-01..2010-04-30"
+        )
+    return tuple(found)
+
+
+def cases(
+    scenario: ScenarioFile,
+    options: RunOptions,
+    settings: Sequence[Setting] = (),
+    days: Sequence[date] = (),
+    seeds: Sequence[int] = (),
+) -> list[Case]:
+    """List every combination of days, seeds and settings.
+
+    Raises
+    ------
+    InputError
+        A setting is no field of the scenario, or its value is not accepted; there are too many
+        combinations.
+    """
+    choices = [[(setting.field, value) for value in setting.values] for setting in settings]
+    count = len(list(days) or [0]) * len(list(seeds) or [0])
+    for choice in choices:
+        count *= len(choice)
+    if count > _MOST:
+        raise InputError(f"the study has {count:,} cases, accepted are at most {_MOST:,}")
+    found = []
+    for chosen in product(*choices):
+        changed = _with_settings(scenario, chosen)
+        names = [f"{field.rpartition('.')[2]}={value}" for field, value in chosen]
+        for day, seed in product(days or (None,), seeds or (None,)):
+            label = " ".join([*names, *_labels(day, seed)])
+            found.append(Case(label, changed, _on(changed, options, day, seed)))
+    return found
+
+
+def _labels(day: date | None, seed: int | None) -> Iterator[str]:
+    if day is not None:
+        yield day.isoformat()
+    if seed is not None:
+        yield f"seed={seed}"
+
+
+def _on(
+    scenario: ScenarioFile, options: RunOptions, day: date | None, seed: int | None
+) -> RunOptions:
+    if seed is not None:
+        options = replace(options, seed=seed)
+    if day is None:
+        return options
+    clock = options.start or f"{local_start(scenario.scenario.time):%H:%M:%S}"
+    try:
+        start = datetime.fromisoformat(with_two_digit_hour(f"{day.isoformat()}T{clock}"))
+    except ValueError:
+        raise InputError(
+            f"--start {clock}: accepted beside --days is a time of day such as 12:30"
+        ) from None
+    return replace(options, start=start.isoformat())
+
+
+def _with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, str]]) -> ScenarioFile:
+    document = msgspec.to_builtins(scenario.scenario, builtin_types=(datetime,))
+    for field, value in chosen:
+        _put(document, field, value)
+    try:
+        changed = msgspec.convert(document, Scenario, str_keys=True)
+        check_scenario(changed, _in_words(chosen))
+    except msgspec.ValidationError as error:
+        words = _in_words(_to_blame(chosen, error) or chosen)
+        raise InputError(f"{words}: {readable(error, document)}") from None
+    return msgspec.structs.replace(scenario, scenario=changed)
+
+
+def _in_words(chosen: Sequence[tuple[str, str]]) -> str:
+    return " ".join(f"--set {field}={value}" for field, value in chosen)
+
+
+def _to_blame(
+    chosen: Sequence[tuple[str, str]], error: msgspec.ValidationError
+) -> list[tuple[str, str]]:
+    """Return the settings that an error is about; none, where it does not tell."""
+    where, objection = place_and_objection(error)
+    unknown = re.findall(r"unknown field `(.*)`", objection)
+    place = ".".join([*filter(None, [where]), *unknown])
+    return [
+        (field, value)
+        for field, value in chosen
+        if f"{field}.".startswith(f"{place}.") or f"{place}.".startswith(f"{field}.")
+    ]
+
+
+def _put(document: dict[str, Any], field: str, value: str) -> None:
+    *tables, name = field.split(".")
+    table: Any = document
+    for depth, part in enumerate(tables):
+        # A table that the scenario left out is begun: what stands in it is checked with the rest.
+        if table.get(part) is None:
+            table[part] = {}
+        table = table[part]
+        if not isinstance(table, dict):
+            where = ".".join(tables[: depth + 1])
+            raise InputError(f"--set {field}: {where} is no table, accepted is a field of one")
+    table[name] = _toml(value)
+
+
+def _toml(text: str) -> object:
+    """Value of a TOML expression; what is none is taken for text, so that quotes are not needed."""
+    try:
+        return msgspec.toml.decode(f"value = {text}")["value"]
+    except msgspec.DecodeError:
+        return text
+
+
+def _split(values: str) -> Iterator[str]:
+    """Split at the commas that stand outside of brackets."""
+    depth, part = 0, ""
+    for letter in values:
+        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(letter, 0)
+        if letter == "," and depth == 0:
+            yield part.strip()
+            part = ""
+        else:
+            part += letter
+    yield part.strip()

@@ -1,0 +1,1 @@
+"""What delay and loss of messages cost."""

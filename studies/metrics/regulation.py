@@ -1,0 +1,207 @@
+"""How well a plant followed a regulation signal such as PJM's RegD.
+
+Only the time counts in which regulation was offered. The response is what the plant delivered
+beyond its commitment, in per unit of the capacity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recordings.read.series import RunSeries
+from studies.metrics.performance import PerformanceScore, performance_score
+
+REQUEST_S: Final = 2.0
+"""PJM sends a request every 2 s."""
+
+TOLERANCES_PERCENT: Final = (0.1, 1.0)
+"""In % of the plant's rating."""
+
+_PAUSE_S: Final = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class RequestsFulfilled:
+    """Requests of a regulation signal that were fulfilled entirely.
+
+    A request lasts 2 s, or a cycle where that is longer. It is fulfilled if
+    |delivered - desired| is within the tolerance in every cycle that begins in it, with
+    desired = commitment + regulation. The paper gives 99.88 % without a tolerance.
+
+    Attributes
+    ----------
+    tolerance_percent, tolerance_kw
+        What still counts as fulfilled, in % of the plant's rating and in kW, either way.
+    requests
+        All of them.
+    fulfilled
+        Those within the tolerance.
+    short
+        Those below it in some cycle.
+    over
+        The rest: above it in some cycle, and never below.
+    fulfilled_percent
+        100 fulfilled / requests.
+    """
+
+    tolerance_percent: float
+    tolerance_kw: float
+    requests: int
+    fulfilled: int
+    short: int
+    over: int
+    fulfilled_percent: float
+
+
+@dataclass(frozen=True, slots=True)
+class RegulationMetrics:
+    """A plant under a regulation signal S, in per unit of its capacity.
+
+    Attributes
+    ----------
+    capacity_kw
+        Power that S = 1 asks for on top of the commitment.
+    offered_h
+        Hours for which regulation was offered.
+    signal_mileage_per_hour
+        Sum |S(k+1) - S(k)| over the cycles offered, divided by their hours. (A cycle longer than
+        the signal's own step misses some of it.)
+    requests
+        Requests fulfilled, one entry for each tolerance.
+    performance
+        PJM's performance score; None where there is nothing to score.
+    """
+
+    capacity_kw: float
+    offered_h: float
+    signal_mileage_per_hour: float
+    requests: tuple[RequestsFulfilled, ...]
+    performance: PerformanceScore | None
+
+
+def regulation_metrics(
+    series: RunSeries,
+    offered: NDArray[np.bool_] | None = None,
+    tolerances_percent: Sequence[float] = TOLERANCES_PERCENT,
+) -> RegulationMetrics | None:
+    """Work out how well a plant followed its regulation signal.
+
+    Parameters
+    ----------
+    series
+        The run.
+    offered
+        Whether the plant offered regulation, shape (T,). By default as `offered_cycles` reads it
+        from the signal.
+    tolerances_percent
+        Tolerances of a request, in % of the plant's rating.
+
+    Returns
+    -------
+    RegulationMetrics or None
+        None if no regulation was offered.
+    """
+    capacity_kw = series.regulation_capacity_kw
+    if offered is None:
+        offered = offered_cycles(series.regulation_kw, series.cycle_s)
+    if capacity_kw == 0.0 or not offered.any():
+        return None
+    signal = series.regulation_kw / capacity_kw
+    delivered_kw = series.delivered_kw
+    response = (delivered_kw - series.commitment_kw) / capacity_kw
+    offered_h = int(offered.sum()) * series.cycle_s / 3600.0
+    steps = np.abs(np.diff(signal))[offered[1:] & offered[:-1]]
+    return RegulationMetrics(
+        capacity_kw=capacity_kw,
+        offered_h=offered_h,
+        signal_mileage_per_hour=float(steps.sum()) / offered_h,
+        requests=requests_fulfilled(
+            (delivered_kw - series.desired_kw)[offered],
+            _request_numbers(series)[offered],
+            float(series.rating_kw.sum()),
+            tolerances_percent,
+        ),
+        performance=performance_score(signal, response, offered, series.times[0], series.cycle_s),
+    )
+
+
+def offered_cycles(regulation_kw: NDArray[np.float64], cycle_s: float) -> NDArray[np.bool_]:
+    """Read from the regulation alone in which cycles it was offered.
+
+    A run says 0 both for a request of nothing and for no request at all. A real signal passes
+    through 0 but does not stay there (two days of RegD never are exactly 0), so a 0 that lasts a
+    minute or more, or that stands at an end of the run, is taken for no request.
+
+    Parameters
+    ----------
+    regulation_kw
+        Regulation asked in each cycle, shape (T,).
+    cycle_s
+        Length of a cycle [s].
+
+    Returns
+    -------
+    numpy.ndarray of bool, shape (T,)
+    """
+    asked = np.flatnonzero(regulation_kw)
+    gap_s = (np.diff(asked) - 1) * cycle_s
+    change = np.zeros(len(regulation_kw) + 1, dtype=np.int64)
+    if len(asked):
+        pauses = np.flatnonzero(gap_s >= _PAUSE_S)
+        change[asked[np.concatenate(([0], pauses + 1))]] += 1
+        change[asked[np.concatenate((pauses, [-1]))] + 1] -= 1
+    return np.cumsum(change)[:-1] > 0
+
+
+def requests_fulfilled(
+    deviation_kw: NDArray[np.float64],
+    request: NDArray[np.int64],
+    rating_kw: float,
+    tolerances_percent: Sequence[float],
+) -> tuple[RequestsFulfilled, ...]:
+    """Count the requests that were fulfilled, short and over, at each tolerance.
+
+    Parameters
+    ----------
+    deviation_kw
+        Delivered less desired power in each cycle, shape (K,), K at least 1.
+    request
+        Number of the request that each cycle belongs to, ascending, shape (K,).
+    rating_kw
+        AC rating of the plant [kW].
+    tolerances_percent
+        In % of the rating.
+    """
+    begins = np.flatnonzero(np.diff(request, prepend=request[0] - 1))
+    lowest_kw = np.minimum.reduceat(deviation_kw, begins)
+    highest_kw = np.maximum.reduceat(deviation_kw, begins)
+    counts = []
+    for percent in tolerances_percent:
+        tolerance_kw = rating_kw * percent / 100.0
+        short = lowest_kw < -tolerance_kw
+        over = ~short & (highest_kw > tolerance_kw)
+        fulfilled = len(begins) - int(short.sum()) - int(over.sum())
+        counts.append(
+            RequestsFulfilled(
+                tolerance_percent=percent,
+                tolerance_kw=tolerance_kw,
+                requests=len(begins),
+                fulfilled=fulfilled,
+                short=int(short.sum()),
+                over=int(over.sum()),
+                fulfilled_percent=100.0 * fulfilled / len(begins),
+            )
+        )
+    return tuple(counts)
+
+
+def _request_numbers(series: RunSeries) -> NDArray[np.int64]:
+    """Return the number of the 2 s of the clock in which each cycle begins, shape (T,)."""
+    cycle_ns = round(series.cycle_s * 1e9)
+    begins_ns = series.start_time_ns + cycle_ns * np.arange(series.cycles, dtype=np.int64)
+    return begins_ns // round(REQUEST_S * 1e9)

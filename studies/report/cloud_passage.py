@@ -1,0 +1,148 @@
+"""Finds a cloud passage that shows two virtual neighbours at work."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from pandas.core.window import Rolling
+
+from agents.control.correlation import HourlyMatrices, hourly_correlation
+from bus_schemas.tree import parent_of
+from recordings.read.series import RunSeries
+
+DROP_S = 60.0
+"""Longest time within which a fall of an inverter's maximum power counts as one drop."""
+
+WINDOW_S = 180.0
+"""How much of the run is shown around a drop: three minutes, as in the paper."""
+
+
+@dataclass(frozen=True, slots=True)
+class CloudPassage:
+    """One inverter loses power while its virtual neighbour has some to spare.
+
+    Attributes
+    ----------
+    shaded, helping
+        Positions of the two inverters in the plant's order.
+    correlation
+        Pearson correlation of their true maximum power within the hour.
+    bottom
+        The cycle in which the drop ends.
+    drop_kw
+        How much the shaded inverter's IMPP fell within the minute before.
+    cycles
+        What to show: about three minutes around the drop.
+    """
+
+    shaded: int
+    helping: int
+    correlation: float
+    bottom: int
+    drop_kw: float
+    cycles: range
+
+
+def find_cloud_passage(series: RunSeries) -> CloudPassage | None:
+    """Find the passage to show, by a fixed rule.
+
+    In each hour of the run, the least correlated pair of each cluster is a candidate (eq. 5 of the
+    paper). Of all candidates that is taken in which the IMPP of one falls the farthest within a
+    minute, down to below its request, while the other's IMPP is above its own throughout that
+    minute.
+
+    Parameters
+    ----------
+    series
+        The run.
+
+    Returns
+    -------
+    CloudPassage or None
+        None where no candidate has such a drop, or the scheme estimates no IMPP.
+    """
+    hours = local_hours(series)
+    drop_kw = _drops(series)
+    needy = series.residual_kw < 0.0
+    able = _minute_before(series, series.residual_kw).min().to_numpy() > 0.0
+    best: CloudPassage | None = None
+    for hour, pair, correlation in _candidates(series, correlation_by_hour(series)):
+        for shaded, helping in (pair, pair[::-1]):
+            counts = (hours == hour) & needy[:, shaded] & able[:, helping]
+            depth_kw = np.where(counts, drop_kw[:, shaded], 0.0)
+            bottom = int(depth_kw.argmax())
+            if depth_kw[bottom] > (best.drop_kw if best else 0.0):
+                best = CloudPassage(
+                    shaded,
+                    helping,
+                    correlation,
+                    bottom,
+                    float(depth_kw[bottom]),
+                    _around(bottom, series),
+                )
+    return best
+
+
+def correlation_by_hour(series: RunSeries) -> HourlyMatrices:
+    """Correlate the inverters' true maximum power within each local hour of the run (eq. 5).
+
+    Hours in which no inverter's power varies, such as those of the night, are left out.
+    """
+    matrices = hourly_correlation(series.mpp_kw, local_hours(series))
+    varies = [position for position, matrix in enumerate(matrices.values) if np.any(matrix < 1.0)]
+    return HourlyMatrices(
+        tuple(matrices.hours[position] for position in varies), matrices.values[varies]
+    )
+
+
+def local_hours(series: RunSeries) -> NDArray[np.int64]:
+    """Return the local hour of the day of each cycle, 0 to 23, shape (T,)."""
+    return np.asarray(series.times.hour, dtype=np.int64)
+
+
+def clusters(series: RunSeries) -> dict[str, list[int]]:
+    """Return the positions of the inverters of each cluster, in the plant's order."""
+    members: dict[str, list[int]] = {}
+    for position, path in enumerate(series.inverters):
+        members.setdefault(parent_of(path), []).append(position)
+    return members
+
+
+def inverters_by_cluster(series: RunSeries) -> list[int]:
+    """Return the positions of all inverters, those of a cluster beside each other."""
+    return [position for members in clusters(series).values() for position in members]
+
+
+def _candidates(
+    series: RunSeries, matrices: HourlyMatrices
+) -> Iterator[tuple[int, tuple[int, int], float]]:
+    """Yield hour, pair and correlation of the least correlated pair of each cluster and hour."""
+    for hour, matrix in zip(matrices.hours, matrices.values, strict=True):
+        for members in clusters(series).values():
+            if len(members) > 1:
+                pair = min(combinations(members, 2), key=lambda two: matrix[two])
+                yield hour, pair, float(matrix[pair])
+
+
+def _drops(series: RunSeries) -> NDArray[np.float64]:
+    """Return by how much each IMPP is below its greatest value of the minute before [kW]."""
+    greatest_kw = _minute_before(series, series.impp_kw).max().to_numpy()
+    return np.nan_to_num(greatest_kw - series.impp_kw)
+
+
+def _minute_before(series: RunSeries, values: NDArray[np.float64]) -> Rolling[pd.DataFrame]:
+    """Return, for each cycle, the window of the minute that ends with it."""
+    cycles = max(1, round(DROP_S / series.cycle_s)) + 1
+    return pd.DataFrame(values).rolling(cycles, min_periods=1)
+
+
+def _around(bottom: int, series: RunSeries) -> range:
+    """Return three minutes of cycles with a drop's bottom in their middle, within the run."""
+    length = min(max(2, round(WINDOW_S / series.cycle_s)), series.cycles)
+    begin = min(max(0, bottom - length // 2), series.cycles - length)
+    return range(begin, begin + length)

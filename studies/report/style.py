@@ -1,0 +1,225 @@
+"""How the report's figures look: colours, fonts, axes.
+
+The colours are those of Okabe and Ito's palette, which the common kinds of colour blindness tell
+apart ("Color Universal Design", 2008, https://jfly.uni-koeln.de/color/).
+"""
+
+from __future__ import annotations
+
+import html
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.colors import diverging
+
+from recordings.read.series import RunSeries
+from studies.report.decimation import BUCKETS, extremes
+
+BLACK: Final = "#222222"
+GREY: Final = "#8a8a8a"
+SAND: Final = "#e9cf8f"
+BLUE: Final = "#0072b2"
+ORANGE: Final = "#e69f00"
+VERMILLION: Final = "#d55e00"
+
+SUPPORT: Final = VERMILLION
+"""Power that the plant lacked. No scheme has this colour."""
+
+SCHEMES: Final = (BLUE, "#009e73", "#cc79a7", ORANGE, "#56b4e9")
+_DASHES: Final = ("solid", "dash", "dot", "dashdot")
+
+FONT: Final = "system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReportFigure:
+    """A figure and the words that go with it.
+
+    Attributes
+    ----------
+    anchor
+        Name of its place in the page: letters, digits and hyphens.
+    heading
+        What it is.
+    caption
+        What one sees, and in which units. Plain text.
+    figure
+        The figure itself.
+    """
+
+    anchor: str
+    heading: str
+    caption: str
+    figure: go.Figure
+
+
+def scheme_line(position: int) -> dict[str, object]:
+    """Return the line of the scheme at a position: colours first, then dashes."""
+    return {
+        "color": SCHEMES[position % len(SCHEMES)],
+        "dash": _DASHES[position // len(SCHEMES) % len(_DASHES)],
+        "width": 1.5,
+    }
+
+
+def faint(colour: str, opacity: float = 0.35) -> str:
+    """Return a colour of `#rrggbb` as one that lets others through."""
+    red, green, blue = (int(colour[at : at + 2], 16) for at in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{opacity:g})"
+
+
+def diverging_scale(least: float, greatest: float) -> list[tuple[float, str]]:
+    """Return a colour scale that is red below zero, blue above it and near white at zero.
+
+    Parameters
+    ----------
+    least, greatest
+        Ends of the scale, at most and at least 0. Each side runs through its colours in full.
+    """
+    colours = diverging.RdBu
+    middle = len(colours) // 2
+    span = greatest - least
+    if span == 0.0:
+        return [(0.0, colours[middle]), (1.0, colours[middle])]
+    zero = -least / span
+    reds = [(zero * step / middle, colours[step]) for step in range(middle)] if least else []
+    steps = range(middle + 1, len(colours)) if greatest else range(0)
+    blues = [(zero + (1.0 - zero) * (step - middle) / middle, colours[step]) for step in steps]
+    scale = [*reds, (zero, colours[middle]), *blues]
+    # Plotly takes its own colours without a word if a scale ends a rounding error beside 0 or 1.
+    return [(0.0, scale[0][1]), *scale[1:-1], (1.0, scale[-1][1])]
+
+
+def colour_bar(title: str, length_px: int) -> dict[str, object]:
+    """Return a colour bar of a length, beside the top of a figure."""
+    return {
+        "title": {"text": title},
+        "len": length_px,
+        "lenmode": "pixels",
+        "y": 1,
+        "yanchor": "top",
+        "outlinewidth": 0,
+        "thickness": 18,
+    }
+
+
+def plain(text: str) -> str:
+    """Return a text that Plotly shows as it is: it takes tags and entities for mark-up."""
+    return html.escape(text, quote=False)
+
+
+def clock_ms(series: RunSeries) -> NDArray[np.float64]:
+    """Return the wall clock at the beginning of each cycle, as Plotly's axes count it.
+
+    Plotly knows no time zones: it is given milliseconds since 1970 of a clock that shows local
+    time. The clock keeps the offset from UTC of the run's first cycle, so that no hour comes twice
+    where summer time ends within a run.
+
+    Returns
+    -------
+    numpy.ndarray
+        Milliseconds, shape (T,).
+    """
+    first_ms = series.times[0].tz_localize(None).as_unit("ns").value / 1e6
+    return np.asarray(first_ms + np.arange(series.cycles) * series.cycle_s * 1e3)
+
+
+def clock_title(series: RunSeries) -> str:
+    """Return what a time axis says about its clock, for instance `local time (HST)`."""
+    return plain(f"local time ({series.times[0]:%Z})")
+
+
+def time_line(
+    series: RunSeries,
+    values: NDArray[np.float64],
+    cycles: range | None = None,
+    **look: object,
+) -> go.Scatter:
+    """Return a line of one value a cycle, thinned out to what a screen shows.
+
+    Parameters
+    ----------
+    series
+        The run.
+    values
+        One value for each of its cycles, shape (T,).
+    cycles
+        The cycles to show; by default all.
+    look
+        Further properties of a Plotly scatter trace.
+    """
+    begin, end = (cycles.start, cycles.stop) if cycles is not None else (0, series.cycles)
+    rows = begin + extremes(values[begin:end])
+    return go.Scatter(
+        x=clock_ms(series)[rows],
+        y=values[rows].astype(np.float32),
+        mode="lines",
+        hovertemplate="%{y:,.1f}",
+        **look,
+    )
+
+
+def thinning_note(cycles: int) -> str:
+    """Return what a caption says about lines that do not show every cycle; empty if all do."""
+    if cycles <= 2 * BUCKETS:
+        return ""
+    return (
+        f" Of {cycles:,} cycles the lines show the least and the greatest value in each of"
+        f" {BUCKETS:,} buckets, so that no peak or dip is lost."
+    )
+
+
+def dress(figure: go.Figure, height_px: int, *, legend: bool = True) -> go.Figure:
+    """Give a figure the report's look."""
+    figure.update_layout(
+        template="none",
+        height=height_px,
+        font={"family": FONT, "size": 13, "color": BLACK},
+        margin={"l": 70, "r": 20, "t": 46 if legend else 30, "b": 50},
+        paper_bgcolor="white",
+        plot_bgcolor="white",
+        hovermode="x",
+        showlegend=legend,
+        legend={"orientation": "h", "x": 0, "xanchor": "left", "y": 1, "yanchor": "bottom"},
+    )
+    figure.update_annotations(font_size=14)
+    axis = {
+        "showgrid": True,
+        "gridcolor": "#ececec",
+        "zerolinecolor": "#bdbdbd",
+        "linecolor": "#bdbdbd",
+        "ticks": "outside",
+        "tickcolor": "#bdbdbd",
+        "title_standoff": 8,
+        "separatethousands": True,
+    }
+    figure.update_xaxes(**axis)
+    figure.update_yaxes(**axis)
+    return figure
+
+
+def share_vertical_axis(figure: go.Figure) -> None:
+    """Make the panels of a figure keep the same vertical range, also when one is zoomed."""
+    # The first axis may not be said to match itself.
+    for axis in figure.select_yaxes():
+        if axis.plotly_name != "yaxis":
+            axis.matches = "y"
+
+
+def label_time_axis(figure: go.Figure, series: RunSeries, rows: int = 1) -> None:
+    """Make the horizontal axes of panels below each other show the time of a run.
+
+    The lowest one says which clock it is.
+    """
+    figure.update_xaxes(type="date", range=clock_range_ms(series, range(series.cycles)))
+    last = {} if rows == 1 else {"row": rows, "col": 1}
+    figure.update_xaxes(title_text=clock_title(series), **last)
+
+
+def clock_range_ms(series: RunSeries, cycles: range) -> list[float]:
+    """Return the beginning of the first of some cycles and the end of the last one."""
+    begin_ms = clock_ms(series)[0]
+    return [begin_ms + cycle * series.cycle_s * 1e3 for cycle in (cycles.start, cycles.stop)]

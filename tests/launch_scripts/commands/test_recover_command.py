@@ -1,0 +1,172 @@
+"""`heliarch recover`: its exit status says whether a recording is whole, cut, or nothing."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+from recordings_by_hand import whole_run, write_run
+from typer.testing import CliRunner, Result
+
+from launch_scripts.cli import app
+from recordings import open_run
+from recordings.recover import _Copy
+
+
+@pytest.fixture(scope="module")
+def content(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("recover") / "run.mcap"
+    write_run(path, whole_run(100))
+    return path.read_bytes()
+
+
+def recover(*words: str | Path) -> Result:
+    return CliRunner().invoke(app, ["recover", *map(str, words)])
+
+
+def test_a_whole_recording_is_left_alone(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content)
+    result = recover(tmp_path)
+    assert (result.exit_code, list(tmp_path.iterdir())) == (0, [path])
+    assert "it is whole, there is nothing to recover" in result.output
+
+
+def test_a_cut_recording_is_recovered_beside_it_and_what_is_missing_is_said(
+    content: bytes, tmp_path: Path
+) -> None:
+    path, out = tmp_path / "run.mcap", tmp_path / "run.recovered.mcap"
+    path.write_bytes(content[: len(content) * 2 // 3])
+    result = recover(tmp_path)
+    assert result.exit_code == 3
+    text = " ".join(result.stdout.split())
+    with open_run(out) as run:
+        assert run.whole
+        assert f"kept: {sum(1 for _ in run.records()):,} messages" in text
+        assert (
+            f"planned for 1,000 cycles; nothing tells of those after cycle {run.last_cycle}" in text
+        )
+    assert "missing: what came after" in text
+    assert "bytes are an incomplete record" in text
+    again = recover(tmp_path)
+    assert again.exit_code == 2
+    assert "it exists already" in again.stderr
+
+
+def test_a_recording_that_lacks_its_index_alone_has_lost_nothing(
+    content: bytes, tmp_path: Path
+) -> None:
+    path, out = tmp_path / "run.mcap", tmp_path / "new.mcap"
+    path.write_bytes(content[:-40])
+    result = recover(path, "--out", out, "--json", "-")
+    assert result.exit_code == 0
+    assert json.loads(result.stdout)["lossless"] is True
+    with open_run(out) as run:
+        assert run.whole
+
+
+@pytest.mark.parametrize("length", [0, 8, 300])
+def test_of_a_recording_cut_before_its_plan_nothing_is_recovered(
+    content: bytes, tmp_path: Path, length: int
+) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content[:length])
+    result = recover(path)
+    assert (result.exit_code, list(tmp_path.iterdir())) == (1, [path])
+    assert "there is nothing to recover" in result.stderr
+
+
+def test_of_a_recording_cut_before_its_first_message_nothing_is_recovered(
+    content: bytes, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content)
+    with open_run(path) as run:
+        first = run.outline.chunks[0].offset
+    for length in (first, first + 100):
+        path.write_bytes(content[:length])
+        assert recover(path).exit_code == 1
+        assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_is_no_recording_is_bad_input(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_text("nothing of the kind")
+    result = recover(path)
+    assert result.exit_code == 2
+    assert "not an MCAP file" in result.stderr
+    assert recover(tmp_path / "none.mcap").exit_code == 2
+
+
+@pytest.mark.parametrize("length", [2**64 - 1, 2**40])
+def test_a_huge_length_costs_one_chunk_alone(content: bytes, tmp_path: Path, length: int) -> None:
+    path, out = tmp_path / "run.mcap", tmp_path / "new.mcap"
+    path.write_bytes(content)
+    with open_run(path) as run:
+        place, end = run.outline.chunks[3], run.outline.readable_end
+        messages = sum(1 for _ in run.records())
+    torn = bytearray(content[: end - 20])
+    torn[place.offset + 1 : place.offset + 9] = length.to_bytes(8, "little")
+    path.write_bytes(torn)
+    result = recover(path, "--out", out)
+    assert result.exit_code == 3, result.output
+    assert f"missing: a damaged chunk at byte {place.offset:,}" in result.stdout
+    with open_run(out) as run:
+        assert sum(1 for _ in run.records()) == messages - 200
+
+
+def test_what_a_run_may_lack_at_its_end_is_counted(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_run(
+        path,
+        whole_run(50),
+        is_kept=lambda pair: pair[1].source != "c1" or pair[1].cycle < 40,
+        close=False,
+    )
+    result = recover(path)
+    assert result.exit_code == 3
+    text = " ".join(result.stdout.split())
+    assert "may be missing: the last messages of 4 keys, 40 were due up to the end" in text
+    assert "missing: nothing" not in text
+
+
+def test_messages_out_of_an_incomplete_chunk_are_called_unverified(
+    content: bytes, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.mcap"
+    write_run(path, whole_run(100), messages_per_chunk=2000)
+    with open_run(path) as run:
+        first = run.outline.chunks[0]
+    path.write_bytes(path.read_bytes()[: first.offset + first.length - 5])
+    assert "they have no checksum and may be damaged" in " ".join(recover(path).stdout.split())
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
+def test_json_that_cannot_be_written_leaves_the_new_file(content: bytes, tmp_path: Path) -> None:
+    path, out = tmp_path / "run.mcap", tmp_path / "new.mcap"
+    path.write_bytes(content[:-40])
+    result = recover(path, "--out", out, "--json", "/dev/full")
+    assert result.exit_code == 1
+    assert result.stderr.count("\n") == 1
+    assert "--json: [Errno 28] No space left on device" in result.stderr
+    with open_run(out) as run:
+        assert run.whole
+
+
+def test_sigterm_leaves_nothing_unfinished(
+    content: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content[: len(content) // 2])
+
+    def terminated(*_: object) -> None:
+        assert list(tmp_path.glob(".*.unfinished"))
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(_Copy, "add_chunk", terminated)
+    before = signal.getsignal(signal.SIGTERM)
+    assert recover(path).exit_code == 128 + signal.SIGTERM
+    assert list(tmp_path.iterdir()) == [path]
+    assert signal.getsignal(signal.SIGTERM) == before

@@ -1,0 +1,128 @@
+"""`heliarch report` makes a page of a recorded run, and tells what it cannot use in one line."""
+
+from __future__ import annotations
+
+import html
+import shutil
+import tomllib
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from agents.plan import load_plan
+from launch_scripts.cli import app
+from recordings.read.run_file import RECORDING_NAME
+from recordings.record.writer import RunWriter
+
+
+def heliarch(*words: str | Path) -> Result:
+    """Run the command line in this process."""
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def refused(*words: str | Path) -> str:
+    """The one line with which `heliarch report` refuses."""
+    result = heliarch("report", *words)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    return line
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a run of 90 cycles."""
+    folder = tmp_path_factory.mktemp("recorded") / "run"
+    result = heliarch("simulate", "oahu", "--duration", "90s", "--out", folder)
+    assert result.exit_code == 0, result.output
+    return folder
+
+
+@pytest.fixture
+def run(recorded: Path, tmp_path: Path) -> Path:
+    """A run of its own for a test."""
+    return Path(shutil.copytree(recorded, tmp_path / "run"))
+
+
+def test_the_report_is_in_the_folder_of_the_run(run: Path) -> None:
+    result = heliarch("report", run)
+    assert result.exit_code == 0, result.output
+    assert result.stdout == f"report: {run / 'report.html'}\n"
+    page = (run / "report.html").read_text(encoding="utf-8")
+    assert page.startswith("<!DOCTYPE html>")
+    assert load_plan(run / "plan.json").run_id in page
+    assert "90 cycles of 1 s" in page
+    assert "17 inverters" in page
+    assert "Recorded by heliarch simulate" in page
+    scenario = tomllib.loads((run / "scenario.toml").read_text(encoding="utf-8"))
+    assert html.escape(f"Scenario: {scenario['title']}.") in page
+
+
+def test_a_recording_may_be_named_itself(run: Path) -> None:
+    assert heliarch("report", run / RECORDING_NAME).exit_code == 0
+    assert (run / "report.html").is_file()
+
+
+def test_the_file_may_be_named(run: Path, tmp_path: Path) -> None:
+    path = tmp_path / "elsewhere.html"
+    assert heliarch("report", run, "--out", path).stdout == f"report: {path}\n"
+    assert path.is_file()
+    assert not (run / "report.html").exists()
+
+
+def test_a_second_report_replaces_the_first(run: Path) -> None:
+    (run / "report.html").write_text("old")
+    assert heliarch("report", run).exit_code == 0
+    assert (run / "report.html").stat().st_size > 1_000_000
+
+
+def test_a_recording_that_was_cut_is_reported_as_far_as_it_goes(run: Path) -> None:
+    recording = run / RECORDING_NAME
+    whole = recording.read_bytes()
+    recording.write_bytes(whole[: len(whole) * 2 // 3])
+    result = heliarch("report", run)
+    assert result.exit_code == 0, result.output
+    assert "The recording was cut short" in (run / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
+    line = refused(tmp_path)
+    assert str(tmp_path / RECORDING_NAME) in line
+    assert "no such file" in line
+
+
+def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("not a recording")
+    assert str(path) in refused(path)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_run_without_a_complete_cycle_is_refused(run: Path) -> None:
+    recording = run / RECORDING_NAME
+    recording.unlink()
+    scenario = (run / "scenario.toml").read_text(encoding="utf-8")
+    RunWriter(recording, load_plan(run / "plan.json"), scenario, driver="simulate").close()
+    assert "no complete cycle" in refused(run)
+    assert not (run / "report.html").exists()
+
+
+def test_a_recording_whose_scenario_is_damaged_is_refused(run: Path) -> None:
+    recording = run / RECORDING_NAME
+    recording.unlink()
+    plan = load_plan(run / "plan.json")
+    RunWriter(recording, plan, "name = oahu", driver="simulate").close()
+    assert "its scenario is no TOML" in refused(run)
+
+
+def test_a_file_in_no_folder_is_refused(run: Path, tmp_path: Path) -> None:
+    path = tmp_path / "missing" / "report.html"
+    assert refused(run, "--out", path) == (
+        f"heliarch: report {path}: accepted is a file in an existing folder"
+    )
+    assert not path.parent.exists()
+
+
+def test_a_folder_as_the_file_is_refused(run: Path) -> None:
+    assert f"report {run}: accepted is a file" in refused(run, "--out", run)

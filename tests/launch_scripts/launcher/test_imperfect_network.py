@@ -1,0 +1,283 @@
+"""Runs over an imperfect network, in memory on a virtual clock."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from bus_schemas.bus import Delivery
+from bus_schemas.codec import encode
+from bus_schemas.faults import FaultRule
+from bus_schemas.messages import Message
+from bus_schemas.missing import parse_missing
+from bus_schemas.signals import (
+    COMMAND,
+    DISPATCH,
+    HELP,
+    IMPP,
+    PRODUCTION,
+    SETPOINT,
+    TELEMETRY,
+    Port,
+)
+from bus_schemas.tree import ROOT
+from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
+from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
+
+CYCLES = 20
+MS = 1_000_000
+SECOND_NS = 1_000 * MS
+
+
+@pytest.fixture(scope="module")
+def valley() -> Preparation:
+    """60 inverters in four tiers."""
+    return prepare(load_scenario("valley"), RunOptions(duration=str(CYCLES)), "faults")
+
+
+class Sent:
+    """All that was sent in a run."""
+
+    def __init__(self) -> None:
+        self.messages: list[Delivery] = []
+
+    def __call__(self, port: Port[Message], message: Message) -> None:
+        self.messages.append((port, message))
+
+    def of(self, port: Port[Message]) -> dict[int, Any]:
+        """Each cycle's message of a port."""
+        return {message.cycle: message for sent_on, message in self.messages if sent_on is port}
+
+    def decisions(self, but: str = "") -> list[tuple[str, bytes]]:
+        """What agents decided, in the order of cycle and key, without times."""
+        found = [
+            (message.cycle, str(port), encode(timeless(message)))
+            for port, message in self.messages
+            if port.signal.decided and port.signal.name != but
+        ]
+        return [(key, data) for _, key, data in sorted(found)]
+
+    def bytes(self) -> list[bytes]:
+        return [encode(message) for _, message in self.messages]
+
+
+def timeless(message: Message) -> Message:
+    return msgspec.structs.replace(message, publish_time_ns=0, ready_time_ns=0)
+
+
+def run_with(
+    prepared: Preparation, rules: Sequence[FaultRule], **changes: object
+) -> tuple[MemoryRun, Sent]:
+    """Run through in memory, by a virtual clock if there are rules."""
+    plan = msgspec.structs.replace(prepared.plan, faults=tuple(rules), **changes)
+    sent = Sent()
+    run = MemoryRun(on_the_clock(plan) if rules else plan, prepared.profile, sent)
+    assert list(run.cycles()) == list(range(plan.cycles))
+    run.close()
+    return run, sent
+
+
+def total(run: MemoryRun, name: str) -> int:
+    return sum(getattr(loop, name) for loop in run.loops.values())
+
+
+# What changes nothing -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", ["paper", "predictive"])
+@pytest.mark.parametrize("periods", [(1, 1, 1), (6, 2, 1)])
+def test_delays_within_the_cycle_change_nothing_but_the_time(
+    valley: Preparation, scheme: str, periods: tuple[int, ...]
+) -> None:
+    changes = {"scheme": scheme, "period_cycles": periods}
+    # A place of the cycle has 0.9 s / 8 = 112 ms.
+    run, sent = run_with(valley, [FaultRule(delay_ms=80.0)], **changes)
+    assert (total(run, "missing_inputs"), total(run, "old_inputs")) == (0, 0)
+    assert sent.decisions() == run_with(valley, (), **changes)[1].decisions()
+    leaf, hops_before = valley.plan.tree.leaves[0], 2 * valley.plan.tree.height + 1
+    assert sent.of(COMMAND.of(leaf))[6].publish_time_ns == 6 * SECOND_NS + hops_before * 80 * MS
+
+
+def test_help_that_is_lost_keeps_nobody_waiting(valley: Preparation) -> None:
+    words = RunOptions(duration=str(CYCLES), faults=("signal=help,loss=100%",))
+    prepared = prepare(load_scenario("valley"), words, "faults")
+    run, sent = run_with(prepared, prepared.plan.faults)
+    assert any(port.signal is HELP for port, _ in sent.messages)
+    assert (total(run, "missing_inputs"), run.bus.tally.as_counts()) == (0, {})
+    assert sent.decisions() == run_with(valley, ())[1].decisions()
+    for _, message in sent.messages:
+        last = message.cycle - (message.cycle == CYCLES)  # The stop comes after the last cycle.
+        assert message.publish_time_ns == last * SECOND_NS, "it went out at once"
+
+
+def test_a_doubled_message_is_dropped_and_counted(valley: Preparation) -> None:
+    leaf = valley.plan.tree.leaves[0]
+    run, sent = run_with(valley, [FaultRule(listener=leaf, signal="setpoint", duplicate=1.0)])
+    assert run.bus.tally.as_counts() == {"duplicated": CYCLES}
+    assert run.loops[leaf].dropped == {(f"{leaf}/setpoint", "duplicate"): CYCLES}
+    assert sent.decisions() == run_with(valley, ())[1].decisions()
+
+
+# What is lost and late ----------------------------------------------------------------------------
+
+
+@settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    seed=st.integers(0, 2**32),
+    delay_ms=st.floats(0.0, 3000.0),
+    jitter_ms=st.floats(0.0, 500.0),
+    loss=st.floats(0.0, 0.5),
+    duplicate=st.floats(0.0, 0.5),
+)
+def test_a_run_over_a_bad_network_repeats_to_the_last_bit(
+    valley: Preparation, seed: int, **words: float
+) -> None:
+    rule = FaultRule(**words)  # type: ignore[arg-type]
+    (one, sent), (other, again) = (
+        run_with(valley, [rule], faults_seed=seed, cycles=6) for _ in range(2)
+    )
+    assert sent.bytes() == again.bytes()
+    assert one.bus.tally == other.bus.tally
+
+
+def test_another_seed_loses_other_messages(valley: Preparation) -> None:
+    _, one = run_with(valley, [FaultRule(loss=0.1)], faults_seed=1, cycles=5)
+    _, other = run_with(valley, [FaultRule(loss=0.1)], faults_seed=2, cycles=5)
+    assert one.bytes() != other.bytes()
+
+
+def test_a_message_that_is_lost_is_named_with_the_one_that_was_used_instead(
+    valley: Preparation,
+) -> None:
+    child = valley.plan.tree.leaves[0]
+    parent = child.rpartition("/")[0]
+    run, sent = run_with(valley, [FaultRule(source=child, signal="impp", silent=((10.0, 12.0),))])
+    missing = {cycle: m.missing for cycle, m in sent.of(IMPP.of(parent)).items() if m.missing}
+    assert missing == {10: (f"{child}/impp@9",), 11: (f"{child}/impp@9",)}
+    assert {10, 11} <= sent.of(IMPP.of(child)).keys(), "it was sent all the same"
+    assert run.loops[parent].missing_inputs == 2
+
+
+def test_a_stage_that_lacks_a_message_closes_at_its_deadline(valley: Preparation) -> None:
+    leaf = valley.plan.tree.leaves[0]
+    rule = FaultRule(listener=leaf, signal="telemetry", silent=((7.0, 8.0),))
+    run, sent = run_with(valley, [rule])
+    deadline_ns = run.plan.deadlines.deadline_ns(leaf, "estimate")
+    found = sent.of(IMPP.of(leaf))
+    assert found[7].publish_time_ns == found[7].ready_time_ns == 7 * SECOND_NS + deadline_ns
+    assert found[8].publish_time_ns == 8 * SECOND_NS
+
+
+def test_a_message_that_is_late_in_every_cycle_is_used_in_the_next(valley: Preparation) -> None:
+    leaf = valley.plan.tree.leaves[0]
+    run, sent = run_with(valley, [FaultRule(listener=leaf, signal="setpoint", delay_ms=950.0)])
+    assert run.loops[leaf].missing_inputs == CYCLES
+    assert sent.of(COMMAND.of(leaf))[9].missing == (f"{leaf}/setpoint@8",)
+
+
+def test_the_plant_ticks_on_the_clock_whatever_the_network_does(valley: Preparation) -> None:
+    _, sent = run_with(valley, [FaultRule(loss=0.3, delay_ms=400.0, jitter_ms=300.0)])
+    leaf = valley.plan.tree.leaves[0]
+    ticks = [message.publish_time_ns for message in sent.of(TELEMETRY.of(leaf)).values()]
+    assert ticks == [cycle * SECOND_NS for cycle in range(CYCLES)]
+    assert len(sent.of(PRODUCTION.of(ROOT))) == CYCLES
+
+
+def test_the_clock_goes_by_the_pace(valley: Preparation) -> None:
+    _, sent = run_with(valley, [FaultRule(delay_ms=1.0)], cycle_wall_ns=SECOND_NS // 10, cycles=5)
+    ticks = [message.publish_time_ns for message in sent.of(DISPATCH.of(ROOT)).values()]
+    assert ticks == [cycle * SECOND_NS // 10 for cycle in range(5)]
+
+
+# Controllers that are slow, or never answer -------------------------------------------------------
+
+
+@pytest.mark.parametrize("deadlines_ms", [(), (500, 600, 700, 800)])
+@pytest.mark.parametrize("silent", ["central", "z1/c1"])
+@pytest.mark.parametrize("periods", [(1, 1, 1), (60, 10, 1)])
+def test_everybody_goes_on_without_a_controller_that_never_answers(
+    valley: Preparation, silent: str, periods: tuple[int, ...], deadlines_ms: tuple[int, ...]
+) -> None:
+    changes = {
+        "period_cycles": periods,
+        "tier_deadlines_ns": tuple(deadline * MS for deadline in deadlines_ms),
+    }
+    run, sent = run_with(valley, [FaultRule(source=silent, loss=1.0)], **changes)
+    tree = valley.plan.tree
+    assert Counter(port.signal.name for port, _ in sent.messages)["command"] == 60 * CYCLES
+    for leaf in tree.leaves:
+        deadline_ns = run.plan.deadlines.deadline_ns(leaf, "actuate")
+        for cycle, command in sent.of(COMMAND.of(leaf)).items():
+            assert command.publish_time_ns <= cycle * SECOND_NS + deadline_ns
+    for node in tree.parents:
+        assert list(sent.of(IMPP.of(node))) == list(range(CYCLES))
+
+
+def test_tiers_that_act_rarely_use_what_comes_after_a_deadline_from_their_next_turn_on() -> None:
+    prepared = prepare(load_scenario("valley"), RunOptions(duration="75"), "slow")
+    slow = FaultRule(source="central", delay_ms=2_500.0)
+    _, sent = run_with(prepared, [slow], period_cycles=(60, 10, 1))
+    upper = prepared.plan.tree.children(ROOT)[0]
+    lower = prepared.plan.tree.children(upper)[0]
+    targets = sent.of(SETPOINT.of(lower))
+    # Sent in cycle 60 and heard in cycle 62; until then that of cycle 0 was the newest.
+    assert targets[60].missing == (f"{upper}/setpoint@0",)
+    assert targets[70].missing == ()
+
+
+# What the schemes may give ------------------------------------------------------------------------
+
+
+BAD = FaultRule(delay_ms=250.0, jitter_ms=200.0, loss=0.05)
+
+
+@pytest.fixture(scope="module")
+def clouds() -> Preparation:
+    """Of `oahu` some minutes with clouds."""
+    return prepare(load_scenario("oahu"), RunOptions(duration="120"), "schemes")
+
+
+def given_beyond_impp_kw(prepared: Preparation, scheme: str) -> float:
+    """The most that a parent gives its children in all beyond what it knows that they have."""
+    run, sent = run_with(prepared, [BAD], scheme=scheme, correction=False)
+    most_kw = 0.0
+    for node in run.plan.tree.parents:
+        children = run.plan.tree.children(node)
+        reports = {child: sent.of(IMPP.of(child)) for child in children}
+        setpoints = [sent.of(SETPOINT.of(child)) for child in children]
+        for cycle, first in setpoints[0].items():
+            given_kw = sum(found[cycle].power_kw for found in setpoints)
+            used = {entry.key: entry.cycle for entry in map(parse_missing, first.missing)}
+            known_kw = 0.0
+            for child in children:
+                from_cycle = used.get(str(IMPP.of(child)), cycle)
+                known_kw += 0.0 if from_cycle is None else reports[child][from_cycle].power_kw
+            most_kw = max(most_kw, given_kw - known_kw)
+    return most_kw
+
+
+def test_with_old_reports_the_papers_rule_gives_no_more_than_there_is_and_predictive_does(
+    clouds: Preparation,
+) -> None:
+    assert given_beyond_impp_kw(clouds, "paper") < 1e-6
+    assert given_beyond_impp_kw(clouds, "predictive") > 1.0
+
+
+@pytest.mark.parametrize("scheme", ["paper", "predictive"])
+def test_from_the_first_cycle_on_the_plant_gives_about_what_is_desired(scheme: str) -> None:
+    """Tiers of 60 and 10 cycles, loss and delay: nothing is free until the first setpoint comes."""
+    prepared = prepare(load_scenario("valley"), RunOptions(duration="77"), "start")
+    rule = FaultRule(loss=0.3, delay_ms=300.0, jitter_ms=200.0)
+    _, sent = run_with(prepared, [rule], scheme=scheme, period_cycles=(60, 10, 1))
+    production = sent.of(PRODUCTION.of(ROOT)).values()
+    # In cycle 0 a lost dispatch leaves an inverter as it was before the run: free.
+    shares = [made.delivered_kw / made.desired_kw for made in production]
+    assert max(shares[5:]) < 1.05
+    assert sum(shares) / len(shares) < 1.03

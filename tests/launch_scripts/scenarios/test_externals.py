@@ -1,0 +1,198 @@
+"""Agents that the launcher leaves out: which, how they are waited for, what is said of them."""
+
+from __future__ import annotations
+
+import socket
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from msgspec.structs import replace
+
+from agents.events import Complaint, Presence, Status
+from agents.plan import RunPlan, load_plan
+from bus_schemas.errors import InputError
+from bus_schemas.links import explicit_links
+from launch_scripts.launcher.run_folder import RunFolder
+from launch_scripts.launcher.tcp_ports import reserved_ports
+from launch_scripts.scenarios.externals import ExternalOptions, ExternalWatch, check_externals
+from launch_scripts.scenarios.preparation import RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
+
+NODE = "c1/inv01"
+
+
+@cache
+def planned(
+    *agents: str, pace: float | Literal["max"] = "max", base_port: int | None = None
+) -> RunPlan:
+    external = ExternalOptions(agents, base_port=base_port)
+    options = RunOptions(duration="10", pace=pace, external=external)
+    return prepare(load_scenario("oahu"), options, "run-1").plan
+
+
+def watch(*agents: str, pace: float | Literal["max"] = "max") -> ExternalWatch:
+    plan = planned()
+    listening = explicit_links(plan.tree).listening
+    plan = replace(
+        plan,
+        external=agents,
+        cycle_wall_ns=0 if pace == "max" else 1_000_000_000,
+        tcp_ports={agent: 7500 + place for place, agent in enumerate(listening)},
+    )
+    return ExternalWatch(plan, Path("my-run/plan.json"), 60.0, began_at=100.0)
+
+
+def test_the_plan_names_them_in_the_order_of_the_tree() -> None:
+    assert planned(NODE, "plant", "c1", NODE).external == ("plant", "c1", NODE)
+    assert planned().external == ()
+
+
+def test_with_a_base_port_the_namespace_is_the_plants_name() -> None:
+    assert planned(NODE, base_port=7500).bus_namespace == "oahu"
+    assert planned(NODE).bus_namespace == "run-1"
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (ExternalOptions(("recorder",)), "--external recorder: the launcher follows the run"),
+        (ExternalOptions(("c1/inv1",)), "--external c1/inv1: this run has no such agent, near it"),
+        (ExternalOptions(("",)), "--external : this run has no such agent"),
+        (ExternalOptions((NODE,), timeout_s=0.0), "--external-timeout 0: accepted is"),
+        (ExternalOptions((NODE,), timeout_s=float("nan")), "--external-timeout nan: accepted is"),
+        (ExternalOptions((NODE,), timeout_s=1e9), "--external-timeout 1e+09: accepted is"),
+        (ExternalOptions((NODE,), base_port=80), "--base-port 80: this run takes the ports 80 to"),
+        (ExternalOptions((NODE,), base_port=65_534), "--base-port 65534: this run takes"),
+    ],
+)
+def test_bad_words_are_refused_in_one_line(options: ExternalOptions, complaint: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        check_externals(options, planned().tree)
+    assert str(refusal.value).startswith(complaint)
+    assert "\n" not in str(refusal.value)
+
+
+def test_ports_begin_with_the_base_port() -> None:
+    with reserved_ports(("recorder", "plant")) as found:
+        first = found["recorder"]
+    with reserved_ports(("recorder",), first) as found:
+        assert found == {"recorder": first}
+
+
+def test_a_port_that_somebody_listens_on_is_refused() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        taken = server.getsockname()[1]
+        complaint = f"--base-port {taken}: port {taken} of recorder cannot be had"
+        with pytest.raises(InputError, match=complaint), reserved_ports(("recorder",), taken):
+            pass
+
+
+def test_directions_say_all_that_a_device_needs() -> None:
+    text = "\n".join(watch(NODE).directions())
+    for word in (
+        "waiting up to 60 s for c1/inv01",
+        "my-run/plan.json",
+        "tcp/127.0.0.1:7500 (recorder)",
+        "tcp/127.0.0.1:7501 (plant)",
+        "tcp/127.0.0.1:7503 (c1)",
+        "namespace run-1",
+        "liveliness token oahu/c1/inv01/alive",
+    ):
+        assert word in text
+    assert "listens on tcp/127.0.0.1:7501, connects to" in "\n".join(watch("plant").directions())
+    assert list(watch().directions()) == []
+
+
+def test_only_who_never_came_is_missed_and_only_after_the_time_out() -> None:
+    externals = watch(NODE, "central")
+    assert externals.complete_at is None
+    assert (
+        externals.hear(Presence(NODE, True, -1), 101.0, running=False)
+        == f"{NODE} (external) is here"
+    )
+    assert externals.late(159.0) == ""
+    assert externals.late(161.0).startswith("no sign of central after 60 s: no liveliness token")
+    assert "my-run/plan.json" in externals.late(161.0)
+    assert "tcp/" not in externals.late(161.0), "the endpoints stand in the directions above"
+    assert NODE not in externals.late(161.0)
+    externals.hear(Presence("central", True, -1), 161.0, running=False)
+    assert externals.late(162.0) == ""
+    assert externals.complete_at == 161.0
+
+
+def test_without_externals_nobody_is_waited_for() -> None:
+    assert watch().complete_at == 100.0
+    assert watch().late(1e9) == ""
+
+
+@pytest.mark.parametrize(
+    ("pace", "rest"), [(1.0, "the run goes on without it"), ("max", "waits for")]
+)
+def test_who_goes_in_mid_run_is_named_with_the_cycle(
+    pace: float | Literal["max"], rest: str
+) -> None:
+    externals = watch(NODE, pace=pace)
+    externals.hear(Presence(NODE, True, -1), 101.0, running=False)
+    gone = externals.hear(Presence(NODE, False, 41), 150.0, running=True)
+    assert gone.startswith(f"{NODE} (external) is gone in cycle 41; the run")
+    assert rest in gone
+    assert externals.explain("stalled", running=True) == (
+        f"stalled\nof the external agents: {NODE} is gone since cycle 41"
+    )
+    back = externals.hear(Presence(NODE, True, 60), 170.0, running=True)
+    assert back == f"{NODE} (external) is back in cycle 60, gone since cycle 41"
+    assert externals.explain("stalled", running=True) == "stalled"
+
+
+def test_an_external_plant_that_goes_is_remembered_with_the_time() -> None:
+    externals = watch("plant")
+    externals.hear(Presence("plant", True, -1), 101.0, running=False)
+    assert externals.plant_gone_at is None
+    externals.hear(Presence("plant", False, 5), 150.0, running=True)
+    assert externals.plant_gone_at == 150.0
+
+
+def test_who_does_not_answer_arming_rounds_is_named_first_with_what_was_wrong() -> None:
+    externals = watch(NODE, "c1")
+    externals.complain(Complaint("oahu/c1/inv01/impp", "other_cycle", 1, "it is of cycle 0"))
+    externals.complain(Complaint("oahu/c2/inv99/impp", "unknown", 1, "not of this run"))
+    unheard = ["c1/setpoint", "c1/inv01/command", "c1/inv01/impp"]
+    externals.note(Status(-1, 0, 0.0, 0.0, 0.0, [], 0, unheard=unheard))
+    first, *others = externals.explain("plant gave up", running=False).splitlines()
+    assert first.startswith(
+        "c1/inv01 (external) does not answer the arming rounds: nothing came on "
+        "c1/inv01/command, c1/inv01/impp; "
+    )
+    assert others == [
+        "plant gave up",
+        "wrong message on oahu/c1/inv01/impp: it is of cycle 0",
+    ]
+
+
+def test_a_port_that_another_run_has_is_refused_in_one_line() -> None:
+    with reserved_ports(("recorder",)) as found:
+        taken = found["recorder"]
+        complaint = f"--base-port {taken}: port {taken} of recorder is that of another run"
+        with pytest.raises(InputError, match=complaint), reserved_ports(("recorder",), taken):
+            pass
+    with reserved_ports(("recorder",), taken):
+        pass
+
+
+def test_a_plan_appears_whole_after_all_that_it_refers_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = RunFolder(tmp_path / "run")
+    there_before: list[str] = []
+
+    def replaced(source: Path, target: Path) -> None:
+        there_before.extend(sorted(path.name for path in target.parent.iterdir()))
+        source.rename(target)
+
+    monkeypatch.setattr(Path, "replace", replaced)
+    preparation = prepare(load_scenario("oahu"), RunOptions(duration="10"), "run-1")
+    plan = folder.fill(preparation, {"plant": 7501})
+    assert there_before == ["logs", "plan.json.part", "profile.npz", "scenario.toml"]
+    assert load_plan(folder.plan) == plan

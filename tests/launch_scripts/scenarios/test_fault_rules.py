@@ -1,0 +1,172 @@
+"""The rules of `--fault` and of a scenario: read, checked against the run, refused in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+from typer.testing import CliRunner
+
+from bus_schemas.errors import InputError
+from bus_schemas.faults import FaultRule
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port
+from launch_scripts.cli import app
+from launch_scripts.launcher.simulation import MemoryRun
+from launch_scripts.scenarios.fault_rules import parse_fault
+from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
+
+SHIPPED = Path(__file__).parents[2] / "launch_scripts" / "scenarios"
+
+
+@pytest.mark.parametrize(
+    ("text", "rule"),
+    [
+        (
+            "source=c1/*,signal=impp,delay=50ms,jitter=10ms,loss=2%,silent=60s..90s",
+            FaultRule(
+                source="c1/*",
+                signal="impp",
+                delay_ms=50.0,
+                jitter_ms=10.0,
+                loss=0.02,
+                silent=((60.0, 90.0),),
+            ),
+        ),
+        ("delay=0.05s, listener=central", FaultRule(listener="central", delay_ms=50.0)),
+        ("delay=250us", FaultRule(delay_ms=0.25)),
+        ("delay=.5s,jitter=1.s", FaultRule(delay_ms=500.0, jitter_ms=1000.0)),
+        ("loss=0.5%", FaultRule(loss=0.005)),
+        ("loss=0.125,duplicate=1", FaultRule(loss=0.125, duplicate=1.0)),
+        ("reorder=10%,reorder-by=1500ms", FaultRule(reorder=0.1, reorder_ms=1500.0)),
+        ("silent=0s..1m,silent=2m..0.05h", FaultRule(silent=((0.0, 60.0), (120.0, 180.0)))),
+        (
+            "delay=1s,jitter=100ms,distribution=normal",
+            FaultRule(delay_ms=1000.0, jitter_ms=100.0, distribution="normal"),
+        ),
+    ],
+)
+def test_the_words_of_an_option_become_a_rule(text: str, rule: FaultRule) -> None:
+    found = parse_fault(text)
+    assert found.delay_ms == pytest.approx(rule.delay_ms)
+    assert found == rule
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "--fault : '', accepted is such as source=c1/\\*,signal=impp,delay=50ms"),
+        ("delay", "--fault delay: 'delay', accepted is such as"),
+        ("delay=50", "delay is '50', accepted is a time with its unit such as 50ms, 0.05s or 2m"),
+        ("delay=-5ms", "delay is '-5ms', accepted is a time with its unit"),
+        ("jitter=nanms", "jitter is 'nanms', accepted is a time with its unit"),
+        ("loss=two", "loss is 'two', accepted is a share such as 2% or 0.02"),
+        ("silent=60s", "silent is '60s', accepted is an interval such as 60s..90s"),
+        ("silent=60..90", "silent is '60', accepted is a time with its unit"),
+        ("lost=2%", "'lost' is not known, accepted: source, listener, signal, distribution, delay"),
+        ("delay=1s,delay=2s", "delay twice, accepted is once"),
+        ("delay=1s,distribution=pareto", "Invalid enum value 'pareto'"),
+    ],
+)
+def test_words_that_are_no_rule_are_refused(text: str, complaint: str) -> None:
+    with pytest.raises(InputError, match=complaint):
+        parse_fault(text)
+
+
+def prepared(tmp_path: Path, more: str, **options: object) -> Preparation:
+    """A shipped scenario with more lines at its end."""
+    path = tmp_path / "imperfect.toml"
+    head = "faults_seed = 9\n" if more else ""
+    path.write_text(head + (SHIPPED / "valley.toml").read_text() + more)
+    return prepare(load_scenario(str(path)), RunOptions(duration="20", **options), "by-hand")  # type: ignore[arg-type]
+
+
+TABLES = """
+[[faults]]
+source = "plant"
+signal = "dispatch"
+delay_ms = 20
+
+[[faults]]
+loss = 0.01
+silent = [[5, 6.5]]
+"""
+
+
+def test_the_rules_of_scenario_and_options_reach_the_plan_in_their_order(tmp_path: Path) -> None:
+    plan = prepared(tmp_path, TABLES, faults=("loss=5%",)).plan
+    assert plan.faults_seed == 9
+    assert plan.faults == (
+        FaultRule(source="plant", signal="dispatch", delay_ms=20.0),
+        FaultRule(loss=0.01, silent=((5.0, 6.5),)),
+        FaultRule(loss=0.05),
+    )
+
+
+def test_a_scenario_without_faults_has_none(tmp_path: Path) -> None:
+    plan = prepared(tmp_path, "").plan
+    assert (plan.faults, plan.faults_seed) == ((), 0)
+
+
+@pytest.mark.parametrize(
+    ("more", "complaint"),
+    [
+        ("[[faults]]\nloss = 2\n", "imperfect.toml: faults\\[0\\]: loss is 2, accepted is"),
+        (
+            TABLES + "[[faults]]\nsource = 'c9'\nloss = 1\n",
+            "faults\\[2\\]: source 'c9' is no agent",
+        ),
+        ("[[faults]]\nlos = 0.2\n", "imperfect.toml: faults\\[0\\]: .*unknown field `los`"),
+    ],
+)
+def test_a_bad_rule_of_a_scenario_is_named_with_file_and_place(
+    tmp_path: Path, more: str, complaint: str
+) -> None:
+    with pytest.raises(InputError, match=complaint):
+        prepared(tmp_path, more)
+
+
+def test_a_bad_rule_of_an_option_is_named_with_its_words(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--fault source=c9/\\*,loss=1%: source 'c9/\\*' is no"):
+        prepared(tmp_path, "", faults=("source=c9/*,loss=1%",))
+
+
+def test_faults_on_help_are_said_to_change_nothing_and_change_nothing(tmp_path: Path) -> None:
+    lost = prepared(tmp_path, "", faults=("signal=help,loss=100%",))
+    assert [remark for remark in lost.remarks if "help" in remark]
+    assert decisions(lost) == decisions(prepared(tmp_path, ""))
+
+
+def decisions(preparation: Preparation) -> dict[tuple[str, int], Message]:
+    """What the agents of a run in memory decide, whenever they do it."""
+    found: dict[tuple[str, int], Message] = {}
+
+    def hear(port: Port[Message], message: Message) -> None:
+        if port.signal.decided:
+            found[str(port), message.cycle] = replace(message, ready_time_ns=0, publish_time_ns=0)
+
+    plan = replace(preparation.plan, cycle_wall_ns=preparation.plan.cycle_ns)
+    run = MemoryRun(plan, preparation.profile, hear)
+    assert len(list(run.cycles())) == plan.cycles
+    assert sum(loop.missing_inputs for loop in run.loops.values()) == 0
+    return found
+
+
+def test_launch_in_lockstep_with_faults_is_refused(tmp_path: Path) -> None:
+    words = [
+        "launch",
+        "oahu",
+        "--duration",
+        "5",
+        "--fault",
+        "loss=1%",
+        "--out",
+        str(tmp_path / "r"),
+    ]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 2
+    assert "--fault loss=1%: a message that is lost in lockstep is waited for" in result.output
+    assert "accepted is a --pace" in result.output
+    assert not (tmp_path / "r").exists()

@@ -1,0 +1,92 @@
+"""What a run may take of the machine: words of the command line and of scenarios, checked."""
+
+from __future__ import annotations
+
+import os
+
+import msgspec
+import pytest
+
+from agents.machine import MachineSettings
+from bus_schemas.errors import InputError
+from launch_scripts.scenarios.machine_table import MachineOptions, MachineTable, machine_settings
+
+
+@pytest.fixture(autouse=True)
+def four_cpus(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four processors, of which this process may use all but CPU 2."""
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1, 3}, raising=False)
+
+
+def settings(
+    *cpus: str, priority: int | None = None, lockstep: bool = False, table: str = ""
+) -> MachineSettings:
+    """Return the settings that options and the table of a scenario lead to."""
+    read = msgspec.toml.decode(table.encode(), type=MachineTable)
+    return machine_settings(read, MachineOptions(cpus, priority), lockstep=lockstep)
+
+
+def test_nothing_said_is_nothing_special() -> None:
+    assert settings() == MachineSettings()
+
+
+@pytest.mark.parametrize(
+    ("word", "cpus"), [("0", (0,)), ("0-1", (0, 1)), ("3,0", (0, 3)), ("0-1,3", (0, 1, 3))]
+)
+def test_processors_are_listed_as_the_kernel_does(word: str, cpus: tuple[int, ...]) -> None:
+    assert settings(word).cpus == cpus
+
+
+def test_kinds_may_have_processors_of_their_own() -> None:
+    found = settings("0-1", "plant=3", "direct=0,1")
+    assert found.cpus == (0, 1)
+    assert found.cpus_of == {"plant": (3,), "direct": (0, 1)}
+
+
+@pytest.mark.parametrize(
+    ("word", "text"),
+    [
+        ("0-2", "--cpus 0-2: this machine does not give us these, accepted are 0, 1, 3"),
+        ("7", "--cpus 7: this machine does not give us these, accepted are 0, 1, 3"),
+        ("3-1", "--cpus 3-1: this machine does not give us these, accepted are 0, 1, 3"),
+        ("inverter=0", "--cpus inverter=0: there is no kind of process 'inverter', accepted are "),
+        ("=0", "--cpus =0: there is no kind of process '', accepted are "),
+        ("plant=", "--cpus plant=: accepted are processors such as 0, 0-3 or plant=0"),
+        ("0,", "--cpus 0,: accepted are processors"),
+        ("-1", "--cpus -1: accepted are processors"),
+        ("all", "--cpus all: accepted are processors"),
+        ("", "--cpus : accepted are processors"),
+        ("0-99999999", "--cpus 0-99999999: accepted are processors"),
+    ],
+)
+def test_other_words_are_refused(word: str, text: str) -> None:
+    with pytest.raises(InputError) as caught:
+        settings(word)
+    assert str(caught.value).startswith(text)
+
+
+@pytest.mark.parametrize("priority", [-1, 0, 100])
+def test_a_priority_is_1_to_99(priority: int) -> None:
+    with pytest.raises(InputError, match=f"--priority {priority}: accepted is 1 to 99"):
+        settings(priority=priority)
+
+
+def test_a_priority_needs_a_clock() -> None:
+    with pytest.raises(InputError, match="in lockstep nothing can be late"):
+        settings(priority=20, lockstep=True)
+
+
+def test_a_scenario_says_the_same_and_the_command_line_goes_before_it() -> None:
+    table = 'cpus = ["0-1", "plant=3"]\npriority = 20\nlock_memory = true'
+    found = settings(table=table)
+    assert found == MachineSettings((0, 1), {"plant": (3,)}, 20, lock_memory=True)
+    assert settings("3", priority=7, table=table) == MachineSettings((3,), {}, 7, lock_memory=True)
+    # A scenario may be run in lockstep too: there its priority is of no use, and of no harm.
+    assert settings(table=table, lockstep=True).priority == 20
+
+
+def test_a_wrong_scenario_names_its_field() -> None:
+    with pytest.raises(InputError, match=r"machine\.cpus: 9: this machine does not"):
+        settings(table='cpus = ["9"]')
+    with pytest.raises(msgspec.ValidationError, match="priority"):
+        settings(table="priority = 100")

@@ -1,0 +1,258 @@
+"""Runs on archives and on a real plant's currents: the plant they make, and what is said of it."""
+
+from __future__ import annotations
+
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+
+from bus_schemas.errors import InputError
+from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
+
+SENSORS = 19
+AP3 = 12
+"""Place of AP3 among the 19 sensors of a line."""
+
+
+def write_day(folder: Path, day: date, ghi_wm2: NDArray[np.float64]) -> None:
+    """Write a daily file of the Oahu grid that begins at noon."""
+    times = pd.date_range(f"{day} 12:00", periods=len(ghi_wm2), freq="1s")
+    lines = [
+        f"{time.second},{time.year},{time.day_of_year},{100 * time.hour + time.minute},"
+        + ",".join("-99999" if np.isnan(v) else f"{v:.2f}" for v in row)
+        for time, row in zip(times, ghi_wm2.tolist(), strict=True)
+    ]
+    (folder / f"{day:%Y%m%d}.txt").write_text("\n".join(lines) + "\n")
+
+
+def clouds(seed: int, seconds: int = 120) -> NDArray[np.float64]:
+    """Sensors that differ from one another from second to second."""
+    return np.random.default_rng(seed).uniform(200.0, 1000.0, (seconds, SENSORS))
+
+
+class Copy:
+    """A shipped scenario, copied to a folder of its own and changed there."""
+
+    def __init__(self, name: str, folder: Path, data: Path) -> None:
+        self.path = folder / "copy.toml"
+        self.path.write_text(load_scenario(name).text)
+        self._data = data
+
+    def change(self, old: str, new: str) -> None:
+        text = self.path.read_text()
+        assert old in text
+        self.path.write_text(text.replace(old, new))
+
+    def prepare(self, **options: object) -> Preparation:
+        scenario = load_scenario(str(self.path), self._data)
+        return prepare(scenario, RunOptions(**options), "by-hand")  # type: ignore[arg-type]
+
+    def complaint(self, **options: object) -> str:
+        with pytest.raises(InputError) as caught:
+            self.prepare(**options)
+        assert "\n" not in str(caught.value)
+        return str(caught.value)
+
+
+# Daily files of the Oahu grid ---------------------------------------------------------------------
+
+
+@pytest.fixture
+def oahu(tmp_path: Path) -> Copy:
+    data = tmp_path / "archive"
+    data.mkdir()
+    write_day(data, date(2010, 3, 30), clouds(1))
+    write_day(data, date(2010, 4, 1), clouds(2))
+    copy = Copy("oahu-grid", tmp_path, data)
+    copy.change("start = 2010-04-01T05:00:00", "start = 2010-04-01T12:00:00")
+    copy.change("duration_s = 54000", "duration_s = 120")
+    return copy
+
+
+def test_the_17_sensors_become_17_inverters_in_clusters_of_6_6_and_5(oahu: Copy) -> None:
+    found = oahu.prepare()
+    tree = found.plan.tree
+    assert found.profile.mpp_kw.shape == (120, 17)
+    assert tree.rating_kw("") == pytest.approx(8000.0)
+    assert [len(tree.children(parent)) for parent in ("c1", "c2", "c3")] == [6, 6, 5]
+    assert {leaf.rpartition("/")[2] for leaf in tree.leaves} >= {"invDH1", "invAP3", "invAP7"}
+    assert not found.hindsight
+    assert found.local_start() == "2010-04-01 12:00:00 HST"
+    (commitment,) = found.remarks
+    assert "hindsight" in commitment
+
+
+def test_a_sensor_left_out_takes_its_inverter_and_rating_away(oahu: Copy, tmp_path: Path) -> None:
+    ghi_wm2 = clouds(2)
+    ghi_wm2[:40, AP3] = np.nan
+    write_day(tmp_path / "archive", date(2010, 4, 1), ghi_wm2)
+    found = oahu.prepare()
+    assert "invAP3" not in {leaf.rpartition("/")[2] for leaf in found.plan.tree.leaves}
+    assert found.plan.tree.rating_kw("") == pytest.approx(8000.0 * 16 / 17)
+    assert found.remarks[0] == (
+        "20100401.txt: AP3: 40 of 120 values missing, more than 10 % of the day: left out, with its"
+        " inverter"
+    )
+
+
+def test_an_earlier_day_without_a_sensor_of_the_run_is_filled(oahu: Copy, tmp_path: Path) -> None:
+    ghi_wm2 = clouds(1)
+    ghi_wm2[:, AP3] = np.nan
+    write_day(tmp_path / "archive", date(2010, 3, 30), ghi_wm2)
+    found = oahu.prepare()
+    assert found.profile.mpp_kw.shape == (120, 17)
+    assert found.remarks[0].startswith("20100330.txt: AP3: 120 of 120 values missing, filled from ")
+
+
+def test_clusters_are_those_of_the_earlier_day(oahu: Copy, tmp_path: Path) -> None:
+    leaves = oahu.prepare().plan.tree.leaves
+    write_day(tmp_path / "archive", date(2010, 4, 1), clouds(3))
+    assert oahu.prepare().plan.tree.leaves == leaves
+    write_day(tmp_path / "archive", date(2010, 3, 31), clouds(4))
+    assert oahu.prepare().plan.tree.leaves != leaves
+
+
+def test_hindsight_needs_no_earlier_day(oahu: Copy, tmp_path: Path) -> None:
+    (tmp_path / "archive" / "20100330.txt").unlink()
+    assert "no file of a day before 2010-04-01" in oahu.complaint()
+    oahu.change('"earlier-day"', '"hindsight"')
+    assert oahu.prepare().hindsight
+
+
+def test_gaps_may_be_refused(oahu: Copy, tmp_path: Path) -> None:
+    ghi_wm2 = clouds(2)
+    ghi_wm2[7, AP3] = np.nan
+    write_day(tmp_path / "archive", date(2010, 4, 1), ghi_wm2)
+    oahu.change('gaps = "neighbours"', 'gaps = "refuse"')
+    assert oahu.complaint().endswith(
+        "20100401.txt: line 8, field 17 (AP3): found '-99999', one of 1 missing values; accepted"
+        " with irradiance.gaps = 'refuse': none missing"
+    )
+
+
+def test_a_day_shorter_than_the_run_is_refused(oahu: Copy) -> None:
+    assert oahu.complaint(duration="121s").endswith(
+        "20100401.txt: does not cover 2010-04-01T22:00:00Z to 2010-04-01T22:02:01Z; it covers"
+        " 2010-04-01T22:00:00Z to 2010-04-01T22:02:00Z"
+    )
+
+
+def test_a_folder_without_daily_files_is_refused(oahu: Copy, tmp_path: Path) -> None:
+    for path in (tmp_path / "archive").glob("*.txt"):
+        path.unlink()
+    assert oahu.complaint() == (
+        f"{tmp_path / 'archive'}: no daily files, accepted is --data with the folder of them"
+    )
+
+
+# Currents of a real plant -------------------------------------------------------------------------
+
+
+def write_plant(folder: Path, silent: str = "") -> None:
+    """Write ten minutes of six inverters with two combiners each, 100 being full power."""
+    combiners = [(f"C-{i}-{c}", f"{i:02d}", 50 * i, 10 * c) for i in range(6) for c in (1, 2)]
+    rows = "".join(f"{name},{inverter},{x},{y}\n" for name, inverter, x, y in combiners)
+    (folder / "positions.csv").write_text("combiner,inverter,x_m,y_m\n" + rows)
+    rng = np.random.default_rng(8)
+    lines = ["t_s," + ",".join(name for name, *_ in combiners)]
+    for second in range(0, 600, 10):
+        values = [
+            "" if inverter == silent else f"{rng.uniform(20.0, 120.0):.3f}"
+            for _, inverter, _, _ in combiners
+        ]
+        lines.append(f"{second}," + ",".join(values))
+    (folder / "hour_a.csv").write_text("\n".join(lines) + "\n")
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> Copy:
+    data = tmp_path / "plant"
+    data.mkdir()
+    write_plant(data)
+    copy = Copy("plant20mw", tmp_path, data)
+    copy.change("duration_s = 3600", "duration_s = 600")
+    copy.change("cluster_count = [5]", "cluster_count = [2]")
+    return copy
+
+
+def test_power_comes_from_the_currents(plant: Copy, tmp_path: Path) -> None:
+    found = plant.prepare()
+    assert found.plan.tree.rating_kw("") == pytest.approx(20_000.0)
+    assert found.profile.mpp_kw.shape == (60, 6)
+    currents = pd.read_csv(tmp_path / "plant" / "hour_a.csv")
+    place = [leaf.rpartition("/")[2] for leaf in found.plan.tree.leaves].index("inv04")
+    mean = currents[["C-4-1", "C-4-2"]].mean(axis=1).to_numpy()
+    expected_kw = np.minimum(mean / 130.0, 1.0) * 20_000.0 / 6
+    np.testing.assert_allclose(found.profile.mpp_kw[:, place], expected_kw)
+
+
+def test_the_start_of_the_scenario_is_the_first_row(plant: Copy) -> None:
+    whole_kw = plant.prepare().profile.mpp_kw
+    part = plant.prepare(start="12:05", duration="20s")
+    np.testing.assert_array_equal(part.profile.mpp_kw, whole_kw[30:32])
+    assert plant.complaint(start="11:59:50", duration="20s").endswith(
+        "hour_a.csv: does not cover 2000-06-21T11:59:50Z to 2000-06-21T12:00:10Z; it covers"
+        " 2000-06-21T12:00:00Z to 2000-06-21T12:10:00Z"
+    )
+
+
+def test_a_silent_inverter_takes_its_rating_away(plant: Copy, tmp_path: Path) -> None:
+    write_plant(tmp_path / "plant", silent="02")
+    found = plant.prepare()
+    assert found.plan.tree.rating_kw("") == pytest.approx(20_000.0 * 5 / 6)
+    assert [len(found.plan.tree.children(parent)) for parent in ("c1", "c2")] == [3, 2]
+    assert found.remarks[0] == (
+        "hour_a.csv: inverter 02: 120 of 120 currents of its 2 combiners missing: left out, with"
+        " its rating"
+    )
+    plant.change('"leave-out"', '"refuse"')
+    assert plant.complaint() == (
+        "hour_a.csv: line 2, column 'C-2-1': found an empty field; accepted: a number, as"
+        " irradiance.gaps is 'refuse'"
+    )
+
+
+def test_neighbouring_inverters_share_a_geographic_cluster(plant: Copy) -> None:
+    plant.change('clusters = "correlation"', 'clusters = "geographic"')
+    leaves = plant.prepare().plan.tree.leaves
+    assert set(leaves) == {f"c1/inv0{i}" for i in (0, 1, 2)} | {f"c2/inv0{i}" for i in (3, 4, 5)}
+
+
+@pytest.mark.parametrize(("cycle_s", "cycles"), [("2", 300), ("0.5", 1200), ("30", 20)])
+def test_other_cycles_than_the_step_are_run_and_told(
+    plant: Copy, cycle_s: str, cycles: int
+) -> None:
+    plant.change("cycle_s = 10", f"cycle_s = {cycle_s}")
+    found = plant.prepare()
+    assert found.profile.mpp_kw.shape == (cycles, 6)
+    assert found.remarks[0].startswith(("a value is measured every 10 s;", "a cycle of 30 s is"))
+
+
+def test_currents_have_no_clear_sky_and_no_seed(plant: Copy) -> None:
+    assert plant.complaint(seed=3) == (
+        "--seed: the scenario's irradiance is measured, it has no seed"
+    )
+    plant.change('"share-of-median"', '"share-of-clear-sky"')
+    assert "commitment.kind is 'share-of-clear-sky', which needs date and place" in (
+        plant.complaint()
+    )
+
+
+@pytest.mark.parametrize(("hour", "inverters"), [("a", 25), ("b", 23), ("c", 25)])
+def test_every_hour_of_the_real_plant_can_be_run(
+    tmp_path: Path, data_folder: Path, hour: str, inverters: int
+) -> None:
+    copy = Copy("plant20mw", tmp_path, data_folder / "plant20mw-combiners-10s")
+    copy.change('"hour_a.csv"', f'"hour_{hour}.csv"')
+    found = copy.prepare()
+    assert found.profile.mpp_kw.shape == (360, inverters)
+    assert found.plan.tree.rating_kw("") == pytest.approx(800.0 * inverters)
+    sizes = sorted(len(found.plan.tree.children(f"c{number}")) for number in range(1, 6))
+    assert sizes == ([4, 4, 5, 5, 5] if inverters == 23 else [5] * 5)
+    told = [line for line in found.remarks if "left out" in line]
+    assert len(told) == 25 - inverters

@@ -1,0 +1,149 @@
+"""What is missing of a recording is counted and named, and nothing else is."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from recordings_by_hand import cycle_of_the_plant, whole_run, write_run
+
+from bus_schemas.bus import Delivery
+from recordings import open_run
+from recordings.inspect.overview import Gap, Overview, SignalCount, read_overview
+
+CYCLES = 60
+END = CYCLES - 1
+
+
+@pytest.fixture
+def look(tmp_path: Path) -> Callable[..., Overview]:
+    """Write a recording and look at it."""
+
+    def write_and_look(
+        is_published: Callable[[Delivery], bool] = lambda delivery: True,
+        is_kept: Callable[[Delivery], bool] = lambda delivery: True,
+        cycles: range | None = None,
+    ) -> Overview:
+        path = tmp_path / "run.mcap"
+        write_run(path, filter(is_published, whole_run(CYCLES)), is_kept=is_kept)
+        with open_run(path) as run:
+            return read_overview(run, cycles)
+
+    return write_and_look
+
+
+def count_of(overview: Overview, signal: str) -> SignalCount:
+    (found,) = [count for count in overview.signals if count.signal == signal]
+    return found
+
+
+def test_every_message_is_counted_and_nothing_is_missing(look: Callable[..., Overview]) -> None:
+    overview = look()
+    expected = Counter(port.signal.name for port, _ in whole_run(CYCLES))
+    counted = {count.signal: count.messages for count in overview.signals if count.messages}
+    assert counted == dict(expected)
+    assert overview.messages == expected.total()
+    assert (overview.gaps, overview.more_gaps) == ((), 0)
+    assert [count for count in overview.signals if count.lost or count.missing_cycles] == []
+    assert (overview.first_cycle, overview.last_cycle, overview.complete_cycles) == (0, END, CYCLES)
+    assert (overview.title, overview.driver, overview.whole) == ("Four inverters", "simulate", True)
+    assert (overview.start, overview.end) == (
+        "2010-04-01T12:00:00-10:00",
+        "2010-04-01T12:00:59-10:00",
+    )
+
+
+def test_rates_are_for_each_cycle_and_each_second_of_the_wall_clock(
+    look: Callable[..., Overview],
+) -> None:
+    overview = look()
+    impp = count_of(overview, "impp")
+    assert (impp.nodes, impp.per_cycle) == (7, 7.0)
+    assert impp.per_s == pytest.approx(7 * CYCLES / overview.wall_s)
+    # The central controller speaks to its two children in every second cycle only.
+    assert count_of(overview, "setpoint").per_cycle == 4 + 2 / 2
+
+
+def test_what_was_published_and_not_recorded_is_lost(look: Callable[..., Overview]) -> None:
+    overview = look(
+        is_kept=lambda pair: (
+            (str(pair[0]), pair[1].cycle)
+            not in {("c1/a/impp", 0), ("c1/a/impp", 7), ("c1/a/impp", 8), ("c2/setpoint", 10)}
+        )
+    )
+    impp, setpoint = count_of(overview, "impp"), count_of(overview, "setpoint")
+    assert (impp.lost, impp.missing_cycles) == (3, 3)
+    assert (setpoint.lost, setpoint.missing_cycles) == (1, 1)
+    assert overview.gaps == (
+        Gap("c1/a/impp", 0, 0, 1),
+        Gap("c1/a/impp", 7, 8, 2),
+        Gap("c2/setpoint", 10, 10, 1),
+    )
+
+
+def test_a_silent_agent_leaves_a_gap_in_cycles_and_none_in_numbers(
+    look: Callable[..., Overview],
+) -> None:
+    overview = look(
+        is_published=lambda pair: not (pair[1].source == "c2/c" and 20 <= pair[1].cycle < 30)
+    )
+    assert {gap.port for gap in overview.gaps} == {"c2/c/impp", "c2/c/residual", "c2/c/command"}
+    assert {(gap.first_cycle, gap.last_cycle, gap.cycles) for gap in overview.gaps} == {
+        (20, 29, 10)
+    }
+    assert sum(count.lost for count in overview.signals) == 0
+
+
+def test_an_agent_that_falls_silent_for_good_is_missed_up_to_the_end(
+    look: Callable[..., Overview],
+) -> None:
+    overview = look(is_published=lambda pair: pair[1].source != "c1" or pair[1].cycle < 50)
+    gaps = {gap.port: (gap.first_cycle, gap.last_cycle) for gap in overview.gaps}
+    assert gaps["c1/impp"] == (50, END)
+    assert gaps["c1/a/setpoint"] == (50, END)
+
+
+def test_a_part_is_counted_by_itself(look: Callable[..., Overview]) -> None:
+    overview = look(cycles=range(11, 21))
+    assert count_of(overview, "impp").messages == 70
+    assert count_of(overview, "setpoint").messages == 10 * 4 + 5 * 2
+    assert (overview.gaps, overview.complete_cycles) == ((), 10)
+    assert sum(count.lost for count in overview.signals) == 0
+
+
+def test_of_many_gaps_the_first_hundred_are_named_and_the_rest_is_counted(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "run.mcap"
+    deliveries = (pair for cycle in range(0, 400, 2) for pair in cycle_of_the_plant(cycle))
+    write_run(path, (pair for pair in deliveries if pair[0].signal.name == "production"))
+    with open_run(path) as run:
+        overview = read_overview(run)
+    # Every second production is missing, and so is all of what is due on the other ports.
+    assert len(overview.gaps) == 100
+    assert len(overview.gaps) + overview.more_gaps == 199 + _silent_ports()
+    assert count_of(overview, "production").missing_cycles == 199
+
+
+def _silent_ports() -> int:
+    """Ports on which something is due in every cycle or turn, and nothing came at all."""
+    due = {str(port) for port, _ in cycle_of_the_plant(0) if port.signal.name != "help"}
+    return len(due) - 1
+
+
+def test_what_is_missing_at_the_end_is_counted_up_to_where_the_plant_ended_the_run(
+    look: Callable[..., Overview],
+) -> None:
+    overview = look(is_kept=lambda pair: pair[1].cycle < 50 or pair[0].signal.name == "run")
+    assert (overview.last_cycle, overview.complete_cycles) == (END, 50)
+    gaps = {gap.port: (gap.first_cycle, gap.last_cycle, gap.cycles) for gap in overview.gaps}
+    assert gaps["production"] == gaps["c1/a/impp"] == (50, END, 10)
+    assert gaps["c1/setpoint"] == (50, END - 1, 5)
+
+
+def test_a_part_lacks_what_was_due_up_to_its_own_end(look: Callable[..., Overview]) -> None:
+    overview = look(is_kept=lambda pair: not 18 <= pair[1].cycle < 25, cycles=range(11, 21))
+    gaps = {gap.port: (gap.first_cycle, gap.last_cycle) for gap in overview.gaps}
+    assert gaps["production"] == (18, 20)

@@ -1,0 +1,142 @@
+"""Local time, time since the start and numbers name the same cycles."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from zoneinfo import ZoneInfo
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+from recordings_by_hand import PLAN
+
+from bus_schemas.errors import InputError
+from recordings.read.moments import Moment, RunClock
+
+CLOCK = RunClock(PLAN, last_cycle=999)
+
+
+@pytest.mark.parametrize(
+    ("moment", "cycle"),
+    [
+        ("12:00:00", 0),
+        ("12:00", 0),
+        ("12:01:30", 90),
+        ("12:01:30.9", 90),
+        ("2010-04-01T12:01:30", 90),
+        ("2010-04-01 12:01:30", 90),
+        ("2010-04-01T22:01:30+00:00", 90),
+        ("90s", 90),
+        ("1m30s", 90),
+        ("0h1m", 60),
+        ("90", 90),
+        (90, 90),
+        ("12:16:39", 999),
+    ],
+)
+def test_a_moment_is_the_cycle_that_it_lies_in(moment: Moment, cycle: int) -> None:
+    assert CLOCK.cycle(moment) == cycle
+
+
+@given(cycle=st.integers(0, 999))
+def test_the_text_of_a_cycle_names_it(cycle: int) -> None:
+    assert CLOCK.cycle(CLOCK.text(cycle)) == cycle
+    assert CLOCK.cycle(CLOCK.local(cycle).isoformat()) == cycle
+
+
+def test_short_cycles_are_told_with_their_fraction() -> None:
+    clock = RunClock(replace(PLAN, cycle_ns=100_000_000), last_cycle=99)
+    assert [clock.text(cycle) for cycle in (0, 1, 25)] == [
+        "12:00:00.000",
+        "12:00:00.100",
+        "12:00:02.500",
+    ]
+    assert clock.cycle("12:00:02.5") == clock.cycle("2.5s") == 25
+
+
+def test_a_time_of_day_after_midnight_is_of_the_next_day() -> None:
+    late = replace(PLAN, start_time_ns=PLAN.start_time_ns + 11 * 3600 * 10**9)  # 23:00
+    clock = RunClock(late, last_cycle=2 * 3600 - 1)
+    assert clock.cycle("23:00:10") == 10
+    assert clock.cycle("00:30:00") == 90 * 60
+
+
+def test_a_time_of_day_that_comes_twice_needs_its_date() -> None:
+    clock = RunClock(PLAN, last_cycle=30 * 3600)
+    with pytest.raises(InputError, match=r"has 2 of them, accepted is a date with it, 2010-04-01T"):
+        clock.cycle("13:00")
+    assert clock.cycle("2010-04-02T13:00:00") == 25 * 3600
+
+
+def test_a_span_holds_both_its_ends() -> None:
+    assert CLOCK.span("12:00:10", "12:00:12") == range(10, 13)
+    assert CLOCK.span(None, 2) == range(3)
+    assert CLOCK.span("12:16:38", None) == range(998, 1000)
+
+
+@pytest.mark.parametrize("moment", ["11:59:59", "12:16:40", "1000", -1, "2h", "2010-04-02T12:00"])
+def test_a_moment_outside_the_run_is_refused_with_its_extent(moment: Moment) -> None:
+    with pytest.raises(InputError) as caught:
+        CLOCK.cycle(moment)
+    assert str(caught.value) == (
+        f"{moment}: outside the run, which goes from 2010-04-01 12:00:00 to 12:16:39 HST "
+        "(cycles 0 to 999)"
+    )
+
+
+@pytest.mark.parametrize("moment", ["", "noon", "13", "25:00", "12:61", "1.5", "--", "90 s"])
+def test_what_is_no_moment_is_refused_or_a_number(moment: str) -> None:
+    if moment == "13":
+        assert CLOCK.cycle(moment) == 13
+        return
+    with pytest.raises(InputError, match="not understood, accepted are a local time"):
+        CLOCK.cycle(moment)
+
+
+def test_an_end_before_the_start_is_refused() -> None:
+    with pytest.raises(InputError, match="before 12:00:12, accepted is a moment from there on"):
+        CLOCK.span("12:00:12", "11s")
+
+
+def test_a_run_without_a_cycle_says_so() -> None:
+    with pytest.raises(InputError, match="outside the run, which has no cycle"):
+        RunClock(PLAN, last_cycle=-1).cycle(0)
+
+
+def a_night_in_new_york(day: str) -> RunClock:
+    """From half past midnight for four hours, in cycles of 30 s."""
+    start = datetime.fromisoformat(f"{day}T00:30:00").replace(tzinfo=ZoneInfo("America/New_York"))
+    plan = replace(
+        PLAN,
+        timezone="America/New_York",
+        start_time_ns=int(start.timestamp()) * 1_000_000_000,
+        cycle_ns=30_000_000_000,
+    )
+    return RunClock(plan, last_cycle=479)
+
+
+def test_an_hour_that_comes_twice_is_told_apart_by_its_offset() -> None:
+    clock = a_night_in_new_york("2010-11-07")
+    assert clock.local(120).isoformat() == "2010-11-07T01:30:00-04:00"
+    assert clock.local(240).isoformat() == "2010-11-07T01:30:00-05:00"
+    assert clock.cycle("2010-11-07T01:30:00-05:00") == 240
+    with pytest.raises(InputError) as caught:
+        clock.cycle("01:30")
+    assert str(caught.value) == (
+        "2010-11-07 01:30:00: comes twice, accepted are 2010-11-07T01:30:00-04:00 and "
+        "2010-11-07T01:30:00-05:00"
+    )
+
+
+def test_an_hour_that_clocks_leap_over_is_no_moment() -> None:
+    clock = a_night_in_new_york("2010-03-14")
+    assert clock.cycle("01:59:30") == 179
+    assert clock.cycle("03:00:00") == 180
+    with pytest.raises(InputError, match="2010-03-14 02:30:00: clocks leap over it"):
+        clock.cycle("02:30")
+
+
+def test_a_time_beyond_all_bounds_is_outside_the_run() -> None:
+    with pytest.raises(InputError, match="outside the run"):
+        CLOCK.cycle("9" * 300 + "h")

@@ -1,0 +1,35 @@
+"""Names that a user gives, and the nodes of the control tree that they mean."""
+
+from __future__ import annotations
+
+import pytest
+
+from bus_schemas.errors import InputError
+from bus_schemas.tree import ControlTree
+from recordings.read.selection import find_nodes
+
+TREE = ControlTree((("c1/a", 1.0), ("c1/b", 1.0), ("c10/a", 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        ("c1", {"c1"}),
+        ("c1/*", {"c1", "c1/a", "c1/b"}),
+        (["c1/a", "c1/*"], {"c1", "c1/a", "c1/b"}),
+        ("central", {""}),
+        ("central/*", {"", "c1", "c1/a", "c1/b", "c10", "c10/a"}),
+        ((), set()),
+    ],
+)
+def test_a_star_means_a_node_and_all_below_it(names: str | list[str], found: set[str]) -> None:
+    nodes = find_nodes(TREE, names)
+    assert set(nodes) == found
+    assert len(nodes) == len(found), "each once"
+
+
+def test_an_unknown_node_before_a_star_is_named() -> None:
+    with pytest.raises(InputError) as caught:
+        find_nodes(TREE, "c2/*")
+    assert "node 'c2': not in this run" in str(caught.value)
+    assert "c1" in str(caught.value), "a name that is near"

@@ -1,0 +1,309 @@
+"""A part of a recording is the same as that part of all of it, and is found without the rest."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.writer import Writer
+from recordings_by_hand import PLAN, cycle_of_the_plant, whole_run, write_run
+
+from bus_schemas.bus import Delivery
+from bus_schemas.codec import encode
+from bus_schemas.errors import InputError
+from bus_schemas.signals import IMPP, PRODUCTION, RUN, SETPOINT, SIGNALS, TELEMETRY
+from bus_schemas.tree import ROOT
+from recordings import open_run
+from recordings.read import reader
+from recordings.read.chunks import ChunkPlace, unpack_chunk
+from recordings.read.damage import damage_text
+from recordings.read.reader import RunReader
+
+CYCLES = 300
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Delivery]]:
+    path = tmp_path_factory.mktemp("reader") / "run.mcap"
+    return path, write_run(path, whole_run(CYCLES))
+
+
+@pytest.fixture
+def run(recording: tuple[Path, list[Delivery]]) -> RunReader:
+    return open_run(recording[0])
+
+
+names = [signal.name for signal in SIGNALS if signal.logged]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    signals=st.lists(st.sampled_from(names), unique=True, max_size=3),
+    nodes=st.lists(st.sampled_from(["central", "c1", "c2/d"]), unique=True),
+    bounds=st.tuples(st.integers(0, CYCLES - 1), st.integers(0, CYCLES - 1)),
+    by_time=st.booleans(),
+)
+def test_signals_nodes_and_cycles_choose_from_all_messages(
+    recording: tuple[Path, list[Delivery]],
+    signals: list[str],
+    nodes: list[str],
+    bounds: tuple[int, int],
+    by_time: bool,
+) -> None:
+    path, written = recording
+    start, end = sorted(bounds)
+    with open_run(path) as run:
+        found = run.messages(*signals, nodes=nodes, start=start, end=end, by_time=by_time)
+        paths = {"" if node == "central" else node for node in nodes}
+        assert list(found) == [
+            (port, message)
+            for port, message in written
+            if (not signals or port.signal.name in signals)
+            and (not nodes or port.node in paths)
+            and start <= message.cycle <= end
+        ]
+
+
+def test_signals_go_by_name_or_by_themselves(run: RunReader) -> None:
+    by_name = list(run.messages("impp", "setpoint", nodes="c1/a", end="10s"))
+    assert by_name == list(run.messages(IMPP, SETPOINT, nodes=["c1/a"], end="12:00:10"))
+    assert len(by_name) == 22
+
+
+def test_raw_records_are_the_messages_with_their_times_and_numbers(
+    recording: tuple[Path, list[Delivery]], run: RunReader
+) -> None:
+    records = list(run.records())
+    assert [(record.port, record.payload) for record in records] == [
+        (port, encode(message)) for port, message in recording[1]
+    ]
+    assert [(record.cycle, record.sequence) for record in records] == [
+        (message.cycle, message.sequence) for _, message in recording[1]
+    ]
+    assert sorted(record.log_time_ns for record in records) == [
+        record.log_time_ns for record in records
+    ]
+    some = list(run.records(run.ports("impp"), range(7, 9)))
+    assert [record for record in records if record in some] == some
+    assert {record.cycle for record in some} == {7, 8}
+
+
+def test_one_minute_is_found_without_reading_the_rest(
+    run: RunReader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unpacked: set[int] = set()
+
+    def counting(file: object, place: ChunkPlace) -> bytes:
+        unpacked.add(place.offset)
+        return unpack_chunk(file, place)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(reader, "unpack_chunk", counting)
+    chunks = len(run.outline.chunks)
+    assert chunks > 40
+    assert len(list(run.messages(TELEMETRY, start=200, end=203))) == 4 * 4
+    assert len(unpacked) < 15, "some to search for the place, and those around it"
+
+
+def test_the_last_cycle_is_that_of_the_last_message_but_the_plants_farewell(
+    run: RunReader, tmp_path: Path
+) -> None:
+    assert run.last_cycle == CYCLES - 1
+    path = tmp_path / "run.mcap"
+    write_run(path, [(RUN.of(ROOT), PLAN.run_message("start", 0, 1))])
+    with open_run(path) as empty:
+        assert empty.last_cycle == -1
+        assert len(list(empty.messages())) == 1
+
+
+def test_messages_that_come_late_are_found_by_their_cycle(tmp_path: Path) -> None:
+    # In memory none is further behind than the longest period of a tier; here one cycle less.
+    path = tmp_path / "run.mcap"
+    order = list(range(100))
+    for cycle in range(0, 98, 3):
+        order[cycle], order[cycle + 2] = order[cycle + 2], order[cycle]
+    write_run(
+        path,
+        (delivery for cycle in order for delivery in cycle_of_the_plant(cycle)),
+        messages_per_chunk=20,
+    )
+    with open_run(path) as run:
+        for cycle in range(100):
+            found = run.messages(PRODUCTION, start=cycle, end=cycle)
+            assert [message.cycle for _, message in found] == [cycle]
+
+
+def test_a_cut_recording_is_read_up_to_the_cut(
+    recording: tuple[Path, list[Delivery]], tmp_path: Path
+) -> None:
+    path, written = recording
+    content = path.read_bytes()
+    cut = tmp_path / "run.mcap"
+    for share in (0.2, 0.5, 0.77, 0.9):
+        cut.write_bytes(content[: int(share * len(content))])
+        with open_run(cut) as run:
+            found = list(run.messages())
+            assert not run.whole
+            assert found == written[: len(found)]
+            assert len(found) > 0.5 * share * len(written)
+            last = found[-1][1].cycle
+            assert list(run.messages(start=last)) == [
+                pair for pair in found if pair[1].cycle == last
+            ]
+            assert list(run.messages(TELEMETRY, start=last - 5, end=last - 3)) == [
+                pair
+                for pair in found
+                if pair[0].signal is TELEMETRY and -5 <= pair[1].cycle - last <= -3
+            ]
+
+
+def test_a_frame_has_a_row_for_each_message_and_local_time(run: RunReader) -> None:
+    frame = run.frame("setpoint", nodes=["c1/a", "c1/b"], start="12:00:10", end="12:00:12")
+    assert frame.index.name == "time"
+    assert str(frame.index[0]) == "2010-04-01 12:00:10-10:00"
+    assert list(frame.columns) == ["cycle", "node", "power_kw", "share_kw", "help_given"]
+    assert list(frame["cycle"]) == [10, 10, 11, 11, 12, 12]
+    assert dict(frame.groupby("node")["power_kw"].mean()) == {"c1/a": 40.0, "c1/b": 80.0}
+    given = frame[["node", "help_given"]].explode("help_given").dropna()
+    assert [(row.needy, row.power_kw) for row in given["help_given"]] == [("c1/a", 20.0)] * 3
+
+
+def test_a_frame_without_a_message_still_has_its_columns(run: RunReader) -> None:
+    frame = run.frame("notice")
+    assert frame.empty
+    assert isinstance(frame.index, pd.DatetimeIndex)
+    assert list(frame.columns) == ["cycle", "node", "text", "count"]
+
+
+# Bad input ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("signals", "nodes", "start", "complaint"),
+    [
+        (["imp"], [], None, "signal 'imp': not in a recording, near are impp"),
+        (["ready"], [], None, "signal 'ready': not in a recording, accepted are telemetry"),
+        (["xyz"], [], None, "signal 'xyz': not in a recording, accepted are telemetry, dispatch,"),
+        ([], ["c1/aa"], None, "node 'c1/aa': not in this run, near are c1/a"),
+        ([], ["centrl"], None, "node 'centrl': not in this run, near are central"),
+        ([], ["?"], None, "node '\\?': not in this run, accepted are central, c1, c2, c1/a"),
+        (
+            [],
+            [],
+            "13:49",
+            "13:49: outside the run, which goes from 2010-04-01 12:00:00 to 12:04:59",
+        ),
+    ],
+)
+def test_what_the_run_does_not_have_is_refused_with_what_it_has(
+    run: RunReader, signals: list[str], nodes: list[str], start: str | None, complaint: str
+) -> None:
+    with pytest.raises(InputError, match=complaint) as caught:
+        run.messages(*signals, nodes=nodes, start=start)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_older_recording_is_refused_with_its_version(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_metadata("run", {"schema_version": "2"})
+        writer.finish()
+    with pytest.raises(InputError, match="schema version 2"):
+        open_run(path)
+
+
+def test_a_damaged_chunk_is_refused_where_it_is_read_and_not_before(
+    recording: tuple[Path, list[Delivery]], tmp_path: Path
+) -> None:
+    path, written = recording
+    with open_run(path) as run:
+        place = run.outline.chunks[20]
+    content = bytearray(path.read_bytes())
+    content[place.offset + 300] ^= 0xFF
+    torn = tmp_path / "run.mcap"
+    torn.write_bytes(content)
+    with open_run(torn) as run:
+        assert list(run.messages(end=50)) == [pair for pair in written if pair[1].cycle <= 50]
+        with pytest.raises(InputError, match=rf"chunk at byte {place.offset:,}: .*recover"):
+            list(run.messages())
+
+
+@pytest.fixture
+def damaged(recording: tuple[Path, list[Delivery]], tmp_path: Path) -> tuple[Path, ChunkPlace]:
+    """A recording with one chunk zeroed, and that chunk."""
+    path, _ = recording
+    with open_run(path) as run:
+        place = run.outline.chunks[20]
+    content = bytearray(path.read_bytes())
+    content[place.offset : place.offset + 60] = bytes(60)
+    (tmp_path / "run.mcap").write_bytes(content)
+    return tmp_path / "run.mcap", place
+
+
+def test_who_asks_for_it_reads_on_behind_a_damaged_chunk_and_can_tell_which(
+    recording: tuple[Path, list[Delivery]], damaged: tuple[Path, ChunkPlace]
+) -> None:
+    path, place = damaged
+    with open_run(recording[0]) as run:
+        lost = [pair for pair in recording[1] if pair[1].cycle in (run.cycles_in(place) or ())]
+    with RunReader(path, skip_damaged=True) as run:
+        kept = list(run.messages())
+        assert set(run.damage) == {place.offset}
+        text = damage_text(run)
+    assert 0 < len(recording[1]) - len(kept) <= len(lost)
+    begin, end = lost[0][1].cycle, lost[-1][1].cycle
+    told = re.search(rf"chunk at byte {place.offset:,}, cycles (\d+) to (\d+) missing", text)
+    assert told is not None
+    assert begin - 1 <= int(told[1]) <= begin
+    assert end <= int(told[2]) <= end + 1
+    with open_run(path) as run, pytest.raises(InputError, match="no chunk begins there"):
+        list(run.messages())
+
+
+def test_a_damaged_chunk_elsewhere_does_not_matter(damaged: tuple[Path, ChunkPlace]) -> None:
+    with RunReader(damaged[0], skip_damaged=True) as run:
+        assert list(run.messages(start=0, end=5))
+        assert (run.damage, damage_text(run)) == ({}, "")
+
+
+@pytest.mark.parametrize("first_ns", [0, 2**63])
+def test_damaged_times_in_a_cut_file_empty_no_span(
+    recording: tuple[Path, list[Delivery]], tmp_path: Path, first_ns: int
+) -> None:
+    path, written = recording
+    with open_run(path) as run:
+        places, end = run.outline.chunks, run.outline.readable_end
+    torn = bytearray(path.read_bytes()[: end - 20])
+    for place in (places[5], places[-3]):
+        torn[place.offset + 9 : place.offset + 17] = first_ns.to_bytes(8, "little")
+    cut = tmp_path / "run.mcap"
+    cut.write_bytes(torn)
+    with open_run(cut) as run:
+        assert list(run.messages(start=100, end=110)) == [
+            pair for pair in written if 100 <= pair[1].cycle <= 110
+        ]
+        assert list(run.messages()) == written
+
+
+def test_the_plan_of_a_recording_has_to_be_what_was_written(
+    recording: tuple[Path, list[Delivery]], tmp_path: Path
+) -> None:
+    content = bytearray(recording[0].read_bytes())
+    content[content.index(b'"inverters"') + 40] ^= 1
+    torn = tmp_path / "run.mcap"
+    torn.write_bytes(content)
+    with pytest.raises(InputError, match=r"its attachment plan\.json is damaged"):
+        open_run(torn)
+
+
+def test_the_plants_farewell_tells_where_the_run_ended(run: RunReader, tmp_path: Path) -> None:
+    assert run.stop_cycle == CYCLES
+    path = tmp_path / "run.mcap"
+    write_run(path, cycle_of_the_plant(0))
+    with open_run(path) as open_end:
+        assert open_end.stop_cycle is None

@@ -1,0 +1,123 @@
+"""Small runs in memory, in lockstep and over an imperfect network, as recordings."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from agents.plan import RunPlan
+from bus_schemas.bus import Delivery
+from bus_schemas.codec import encode
+from bus_schemas.faults import FaultRule
+from bus_schemas.signals import RUN
+from bus_schemas.tree import PLANT
+from launch_scripts.launcher.simulation import MemoryRun
+from recordings.read.run_file import RECORDING_NAME
+from recordings.record.writer import RunWriter
+from recordings.verify.verification import PROFILE_NAME
+from sim_plant.profile import Profile
+
+TWO_TIERS: Final = {"c1/a": 100.0, "c1/b": 100.0, "c2/c": 120.0, "c2/d": 60.0}
+THREE_TIERS: Final = {"z1/c1/a": 100.0, "z1/c1/b": 80.0, "z1/c2/c": 100.0, "z2/c3/d": 90.0}
+
+AGENTS: Final = (PLANT, "central", "c1", "c2", *TWO_TIERS)
+"""All agents of a run of two tiers that are re-run."""
+
+CYCLE_WALL_NS: Final = 50_000_000
+
+
+def plan_of(
+    ratings_kw: dict[str, float] = TWO_TIERS,
+    *,
+    cycles: int = 12,
+    period_cycles: tuple[int, ...] = (1, 1),
+    **fields: Any,  # noqa: ANN401 - whatever a plan has
+) -> RunPlan:
+    """Plan of a run, from the path and rating of each inverter; in lockstep by default."""
+    settings: dict[str, Any] = {
+        "run_id": "by-hand",
+        "plant": "oahu",
+        "start_time_ns": 1_270_159_200_000_000_000,
+        "cycle_ns": 1_000_000_000,
+        "timezone": "Pacific/Honolulu",
+        "regulation_capacity_kw": 0.0,
+        "cycle_wall_ns": 0,
+        "scheme": "predictive",
+        "actuator": "fraction",
+        "alpha_min": 0.05,
+        "hold_cycles": 3,
+        "stall_timeout_s": 3.0,
+        "neighbourhoods": (),
+        "tcp_ports": {},
+        "correction": True,
+    }
+    return RunPlan(
+        inverters=tuple(ratings_kw.items()),
+        cycles=cycles,
+        period_cycles=period_cycles,
+        **(settings | fields),
+    )
+
+
+def faulty_plan(
+    *rules: FaultRule,
+    ratings_kw: dict[str, float] = TWO_TIERS,
+    seed: int = 1,
+    cycles: int = 25,
+    **fields: Any,  # noqa: ANN401 - whatever a plan has
+) -> RunPlan:
+    """Plan of a run in real time over an imperfect network; by default a bad one."""
+    faults = rules or (FaultRule(loss=0.05, duplicate=0.05, delay_ms=12.0, jitter_ms=12.0),)
+    return plan_of(
+        ratings_kw,
+        cycles=cycles,
+        cycle_wall_ns=CYCLE_WALL_NS,
+        faults=faults,
+        faults_seed=seed,
+        **fields,
+    )
+
+
+def cloudy_profile(plan: RunPlan, seed: int = 1) -> Profile:
+    """Each inverter between nothing and its rating, changing fast, so that many ask for help."""
+    generator = np.random.default_rng(seed)
+    ratings_kw = np.array([rating_kw for _, rating_kw in plan.inverters])
+    mpp_kw = ratings_kw * generator.uniform(0.0, 1.0, (plan.cycles, len(ratings_kw)))
+    # Now and then more than the plant's rating is dispatched: the central controller gives notice.
+    dispatch_kw = ratings_kw.sum() * generator.uniform(0.2, 1.1, plan.cycles)
+    return Profile(mpp_kw, dispatch_kw)
+
+
+def published(plan: RunPlan, profile: Profile) -> list[Delivery]:
+    """All that is published in a run, in the order of a recorder."""
+    found: list[Delivery] = []
+    run = MemoryRun(plan, profile, lambda port, message: found.append((port, message)))
+    for _ in run.cycles():
+        pass
+    run.close()
+    return found
+
+
+def record(
+    folder: Path, plan: RunPlan, messages: Iterable[Delivery], profile: Profile | None = None
+) -> Path:
+    """Write a recording into a folder, which is made if need be. Return the folder."""
+    folder.mkdir(exist_ok=True)
+    (folder / RECORDING_NAME).unlink(missing_ok=True)
+    driver = "simulate" if plan.lockstep else "launch"
+    writer = RunWriter(folder / RECORDING_NAME, plan, 'name = "oahu"\n', driver)
+    for port, message in messages:
+        writer.add(port, message, encode(message), time.monotonic_ns())
+    writer.close()
+    if profile is not None:
+        profile.save(folder / PROFILE_NAME)
+    return folder
+
+
+def of_publisher(messages: Iterable[Delivery], agent: str) -> list[Delivery]:
+    """What one agent decided."""
+    return [pair for pair in messages if pair[0].publisher == agent and pair[0].signal is not RUN]

@@ -1,0 +1,202 @@
+"""Runs in real time verify bit for bit, whatever came late or was lost on the way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+from recorded_runs import (
+    THREE_TIERS,
+    TWO_TIERS,
+    cloudy_profile,
+    faulty_plan,
+    published,
+    record,
+)
+
+from agents.plan import RunPlan, Scheme
+from bus_schemas.bus import Delivery
+from bus_schemas.faults import FaultRule
+from bus_schemas.missing import parse_missing
+from bus_schemas.signals import COMMAND, IMPP, RESIDUAL, SETPOINT
+from recordings.verify.comparison import Comparison
+from recordings.verify.verification import Verification, verify
+
+LATE = FaultRule(delay_ms=15.0, jitter_ms=15.0, duplicate=0.1, reorder=0.1)
+
+
+def verified(
+    folder: Path, plan: RunPlan, messages: list[Delivery] | None = None, seed: int = 1
+) -> Verification:
+    """What the verification of all agents comes to."""
+    profile = cloudy_profile(plan, seed)
+    found = published(plan, profile) if messages is None else messages
+    return verify(record(folder, plan, found, profile), (), Comparison())
+
+
+def findings(found: Verification) -> dict[str, object]:
+    """The first difference of each agent that has one."""
+    return {name: entry.first for name, entry in found.accounts.items() if entry.first}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("rule", [FaultRule(loss=0.1), LATE, replace(LATE, loss=0.2)])
+@pytest.mark.parametrize(
+    ("ratings_kw", "period_cycles", "scheme"),
+    [
+        (TWO_TIERS, (1, 1), "predictive"),
+        (TWO_TIERS, (6, 2), "paper"),
+        (THREE_TIERS, (4, 2, 1), "predictive"),
+    ],
+)
+def test_a_run_over_a_bad_network_verifies_equal(
+    seed: int,
+    rule: FaultRule,
+    ratings_kw: dict[str, float],
+    period_cycles: tuple[int, ...],
+    scheme: Scheme,
+    tmp_path: Path,
+) -> None:
+    plan = faulty_plan(
+        rule, ratings_kw=ratings_kw, seed=seed, period_cycles=period_cycles, scheme=scheme
+    )
+    messages = published(plan, cloudy_profile(plan, seed))
+    found = verified(tmp_path / "run", plan, messages, seed)
+    assert findings(found) == {}
+    assert found.equal
+    assert found.compared == len(messages) - 2, "all but the plant's start and stop"
+    assert found.missing_inputs > 20
+    assert found.old_inputs > 20
+
+
+def test_inputs_that_are_silent_for_long_are_done_without(tmp_path: Path) -> None:
+    plan = faulty_plan(
+        FaultRule(signal="dispatch", silent=((0.2, 0.8),)),
+        FaultRule(source="c1", silent=((0.4, 1.0),)),
+    )
+    messages = published(plan, cloudy_profile(plan))
+    silent = {parse_missing(entry).cycle for _, message in messages for entry in message.missing}
+    assert None in silent, "some inputs are older than the hold"
+    commands = sum(port.signal is COMMAND for port, _ in messages)
+    assert commands < plan.cycles * len(plan.inverters), "some inverters decided for themselves"
+    assert verified(tmp_path / "run", plan, messages).equal
+
+
+def test_a_change_of_code_is_found_where_an_older_input_was_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = faulty_plan(LATE)
+    messages = published(plan, cloudy_profile(plan))
+    place, (port, message) = next(
+        (place, (port, message))
+        for place, (port, message) in enumerate(messages)
+        if port.signal is SETPOINT and any("@" in entry for entry in message.missing)
+    )
+    messages[place] = (port, replace(message, power_kw=1.25))
+    found = verified(tmp_path / "run", plan, messages)
+    (first,) = [entry for agent, entry in findings(found).items() if agent == port.publisher]
+    assert (first.kind, first.cycle, first.port) == ("differs", message.cycle, port)  # type: ignore[attr-defined]
+    assert first.missing == message.missing  # type: ignore[attr-defined]
+
+
+def test_an_older_input_that_the_recording_lost_is_named(tmp_path: Path) -> None:
+    plan = faulty_plan(LATE)
+    messages = published(plan, cloudy_profile(plan))
+    entry, user, cycle = next(
+        (parse_missing(entry), message.source, message.cycle)
+        for _, message in messages
+        for entry in message.missing
+        if "impp@" in entry
+    )
+    left = [
+        (port, message)
+        for port, message in messages
+        if (str(port), message.cycle) != (entry.key, entry.cycle)
+    ]
+    assert len(left) == len(messages) - 1
+    found = verified(tmp_path / "run", plan, left)
+    account = found.accounts[user]
+    assert account.counts["input not recorded"] >= 1
+    assert account.first is not None
+    assert account.first.cycle <= cycle
+    assert not found.equal
+
+
+def test_all_outputs_of_a_stage_lost_by_the_recording_are_named(tmp_path: Path) -> None:
+    plan = faulty_plan(FaultRule(loss=0.02))
+    lost = {IMPP.of("c1/a"), RESIDUAL.of("c1/a"), COMMAND.of("c1/a")}
+    messages = [
+        (port, message)
+        for port, message in published(plan, cloudy_profile(plan))
+        if not (message.cycle == 9 and port in lost)
+    ]
+    account = verified(tmp_path / "run", plan, messages).accounts["c1/a"]
+    assert account.first is not None
+    assert (account.first.kind, account.first.cycle) == ("not recorded", 10)
+    assert account.not_compared_from == 10, "nobody knows its estimate any more"
+
+
+@pytest.mark.parametrize("share", [0.3, 0.55, 0.8])
+def test_a_run_that_broke_off_is_equal_up_to_there(share: float, tmp_path: Path) -> None:
+    for number, plan in enumerate([faulty_plan(LATE), faulty_plan(LATE, period_cycles=(6, 2))]):
+        messages = published(plan, cloudy_profile(plan))
+        cut = messages[: round(len(messages) * share)]
+        found = verified(tmp_path / f"run{number}", plan, cut)
+        assert findings(found) == {}
+        assert found.stop_cycle is None
+        assert found.compared > 0.9 * len(cut)
+        assert not found.undecided
+
+
+# External agents ----------------------------------------------------------------------------------
+
+
+def external_run(tmp_path: Path, doubled_kw: float, *, first: bool) -> Verification:
+    """A run whose external agent c1/a sent two IMPPs in cycle 7."""
+    plan = faulty_plan(FaultRule(loss=0.02), external=("c1/a",))
+    messages = published(plan, cloudy_profile(plan))
+    place = next(
+        place
+        for place, (port, message) in enumerate(messages)
+        if port is IMPP.of("c1/a") and message.cycle == 7
+    )
+    port, message = messages[place]
+    other = replace(message, power_kw=doubled_kw)
+    messages.insert(place if first else place + 1, (port, other))
+    return verified(tmp_path / "run", plan, messages)
+
+
+def test_an_external_agent_is_re_run_only_if_it_is_asked_for(tmp_path: Path) -> None:
+    plan = faulty_plan(LATE, external=("c1/a", "plant"))
+    found = verified(tmp_path / "run", plan)
+    assert found.equal
+    assert found.left_out.keys() == {"c1/a", "plant"}
+    assert not found.left_out.keys() & found.accounts.keys()
+    asked = verify(tmp_path / "run", ("c1/a",), Comparison())
+    assert asked.equal
+    assert asked.accounts.keys() == {"c1/a"}
+
+
+def test_of_two_messages_in_one_cycle_the_first_recorded_one_was_used(tmp_path: Path) -> None:
+    assert external_run(tmp_path, 12.5, first=False).equal
+
+
+def test_an_output_that_the_first_of_two_messages_does_not_explain_is_named(
+    tmp_path: Path,
+) -> None:
+    found = external_run(tmp_path, 12.5, first=True)
+    assert list(findings(found)) == ["c1"]
+    first = found.accounts["c1"].first
+    assert first is not None
+    assert (first.kind, first.cycle) == ("two messages in one cycle", 7)
+
+
+def test_an_absurd_input_of_an_external_agent_is_not_used_again(tmp_path: Path) -> None:
+    plan = faulty_plan(FaultRule(loss=0.0), external=("plant",))
+    profile = cloudy_profile(plan)
+    profile.commitment_kw[9] = float("nan")
+    messages = published(plan, profile)
+    used = {message.missing for port, message in messages if message.cycle == 9}
+    assert ("dispatch@8",) in used
+    assert verified(tmp_path / "run", plan, messages).equal

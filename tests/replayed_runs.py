@@ -1,0 +1,93 @@
+"""Recordings for replays: runs in memory of a plant of four inverters, written as one wants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from msgspec.structs import replace
+
+from agents.plan import RunPlan
+from bus_schemas.bus import Delivery
+from bus_schemas.codec import encode
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port
+from launch_scripts.launcher.simulation import MemoryRun
+from recordings.record.writer import RunWriter
+from sim_plant.profile import Profile
+
+CYCLE_NS = 1_000_000_000
+STEP_NS = 100_000
+"""Between two messages of a run by hand."""
+
+PLAN = RunPlan(
+    run_id="recorded-1",
+    plant="field",
+    inverters=(("c1/a", 100.0), ("c1/b", 100.0), ("c2/c", 100.0), ("c2/d", 100.0)),
+    start_time_ns=1_270_159_200_000_000_000,  # 2010-04-01 12:00:00 in Honolulu
+    cycle_ns=CYCLE_NS,
+    cycles=40,
+    timezone="Pacific/Honolulu",
+    regulation_capacity_kw=0.0,
+    cycle_wall_ns=0,
+    period_cycles=(2, 1),
+    scheme="predictive",
+    actuator="fraction",
+    alpha_min=0.05,
+    hold_cycles=3,
+    stall_timeout_s=0.5,
+    neighbourhoods=(),
+    tcp_ports={},
+)
+
+
+class Said(NamedTuple):
+    """A message as it is written: when it was published and recorded, monotonic [ns]."""
+
+    port: Port[Message]
+    message: Message
+    logged_ns: int
+
+
+def run_in_memory(plan: RunPlan = PLAN) -> list[Said]:
+    """All that is said in a run under passing clouds, a message every 0.1 ms."""
+    generator = np.random.default_rng(7)
+    mpp_kw = 60.0 + 35.0 * np.cumsum(generator.standard_normal((plan.cycles, 4)), axis=0) / 8.0
+    profile = Profile(np.clip(mpp_kw, 5.0, 100.0), np.full(plan.cycles, 220.0))
+    said: list[Said] = []
+
+    def hear(port: Port[Message], message: Message) -> None:
+        moment_ns = (len(said) + 1) * STEP_NS
+        said.append(Said(port, replace(message, publish_time_ns=moment_ns), moment_ns + 1_000))
+
+    run = MemoryRun(plan, profile, hear)
+    for _ in run.cycles():
+        pass
+    run.close()
+    return said
+
+
+def write(
+    folder: Path, said: Iterable[Said], plan: RunPlan = PLAN, messages_per_chunk: int = 100
+) -> Path:
+    """Write a recording; return the folder of its run."""
+    folder.mkdir(parents=True, exist_ok=True)
+    writer = RunWriter(folder / "run.mcap", plan, 'name = "field"\n', driver="simulate")
+    for place, (port, message, logged_ns) in enumerate(said):
+        writer.add(port, message, encode(message), logged_ns)
+        if place % messages_per_chunk == messages_per_chunk - 1:
+            writer.flush()
+    writer.close()
+    return folder
+
+
+def deliveries(said: Iterable[Said]) -> list[Delivery]:
+    """Ports and messages."""
+    return [(port, message) for port, message, _ in said]
+
+
+def without(said: Iterable[Said], is_left_out: Callable[[Said], bool]) -> list[Said]:
+    """All but some."""
+    return [entry for entry in said if not is_left_out(entry)]

@@ -1,0 +1,103 @@
+"""Reports on recordings made by hand, with the summary of a launcher that saw nothing unusual."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from timed_recordings import PLAN, SCENARIO, TIMES_MS, cycle, recorded
+
+from agents.cycle import kind_of
+from agents.plan import RunPlan
+from bus_schemas.bus import Delivery
+from launch_scripts.launcher.summary import MessageCount, ProcessAccount, RunSummary
+from studies.timing.durations import Durations
+from studies.timing.floor import FloorTimes
+from studies.timing.host import Host
+from studies.timing.report import Reported, report_on
+
+HOST = Host(
+    kernel="Linux 6",
+    cpu="A processor",
+    cpus=2,
+    scheduling="normal",
+    load_before=0.5,
+    load_after=0.75,
+    python="3.11",
+    heliarch="0.1",
+    zenoh="1.10",
+)
+
+MISSED = {**TIMES_MS, "production": (PLAN.deadlines.deadline_ns("plant", "apply") / 1e6, 95.0)}
+MISSED.pop("c2/d/command")
+
+
+def missed(number: int) -> Iterable[Delivery]:
+    """A cycle in which the command of `c2/d` never came."""
+    return cycle(number, MISSED, {"production": ("c2/d/command",)})
+
+
+def floor_times() -> tuple[FloorTimes, ...]:
+    """A timer that woke twice, and a round trip that was not measured."""
+    durations = Durations()
+    for late_us in (50, 250):
+        durations.add(late_us * 1_000)
+    timer = FloorTimes("timer", durations.distribution())
+    return timer, FloorTimes("Zenoh round trip", None, "not measured: no answer")
+
+
+def summary_of(
+    folder: Path, plan: RunPlan = PLAN, *, lost: int = 0, dropped: int = 0
+) -> RunSummary:
+    """The summary of a run in this folder that took 10 s: each process 1 s of processor time."""
+    accounts = [
+        ProcessAccount(
+            agent,
+            kind_of(agent, plan.tree),
+            {"late": dropped} if dropped else {},
+            40.0,
+            cpu_s=1.0,
+            voluntary_switches=7,
+        )
+        for agent in plan.tree.agents()
+        if agent not in plan.external
+    ]
+    return RunSummary(
+        run_id=plan.run_id,
+        scenario=plan.plant,
+        driver="launch",
+        folder=str(folder),
+        sim_start="",
+        cycles=2,
+        cycle_s=0.1,
+        wall_s=10.0,
+        startup_s=0.0,
+        arming_rounds=1,
+        metrics=None,
+        messages=(MessageCount("impp", 10 + lost, 10),),
+        dropped={},
+        missing_inputs=0,
+        memory=(),
+        hindsight_neighbours=False,
+        remarks=(),
+        interrupted=False,
+        processes=tuple(accounts),
+    )
+
+
+def reported(
+    folder: Path,
+    *cycles: Iterable[Delivery],
+    budgets: str = "",
+    lost: int = 0,
+    dropped: int = 0,
+    plan: RunPlan = PLAN,
+    by_agent: bool = False,
+    floor: tuple[FloorTimes, ...] = (),
+) -> Reported:
+    """A report on these cycles (default: two good ones) against the budgets of a TOML table."""
+    folder.mkdir(exist_ok=True)
+    scenario = f"{SCENARIO}[timing.budgets]\n{budgets}\n"
+    recorded(folder, *(cycles or (cycle(0), cycle(1))), plan=plan, scenario=scenario)
+    summary = summary_of(folder, plan, lost=lost, dropped=dropped)
+    return report_on(folder, summary, HOST, floor, by_agent=by_agent)

@@ -1,0 +1,232 @@
+"""The same day under clusters chosen in different ways."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import partial
+
+import msgspec
+import numpy as np
+import pytest
+
+from agents.control.clusters import search_clusters, within_cluster_correlation
+from agents.control.neighbours import help_order
+from bus_schemas.errors import InputError
+from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.scenario import ControlTable, ScenarioFile
+from launch_scripts.scenarios.scenario import load_scenario as load
+from sim_plant.profile import Profile
+from studies.clusters.worth import (
+    Arrangement,
+    by_first_part,
+    by_scenario,
+    in_other_orders,
+    past_of,
+    worth_of,
+)
+from studies.compare.cases import cases, parse_setting
+
+WAYS = ("correlation", "geographic", "random", "most-alike")
+
+
+@pytest.fixture(scope="module")
+def scenario() -> ScenarioFile:
+    """The hour on Oahu in steps of 10 s."""
+    return cases(load("oahu"), RunOptions(), [parse_setting("time.cycle_s=10")])[0].scenario
+
+
+@pytest.fixture(scope="module")
+def oahu(scenario: ScenarioFile) -> Preparation:
+    return prepare(scenario, RunOptions(), "clusters")
+
+
+def chosen(scenario: ScenarioFile, **changes: object) -> ControlTable:
+    return msgspec.structs.replace(scenario.scenario.control, **changes)
+
+
+def names(arrangement: Arrangement) -> list[str]:
+    return [leaf.rpartition("/")[2] for leaf in arrangement.plan.tree.leaves]
+
+
+def members(arrangement: Arrangement) -> set[frozenset[str]]:
+    found: dict[str, set[str]] = {}
+    for leaf in arrangement.plan.tree.leaves:
+        cluster, _, name = leaf.rpartition("/")
+        found.setdefault(cluster, set()).add(name)
+    return {frozenset(cluster) for cluster in found.values()}
+
+
+# Ways to choose clusters --------------------------------------------------------------------------
+
+
+def test_the_run_is_the_one_that_every_other_command_prepares(
+    scenario: ScenarioFile, oahu: Preparation
+) -> None:
+    found = by_scenario(scenario, RunOptions())(scenario.scenario.control)
+    assert found.plan == oahu.plan
+    np.testing.assert_array_equal(found.profile.mpp_kw, oahu.profile.mpp_kw)
+
+
+def test_the_virtual_clusters_are_the_best_that_the_search_finds_in_the_past(
+    scenario: ScenarioFile,
+) -> None:
+    arrange = by_scenario(scenario, RunOptions())
+    past = past_of(arrange, scenario.scenario.control, 17)
+    search = search_clusters(past.correlation, (6, 6, 5))
+    assert members(arrange(chosen(scenario, clusters="correlation"))) == {
+        frozenset(past.inverters[place] for place in cluster) for cluster in search.clusters
+    }
+
+
+def test_of_all_ways_virtual_clusters_are_least_alike_and_the_last_are_most(
+    scenario: ScenarioFile,
+) -> None:
+    arrange = by_scenario(scenario, RunOptions())
+    past = past_of(arrange, scenario.scenario.control, 17)
+    worth = {
+        way: worth_of(arrange(chosen(scenario, clusters=way)), past, "paper", (1,)) for way in WAYS
+    }
+    alike = [worth[way].past_correlation for way in ("correlation", "random", "most-alike")]
+    assert alike == sorted(alike)
+    assert alike[0] < worth["geographic"].past_correlation <= alike[2]
+    for found in worth.values():
+        assert [len(cluster) for cluster in found.clusters] == [6, 6, 5]
+        assert sorted(name for cluster in found.clusters for name in cluster) == sorted(
+            past.inverters
+        )
+    # However clusters are chosen, the same inverters are in need in the same cycles.
+    assert len({found.help.plant.needy for found in worth.values()}) == 1
+
+
+def test_random_clusters_go_by_their_seed(scenario: ScenarioFile) -> None:
+    arrange = by_scenario(scenario, RunOptions())
+    one, other, again = (
+        members(arrange(chosen(scenario, clusters="random", clusters_seed=seed)))
+        for seed in (1, 2, 1)
+    )
+    assert one == again != other
+
+
+def test_correlation_in_the_run_is_that_of_its_own_power(
+    scenario: ScenarioFile, oahu: Preparation
+) -> None:
+    past = past_of(by_scenario(scenario, RunOptions()), scenario.scenario.control, 17)
+    found = worth_of(Arrangement(oahu.plan, oahu.profile), past, "paper", (1,))
+    # The run is one hour long, from twelve to one.
+    power = np.asarray(np.corrcoef(oahu.profile.mpp_kw.T))
+    expected = within_cluster_correlation(power, [range(6), range(6, 12), range(12, 17)])
+    assert found.run_correlation == pytest.approx(expected, abs=1e-12)
+
+
+# Shortfall and the central controller's period ----------------------------------------------------
+
+
+def test_a_dark_turn_of_the_central_controller_costs_until_its_next(
+    scenario: ScenarioFile, oahu: Preparation
+) -> None:
+    # 17 inverters of 400 kW, but for 200 kW in cycle 9; the plant has promised 5000 kW.
+    mpp_kw = np.full((30, 17), 400.0)
+    mpp_kw[9] = 200.0
+    plan = msgspec.structs.replace(oahu.plan, cycles=30)
+    arrangement = Arrangement(plan, Profile(mpp_kw, np.full(30, 5000.0)))
+    past = past_of(by_scenario(scenario, RunOptions()), scenario.scenario.control, 17)
+    always, tenth = worth_of(arrangement, past, "paper", (1, 10)).shortfalls
+    # In cycle 9 the plant gives 5000 x 3400 / 6800 of the 3400 kW that it has: 900 kW less.
+    percent_of_a_cycle = 100.0 / 30
+    unavoidable = percent_of_a_cycle * 1600 / 5000
+    unseen = percent_of_a_cycle * 900 / 5000
+    assert always.unavoidable_percent == tenth.unavoidable_percent == pytest.approx(unavoidable)
+    assert always.control_caused_percent == pytest.approx(unseen)
+    assert always.begun_lacking_percent == pytest.approx(0.0, abs=1e-9)
+    # In cycle 10 the central controller learns of 3400 kW, and takes its turn: clusters are asked
+    # for that much up to cycle 19, though they have 6800 kW again.
+    held = percent_of_a_cycle * 9 * 1600 / 5000
+    assert tenth.control_caused_percent == pytest.approx(unseen + held)
+    assert tenth.begun_lacking_percent == pytest.approx(held)
+
+
+def test_the_rarer_the_central_controller_acts_the_more_is_missed(
+    scenario: ScenarioFile, oahu: Preparation
+) -> None:
+    past = past_of(by_scenario(scenario, RunOptions()), scenario.scenario.control, 17)
+    found = worth_of(Arrangement(oahu.plan, oahu.profile), past, "paper", (1, 6, 30))
+    caused = [shortfall.control_caused_percent for shortfall in found.shortfalls]
+    assert caused == sorted(caused)
+    assert caused[0] < caused[-1]
+    assert [shortfall.period_cycles for shortfall in found.shortfalls] == [1, 6, 30]
+    for shortfall in found.shortfalls:
+        assert 0.0 <= shortfall.begun_lacking_percent <= shortfall.control_caused_percent
+
+
+# The order of help --------------------------------------------------------------------------------
+
+
+def test_other_orders_of_help_leave_the_clusters_as_they_are(oahu: Preparation) -> None:
+    orders = in_other_orders(Arrangement(oahu.plan, oahu.profile))
+    assert list(orders) == ["least alike first", "as listed", "most alike first"]
+    assert {found.plan.inverters for found in orders.values()} == {oahu.plan.inverters}
+    assert orders["as listed"].plan.neighbourhoods == ()
+    assert orders["least alike first"].plan is oahu.plan
+
+
+def test_the_last_order_asks_in_the_opposite_one(oahu: Preparation) -> None:
+    turned = in_other_orders(Arrangement(oahu.plan, oahu.profile))["most alike first"].plan
+    for node in oahu.plan.tree.parents:
+        (before,) = oahu.plan.neighbourhoods_of(node)
+        (after,) = turned.neighbourhoods_of(node)
+        forwards, backwards = help_order(before.correlation), help_order(after.correlation)
+        assert [siblings[::-1] for siblings in backwards] == list(forwards)
+
+
+# Clusters from the first part of a run ------------------------------------------------------------
+
+
+def with_mpp(preparation: Preparation, mpp_kw: np.ndarray) -> Preparation:
+    profile = dataclasses.replace(preparation.profile, mpp_kw=mpp_kw)
+    return dataclasses.replace(preparation, profile=profile)
+
+
+def test_what_is_left_begins_where_learning_ends(oahu: Preparation, scenario: ScenarioFile) -> None:
+    for way in WAYS:
+        found = by_first_part(oahu, 1200.0)(chosen(scenario, clusters=way))
+        assert found.plan.cycles == found.profile.cycles == 240
+        assert found.plan.start_time_ns == oahu.plan.sim_time_ns(120)
+        column = [leaf.rpartition("/")[2] for leaf in oahu.plan.tree.leaves].index
+        for place, name in enumerate(names(found)):
+            np.testing.assert_array_equal(
+                found.profile.mpp_kw[:, place], oahu.profile.mpp_kw[120:, column(name)]
+            )
+        np.testing.assert_array_equal(found.profile.commitment_kw, oahu.profile.commitment_kw[120:])
+
+
+def test_clusters_are_chosen_from_the_first_part_alone(
+    oahu: Preparation, scenario: ScenarioFile
+) -> None:
+    virtual = chosen(scenario, clusters="correlation")
+    mpp_kw = oahu.profile.mpp_kw
+    late, early = mpp_kw.copy(), mpp_kw.copy()
+    late[120:] = mpp_kw[120:, ::-1]
+    early[:120] = mpp_kw[:120, ::-1]
+    before = by_first_part(oahu, 1200.0)(virtual)
+    other_future = by_first_part(with_mpp(oahu, late), 1200.0)(virtual)
+    assert other_future.plan == before.plan
+    other_past = by_first_part(with_mpp(oahu, early), 1200.0)(virtual)
+    assert members(other_past) != members(before)
+
+
+def test_its_past_is_the_correlation_of_the_first_part(
+    oahu: Preparation, scenario: ScenarioFile
+) -> None:
+    past = past_of(by_first_part(oahu, 1200.0), scenario.scenario.control, 17)
+    column = [leaf.rpartition("/")[2] for leaf in oahu.plan.tree.leaves].index
+    first_part = oahu.profile.mpp_kw[:120, [column(name) for name in past.inverters]]
+    np.testing.assert_allclose(past.correlation, np.corrcoef(first_part.T), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("learn_s", [10.0, 15.0, 3600.0, 7200.0])
+def test_a_first_part_that_leaves_nothing_to_learn_from_or_to_run_is_refused(
+    oahu: Preparation, learn_s: float
+) -> None:
+    learn = partial(by_first_part, oahu, learn_s)
+    with pytest.raises(InputError, match=f"--learn {learn_s:g} s: accepted are multiples of the"):
+        learn()

@@ -1,0 +1,150 @@
+"""From the words of the command line to the cases of a study."""
+
+from __future__ import annotations
+
+from datetime import date
+
+import pytest
+
+from bus_schemas.errors import InputError
+from launch_scripts.scenarios.preparation import RunOptions
+from launch_scripts.scenarios.scenario import ScenarioFile, load_scenario
+from sim_plant.commitment import ShareOfClearSky
+from studies.compare.cases import (
+    Case,
+    Setting,
+    cases,
+    parse_days,
+    parse_seeds,
+    parse_setting,
+)
+
+
+@pytest.fixture(scope="module")
+def oahu() -> ScenarioFile:
+    return load_scenario("oahu")
+
+
+def study(oahu: ScenarioFile, *words: str, days: str = "", seeds: str = "") -> list[Case]:
+    return cases(
+        oahu,
+        RunOptions(start="12:30", duration="60"),
+        [parse_setting(word) for word in words],
+        parse_days(days) if days else (),
+        parse_seeds(seeds) if seeds else (),
+    )
+
+
+def test_a_setting_is_a_field_and_its_values() -> None:
+    assert parse_setting("commitment.share=0.5, 0.7") == Setting("commitment.share", ("0.5", "0.7"))
+
+
+def test_commas_within_brackets_do_not_part_values() -> None:
+    found = parse_setting("control.period_cycles=[1, 1],[10, 1]")
+    assert found.values == ("[1, 1]", "[10, 1]")
+
+
+def test_seeds_and_days_are_lists_and_ranges() -> None:
+    assert parse_seeds("1..3,9") == (1, 2, 3, 9)
+    assert parse_days("2010-04-30..2010-05-01,2010-06-01") == (
+        date(2010, 4, 30),
+        date(2010, 5, 1),
+        date(2010, 6, 1),
+    )
+
+
+def test_every_combination_is_a_case_with_its_own_label(oahu: ScenarioFile) -> None:
+    found = study(oahu, "commitment.share=0.3,0.4", "plant.actuator=limit", seeds="1..2")
+    assert [case.label for case in found] == [
+        "share=0.3 actuator=limit seed=1",
+        "share=0.3 actuator=limit seed=2",
+        "share=0.4 actuator=limit seed=1",
+        "share=0.4 actuator=limit seed=2",
+    ]
+    last = found[-1]
+    assert last.scenario.scenario.commitment == ShareOfClearSky(0.4)
+    assert last.scenario.scenario.plant.actuator == "limit"
+    assert last.options == RunOptions(start="12:30", duration="60", seed=2)
+    assert oahu.scenario.plant.actuator == "fraction", "the scenario itself stays as it was"
+
+
+def test_the_hour_of_a_day_may_have_one_digit(oahu: ScenarioFile) -> None:
+    options = RunOptions(start="9:05", duration="60")
+    (case,) = cases(oahu, options, days=parse_days("2010-07-04"))
+    assert case.options.start == "2010-07-04T09:05:00"
+
+
+def test_a_day_keeps_the_time_of_day(oahu: ScenarioFile) -> None:
+    (case,) = study(oahu, days="2010-07-04")
+    assert case.options.start == "2010-07-04T12:30:00"
+    assert case.label == "2010-07-04"
+
+
+def test_without_words_there_is_the_scenario_itself(oahu: ScenarioFile) -> None:
+    (case,) = study(oahu)
+    assert (case.label, case.scenario) == ("", oahu)
+
+
+@pytest.mark.parametrize(
+    ("word", "complaint"),
+    [
+        ("commitment.share", "accepted is a field of the scenario and values"),
+        ("commitment.share=", "accepted is a field of the scenario and values"),
+        ("commitment.shares=0.5", "Object contains unknown field `shares`"),
+        ("commitment.share=two", "Expected `float`, got `str`"),
+        ("plant.actuator=wheel", "Invalid enum value 'wheel'"),
+        ("nothing.at.all=1", "Object contains unknown field `nothing`"),
+    ],
+)
+def test_a_setting_that_the_scenario_does_not_take_is_named(
+    oahu: ScenarioFile, word: str, complaint: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        study(oahu, word)
+    assert f"--set {word}" in str(caught.value)
+    assert complaint in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "complaint"),
+    [
+        (
+            "commitment.share=0.6",
+            "foo.bar=2",
+            "Object contains unknown field `foo`, accepted: name, title, time, plant",
+        ),
+        (
+            "plant.actuator=limit",
+            "commitment.shares=0.5",
+            "commitment: Object contains unknown field `shares`, accepted: kind, share",
+        ),
+        (
+            "control.late=drop",
+            "plant.actuator=wheel",
+            "plant.actuator: Invalid enum value 'wheel', accepted: fraction, limit",
+        ),
+    ],
+)
+def test_of_several_settings_the_wrong_one_is_named(
+    oahu: ScenarioFile, right: str, wrong: str, complaint: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        study(oahu, right, wrong)
+    assert str(caught.value).startswith(f"--set {wrong}: {complaint}")
+
+
+@pytest.mark.parametrize("text", ["", "1..", "a", "1,,2", "-1"])
+def test_seeds_that_are_none_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match="accepted are whole numbers and ranges"):
+        parse_seeds(text)
+
+
+@pytest.mark.parametrize("text", ["tomorrow", "2010-02-30", "2010-04-02..2010-04-01"])
+def test_days_that_are_none_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match="accepted are dates and ranges"):
+        parse_days(text)
+
+
+def test_a_study_without_end_is_refused(oahu: ScenarioFile) -> None:
+    with pytest.raises(InputError, match="accepted are at most 100,000"):
+        study(oahu, days="1990-01-01..2020-01-01", seeds="1..1000")

@@ -1,0 +1,144 @@
+"""The study of delay, loss and slow central control, on a few minutes of clouds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bus_schemas.faults import FaultRule
+from launch_scripts.launcher.simulation import MemoryRun
+from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
+from recordings.read.series import SeriesCollector
+from studies.delays.study import (
+    WARM_UP_S,
+    Condition,
+    Outcome,
+    conditions,
+    plan_under,
+    run_study_over,
+    run_under,
+)
+from studies.metrics import run_metrics
+
+CYCLES = 210
+
+
+@pytest.fixture(scope="module")
+def prepared() -> Preparation:
+    options = RunOptions(start="12:00", duration=f"{CYCLES}s")
+    return prepare(load_scenario("oahu-day"), options, "study")
+
+
+def outcome(prepared: Preparation, condition: Condition) -> Outcome:
+    return run_under(prepared.plan, prepared.profile, condition)
+
+
+PERFECT = Condition("delay", 0.0, "predictive")
+
+
+@pytest.fixture(scope="module")
+def perfect(prepared: Preparation) -> Outcome:
+    """What the study's run comes to over a perfect network."""
+    return outcome(prepared, PERFECT)
+
+
+def test_every_trouble_comes_with_each_scheme() -> None:
+    found = conditions(1.0, 3600.0)
+    assert len(found) == len(set(found)) == (9 + 7 + 6) * 2
+
+
+def test_central_periods_that_are_no_whole_number_of_cycles_are_left_out() -> None:
+    found = {one.value for one in conditions(5.0, 3600.0) if one.trouble == "period"}
+    assert found == {5.0, 10.0, 30.0, 60.0}
+
+
+def test_central_periods_of_which_what_counts_does_not_hold_two_are_left_out() -> None:
+    found = {one.value for one in conditions(1.0, 30.0) if one.trouble == "period"}
+    assert found == {1.0, 2.0, 5.0, 10.0}
+
+
+def test_a_condition_stands_in_the_plan(prepared: Preparation) -> None:
+    delayed = plan_under(prepared.plan, Condition("delay", 0.2, "paper"))
+    assert delayed.faults == (FaultRule(delay_ms=200.0),)
+    assert (delayed.scheme, delayed.correction, delayed.cycle_wall_ns) == ("paper", False, 10**9)
+    lossy = plan_under(prepared.plan, Condition("loss", 0.5, "paper"))
+    assert lossy.faults == (FaultRule(loss=0.005),)
+    slow = plan_under(prepared.plan, Condition("period", 30.0, "paper"))
+    assert (slow.faults, slow.period_cycles) == ((), (30, 1))
+    corrected = plan_under(prepared.plan, Condition("loss", 0.5, "paper", correction=True))
+    assert corrected.correction
+    assert plan_under(prepared.plan, PERFECT).correction
+
+
+def test_a_perfect_network_gives_what_lockstep_gives_without_the_beginning(
+    prepared: Preparation, perfect: Outcome
+) -> None:
+    collector = SeriesCollector(prepared.plan)
+    for _ in MemoryRun(prepared.plan, prepared.profile, collector.see).cycles():
+        pass
+    series = collector.series("lockstep")
+    skipped = round(WARM_UP_S)
+    trimmed = replace(
+        series,
+        start_time_ns=series.start_time_ns + skipped * 10**9,
+        **{
+            name: getattr(series, name)[skipped:]
+            for name in ("commitment_kw", "regulation_kw", "mpp_kw", "power_kw", "impp_kw")
+        },
+        residual_kw=series.residual_kw[skipped:],
+        alpha=series.alpha[skipped:],
+    )
+    metrics = run_metrics(trimmed)
+    energy = metrics.commitment
+    assert perfect.control_caused_percent == energy.percent(energy.control_caused_kwh)
+    assert perfect.mileage_kw_per_h == metrics.support.per_hour_kw
+    assert metrics.regulation is not None
+    assert perfect.fulfilled_percent == metrics.regulation.requests[-1].fulfilled_percent
+    assert (perfect.missed_percent, perfect.old_inputs, perfect.lost) == (0.0, 0, 0)
+
+
+def test_a_delay_that_the_deadlines_have_room_for_costs_nothing(
+    prepared: Preparation, perfect: Outcome
+) -> None:
+    # A cycle has 6 slices of 150 ms, one for each hop.
+    within = outcome(prepared, Condition("delay", 0.1, "predictive"))
+    assert within.control_caused_percent == perfect.control_caused_percent
+    assert within.missed_percent == 0.0
+
+
+def test_a_longer_delay_costs_the_more_the_longer_it_is(prepared: Preparation) -> None:
+    shortfalls = [
+        outcome(prepared, Condition("delay", value, "predictive")).control_caused_percent
+        for value in (0.0, 0.5, 2.0, 5.0)
+    ]
+    assert all(shortfall is not None for shortfall in shortfalls)
+    assert np.all(np.diff(np.array(shortfalls, dtype=float)) > 0.0)
+
+
+def test_losses_cost_the_more_the_more_there_are(prepared: Preparation) -> None:
+    found = [outcome(prepared, Condition("loss", value, "paper")) for value in (0.0, 5.0, 20.0)]
+    assert [one.lost > 0 for one in found] == [False, True, True]
+    assert found[1].missed_percent == pytest.approx(5.0, abs=0.5)
+    mileages = [one.mileage_kw_per_h for one in found]
+    assert mileages == sorted(mileages)
+
+
+def test_a_slow_central_controller_costs_more_than_a_fast_one(prepared: Preparation) -> None:
+    fast, slow = (
+        outcome(prepared, Condition("period", value, "paper")).control_caused_percent
+        for value in (1.0, 60.0)
+    )
+    assert fast is not None
+    assert slow is not None
+    assert slow > fast
+
+
+def test_over_processes_each_condition_comes_back_with_its_number(
+    prepared: Preparation, perfect: Outcome
+) -> None:
+    lossy = Condition("loss", 5.0, "paper")
+    found = run_study_over(prepared.plan, prepared.profile, [lossy, PERFECT], workers=2)
+    assert dict(found) == {0: outcome(prepared, lossy), 1: perfect}

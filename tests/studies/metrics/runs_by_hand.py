@@ -1,0 +1,74 @@
+"""Runs of a plant of two inverters of 500 kW, written down power by power."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from recordings.read.series import RunSeries
+
+RATING_KW = 1000.0
+
+CYCLES_OF_15_HOURS = 54_000
+
+NOON = "2010-04-01T12:00:00"
+
+
+def run_of(
+    commitment_kw: ArrayLike,
+    possible_kw: ArrayLike,
+    delivered_kw: ArrayLike,
+    *,
+    regulation_kw: Sequence[float] | np.ndarray | None = None,
+    capacity_kw: float = 0.0,
+    cycle_s: float = 1.0,
+    start: str = NOON,
+) -> RunSeries:
+    """Return a run, its power in halves on two inverters, that starts at a local time on Oahu."""
+    commitment = np.asarray(commitment_kw, dtype=float)
+    mpp_kw = np.outer(np.broadcast_to(possible_kw, commitment.shape), [0.5, 0.5])
+    power_kw = np.outer(np.broadcast_to(delivered_kw, commitment.shape), [0.5, 0.5])
+    utc = np.datetime64(start, "ns") + np.timedelta64(10, "h")
+    return RunSeries(
+        label="by hand",
+        inverters=("c1/a", "c1/b"),
+        rating_kw=np.array([500.0, 500.0]),
+        timezone="Pacific/Honolulu",
+        start_time_ns=int(utc.astype(np.int64)),
+        cycle_s=cycle_s,
+        commitment_kw=commitment,
+        regulation_kw=np.zeros_like(commitment)
+        if regulation_kw is None
+        else np.asarray(regulation_kw, dtype=float),
+        regulation_capacity_kw=capacity_kw,
+        mpp_kw=mpp_kw,
+        power_kw=power_kw,
+        impp_kw=mpp_kw,
+        residual_kw=np.full_like(mpp_kw, np.nan),
+        alpha=np.ones_like(mpp_kw),
+    )
+
+
+def long_run() -> RunSeries:
+    """Return 15 hours of 17 inverters, as long as the paper's, that follow a signal all the time.
+
+    Each inverter gives 80 % of its maximum, drawn anew in each cycle, whatever is desired.
+    """
+    generator = np.random.default_rng(0)
+    signal = np.sin(np.arange(CYCLES_OF_15_HOURS) / 30.0 + 0.1)
+    run = run_of(
+        np.full(CYCLES_OF_15_HOURS, 3000.0),
+        possible_kw=0.0,
+        delivered_kw=0.0,
+        regulation_kw=800.0 * signal,
+        capacity_kw=800.0,
+        start="2010-04-01T05:00:00",
+    )
+    mpp_kw = generator.uniform(0.0, 470.0, (CYCLES_OF_15_HOURS, 17))
+    names = tuple(f"c1/inv{number:02}" for number in range(1, 18))
+    return replace(
+        run, inverters=names, rating_kw=np.full(17, 470.0), mpp_kw=mpp_kw, power_kw=0.8 * mpp_kw
+    )

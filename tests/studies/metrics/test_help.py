@@ -1,0 +1,107 @@
+"""Where help was found, counted by hand on two clusters of two."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.control.clusters import choose_clusters, geographic_clusters
+from launch_scripts.scenarios.scenario import MeasuredIrradiance, load_scenario
+from sim_plant.irradiance import read_measured_ghi
+from sim_plant.positions import east_north_m
+from studies.metrics.help import CallsForHelp, help_metrics
+
+INVERTERS = ("c1/a", "c1/b", "c2/c", "c2/d")
+
+RESIDUAL_KW = np.array(
+    [
+        [5.0, 5.0, 5.0, 5.0],  # nobody is in need
+        [-3.0, 4.0, 0.0, 1.0],  # a is helped by b
+        [-3.0, 3.0, -1.0, 9.0],  # two in need, in two clusters: both are helped, c1 just so
+        [-3.0, 2.0, 4.0, 4.0],  # c1 lacks 1 kW, c2 has it: the central controller helps
+        [-3.0, 2.0, -5.0, 6.0],  # c1 lacks, c2 settles its own and has 1 kW over: just enough
+        [-3.0, 2.0, -5.0, 5.5],  # the plant lacks half a kilowatt
+        [-3.0, -2.0, -1.0, -1.0],  # everybody is in need
+    ]
+)
+
+
+def test_calls_are_counted_by_plant_and_by_cluster() -> None:
+    found = help_metrics(RESIDUAL_KW, INVERTERS)
+    assert found.cycles == 7
+    assert found.plant == CallsForHelp(needy=6, central=4)
+    assert found.clusters == CallsForHelp(needy=1 + 2 + 1 + 2 + 2 + 2, central=1 + 1 + 1 + 2)
+
+
+def test_cycles_in_which_the_plant_lacks_are_left_out_of_the_sufficient_ones() -> None:
+    found = help_metrics(RESIDUAL_KW, INVERTERS)
+    assert found.plant_sufficient == CallsForHelp(needy=4, central=2)
+    assert found.plant_sufficient.central_percent == 50.0
+    assert found.clusters_sufficient == CallsForHelp(needy=6, central=2)
+
+
+def test_other_clusters_of_the_same_inverters_need_the_central_controller_elsewhere() -> None:
+    regrouped = help_metrics(RESIDUAL_KW, ("c1/a", "c2/b", "c2/c", "c1/d"))
+    assert regrouped.plant.needy == 6
+    # Beside a, d has too little in the second cycle; beside c, b has too little in the fifth.
+    assert regrouped.plant_sufficient == CallsForHelp(needy=4, central=1 + 1)
+    assert regrouped.clusters_sufficient == CallsForHelp(needy=6, central=2)
+
+
+def test_a_tier_in_between_settles_what_then_does_not_reach_the_top() -> None:
+    # Zone z1 holds both clusters: c1 lacks 1 kW and c2 has 8 kW.
+    row = RESIDUAL_KW[3:4]
+    one_zone = [f"z1/{path}" for path in INVERTERS]
+    two_zones = ["z1/c1/a", "z1/c1/b", "z2/c2/c", "z2/c2/d"]
+    assert help_metrics(row, one_zone).plant == CallsForHelp(needy=1, central=0)
+    assert help_metrics(row, two_zones).plant == CallsForHelp(needy=1, central=1)
+
+
+def test_an_inverter_right_below_the_central_controller_is_a_cluster_of_its_own() -> None:
+    assert help_metrics(np.array([[-1.0, 9.0]]), ("a", "b")).plant == CallsForHelp(1, 1)
+
+
+def test_without_need_there_is_no_share() -> None:
+    found = help_metrics(np.ones((3, 4)), INVERTERS)
+    assert found.plant == CallsForHelp(0, 0)
+    assert found.plant.central_percent is None
+
+
+@pytest.mark.parametrize(
+    ("residual_kw", "message"),
+    [
+        (np.ones((2, 3)), r"shape \(2, 3\), accepted is a column for each of 4 inverters"),
+        (np.ones(4), r"shape \(4,\), accepted is a column for each of 4 inverters"),
+        (
+            np.array([[1.0, 1.0, np.nan, 1.0]]),
+            re.escape("residual of c2/c in cycle 0 is nan, accepted is a finite number"),
+        ),
+    ],
+)
+def test_residuals_that_cannot_be_counted_are_refused(
+    residual_kw: np.ndarray, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        help_metrics(residual_kw, INVERTERS)
+
+
+def test_on_the_measured_hour_of_melpitz_virtual_clusters_call_less_often_than_geographic_ones(
+    data_folder: Path,
+) -> None:
+    """The figures of docs/clusters.md with P = GHI / 1000 W/m2 x 470 kW x 0.96, no PV model."""
+    folder = data_folder / "hope-melpitz-1s"
+    source = load_scenario("hope-melpitz", folder).scenario.irradiance
+    assert isinstance(source, MeasuredIrradiance)
+    measured = read_measured_ghi(folder / source.ghi, folder / source.positions, source.stations)
+    power_kw = measured.ghi_wm2 / 1000.0 * 470.0 * 0.96
+    residual_kw = power_kw - 0.7 * np.median(power_kw.sum(axis=1)) / 17
+    virtual = choose_clusters(np.asarray(np.corrcoef(power_kw.T)), (6, 6, 5))
+    geographic = geographic_clusters(*east_north_m(measured.lat_deg, measured.lon_deg), (6, 6, 5))
+    shares = []
+    for clusters in (virtual, geographic):
+        cluster_of = {member: f"c{c}" for c, members in enumerate(clusters) for member in members}
+        found = help_metrics(residual_kw, [f"{cluster_of[i]}/inv{i}" for i in range(17)])
+        shares.append((found.plant.central_percent, found.plant_sufficient.central_percent))
+    assert shares[0] == pytest.approx((61.4, 11.3), abs=0.05)
+    assert shares[1] == pytest.approx((76.4, 45.8), abs=0.05)

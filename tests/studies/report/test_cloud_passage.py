@@ -1,0 +1,143 @@
+"""The cloud passage that a report shows is found by its rule, in plants made by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from synthetic_runs import cloudy_run, without_estimates
+
+from recordings.read.series import RunSeries
+from studies.report.cloud_passage import (
+    clusters,
+    correlation_by_hour,
+    find_cloud_passage,
+    inverters_by_cluster,
+)
+
+REQUEST_KW = 50.0
+CYCLES = 600
+SHADE_BEGINS = 300
+
+
+def plant(**impp_kw: NDArray[np.float64]) -> RunSeries:
+    """A run of four inverters, two clusters, asked for 50 kW each; inverters not named are flat."""
+    inverters = ("c1/a", "c1/b", "c2/c", "c2/d")
+    columns = [impp_kw.get(path[-1], np.full(CYCLES, 80.0)) for path in inverters]
+    power_kw = np.column_stack(columns)
+    run = cloudy_run(cycles=CYCLES, inverters=inverters)
+    return replace(run, mpp_kw=power_kw, impp_kw=power_kw, residual_kw=power_kw - REQUEST_KW)
+
+
+def shade(depth_kw: float, begins: int = SHADE_BEGINS, lasts: int = 90) -> NDArray[np.float64]:
+    """80 kW, but for a cloud that comes within 20 cycles and goes as fast."""
+    cycle = np.arange(CYCLES)
+    covered = np.clip(np.minimum(cycle - begins, begins + lasts - cycle) / 20.0, 0.0, 1.0)
+    return np.asarray(80.0 - depth_kw * covered)
+
+
+def rising() -> NDArray[np.float64]:
+    """Always above the request, and hardly correlated with anything that dips in the middle."""
+    return np.asarray(70.0 + 10.0 * np.abs(np.arange(CYCLES) - 300.0) / 300.0)
+
+
+def test_the_shaded_one_and_the_one_with_headroom_are_told_apart() -> None:
+    found = find_cloud_passage(plant(a=shade(60.0), b=rising()))
+    assert found is not None
+    assert (found.shaded, found.helping) == (0, 1)
+    assert found.bottom == SHADE_BEGINS + 20
+    assert found.drop_kw == pytest.approx(60.0)
+
+
+def test_three_minutes_around_the_drop_are_shown() -> None:
+    found = find_cloud_passage(plant(a=shade(60.0), b=rising()))
+    assert found is not None
+    assert len(found.cycles) == 180
+    assert found.cycles.start == found.bottom - 90
+
+
+def test_at_the_beginning_of_a_run_the_three_minutes_begin_with_it() -> None:
+    found = find_cloud_passage(plant(a=shade(60.0, begins=5), b=rising()))
+    assert found is not None
+    assert found.cycles == range(180)
+
+
+def test_of_two_drops_the_larger_is_taken_whichever_cluster_it_is_in() -> None:
+    found = find_cloud_passage(plant(a=shade(40.0), b=rising(), c=rising(), d=shade(65.0)))
+    assert found is not None
+    assert (found.shaded, found.helping) == (3, 2)
+    assert found.correlation == pytest.approx(
+        float(np.corrcoef(rising(), shade(65.0))[0, 1]), abs=1e-12
+    )
+
+
+def test_a_pair_under_the_same_cloud_is_not_taken_however_deep_it_is() -> None:
+    found = find_cloud_passage(plant(a=shade(70.0), b=shade(65.0), c=rising(), d=shade(40.0)))
+    assert found is not None
+    assert (found.shaded, found.helping) == (3, 2)
+
+
+def test_a_drop_that_stays_above_the_request_is_no_need() -> None:
+    assert find_cloud_passage(plant(a=shade(25.0), b=rising())) is None
+
+
+def test_one_who_has_headroom_only_after_the_drop_does_not_count() -> None:
+    late = np.where(np.arange(CYCLES) < SHADE_BEGINS + 95, 45.0, 80.0)
+    assert find_cloud_passage(plant(a=shade(60.0), b=late)) is None
+
+
+def test_of_a_cluster_only_the_least_correlated_pair_is_looked_at() -> None:
+    run = cloudy_run(cycles=CYCLES, inverters=("c1/a", "c1/b", "c1/c"))
+    like_a = shade(60.0)
+    against_a = 160.0 - shade(60.0)
+    power_kw = np.column_stack([like_a, rising(), against_a])
+    found = find_cloud_passage(
+        replace(run, mpp_kw=power_kw, impp_kw=power_kw, residual_kw=power_kw - REQUEST_KW)
+    )
+    assert found is not None
+    assert (found.shaded, found.helping) == (0, 2)
+    assert found.correlation == pytest.approx(-1.0)
+
+
+def test_a_scheme_that_estimates_nothing_shows_no_passage() -> None:
+    assert find_cloud_passage(without_estimates(cloudy_run(), "no help")) is None
+
+
+def test_a_run_shorter_than_three_minutes_is_shown_whole() -> None:
+    run = plant(a=shade(60.0, begins=30), b=rising())
+    short = replace(
+        run,
+        **{
+            name: getattr(run, name)[:100]
+            for name in ("mpp_kw", "power_kw", "impp_kw", "residual_kw", "alpha")
+        },
+    )
+    found = find_cloud_passage(short)
+    assert found is not None
+    assert found.cycles == range(100)
+
+
+def test_a_run_of_one_cycle_has_no_passage() -> None:
+    assert find_cloud_passage(cloudy_run(cycles=1)) is None
+
+
+def test_cycles_longer_than_the_drop_are_looked_at_one_by_one() -> None:
+    found = find_cloud_passage(cloudy_run(cycles=30, cycle_s=90.0))
+    assert found is not None
+    assert len(found.cycles) == 2
+
+
+def test_clusters_keep_the_order_of_the_plant() -> None:
+    run = cloudy_run()
+    assert clusters(run) == {"c1": [0, 2, 4], "c2": [1, 3]}
+    assert inverters_by_cluster(run) == [0, 2, 4, 1, 3]
+
+
+def test_an_hour_in_which_nothing_varies_has_no_correlation_to_show() -> None:
+    run = cloudy_run(cycles=7200)
+    mpp_kw = run.mpp_kw.copy()
+    mpp_kw[:3600] = 0.0
+    assert correlation_by_hour(run).hours == (10, 11)
+    assert correlation_by_hour(replace(run, mpp_kw=mpp_kw)).hours == (11,)

@@ -1,0 +1,156 @@
+"""Budgets follow the cycle, or the scenario; each line of them is kept or not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+from msgspec.structs import replace
+from reports_by_hand import MISSED, missed, reported
+from timed_recordings import PLAN, TIMES_MS, cycle, recorded
+
+from launch_scripts.scenarios.budget_table import BudgetTable, TimingTable
+from studies.timing.budgets import Verdict, budgets_of
+from studies.timing.report import report_on
+
+
+def failed(verdicts: tuple[Verdict, ...]) -> set[str]:
+    return {verdict.line for verdict in verdicts if not verdict.passed}
+
+
+def test_default_budgets_follow_the_length_of_the_cycle() -> None:
+    fast = budgets_of(PLAN, BudgetTable())  # 100 ms; each of six stages has 15.
+    assert fast.loop_p99_ms == pytest.approx(50.0)
+    assert fast.times_p99_ms["decision"]["direct actuate"] == pytest.approx(15.0)
+    assert fast.times_p99_ms["lateness"] == {"plant": pytest.approx(2.0)}
+    slow = budgets_of(replace(PLAN, cycle_wall_ns=800_000_000_000), BudgetTable())
+    # 120 s for each stage: the paper's upper bounds are nearer.
+    decision = slow.times_p99_ms["decision"]
+    assert decision["plant apply"] == pytest.approx(120_000)
+    assert decision["central solve"] == 60_000
+    assert decision["supervisor report"] == decision["supervisor solve"] == 10_000
+    assert decision["direct estimate"] == decision["direct actuate"] == 1_000
+
+
+def test_budgets_of_decisions_follow_the_deadlines_of_the_tiers() -> None:
+    plan = replace(PLAN, tier_deadlines_ns=(6_000_000, 50_000_000, 60_000_000))
+    decision = budgets_of(plan, BudgetTable()).times_p99_ms["decision"]
+    # Three stages share the 6 ms up to the central controller's last message; cycles last 100 ms.
+    assert decision["direct estimate"] == decision["central solve"] == pytest.approx(2.0)
+    assert decision["supervisor solve"] == pytest.approx(44.0)
+    assert decision["direct actuate"] == pytest.approx(10.0)
+    assert decision["plant apply"] == pytest.approx(20.0)
+    stated = budgets_of(plan, BudgetTable(decision_p99_ms={"direct": 3.0}))
+    assert stated.times_p99_ms["decision"]["direct estimate"] == 3.0
+
+
+def test_a_devices_response_has_the_budget_of_its_own_stage() -> None:
+    tiers_ns = (6_000_000, 50_000_000, 60_000_000)
+    plan = replace(PLAN, tier_deadlines_ns=tiers_ns, external=("c2/d",))
+    response = budgets_of(plan, BudgetTable()).times_p99_ms["response"]
+    assert response == {
+        "c2/d estimate": pytest.approx(2.0),
+        "c2/d actuate": pytest.approx(10.0),
+    }
+
+
+def test_a_good_run_keeps_all_default_budgets(tmp_path: Path) -> None:
+    assert reported(tmp_path).report.passed
+
+
+def test_a_budget_of_the_scenario_takes_the_place_of_the_default(tmp_path: Path) -> None:
+    budgets = """
+        loop_p99_ms = 13
+        loop_max_ms = 13.5
+        hop_p99_ms = { residual = 0.45, setpoint = 1 }
+        decision_p99_ms = { direct = 5.5 }
+        age_p99_ms = { supervisor = 20 }
+        cpu_percent = { direct = 5 }
+        resident_mb = { central = 39, plant = 41 }
+    """
+    report = reported(tmp_path, budgets=budgets).report
+    assert failed(report.verdicts) == {
+        "loop all commands p99",
+        "loop all commands max",
+        "hop residual p99",
+        "decision direct estimate p99",
+        "CPU of a direct",
+        "memory of a central",
+    }
+    (verdict,) = [entry for entry in report.verdicts if entry.line == "hop residual p99"]
+    assert (verdict.value, verdict.limit) == (0.5, 0.45)
+
+
+def test_missed_deadlines_overruns_skipped_cycles_and_losses_are_counted(tmp_path: Path) -> None:
+    silent = {key: times for key, times in MISSED.items() if key[:4] != "c2/d"}
+    slow = {**TIMES_MS, "c1/a/help": (2.0, 15.5)}
+    cycles = (
+        cycle(0),
+        missed(1),
+        cycle(2, silent, {"production": ("c2/d/command",)}),
+        cycle(3, slow),
+    )
+    kept = "overruns = 1\nskipped_cycles = 1\nmissed_deadlines = 2\nlost_messages = 4"
+    strict = reported(tmp_path / "strict", *cycles, lost=4, dropped=1).report
+    counts = {"missed deadlines", "overruns", "skipped cycles", "messages not recorded"}
+    assert failed(strict.verdicts) & {*counts, "dropped messages"} == counts
+    lenient = reported(tmp_path / "lenient", *cycles, lost=4, dropped=1, budgets=kept).report
+    assert not failed(lenient.verdicts) & counts
+    dropped = reported(tmp_path / "dropped", dropped=1, budgets="dropped_messages = 8").report
+    assert failed(dropped.verdicts) == {"dropped messages"}
+
+
+def test_what_was_not_measured_although_it_must_be_is_not_kept(tmp_path: Path) -> None:
+    # The commands never complete the plant's stage, and a device tells no time of its own.
+    plan = replace(PLAN, external=("c1/a",))
+    dumb = {key: (0.0, -5_000.0) for key in TIMES_MS if key.startswith("c1/a/") and "im" in key}
+    for key in ("c1/a/impp", "c1/a/residual", "c1/a/help"):
+        dumb[key] = (0.0, -5_000.0)
+    late = {key: times for key, times in MISSED.items() if key not in dumb}
+    lack = {"production": ("c2/d/command",)}
+    report = reported(tmp_path, cycle(0, {**late, **dumb}, lack), plan=plan).report
+    absent = {verdict.line for verdict in report.verdicts if verdict.value is None}
+    assert absent == {"hop command p99", "response c1/a estimate p99"}
+    assert absent <= failed(report.verdicts)
+
+
+def test_what_only_a_launcher_knows_is_judged_by_nothing_without_its_summary(
+    tmp_path: Path,
+) -> None:
+    report = report_on(recorded(tmp_path, cycle(0), cycle(1))).report
+    assert report.passed
+    lines = {verdict.line for verdict in report.verdicts}
+    assert not lines & {"messages not recorded", "dropped messages", "CPU of a direct"}
+
+
+def test_a_table_of_a_scenario_is_read_with_its_types() -> None:
+    text = "[budgets]\nloop_p99_ms = 25\nhop_p99_ms = { setpoint = 5.5 }\nmissed_deadlines = 3\n"
+    table = msgspec.toml.decode(text, type=TimingTable).stated
+    assert (table.loop_p99_ms, table.missed_deadlines) == (25, 3)
+    assert table.hop_p99_ms == {"setpoint": 5.5}
+    assert TimingTable().stated == BudgetTable()
+
+
+@pytest.mark.parametrize(
+    ("line", "named"),
+    [
+        ("foo = 3", "budgets.foo"),
+        ("hop_p99_ms = { foo = 3 }", "budgets.hop_p99_ms.foo"),
+        ("hop_p99_ms = { production = 3 }", "budgets.hop_p99_ms.production"),
+        ("hop_p99_ms = { dispatch = 3 }", "budgets.hop_p99_ms.dispatch"),
+        ("decision_p99_ms = { recorder = 3 }", "budgets.decision_p99_ms.recorder"),
+        ("hop_p99_ms = 3", "budgets.hop_p99_ms"),
+        ("loop_p99_ms = 0", "budgets.loop_p99_ms"),
+        ("hop_p99_ms = { setpoint = 0.0 }", "budgets.hop_p99_ms.setpoint"),
+        ("loop_p99_ms = -1", "budgets.loop_p99_ms"),
+        ("loop_p99_ms = nan", "budgets.loop_p99_ms"),
+        ("loop_p99_ms = inf", "budgets.loop_p99_ms"),
+        ("loop_p99_ms = true", "budgets.loop_p99_ms"),
+        ('loop_p99_ms = "fast"', "budgets.loop_p99_ms"),
+        ("missed_deadlines = 1.5", "budgets.missed_deadlines"),
+    ],
+)
+def test_a_budget_that_makes_no_sense_is_refused(line: str, named: str) -> None:
+    with pytest.raises(msgspec.ValidationError, match=named):
+        msgspec.toml.decode(f"[budgets]\n{line}\n", type=TimingTable)

@@ -1,0 +1,144 @@
+"""A sweep finds the highest rate that is clean, and keeps what it has measured."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import pytest
+from msgspec.structs import replace
+from reports_by_hand import floor_times, missed, reported
+from rich.console import Console
+from timed_recordings import cycle
+
+from bus_schemas.errors import InputError
+from launch_scripts.launcher.supervision import RunFailure
+from studies.timing.rates import Rates
+from studies.timing.report import TimingReport
+from studies.timing.sweep import Sweep, conclusion, print_sweep, rate_row, sweep
+
+
+class Machine:
+    """A machine that keeps up to a rate; it notes what was tried."""
+
+    def __init__(
+        self, clean: TimingReport, late: TimingReport, highest_hz: float, **outcomes: Exception
+    ) -> None:
+        self.tried: list[float] = []
+        self._reports = clean, late
+        self._highest_hz = highest_hz
+        self._outcomes = {float(rate.lstrip("at_")): why for rate, why in outcomes.items()}
+
+    def run(self, rate_hz: float) -> TimingReport:
+        self.tried.append(rate_hz)
+        if rate_hz in self._outcomes:
+            raise self._outcomes[rate_hz]
+        return replace(self._reports[rate_hz > self._highest_hz], rate_hz=rate_hz)
+
+
+@pytest.fixture(scope="module")
+def reports(tmp_path_factory: pytest.TempPathFactory) -> tuple[TimingReport, TimingReport]:
+    """A report on a run that was clean, and on one that was not."""
+    folder = tmp_path_factory.mktemp("sweep")
+    clean = reported(folder / "clean", floor=floor_times()).report
+    return clean, reported(folder / "late", cycle(0), missed(1), lost=2).report
+
+
+Reports = tuple[TimingReport, TimingReport]
+
+
+@pytest.mark.parametrize("highest_hz", [6.0, 37.0, 74.9, 640.0])
+def test_the_highest_clean_rate_is_found_to_ten_percent(
+    highest_hz: float, reports: Reports
+) -> None:
+    machine = Machine(*reports, highest_hz)
+    found = sweep(Rates(search_hz=(5.0, 1000.0)), machine.run)
+    assert found.highest_clean_hz is not None
+    assert highest_hz / 1.11 <= found.highest_clean_hz <= highest_hz
+    assert len(machine.tried) <= 13
+    assert [row.rate_hz for row in found.rows] == sorted(machine.tried)
+
+
+def test_the_search_ends_at_the_ends_of_its_range(reports: Reports) -> None:
+    slow, fast = Machine(*reports, 0.5), Machine(*reports, 1e9)
+    none = sweep(Rates(search_hz=(5.0, 1000.0)), slow.run)
+    assert none.highest_clean_hz is None
+    assert slow.tried == [5.0]
+    assert "--rate 0.5..5" in conclusion(none)
+    highest = sweep(Rates(search_hz=(30.0, 200.0)), fast.run)
+    assert highest.highest_clean_hz == 200.0
+    assert fast.tried == [30.0, 60.0, 120.0, 200.0]
+    assert "at least 200 cycles/s" in conclusion(highest)
+
+
+def test_listed_rates_are_all_tried(reports: Reports) -> None:
+    found = sweep(Rates(listed_hz=(5.0, 10.0, 20.0)), Machine(*reports, 10.0).run)
+    assert [row.clean for row in found.rows] == [True, True, False]
+    assert "highest clean rate: 10 cycles/s" in conclusion(found)
+
+
+def test_a_run_that_fails_costs_no_other(reports: Reports) -> None:
+    died = RunFailure("c1 has died\nits log says so")
+    found = sweep(Rates(listed_hz=(5.0, 10.0, 20.0)), Machine(*reports, 1e9, at_10=died).run)
+    assert [row.failed for row in found.rows] == ["", "c1 has died", ""]
+    text = printed(found)
+    assert "10 cycles/s failed: c1 has died" in text
+
+
+def test_a_rate_that_a_search_finds_refused_has_failed_but_the_first_is_refused(
+    reports: Reports,
+) -> None:
+    refused = InputError("deadlines do not fit")
+    rates = Rates(search_hz=(10.0, 20.0))
+    found = sweep(rates, Machine(*reports, 15.5, at_20=refused).run)
+    assert found.highest_clean_hz == 15.4
+    with pytest.raises(InputError, match="do not fit"):
+        sweep(rates, Machine(*reports, 1e9, at_10=refused).run)
+
+
+def test_an_interrupted_sweep_keeps_what_it_has(reports: Reports) -> None:
+    machine = Machine(*reports, 1e9, at_10=KeyboardInterrupt())  # type: ignore[arg-type]
+    found = sweep(Rates(listed_hz=(5.0, 10.0, 20.0)), machine.run)
+    assert [(row.rate_hz, row.outcome) for row in found.rows] == [
+        (5.0, "clean"),
+        (10.0, "interrupted"),
+    ]
+    assert found.interrupted
+
+
+def test_a_rate_that_was_interrupted_is_neither_clean_nor_not_clean(reports: Reports) -> None:
+    cut = replace(reports[0], interrupted=True)
+    found = sweep(Rates(listed_hz=(10.0, 20.0)), lambda _: cut)
+    (row,) = found.rows
+    assert (row.clean, row.outcome, found.interrupted) == (False, "interrupted", True)
+    assert "not clean" not in printed(found)
+
+
+def test_of_a_rate_that_is_not_clean_the_tier_is_named(reports: Reports) -> None:
+    clean, late = map(rate_row, reports)
+    assert clean.clean
+    assert clean.loop_max_us == pytest.approx(13_600.0)
+    assert clean.cpu_percent == pytest.approx(90.0)
+    assert clean.trouble == ""
+    assert not late.clean
+    assert late.trouble.startswith("plant missed a deadline 1 time, ")
+    assert "not recorded: 2" in late.trouble
+
+
+def printed(found: Sweep, width: int = 100) -> str:
+    console = Console(file=io.StringIO(), width=width)
+    print_sweep(found, console)
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+def test_a_sweep_tells_host_load_and_floor(reports: Reports) -> None:
+    found = sweep(Rates(listed_hz=(5.0, 10.0)), Machine(*reports, 5.0).run)
+    text = printed(found)
+    assert "2 CPUs, A processor; load average 0.50 before, 0.75 after" in text
+    assert "floor at 5 cycles/s [ms]" in text
+    assert all(figure in text for figure in ("200.00", "13.600"))
+    document = json.loads(found.as_json())
+    assert document["highest_clean_hz"] == 5.0
+    assert [row["clean"] for row in document["rows"]] == [True, False]
+    assert document["rows"][0]["floor"][0]["name"] == "timer"
