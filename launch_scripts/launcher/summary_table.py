@@ -176,7 +176,7 @@ def _external_rows(summary: RunSummary) -> list[tuple[str, str, str]]:
         rows.append((f"external {account.agent}", recorded, f"messages recorded; {answered}"))
         if account.lost:
             # Gaps in their numbers tell, and these do not tell why.
-            rows.append(("", f"{account.lost:,}", "more never came or could not be decoded"))
+            rows.append(("", f"{account.lost:,}", "lost: never came or could not be decoded"))
     return rows
 
 

@@ -67,16 +67,20 @@ def run_metrics(
     tolerances_percent
         Tolerances of a regulation request, in % of the plant's rating.
 
+    Cycles without their dispatch or production do not count.
+
     Raises
     ------
     ValueError
-        The run has no cycle, or a power in it is not a finite number.
+        The run has no cycle with both.
     """
-    if series.cycles == 0:
-        raise ValueError("the run has no cycle, accepted is one with at least one")
+    if not series.known.any():
+        raise ValueError("the run has no cycle with dispatch and production, expected at least one")
+    if offered is not None:
+        offered = offered[series.known]
+    series = series.only_known()
     desired_kw, possible_kw = series.desired_kw, series.possible_kw
     delivered_kw, cycle_s = series.delivered_kw, series.cycle_s
-    _check_finite(desired=desired_kw, possible=possible_kw, delivered=delivered_kw)
     rating_kw = float(series.rating_kw.sum())
     return RunMetrics(
         commitment=commitment_metrics(desired_kw, possible_kw, delivered_kw, cycle_s),
@@ -86,12 +90,3 @@ def run_metrics(
         ramps=ramp_metrics(delivered_kw, rating_kw, cycle_s, series.ramp_limit_percent_per_min),
         regulation=regulation_metrics(series, offered, tolerances_percent),
     )
-
-
-def _check_finite(**powers_kw: NDArray[np.float64]) -> None:
-    for name, power_kw in powers_kw.items():
-        bad = np.flatnonzero(~np.isfinite(power_kw))
-        if bad.size:
-            raise ValueError(
-                f"{name} power in cycle {bad[0]} is {power_kw[bad[0]]}, accepted is a finite number"
-            )
