@@ -80,9 +80,12 @@ def _agents(
     tree: ControlTree, names: str | Iterable[str], also: tuple[str, ...]
 ) -> tuple[str, ...]:
     team = (*also, *(agent_name(node) for node in tree.nodes))
-    texts = [names] if isinstance(names, str) else names
+    if isinstance(names, str):
+        words = _words(names)
+    else:  # The path of the central controller is empty.
+        words = [word for name in names for word in _words(name) or [CENTRAL]]
     found: list[str] = []
-    for name in (word for text in texts for word in _words(text)):
+    for name in words:
         top = name.removesuffix(_SUBTREE)
         if top not in team or (top != name and top in also):
             raise InputError(f"node {name!r}: not in this run, {_expected(top, team)}")

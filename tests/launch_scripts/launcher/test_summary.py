@@ -156,12 +156,14 @@ def test_a_run_in_one_process_skips_no_cycles() -> None:
     assert "cycles skipped" not in rows_of(None)
 
 
-def test_messages_of_a_device_that_cannot_be_read_are_not_said_to_be_lost() -> None:
+def test_messages_that_a_device_lost_are_in_the_total() -> None:
     device = ExternalAccount("c1/inv01", {"impp": 5}, lost=100, expected=20, answered=5)
     summary = replace(summary_of(None), external=(device,))
     rows = rows_printed(summary)
     assert rows["external c1/inv01"] == ["5", "messages recorded; answered 5 times of 20"]
-    assert rows["100"] == ["more never came or could not be decoded"], "a row without a name"
+    assert rows["messages lost"][0] == "100"
+    assert "100" in rows, "a row without a name"
+    assert (summary.lost, summary.lost_by_processes) == (100, 0)
     assert "0" not in rows_printed(replace(summary, external=(replace(device, lost=0),)))
 
 
