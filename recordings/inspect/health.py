@@ -148,15 +148,7 @@ _missing = msgspec.msgpack.Decoder(_Missing).decode
 
 
 class HealthWatch:
-    """Follows a recording message by message.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    cycles
-        Those that are looked at.
-    """
+    """Follows a recording message by message."""
 
     def __init__(self, plan: RunPlan, cycles: range) -> None:
         self.gaps = RunGaps(plan, cycles.start)
