@@ -132,4 +132,4 @@ def test_inputs_missed_at_deadlines_are_those_that_the_agents_counted(tmp_path: 
     assert counted > 10
     assert sum(found.inputs for found in health.misses) == counted
     assert health.fault_rules == plan.faults
-    assert "1 rules" in text
+    assert "1 rule" in text
