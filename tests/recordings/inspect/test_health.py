@@ -13,6 +13,8 @@ from recordings_by_hand import PLAN, SCENARIO, whole_run, write_run
 
 from bus_schemas.bus import Delivery, Outbox
 from bus_schemas.codec import encode
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port
 from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
@@ -118,7 +120,7 @@ def test_inputs_missed_at_deadlines_are_those_that_the_agents_counted(tmp_path: 
     plan = replace(prepared.plan, cycle_wall_ns=prepared.plan.cycle_ns)
     writer = RunWriter(tmp_path / "run.mcap", plan, SCENARIO, driver="simulate")
 
-    def record(port: Any, message: Any) -> None:
+    def record(port: Port[Message], message: Message) -> None:
         if port.signal.logged:
             writer.add(port, message, encode(message), message.publish_time_ns)
 

@@ -192,7 +192,7 @@ def test_a_run_that_broke_off_is_verified_as_far_as_it_goes(run: Path) -> None:
 
 
 def test_an_unknown_node_is_refused_with_near_names(run: Path) -> None:
-    assert "--node c1/aa: this run has no such agent, near it: c1/a" in refused(
+    assert "node 'c1/aa'" in refused(
         run, "--node", "c1/aa"
     )
     assert "near it: central" in refused(run, "--node", "centrl")
