@@ -355,9 +355,6 @@ def compare_command(
     show: Annotated[
         str, typer.Option(help="Figure to show of many cases.", metavar="FIGURE")
     ] = "control-caused",
-    agents: Annotated[
-        bool, typer.Option(help="Run the hierarchical schemes message by message.")
-    ] = False,
     workers: Annotated[int, typer.Option(help="Processes that share the cases.")] = 1,
     scheduler: Annotated[
         str | None, typer.Option(help="Dask scheduler that shares the cases.", metavar="ADDRESS")
@@ -381,7 +378,6 @@ def compare_command(
         schemes,
         reference,
         show,
-        agents,
         workers,
         scheduler,
         data,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -25,10 +26,9 @@ from studies.compare.study import (
     CaseResult,
     Comparison,
     SchemeResult,
-    WorkerLost,
     remarks_of,
     results_of,
-    run_cases,
+    run_case,
 )
 from studies.compare.tables import (
     FIGURES,
@@ -40,11 +40,11 @@ from studies.compare.tables import (
 )
 from studies.report.metrics_tables import metrics_tables
 from studies.report.run_report import check_destination, write_report
+from studies.workers import WorkerLostError, check_workers, share_over_cluster, share_work
 
 _LISTED: Final = 40
 """Up to so many cases each has its row; of more, the mean and the extremes are shown."""
 
-_MOST_WORKERS: Final = 256
 _PIPE_WIDTH: Final = 120
 
 
@@ -61,7 +61,6 @@ class CompareRequest:
     schemes: str | None
     reference: str | None
     show: str
-    agents: bool
     workers: int
     scheduler: str | None
     data: Path | None
@@ -79,9 +78,9 @@ def compare(request: CompareRequest) -> int:
         else:
             results = _many(found, comparison, request, console)
         _write_rows(results, request.json)
-    except (InputError, OSError) as error:
+    except InputError as error:
         return complain(error, BAD_INPUT)
-    except WorkerLost as error:
+    except (OSError, WorkerLostError) as error:
         return complain(error, FAILED)
     except KeyboardInterrupt:
         return complain("interrupted", INTERRUPTED)
@@ -97,8 +96,7 @@ def _console(*, to_stderr: bool) -> Console:
 def _plan(request: CompareRequest) -> tuple[Comparison, list[Case]]:
     if request.show not in FIGURES:
         raise InputError(f"--show {request.show}: accepted are {', '.join(FIGURES)}")
-    if not 1 <= request.workers <= _MOST_WORKERS:
-        raise InputError(f"--workers {request.workers}: accepted are 1 to {_MOST_WORKERS}")
+    check_workers(request.workers)
     check_json_destination(request.json)
     if request.report is not None:
         check_destination(request.report)
@@ -113,7 +111,7 @@ def _plan(request: CompareRequest) -> tuple[Comparison, list[Case]]:
         raise InputError("--scheduler: accepted with more than one case, there is one")
     if request.report is not None and len(found) > 1:
         raise InputError(f"--report: accepted with one case, the study has {len(found):,}")
-    return Comparison(_schemes(request.schemes), _groups(request.reference), request.agents), found
+    return Comparison(_schemes(request.schemes), _groups(request.reference)), found
 
 
 def _schemes(text: str | None) -> tuple[str, ...]:
@@ -180,9 +178,13 @@ def _many(
     )
     with Progress(*columns, console=console) as progress:
         task = progress.add_task("cases", total=len(found))
-        for number, result in run_cases(
-            found, comparison, workers=request.workers, scheduler=request.scheduler
-        ):
+        run = partial(run_case, comparison)
+        shared = (
+            share_over_cluster(run, found, request.scheduler)
+            if request.scheduler is not None
+            else share_work(run, found, request.workers)
+        )
+        for number, result in shared:
             results[number] = result
             progress.advance(task)
     ordered = [results[number] for number in sorted(results)]

@@ -1,10 +1,10 @@
-"""`heliarch timing --study`: how much delay and loss the control survives."""
+"""`heliarch delays`: how much delay and loss the control survives."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from bus_schemas.errors import InputError
 from launch_scripts.commands.termination import Termination
-from launch_scripts.exit_status import FAILED, INTERRUPTED, OK, complain
+from launch_scripts.exit_status import FAILED, OK, complain
 from launch_scripts.launcher.json_rows import check_json_destination
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario, parse_duration_s
@@ -25,18 +25,17 @@ from studies.delays.study import (
     WARM_UP_S,
     Outcome,
     conditions,
-    run_study_over,
+    run_under,
 )
 from studies.delays.table import counted_s, print_study
 from studies.timing.written_files import concluded, write_files
+from studies.workers import WorkerLostError, check_workers, share_work
 
 DEFAULT_SCENARIO: Final = "oahu-day"
 DEFAULT_START: Final = "11:58"
 DEFAULT_DURATION: Final = "62m"
 DEFAULT_SETTINGS: Final = ("commitment.share=0.6",)
 """At the scenario's own share, 0.8, the clouds take more than control ever could."""
-
-_MOST_WORKERS: Final = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,10 +80,8 @@ def run_study(request: StudyRequest, console: Console, termination: Termination)
     request, preparation = _prepared(request)
     try:
         outcomes = _run(preparation, request.workers, console)
-    except BrokenProcessPool:
-        if termination.number is not None:  # `timeout` sends its signal to the workers, too.
-            return complain("interrupted", INTERRUPTED)
-        return complain("a worker was killed, often for a lack of memory: fewer --workers", FAILED)
+    except WorkerLostError as error:
+        return complain(error, FAILED)
     with termination.held():
         unwritten = write_files(
             request.json,
@@ -106,8 +103,7 @@ def _prepared(request: StudyRequest) -> tuple[StudyRequest, Preparation]:
 
 
 def _with_defaults(request: StudyRequest) -> StudyRequest:
-    if not 1 <= request.workers <= _MOST_WORKERS:
-        raise InputError(f"--workers {request.workers}: accepted are 1 to {_MOST_WORKERS}")
+    check_workers(request.workers)
     if request.duration is not None:
         _check_duration(request.duration)
     check_json_destination(request.json)
@@ -181,7 +177,8 @@ def _run(preparation: Preparation, workers: int, console: Console) -> list[Outco
     found: dict[int, Outcome] = {}
     with Progress(*columns, console=console) as progress:
         task = progress.add_task("runs", total=len(chosen))
-        for number, outcome in run_study_over(plan, preparation.profile, chosen, workers):
+        run = partial(run_under, plan, preparation.profile)
+        for number, outcome in share_work(run, chosen, workers):
             found[number] = outcome
             progress.advance(task)
     return [found[number] for number in sorted(found)]
