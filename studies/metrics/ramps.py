@@ -40,6 +40,11 @@ class RampMetrics:
     minutes_above_limit: int | None
     above_limit_percent: float | None
 
+    @property
+    def largest_kw_per_min(self) -> float:
+        """The larger of the two, in kW per minute."""
+        return max(self.largest_up_kw_per_min, self.largest_down_kw_per_min)
+
 
 def ramp_metrics(
     delivered_kw: NDArray[np.float64],
