@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import msgspec
 
-from agents.cycle import KINDS, kind_of
+from agents.cycle import KINDS, Kind, kind_of
 from bus_schemas.tree import ControlTree
 from launch_scripts.launcher.summary import ProcessAccount
 from studies.timing.run_timing import AgentTiming, Times, tier_of
@@ -40,7 +40,7 @@ class ProcessTiming(msgspec.Struct, frozen=True):
 
     agent: str
     tier: str
-    kind: str
+    kind: Kind
     missed_deadlines: dict[str, int]
     missing_inputs: dict[str, int]
     old_inputs: int
@@ -57,7 +57,7 @@ class TierTiming(msgspec.Struct, frozen=True):
     """Sums over the processes of one tier, and the largest share and memory of one of them."""
 
     tier: str
-    kind: str
+    kind: Kind
     processes: int
     missed_deadlines: int
     missing_inputs: int
@@ -82,7 +82,6 @@ def process_timings(
     for agent in dict.fromkeys((*agents, *known)):
         own, account = agents.get(agent), known.get(agent)
         timing = own or AgentTiming()
-        has_share = account is not None and account.cpu_s is not None and wall_s > 0.0
         found.append(
             ProcessTiming(
                 agent=agent,
@@ -95,7 +94,7 @@ def process_timings(
                 skipped_cycles=timing.skipped_cycles,
                 slowest_decision_us=own.slowest_decision_ns / 1e3 if own else None,
                 dropped=account.dropped if account else None,
-                cpu_percent=100.0 * account.cpu_s / wall_s if has_share else None,
+                cpu_percent=_cpu_percent(account, wall_s),
                 resident_mb=account.resident_mb if account else None,
                 times=timing.times,
             )
@@ -103,13 +102,19 @@ def process_timings(
     return tuple(found)
 
 
+def _cpu_percent(account: ProcessAccount | None, wall_s: float) -> float | None:
+    if account is None or account.cpu_s is None or wall_s <= 0.0:
+        return None
+    return 100.0 * account.cpu_s / wall_s
+
+
 def tier_timings(processes: Iterable[ProcessTiming]) -> tuple[TierTiming, ...]:
     """Add up the processes of each tier."""
-    members: dict[tuple[int, str], list[ProcessTiming]] = {}
+    members: dict[str, list[ProcessTiming]] = {}
     for process in processes:
-        place = [*KINDS].index(process.kind), process.tier
-        members.setdefault(place, []).append(process)
-    return tuple(_tier(members[place]) for place in sorted(members))
+        members.setdefault(process.tier, []).append(process)
+    found = map(_tier, members.values())
+    return tuple(sorted(found, key=lambda tier: (KINDS.index(tier.kind), tier.tier)))
 
 
 def _tier(members: Sequence[ProcessTiming]) -> TierTiming:
@@ -124,7 +129,9 @@ def _tier(members: Sequence[ProcessTiming]) -> TierTiming:
         old_inputs=sum(one.old_inputs for one in members),
         overruns=sum(sum(one.overruns.values()) for one in members),
         skipped_cycles=sum(one.skipped_cycles for one in members),
-        dropped=total(None if one.dropped is None else sum(one.dropped.values()) for one in members),
+        dropped=total(
+            None if one.dropped is None else sum(one.dropped.values()) for one in members
+        ),
         cpu_percent=total(shares),
         cpu_highest_percent=max(shares, default=None),
         resident_mb=max(memory, default=None),

@@ -143,10 +143,10 @@ def report_on(
         timing = run_timing(reader, by_agent=by_agent)
         folder, metadata = reader.path.parent, reader.metadata["run"]
     summary = summary or _summary_in(folder, plan)
-    remarks, lost = (_NO_SUMMARY,), None
+    remarks: tuple[str, ...] = (_NO_SUMMARY,)
     if summary:
         remarks = (*summary.remarks, *filter(None, [summary.recording_ended]))
-        lost = summary.lost
+    lost = summary.lost if summary else None
     wall_s = summary.wall_s if summary else timing.cycles * plan.cycle_wall_ns / 1e9
     accounts = summary.processes if summary else ()
     processes = process_timings(timing.agents, accounts, wall_s, plan.tree)
