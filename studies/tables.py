@@ -152,7 +152,7 @@ def print_table(console: Console, table: Table) -> None:
     console.print(Text(table.title, "bold"), width=width)
     for place, part in enumerate(table.parts(width) if table.rows else ()):
         console.print("\n" * (place > 0), end="")
-        console.print(_rich_table(part))
+        console.print(_rich_table(part), width=width)
     for note in table.notes:
         console.print(Text(note, "dim"), width=width)
     console.print()
@@ -188,7 +188,12 @@ def _least_width(column: Column, texts: Sequence[str]) -> int:
 
 def _rich_table(table: Table) -> RichTable:
     shown = RichTable(
-        box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1), pad_edge=False, collapse_padding=True
+        box=box.SIMPLE_HEAD,
+        show_header=any(column.title for column in table.columns),
+        show_edge=False,
+        padding=(0, 1),
+        pad_edge=False,
+        collapse_padding=True,
     )
     for column, least in zip(table.columns, table._widths(), strict=True):
         shown.add_column(

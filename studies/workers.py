@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import Any, Final, Protocol, TypeVar
+from importlib import import_module
+from typing import Any, Final, TypeVar
 
 from agents.process import die_with_parent
 from bus_schemas.errors import InputError
@@ -98,12 +99,6 @@ def _signals_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-class _Promise(Protocol):
-    """A future of Dask's."""
-
-    def result(self) -> Any: ...
-
-
 def share_over_cluster(
     function: Callable[[Item], Result], items: Sequence[Item], scheduler: str
 ) -> Iterator[tuple[int, Result]]:
@@ -119,16 +114,16 @@ def share_over_cluster(
         The cluster gave up.
     """
     try:
-        import distributed  # noqa: PLC0415
+        distributed: Any = import_module("distributed")
     except ImportError:
         raise InputError(
             "--scheduler: Dask is not installed; install it with pip install 'heliarch[cluster]'"
         ) from None
     try:
-        client: Any = distributed.Client(scheduler, timeout="10s")
+        client = distributed.Client(scheduler, timeout="10s")
     except (OSError, TimeoutError, ValueError) as error:
         raise InputError(
-            f"--scheduler: expected the address of a Dask scheduler such as tcp://127.0.0.1:8786, "
+            "--scheduler: expected the address of a Dask scheduler such as tcp://127.0.0.1:8786, "
             f"got {scheduler} ({type(error).__name__})"
         ) from None
     with client:
@@ -136,14 +131,12 @@ def share_over_cluster(
             client.submit(function, item, pure=False): place for place, item in enumerate(items)
         }
         for future in distributed.as_completed(list(places)):
-            yield places[future], _of_cluster(future, scheduler)
-
-
-def _of_cluster(future: _Promise, scheduler: str) -> Any:
-    try:
-        return future.result()
-    except InputError:
-        raise
-    except Exception as error:  # Whatever is wrong with a cluster comes as one of many kinds.
-        reason = f"{type(error).__name__}: {error}".strip(": ")
-        raise WorkerLostError(f"--scheduler {scheduler}: the cluster gave up ({reason})") from None
+            try:
+                result: Result = future.result()
+            except InputError:
+                raise
+            except Exception as error:  # Whatever is wrong with a cluster comes in many kinds.
+                raise WorkerLostError(
+                    f"--scheduler {scheduler} gave up ({type(error).__name__}: {error})"
+                ) from None
+            yield places[future], result

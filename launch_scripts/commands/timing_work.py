@@ -17,13 +17,13 @@ from launch_scripts.launcher.json_rows import check_json_destination
 from launch_scripts.launcher.request import RunRequest
 from launch_scripts.launcher.run_folder import new_run_id, run_folder
 from launch_scripts.launcher.supervision import RunFailure
-from studies.timing.figure_tables import console_for
+from studies.tables import console_for
 from studies.timing.measured_run import measured_run, prepare_at, whole_cycles
 from studies.timing.page import PAGE_NAME, run_page, sweep_page
 from studies.timing.rates import Rates, parse_rates
 from studies.timing.report import Reported, TimingReport, report_on
 from studies.timing.sweep import Sweep, print_sweep, sweep
-from studies.timing.table import print_report
+from studies.timing.tables import print_report
 from studies.timing.written_files import concluded, write_files
 
 _RATE: Final = "1"
