@@ -25,7 +25,8 @@ from launch_scripts.commands.options import (
     SettingsOption,
     StartOption,
 )
-from launch_scripts.commands.output import console_for, counted, say, write_json
+from launch_scripts.commands.output import counted, say, write_json
+from studies.tables import console_for
 
 if TYPE_CHECKING:
     from rich.console import Console

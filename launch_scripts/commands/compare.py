@@ -23,7 +23,8 @@ from launch_scripts.commands.options import (
     StartOption,
     WorkersOption,
 )
-from launch_scripts.commands.output import console_for, counted, say, write_json
+from launch_scripts.commands.output import counted, say, write_json
+from studies.tables import console_for
 
 if TYPE_CHECKING:
     from rich.console import Console

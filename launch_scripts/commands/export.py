@@ -20,7 +20,8 @@ from launch_scripts.commands.options import (
     RunArgument,
     SignalsOption,
 )
-from launch_scripts.commands.output import console_for, progress_bar, say, write_json
+from launch_scripts.commands.output import progress_bar, say, write_json
+from studies.tables import console_for
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -15,7 +15,8 @@ from rich.text import Text
 from bus_schemas.errors import InputError
 from launch_scripts.commands.boundary import OK, complain
 from launch_scripts.commands.options import FirstOption, JsonOption, LastOption, RunArgument
-from launch_scripts.commands.output import console_for, progress_bar, write_json
+from launch_scripts.commands.output import progress_bar, write_json
+from studies.tables import console_for
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, TypeAlias
 
 import typer
 
@@ -11,7 +11,7 @@ from agents.plan import Actuator, Scheme
 from bus_schemas.errors import InputError
 
 
-def _file_in_folder(option: Any, value: str | None) -> str | None:
+def _file_in_folder(option: typer.CallbackParam, value: str | None) -> str | None:
     """Refuse a place where no file can be written, before any work is done."""
     if value in (None, "", "-"):
         return value
@@ -147,7 +147,8 @@ NodesOption: TypeAlias = Annotated[
     ),
 ]
 SignalsOption: TypeAlias = Annotated[
-    str | None, typer.Option(help="Only these, with commas between: impp,residual.", metavar="NAMES")
+    str | None,
+    typer.Option(help="Only these, with commas between: impp,residual.", metavar="NAMES"),
 ]
 
 # What comes out of it ----------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import TypeVar
 
 from rich.console import Console
 from rich.progress import (
@@ -18,16 +18,6 @@ from rich.progress import (
 )
 
 Item = TypeVar("Item")
-
-_PIPE_WIDTH: Final = 120
-"""Columns where the output is no terminal, so that tables keep theirs."""
-
-
-def console_for(json: str | None) -> Console:
-    """Return the console for a command's text: standard error where JSON takes standard output."""
-    to_stderr = json == "-"
-    console = Console(stderr=to_stderr)
-    return console if console.is_terminal else Console(stderr=to_stderr, width=_PIPE_WIDTH)
 
 
 def say(console: Console, *lines: str) -> None:
@@ -71,7 +61,7 @@ def write_page(html: str, path: Path) -> None:
         file.write(html.encode())
 
 
-def write_json(content: Any, destination: str | None) -> None:
+def write_json(content: object, destination: str | None) -> None:
     """Write a command's result where `--json` says: a file, `-` for standard output, or nowhere."""
     import msgspec  # noqa: PLC0415
 

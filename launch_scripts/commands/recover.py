@@ -15,7 +15,8 @@ import typer
 
 from launch_scripts.commands.boundary import FAILED, OK, complain
 from launch_scripts.commands.options import JsonOption, RunArgument
-from launch_scripts.commands.output import console_for, progress_bar, say, write_json
+from launch_scripts.commands.output import progress_bar, say, write_json
+from studies.tables import console_for
 
 if TYPE_CHECKING:
     from recordings.read.reader import RunReader

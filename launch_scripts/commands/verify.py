@@ -18,7 +18,8 @@ import typer
 from bus_schemas.errors import FailureError, InputError
 from launch_scripts.commands.boundary import FAILED, OK
 from launch_scripts.commands.options import JsonOption, NodesOption
-from launch_scripts.commands.output import console_for, progress_bar, say, write_json
+from launch_scripts.commands.output import progress_bar, say, write_json
+from studies.tables import console_for
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -90,9 +91,7 @@ def _names(text: str | None) -> list[str]:
     return [name.strip() for name in (text or "").split(",") if name.strip()]
 
 
-def _verify(
-    run: Path, nodes: Sequence[str], comparison: Comparison, console: Console
-) -> Outcome:
+def _verify(run: Path, nodes: Sequence[str], comparison: Comparison, console: Console) -> Outcome:
     from recordings.verify.outcome import Outcome
     from recordings.verify.verification import verify as verify_run
 

@@ -48,7 +48,7 @@ def prepare_run(request: RunRequest) -> tuple[Preparation, RunFolder]:
     options = RunOptions(
         request.start,
         request.duration,
-        _pace(request.pace),
+        parse_pace(request.pace),
         request.seed,
         request.scheme,
         request.actuator,
@@ -73,7 +73,8 @@ def _check_faults(request: RunRequest, preparation: Preparation) -> None:
         )
 
 
-def _pace(text: str | None) -> float | Literal["max"] | None:
+def parse_pace(text: str | None) -> float | Literal["max"] | None:
+    """Read the value of `--pace`."""
     if text is None or text == "max":
         return "max" if text else None
     try:
