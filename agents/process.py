@@ -142,6 +142,7 @@ class Seat:
                 old_inputs=loop.old_inputs,
                 skipped_cycles=loop.skipped_cycles,
                 faults=self._faults.tally.as_counts() if self._faults else {},
+                matched_rules=tuple(self.plan.network_faults.matched),
                 dismissed=self.link.dismissed and loop.cycle < self.plan.cycles,
             )
         )

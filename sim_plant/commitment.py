@@ -7,6 +7,7 @@ from typing import Annotated, TypeAlias
 import msgspec
 import numpy as np
 import pandas as pd
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
@@ -20,100 +21,66 @@ from sim_plant.csv_tables import (
 )
 from sim_plant.time_steps import step_ns
 
-Share = Annotated[float, msgspec.Meta(gt=0.0, le=1.2)]
 _LARGEST_KW = 1e8
 _COLUMN = "commitment_kw"
 
-
-class ConstantCommitment(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="constant"
-):
-    """The same power at every time step.
-
-    Attributes
-    ----------
-    power_kw : float
-        The committed power [kW], at least 0.
-    """
-
-    power_kw: Annotated[float, msgspec.Meta(ge=0.0, le=_LARGEST_KW)]
+Power = Annotated[float, Meta(ge=0.0, le=_LARGEST_KW)]
+Share = Annotated[float, Meta(gt=0.0, le=1.2)]
+Window = Annotated[float, Meta(gt=0.0, le=86400.0)]
 
 
-class ShareOfMedian(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="share-of-median"
-):
+class _Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
+    """How the commitment is made."""
+
+
+class ConstantCommitment(_Rule, frozen=True, tag="constant"):
+    """The same power at every time step."""
+
+    power_kw: Annotated[Power, Meta(description="The committed power [kW].")]
+
+
+class ShareOfMedian(_Rule, frozen=True, tag="share-of-median"):
     """A share of the plant's median possible power in the run, the same at every time step.
 
     This is hindsight: the median is known only after the run. It serves to compare control
     schemes at a like difficulty on different days, not as a bid that a plant could have made.
-
-    Attributes
-    ----------
-    share : float
-        Above 0, at most 1.2.
     """
 
-    share: Share
+    share: Annotated[Share, Meta(description="Share of the median.")]
 
 
-class ShareOfClearSky(
-    msgspec.Struct,
-    frozen=True,
-    forbid_unknown_fields=True,
-    tag_field="kind",
-    tag="share-of-clear-sky",
-):
-    """A share of the power that the plant would have under a clear sky, known in advance.
+class ShareOfClearSky(_Rule, frozen=True, tag="share-of-clear-sky"):
+    """A share of the power that the plant would have under a clear sky, known in advance."""
 
-    Attributes
-    ----------
-    share : float
-        Above 0, at most 1.2.
-    """
-
-    share: Share
+    share: Annotated[Share, Meta(description="Share of the clear-sky power.")]
 
 
-class BelowPossible(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="below-possible"
-):
+class BelowPossible(_Rule, frozen=True, tag="below-possible"):
     r"""A smooth profile below the possible power, as in the paper's case study.
 
     .. math:: P_{com}(t) = \lambda \, \overline{P_{MPP}}(t)
 
     where the mean of the plant's possible power is taken over a window centred on t, cut off at
     both ends of the run, and :math:`\lambda` is the share. The paper draws such a profile (its
-    figure of the uncurtailed power) and gives no rule for it: rule and parameters are ours.
+    figure of the uncurtailed power) and gives no rule for it: rule and parameters are ours. Under a
+    passing cloud the possible power may be less than the commitment.
 
     This is hindsight: a centred mean knows what the clouds are going to do. It is not a bid that
     a plant could have made.
-
-    Attributes
-    ----------
-    share : float
-        Above 0, at most 1.2. Below 1 it leaves headroom on average, not at every instant: under a
-        passing cloud the possible power may be less than the commitment.
-    window_s : float
-        Length of the window [s].
     """
 
-    share: Share
-    window_s: Annotated[float, msgspec.Meta(gt=0.0, le=86400.0)]
+    share: Annotated[
+        Share, Meta(description="Share of the mean possible power around each moment.")
+    ]
+    window_s: Annotated[Window, Meta(description="Length of the window of that mean [s].")]
 
 
-class ScheduledCommitment(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="file"
-):
-    """A schedule in a file.
+class ScheduledCommitment(_Rule, frozen=True, tag="file"):
+    """A schedule in a file."""
 
-    Attributes
-    ----------
-    path : str
-        CSV file: time stamps (ISO 8601 with `Z` or an offset) in the first column, whatever its
-        header, and the power from that moment on in the column `commitment_kw` [kW].
-    """
-
-    path: str
+    path: Annotated[
+        str, Meta(description="CSV: ISO 8601 time stamps first, `commitment_kw` from then on [kW].")
+    ]
 
 
 CommitmentSettings: TypeAlias = (

@@ -16,15 +16,16 @@ from typing import Annotated, Final
 import msgspec
 import numpy as np
 import pandas as pd
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
 from sim_plant.csv_tables import check_steady, number, read_header, read_numbers, shown
 from sim_plant.synthetic_regd import SAMPLES, STEP_S, synthetic_regd
 
-Capacity = Annotated[float, msgspec.Meta(gt=0.0, le=1e8)]
-Second = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
-Seed = Annotated[int, msgspec.Meta(ge=0, le=2**32)]
+Capacity = Annotated[float, Meta(gt=0.0, le=1e8)]
+Second = Annotated[float, Meta(ge=-1e9, le=1e9)]
+Seed = Annotated[int, Meta(ge=0, le=2**32)]
 
 _NS: Final = 1_000_000_000
 _DAY_NS: Final = 86_400 * _NS
@@ -32,49 +33,37 @@ _LARGEST_S: Final = 1e9
 _SIGNAL_ACCEPTED: Final = "a number from -1 to 1"
 
 
-class _Offer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the plant offers, and when.
+class _Offer(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind"
+):
+    """What the plant offers, and when."""
 
-    Attributes
-    ----------
-    capacity_kw : float
-        Power that a signal of +1 asks for on top of the commitment [kW], above 0.
-    offered_from, offered_to : datetime.time, optional
-        Local times of day between which regulation is offered, `from` and `to` in a file; from
-        midnight, to midnight by default. A `from` that is later than `to` goes over midnight.
-    """
-
-    capacity_kw: Capacity
-    offered_from: time | None = msgspec.field(default=None, name="from")
-    offered_to: time | None = msgspec.field(default=None, name="to")
-
-
-class RegulationFile(_Offer, frozen=True, tag_field="kind", tag="file"):
-    """A signal from a CSV of two columns with a header.
-
-    Attributes
-    ----------
-    path : str
-        The file: second of the signal's own clock, signal in per unit from -1 to 1 (positive:
-        raise output).
-    signal_midnight_s : float, default 0
-        Second of the signal that coincides with local midnight on the run's first day.
-    """
-
-    path: str
-    signal_midnight_s: Second = 0.0
+    capacity_kw: Annotated[
+        Capacity, Meta(description="Power that a signal of +1 asks for, on top of the rest [kW].")
+    ]
+    offered_from: Annotated[
+        time | None, Meta(description="Local time from which it is offered. Default: midnight.")
+    ] = msgspec.field(default=None, name="from")
+    offered_to: Annotated[
+        time | None, Meta(description="Local time until then; before `from`: on the next day.")
+    ] = msgspec.field(default=None, name="to")
 
 
-class SyntheticRegulation(_Offer, frozen=True, tag_field="kind", tag="synthetic"):
-    """A synthetic signal that moves like PJM's RegD.
+class RegulationFile(_Offer, frozen=True, tag="file"):
+    """A signal from a CSV of two columns with a header."""
 
-    Attributes
-    ----------
-    seed : int, default 0
-        Seed of the signal, at least 0.
-    """
+    path: Annotated[
+        str, Meta(description="CSV: second of the signal's clock, signal from -1 to 1 (+: raise).")
+    ]
+    signal_midnight_s: Annotated[
+        Second, Meta(description="Second of the signal at local midnight of the run's first day.")
+    ] = 0.0
 
-    seed: Seed = 0
+
+class SyntheticRegulation(_Offer, frozen=True, tag="synthetic"):
+    """A synthetic signal that moves like PJM's RegD."""
+
+    seed: Annotated[Seed, Meta(description="Seed of the signal.")] = 0
 
 
 RegulationSettings = RegulationFile | SyntheticRegulation

@@ -19,8 +19,9 @@ from rich.table import Table
 from agents.control.clusters import ClusterSearch, search_clusters
 from agents.plan import RunPlan, Scheme
 from bus_schemas.errors import InputError
+from bus_schemas.times import parse_duration_s
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
-from launch_scripts.scenarios.scenario import ControlTable, load_scenario, parse_duration_s
+from launch_scripts.scenarios.scenario import ControlTable, load_scenario
 from studies.clusters.worth import (
     Arrange,
     ClustersWorth,

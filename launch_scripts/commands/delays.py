@@ -13,11 +13,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from bus_schemas.errors import InputError
+from bus_schemas.times import parse_duration_s
 from launch_scripts.commands.termination import Termination
 from launch_scripts.exit_status import FAILED, INTERRUPTED, OK, complain
 from launch_scripts.launcher.json_rows import check_json_destination
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
-from launch_scripts.scenarios.scenario import load_scenario, parse_duration_s
+from launch_scripts.scenarios.scenario import load_scenario
 from studies.compare.cases import cases, parse_setting
 from studies.compare.study import remarks_of
 from studies.delays.page import study_page

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from bus_schemas.errors import InputError
-from launch_scripts.scenarios.scenario import parse_duration_s
+from bus_schemas.times import parse_duration_s
 from recordings.replay.keyboard import has_keyboard
 from recordings.replay.player import Span
 from recordings.replay.recorded_run import RecordedRun

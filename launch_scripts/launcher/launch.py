@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable
 from typing import Final
 
+import msgspec
+
 from agents.events import (
     AnyEvent,
     Armed,
@@ -19,7 +21,7 @@ from agents.events import (
 )
 from agents.machine import refusals
 from agents.plan import RunPlan
-from bus_schemas.faults import some_of
+from bus_schemas.faults import some_of, unmatched_rules
 from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.launcher.fork_requests import Start
 from launch_scripts.launcher.interruption import Interruption, interruptible
@@ -130,7 +132,7 @@ class Launch:
             self._follow_or_explain(children)
             seen = self._account(children, refused)
             recorded = self._finish(children)
-            return launch_summary(
+            summary = launch_summary(
                 self._preparation,
                 plan,
                 self._folder,
@@ -139,6 +141,10 @@ class Launch:
                 seen,
                 interrupted=bool(self._interruption),
             )
+            unmatched = unmatched_rules(plan.faults, _matched_rules(children))
+            for line in unmatched:
+                view.say(line)
+            return msgspec.structs.replace(summary, remarks=(*summary.remarks, *unmatched))
 
     def _follow_or_explain(self, children: Children) -> None:
         """Follow the run; where it fails, say what external agents may have to do with it."""
@@ -271,6 +277,11 @@ class Launch:
             cpu_at_start_s=self._cpu_at_start_s,
             refusals=refused,
         )
+
+
+def _matched_rules(children: Children) -> set[int]:
+    ended = [child.finished for child in children if child.finished is not None]
+    return {number for account in ended for number in account.matched_rules}
 
 
 def launch(

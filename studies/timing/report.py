@@ -229,7 +229,7 @@ def budgets_in(reader: RunReader) -> BudgetTable:
     """Return the budgets that the scenario of a recording states."""
     try:
         stated = tomllib.loads(reader.scenario).get("timing", {})
-        return msgspec.convert(stated, TimingTable).stated
+        return msgspec.convert(stated, TimingTable).budgets
     except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
         raise InputError(f"{reader.path}: scenario.toml in it: {error}") from None
 
