@@ -33,7 +33,7 @@ from msgspec import Meta
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS, Port, listeners, ports
-from bus_schemas.tree import RECORDER, ControlTree
+from bus_schemas.tree import RECORDER, ControlTree, some_of
 
 LONGEST_MS: Final = 3_600_000.0
 """Longest delay, jitter or holding back that is accepted: an hour."""
@@ -47,7 +47,6 @@ UNHEARD: Final = frozenset(
 """Cyclic signals that no agent acts on: what becomes of them changes nothing in a run."""
 
 _LOST: Final[tuple[int, ...]] = ()
-_LISTED: Final = 12
 _MOST_SIGMAS: Final = sqrt(-2.0 * log(2.0**-53))
 """No normal number that is made of 53 bits is further from the mean: 8.6 standard deviations."""
 
@@ -420,10 +419,3 @@ def _check_ends(rule: FaultRule, tree: ControlTree, where: str) -> None:
             f"{where}: expected one of {some_of(list(instead))}, got {rule.signal or 'anything'} "
             f"from {rule.source} to {rule.listener}, which is never sent"
         )
-
-
-def some_of(names: list[str]) -> str:
-    """List the first of many names."""
-    rest = len(names) - _LISTED
-    listed = ", ".join(names[:_LISTED])
-    return f"{listed} and {rest} more" if rest > 0 else listed

@@ -63,16 +63,18 @@ def filled(text: str) -> str:
 
 def table(name: str) -> str:
     """Return what stands between the comments of a name, such as `signals` or `scenario time`."""
-    what, _, which = name.partition(" ")
-    lines = {
-        "scenario": lambda: _scenario_table(which),
-        "signals": _signals,
-        "message": lambda: _fields(getattr(messages, which)),
-        "stages": _stages,
-        "bounds": _bounds,
-        "bytes": lambda: _bytes(_EXAMPLES[which]),
-    }[what]()
-    return "".join(f"{line}\n" for line in lines)
+    return "".join(f"{line}\n" for line in _lines(*name.split(" ", 1)))
+
+
+def _lines(what: str, which: str = "") -> Iterator[str]:
+    match what:
+        case "scenario":
+            return _scenario_table(which)
+        case "message":
+            return _fields(getattr(messages, which))
+        case "bytes":
+            return _rows(("bytes (hex)", "what they are"), _parts(encode(_EXAMPLES[which])))
+    return {"signals": _signals, "stages": _stages, "bounds": _bounds}[what]()
 
 
 def _rows(header: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> Iterator[str]:
@@ -306,10 +308,6 @@ _FIXED: Final = {
     0xCF: (">Q", "unsigned integer of 8 bytes"),
     0xD2: (">i", "signed integer of 4 bytes"),
 }
-
-
-def _bytes(message: Message) -> Iterator[str]:
-    return _rows(("bytes (hex)", "what they are"), _parts(encode(message)))
 
 
 def _parts(payload: bytes) -> Iterator[tuple[str, str]]:

@@ -11,14 +11,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
-from sim_plant.csv_tables import (
-    check_header,
-    check_increasing,
-    parse_times,
-    read_header,
-    read_numbers,
-    shown,
-)
+from sim_plant.csv_tables import check_increasing, read_csv
 from sim_plant.time_steps import step_ns
 
 _LARGEST_KW = 1e8
@@ -177,29 +170,19 @@ def read_schedule_kw(path: Path, times: pd.DatetimeIndex) -> NDArray[np.float64]
         The file is not as described, a power is not from 0 to 1e8 kW, time stamps do not
         increase, or the schedule does not cover the run.
     """
-    header = read_header(path)
-    check_header(path, header[1:], (_COLUMN,))
-    stamps, values = read_numbers(path, header, (_COLUMN,), "a number in kW")
-    power_kw = values[:, 0]
-    bad = np.flatnonzero((power_kw < 0.0) | (power_kw > _LARGEST_KW))
-    if bad.size:
-        raise InputError(
-            f"{path.name}: line {bad[0] + 2}, column '{_COLUMN}': found '{power_kw[bad[0]]:g}';"
-            f" accepted: 0 to {_LARGEST_KW:g} kW"
-        )
-    begins = parse_times(path, header[0], stamps)
-    check_increasing(
-        begins.asi8,
-        lambda row: (
-            f"{path.name}: line {row + 2}, column '{header[0]}': {shown(str(stamps.iloc[row]))}"
-        ),
-    )
+    table = read_csv(path)
+    table.check_header((_COLUMN,))
+    expected = f"a power from 0 to {_LARGEST_KW:g} kW"
+    power_kw = table.numbers((_COLUMN,), expected, 0.0, _LARGEST_KW)[:, 0]
+    stamp = table.header[0]
+    begins = table.times(stamp)
+    check_increasing(begins.asi8, lambda row, wanted: table.error(row, stamp, wanted))
     ends = begins[-1] + (begins[-1] - begins[-2])
     run_ends = times[-1] + pd.Timedelta(step_ns(times), unit="ns")
     if times[0] < begins[0] or run_ends > ends:
         raise InputError(
-            f"{path.name}: does not cover the run, {_utc(times[0])} to {_utc(run_ends)};"
-            f" it covers {_utc(begins[0])} to {_utc(ends)}"
+            f"{path.name}: expected a schedule of the run, {_utc(times[0])} to {_utc(run_ends)}, "
+            f"got {_utc(begins[0])} to {_utc(ends)}"
         )
     held: NDArray[np.float64] = power_kw[begins.searchsorted(times, side="right") - 1]
     return held
@@ -209,8 +192,8 @@ def _median_kw(possible_kw: NDArray[np.float64]) -> float:
     median = float(np.median(possible_kw))
     if not median > 0.0:
         raise InputError(
-            f"commitment: the median possible power of the run is {median:g} kW;"
-            " share-of-median accepts a run that is in daylight for more than half of its time"
+            "commitment: expected a run with daylight for more than half of its time, got a median "
+            f"possible power of {median:g} kW"
         )
     return median
 

@@ -21,14 +21,14 @@ from agents.events import (
 )
 from agents.machine import refusals
 from agents.plan import RunPlan
-from bus_schemas.faults import some_of, unmatched_rules
-from bus_schemas.tree import PLANT, RECORDER
+from bus_schemas.faults import unmatched_rules
+from bus_schemas.tree import PLANT, RECORDER, some_of
 from launch_scripts.launcher.fork_requests import Start
 from launch_scripts.launcher.interruption import Interruption, interruptible
 from launch_scripts.launcher.launch_summary import LaunchAccount, launch_summary
 from launch_scripts.launcher.live_view import View
 from launch_scripts.launcher.run_folder import RunFolder
-from launch_scripts.launcher.run_pulse import HEARTBEAT_S, RunPulse
+from launch_scripts.launcher.run_watch import HEARTBEAT_S, RunWatch
 from launch_scripts.launcher.summary import RunSummary, merge_counts
 from launch_scripts.launcher.supervision import (
     Children,
@@ -96,7 +96,7 @@ class Launch:
         self._on_armed = on_armed
         self._patience_s = preparation.external.timeout_s if plan.external else 0.0
         self._armed_at = began_at
-        self._pulse = RunPulse(plan, view.say)
+        self._watch = RunWatch(plan, view.say)
         self._stalled_at: float | None = None
         self._asked_at: float | None = None
         self._rounds = 0
@@ -178,7 +178,7 @@ class Launch:
         match event:
             case Armed():
                 self._armed_at = now
-                self._pulse.begin(now)
+                self._watch.begin(now)
                 self._rounds = event.rounds
                 self._on_armed()
                 self._view.say(
@@ -186,7 +186,7 @@ class Launch:
                     f"started, {now - self._began_at:.1f} s after the command"
                 )
             case Status():
-                self._pulse.hear(event.cycle, now)
+                self._watch.hear(event.cycle, now)
                 self._external.note(event)
                 self._view.show(event)
             case Waiting():
@@ -207,7 +207,7 @@ class Launch:
             self._check_arming(children, now)
         if self._stalled_at is not None and now > self._stalled_at + _GATHER_S:
             raise RunFailure(explain_stall(children))
-        if self._rounds and (trouble := self._pulse.check(now)) is not None:
+        if self._rounds and (trouble := self._watch.check(now)) is not None:
             agent, text = trouble
             raise RunFailure(blame(children, agent, text))
         gone_at = self._external.plant_gone_at

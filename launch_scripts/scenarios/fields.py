@@ -10,6 +10,8 @@ import msgspec
 from msgspec import inspect
 
 _LONGEST_SHOWN: Final = 60
+_NO_BOUND: Final = 1e12
+"""A bound that only keeps infinity out."""
 
 
 def readable(error: msgspec.ValidationError, struct: type[Any], document: object) -> str:
@@ -98,6 +100,11 @@ def _takes(kind: inspect.Type) -> str:
             return _number(kind)
         case inspect.StrType(pattern=str(pattern)):
             return ", ".join(re.findall(r"\^([^$]*)\$", pattern))
+    return _takes_several(kind) or _PLAIN[type(kind)]
+
+
+def _takes_several(kind: inspect.Type) -> str:
+    match kind:
         case inspect.VarTupleType():
             return f"list, each: {takes(members(kind.item_type))}"
         case inspect.TupleType():
@@ -105,7 +112,7 @@ def _takes(kind: inspect.Type) -> str:
         case inspect.DictType():
             value = takes(members(kind.value_type))
             return f"table from {takes(members(kind.key_type))} to {value}"
-    return _PLAIN[type(kind)]
+    return ""
 
 
 _PLAIN: Final[dict[type[inspect.Type], str]] = {
@@ -119,10 +126,9 @@ _PLAIN: Final[dict[type[inspect.Type], str]] = {
 
 def _number(kind: inspect.IntType | inspect.FloatType) -> str:
     what = "whole number" if isinstance(kind, inspect.IntType) else "number"
-    bounds = (("above", kind.gt), ("from", kind.ge), ("below", kind.lt), ("to", kind.le))
-    return " ".join(
-        [what, *(f"{word} {bound:.10g}" for word, bound in bounds if bound is not None)]
-    )
+    bounds = (("above", kind.gt), ("from", kind.ge), ("below", kind.lt), ("up to", kind.le))
+    said = (f"{word} {bound:.10g}" for word, bound in bounds if bound not in {None, _NO_BOUND})
+    return " ".join([what, *said])
 
 
 def _at(where: str, text: str) -> str:
