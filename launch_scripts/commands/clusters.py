@@ -171,7 +171,7 @@ def _arrange(
     scenario: ScenarioFile, options: RunOptions, learn: str | None, preparation: Preparation
 ) -> tuple[Arrange, tuple[str, ...]]:
     """Return how clusters are chosen, and what a reader must know about it."""
-    from launch_scripts.scenarios.scenario import parse_duration_s
+    from bus_schemas.times import parse_duration_s
     from studies.clusters.worth import by_first_part, by_scenario
     from studies.compare.study import remarks_of
 

@@ -5,22 +5,21 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import date, datetime, timedelta
+from datetime import date, datetime, time, timedelta
 from itertools import chain, product
 from typing import Any, Final
 
 import msgspec
 
 from bus_schemas.errors import InputError
+from bus_schemas.times import read_time
+from launch_scripts.scenarios.fields import place_and_objection, readable
 from launch_scripts.scenarios.preparation import RunOptions
 from launch_scripts.scenarios.scenario import (
     Scenario,
     ScenarioFile,
     check_scenario,
     local_start,
-    place_and_objection,
-    readable,
-    with_two_digit_hour,
 )
 from launch_scripts.scenarios.toml_text import toml_text
 
@@ -180,14 +179,11 @@ def _on(
         options = replace(options, seed=seed)
     if day is None:
         return options
-    clock = options.start or f"{local_start(scenario.scenario.time):%H:%M:%S}"
-    try:
-        start = datetime.fromisoformat(with_two_digit_hour(f"{day.isoformat()}T{clock}"))
-    except ValueError:
-        raise InputError(
-            f"--from {clock}: accepted beside --days is a time of day such as 12:30"
-        ) from None
-    return replace(options, start=start.isoformat())
+    start = options.start
+    clock = local_start(scenario.scenario.time).time() if start is None else read_time(start)
+    if not isinstance(clock, time):
+        raise InputError(f"--from: expected a time of day such as 12:30 with --days, got {start}")
+    return replace(options, start=datetime.combine(day, clock).isoformat())
 
 
 def _with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, str]]) -> ScenarioFile:
@@ -199,7 +195,7 @@ def _with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, str]]) ->
         check_scenario(changed, _in_words(chosen))
     except msgspec.ValidationError as error:
         words = _in_words(_to_blame(chosen, error) or chosen)
-        raise InputError(f"{words}: {readable(error, document)}") from None
+        raise InputError(f"{words}: {readable(error, Scenario, document)}") from None
     stated = msgspec.toml.decode(scenario.text)
     for field, value in chosen:
         _put(stated, field, value)

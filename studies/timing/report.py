@@ -177,7 +177,7 @@ def report_on(
 def _budgets_in(reader: RunReader) -> BudgetTable:
     try:
         stated = tomllib.loads(reader.scenario).get("timing", {})
-        return msgspec.convert(stated, TimingTable).stated
+        return msgspec.convert(stated, TimingTable).budgets
     except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
         raise InputError(f"{reader.path}: scenario.toml in it: {error}") from None
 
