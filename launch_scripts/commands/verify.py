@@ -1,38 +1,35 @@
-"""`heliarch verify`: agents re-run on recorded inputs, and what they say held against the old."""
+"""`heliarch verify`: runs agents again on recorded inputs and compares what they publish."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from math import inf
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import msgspec
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from bus_schemas.errors import InputError
+from launch_scripts.commands.reading_progress import reading_progress
 from launch_scripts.exit_status import BAD_INPUT, INTERRUPTED, complain
 from launch_scripts.launcher.json_rows import check_json_destination
 from launch_scripts.launcher.supervision import RunFailure
 from recordings.verify.comparison import COMPARED_FIELDS, Comparison
-from recordings.verify.outcome import Outcome, as_json
+from recordings.verify.report import json_ready, verification_data, verification_lines
 from recordings.verify.verification import Verification, verify
 
 EQUAL: Final = 0
 DIFFERENT: Final = 1
 
-_PROGRESS_CYCLES: Final = 100
-"""The bar moves once in so many cycles."""
-
 
 @dataclass(frozen=True, slots=True)
 class VerifyRequest:
-    """The words of the command line, None where the user said nothing."""
+    """The arguments of the command line."""
 
     runs: Sequence[Path]
     nodes: Sequence[str]
@@ -43,19 +40,20 @@ class VerifyRequest:
 
 
 def run_verify(request: VerifyRequest) -> int:
-    """Verify what was asked for and say what it came to. Returns the exit status.
+    """Verify runs and print the result. Returns the exit status.
 
-    0: every agent says what it said; or the new recording is accepted. 1: there is a difference,
-    or the recording has lost so much that nobody can tell, or what was found cannot be written.
+    0: every agent publishes what it published, or the change is accepted. 1: there is a difference.
     """
     out = Console(stderr=request.json == "-", soft_wrap=True, highlight=False, markup=False)
     try:
-        nodes, comparison = _plan(request)
-        outcomes = [_verify(run, nodes, comparison, out) for run in request.runs]
-        _write_json(outcomes, request.json)
+        nodes, comparison = _checked(request)
+        results = [_verify(run, nodes, comparison, out) for run in request.runs]
+        found = [verification for verification, _ in results]
+        equal = all(verification.equal for verification in found)
+        _write_json({"equal": equal, "runs": [data for _, data in results]}, request.json)
         if request.accept:
-            for outcome in outcomes:
-                _accept(outcome.verification, out)
+            for verification in found:
+                _accept(verification, out)
     except InputError as error:
         return complain(error, BAD_INPUT)
     except RunFailure as error:
@@ -64,94 +62,71 @@ def run_verify(request: VerifyRequest) -> int:
         return complain(f"{error.filename or ''}: {error.strerror}", BAD_INPUT)
     except KeyboardInterrupt:
         return complain("interrupted", INTERRUPTED)
-    equal = all(outcome.verification.equal for outcome in outcomes)
     return EQUAL if equal or request.accept else DIFFERENT
 
 
-def _plan(request: VerifyRequest) -> tuple[list[str], Comparison]:
-    nodes, ignored = _words(request.nodes), _words(request.ignored)
+def _checked(request: VerifyRequest) -> tuple[list[str], Comparison]:
+    nodes, ignored = _names(request.nodes), _names(request.ignored)
     if not 0.0 <= request.tolerance < inf:
-        raise InputError(f"--tolerance {request.tolerance:g}: accepted is 0 or more")
+        raise InputError(f"--tolerance: expected a number from 0 on, got {request.tolerance:g}")
     for name in ignored:
         if name not in COMPARED_FIELDS:
             near = get_close_matches(name, COMPARED_FIELDS) or COMPARED_FIELDS
-            raise InputError(f"--ignore {name}: no message has it, accepted: {', '.join(near)}")
+            raise InputError(f"--ignore: expected a field such as {', '.join(near)}, got {name}")
     if request.accept and nodes:
-        raise InputError("--accept: the whole run is recorded anew, accepted is no --node with it")
+        raise InputError("--accept: expected no --nodes with it: the whole run is recorded again")
     check_json_destination(request.json)
     if request.accept:
-        _check_rerecordable(request.runs)
+        # Imported only here: it brings weather and market with it.
+        from recordings.verify.golden import origin  # noqa: PLC0415
+
+        for run in request.runs:
+            origin(run)
     return nodes, Comparison(request.tolerance, frozenset(ignored))
 
 
-def _check_rerecordable(runs: Sequence[Path]) -> None:
-    # Weather and market come with it: who only verifies need not wait for them.
-    from recordings.verify.golden import check_rerecordable  # noqa: PLC0415
-
-    for run in runs:
-        check_rerecordable(run)
+def _names(texts: Sequence[str]) -> list[str]:
+    """Return the names in options that may be repeated, or hold several with commas between."""
+    return [name.strip() for text in texts for name in text.split(",") if name.strip()]
 
 
-def _words(texts: Sequence[str]) -> list[str]:
-    """Return the words of options that may be repeated, or name several with commas between."""
-    return [word.strip() for text in texts for word in text.split(",") if word.strip()]
-
-
-def _verify(run: Path, nodes: Sequence[str], comparison: Comparison, out: Console) -> Outcome:
+def _verify(
+    run: Path, nodes: Sequence[str], comparison: Comparison, out: Console
+) -> tuple[Verification, dict[str, Any]]:
     began_at = time.monotonic()
-    with _progress() as bar:
-        task = bar.add_task("cycles", total=None)
-
-        def advance(cycle: int, cycles: int) -> None:
-            if cycle % _PROGRESS_CYCLES == 0:
-                bar.update(task, completed=cycle, total=cycles)
-
-        found = verify(run, nodes, comparison, advance)
-    outcome = Outcome(found, comparison, time.monotonic() - began_at)
-    for line in outcome.lines():
+    with reading_progress("verify") as progress:
+        found = verify(run, nodes, comparison, progress)
+    wall_s = time.monotonic() - began_at
+    for line in verification_lines(found, comparison, wall_s):
         out.print(line)
-    return outcome
-
-
-@contextmanager
-def _progress() -> Iterator[Progress]:
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
-        yield bar
+    return found, verification_data(found, comparison, wall_s)
 
 
 def _accept(found: Verification, out: Console) -> None:
     if found.equal:
         out.print(f"{found.recording}: nothing to accept")
         return
-    for name, account in found.accounts.items():
-        if account.failure is not None:
+    for name, findings in found.agents.items():
+        if findings.failure is not None:
             raise RunFailure(
-                f"--accept: {name} fails in cycle {account.failure.cycle} "
-                f"({account.failure.text}); {found.recording} stays as it was"
+                f"--accept {found.recording}: {name} fails in cycle {findings.failure.cycle}: "
+                f"{findings.failure.text}"
             )
-    from recordings.verify.golden import record_anew  # noqa: PLC0415
+    from recordings.verify.golden import record_again  # noqa: PLC0415
 
-    path = record_anew(found.recording)
-    out.print(f"{path}: accepted, recorded anew as the agents behave now")
+    record_again(found.recording)
+    out.print(f"{found.recording}: recorded again as the agents behave now")
 
 
-def _write_json(outcomes: Sequence[Outcome], json: str | None) -> None:
+def _write_json(document: dict[str, Any], json: str | None) -> None:
     if json is None:
         return
+    text = msgspec.json.format(msgspec.json.encode(json_ready(document)), indent=1) + b"\n"
     try:
         if json == "-":
-            sys.stdout.write(as_json(outcomes).decode() + "\n")
+            sys.stdout.write(text.decode())
             sys.stdout.flush()
         else:
-            Path(json).write_bytes(as_json(outcomes) + b"\n")
+            Path(json).write_bytes(text)
     except OSError as error:
         raise RunFailure(f"--json {json}: {error.strerror}") from error
