@@ -1,4 +1,4 @@
-"""`heliarch replay --live`: the named controllers as processes, and what they say compared."""
+"""`heliarch replay --live`: named controllers as processes, and their messages compared."""
 
 from __future__ import annotations
 
@@ -15,31 +15,34 @@ import msgspec
 from agents.plan import RunPlan, load_plan
 from bus_schemas.errors import InputError
 from bus_schemas.tree import agent_name
-from launch_scripts.commands.replay_request import ReplayRequest, before_cycle
+from launch_scripts.commands.replay_request import ReplayRequest, cycle_after
+from launch_scripts.commands.replay_work import (
+    await_subscriber,
+    introduce,
+    replay_bus,
+    say,
+    selected_ports,
+    write_json,
+)
+from launch_scripts.exit_status import FAILED, INTERRUPTED, OK
 from launch_scripts.launcher.fork_requests import Start
 from launch_scripts.launcher.interruption import Interruption, interruptible
 from launch_scripts.launcher.supervision import Children, ForkServerProcess, RunFailure
 from launch_scripts.launcher.tcp_ports import reserved_ports
 from recordings.read.moments import RunClock
+from recordings.read.reader import RunReader
 from recordings.read.selection import find_nodes
-from recordings.replay.absent_agents import AbsentAgents, live_plan
-from recordings.replay.figures import TimingFigures, print_timing, write_json
 from recordings.replay.live import LiveReplay
+from recordings.replay.live_bus import LiveBus, live_plan
 from recordings.replay.progress import ProgressLine
-from recordings.replay.recorded_run import RecordedRun
-from recordings.replay.selection import select
-from recordings.replay.session import await_subscriber, introduce, replay_session
-from recordings.verify.account import Account
-from recordings.verify.outcome import account_data, finding_lines
-
-EQUAL: Final = 0
-DIFFERENT: Final = 1
-INTERRUPTED: Final = 130
+from recordings.replay.publish_order import complete_cycles
+from recordings.replay.timing import TimingFigures
+from recordings.verify.report import finding_data, finding_lines, json_ready
 
 _NAMED: Final = 5
 """So many controllers are named before the rest is counted."""
 
-_ABSENT: Final = "absent"
+_OTHERS: Final = "others"
 _SHARED: Final = (
     "plant",
     "inverters",
@@ -48,21 +51,20 @@ _SHARED: Final = (
     "cycle_wall_ns",
     "period_cycles",
 )
-"""Fields in which the plan of the live controllers must be that of the run: the others keep to
-it."""
+"""Fields in which the plan of the live controllers must be that of the recorded run."""
 
 
 class LiveFigures(msgspec.Struct, frozen=True):
-    """What a live replay came to.
+    """The result of a live replay.
 
     Attributes
     ----------
     compared
-        Pairs of messages, new and recorded, of the live controllers.
+        Pairs of a recorded and a new message of the live controllers.
     differing
-        Messages that differ or lack their counterpart, by controller.
+        Number of differences, by controller.
     agents
-        What the comparison of each came to, as `heliarch verify --json` has it.
+        Findings of each controller, as `heliarch verify --json` has them.
     timing_error
         Of the recorded messages, in real time.
     """
@@ -79,47 +81,58 @@ class LiveFigures(msgspec.Struct, frozen=True):
     interrupted: bool
 
 
-def replay_live(request: ReplayRequest, recorded: RecordedRun, out: TextIO) -> int:
-    """Replay with live controllers, and say in what they differ. Returns the exit status.
+def replay_live(request: ReplayRequest, reader: RunReader, out: TextIO) -> int:
+    """Replay with live controllers, and print in what they differ. Returns the exit status.
 
     Raises
     ------
     InputError
         A name that is no controller of the run, or a plan of another plant.
     RunFailure
-        A live controller died, gave up, or says nothing any more.
+        A live controller died, gave up, or does not publish any more.
     """
-    live = _live_agents(recorded.plan, request.live or "")
-    plan = _plan(request, recorded)
-    introduce(recorded, out)
-    out.write(f"live: {_named(live)}; all others do as recorded, whatever these say\n")
+    live = _live_agents(reader.plan, request.live or "")
+    plan = _plan(request, reader)
+    introduce(reader, out)
+    say(out, f"live: {_named(live)}; all others as recorded")
     with interruptible() as interruption, _folder() as folder:
         began_at = time.monotonic()
-        replay = _run(request, recorded, plan, live, folder, interruption, out)
+        replay = _run(request, reader, plan, live, folder, interruption, out)
         wall_s = time.monotonic() - began_at
-    accounts = replay.comparison.accounts
+    findings = replay.comparison.findings
     figures = LiveFigures(
         plan.run_id,
-        str(recorded.path),
+        str(reader.path),
         list(live),
         replay.cycles,
         wall_s,
-        sum(account.compared for account in accounts.values()),
-        {name: found.counts.total() for name, found in accounts.items() if found.counts},
-        [account_data(name, account) for name, account in accounts.items()],
+        sum(found.compared for found in findings.values()),
+        {name: found.counts.total() for name, found in findings.items() if found.counts},
+        [json_ready(finding_data(name, found)) for name, found in findings.items()],
         replay.timing.figures(),
         bool(interruption),
     )
-    _print(figures, accounts, plan, out)
+    say(
+        out,
+        f"compared {figures.compared:,} messages of {len(live)} live controllers over "
+        f"{figures.cycles:,} cycles in {wall_s:.1f} s",
+    )
+    if figures.timing_error is not None:
+        figures.timing_error.write(out)
+    clock = RunClock(plan, replay.cycles - 1)
+    for name, found in findings.items():
+        for line in finding_lines(name, found, clock):
+            say(out, line)
+    say(out, f"differences: {_counts(figures.differing)}" if figures.differing else "no difference")
     write_json(figures, request.json)
     if interruption:
         return INTERRUPTED
-    return DIFFERENT if figures.differing else EQUAL
+    return FAILED if figures.differing else OK
 
 
 @contextmanager
 def _folder() -> Iterator[Path]:
-    """Make a folder for plan and logs; it is left if the replay fails, so that one can see why."""
+    """Make a folder for plan and logs. If the replay fails, it is kept and named."""
     folder = Path(tempfile.mkdtemp(prefix="heliarch-replay-"))
     try:
         yield folder
@@ -133,7 +146,7 @@ def _folder() -> Iterator[Path]:
 
 def _run(
     request: ReplayRequest,
-    recorded: RecordedRun,
+    reader: RunReader,
     plan: RunPlan,
     live: Sequence[str],
     folder: Path,
@@ -142,28 +155,25 @@ def _run(
 ) -> LiveReplay:
     with (
         ForkServerProcess() as server,
-        reserved_ports((_ABSENT, *live)) as tcp_ports,
+        reserved_ports((_OTHERS, *live)) as tcp_ports,
         Children(server, plan, live, folder) as children,
     ):
-        told = live_plan(plan, live, tcp_ports, tcp_ports[_ABSENT])
+        plan = live_plan(plan, live, tcp_ports, tcp_ports[_OTHERS])
         path = folder / "plan.json"
-        path.write_bytes(told.as_json())
+        path.write_bytes(plan.as_json())
         with (
-            replay_session(
-                recorded, select(plan), request.namespace, request.listen, out
-            ) as observers,
-            AbsentAgents(told, live, tcp_ports[_ABSENT]) as absent,
+            replay_bus(plan, selected_ports(plan), request.listen, out) as observers,
+            LiveBus(plan, live, tcp_ports[_OTHERS]) as bus,
         ):
             server.ask(Start(str(path), tuple(live), str(folder), 0.0))
-            progress = ProgressLine(out, plan)
+            progress = ProgressLine(out, reader.clock, plan.cycles - 1)
             replay = LiveReplay(
-                recorded, told, live, children, absent, observers, interruption, progress
+                reader, plan, live, children, bus, observers, interruption, progress
             )
             replay.arm()
             if request.wait:
                 await_subscriber(observers, interruption, out)
             replay.run()
-            progress.close()
     return replay
 
 
@@ -175,24 +185,23 @@ def _live_agents(plan: RunPlan, text: str) -> tuple[str, ...]:
         raise InputError(f"--live: {error}") from None
 
 
-def _plan(request: ReplayRequest, recorded: RecordedRun) -> RunPlan:
-    """Return the plan that the live controllers run by, with the cycles to replay."""
-    cycles = before_cycle(request.duration, recorded, 0) or recorded.complete_cycles
-    if not cycles:
-        raise InputError(f"{recorded.path}: no complete cycle, expected a run that has one")
-    plan = recorded.plan
+def _plan(request: ReplayRequest, reader: RunReader) -> RunPlan:
+    """Return the plan of the live controllers, with the cycles to replay."""
+    complete = complete_cycles(reader)
+    if not complete:
+        raise InputError(f"{reader.path}: expected a complete cycle, got none")
+    plan = reader.plan
     if request.plan is not None:
         plan = load_plan(request.plan)
         for field in _SHARED:
-            found, wanted = getattr(plan, field), getattr(recorded.plan, field)
+            found, wanted = getattr(plan, field), getattr(reader.plan, field)
             if found != wanted:
                 raise InputError(
-                    f"{request.plan}: {field} is {_brief(found)}, accepted is that of the recorded "
-                    f"run, {_brief(wanted)}"
+                    f"{request.plan} {field}: expected {_brief(wanted)}, as in the recorded run, "
+                    f"got {_brief(found)}"
                 )
-    return msgspec.structs.replace(
-        plan, run_id=recorded.plan.run_id, cycles=min(cycles, recorded.complete_cycles)
-    )
+    cycles = min(cycle_after(request.duration, reader, 0) or complete, complete)
+    return msgspec.structs.replace(plan, run_id=reader.plan.run_id, cycles=cycles)
 
 
 def _brief(value: object) -> str:
@@ -200,24 +209,11 @@ def _brief(value: object) -> str:
     return text if len(text) <= 40 else f"{text[:40]}..."
 
 
-def _print(figures: LiveFigures, accounts: dict[str, Account], plan: RunPlan, out: TextIO) -> None:
-    out.write(
-        f"compared {figures.compared:,} messages of {len(figures.live)} live controllers over "
-        f"{figures.cycles:,} cycles in {figures.wall_s:.1f} s\n"
-    )
-    print_timing(figures.timing_error, out)
-    if not figures.differing:
-        out.write("no difference\n")
-        return
-    clock = RunClock(plan, figures.cycles - 1)
-    for name, account in accounts.items():
-        for line in finding_lines(name, account, clock):
-            out.write(f"{line}\n")
-    most_first = sorted(figures.differing.items(), key=lambda entry: (-entry[1], entry[0]))
-    counts = _named([f"{agent} {count:,}" for agent, count in most_first])
-    out.write(f"messages that differ: {counts}\n")
+def _counts(differing: dict[str, int]) -> str:
+    most_first = sorted(differing.items(), key=lambda entry: (-entry[1], entry[0]))
+    return _named([f"{agent} {count:,}" for agent, count in most_first])
 
 
-def _named(words: Sequence[str]) -> str:
-    rest = len(words) - _NAMED
-    return ", ".join(words[:_NAMED]) + (f" and {rest} more" if rest > 0 else "")
+def _named(names: Sequence[str]) -> str:
+    rest = len(names) - _NAMED
+    return ", ".join(names[:_NAMED]) + (f" and {rest} more" if rest > 0 else "")
