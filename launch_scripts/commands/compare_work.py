@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final
 
 import msgspec
 from rich.console import Console
@@ -30,22 +29,12 @@ from studies.compare.study import (
     results_of,
     run_case,
 )
-from studies.compare.tables import (
-    FIGURES,
-    commitment_table,
-    pivot_table,
-    regulation_table,
-    rows,
-    summary_table,
-)
+from studies.compare.tables import case_tables, cases_table, json_rows
+from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
 from studies.report.metrics_tables import metrics_tables
 from studies.report.run_report import check_destination, write_report
+from studies.tables import console_for, print_table
 from studies.workers import WorkerLostError, check_workers, share_over_cluster, share_work
-
-_LISTED: Final = 40
-"""Up to so many cases each has its row; of more, the mean and the extremes are shown."""
-
-_PIPE_WIDTH: Final = 120
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +59,7 @@ class CompareRequest:
 
 def compare(request: CompareRequest) -> int:
     """Compare what was asked for and print the tables. Returns the exit status."""
-    console = _console(to_stderr=request.json == "-")
+    console = console_for(request.json)
     try:
         comparison, found = _plan(request)
         if len(found) == 1:
@@ -87,15 +76,10 @@ def compare(request: CompareRequest) -> int:
     return OK
 
 
-def _console(*, to_stderr: bool) -> Console:
-    """Return a console on which the tables keep their columns, also in a pipe."""
-    console = Console(stderr=to_stderr)
-    return console if console.is_terminal else Console(stderr=to_stderr, width=_PIPE_WIDTH)
-
-
 def _plan(request: CompareRequest) -> tuple[Comparison, list[Case]]:
-    if request.show not in FIGURES:
-        raise InputError(f"--show {request.show}: accepted are {', '.join(FIGURES)}")
+    if request.show not in FIGURES_OF_MERIT:
+        known = ", ".join(FIGURES_OF_MERIT)
+        raise InputError(f"--show: expected one of {known}, got {request.show}")
     check_workers(request.workers)
     check_json_destination(request.json)
     if request.report is not None:
@@ -143,10 +127,8 @@ def _one(case: Case, comparison: Comparison, report: Path | None, console: Conso
     found = list(results_of(preparation, comparison))
     schemes = tuple(SchemeResult(label, metrics) for label, metrics, _ in found)
     title = f"{preparation.plan.plant} from {preparation.local_start()}, {_length(preparation)}"
-    console.print(commitment_table(title, schemes))
-    regulation = regulation_table(schemes)
-    if regulation is not None:
-        console.print(regulation)
+    for table in case_tables(title, schemes):
+        print_table(console, table)
     if report is not None:
         _write_report(report, title, [series for _, _, series in found], preparation)
         console.print(f"report: {report}", highlight=False, soft_wrap=True)
@@ -190,8 +172,7 @@ def _many(
     ordered = [results[number] for number in sorted(results)]
     for line in dict.fromkeys(line for result in ordered for line in result.remarks):
         console.print(line, highlight=False)
-    table = pivot_table if len(ordered) <= _LISTED else summary_table
-    console.print(table(request.show, ordered))
+    print_table(console, cases_table(request.show, ordered))
     prepare_s = sum(result.prepare_s for result in ordered)
     run_s = sum(result.run_s for result in ordered)
     console.print(
@@ -205,7 +186,7 @@ def _many(
 def _write_rows(results: Sequence[CaseResult], json: str | None) -> None:
     if json is None:
         return
-    document = msgspec.json.format(msgspec.json.encode(rows(results)), indent=1)
+    document = msgspec.json.format(msgspec.json.encode(json_rows(results)), indent=1)
     if json == "-":
         sys.stdout.write(document.decode() + "\n")
         return

@@ -27,7 +27,7 @@ from studies.delays.study import (
     conditions,
     run_under,
 )
-from studies.delays.table import counted_s, print_study
+from studies.delays.tables import counted_s, print_study
 from studies.timing.written_files import concluded, write_files
 from studies.workers import WorkerLostError, check_workers, share_work
 

@@ -175,7 +175,7 @@ def sweep_table(found: Sweep) -> Table:
         Column("CPU", "%", 0),
         word_column(""),
     )
-    return Table("rates [cycles/s]", columns, tuple(map(_cells, found.rows)))
+    return Table("Rates [cycles/s]", columns, tuple(map(_cells, found.rows)))
 
 
 def machine_lines(found: Sweep) -> list[str]:
