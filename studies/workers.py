@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import Any, Final, TypeVar
 
 from agents.process import die_with_parent
-from bus_schemas.errors import InputError
+from bus_schemas.errors import FailureError, InputError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -23,7 +23,7 @@ _SIGNALS: Final = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 MOST_WORKERS: Final = 256
 
 
-class WorkerLostError(Exception):
+class WorkerLostError(FailureError):
     """A process that worked on the study has died."""
 
 

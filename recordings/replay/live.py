@@ -31,7 +31,7 @@ from recordings.replay.recorded_run import RecordedRun
 from recordings.replay.session import ReplaySession
 from recordings.verify.account import Account
 from recordings.verify.comparison import Comparison
-from sim_plant.conductor import FIRST_ROUND, longest_round_s
+from sim_plant.plant_run import FIRST_ROUND, longest_round_s
 
 _ARMING_S: Final = 30.0
 _EARLY_CYCLES: Final = 100

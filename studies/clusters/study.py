@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from math import isnan
 from statistics import fmean, median
-from typing import Final, Literal
+from typing import Final, Literal, TypeAlias
 
 import msgspec
 import pandas as pd
@@ -33,6 +33,9 @@ _PAPER_PERIODS_S: Final = (1.0, 10.0, 60.0)
 _LONGEST_PERIOD: Final = 1e6
 
 _OF_MANY: Final[tuple[Callable[[Sequence[float]], float], ...]] = (fmean, min, max)
+
+Done: TypeAlias = tuple[int, ClustersWorth]
+"""Place and result of one way to choose clusters."""
 
 _LEGEND: Final = (
     "Correlation: mean over the pairs that share a cluster, in the past and in the run itself.",
@@ -88,9 +91,9 @@ def study_clusters(
     question: ClusterQuestion,
     remarks: tuple[str, ...],
     workers: int,
-    on_progress: Callable[[int, int], None],
+    watch: Callable[[Iterator[Done], int], Iterator[Done]] = lambda done, total: done,
 ) -> ClusterStudy:
-    """Run all ways to choose clusters; `on_progress` hears how many of how many are done."""
+    """Run all ways to choose clusters; `watch` passes their results on, to show progress."""
     scheme, periods, control = question.scheme, question.periods, question.control
     past = past_of(question.arrange, control, question.inverters)
     run = question.arrange(_chosen(control, "correlation"))
@@ -99,11 +102,9 @@ def study_clusters(
     }
     virtual = orders["least alike first"]
     others = _other_ways(control, question.seeds)
-    found: dict[int, ClustersWorth] = {}
     tables = [table for _, table in others]
-    for place, worth in share_work(partial(_worth, question, past), tables, workers):
-        found[place] = worth
-        on_progress(len(found), len(others))
+    done = share_work(partial(_worth, question, past), tables, workers)
+    found = dict(watch(done, len(tables)))
     ways: dict[str, list[ClustersWorth]] = {"virtual": [virtual]}
     for place, (name, _) in enumerate(others):
         ways.setdefault(name, []).append(found[place])

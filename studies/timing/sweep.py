@@ -80,10 +80,6 @@ class Sweep(msgspec.Struct, frozen=True):
     highest_clean_hz: float | None
     interrupted: bool
 
-    def as_json(self) -> bytes:
-        """Return the sweep as JSON."""
-        return msgspec.json.format(msgspec.json.encode(self), indent=1)
-
 
 Timed: TypeAlias = Callable[[float], TimingReport]
 """Runs the plant at a rate and reports on it."""
