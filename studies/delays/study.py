@@ -108,15 +108,14 @@ def plan_under(plan: RunPlan, condition: Condition) -> RunPlan:
     if correction is None:
         correction = scheme == "predictive"
     timed = replace(on_the_clock(plan), scheme=scheme, correction=correction)
-    match condition.trouble:
-        case "period":
-            cycles = round(value * 1e9) // plan.cycle_ns
-            return replace(timed, period_cycles=(cycles, *(1 for _ in plan.period_cycles[1:])))
-        case "delay":
-            rule = FaultRule(delay_ms=1e3 * value)
-        case "loss":
-            rule = FaultRule(loss=value / 100.0)
-    return replace(timed, faults=(rule,) if value else ())
+    if condition.trouble == "period":
+        cycles = round(value * 1e9) // plan.cycle_ns
+        return replace(timed, period_cycles=(cycles, *(1 for _ in plan.period_cycles[1:])))
+    if not value:
+        return replace(timed, faults=())
+    is_delay = condition.trouble == "delay"
+    rule = FaultRule(delay_ms=1e3 * value) if is_delay else FaultRule(loss=value / 100.0)
+    return replace(timed, faults=(rule,))
 
 
 def run_in_memory(plan: RunPlan, profile: Profile) -> tuple[MemoryRun, RunSeries]:
