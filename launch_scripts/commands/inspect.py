@@ -1,113 +1,98 @@
-"""`heliarch inspect`: what a recording holds, one node's story, or the plant in one cycle."""
+"""`heliarch inspect`: what a recording holds, the story of nodes, or the plant in one cycle."""
+
+# What does the work is imported when it runs: `--help` does not wait for it.
+# ruff: noqa: PLC0415
 
 from __future__ import annotations
 
-import os
-import sys
 import textwrap
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Final
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated, Final
 
-import msgspec
-from rich.console import Console
-from rich.table import Table
+import typer
 from rich.text import Text
 
 from bus_schemas.errors import InputError
-from launch_scripts.commands.reading_progress import reading_progress
-from launch_scripts.commands.termination import leaving_on_sigterm
-from launch_scripts.launcher.json_rows import check_json_destination, json_rows
-from recordings.inspect.overview import Overview, read_overview
-from recordings.inspect.story import NodeCycle, story
-from recordings.inspect.story_table import WIDTH, StoryTable, plant_lines
-from recordings.read.damage import damage_text
-from recordings.read.reader import RunReader
-from recordings.read.selection import find_node
+from launch_scripts.commands.boundary import OK, complain
+from launch_scripts.commands.options import FirstOption, JsonOption, LastOption, RunArgument
+from launch_scripts.commands.output import progress_bar, write_json
+from studies.tables import console_for
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from recordings.inspect.overview import Overview
+    from recordings.inspect.story import NodeCycle
+    from recordings.read.reader import RunReader
+
+EXAMPLE: Final = "heliarch inspect RUN --nodes c2/inv07 --from 13:49:00 --to 13:50:30"
 
 _SHOWN_GAPS: Final = 10
-_INTERRUPTED: Final = 130
 _NAME_WIDTH: Final = 12
 
 
-@dataclass(frozen=True, slots=True)
-class InspectRequest:
-    """The words of the command line, None where the user said nothing."""
+def inspect(
+    run: RunArgument,
+    nodes: Annotated[
+        str | None,
+        typer.Option(
+            "--nodes",
+            help="Show these nodes cycle by cycle: c2/inv07,c1/*,central (c1/*: c1 and all below).",
+            metavar="NODES",
+        ),
+    ] = None,
+    start: FirstOption = None,
+    end: LastOption = None,
+    cycle: Annotated[
+        str | None,
+        typer.Option(help="Show the whole plant in one cycle, likewise.", metavar="MOMENT"),
+    ] = None,
+    json: JsonOption = None,
+) -> int:
+    """Show what a recording holds, nodes cycle by cycle, or the whole plant in one cycle.
 
-    run: Path
-    node: str | None
-    start: str | None
-    end: str | None
-    cycle: str | None
-    json: str | None
+    Without --nodes and --cycle: scenario, duration, versions, messages and
+    rate of each signal, and what is missing in between.
+    """
+    from recordings.read.damage import damage_text
+    from recordings.read.reader import RunReader
+    from recordings.read.selection import find_nodes
 
-
-def inspect(request: InspectRequest) -> int:
-    """Show what was asked for of a recording. Returns the exit status."""
-    console = _console(to_stderr=request.json == "-")
-    try:
-        _check(request)
-        with RunReader(request.run, skip_damaged=True) as run, leaving_on_sigterm():
-            _show(run, request, console)
-            damage = damage_text(run)
-    except InputError as error:
-        sys.stderr.write(f"heliarch: {error}\n")
-        return 2
-    except KeyboardInterrupt:
-        sys.stderr.write("heliarch: interrupted\n")
-        return _INTERRUPTED
-    except BrokenPipeError:
-        # `heliarch inspect ... | head`: nobody reads on, and that is no error.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:
-        sys.stderr.write(f"heliarch: inspect: {error}\n")
-        return 1
-    if damage:
-        sys.stderr.write(f"heliarch: {damage}\n")
-    return 0
-
-
-def _console(*, to_stderr: bool) -> Console:
-    """Return a console on which tables keep their columns, also in a pipe."""
-    console = Console(stderr=to_stderr)
-    return console if console.is_terminal else Console(stderr=to_stderr, width=WIDTH)
-
-
-def _check(request: InspectRequest) -> None:
-    if request.cycle is not None and (request.start or request.end or request.node):
-        raise InputError("--cycle: the whole plant in one cycle, accepted without --node and span")
-    check_json_destination(request.json)
+    if cycle is not None and (start or end or nodes):
+        raise InputError("--cycle: expected neither --nodes, --from nor --to with it")
+    console = console_for(json)
+    with RunReader(run, skip_damaged=True) as reader:
+        if cycle is not None:
+            _show_plant(reader, reader.clock.cycle(cycle), json, console)
+        elif nodes is not None:
+            found = find_nodes(reader.plan.tree, [name.strip() for name in nodes.split(",")])
+            _show_story(reader, found, reader.clock.span(start, end), json, console)
+        else:
+            part = None if start is None and end is None else reader.clock.span(start, end)
+            _show_overview(reader, part, json, console)
+        damage = damage_text(reader)
+    return complain(damage, OK) if damage else OK
 
 
-def _show(run: RunReader, request: InspectRequest, console: Console) -> None:
-    if request.cycle is not None:
-        _show_plant(run, run.clock.cycle(request.cycle), request.json, console)
-        return
-    cycles = None
-    if request.start is not None or request.end is not None:
-        cycles = run.clock.span(request.start, request.end)
-    if request.node is not None:
-        node = find_node(run.plan.tree, request.node)
-        _show_story(run, node, cycles or run.clock.span(None, None), request.json, console)
-        return
-    _show_overview(run, cycles, request.json, console)
-
-
-# One node, cycle by cycle --------------------------------------------------------------------
+# Nodes, cycle by cycle ----------------------------------------------------------------------
 
 
 def _show_story(
-    run: RunReader, node: str, cycles: range, json: str | None, console: Console
+    run: RunReader, nodes: Sequence[str], cycles: range, json: str | None, console: Console
 ) -> None:
-    table = StoryTable(run.plan.tree, node, len(run.clock.text(0)))
-    _print_lines(console, table.heading(), "bold")
+    from launch_scripts.launcher.json_rows import json_rows
+    from recordings.inspect.story import story
+    from recordings.inspect.story_table import StoryTable
+
     with json_rows(json) as listed:
-        for rows in story(run, [node], cycles):
-            for row in rows:
-                _print_lines(console, table.row(row), _style(row))
-                listed.write(row)
+        for node in nodes:
+            table = StoryTable(run.plan.tree, node, len(run.clock.text(0)))
+            _print_lines(console, table.heading(), "bold")
+            for rows in story(run, [node], cycles):
+                for row in rows:
+                    _print_lines(console, table.row(row), _style(row))
+                    listed.write(row)
     _warn_if_cut(run, console)
 
 
@@ -120,6 +105,11 @@ def _style(row: NodeCycle) -> str:
 
 
 def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) -> None:
+    from launch_scripts.launcher.json_rows import json_rows
+    from recordings.inspect.story import story
+    from recordings.inspect.story_table import plant_lines
+    from recordings.read.damage import damage_text
+
     found = next(story(run, run.plan.tree.nodes, range(cycle, cycle + 1)), None)
     if found is None:
         nothing = f"{run.path}: there is no message of cycle {cycle}, {run.clock.extent()}"
@@ -159,7 +149,10 @@ def _print_lines(console: Console, lines: Iterable[str], style: str = "") -> Non
 def _show_overview(
     run: RunReader, cycles: range | None, json: str | None, console: Console
 ) -> None:
-    with reading_progress("reading") as follow:
+    from recordings.inspect.overview import read_overview
+    from recordings.inspect.story_table import WIDTH
+
+    with progress_bar("reading") as follow:
         overview = read_overview(run, cycles, follow)
     for name, value in _facts(overview):
         first, *rest = textwrap.wrap(value, WIDTH - _NAME_WIDTH, break_long_words=False) or [""]
@@ -168,10 +161,7 @@ def _show_overview(
     console.print(_signal_table(overview))
     _print_lines(console, _gap_lines(run, overview))
     _warn_if_cut(run, console)
-    if json == "-":
-        sys.stdout.write(_document(overview).decode())
-    elif json is not None:
-        Path(json).write_bytes(_document(overview))
+    write_json(overview, json)
 
 
 def _facts(overview: Overview) -> Iterator[tuple[str, str]]:
@@ -209,6 +199,8 @@ def _recovered(overview: Overview) -> str:
 
 
 def _signal_table(overview: Overview) -> Table:
+    from rich.table import Table
+
     table = Table(title=f"{overview.messages:,} messages")
     table.add_column("signal", no_wrap=True)
     headings = ("nodes", "messages", "per cycle", "per s", "lost", "repeated", "cycles without")
@@ -238,10 +230,6 @@ def _gap_lines(run: RunReader, overview: Overview) -> Iterator[str]:
     rest = len(overview.gaps) - _SHOWN_GAPS + overview.more_gaps
     if rest > 0:
         yield f"and {rest:,} more gaps" + (" (--json has the first 100)" if rest else "")
-
-
-def _document(overview: Overview) -> bytes:
-    return msgspec.json.format(msgspec.json.encode(overview), indent=1) + b"\n"
 
 
 def _warn_if_cut(run: RunReader, console: Console) -> None:
