@@ -1,154 +1,75 @@
-"""The replay's place on the bus: recorded bytes out, for any subscriber that connects."""
+"""A replay's place on the bus: which ports it publishes, at which address, and for whom."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from typing import Any, TextIO
+from typing import TextIO
 
-import zenoh
-
-from bus_schemas.bus import Outbox
-from bus_schemas.codec import encode
+from agents.plan import RunPlan
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Clock
-from bus_schemas.signals import CLOCK
+from bus_schemas.messages import Message
+from bus_schemas.signals import CLOCK, SIGNALS, Port
 from bus_schemas.tree import REPLAYER, ROOT
-from bus_schemas.zenoh_bus import ENCODING, SessionSettings
 from launch_scripts.launcher.interruption import Interruption
 from launch_scripts.launcher.tcp_ports import reserved_ports
-from recordings.replay.recorded_run import RecordedRun
-from recordings.replay.selection import Selection
+from recordings.read.reader import RunReader
+from recordings.read.selection import find_signals
+from recordings.replay.bus import ReplayBus
 
 
-class ReplaySession:
-    """Publishes payloads as they are.
-
-    A subscriber that falls behind holds the replay up: nothing is dropped.
-
-    Parameters
-    ----------
-    namespace
-        Prefix of every key.
-    endpoint
-        Where subscribers connect, such as `tcp/127.0.0.1:7447`.
-    keys
-        Keys that payloads go out on.
-    clock_key
-        Key on which simulated time is announced; None: it is not.
+def selected_ports(
+    plan: RunPlan, signals: str | None = None, exclude: str | None = None
+) -> tuple[Port[Message], ...]:
+    """Return the ports that are replayed: by default the recorded ones, and the replay's clock.
 
     Raises
     ------
     InputError
-        One cannot listen there, or the namespace can be no prefix of a key.
+        There is no such signal, or none is left.
     """
-
-    def __init__(
-        self, namespace: str, endpoint: str, keys: Iterable[str], clock_key: str | None
-    ) -> None:
-        self._outbox = Outbox()
-        try:
-            zenoh.KeyExpr(namespace)
-        except zenoh.ZError:
-            raise InputError(
-                f"--namespace {namespace!r}: accepted are names with / between, such as oahu-4711"
-            ) from None
-        try:
-            self._session = zenoh.open(SessionSettings(namespace, [endpoint], []).config())
-        except zenoh.ZError as error:
-            reason = str(error).partition(" at /")[0]
-            raise InputError(
-                f"--listen {endpoint}: {reason}; accepted is a free address such as "
-                "tcp/127.0.0.1:7447"
-            ) from None
-        self._publishers = {key: self._declare(key) for key in keys}
-        self._put = {key: publisher.put for key, publisher in self._publishers.items()}
-        self._clock = self._declare(clock_key) if clock_key is not None else None
-
-    def put(self, key: str, payload: bytes) -> None:
-        """Send bytes. Waits for a subscriber that has fallen behind."""
-        self._put[key](payload)
-
-    def announce(self, clock: Clock) -> None:
-        """Tell everybody where the replay stands."""
-        if self._clock is not None:
-            self._outbox.stamp(CLOCK.of(ROOT), clock, time.monotonic_ns())
-            self._clock.put(encode(clock))
-
-    @property
-    def has_subscriber(self) -> bool:
-        """Whether anybody subscribes to any of the keys."""
-        return any(_has_match(publisher) for publisher in self._publishers.values())
-
-    def __enter__(self) -> ReplaySession:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        # An open session can hang the interpreter's exit.
-        self._session.close()
-
-    def _declare(self, key: str) -> zenoh.Publisher:
-        return self._session.declare_publisher(
-            key,
-            encoding=ENCODING,
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            reliability=zenoh.Reliability.RELIABLE,
-        )
+    excluded = _names(exclude)
+    left_out = {*find_signals(name for name in excluded if name != CLOCK.name)}
+    kept = find_signals(_names(signals)) or tuple(signal for signal in SIGNALS if signal.logged)
+    ports = [
+        port for port in plan.keys.ports if port.signal in kept and port.signal not in left_out
+    ]
+    if not ports:
+        raise InputError("--exclude: expected some signal to be left, got none")
+    return tuple(ports) if CLOCK.name in excluded else (*ports, CLOCK.of(ROOT))
 
 
-def introduce(recorded: RecordedRun, out: TextIO) -> None:
-    """Say which run is replayed."""
-    out.write(f"{recorded.plan.run_id}, {recorded.clock.extent()}\n")
-    if not recorded.whole:
-        out.write("cut short: replayed up to the cut (`heliarch recover` makes a whole file)\n")
-    out.flush()
+def introduce(reader: RunReader, out: TextIO) -> None:
+    """Print which run is replayed."""
+    say(out, f"{reader.plan.run_id}, {reader.clock.extent()}")
+    if not reader.whole:
+        say(out, "cut short: replayed up to the cut (`heliarch recover` makes a whole file)")
 
 
 @contextmanager
-def replay_session(
-    recorded: RecordedRun,
-    selection: Selection,
-    namespace: str | None,
-    listen: str | None,
-    out: TextIO,
-) -> Iterator[ReplaySession]:
-    """Join the bus and say how a subscriber does.
-
-    Parameters
-    ----------
-    recorded, selection
-        What is replayed.
-    namespace
-        First part of every key; by default that of the run.
-    listen
-        Endpoint for subscribers; by default a free port on 127.0.0.1.
-    out
-        Where it is said.
-
-    Raises
-    ------
-    InputError
-        See `ReplaySession`.
-    """
-    prefix = recorded.plan.run_id if namespace is None else namespace
+def replay_bus(
+    plan: RunPlan, ports: Collection[Port[Message]], listen: str | None, out: TextIO
+) -> Iterator[ReplayBus]:
+    """Join the bus, at an address or at a free port of 127.0.0.1; print how to subscribe."""
     with reserved_ports((REPLAYER,)) as tcp_ports:
         endpoint = listen or f"tcp/127.0.0.1:{tcp_ports[REPLAYER]}"
-        keys = selection.key_of.values()
-        with ReplaySession(prefix, endpoint, keys, selection.clock_key) as session:
-            out.write(f"endpoint {endpoint}\nkeys {prefix}/{recorded.plan.plant}/**\n")
-            out.flush()
-            yield session
+        with ReplayBus(plan, ports, endpoint) as bus:
+            say(out, f"endpoint {endpoint}\nkeys {plan.run_id}/{plan.plant}/**")
+            yield bus
 
 
-def await_subscriber(session: ReplaySession, interruption: Interruption, out: TextIO) -> None:
+def await_subscriber(bus: ReplayBus, interruption: Interruption, out: TextIO) -> None:
     """Wait until somebody subscribes, or the user asks for an end."""
-    out.write("waiting for a subscriber\n")
-    out.flush()
-    while not interruption and not session.has_subscriber:
+    say(out, "waiting for a subscriber")
+    while not interruption and not bus.has_subscriber:
         interruption.wait(0.05)
 
 
-def _has_match(publisher: zenoh.Publisher) -> bool:
-    status: Any = publisher.matching_status  # no bool, whatever its type stub says
-    return bool(status.matching)
+def say(out: TextIO, text: str) -> None:
+    """Print a line at once."""
+    out.write(f"{text}\n")
+    out.flush()
+
+
+def _names(text: str | None) -> list[str]:
+    return [] if text is None else [name.strip() for name in text.split(",")]

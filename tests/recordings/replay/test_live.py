@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+from recordings.replay.absent_agents import live_plan, steady_ports
 from replayed_runs import PLAN, run_in_memory
 
 from bus_schemas.codec import encode
@@ -13,7 +14,6 @@ from bus_schemas.messages import Impp
 from bus_schemas.signals import COMMAND, IMPP, SETPOINT, Occurrence
 from bus_schemas.tree import RECORDER
 from recordings.read.reader import RecordedMessage
-from recordings.replay.absent_agents import live_plan, steady_ports
 from recordings.replay.live import LiveComparison, by_cycle
 from recordings.verify.comparison import FieldDifference
 

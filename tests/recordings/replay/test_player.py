@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pytest
 from clock_by_hand import ClockByHand
+from recordings.replay.player import Player, Span
+from recordings.replay.recorded_run import RecordedRun
+from recordings.replay.selection import Selection, select
 from replayed_runs import PLAN, Said, run_in_memory, write
 
 from bus_schemas.codec import encode
@@ -16,10 +19,7 @@ from bus_schemas.messages import Clock
 from launch_scripts.launcher.interruption import Interruption
 from recordings.replay.clock import PlaybackClock, RecordedSpacing
 from recordings.replay.keyboard import Key
-from recordings.replay.player import Player, Span
 from recordings.replay.progress import ProgressLine
-from recordings.replay.recorded_run import RecordedRun
-from recordings.replay.selection import Selection, select
 
 SAID = run_in_memory()
 ALL = Span(0, None)

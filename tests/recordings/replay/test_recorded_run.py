@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from recordings.replay.recorded_run import RecordedRun
 from replayed_runs import PLAN, STEP_NS, Said, run_in_memory, without, write
 
 from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
 from bus_schemas.signals import COMMAND, IMPP, RUN
-from recordings.replay.recorded_run import RecordedRun
 
 SAID = run_in_memory()
 

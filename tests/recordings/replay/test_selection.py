@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import pytest
+from recordings.replay.selection import select
 from replayed_runs import PLAN
 
 from bus_schemas.errors import InputError
 from bus_schemas.signals import CLOCK, HELP, IMPP, READY, SIGNALS
-from recordings.replay.selection import select
 
 
 def test_by_default_all_that_is_recorded_goes_out_on_its_own_key() -> None:

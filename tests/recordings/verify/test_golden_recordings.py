@@ -9,6 +9,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from recordings.verify.outcome import Outcome
 
 from bus_schemas.messages import Setpoint
 from bus_schemas.signals import SETPOINT
@@ -16,7 +17,6 @@ from bus_schemas.tree import PLANT, agent_name
 from recordings.read.reader import RunReader
 from recordings.verify.comparison import Comparison
 from recordings.verify.golden import check_rerecordable
-from recordings.verify.outcome import Outcome
 from recordings.verify.verification import Verification, verify
 
 GOLDEN = Path(__file__).parents[3] / "recordings" / "golden"

@@ -19,6 +19,7 @@ from recorded_runs import (
     published,
     record,
 )
+from recordings.verify.account import Difference
 
 from agents.direct import DirectController
 from agents.parent import Children, Supervisor
@@ -36,7 +37,6 @@ from bus_schemas.signals import (
     Signal,
 )
 from bus_schemas.tree import PLANT, ROOT
-from recordings.verify.account import Difference
 from recordings.verify.comparison import Comparison, FieldDifference
 from recordings.verify.verification import Verification, verify
 

@@ -1,4 +1,4 @@
-"""What the comparison of one agent came to: its differences, and what could not be compared."""
+"""What the comparison of one agent found."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from recordings.verify.comparison import Comparison, FieldDifference
 
 Kind: TypeAlias = Literal[
     "differs",
-    "two messages in one cycle",
     "only recorded",
     "only new",
     "recorded twice",
@@ -22,50 +21,44 @@ Kind: TypeAlias = Literal[
     "input not recorded",
     "fails",
 ]
-"""How a recorded and a new message differ.
+"""How the new messages of an agent differ from the recorded ones.
 
-- `differs`: in its fields
-- `two messages in one cycle`: the same, but an external agent sent several messages in one cycle,
-  and the agent may have used another than the first recorded one
-- `only recorded`: the agent does not send it now
-- `only new`: the recording lacks it
+- `differs`: in the fields of one message
+- `only recorded`: the agent does not send the message any more
+- `only new`: the recording does not have it
 - `recorded twice`: in one cycle
-- `not recorded`: its number shows that the recording lost messages before it
-- `input not recorded`: the agent used a message that the recording lacks
+- `not recorded`: the agent must have sent messages here that the recording lost
+- `input not recorded`: the agent used a message that the recording does not have
 - `fails`: the agent raises an error, or sends what cannot be sent
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A recorded message that the agent does not send now, or the other way round.
+    """One difference between the recording and what the agent does now.
 
     Attributes
     ----------
-    kind
-        In what they differ.
-    cycle
-        Number of the cycle.
-    stage
-        The agent's stage that sends the message, empty if it is not known.
+    kind, cycle, stage
+        What differs, and where.
     port
-        What the message is about; of `input not recorded` the input.
+        The message that differs; of `input not recorded` the input.
     fields
         Fields that differ.
     message
-        The message in question: the recorded one if there is one, else the new one.
+        The recorded message if there is one, else the new one.
     inputs
-        What the agent was given in that cycle.
+        What the agent received in that cycle.
     missing
         The inputs that were not of that cycle, see `bus_schemas.missing`.
     text
-        What went wrong, of kind `fails`.
+        The error, if the agent fails.
     """
 
     kind: Kind
     cycle: int
     stage: str
-    port: Port[Message] | None
+    port: Port[Message] | None = None
     fields: tuple[FieldDifference, ...] = ()
     message: Message | None = None
     inputs: tuple[Delivery, ...] = ()
@@ -74,27 +67,23 @@ class Difference:
 
 
 @dataclass(slots=True)
-class Account:
-    """What the comparison of one agent came to.
+class Findings:
+    """What the comparison of one agent found.
 
     Attributes
     ----------
-    recorded
-        Its messages in the recording.
-    compared
-        Pairs of messages that were compared.
+    recorded, compared
+        Its messages in the recording, and the pairs that were compared.
     missing_inputs, old_inputs
-        Awaited inputs that a deadline found missing, and older ones that were used.
+        Inputs that were missing at a deadline, and older ones that were used.
     counts
         Differences by kind.
     first
         The first of them.
     failure
-        The error that the agent raised, if any: after it nothing is compared.
-    not_compared
-        Recorded messages of which nobody knows whether the agent would send them now.
-    not_compared_from
-        The first cycle with such a message, None if there is none.
+        The error of the agent, if there was one: nothing is compared after it.
+    not_compared, not_compared_from
+        Recorded messages that could not be compared, and the cycle of the first one.
     """
 
     recorded: int = 0
@@ -115,31 +104,18 @@ class Account:
         new: Message | None,
         stage: str,
         inputs: Sequence[Delivery] = (),
-        *,
-        ambiguous: bool = False,
     ) -> None:
-        """Compare a recorded message with a new one; either may be None.
-
-        Parameters
-        ----------
-        ambiguous
-            Whether an input was sent twice in its cycle.
-
-        Raises
-        ------
-        Unsendable
-            The new message could not be sent.
-        """
-        message = new if recorded is None else recorded
-        assert message is not None
-        kind: Kind = "only new" if recorded is None else "only recorded"
+        """Compare a recorded message with a new one; either may be None."""
         fields: tuple[FieldDifference, ...] = ()
+        kind: Kind = "only new" if recorded is None else "only recorded"
         if recorded is not None and new is not None:
-            self.compared += 1
             fields = comparison.differences(port, recorded, new)
+            self.compared += 1
             if not fields:
                 return
-            kind = "two messages in one cycle" if ambiguous else "differs"
+            kind = "differs"
+        message = recorded or new
+        assert message is not None
         self.add(
             Difference(
                 kind, message.cycle, stage, port, fields, message, tuple(inputs), message.missing

@@ -1,0 +1,123 @@
+"""The bus as live controllers see it: one session in place of all other agents."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from typing import NamedTuple
+
+import msgspec
+import zenoh
+
+from agents.machine import MachineSettings
+from agents.plan import RunPlan
+from bus_schemas.codec import decode
+from bus_schemas.messages import Message
+from bus_schemas.signals import Occurrence, Port
+from bus_schemas.tree import CENTRAL, REPLAYER, ROOT
+from bus_schemas.zenoh_bus import Inbox
+from launch_scripts.launcher.supervision import RunFailure
+from recordings.replay.bus import ReplayBus
+
+
+class Received(NamedTuple):
+    """A message of a live controller, decoded and as bytes."""
+
+    port: Port[Message]
+    message: Message
+    payload: bytes
+
+
+class LiveBus(ReplayBus):
+    """Publishes for all agents but the live ones, and receives what the live ones publish.
+
+    Parameters
+    ----------
+    plan
+        Of the live controllers, see `live_plan`.
+    live
+        Their names.
+    tcp_port
+        Where they connect.
+    """
+
+    def __init__(self, plan: RunPlan, live: Collection[str], tcp_port: int) -> None:
+        keys = plan.keys
+        others = [port for port in keys.ports if port.publisher not in {REPLAYER, *live}]
+        super().__init__(plan, others, f"tcp/127.0.0.1:{tcp_port}")
+        self._alive_keys = {keys.alive_key(agent): agent for agent in live}
+        self._all_alive = keys.alive_key("**")
+        self._inbox = Inbox()
+        self._subscribers = [
+            self.session.declare_subscriber(
+                keys.key(port),
+                zenoh.handlers.Callback(self._inbox.callback(port), indirect=False),
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+            for port in keys.ports
+            if port.publisher in live
+        ]
+        self._tokens = [
+            self.session.liveliness().declare_token(keys.alive_key(agent))
+            for agent in plan.tree.agents()
+            if agent not in live
+        ]
+
+    def receive(self, wanted: int, timeout_s: float) -> list[Received]:
+        """Return what the live controllers have sent: `wanted` messages, or less at the time-out.
+
+        Raises
+        ------
+        RunFailure
+            One of them sent what is no message of the run.
+        """
+        received = []
+        for port, payload, _ in self._inbox.take(wanted, timeout_s):
+            data = payload.to_bytes()
+            try:
+                received.append(Received(port, decode(port.signal, data), data))
+            except msgspec.DecodeError as error:
+                raise RunFailure(
+                    f"{port}: expected a {port.signal.type.__name__}, got: {error}"
+                ) from None
+        return received
+
+    def absent(self) -> list[str]:
+        """Return the live controllers whose liveliness token is not seen."""
+        replies = self.session.liveliness().get(self._all_alive, timeout=1.0)
+        seen = {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
+        return sorted(agent for key, agent in self._alive_keys.items() if key not in seen)
+
+
+def live_plan(plan: RunPlan, live: Iterable[str], tcp_ports: dict[str, int], port: int) -> RunPlan:
+    """Return the plan by which live controllers find each other, and all others at one TCP port.
+
+    Parameters
+    ----------
+    plan
+        Of the run.
+    live
+        Names of the live controllers.
+    tcp_ports
+        TCP port of each live controller.
+    port
+        TCP port of the `LiveBus`. Every agent connects to the recorder, and so to it.
+    """
+    everybody = dict.fromkeys(plan.links.listening, port)
+    everybody.update({agent: tcp_ports[agent] for agent in live if agent in everybody})
+    return msgspec.structs.replace(
+        plan, tcp_ports=everybody, namespace="", external=(), faults=(), machine=MachineSettings()
+    )
+
+
+def steady_ports(plan: RunPlan, agents: Collection[str], cycle: int) -> set[Port[Message]]:
+    """Return the ports on which agents publish in a cycle, whatever they decide."""
+    found = set()
+    for port in plan.keys.ports:
+        occurrence = port.signal.occurrence
+        node = ROOT if port.publisher == CENTRAL else port.publisher
+        if port.publisher in agents and (
+            occurrence is Occurrence.CYCLE
+            or (occurrence is Occurrence.TURN and plan.periods.is_turn(node, cycle))
+        ):
+            found.add(port)
+    return found
