@@ -55,19 +55,7 @@ _SHARED: Final = (
 
 
 class LiveFigures(msgspec.Struct, frozen=True):
-    """The result of a live replay.
-
-    Attributes
-    ----------
-    compared
-        Pairs of a recorded and a new message of the live controllers.
-    differing
-        Number of differences, by controller.
-    agents
-        Findings of each controller, as `heliarch verify --json` has them.
-    timing_error
-        Of the recorded messages, in real time.
-    """
+    """The result of a live replay; `agents` as `heliarch verify --json` has them."""
 
     run_id: str
     recording: str
@@ -82,15 +70,7 @@ class LiveFigures(msgspec.Struct, frozen=True):
 
 
 def replay_live(request: ReplayRequest, reader: RunReader, out: TextIO) -> int:
-    """Replay with live controllers, and print in what they differ. Returns the exit status.
-
-    Raises
-    ------
-    InputError
-        A name that is no controller of the run, or a plan of another plant.
-    RunFailure
-        A live controller died, gave up, or does not publish any more.
-    """
+    """Replay with live controllers, and print in what they differ. Returns the exit status."""
     live = _live_agents(reader.plan, request.live or "")
     plan = _plan(request, reader)
     introduce(reader, out)
@@ -107,7 +87,7 @@ def replay_live(request: ReplayRequest, reader: RunReader, out: TextIO) -> int:
         replay.cycles,
         wall_s,
         sum(found.compared for found in findings.values()),
-        {name: found.counts.total() for name, found in findings.items() if found.counts},
+        {name: sum(found.differences.values()) for name, found in findings.items() if found.first},
         [json_ready(finding_data(name, found)) for name, found in findings.items()],
         replay.timing.figures(),
         bool(interruption),

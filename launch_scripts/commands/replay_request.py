@@ -52,13 +52,7 @@ class ReplayRequest:
 
 
 def check_request(request: ReplayRequest) -> None:
-    """Refuse what is wrong whatever the recording is.
-
-    Raises
-    ------
-    InputError
-        A value is wrong, or options do not go together.
-    """
+    """Refuse what is wrong whatever the recording is."""
     if not 0.0 <= request.rate <= _FASTEST_RATE:
         raise InputError(
             f"--rate: expected 0 (as fast as possible) to {_FASTEST_RATE:g}, got {request.rate:g}"
@@ -81,13 +75,7 @@ def check_request(request: ReplayRequest) -> None:
 
 
 def requested_span(request: ReplayRequest, reader: RunReader) -> Span:
-    """Return the cycles to replay.
-
-    Raises
-    ------
-    InputError
-        The run does not have the first one, or the duration is none.
-    """
+    """Return the cycles to replay."""
     first = 0
     if request.start_offset is not None:
         try:

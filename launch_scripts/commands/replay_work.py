@@ -93,16 +93,16 @@ def _replay(request: ReplayRequest, reader: RunReader, out: TextIO) -> int:
         began_at = time.monotonic()
         playback.play(loop=request.loop)
         wall_s = time.monotonic() - began_at
-    played = playback.played
-    timing = played.timing.figures()
-    say(out, f"replayed {played.messages:,} messages of {played.cycles:,} cycles in {wall_s:.1f} s")
+    timing = playback.timing.figures()
+    messages, cycles = playback.messages, playback.cycles
+    say(out, f"replayed {messages:,} messages of {cycles:,} cycles in {wall_s:.1f} s")
     if timing is not None:
         timing.write(out)
     figures = ReplayFigures(
         reader.plan.run_id,
         str(reader.path),
-        played.messages,
-        played.cycles,
+        messages,
+        cycles,
         wall_s,
         request.rate,
         kind,
@@ -116,13 +116,7 @@ def _replay(request: ReplayRequest, reader: RunReader, out: TextIO) -> int:
 def selected_ports(
     plan: RunPlan, signals: str | None = None, exclude: str | None = None
 ) -> tuple[Port[Message], ...]:
-    """Return the ports that are replayed: by default the recorded ones, and the replay's clock.
-
-    Raises
-    ------
-    InputError
-        There is no such signal, or none is left.
-    """
+    """Return the ports that are replayed: by default the recorded ones, and the replay's clock."""
     excluded = _names(exclude)
     left_out = {*find_signals(name for name in excluded if name != CLOCK.name)}
     kept = find_signals(_names(signals)) or tuple(signal for signal in SIGNALS if signal.logged)

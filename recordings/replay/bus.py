@@ -21,19 +21,7 @@ from bus_schemas.zenoh_bus import ENCODING, SessionSettings, open_session
 class ReplayBus:
     """Publishes payloads as they are. A slow subscriber holds the replay up: nothing is dropped.
 
-    Parameters
-    ----------
-    plan
-        Of the run: its name is the prefix of every key.
-    ports
-        What is published.
-    endpoint
-        Where subscribers connect, such as `tcp/127.0.0.1:7447`.
-
-    Raises
-    ------
-    InputError
-        It is not possible to listen there.
+    Subscribers connect to the endpoint. The name of the run is the prefix of every key.
     """
 
     def __init__(self, plan: RunPlan, ports: Iterable[Port[Message]], endpoint: str) -> None:

@@ -30,14 +30,7 @@ class Received(NamedTuple):
 class LiveBus(ReplayBus):
     """Publishes for all agents but the live ones, and receives what the live ones publish.
 
-    Parameters
-    ----------
-    plan
-        Of the live controllers, see `live_plan`.
-    live
-        Their names.
-    tcp_port
-        Where they connect.
+    The live ones run by `live_plan`, and connect to the TCP port.
     """
 
     def __init__(self, plan: RunPlan, live: Collection[str], tcp_port: int) -> None:
@@ -63,13 +56,7 @@ class LiveBus(ReplayBus):
         ]
 
     def receive(self, wanted: int, timeout_s: float) -> list[Received]:
-        """Return what the live controllers have sent: `wanted` messages, or less at the time-out.
-
-        Raises
-        ------
-        RunFailure
-            One of them sent what is no message of the run.
-        """
+        """Return what the live controllers have sent, once there is enough or at the time-out."""
         received = []
         for port, payload, _ in self._inbox.take(wanted, timeout_s):
             data = payload.to_bytes()
@@ -91,16 +78,7 @@ class LiveBus(ReplayBus):
 def live_plan(plan: RunPlan, live: Iterable[str], tcp_ports: dict[str, int], port: int) -> RunPlan:
     """Return the plan by which live controllers find each other, and all others at one TCP port.
 
-    Parameters
-    ----------
-    plan
-        Of the run.
-    live
-        Names of the live controllers.
-    tcp_ports
-        TCP port of each live controller.
-    port
-        TCP port of the `LiveBus`. Every agent connects to the recorder, and so to it.
+    That port is of the `LiveBus`: every agent connects to the recorder, and so to it.
     """
     everybody = dict.fromkeys(plan.links.listening, port)
     everybody.update({agent: tcp_ports[agent] for agent in live if agent in everybody})
