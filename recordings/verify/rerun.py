@@ -51,6 +51,7 @@ class AgentRerun:
         self._heard = dict.fromkeys(self._period, -1)
         self._inputs: dict[Port[Message], Message] = {}
         self._lost: dict[Port[Message], int] = {}
+        self._stage = ""
         self._is_over = False
         try:
             self._agent = make()
@@ -79,14 +80,14 @@ class AgentRerun:
             try:
                 self._run(number, recorded)
             except (Exception, SystemExit) as error:
-                self._fail(number, self._loop.stage, error)
+                self._fail(number, self._stage, error)
             findings.missing_inputs = self._loop.missing_inputs
             findings.old_inputs = self._loop.old_inputs
         findings.leave_out(number, sum(map(len, recorded.values())))
 
     def _run(self, cycle: int, recorded: dict[str, dict[Port[Message], Message]]) -> None:
         stages = list(self._agent.stages(cycle))
-        self._inputs = {}
+        self._inputs, self._stage = {}, ""
         if not self._plan.lockstep:
             while stages and stages[-1].name not in recorded:
                 stages.pop()
@@ -101,6 +102,7 @@ class AgentRerun:
 
     def _run_stage(self, cycle: int, stage: Stage, recorded: dict[Port[Message], Message]) -> None:
         missing = next(iter(recorded.values())).missing if recorded else ()
+        self._stage = stage.name
         lost = self._hear_inputs(stage, cycle, missing)
         outputs = self._loop.close_stage(0)
         if not lost and (recorded or self._plan.lockstep):
