@@ -38,6 +38,10 @@ ZENOH_RUNTIME: Final = (
 MOST_LINKS: Final = 10_000
 """Sessions that one agent may be linked with."""
 
+LEASE_MS: Final = 60_000
+"""How long a link may be silent [ms]. A process that ends closes its links at once; one that stands
+still for less comes back to them. Among 1,000 inverters a short lease costs a processor."""
+
 _NEVER: Final = 1 << 60
 _TAP_CAPACITY: Final = 65536
 
@@ -95,6 +99,9 @@ class SessionSettings:
             "transport/unicast/max_sessions": MOST_LINKS,
             "transport/unicast/accept_pending": MOST_LINKS,
             "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 20000,
+            # A plant of 1,000 inverters puts 200 kB at once on its link to the recorder.
+            "transport/link/tx/queue/size/data": 16,
+            "transport/link/tx/lease": LEASE_MS,
         }
         for key, value in settings.items():
             config.insert_json5(key, json.dumps(value))

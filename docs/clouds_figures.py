@@ -25,7 +25,7 @@ from pvlib.solarposition import get_solarposition
 
 from sim_plant.clouds import CloudSettings, clear_sky_ghi, clear_sky_index
 from sim_plant.irradiance import read_measured_ghi
-from sim_plant.sky_statistics import (
+from sky_statistics import (
     changes,
     cloud_cover,
     cloud_motion,

@@ -1,53 +1,53 @@
-"""`heliarch replay`."""
+"""`heliarch replay`: a recording back on the bus, with or without live controllers."""
 
-# The modules that do the work are imported when it runs: `--help` does not wait for them.
+# What does the work is imported when it runs: `--help` does not wait for it.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
 
+import re
+import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 import typer
 
-from launch_scripts.commands.options import DurationOption, JsonOption
+from bus_schemas.errors import InputError
+from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK
+from launch_scripts.commands.options import (
+    FirstOption,
+    JsonOption,
+    LastOption,
+    RunArgument,
+    SignalsOption,
+)
+from launch_scripts.commands.output import write_json
 
-EXAMPLE: Final = "heliarch replay runs/oahu-4711 --from 13:49:00 --rate 0.5"
+EXAMPLE: Final = "heliarch replay runs/oahu-4711 --from 13:49:00 --pace 0.5"
+
+_ENDPOINT: Final = re.compile(r"tcp/[^/\s#?]+:\d{1,5}")
 
 
 def replay(
-    run: Annotated[
-        Path, typer.Argument(help="Folder of a run, or its run.mcap.", show_default=False)
-    ],
-    rate: Annotated[
-        float, typer.Option(help="Seconds of the clock per second; 0: as fast as possible.")
-    ] = 1.0,
+    run: RunArgument,
+    start: FirstOption = None,
+    end: LastOption = None,
+    pace: Annotated[
+        str, typer.Option(help="Recorded seconds per second, or max.", metavar="PACE")
+    ] = "1",
     clock: Annotated[
-        str | None,
+        Literal["sim", "wall"] | None,
         typer.Option(
             help="sim: each cycle when it begins in simulated time (default after lockstep); wall: "
-            "each message when it was published (default after real time).",
-            metavar="CLOCK",
+            "each message when it was published (default after real time)."
         ),
     ] = None,
-    start_offset: Annotated[
-        str | None,
-        typer.Option(
-            "--start-offset",
-            "--from",
-            help="First cycle: 13:49:00, 90s, or its number.",
-            metavar="MOMENT",
-        ),
-    ] = None,
-    duration: DurationOption = None,
     start_paused: Annotated[
         bool, typer.Option("--start-paused", help="Wait for the space bar.")
     ] = False,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
-    signals: Annotated[
-        str | None,
-        typer.Option(help="Only these, with commas between: impp,residual.", metavar="NAMES"),
-    ] = None,
+    signals: SignalsOption = None,
     exclude: Annotated[
         str | None, typer.Option(help="All but these; clock too may be one.", metavar="NAMES")
     ] = None,
@@ -70,30 +70,56 @@ def replay(
         typer.Option(help="Plan of the live controllers; default the run's.", metavar="FILE"),
     ] = None,
     json: JsonOption = None,
-) -> None:
+) -> int:
     """Put a recording back onto the bus, or let some agents of it run live.
 
     In a terminal: space pauses and goes on, s steps one cycle, + and - change
-    the rate, arrows seek (left and right 10 s, up and down 1 min of simulated
+    the pace, arrows seek (left and right 10 s, up and down 1 min of simulated
     time), q ends.
     """
-    from launch_scripts.commands.replay_request import ReplayRequest
-    from launch_scripts.commands.replay_work import replay as replay_work
+    from launch_scripts.launcher.request import parse_pace
+    from recordings.read.reader import RunReader
+    from recordings.replay.keyboard import has_keyboard
+    from recordings.replay.live_run import LiveRequest, replay_live
+    from recordings.replay.playback_run import PlaybackRequest, replay_recording
 
-    request = ReplayRequest(
-        run,
-        rate,
+    out = sys.stderr if json == "-" else sys.stdout
+    if listen is not None and not _ENDPOINT.fullmatch(listen):
+        raise InputError(f"--listen: expected an address such as tcp/127.0.0.1:7447, got {listen}")
+    if live is None and plan is not None:
+        raise InputError("--plan: expected --live with it: the live controllers run by this plan")
+    if start_paused and not has_keyboard():
+        raise InputError("--start-paused: expected a terminal, where space goes on")
+    if live is not None:
+        options = {
+            "--from": start, "--pace": pace != "1", "--clock": clock, "--loop": loop,
+            "--start-paused": start_paused, "--signals": signals, "--exclude": exclude,
+        }  # fmt: skip
+        _check_live(options)
+        with RunReader(run) as reader:
+            found = replay_live(LiveRequest(live, plan, end, wait, listen), reader, out)
+        write_json(found, json)
+        return INTERRUPTED if found.interrupted else FAILED if found.differing else OK
+    speed = parse_pace(pace)
+    request = PlaybackRequest(
+        start,
+        end,
+        speed if isinstance(speed, float) else 0.0,
         clock,
-        start_offset,
-        duration,
         start_paused,
         loop,
         signals,
         exclude,
         wait,
         listen,
-        live,
-        plan,
-        json,
     )
-    raise typer.Exit(replay_work(request))
+    with RunReader(run) as reader:
+        figures = replay_recording(request, reader, out)
+    write_json(figures, json)
+    return INTERRUPTED if figures.interrupted else OK
+
+
+def _check_live(options: Mapping[str, object]) -> None:
+    for option, given in options.items():
+        if given:
+            raise InputError(f"{option}: not possible with --live, which begins with the run")

@@ -30,7 +30,7 @@ from recordings.replay.publish_order import in_publish_order
 from recordings.replay.timing import TimingErrors
 from recordings.verify.comparison import Comparison
 from recordings.verify.findings import Findings
-from sim_plant.conductor import FIRST_ROUND, longest_round_s
+from sim_plant.plant_run import FIRST_ROUND, longest_round_s
 
 _ARMING_S: Final = 30.0
 _EARLY_CYCLES: Final = 100

@@ -193,5 +193,5 @@ class Playback:
         self._seek(min(max(here + cycles, self._span.first_cycle), last))
 
     def _state(self) -> str:
-        rate = f"rate {self._clock.rate:g}" if self._clock.rate else "as fast as possible"
+        rate = f"pace {self._clock.rate:g}" if self._clock.rate else "as fast as possible"
         return f", {rate}{' paused' if self._clock.paused else ''}"

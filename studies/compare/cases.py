@@ -5,23 +5,23 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import date, datetime, timedelta
+from datetime import date, datetime, time, timedelta
 from itertools import chain, product
 from typing import Any, Final
 
 import msgspec
 
 from bus_schemas.errors import InputError
+from bus_schemas.times import read_time
+from launch_scripts.scenarios.fields import place_and_objection, readable
 from launch_scripts.scenarios.preparation import RunOptions
 from launch_scripts.scenarios.scenario import (
     Scenario,
     ScenarioFile,
     check_scenario,
     local_start,
-    place_and_objection,
-    readable,
-    with_two_digit_hour,
 )
+from launch_scripts.scenarios.toml_text import toml_text
 
 _MOST: Final = 100_000
 
@@ -68,6 +68,24 @@ def parse_setting(text: str) -> Setting:
             "commitment.share=0.5,0.7"
         )
     return Setting(field.strip(), tuple(_split(values)))
+
+
+def with_settings(scenario: ScenarioFile, texts: Sequence[str]) -> ScenarioFile:
+    """Return a scenario with some of its fields changed: one value for each, see `parse_setting`.
+
+    Raises
+    ------
+    InputError
+        A setting has several values, is no field of the scenario, or its value is not accepted.
+    """
+    if not texts:
+        return scenario
+    settings = [parse_setting(text) for text in texts]
+    for setting, text in zip(settings, texts, strict=True):
+        if len(setting.values) > 1:
+            raise InputError(f"--set {setting.field}: expected one value, got {text}")
+    (case,) = cases(scenario, RunOptions(), settings)
+    return case.scenario
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
@@ -161,14 +179,11 @@ def _on(
         options = replace(options, seed=seed)
     if day is None:
         return options
-    clock = options.start or f"{local_start(scenario.scenario.time):%H:%M:%S}"
-    try:
-        start = datetime.fromisoformat(with_two_digit_hour(f"{day.isoformat()}T{clock}"))
-    except ValueError:
-        raise InputError(
-            f"--start {clock}: accepted beside --days is a time of day such as 12:30"
-        ) from None
-    return replace(options, start=start.isoformat())
+    start = options.start
+    clock = local_start(scenario.scenario.time).time() if start is None else read_time(start)
+    if not isinstance(clock, time):
+        raise InputError(f"--from: expected a time of day such as 12:30 with --days, got {start}")
+    return replace(options, start=datetime.combine(day, clock).isoformat())
 
 
 def _with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, str]]) -> ScenarioFile:
@@ -180,8 +195,11 @@ def _with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, str]]) ->
         check_scenario(changed, _in_words(chosen))
     except msgspec.ValidationError as error:
         words = _in_words(_to_blame(chosen, error) or chosen)
-        raise InputError(f"{words}: {readable(error, document)}") from None
-    return msgspec.structs.replace(scenario, scenario=changed)
+        raise InputError(f"{words}: {readable(error, Scenario, document)}") from None
+    stated = msgspec.toml.decode(scenario.text)
+    for field, value in chosen:
+        _put(stated, field, value)
+    return msgspec.structs.replace(scenario, scenario=changed, text=toml_text(stated))
 
 
 def _in_words(chosen: Sequence[tuple[str, str]]) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim_plant import clouds
 from sim_plant.clouds import CloudSettings, clear_sky_ghi, synthetic_ghi
 from sim_plant.irradiance import read_measured_ghi
-from sim_plant.sky_statistics import (
+from sky_statistics import (
     changes,
     cloud_cover,
     cloud_motion,

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
-from sim_plant.sky_statistics import (
+from sky_statistics import (
     SkyShares,
     changes,
     cloud_cover,

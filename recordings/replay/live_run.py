@@ -1,4 +1,4 @@
-"""`heliarch replay --live`: named controllers as processes, and their messages compared."""
+"""Replay with live controllers: the named controllers as processes, and their messages compared."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TextIO
 
@@ -15,16 +16,6 @@ import msgspec
 from agents.plan import RunPlan, load_plan
 from bus_schemas.errors import InputError
 from bus_schemas.tree import agent_name
-from launch_scripts.commands.replay_request import ReplayRequest, cycle_after
-from launch_scripts.commands.replay_work import (
-    await_subscriber,
-    introduce,
-    replay_bus,
-    say,
-    selected_ports,
-    write_json,
-)
-from launch_scripts.exit_status import FAILED, INTERRUPTED, OK
 from launch_scripts.launcher.fork_requests import Start
 from launch_scripts.launcher.interruption import Interruption, interruptible
 from launch_scripts.launcher.supervision import Children, ForkServerProcess, RunFailure
@@ -32,6 +23,7 @@ from launch_scripts.launcher.tcp_ports import reserved_ports
 from recordings.read.moments import RunClock
 from recordings.read.reader import RunReader
 from recordings.read.selection import find_nodes
+from recordings.replay.bus import await_subscriber, introduce, replay_bus, say, selected_ports
 from recordings.replay.live import LiveReplay
 from recordings.replay.live_bus import LiveBus, live_plan
 from recordings.replay.progress import ProgressLine
@@ -54,6 +46,17 @@ _SHARED: Final = (
 """Fields in which the plan of the live controllers must be that of the recorded run."""
 
 
+@dataclass(frozen=True, slots=True)
+class LiveRequest:
+    """What runs live, and how: values of the options of `heliarch replay`."""
+
+    live: str
+    plan: Path | None = None
+    end: str | None = None
+    wait: bool = False
+    listen: str | None = None
+
+
 class LiveFigures(msgspec.Struct, frozen=True):
     """The result of a live replay; `agents` as `heliarch verify --json` has them."""
 
@@ -69,9 +72,9 @@ class LiveFigures(msgspec.Struct, frozen=True):
     interrupted: bool
 
 
-def replay_live(request: ReplayRequest, reader: RunReader, out: TextIO) -> int:
-    """Replay with live controllers, and print in what they differ. Returns the exit status."""
-    live = _live_agents(reader.plan, request.live or "")
+def replay_live(request: LiveRequest, reader: RunReader, out: TextIO) -> LiveFigures:
+    """Replay with live controllers, and print in what they differ."""
+    live = _live_agents(reader.plan, request.live)
     plan = _plan(request, reader)
     introduce(reader, out)
     say(out, f"live: {_named(live)}; all others as recorded")
@@ -104,10 +107,7 @@ def replay_live(request: ReplayRequest, reader: RunReader, out: TextIO) -> int:
         for line in finding_lines(name, found, clock):
             say(out, line)
     say(out, f"differences: {_counts(figures.differing)}" if figures.differing else "no difference")
-    write_json(figures, request.json)
-    if interruption:
-        return INTERRUPTED
-    return FAILED if figures.differing else OK
+    return figures
 
 
 @contextmanager
@@ -125,7 +125,7 @@ def _folder() -> Iterator[Path]:
 
 
 def _run(
-    request: ReplayRequest,
+    request: LiveRequest,
     reader: RunReader,
     plan: RunPlan,
     live: Sequence[str],
@@ -165,7 +165,7 @@ def _live_agents(plan: RunPlan, text: str) -> tuple[str, ...]:
         raise InputError(f"--live: {error}") from None
 
 
-def _plan(request: ReplayRequest, reader: RunReader) -> RunPlan:
+def _plan(request: LiveRequest, reader: RunReader) -> RunPlan:
     """Return the plan of the live controllers, with the cycles to replay."""
     complete = complete_cycles(reader)
     if not complete:
@@ -180,7 +180,7 @@ def _plan(request: ReplayRequest, reader: RunReader) -> RunPlan:
                     f"{request.plan} {field}: expected {_brief(wanted)}, as in the recorded run, "
                     f"got {_brief(found)}"
                 )
-    cycles = min(cycle_after(request.duration, reader, 0) or complete, complete)
+    cycles = min(reader.clock.span(None, request.end).stop, complete)
     return msgspec.structs.replace(plan, run_id=reader.plan.run_id, cycles=cycles)
 
 

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from agents.plan import RunPlan
 from bus_schemas.tree import PLANT, RECORDER
-from launch_scripts.launcher.run_pulse import RunPulse
+from launch_scripts.launcher.run_watch import RunWatch
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 
@@ -23,9 +23,9 @@ class Watched:
 
     def __init__(self, plan: RunPlan) -> None:
         self.told: list[str] = []
-        self.pulse = RunPulse(plan, self.told.append)
+        self.watch = RunWatch(plan, self.told.append)
         self._looked_at = 100.0
-        self.pulse.begin(self._looked_at)
+        self.watch.begin(self._looked_at)
 
     def blamed(self, *times_s: float) -> list[str]:
         """Who is to blame at each of some times. Somebody looks ten times a second up to them."""
@@ -35,9 +35,9 @@ class Watched:
     def _look_up_to(self, time_s: float) -> tuple[str, str] | None:
         while self._looked_at < time_s - 0.1:
             self._looked_at += 0.1
-            self.pulse.check(self._looked_at)
+            self.watch.check(self._looked_at)
         self._looked_at = time_s
-        return self.pulse.check(time_s)
+        return self.watch.check(time_s)
 
 
 def test_in_lockstep_a_silent_recorder_is_a_fault_at_once() -> None:
