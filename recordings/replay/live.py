@@ -118,15 +118,11 @@ class LiveReplay:
         self._look_at = 0.0
 
     def arm(self) -> None:
-        """Wait until the live controllers are there and answer a whole arming round.
+        """Send arming rounds until the live controllers are there and answer a whole one.
 
         In a round the other agents publish what they published first in the run.
         """
         give_up_at = time.monotonic() + _ARMING_S
-        while absent := self._bus.absent():
-            self._check(0.02)
-            if time.monotonic() > give_up_at:
-                raise RunFailure(f"no sign of life from {', '.join(absent)}")
         first = self._first_messages()
         number = 0
         while silent := self._run_round(number, first):
@@ -171,7 +167,9 @@ class LiveReplay:
         while silent and time.monotonic() < until:
             received = self._bus.receive(len(silent), _LOOK_S)
             silent -= {port for port, message, _ in received if message.cycle == cycle}
-            self._check(0.0)
+            self._children.events(0.0)
+            if self._interruption:
+                raise KeyboardInterrupt
         return silent
 
     def _run_in_lockstep(self) -> None:
@@ -252,12 +250,6 @@ class LiveReplay:
             self._look_at = time.monotonic() + _LOOK_S
             self._children.events(0.0)
         return len(received)
-
-    def _check(self, timeout_s: float) -> None:
-        """Check that all processes live and the user has not asked for an end."""
-        self._children.events(timeout_s)
-        if self._interruption:
-            raise KeyboardInterrupt
 
     def _receive_the_last(self) -> None:
         """Let the live controllers end, and receive all that they have sent."""

@@ -37,8 +37,6 @@ class LiveBus(ReplayBus):
         keys = plan.keys
         others = [port for port in keys.ports if port.publisher not in {REPLAYER, *live}]
         super().__init__(plan, others, f"tcp/127.0.0.1:{tcp_port}")
-        self._alive_keys = {keys.alive_key(agent): agent for agent in live}
-        self._all_alive = keys.alive_key("**")
         self._inbox = Inbox()
         self._subscribers = [
             self.session.declare_subscriber(
@@ -48,11 +46,6 @@ class LiveBus(ReplayBus):
             )
             for port in keys.ports
             if port.publisher in live
-        ]
-        self._tokens = [
-            self.session.liveliness().declare_token(keys.alive_key(agent))
-            for agent in plan.tree.agents()
-            if agent not in live
         ]
 
     def receive(self, wanted: int, timeout_s: float) -> list[Received]:
@@ -67,12 +60,6 @@ class LiveBus(ReplayBus):
                     f"{port}: expected a {port.signal.type.__name__}, got: {error}"
                 ) from None
         return received
-
-    def absent(self) -> list[str]:
-        """Return the live controllers whose liveliness token is not seen."""
-        replies = self.session.liveliness().get(self._all_alive, timeout=1.0)
-        seen = {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
-        return sorted(agent for key, agent in self._alive_keys.items() if key not in seen)
 
 
 def live_plan(plan: RunPlan, live: Iterable[str], tcp_ports: dict[str, int], port: int) -> RunPlan:

@@ -31,9 +31,6 @@ from recordings.replay.publish_order import complete_cycles
 from recordings.replay.timing import TimingFigures
 from recordings.verify.report import finding_data, finding_lines, json_ready
 
-_NAMED: Final = 5
-"""So many controllers are named before the rest is counted."""
-
 _OTHERS: Final = "others"
 _SHARED: Final = (
     "plant",
@@ -77,7 +74,7 @@ def replay_live(request: LiveRequest, reader: RunReader, out: TextIO) -> LiveFig
     live = _live_agents(reader.plan, request.live)
     plan = _plan(request, reader)
     introduce(reader, out)
-    say(out, f"live: {_named(live)}; all others as recorded")
+    say(out, f"live: {', '.join(live)}; all others as recorded")
     with interruptible() as interruption, _folder() as folder:
         began_at = time.monotonic()
         replay = _run(request, reader, plan, live, folder, interruption, out)
@@ -106,7 +103,8 @@ def replay_live(request: LiveRequest, reader: RunReader, out: TextIO) -> LiveFig
     for name, found in findings.items():
         for line in finding_lines(name, found, clock):
             say(out, line)
-    say(out, f"differences: {_counts(figures.differing)}" if figures.differing else "no difference")
+    counts = [f"{agent} {count:,}" for agent, count in figures.differing.items()]
+    say(out, f"differences: {', '.join(counts) or 'none'}")
     return figures
 
 
@@ -187,13 +185,3 @@ def _plan(request: LiveRequest, reader: RunReader) -> RunPlan:
 def _brief(value: object) -> str:
     text = str(value)
     return text if len(text) <= 40 else f"{text[:40]}..."
-
-
-def _counts(differing: dict[str, int]) -> str:
-    most_first = sorted(differing.items(), key=lambda entry: (-entry[1], entry[0]))
-    return _named([f"{agent} {count:,}" for agent, count in most_first])
-
-
-def _named(names: Sequence[str]) -> str:
-    rest = len(names) - _NAMED
-    return ", ".join(names[:_NAMED]) + (f" and {rest} more" if rest > 0 else "")

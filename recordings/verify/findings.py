@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
@@ -21,16 +21,17 @@ Kind: TypeAlias = Literal[
     "input not recorded",
     "fails",
 ]
-"""How the new messages of an agent differ from the recorded ones.
 
-- `differs`: in the fields of one message
-- `only recorded`: the agent does not send the message any more
-- `only new`: the recording does not have it
-- `recorded twice`: in one cycle
-- `not recorded`: the agent must have sent messages here that the recording lost
-- `input not recorded`: the agent used a message that the recording does not have
-- `fails`: the agent raises an error, or sends what cannot be sent
-"""
+KINDS: Final[dict[Kind, str]] = {
+    "differs": "differs",
+    "only recorded": "recorded, but not sent any more",
+    "only new": "sent now, but not recorded",
+    "recorded twice": "recorded twice in one cycle",
+    "not recorded": "the recording lost messages before this one",
+    "input not recorded": "used, but not recorded",
+    "fails": "raises an error, or sends what cannot be sent",
+}
+"""How new messages can differ from the recorded ones, in words."""
 
 
 @dataclass(frozen=True, slots=True)

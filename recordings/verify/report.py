@@ -13,23 +13,11 @@ from bus_schemas.messages import Message
 from bus_schemas.missing import in_words
 from recordings.read.moments import RunClock
 from recordings.verify.comparison import NOT_COMPARED, Comparison, Value
-from recordings.verify.findings import Difference, Findings, Kind
+from recordings.verify.findings import KINDS, Difference, Findings
 from recordings.verify.verification import Verification
 
 _WIDTH: Final = 100
-_MOST_INPUTS: Final = 40
-_MOST_FIELDS: Final = 12
 _HEAD: Final = frozenset(Message.__struct_fields__)
-
-_WHAT: Final[dict[Kind, str]] = {
-    "differs": "differs",
-    "only recorded": "recorded, but not sent any more",
-    "only new": "sent now, but not recorded",
-    "recorded twice": "recorded twice in one cycle",
-    "not recorded": "the recording lost messages before this one",
-    "input not recorded": "used, but not recorded",
-    "fails": "fails",
-}
 
 
 def verification_lines(found: Verification, comparison: Comparison, wall_s: float) -> Iterator[str]:
@@ -157,23 +145,19 @@ def _what_lines(difference: Difference) -> Iterator[str]:
     content = difference.text
     if difference.content is not None and difference.kind != "differs":
         content = _content(difference.content)
-    what = _WHAT[difference.kind] + (f": {content}" if content else "")
+    what = KINDS[difference.kind] + (f": {content}" if content else "")
     yield f"  {difference.message or 'the agent'}{stage}: {what}"
     width = max((len(entry.field) for entry in difference.fields), default=0)
-    for entry in difference.fields[:_MOST_FIELDS]:
+    for entry in difference.fields:
         yield f"    {entry.field:{width}}  recorded  {_value(entry.recorded)}"
         yield f"    {'':{width}}  new       {_value(entry.new)}"
-    if (more := len(difference.fields) - _MOST_FIELDS) > 0:
-        yield f"    and {more} more fields, see --json"
 
 
 def _input_lines(difference: Difference) -> Iterator[str]:
     named = sorted(difference.inputs.items())
     width = max((len(key) for key, _ in named), default=0)
-    for key, message in named[:_MOST_INPUTS]:
+    for key, message in named:
         yield f"    {key:{width}}  {_content(message)}"
-    if (more := len(named) - _MOST_INPUTS) > 0:
-        yield f"    and {more} more, see --json"
     if difference.missing:
         yield f"    {in_words(difference.missing)}"
 

