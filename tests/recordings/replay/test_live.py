@@ -7,12 +7,10 @@ import math
 import pytest
 from replayed_runs import PLAN, run_in_memory
 
-from bus_schemas.codec import encode
 from bus_schemas.messages import Impp
-from bus_schemas.signals import IMPP, Occurrence
-from recordings.read.reader import RecordedMessage
-from recordings.replay.live import LiveComparison, by_cycle
-from recordings.replay.live_bus import live_plan, steady_ports
+from bus_schemas.signals import IMPP
+from recordings.replay.live import LiveComparison
+from recordings.replay.live_bus import live_plan
 
 SAID = run_in_memory()
 PORT = IMPP.of("c1/a")
@@ -26,38 +24,6 @@ def test_live_controllers_find_each_other_and_all_others_at_one_port() -> None:
     for agent in PLAN.tree.agents()[1:]:
         alone = live_plan(PLAN, (agent,), {agent: 2001}, 1000)
         assert "tcp/127.0.0.1:1000" in alone.links.endpoints(agent, alone.tcp_ports)[1]
-
-
-def test_what_must_come_in_a_cycle_is_what_came_in_the_run() -> None:
-    steady = {Occurrence.CYCLE, Occurrence.TURN}
-    for live in [("c1/a",), ("c1",), ("central",), ("central", "c2", "c2/d")]:
-        for cycle in range(4):
-            came = {
-                entry.port
-                for entry in SAID
-                if entry.message.cycle == cycle
-                and entry.port.publisher in live
-                and entry.port.signal.occurrence in steady
-            }
-            assert steady_ports(PLAN, live, cycle) == came
-            assert came
-
-
-def test_messages_are_grouped_by_cycle_though_one_agent_is_ahead_and_one_is_late() -> None:
-    records = [
-        RecordedMessage(port, message.cycle, 0, logged_ns, message.publish_time_ns, encode(message))
-        for port, message, logged_ns in SAID
-    ]
-    ahead = PLAN.periods.longest
-    mixed = sorted(
-        records, key=lambda record: record.cycle + (0 if record.port.node == "c1/a" else ahead)
-    )
-    groups = dict(by_cycle(mixed, ahead))
-    assert list(groups) == list(range(41))
-    for cycle, group in groups.items():
-        assert {record.cycle for record in group} == {cycle}
-    mixed.append(mixed.pop(40)._replace(cycle=1))
-    assert sum(len(group) for _, group in by_cycle(mixed, ahead)) == len(SAID)
 
 
 def impp(cycle: int, power_kw: float = 50.0) -> Impp:

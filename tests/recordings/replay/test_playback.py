@@ -173,28 +173,6 @@ def test_each_message_is_sent_when_it_is_due_and_all_is_timed(recorded: Path) ->
     assert figures.max_us < 1.0
 
 
-def test_what_a_stall_delayed_goes_out_at_once_and_later_messages_are_in_time_again(
-    recorded: Path,
-) -> None:
-    stall_ns, stalled_at = 50 * 10**6, 10
-
-    def stall(heard: Heard) -> None:
-        if len(heard.payloads) == stalled_at + 1:
-            heard.clock.now_ns += stall_ns
-
-    heard = Heard(stall)
-    played = play(recorded, heard, span=Span(0, 12), rate=0.25)
-    due_ns = due_at_a_quarter(0, 12, heard.moments_ns[0])
-    goes_on_ns = due_ns[stalled_at] + stall_ns
-    delayed = [max(due, goes_on_ns) for due in due_ns[stalled_at + 1 :]]
-    assert heard.moments_ns == due_ns[: stalled_at + 1] + delayed
-    assert delayed[-1] == due_ns[-1]
-    # The one that took so long to send is late by all of it.
-    figures = played.timing.figures()
-    assert figures is not None
-    assert figures.max_us == pytest.approx(stall_ns / 1e3, rel=0.01)
-
-
 def test_while_it_is_paused_nothing_is_sent_but_where_it_stands(recorded: Path) -> None:
     heard = Heard()
     play(recorded, heard, paused=True, hands=Hands(None, None, Key.QUIT))
@@ -210,14 +188,6 @@ def test_each_step_sends_one_cycle_also_if_keys_come_together(
     played = play(recorded, heard, paused=True, hands=Hands(*keys), rate=1.0)
     assert heard.payloads == step(0, 2)
     assert played.timing.figures() is None  # a step has no due time
-
-
-def test_space_goes_on_from_where_it_stands(recorded: Path) -> None:
-    heard = Heard()
-    hands = Hands([Key.STEP, Key.STEP, Key.PAUSE], *[None] * 10_000)
-    play(recorded, heard, paused=True, hands=hands)
-    assert heard.payloads == payloads(SAID)
-    assert not heard.states[-1][2]
 
 
 @pytest.mark.parametrize(

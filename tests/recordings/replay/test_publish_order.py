@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 from replayed_runs import Said, run_in_memory, without, write
 
 from bus_schemas.codec import encode
@@ -38,28 +37,6 @@ def test_what_was_recorded_in_batches_comes_as_it_was_published(tmp_path: Path) 
     assert payloads(mixed) != payloads(SAID)
     with RunReader(write(tmp_path / "run", mixed)) as reader:
         assert [record.payload for record in in_publish_order(reader)] == payloads(SAID)
-
-
-def test_what_was_published_at_one_moment_keeps_the_order_of_the_file(tmp_path: Path) -> None:
-    same = [entry._replace(message=replace(entry.message, publish_time_ns=5)) for entry in SAID]
-    with RunReader(write(tmp_path / "run", same)) as reader:
-        assert [record.payload for record in in_publish_order(reader)] == payloads(same)
-
-
-def test_a_message_that_was_recorded_seconds_late_comes_late_but_comes(tmp_path: Path) -> None:
-    slow = [
-        entry._replace(
-            message=replace(entry.message, publish_time_ns=place * 20_000_000),
-            logged_ns=place * 20_000_000,
-        )
-        for place, entry in enumerate(SAID)
-    ]
-    late = slow.pop(100)
-    slow.insert(400, late._replace(logged_ns=slow[400].logged_ns))
-    with RunReader(write(tmp_path / "run", slow)) as reader:
-        found = [record.payload for record in in_publish_order(reader)]
-    assert sorted(found) == sorted(payloads(slow))
-    assert found.index(encode(late.message)) > 300
 
 
 @pytest.mark.parametrize(

@@ -177,21 +177,6 @@ def test_nothing_is_compared_after_an_input_is_lost_that_the_agent_remembers(
     assert findings.compared + findings.not_compared == findings.recorded
 
 
-def test_an_agent_without_memory_goes_on_after_a_lost_input(verified: Verify) -> None:
-    lost = place_of(IMPP.of("c2/c"), 11)
-    later = place_of(SETPOINT.of("c2/c"), 20)
-    wrong = replace(PUBLISHED[later][1], power_kw=1.25)
-    found = verified(
-        [pair for place, pair in enumerate(with_message(later, wrong)) if place != lost]
-    )
-    findings = found.agents["c2"]
-    assert findings.differences == {"input not recorded": 1, "differs": 1}
-    assert findings.not_compared_from == 11
-    assert findings.not_compared == sum(
-        message.cycle == 11 for _, message in of_publisher(PUBLISHED, "c2")
-    )
-
-
 def test_a_message_of_no_cycle_of_the_run_is_found(verified: Verify) -> None:
     stray = Impp(4711, PLAN.sim_time_ns(4711), "c1/a", (), power_kw=1.0, stale_cycles=0)
     found = verified([*PUBLISHED[:100], (IMPP.of("c1/a"), stray), *PUBLISHED[100:]])
@@ -227,27 +212,6 @@ def test_a_wrong_allocation_is_found_at_the_first_help(
         first = first_of(found, parent)
         assert first.cycle == helped[0]
         assert [entry.field for entry in first.fields] == ["power_kw"]
-
-
-def test_code_that_fails_is_a_finding_and_the_others_go_on(
-    verified: Verify, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    right = DirectController._actuate
-
-    def fail_in_cycle_12(self: DirectController, state: object, turn: object) -> object:
-        if self.name == "c1/b" and turn.cycle == 12:  # type: ignore[attr-defined]
-            raise ZeroDivisionError("by hand")
-        return right(self, state, turn)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(DirectController, "_actuate", fail_in_cycle_12)
-    found = verified(PUBLISHED)
-    first = first_of(found, "c1/b")
-    assert (first.kind, first.cycle, first.stage) == ("fails", 12, "actuate")
-    assert first.text == "ZeroDivisionError: by hand"
-    assert found.differences == 1
-    findings = found.agents["c1/b"]
-    assert findings.not_compared_from == 12
-    assert findings.compared + findings.not_compared == findings.recorded
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from agents.plan import RunPlan, Scheme
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import FaultRule
 from bus_schemas.missing import parse_missing
-from bus_schemas.signals import COMMAND, IMPP, RESIDUAL, SETPOINT
+from bus_schemas.signals import COMMAND, IMPP, RESIDUAL
 from recordings.verify.comparison import Comparison
 from recordings.verify.verification import Verification, verify
 
@@ -72,8 +72,8 @@ def test_a_run_over_a_bad_network_verifies_equal(
 
 def test_inputs_that_are_silent_for_long_are_done_without(tmp_path: Path) -> None:
     plan = faulty_plan(
-        FaultRule(signal="dispatch", silent=((0.2, 0.8),)),
-        FaultRule(source="c1", silent=((0.4, 1.0),)),
+        FaultRule(signal="dispatch", silent=((4.0, 16.0),)),
+        FaultRule(source="c1", silent=((8.0, 20.0),)),
     )
     messages = published(plan, cloudy_profile(plan))
     silent = {parse_missing(entry).cycle for _, message in messages for entry in message.missing}
@@ -81,23 +81,6 @@ def test_inputs_that_are_silent_for_long_are_done_without(tmp_path: Path) -> Non
     commands = sum(port.signal is COMMAND for port, _ in messages)
     assert commands < plan.cycles * len(plan.inverters), "some inverters decided for themselves"
     assert verified(tmp_path / "run", plan, messages).equal
-
-
-def test_a_change_of_code_is_found_where_an_older_input_was_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plan = faulty_plan(LATE)
-    messages = published(plan, cloudy_profile(plan))
-    place, (port, message) = next(
-        (place, (port, message))
-        for place, (port, message) in enumerate(messages)
-        if port.signal is SETPOINT and any("@" in entry for entry in message.missing)
-    )
-    messages[place] = (port, replace(message, power_kw=1.25))
-    found = verified(tmp_path / "run", plan, messages)
-    (first,) = [entry for agent, entry in findings(found).items() if agent == port.publisher]
-    assert (first.kind, first.cycle, first.message) == ("differs", message.cycle, str(port))  # type: ignore[attr-defined]
-    assert first.missing == message.missing  # type: ignore[attr-defined]
 
 
 def test_an_older_input_that_the_recording_lost_is_named(tmp_path: Path) -> None:
@@ -178,7 +161,7 @@ def test_of_two_messages_in_one_cycle_the_first_one_was_used(tmp_path: Path) -> 
 
 
 def test_an_absurd_input_of_an_external_agent_is_not_used_again(tmp_path: Path) -> None:
-    plan = faulty_plan(FaultRule(loss=0.0), external=("plant",))
+    plan = faulty_plan(FaultRule(delay_ms=1.0), external=("plant",))
     profile = cloudy_profile(plan)
     profile.commitment_kw[9] = float("nan")
     messages = published(plan, profile)

@@ -118,16 +118,6 @@ def test_what_the_user_allows_or_leaves_out_does_not_count(
     assert heliarch_verify(changed, *words).exit_code == status
 
 
-def test_several_runs_are_verified_one_after_the_other(
-    run: Path, changed: Path, tmp_path: Path
-) -> None:
-    path = tmp_path / "outcome.json"
-    assert heliarch_verify(run, changed, "--json", path).exit_code == 1
-    document = json.loads(path.read_text())
-    assert document["equal"] is False
-    assert [entry["equal"] for entry in document["runs"]] == [True, False]
-
-
 def test_the_json_has_numbers_that_are_none_as_text(tmp_path: Path) -> None:
     for value in ("nan", "inf", "-inf"):
         messages = [with_alpha(*pair, alpha=float(value)) for pair in PUBLISHED]
@@ -262,12 +252,6 @@ def test_a_change_of_behaviour_is_accepted_on_purpose_alone(run: Path) -> None:
     assert "NOT equal" in result.stdout, "what is accepted is shown"
     assert heliarch_verify(run).exit_code == 0
     assert sorted(path.name for path in run.iterdir()) == [PROFILE_NAME, RECORDING_NAME]
-
-
-def test_there_is_nothing_to_accept_where_nothing_changed(run: Path) -> None:
-    before = (run / RECORDING_NAME).read_bytes()
-    assert heliarch_verify(run, "--accept").exit_code == 0
-    assert (run / RECORDING_NAME).read_bytes() == before
 
 
 def test_a_recording_that_a_simulation_cannot_repeat_is_not_replaced(
