@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Final, Literal, TypeAlias
 
 from bus_schemas.messages import Message
@@ -102,7 +101,7 @@ class Findings:
         recorded: Message | None,
         new: Message | None,
         stage: str,
-        inputs: Mapping[Port[Message], Message] = MappingProxyType({}),
+        inputs: Mapping[Port[Message], Message] | None = None,
     ) -> None:
         """Compare a recorded message with a new one; either may be None."""
         fields: tuple[FieldDifference, ...] = ()
@@ -123,7 +122,7 @@ class Findings:
                 str(port),
                 fields,
                 message,
-                by_key(inputs),
+                by_key(inputs or {}),
                 message.missing,
             )
         )

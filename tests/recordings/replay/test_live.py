@@ -1,29 +1,17 @@
-"""How live controllers find the others, what must come from them, and how it is compared."""
+"""How the messages of live controllers are compared with the recorded ones."""
 
 from __future__ import annotations
 
 import math
 
 import pytest
-from replayed_runs import PLAN, run_in_memory
+from replayed_runs import PLAN
 
 from bus_schemas.messages import Impp
 from bus_schemas.signals import IMPP
 from recordings.replay.live import LiveComparison
-from recordings.replay.live_bus import live_plan
 
-SAID = run_in_memory()
 PORT = IMPP.of("c1/a")
-
-
-def test_live_controllers_find_each_other_and_all_others_at_one_port() -> None:
-    plan = live_plan(PLAN, ("c1", "c1/a"), {"c1": 2001, "c1/a": 2002}, 1000)
-    listens, connects = plan.links.endpoints("c1/a", plan.tcp_ports)
-    assert listens == []
-    assert set(connects) == {"tcp/127.0.0.1:1000", "tcp/127.0.0.1:2001"}
-    for agent in PLAN.tree.agents()[1:]:
-        alone = live_plan(PLAN, (agent,), {agent: 2001}, 1000)
-        assert "tcp/127.0.0.1:1000" in alone.links.endpoints(agent, alone.tcp_ports)[1]
 
 
 def impp(cycle: int, power_kw: float = 50.0) -> Impp:
