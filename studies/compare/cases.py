@@ -187,6 +187,8 @@ def _on(
 
 
 def _with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, str]]) -> ScenarioFile:
+    if not chosen:
+        return scenario
     document = msgspec.to_builtins(scenario.scenario, builtin_types=(datetime,))
     for field, value in chosen:
         _put(document, field, value)
