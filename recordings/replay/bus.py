@@ -91,21 +91,18 @@ def selected_ports(
     return tuple(ports) if CLOCK.name in excluded else (*ports, CLOCK.of(ROOT))
 
 
-def introduce(reader: RunReader, out: TextIO) -> None:
-    """Print which run is replayed."""
-    say(out, f"{reader.plan.run_id}, {reader.clock.extent()}")
-    if not reader.whole:
-        say(out, "cut short: replayed up to the cut (`heliarch recover` makes a whole file)")
-
-
 @contextmanager
 def replay_bus(
-    plan: RunPlan, ports: Collection[Port[Message]], listen: str | None, out: TextIO
+    reader: RunReader, ports: Collection[Port[Message]], listen: str | None, out: TextIO
 ) -> Iterator[ReplayBus]:
     """Join the bus, at an address or at a free port of 127.0.0.1; print how to subscribe."""
+    plan = reader.plan
     with reserved_ports((REPLAYER,)) as tcp_ports:
         endpoint = listen or f"tcp/127.0.0.1:{tcp_ports[REPLAYER]}"
         with ReplayBus(plan, ports, endpoint) as bus:
+            say(out, f"{plan.run_id}, {reader.clock.extent()}")
+            if not reader.whole:
+                say(out, "cut short: replayed up to the cut (`heliarch recover` repairs the file)")
             say(out, f"endpoint {endpoint}\nkeys {plan.run_id}/{plan.plant}/**")
             yield bus
 

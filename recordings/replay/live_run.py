@@ -23,7 +23,7 @@ from launch_scripts.launcher.tcp_ports import reserved_ports
 from recordings.read.moments import RunClock
 from recordings.read.reader import RunReader
 from recordings.read.selection import find_nodes
-from recordings.replay.bus import await_subscriber, introduce, replay_bus, say, selected_ports
+from recordings.replay.bus import await_subscriber, replay_bus, say, selected_ports
 from recordings.replay.live import LiveReplay
 from recordings.replay.live_bus import LiveBus, live_plan
 from recordings.replay.progress import ProgressLine
@@ -73,8 +73,6 @@ def replay_live(request: LiveRequest, reader: RunReader, out: TextIO) -> LiveFig
     """Replay with live controllers, and print in what they differ."""
     live = _live_agents(reader.plan, request.live)
     plan = _plan(request, reader)
-    introduce(reader, out)
-    say(out, f"live: {', '.join(live)}; all others as recorded")
     with interruptible() as interruption, _folder() as folder:
         began_at = time.monotonic()
         replay = _run(request, reader, plan, live, folder, interruption, out)
@@ -140,9 +138,10 @@ def _run(
         path = folder / "plan.json"
         path.write_bytes(plan.as_json())
         with (
-            replay_bus(plan, selected_ports(plan), request.listen, out) as observers,
+            replay_bus(reader, selected_ports(plan), request.listen, out) as observers,
             LiveBus(plan, live, tcp_ports[_OTHERS]) as bus,
         ):
+            say(out, f"live: {', '.join(live)}; all others as recorded")
             server.ask(Start(str(path), tuple(live), str(folder), 0.0))
             progress = ProgressLine(out, reader.clock, plan.cycles - 1)
             replay = LiveReplay(

@@ -10,7 +10,7 @@ import msgspec
 
 from launch_scripts.launcher.interruption import interruptible
 from recordings.read.reader import RunReader
-from recordings.replay.bus import await_subscriber, introduce, replay_bus, say, selected_ports
+from recordings.replay.bus import await_subscriber, replay_bus, say, selected_ports
 from recordings.replay.clock import CLOCKS, ClockKind, PlaybackClock, default_clock
 from recordings.replay.keyboard import KEYS_IN_WORDS, has_keyboard, keyboard
 from recordings.replay.playback import Playback, Span
@@ -56,13 +56,12 @@ def replay_recording(request: PlaybackRequest, reader: RunReader, out: TextIO) -
     ports = selected_ports(reader.plan, request.signals, request.exclude)
     span = reader.clock.span(request.start, request.end)
     kind = request.clock or default_clock(reader.plan)
-    introduce(reader, out)
-    say(out, f"clock {kind}: {CLOCKS[kind]}")
     with (
         interruptible() as interruption,
-        replay_bus(reader.plan, ports, request.listen, out) as bus,
+        replay_bus(reader, ports, request.listen, out) as bus,
         keyboard() as keys,
     ):
+        say(out, f"clock {kind}: {CLOCKS[kind]}")
         if has_keyboard():
             say(out, KEYS_IN_WORDS)
         playback = Playback(

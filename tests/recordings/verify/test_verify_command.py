@@ -156,24 +156,6 @@ def test_a_run_that_broke_off_is_verified_as_far_as_it_goes(run: Path) -> None:
 # What it refuses ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        (["--nodes", "c1/aa"], "c1/a"),
-        (["--nodes", "centrl"], "central"),
-        (["--nodes", "plant/*"], "plant"),
-        (["--ignore", "power_kv"], "power_kw"),
-        (["--ignore", "sequence"], "sequence"),
-        (["--tolerance=-1"], "--tolerance"),
-        (["--tolerance=nan"], "--tolerance"),
-        (["--json", "no/such/file.json"], "no/such/file.json"),
-        (["--accept", "--nodes", "c1"], "--accept"),
-    ],
-)
-def test_a_wrong_argument_is_refused_in_one_line(words: list[str], named: str, run: Path) -> None:
-    assert named in refused(run, *words)
-
-
 def test_a_recording_that_cannot_be_verified_is_refused(run: Path, tmp_path: Path) -> None:
     assert "nowhere" in refused(tmp_path / "nowhere")
     cloudy_profile(plan_of(cycles=9)).save(run / PROFILE_NAME)
