@@ -31,7 +31,7 @@ test: $(READY) ## all tests, under 8 minutes on 2 cores
 	$(BIN)/pytest -m 'processes and not soak'
 
 golden: $(READY) ## record the golden runs anew, after a change of behaviour that is meant
-	$(BIN)/python recordings/golden/make.py
+	$(BIN)/python -m recordings.verify.golden
 
 check: $(READY) ## format, lint, types, directions of imports
 	$(BIN)/ruff format --check .

@@ -23,6 +23,9 @@ ROOT: Final = ""
 LONGEST_PATH: Final = 200
 """Characters of a node's path at most: a message must be able to name the keys that it lacks."""
 
+_MOST_NAMED: Final = 12
+"""Of a list in a message; the others are counted."""
+
 MOST_CHILDREN: Final = 1_000
 """Of one parent, which waits for three messages of each in a cycle."""
 
@@ -173,6 +176,13 @@ def parent_of(path: str) -> str:
     if path == ROOT:
         raise ValueError("the central controller has no parent")
     return path.rpartition("/")[0]
+
+
+def some_of(names: Sequence[str]) -> str:
+    """List the first of many names."""
+    rest = len(names) - _MOST_NAMED
+    listed = ", ".join(names[:_MOST_NAMED])
+    return f"{listed} and {rest} more" if rest > 0 else listed
 
 
 def check_name(name: str, where: str) -> None:

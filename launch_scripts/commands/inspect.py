@@ -1,112 +1,92 @@
-"""`heliarch inspect`: what a recording holds, one node's story, or the plant in one cycle."""
+"""`heliarch inspect`: what a recording holds, the story of nodes, or the plant in one cycle."""
+
+# What does the work is imported when it runs: `--help` does not wait for it.
+# ruff: noqa: PLC0415
 
 from __future__ import annotations
 
-import os
-import sys
-from collections.abc import Iterable
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Final
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Annotated, Final
 
-import msgspec
-from rich.console import Console
+import typer
 from rich.text import Text
 
 from bus_schemas.errors import InputError
-from launch_scripts.commands.reading_progress import reading_progress
-from launch_scripts.commands.termination import leaving_on_sigterm
-from launch_scripts.launcher.json_rows import check_json_destination, json_rows
-from recordings.inspect.overview import Overview, read_overview
-from recordings.inspect.overview_text import overview_lines
-from recordings.inspect.story import NodeCycle, story
-from recordings.inspect.story_table import NARROWEST, StoryTable, plant_lines
-from recordings.read.damage import damage_text
-from recordings.read.reader import RunReader
-from recordings.read.selection import find_node
+from launch_scripts.commands.boundary import OK, complain
+from launch_scripts.commands.options import FirstOption, JsonOption, LastOption, RunArgument
+from launch_scripts.commands.output import progress_bar, write_json
+from studies.tables import console_for
 
-_INTERRUPTED: Final = 130
+if TYPE_CHECKING:
+    from rich.console import Console
 
+    from recordings.inspect.story import NodeCycle
+    from recordings.read.reader import RunReader
 
-@dataclass(frozen=True, slots=True)
-class InspectRequest:
-    """The words of the command line, None where the user said nothing."""
-
-    run: Path
-    node: str | None
-    start: str | None
-    end: str | None
-    cycle: str | None
-    json: str | None
+EXAMPLE: Final = "heliarch inspect RUN --nodes c2/inv07 --from 13:49:00 --to 13:50:30"
 
 
-def inspect(request: InspectRequest) -> int:
-    """Show what was asked for of a recording. Returns the exit status."""
-    console = _console(to_stderr=request.json == "-")
-    try:
-        _check(request)
-        with RunReader(request.run, skip_damaged=True) as run, leaving_on_sigterm():
-            _show(run, request, console)
-            damage = damage_text(run)
-    except InputError as error:
-        sys.stderr.write(f"heliarch: {error}\n")
-        return 2
-    except KeyboardInterrupt:
-        sys.stderr.write("heliarch: interrupted\n")
-        return _INTERRUPTED
-    except BrokenPipeError:
-        # `heliarch inspect ... | head`: nobody reads on, and that is no error.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:
-        sys.stderr.write(f"heliarch: inspect: {error}\n")
-        return 1
-    if damage:
-        sys.stderr.write(f"heliarch: {damage}\n")
-    return 0
+def inspect(
+    run: RunArgument,
+    nodes: Annotated[
+        str | None,
+        typer.Option(
+            "--nodes",
+            help="Show these nodes cycle by cycle: c2/inv07,c1/*,central (c1/*: c1 and all below).",
+            metavar="NODES",
+        ),
+    ] = None,
+    start: FirstOption = None,
+    end: LastOption = None,
+    cycle: Annotated[
+        str | None,
+        typer.Option(help="Show the whole plant in one cycle, likewise.", metavar="MOMENT"),
+    ] = None,
+    json: JsonOption = None,
+) -> int:
+    """Show what a recording holds, nodes cycle by cycle, or the whole plant in one cycle.
+
+    Without --nodes and --cycle: scenario, duration, versions, messages and
+    rate of each signal, the health of the run, and what is missing.
+    """
+    from recordings.read.damage import damage_text
+    from recordings.read.reader import RunReader
+    from recordings.read.selection import find_nodes
+
+    if cycle is not None and (start or end or nodes):
+        raise InputError("--cycle: expected neither --nodes, --from nor --to with it")
+    console = console_for(json)
+    with RunReader(run, skip_damaged=True) as reader:
+        if cycle is not None:
+            _show_plant(reader, reader.clock.cycle(cycle), json, console)
+        elif nodes is not None:
+            found = find_nodes(reader.plan.tree, nodes)
+            _show_story(reader, found, reader.clock.span(start, end), json, console)
+        else:
+            part = None if start is None and end is None else reader.clock.span(start, end)
+            _show_overview(reader, part, json, console)
+        damage = damage_text(reader)
+    return complain(damage, OK) if damage else OK
 
 
-def _console(*, to_stderr: bool) -> Console:
-    return Console(stderr=to_stderr)
-
-
-def _width(console: Console) -> int:
-    return max(console.width, NARROWEST)
-
-
-def _check(request: InspectRequest) -> None:
-    if request.cycle is not None and (request.start or request.end or request.node):
-        raise InputError("--cycle: the whole plant in one cycle, accepted without --node and span")
-    check_json_destination(request.json)
-
-
-def _show(run: RunReader, request: InspectRequest, console: Console) -> None:
-    if request.cycle is not None:
-        _show_plant(run, run.clock.cycle(request.cycle), request.json, console)
-        return
-    cycles = None
-    if request.start is not None or request.end is not None:
-        cycles = run.clock.span(request.start, request.end)
-    if request.node is not None:
-        node = find_node(run.plan.tree, request.node)
-        _show_story(run, node, cycles or run.clock.span(None, None), request.json, console)
-        return
-    _show_overview(run, cycles, request.json, console)
-
-
-# One node, cycle by cycle --------------------------------------------------------------------
+# Nodes, cycle by cycle ----------------------------------------------------------------------
 
 
 def _show_story(
-    run: RunReader, node: str, cycles: range, json: str | None, console: Console
+    run: RunReader, nodes: Sequence[str], cycles: range, json: str | None, console: Console
 ) -> None:
-    table = StoryTable(run.plan.tree, node, len(run.clock.text(0)), _width(console))
-    _print_lines(console, table.heading(), "bold")
+    from launch_scripts.launcher.json_rows import json_rows
+    from recordings.inspect.story import story
+    from recordings.inspect.story_table import StoryTable
+
     with json_rows(json) as listed:
-        for rows in story(run, [node], cycles):
-            for row in rows:
-                _print_lines(console, table.row(row), _style(row))
-                listed.write(row)
+        for node in nodes:
+            table = StoryTable(run.plan.tree, node, len(run.clock.text(0)), _width(console))
+            _print_lines(console, table.heading(), "bold")
+            for rows in story(run, [node], cycles):
+                for row in rows:
+                    _print_lines(console, table.row(row), _style(row))
+                    listed.write(row)
     _warn_if_cut(run, console)
 
 
@@ -119,6 +99,11 @@ def _style(row: NodeCycle) -> str:
 
 
 def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) -> None:
+    from launch_scripts.launcher.json_rows import json_rows
+    from recordings.inspect.story import story
+    from recordings.inspect.story_table import plant_lines
+    from recordings.read.damage import damage_text
+
     found = next(story(run, run.plan.tree.nodes, range(cycle, cycle + 1)), None)
     if found is None:
         nothing = f"{run.path}: there is no message of cycle {cycle}, {run.clock.extent()}"
@@ -147,6 +132,12 @@ def _plant_text(central: NodeCycle) -> str:
     )
 
 
+def _width(console: Console) -> int:
+    from recordings.inspect.story_table import NARROWEST
+
+    return max(console.width, NARROWEST)
+
+
 def _print_lines(console: Console, lines: Iterable[str], style: str = "") -> None:
     for line in lines:
         console.print(Text(line, style), soft_wrap=True)
@@ -158,18 +149,14 @@ def _print_lines(console: Console, lines: Iterable[str], style: str = "") -> Non
 def _show_overview(
     run: RunReader, cycles: range | None, json: str | None, console: Console
 ) -> None:
-    with reading_progress("reading") as follow:
+    from recordings.inspect.overview import read_overview
+    from recordings.inspect.overview_text import overview_lines
+
+    with progress_bar("reading") as follow:
         overview = read_overview(run, cycles, follow)
     _print_lines(console, overview_lines(overview, run.clock, _width(console)))
     _warn_if_cut(run, console)
-    if json == "-":
-        sys.stdout.write(_document(overview).decode())
-    elif json is not None:
-        Path(json).write_bytes(_document(overview))
-
-
-def _document(overview: Overview) -> bytes:
-    return msgspec.json.format(msgspec.json.encode(overview), indent=1) + b"\n"
+    write_json(overview, json)
 
 
 def _warn_if_cut(run: RunReader, console: Console) -> None:

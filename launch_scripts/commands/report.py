@@ -1,42 +1,38 @@
 """`heliarch report`: the page with a run's figures and tables."""
 
+# What does the work is imported when it runs: `--help` does not wait for it.
+# ruff: noqa: PLC0415
+
 from __future__ import annotations
 
-import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from rich.console import Console
-from rich.markup import escape
+import typer
 
 from bus_schemas.errors import InputError
-from recordings.read.reader import RunReader
-from recordings.read.series import read_series
-from studies.report.metrics_tables import metrics_tables
-from studies.report.run_report import check_destination, write_report
+from launch_scripts.commands.options import RunArgument
 
+if TYPE_CHECKING:
+    from recordings.read.reader import RunReader
+
+EXAMPLE: Final = "heliarch report runs/oahu-20261121-120000-4711"
 REPORT_NAME: Final = "report.html"
 
 
-def report(run: Path, out: Path | None) -> int:
-    """Write the report of a recorded run and say where it is. Returns the exit status.
-
-    Parameters
-    ----------
-    run
-        Folder of the run, or its MCAP file.
-    out
-        The HTML file; by default `report.html` beside the recording.
-    """
-    try:
-        path = write_run_report(run, out)
-    except InputError as error:
-        sys.stderr.write(f"heliarch: {error}\n")
-        return 2
-    sys.stdout.write(f"report: {path}\n")
-    return 0
+def report(
+    run: RunArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="The HTML file; default report.html in the run's folder.", metavar="FILE"
+        ),
+    ] = None,
+) -> None:
+    """Write the figures and tables of a run as one HTML page, which opens without a network."""
+    typer.echo(f"report: {write_run_report(run, out)}")
 
 
 def write_run_report(run: Path, out: Path | None = None) -> Path:
@@ -47,6 +43,14 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
     InputError
         There is no such run, no cycle of it is complete, or the report cannot be put there.
     """
+    from rich.console import Console
+    from rich.markup import escape
+
+    from recordings.read.reader import RunReader
+    from recordings.read.series import read_series
+    from studies.report.metrics_tables import metrics_tables
+    from studies.report.run_report import check_destination, write_report
+
     with RunReader(run) as reader:
         recording = reader.path
         path = out or recording.with_name(REPORT_NAME)
@@ -64,13 +68,13 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
 
 
 def _notes(reader: RunReader) -> list[str]:
-    """Say what the recording itself tells about the run."""
+    """Return what the recording says about the run."""
     scenario = _scenario(reader)
     origin = reader.metadata.get("run", {})
     notes = [f"Scenario: {scenario.get('title', reader.plan.plant)}."]
     notes.append(
         f"Recorded by heliarch {origin.get('driver', '')} (version "
-        f"{origin.get('version heliarch', 'not told')}) into {reader.path.name}."
+        f"{origin.get('version heliarch', 'not stated')}) into {reader.path.name}."
     )
     if scenario.get("neighbours", {}).get("history") == "hindsight":
         notes.append("Clusters and neighbours were chosen from the run's own data: hindsight.")
@@ -84,6 +88,4 @@ def _scenario(reader: RunReader) -> dict[str, Any]:
     try:
         return tomllib.loads(reader.scenario)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(
-            f"{reader.path}: its scenario is no TOML ({error}), accepted is a recording as made"
-        ) from None
+        raise InputError(f"{reader.path}: expected a scenario in TOML, got {error}") from None

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from typing import Annotated, Final, cast
 
 import msgspec
+from msgspec import Meta
 
 from agents.cycle import KINDS, Kind
 from agents.machine import HIGHEST_PRIORITY, LOWEST_PRIORITY, MachineSettings
@@ -15,21 +16,18 @@ from bus_schemas.errors import InputError
 
 
 class MachineTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the processes of a run may take of the machine.
+    """What the processes of a run may take of the machine."""
 
-    Attributes
-    ----------
-    cpus
-        Processors of all processes, `"0-1"`, and of those of one kind, `"plant=0"`.
-    priority
-        In real time: priority of plant and controllers under SCHED_FIFO; 0 is the normal policy.
-    lock_memory
-        In real time: whether the memory of plant and controllers is never paged out.
-    """
-
-    cpus: tuple[str, ...] = ()
-    priority: Annotated[int, msgspec.Meta(ge=0, le=HIGHEST_PRIORITY)] = 0
-    lock_memory: bool = False
+    cpus: Annotated[
+        tuple[str, ...],
+        Meta(description='Processors of all processes, `"0-1"`, or of one kind, `"plant=0"`.'),
+    ] = ()
+    priority: Annotated[
+        int, Meta(ge=0, le=HIGHEST_PRIORITY, description="Under SCHED_FIFO; 0: the normal policy.")
+    ] = 0
+    lock_memory: Annotated[
+        bool, Meta(description="Whether the memory of plant and controllers is never paged out.")
+    ] = False
 
 
 class MachineOptions(msgspec.Struct, frozen=True):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import nan
 from pathlib import Path
 from typing import Final
@@ -24,11 +24,6 @@ from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, RESIDUAL, P
 from recordings.read.reader import RunReader
 
 _OF_INVERTERS: Final[tuple[Signal[Message], ...]] = (IMPP, RESIDUAL, COMMAND)
-
-_BY_CYCLE: Final = frozenset(
-    {"commitment_kw", "regulation_kw", "mpp_kw", "power_kw", "impp_kw", "residual_kw", "alpha"}
-)
-"""Fields of a series that have a row for each cycle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,16 +110,6 @@ class RunSeries:
     def known(self) -> NDArray[np.bool_]:
         """Whether the recording has dispatch and production of each cycle, shape (T,)."""
         return np.isfinite(self.desired_kw) & np.isfinite(self.possible_kw + self.delivered_kw)
-
-    def only_known(self) -> RunSeries:
-        """Return the series without the cycles that lack their dispatch or production.
-
-        Energies and counts are then those of the cycles that are known.
-        """
-        known = self.known
-        if known.all():
-            return self
-        return replace(self, **{name: getattr(self, name)[known] for name in _BY_CYCLE})
 
     @property
     def times(self) -> pd.DatetimeIndex:

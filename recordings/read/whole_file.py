@@ -19,6 +19,15 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
     A device, a pipe or a link is written in place: it must not be replaced by a plain file.
     `/dev/stdout` is a link, which leads to a file where standard output goes to one.
     """
+    try:
+        with _written(path) as file:
+            yield file
+    except OSError as error:  # That a disk is full is often found by a call that knows no name.
+        raise OSError(error.errno, error.strerror, error.filename or str(path)) from None
+
+
+@contextmanager
+def _written(path: Path) -> Iterator[BinaryIO]:
     if path.is_symlink() or (path.exists() and not path.is_file()):
         with path.open("wb") as file:
             yield file

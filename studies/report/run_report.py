@@ -19,8 +19,8 @@ from studies.report.neighbour_figures import correlation_matrices, virtual_neigh
 from studies.report.page import html_page
 from studies.report.plant_figures import delivered_and_support, possible_power
 from studies.report.style import ReportFigure
-from studies.report.tables import ReportTable
 from studies.report.tracking_figures import regulation, tracking_error
+from studies.tables import Table
 
 _WHY_ABSENT: Final = {
     "regulation": "No regulation was asked for.",
@@ -36,7 +36,7 @@ def write_report(
     path: Path,
     title: str,
     series: Sequence[RunSeries],
-    tables: Sequence[ReportTable] = (),
+    tables: Sequence[Table] = (),
     notes: Sequence[str] = (),
 ) -> None:
     """Write a report as one HTML file, which opens without a network.
@@ -57,13 +57,13 @@ def write_report(
     Raises
     ------
     InputError
-        There is nothing to report, the runs do not belong together, or the file cannot be written.
+        There is nothing to report, or the runs do not belong together.
     """
     check_destination(path)
     check_comparable(series)
     figures = report_figures(series)
     text = [introduction(series), *notes, *_absent(figures)]
-    write_whole(path, html_page(title, text, tables, figures))
+    write_whole(path, html_page(title, text, [*tables, *figures]))
 
 
 def check_destination(path: Path) -> None:
@@ -189,17 +189,6 @@ def _count(number: int, noun: str) -> str:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a page, of which nobody sees half, see `whole_file`.
-
-    Raises
-    ------
-    InputError
-        It cannot be written.
-    """
-    try:
-        with whole_file(path) as file:
-            file.write(text.encode())
-    except OSError as error:
-        raise InputError(
-            f"report {path}: {error.strerror}, accepted is a file that may be written"
-        ) from None
+    """Write a page, which appears whole or not at all, see `whole_file`."""
+    with whole_file(path) as file:
+        file.write(text.encode())

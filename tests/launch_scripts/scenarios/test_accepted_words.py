@@ -6,7 +6,6 @@ from typing import Literal
 
 import msgspec
 import pytest
-
 from launch_scripts.scenarios.accepted_words import accepted_fields, accepted_words
 
 

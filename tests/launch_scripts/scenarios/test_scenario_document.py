@@ -7,13 +7,13 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from launch_scripts.scenarios.accepted_words import accepted_fields
+from launch_scripts.scenarios.scenario_document import scenario_document
 
 from bus_schemas.faults import LONGEST_MS, FaultRule
-from launch_scripts.scenarios.accepted_words import accepted_fields
 from launch_scripts.scenarios.fault_rules import parse_fault
 from launch_scripts.scenarios.machine_table import MachineTable
 from launch_scripts.scenarios.scenario import Scenario, load_scenario, shipped_scenarios
-from launch_scripts.scenarios.scenario_document import scenario_document
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "scenarios.md"
 TEXT = scenario_document()

@@ -1,0 +1,92 @@
+"""Whether a run is alive: when its recorder was last heard of, and when its plant went on.
+
+The launcher sees the plant through the recorder. So while the recorder is silent nothing is known
+of the plant, and nothing is held against it. Nor is a time in which the launcher itself stood still
+held against anybody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from agents.plan import RunPlan
+from bus_schemas.tree import PLANT, RECORDER
+
+PATIENCE_S: Final = 10.0
+"""How long the recorder may stand still in real time: what is published meanwhile waits for it."""
+
+HEARTBEAT_S: Final = 2.0
+"""The recorder speaks a few times a second: silence for this long is a fault."""
+
+PLANT_S: Final = 5.0
+"""How long a cycle of the plant may take, if its length on the wall clock does not ask for more."""
+
+_OWN_PAUSE_S: Final = 0.5
+"""If the launcher has not looked for so long, it stood still itself."""
+
+_LOOK_S: Final = 0.1
+"""How often it looks otherwise. So much of a pause counts, lest one always slow find nobody."""
+
+
+class RunWatch:
+    """The signs of life of one run, from its first cycle on.
+
+    In lockstep everybody soon waits for a recorder that stands still, so that the run would stall.
+    In real time nobody does: what is said meanwhile waits on its way, and is recorded later.
+
+    Parameters
+    ----------
+    plan
+        Of the run.
+    say
+        Called with a line for the user.
+    """
+
+    def __init__(self, plan: RunPlan, say: Callable[[str], None]) -> None:
+        self._say = say
+        self._patience_s = HEARTBEAT_S if plan.lockstep else PATIENCE_S
+        self._cycle_s = max(PLANT_S, 3.0 * plan.cycle_wall_ns / 1e9)
+        self._cycle = -1
+        self._heard_at = self._went_on_at = self._looked_at = 0.0
+        self._is_silent = False
+
+    def begin(self, now_s: float) -> None:
+        """Cycle 0 begins."""
+        self._heard_at = self._went_on_at = self._looked_at = now_s
+
+    def hear(self, cycle: int, now_s: float) -> None:
+        """Take in the recorder's word on where the run stands."""
+        self._heard_at = now_s
+        if cycle != self._cycle or self._is_silent:
+            # What it says first after a silence is what it knew before.
+            self._cycle, self._went_on_at = cycle, now_s
+        self._is_silent = False
+
+    def check(self, now_s: float) -> tuple[str, str] | None:
+        """Return who has been silent for too long, and what to say of it.
+
+        A silence that can be lived with is only told. To be called several times a second.
+        """
+        self._leave_out_own_pause(now_s)
+        silent_s = now_s - self._heard_at
+        if silent_s > self._patience_s:
+            return RECORDER, f"recorder has not been heard of for {self._patience_s:g} s"
+        if silent_s > HEARTBEAT_S and not self._is_silent:
+            self._is_silent = True
+            self._say(
+                f"recorder has not been heard of for {HEARTBEAT_S:g} s; in real time the run goes "
+                f"on without it for up to {self._patience_s:g} s"
+            )
+        if not self._is_silent and now_s - self._went_on_at > self._cycle_s:
+            return PLANT, f"plant has not completed a cycle for {self._cycle_s:g} s"
+        return None
+
+    def _leave_out_own_pause(self, now_s: float) -> None:
+        """Put off what is being waited for by as long as nobody has looked for it."""
+        pause_s = now_s - self._looked_at
+        self._looked_at = now_s
+        if pause_s > _OWN_PAUSE_S:
+            left_out_s = pause_s - _LOOK_S
+            self._heard_at = min(self._heard_at + left_out_s, now_s)
+            self._went_on_at = min(self._went_on_at + left_out_s, now_s)

@@ -1,0 +1,152 @@
+"""Begins and ends a run: the barrier before cycle 0, the start, the stop.
+
+Messages that are put on the bus right after a session opens can get lost before all declarations
+have travelled. So nothing counts until everybody's liveliness token is seen and one arming round,
+a whole cycle with a number below 0, has come back to the plant and past the recorder.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Collection, Iterable, Sequence
+from typing import Final, Literal
+
+from agents.events import Armed
+from agents.process import Seat
+from bus_schemas.bus import Arrival
+from bus_schemas.messages import Message
+from bus_schemas.signals import READY, RUN, Port
+from bus_schemas.tree import PLANT, ROOT, some_of
+
+log = logging.getLogger(__name__)
+
+FIRST_ROUND: Final = -1_000_000
+"""Cycle of the first arming round; the next ones count upwards."""
+
+_FIRST_ROUND_S: Final = 0.3
+_ROUND_GROWTH: Final = 1.25
+_LONGEST_ROUND_S: Final = 3.0
+_ROUND_PER_AGENT_S: Final = 0.005
+"""How long the first arming round may take, how much longer each next one, and the longest; and how
+much longer all of them for each agent."""
+
+_ARMING_S: Final = 30.0
+"""How long the arming rounds may take, once everybody is there."""
+
+_LOOK_S: Final = 0.005
+"""Time between two looks at who is there."""
+
+_MOST_NAMED: Final = 3
+"""One agent that does not answer holds up all: more names than that say nothing more."""
+
+_LEAD_S: Final = 0.2
+"""In real time: how long before cycle 0 everybody is told when it begins."""
+
+
+class ArmingError(Exception):
+    """The loop did not close."""
+
+
+def longest_round_s(number: int) -> float:
+    """Return how long an arming round, counted from 1, may take before the next one is tried [s].
+
+    Most that fail do so because a link is not up yet, and the next one is soon tried. On a machine
+    so slow that a whole round does not fit, later ones have more time.
+    """
+    growth: float = _ROUND_GROWTH ** min(number - 1, 20)
+    return min(_FIRST_ROUND_S * growth, _LONGEST_ROUND_S)
+
+
+def needed_messages(waiting: Iterable[Port[Message]], external: Collection[str]) -> str:
+    """Say what the plant lacks of an arming round: of external agents first, if they lack some."""
+    ports = list(waiting)
+    theirs = [port for port in ports if port.publisher in external]
+    needs = sorted(map(str, theirs or ports)) or ["the recorder"]
+    others = len(needs) - _MOST_NAMED
+    rest = f" and {others} more" if others > 0 else ""
+    return ", ".join(needs[:_MOST_NAMED]) + rest
+
+
+class PlantRun:
+    """Takes the plant, and with it everybody, through a run.
+
+    Parameters
+    ----------
+    seat
+        The plant's.
+    patience_s
+        How long to wait for everybody before giving up.
+    """
+
+    def __init__(self, seat: Seat, patience_s: float = 30.0) -> None:
+        self._seat = seat
+        self._loop = seat.loop
+        self._plan = seat.plan
+        self._patience_s = patience_s
+        self._recorded_round = FIRST_ROUND - 1
+
+    def run(self) -> None:
+        """Arm, start, run, stop.
+
+        Raises
+        ------
+        ArmingError
+            Somebody did not appear, or no arming round came back; the message names who.
+        """
+        seat, loop = self._seat, self._loop
+        give_up_at = time.monotonic() + self._patience_s
+        self._await_everybody(give_up_at)
+        # Who is there answers soon: an external agent may have been waited for much longer.
+        rounds = self._arm(time.monotonic() + min(self._patience_s, _ARMING_S))
+        lead_s = 0.0 if self._plan.lockstep else _LEAD_S
+        start_time_ns = time.monotonic_ns() + round(lead_s * 1e9)
+        self._publish_run("start", 0, start_time_ns)
+        seat.link.tell(Armed(rounds))
+        log.info("armed after %d rounds", rounds)
+        loop.begin(start_time_ns, time.monotonic_ns())
+        for _ in seat.drive():
+            if seat.link.dismissed:
+                loop.end_before(loop.cycle + 1)
+        self._publish_run("stop", loop.cycle, start_time_ns)
+        seat.report()
+
+    def _await_everybody(self, give_up_at: float) -> None:
+        alive_key = self._plan.keys.alive_key
+        others = {alive_key(agent): agent for agent in self._plan.tree.agents() if agent != PLANT}
+        alive = self._seat.watch_alive()
+        while not others.keys() <= alive():
+            if time.monotonic() > give_up_at:
+                absent = [agent for key, agent in others.items() if key not in alive()]
+                raise ArmingError(f"no sign of life from {some_of(absent)}")
+            time.sleep(_LOOK_S)
+
+    def _arm(self, give_up_at: float) -> int:
+        """Send rounds through the loop until one closes and is recorded. Return their number."""
+        for number in range(1, -FIRST_ROUND):
+            cycle = FIRST_ROUND + number
+            self._loop.enter(cycle, time.monotonic_ns())
+            self._seat.driver.go_on(self._loop)
+            longest_s = longest_round_s(number) + _ROUND_PER_AGENT_S * len(self._plan.tree.nodes)
+            if self._round_closes(cycle, time.monotonic() + longest_s):
+                return number
+            if time.monotonic() > give_up_at:
+                break
+        needs = needed_messages(self._loop.waiting, self._plan.external)
+        raise ArmingError(f"no arming round closed; the plant waits for {needs}")
+
+    def _round_closes(self, cycle: int, until: float) -> bool:
+        while time.monotonic() < until:
+            self._note_recorder(self._seat.driver.turn(longest_ns=round(until * 1e9)))
+            if not self._loop.stage and self._recorded_round == cycle:
+                return True
+        return False
+
+    def _note_recorder(self, arrivals: Sequence[Arrival]) -> None:
+        for arrival in arrivals:
+            if arrival.port is READY.of(ROOT):
+                self._recorded_round = arrival.message.cycle
+
+    def _publish_run(self, state: Literal["start", "stop"], cycle: int, start_time_ns: int) -> None:
+        message = self._plan.run_message(state, cycle, start_time_ns)
+        self._seat.driver.publish(RUN.of(ROOT), message)

@@ -1,0 +1,111 @@
+"""Who is silent for too long: in real time a recorder may stand still for a while."""
+
+from __future__ import annotations
+
+import pytest
+from msgspec.structs import replace
+
+from agents.plan import RunPlan
+from bus_schemas.tree import PLANT, RECORDER
+from launch_scripts.launcher.run_watch import RunWatch
+from launch_scripts.scenarios.preparation import RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
+
+PLAN = prepare(load_scenario("oahu"), RunOptions(duration="5"), "pulse").plan
+
+
+def real_time(cycle_s: float = 0.05) -> RunPlan:
+    return replace(PLAN, cycle_wall_ns=round(cycle_s * 1e9))
+
+
+class Watched:
+    """A run that began at 100 s, and what the user was told of it."""
+
+    def __init__(self, plan: RunPlan) -> None:
+        self.told: list[str] = []
+        self.watch = RunWatch(plan, self.told.append)
+        self._looked_at = 100.0
+        self.watch.begin(self._looked_at)
+
+    def blamed(self, *times_s: float) -> list[str]:
+        """Who is to blame at each of some times. Somebody looks ten times a second up to them."""
+        found = [self._look_up_to(time_s) for time_s in times_s]
+        return [trouble[0] for trouble in found if trouble is not None]
+
+    def _look_up_to(self, time_s: float) -> tuple[str, str] | None:
+        while self._looked_at < time_s - 0.1:
+            self._looked_at += 0.1
+            self.watch.check(self._looked_at)
+        self._looked_at = time_s
+        return self.watch.check(time_s)
+
+
+def test_in_lockstep_a_silent_recorder_is_a_fault_at_once() -> None:
+    run = Watched(PLAN)
+    assert run.blamed(101.9) == []
+    assert run.blamed(102.1) == [RECORDER]
+    assert run.told == []
+
+
+def test_in_real_time_it_is_told_once_and_is_a_fault_after_ten_seconds() -> None:
+    run = Watched(real_time())
+    assert run.blamed(101.9, 102.1, 105.5, 109.9) == []
+    assert run.told == [
+        "recorder has not been heard of for 2 s; in real time the run goes on without it for up to "
+        "10 s"
+    ]
+    assert run.blamed(110.1) == [RECORDER]
+
+
+@pytest.mark.parametrize("first_word", [7, 90])
+def test_the_plant_is_not_blamed_for_what_its_recorder_did_not_tell(first_word: int) -> None:
+    run = Watched(real_time())
+    run.pulse.hear(7, 101.0)
+    assert run.blamed(103.5, 108.9) == []
+    # The first word after the silence may be an old one.
+    run.pulse.hear(first_word, 109.0)
+    assert run.blamed(109.1) == []
+    run.pulse.hear(91, 110.0)
+    assert run.blamed(110.1) == []
+    assert len(run.told) == 1
+    run.blamed(113.0)
+    assert len(run.told) == 2, "each silence is told"
+
+
+@pytest.mark.parametrize(("cycle_s", "longest_s"), [(0.05, 5.0), (4.0, 12.0)])
+def test_a_plant_that_does_not_go_on_is_found_while_its_recorder_speaks(
+    cycle_s: float, longest_s: float
+) -> None:
+    run = Watched(real_time(cycle_s))
+    for tenth in range(1, 400):
+        now_s = 100.0 + tenth / 10
+        run.pulse.hear(3, now_s)
+        if blamed := run.blamed(now_s):
+            break
+    assert blamed == [PLANT]
+    assert now_s == pytest.approx(100.1 + longest_s, abs=0.11)
+
+
+@pytest.mark.parametrize("plan", [PLAN, real_time()])
+def test_a_launcher_that_stood_still_itself_blames_nobody_for_it(plan: RunPlan) -> None:
+    run = Watched(plan)
+    assert run.blamed(101.0) == []
+    assert run.pulse.check(131.0) is None, "stopped for 30 s, and nothing heard meanwhile"
+    assert run.told == []
+    run.pulse.hear(7, 131.1)
+    assert run.pulse.check(131.2) is None
+
+
+def test_after_it_stood_still_it_waits_as_long_as_was_left() -> None:
+    run = Watched(PLAN)
+    assert run.blamed(101.5) == []
+    times_s = [120.0 + tenth / 10 for tenth in range(10)]
+    found = [time_s for time_s in times_s if run.pulse.check(time_s)]
+    assert found[0] == pytest.approx(120.5)
+
+
+def test_a_launcher_that_is_always_slow_finds_the_silent_one_too() -> None:
+    run = Watched(PLAN)
+    found = [run.pulse.check(100.0 + 0.6 * look) for look in range(30)]
+    assert found[-1] is not None
+    assert found[-1][0] == RECORDER
