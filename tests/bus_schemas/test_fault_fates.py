@@ -31,7 +31,7 @@ MANY = 20_000
 def at_work(*rules: FaultRule, seed: int = 1) -> NetworkFaults:
     for rule in rules:
         check_rule(rule, TREE, "rule")
-    return NetworkFaults(rules, seed, TREE, SECOND_NS)
+    return NetworkFaults(rules, seed, TREE, SECOND_NS, SECOND_NS)
 
 
 def impp(cycle: int) -> Impp:
@@ -150,7 +150,7 @@ def test_nothing_arrives_in_a_silent_interval_and_all_outside_of_it() -> None:
 
 def test_a_silent_interval_counts_on_the_clock_of_the_cycles() -> None:
     rule = FaultRule(silent=((1.0, 2.0),))
-    faults = NetworkFaults((rule,), 0, TREE, SECOND_NS // 10)
+    faults = NetworkFaults((rule,), 0, TREE, SECOND_NS // 10, SECOND_NS // 10)
     silent = [cycle for cycle, fate in enumerate(fates(faults, 40)) if not fate]
     assert silent == list(range(10, 20))
 
@@ -240,7 +240,7 @@ HOUR = FaultRule(delay_ms=3_600_000.0)
 def test_as_many_messages_can_be_under_way_as_are_sent_in_the_longest_delay(
     rules: tuple[FaultRule, ...], cycle_ns: int, expected: int
 ) -> None:
-    assert NetworkFaults(rules, 1, TREE, cycle_ns).most_under_way("c1") == expected
+    assert NetworkFaults(rules, 1, TREE, cycle_ns, cycle_ns).most_under_way("c1") == expected
 
 
 @given(
@@ -255,7 +255,7 @@ def test_no_delay_is_longer_than_the_longest(
     rule = FaultRule(
         delay_ms=delay_ms, jitter_ms=jitter_ms, distribution=distribution, reorder=0.5, loss=0.01
     )
-    network = NetworkFaults((rule,), 1, TREE, SECOND_NS)
+    network = NetworkFaults((rule,), 1, TREE, SECOND_NS, SECOND_NS)
     for delay_ns in network.fates(IMPP.of("c1/a"), "c1", impp(cycle)):
         assert delay_ns <= rule.longest_ms * 1e6 + 1
 
@@ -334,4 +334,4 @@ def test_telemetry_to_all_below_a_cluster_is_one_rule() -> None:
 def test_a_rule_on_what_no_agent_hears_is_accepted_and_takes_nothing_from_anybody() -> None:
     rule = FaultRule(signal="help", loss=1.0)
     check_rule(rule, TREE, "rule")
-    assert not any(NetworkFaults((rule,), 1, TREE, 1).concern(agent) for agent in TREE.agents())
+    assert not any(NetworkFaults((rule,), 1, TREE, 1, 1).concern(agent) for agent in TREE.agents())
