@@ -78,7 +78,8 @@ class ControlTree:
         """Refuse a tree of which a message could not name all inputs that it lacks."""
         if len(self.inverters) > MOST_INVERTERS:
             raise InputError(
-                f"control tree: expected up to {MOST_INVERTERS:,} inverters, got {len(self.inverters):,}"
+                f"control tree: expected up to {MOST_INVERTERS:,} inverters, got "
+                f"{len(self.inverters):,}"
             )
         for path, children in self._children_of.items():
             if len(children) > MOST_CHILDREN:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Final
 
@@ -194,7 +195,7 @@ def text_fields(text: str, name: str) -> pd.DataFrame:
         It is empty or no CSV, or a line has another number of fields.
     """
     try:
-        rows = list(csv.reader(text.splitlines()))
+        rows = list(csv.reader(StringIO(text.rstrip("\r\n"))))
     except csv.Error as error:
         raise InputError(f"{name}: expected a CSV file, got: {error}") from None
     if not rows:

@@ -86,6 +86,6 @@ def _pace(text: str | None) -> float | Literal["max"] | None:
         pace = 0.0
     if not SLOWEST_PACE <= pace <= FASTEST_PACE:
         raise InputError(
-            f"--pace: expected a number from {SLOWEST_PACE:g} to {FASTEST_PACE:g}, or max, got {text}"
+            f"--pace: expected {SLOWEST_PACE:g} to {FASTEST_PACE:g}, or max, got {text}"
         )
     return pace

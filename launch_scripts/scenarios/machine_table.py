@@ -107,7 +107,7 @@ def _priority(priority: int, lockstep: bool) -> int:
         )
     if lockstep:
         raise InputError(
-            "--priority: expected a --pace such as 1 with it, got lockstep, where no message can be "
+            "--priority: expected a --pace such as 1 with it, got lockstep, where nothing can be "
             "late"
         )
     return priority

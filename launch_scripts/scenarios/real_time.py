@@ -79,7 +79,7 @@ def tier_deadlines_ns(
         return ()
     if len(deadlines_ms) != tree.height + 1:
         raise InputError(
-            f"control.deadlines_ms: expected one entry for each of the {tree.height + 1} tiers, the "
+            f"control.deadlines_ms: expected {tree.height + 1} entries, one for each tier, the "
             f"central controller's first, got {len(deadlines_ms)}"
         )
     found = tuple(round(deadline_ms * 1e6) for deadline_ms in deadlines_ms)
