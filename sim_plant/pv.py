@@ -160,7 +160,7 @@ def _check_night_is_dark(
         row = bad[0]
         raise InputError(
             "irradiance: expected time stamps whose offset from UTC is right, and the coordinates "
-            f"of the sensors, got {row_max_wm2[row]:.1f} W/m2 at {times[row].isoformat()}, with the "
+            f"of the sensors, got {row_max_wm2[row]:.1f} W/m2 at {times[row].isoformat()} with the "
             f"sun {zenith_deg[row] - 90.0:.1f} degrees below the horizon"
         )
 

@@ -65,11 +65,11 @@ def test_a_time_that_repeats_is_refused_and_a_gap_at_the_top_is_no_step() -> Non
     def error(row: int, expected: str) -> InputError:
         return InputError(f"row {row}: expected {expected}")
 
-    with pytest.raises(InputError, match="^row 2"):
+    with pytest.raises(InputError, match=r"^row 2"):
         check_increasing(np.array([0, 5, 5, 9]), error)
-    with pytest.raises(InputError, match="^row 1"):
+    with pytest.raises(InputError, match=r"^row 1"):
         check_steady(np.array([0, 3601, 3602, 3603]), error)
-    with pytest.raises(InputError, match="^row 1"):
+    with pytest.raises(InputError, match=r"^row 1"):
         check_steady(np.zeros(4, np.int64), error)
 
 

@@ -38,7 +38,7 @@ def test_the_shortest_deadlines_leave_each_stage_what_it_takes_to_wake_a_process
     shortest_ms = [0.5, 0.6, 0.7]
     found = tier_deadlines_ns(shortest_ms, THREE_LAYERS, 900_000)
     assert found == (500_000, 600_000, 700_000)
-    with pytest.raises(InputError, match="at most 0.699 ms"):
+    with pytest.raises(InputError, match=r"at most 0\.699 ms"):
         tier_deadlines_ns(shortest_ms, THREE_LAYERS, 899_000)
 
 
