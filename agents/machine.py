@@ -111,7 +111,7 @@ def _steps(settings: MachineSettings, kind: Kind, lockstep: bool) -> list[Callab
     if lockstep:
         return [*steps, _let_others_finish]
     if kind == "recorder":
-        return [*steps, _stand_back]
+        return steps
     steps.append(wake_precisely)
     if settings.priority:
         steps.append(lambda: _run_first(settings.priority))
@@ -131,7 +131,8 @@ def _run_on(cpus: tuple[int, ...]) -> str | None:
     return None
 
 
-def _stand_back() -> None:
+def stand_back() -> None:
+    """Let others go first, in this thread alone: those that bring messages must not wait."""
     os.setpriority(os.PRIO_PROCESS, 0, os.getpriority(os.PRIO_PROCESS, 0) + _RECORDER_NICE)
 
 

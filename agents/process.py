@@ -108,7 +108,7 @@ class Seat:
             plan.keys,
             plan.wiring,
             session_settings(plan, agent.name),
-            patience_s=plan.stall_timeout_s if plan.lockstep else 0.5,
+            patience_s=plan.stall_timeout_s,
         )
         self._faults: FaultyBus | None = None
         if plan.network_faults.concern(agent.name):

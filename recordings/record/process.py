@@ -8,6 +8,7 @@ from pathlib import Path
 from agents.drop_log import DropLog
 from agents.events import Joined
 from agents.launcher_link import LauncherLink
+from agents.machine import stand_back
 from agents.plan import RunPlan
 from agents.process import run_guarded, session_settings, set_up_process
 from bus_schemas.tree import RECORDER
@@ -30,6 +31,8 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink, *, attached: b
         writer = RunWriter(folder / RECORDING_NAME, plan, scenario, driver="launch")
         with ZenohTap(RECORDER, plan.keys, session_settings(plan, RECORDER)) as tap:
             link.tell(Joined())
+            if not plan.lockstep:
+                stand_back()
             Recorder(plan, tap, writer, link, end, DropLog(), attached).run()
 
     return run_guarded(RECORDER, link, run)

@@ -18,6 +18,7 @@ from agents.machine import (
     refusals,
     resources_used,
     scheduling_policy,
+    stand_back,
     take_machine,
 )
 
@@ -59,7 +60,7 @@ def test_a_process_runs_on_its_cpus() -> None:
     cpu = min(os.sched_getaffinity(0))
     refused, policy = place_of(MachineSettings(cpus=(cpu,)), lockstep=True)
     assert refused == ()
-    assert policy == f"other on CPU {cpu}"
+    assert policy == f"batch on CPU {cpu}"
 
 
 @linux
@@ -157,12 +158,19 @@ def test_memory_is_locked_where_that_is_permitted() -> None:
 
 
 @linux
-def test_the_recorder_stands_back_in_real_time() -> None:
-    settings = MachineSettings(priority=7)
+def test_only_the_thread_that_stands_back_does_so() -> None:
     before = os.getpriority(os.PRIO_PROCESS, 0)
-    _, policy = place_of(settings, "recorder")
-    assert policy.startswith(f"other, nice {before + 5}")
-    assert place_of(settings, "recorder", lockstep=True)[1] == scheduling_policy()
+    inside: list[int] = []
+
+    def stand_aside() -> None:
+        stand_back()
+        inside.append(os.getpriority(os.PRIO_PROCESS, 0))
+
+    thread = threading.Thread(target=stand_aside)
+    thread.start()
+    thread.join()
+    assert inside == [before + 5]
+    assert os.getpriority(os.PRIO_PROCESS, 0) == before
 
 
 @linux
