@@ -15,7 +15,7 @@ from bus_schemas.errors import InputError
 from recordings.read.reader import RunReader
 from recordings.read.series import read_series
 from studies.report.metrics_tables import metrics_tables
-from studies.report.run_report import check_destination, write_report
+from studies.report.run_report import check_destination, run_line, write_report
 
 REPORT_NAME: Final = "report.html"
 
@@ -53,29 +53,30 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
         check_destination(path)
         title = f"{reader.plan.plant}: run {reader.plan.run_id}"
         notes = _notes(reader)
+        lead = run_line(reader.plan)
         scheme = f"hierarchical ({reader.plan.scheme})"
     console = Console(stderr=True)
     # A day of cycles takes its time to read.
     with console.status(f"reading {recording.stat().st_size / 1e6:,.0f} MB of {escape(str(run))}"):
         series = replace(read_series(run), label=scheme)
     with console.status("drawing"):
-        write_report(path, title, [series], metrics_tables([series]), notes)
+        write_report(path, title, [series], metrics_tables([series]), notes, lead=lead)
     return path
 
 
 def _notes(reader: RunReader) -> list[str]:
-    """Say what the recording itself tells about the run."""
+    """Return what the recording says about the run."""
     scenario = _scenario(reader)
     origin = reader.metadata.get("run", {})
-    notes = [f"Scenario: {scenario.get('title', reader.plan.plant)}."]
-    notes.append(
-        f"Recorded by heliarch {origin.get('driver', '')} (version "
-        f"{origin.get('version heliarch', 'not told')}) into {reader.path.name}."
-    )
+    notes = [
+        f"Scenario: {scenario.get('title', reader.plan.plant)}.",
+        f"Recorded by heliarch {origin.get('driver', '')}, "
+        f"version {origin.get('version heliarch', 'unknown')}, in {reader.path.name}.",
+    ]
     if scenario.get("neighbours", {}).get("history") == "hindsight":
         notes.append("Clusters and neighbours were chosen from the run's own data: hindsight.")
     if not reader.whole:
-        notes.append("The recording was cut short: the report shows what it holds.")
+        notes.append("The recording is incomplete: the report shows the part that it holds.")
     return notes
 
 
@@ -84,6 +85,4 @@ def _scenario(reader: RunReader) -> dict[str, Any]:
     try:
         return tomllib.loads(reader.scenario)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(
-            f"{reader.path}: its scenario is no TOML ({error}), accepted is a recording as made"
-        ) from None
+        raise InputError(f"{reader.path}: expected a scenario in TOML, got: {error}") from None

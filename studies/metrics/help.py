@@ -89,14 +89,13 @@ def help_metrics(residual_kw: NDArray[np.float64], inverters: Sequence[str]) -> 
     """
     if residual_kw.ndim != 2 or residual_kw.shape[1] != len(inverters):
         raise ValueError(
-            f"residuals have the shape {residual_kw.shape}, accepted is a column for each of "
-            f"{len(inverters)} inverters"
+            f"residuals: expected shape (T, {len(inverters)}), got {residual_kw.shape}"
         )
     if not np.isfinite(residual_kw).all():
         row, column = np.argwhere(~np.isfinite(residual_kw))[0]
         raise ValueError(
-            f"residual of {inverters[column]} in cycle {row} is {residual_kw[row, column]}, "
-            "accepted is a finite number"
+            f"residual of {inverters[column]} in cycle {row}: expected a finite number, "
+            f"got {residual_kw[row, column]}"
         )
     needy, lacking = _by_cluster(residual_kw, inverters)
     plant_needy = np.logical_or.reduce(needy, axis=1)

@@ -119,9 +119,9 @@ def plain(text: str) -> str:
 
 def scheme_title(label: str, panels: int) -> str:
     """Return the title of one of several panels beside each other, in lines that fit."""
-    if panels <= 2:
-        return plain(label)
-    return "<br>".join(plain(line) for line in textwrap.wrap(label, max(10, 60 // panels)))
+    if panels == 1:
+        return ""
+    return "<br>".join(plain(line) for line in textwrap.wrap(label, max(10, 72 // panels)))
 
 
 def clock_ms(series: RunSeries) -> NDArray[np.float64]:
