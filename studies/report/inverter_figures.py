@@ -26,6 +26,7 @@ from studies.report.style import (
     name_px,
     plain,
     scheme_title,
+    share_axis,
     thinning_note,
     time_line,
 )
@@ -147,7 +148,8 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
         margin_t=90 if len(series) > 1 else 46,
     )
     list_names(figure, len(names))
-    figure.update_xaxes(title_text="energy [kWh]", zeroline=True, matches="x")
+    figure.update_xaxes(title_text="energy [kWh]", zeroline=True)
+    share_axis(figure, "x")
     return ReportFigure(
         "help-energy",
         "Energy above and below the share, inverter by inverter",

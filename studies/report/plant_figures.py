@@ -20,7 +20,7 @@ from studies.report.style import (
     label_time_axis,
     plain,
     scheme_line,
-    share_vertical_axis,
+    share_axis,
     thinning_note,
     time_line,
 )
@@ -95,7 +95,7 @@ def delivered_and_support(series: Sequence[RunSeries]) -> ReportFigure:
             figure.add_trace(trace, row=position + 1, col=1)
     dress(figure, 110 + _PANEL_PX * len(series))
     figure.update_yaxes(title_text="power [kW]", range=_common_range_kw(series))
-    share_vertical_axis(figure)
+    share_axis(figure, "y")
     # Above the title of the first panel.
     if len(series) > 1:
         figure.update_layout(legend_y=1.0 + 24.0 / (_PANEL_PX * len(series)), margin_t=70)
