@@ -17,13 +17,19 @@ from bus_schemas.signals import SIGNALS
 from launch_scripts.commands.termination import leaving_on_sigterm
 from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
 from launch_scripts.launcher.json_rows import check_json_destination
-from recordings.export.exporting import FORMS, ExportSummary, Form, default_path, export
-from recordings.export.records import Selection
-from recordings.export.unfinished import check_new
+from recordings.export.exporting import (
+    FORMS,
+    ExportSummary,
+    Form,
+    Selection,
+    default_path,
+    export,
+)
 from recordings.export.viewer_file import CLOCKS, Clock
 from recordings.read.damage import damage_text
 from recordings.read.reader import RunReader
 from recordings.read.selection import find_nodes, find_signals
+from recordings.read.whole_file import check_new
 
 RECORDED: Final = tuple(row for row in SIGNALS if row.logged)
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
-import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import msgspec
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from bus_schemas.errors import InputError
@@ -20,15 +18,14 @@ from launch_scripts.commands.reading_progress import reading_progress
 from launch_scripts.commands.termination import leaving_on_sigterm
 from launch_scripts.launcher.json_rows import check_json_destination, json_rows
 from recordings.inspect.overview import Overview, read_overview
+from recordings.inspect.overview_text import overview_lines
 from recordings.inspect.story import NodeCycle, story
-from recordings.inspect.story_table import WIDTH, StoryTable, plant_lines
+from recordings.inspect.story_table import NARROWEST, StoryTable, plant_lines
 from recordings.read.damage import damage_text
 from recordings.read.reader import RunReader
 from recordings.read.selection import find_node
 
-_SHOWN_GAPS: Final = 10
 _INTERRUPTED: Final = 130
-_NAME_WIDTH: Final = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +67,11 @@ def inspect(request: InspectRequest) -> int:
 
 
 def _console(*, to_stderr: bool) -> Console:
-    """Return a console on which tables keep their columns, also in a pipe."""
-    console = Console(stderr=to_stderr)
-    return console if console.is_terminal else Console(stderr=to_stderr, width=WIDTH)
+    return Console(stderr=to_stderr)
+
+
+def _width(console: Console) -> int:
+    return max(console.width, NARROWEST)
 
 
 def _check(request: InspectRequest) -> None:
@@ -101,7 +100,7 @@ def _show(run: RunReader, request: InspectRequest, console: Console) -> None:
 def _show_story(
     run: RunReader, node: str, cycles: range, json: str | None, console: Console
 ) -> None:
-    table = StoryTable(run.plan.tree, node, len(run.clock.text(0)))
+    table = StoryTable(run.plan.tree, node, len(run.clock.text(0)), _width(console))
     _print_lines(console, table.heading(), "bold")
     with json_rows(json) as listed:
         for rows in story(run, [node], cycles):
@@ -127,7 +126,7 @@ def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) 
     central = found[0]
     _print_lines(console, [f"cycle {cycle}, {run.clock.local(cycle):%Y-%m-%d} {central.time}"])
     _print_lines(console, [_plant_text(central)])
-    heading, units, *lines = plant_lines(run.plan.tree, found)
+    heading, units, *lines = plant_lines(run.plan.tree, found, _width(console))
     _print_lines(console, ["", heading, units], "bold")
     _print_lines(console, lines)
     with json_rows(json) as listed:
@@ -161,83 +160,12 @@ def _show_overview(
 ) -> None:
     with reading_progress("reading") as follow:
         overview = read_overview(run, cycles, follow)
-    for name, value in _facts(overview):
-        first, *rest = textwrap.wrap(value, WIDTH - _NAME_WIDTH, break_long_words=False) or [""]
-        console.print(Text.assemble((name.ljust(_NAME_WIDTH), "bold"), first), soft_wrap=True)
-        _print_lines(console, (" " * _NAME_WIDTH + line for line in rest))
-    console.print(_signal_table(overview))
-    _print_lines(console, _gap_lines(run, overview))
+    _print_lines(console, overview_lines(overview, run.clock, _width(console)))
     _warn_if_cut(run, console)
     if json == "-":
         sys.stdout.write(_document(overview).decode())
     elif json is not None:
         Path(json).write_bytes(_document(overview))
-
-
-def _facts(overview: Overview) -> Iterator[tuple[str, str]]:
-    yield "recording", f"{overview.path} ({overview.size_mb:,.1f} MB, {overview.chunks:,} chunks)"
-    yield "scenario", overview.title or overview.plant
-    yield "run", f"{overview.run_id}, heliarch {overview.driver}"
-    pace = "lockstep" if overview.lockstep else f"pace {overview.pace:g}"
-    yield "control", f"scheme {overview.scheme}, actuator {overview.actuator}, {pace}"
-    begin, end = (text.replace("T", " ")[:19] for text in (overview.start, overview.end))
-    yield "time", f"{begin} to {end}, {overview.timezone}"
-    yield (
-        "cycles",
-        f"{overview.first_cycle:,} to {overview.last_cycle:,} of {overview.cycle_s:g} s, "
-        f"{overview.complete_cycles:,} complete, {overview.planned_cycles:,} planned",
-    )
-    yield "duration", f"{overview.simulated_s:,.0f} s simulated in {overview.wall_s:,.1f} s"
-    origin = overview.origin
-    versions = [f"{name} {text}" for name, text in overview.versions.items()]
-    yield "versions", ", ".join([*versions, f"Python {origin.get('python', 'not stated')}"])
-    if "host" in origin:  # A run in memory does not depend on it.
-        cpus, kernel = origin.get("cpu_count", "?"), origin.get("kernel", "?")
-        yield "host", f"{origin['host']}, {cpus} CPUs, Linux {kernel}"
-    yield "file", f"{'whole' if overview.whole else 'cut'}{_recovered(overview)}"
-
-
-def _recovered(overview: Overview) -> str:
-    """Say that a file was recovered, and whether anything may be missing in it."""
-    if not overview.recovery:
-        return ""
-    lossless = overview.recovery.get("lossless") == "true"
-    return (
-        f", recovered from {overview.recovery.get('recovered_from', 'another file')}, "
-        f"{'nothing' if lossless else 'something'} is missing"
-    )
-
-
-def _signal_table(overview: Overview) -> Table:
-    table = Table(title=f"{overview.messages:,} messages")
-    table.add_column("signal", no_wrap=True)
-    headings = ("nodes", "messages", "per cycle", "per s", "lost", "repeated", "cycles without")
-    for heading in headings:
-        table.add_column(heading, justify="right")
-    for count in overview.signals:
-        table.add_row(
-            count.signal,
-            f"{count.nodes:,}",
-            f"{count.messages:,}",
-            f"{count.per_cycle:,.2f}",
-            f"{count.per_s:,.1f}",
-            f"{count.lost:,}",
-            f"{count.repeated:,}",
-            f"{count.missing_cycles:,}",
-        )
-    return table
-
-
-def _gap_lines(run: RunReader, overview: Overview) -> Iterator[str]:
-    for gap in overview.gaps[:_SHOWN_GAPS]:
-        begin, end = run.clock.text(gap.first_cycle), run.clock.text(gap.last_cycle)
-        yield (
-            f"{gap.port}: none in {gap.cycles:,} cycles, {gap.first_cycle:,} to "
-            f"{gap.last_cycle:,} ({begin} to {end})"
-        )
-    rest = len(overview.gaps) - _SHOWN_GAPS + overview.more_gaps
-    if rest > 0:
-        yield f"and {rest:,} more gaps" + (" (--json has the first 100)" if rest else "")
 
 
 def _document(overview: Overview) -> bytes:
@@ -247,7 +175,8 @@ def _document(overview: Overview) -> bytes:
 def _warn_if_cut(run: RunReader, console: Console) -> None:
     if not run.whole:
         text = (
-            f"{run.path} was cut, or is still being recorded: this is what it holds. "
+            f"{run.path} can be read up to byte {run.outline.readable_end:,} of "
+            f"{run.outline.size:,}: it was cut, is damaged there, or is still being recorded. "
             "`heliarch recover` makes a whole file of it."
         )
         console.print(Text(text, "yellow"))

@@ -88,7 +88,7 @@ def _conclude(summary: RunSummary, folder: RunFolder, json: str | None, console:
     _write_summary(summary, folder, json)
     if summary.recording_ended:
         return complain(f"{summary.recording_ended}; what it holds can be read", FAILED)
-    if summary.lost:
+    if summary.lost_by_processes:
         return complain(_lost_text(summary), FAILED)
     return INTERRUPTED if summary.interrupted else OK
 

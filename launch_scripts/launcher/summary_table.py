@@ -102,7 +102,7 @@ def _listed(counts: Mapping[str, int]) -> str:
 def _external_rows(summary: RunSummary) -> Iterator[Row]:
     for account in summary.external:
         answered = f"answered {account.answered:,} of {account.expected:,} times"
-        lost = f"; {account.lost:,} lost or not decodable" if account.lost else ""
+        lost = f"; {account.lost:,} lost: they never came or could not be decoded" if account.lost else ""
         recorded = sum(account.recorded.values())
         yield f"External {account.agent}", recorded, "", f"messages recorded; {answered}{lost}"
 

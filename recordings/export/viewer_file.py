@@ -13,16 +13,16 @@ from mcap.writer import CompressionType, Writer
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port, Signal
 from recordings.export.json_messages import JsonEncoder, object_schema
-from recordings.export.records import Record, clock_anchor
-from recordings.read.reader import RunReader
+from recordings.read.reader import RecordedMessage, RunReader
+from recordings.record.writer import ClockAnchor
 
 Clock: TypeAlias = Literal["wall", "sim"]
-"""Which time a viewer shows: when a message was really sent, or the time of the plant."""
+"""Which time a viewer shows: the wall clock, or the simulated time of the cycle."""
 
 CLOCKS: Final[tuple[Clock, ...]] = get_args(Clock)
 
 EXPORT_METADATA: Final = "heliarch export"
-"""Name of the metadata. Not that of a recording, for which this file must not be taken."""
+"""Name of the metadata. Not that of a recording, which this file is not."""
 
 
 class ViewerFile:
@@ -66,9 +66,8 @@ class ViewerFile:
         """Fields left out so far, since JSON has neither NaN nor infinity."""
         return sum(encoder.left_out for encoder in self._encoders.values())
 
-    def add(self, record: Record) -> None:
+    def add(self, record: RecordedMessage, message: Message) -> None:
         """Write one message."""
-        message = record.message
         self._writer.add_message(
             channel_id=self._channel(record.port),
             log_time=message.sim_time_ns if self._sim else record.log_time_ns,
@@ -91,7 +90,7 @@ class ViewerFile:
                 self._writer.finish()
 
     def _channel(self, port: Port[Message]) -> int:
-        """Return the channel of a port; one that says nothing gets none."""
+        """Return the channel of a port; it is made with the port's first message."""
         channel = self._channels.get(port)
         if channel is None:
             channel = self._channels[port] = self._writer.register_channel(
@@ -103,15 +102,15 @@ class ViewerFile:
         return channel
 
     def _write_origin(self, reader: RunReader, clock: Clock) -> None:
-        created_ns = clock_anchor(reader).wall_ns
+        created_ns = ClockAnchor.of(reader.metadata).wall_ns
         for name, media_type, data in (
             ("scenario.toml", "application/toml", reader.scenario.encode()),
             ("plan.json", "application/json", reader.plan.as_json()),
         ):
             self._writer.add_attachment(created_ns, created_ns, name, media_type, data)
-        told = {
+        origin = {
             f"{name}.{key}": value
             for name, entries in reader.metadata.items()
             for key, value in entries.items()
         }
-        self._writer.add_metadata(EXPORT_METADATA, {"clock": clock, **told})
+        self._writer.add_metadata(EXPORT_METADATA, {"clock": clock, **origin})

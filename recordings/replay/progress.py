@@ -60,7 +60,7 @@ class ProgressLine:
 
     def _text(self, cycle: int, clock: PlaybackClock | None) -> str:
         sim_time = local_time(self._plan.sim_time_ns(cycle), self._plan.timezone)
-        where = f"{sim_time} cycle {min(cycle + 1, self._plan.cycles)}/{self._plan.cycles}"
+        where = f"{sim_time} cycle {cycle} of {self._plan.cycles}"
         if clock is None:
             return where
         rate = f"rate {clock.rate:g}" if clock.rate else "as fast as possible"

@@ -63,7 +63,7 @@ class RecordedRun:
     def complete_cycles(self) -> int:
         """Number of cycles that are complete: all of them, unless run or recording broke off."""
         end = range(self.cycles, self.cycles + 1)
-        if any(self._reader.records([RUN.of(ROOT)], end, by_time=False)):
+        if any(self._reader.records([RUN.of(ROOT)], end)):
             return self.cycles
         return max(self.cycles - 1 - self.plan.periods.longest, 0)
 
@@ -89,7 +89,7 @@ class RecordedRun:
         """
         margin = self.plan.periods.longest + _STRAGGLER_CYCLES
         beyond = _ENDLESS if before_cycle is None else before_cycle + margin
-        records = self._reader.records(ports, range(first_cycle, beyond + 1), by_time=False)
+        records = self._reader.records(ports, range(first_cycle, beyond + 1))
         return by_publish_time(_until(records, before_cycle or _ENDLESS, beyond))
 
     def close(self) -> None:

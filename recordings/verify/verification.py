@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -14,8 +13,9 @@ from agents.cycle import stage_place
 from agents.plan import RunPlan
 from agents.team import controller
 from bus_schemas.errors import InputError
-from bus_schemas.tree import CENTRAL, PLANT, agent_name
+from bus_schemas.tree import PLANT, agent_name
 from recordings.read.reader import RunReader
+from recordings.read.selection import find_agents
 from recordings.verify.account import Account, Difference
 from recordings.verify.comparison import Comparison
 from recordings.verify.recorded_cycles import MOST_HELD, CycleWalk
@@ -26,7 +26,6 @@ from sim_plant.profile import Profile, load_profile
 
 PROFILE_NAME: Final = "profile.npz"
 
-_SUBTREE: Final = "/*"
 
 _CUT_OFF_CYCLES: Final = 3
 """In the last cycles of a run that broke off messages are missing, and that is no finding."""
@@ -165,7 +164,7 @@ def verify(
         plan, stop_cycle = reader.plan, reader.stop_cycle
         team, left_out = _team(plan, nodes, reader.path)
         walk = CycleWalk(
-            reader.messages(by_time=False),
+            reader.messages(),
             plan.tree,
             plan.cycles,
             plan.external,
@@ -205,34 +204,15 @@ def verify(
 
 
 def select_agents(plan: RunPlan, nodes: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the agents that are meant, in the order of the control tree.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    nodes
-        Names of agents: `plant`, `central`, paths such as `c2` or `c1/inv07`; `c2/*` is `c2` and
-        all below it. None: all agents.
+    """Return the agents that are meant, in the order of the control tree; none named: all.
 
     Raises
     ------
     InputError
-        There is no such agent; with the names that come near.
+        There is no such agent.
     """
     team = (PLANT, *(agent_name(path) for path in plan.tree.nodes))
-    chosen: set[str] = set() if nodes else set(team)
-    for node in nodes:
-        top = node.removesuffix(_SUBTREE)
-        if top not in team or (top != node and top in {PLANT, CENTRAL}):
-            near = get_close_matches(top, team, n=4, cutoff=0.5) or team[:4]
-            raise InputError(
-                f"--node {node}: this run has no such agent, near it: {', '.join(near)}; "
-                f"NAME{_SUBTREE} is a supervisor with all below it"
-            )
-        chosen.add(top)
-        if top != node:
-            chosen.update(name for name in team if name.startswith(top + "/"))
+    chosen = find_agents(plan.tree, nodes) or team
     return tuple(name for name in team if name in chosen)
 
 
