@@ -3,33 +3,16 @@
 from __future__ import annotations
 
 import sys
-import tomllib
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
-
-from rich.console import Console
-from rich.markup import escape
 
 from bus_schemas.errors import InputError
-from recordings.read.reader import RunReader
-from recordings.read.series import read_series
-from studies.report.metrics_tables import metrics_tables
-from studies.report.run_report import check_destination, run_line, write_report
+from studies.report.recorded_run import REPORT_NAME, write_run_report
 
-REPORT_NAME: Final = "report.html"
+__all__ = ["REPORT_NAME", "report", "write_run_report"]
 
 
 def report(run: Path, out: Path | None) -> int:
-    """Write the report of a recorded run and say where it is. Returns the exit status.
-
-    Parameters
-    ----------
-    run
-        Folder of the run, or its MCAP file.
-    out
-        The HTML file; by default `report.html` beside the recording.
-    """
+    """Write the report of a recorded run and say where it is. Returns the exit status."""
     try:
         path = write_run_report(run, out)
     except InputError as error:
@@ -37,52 +20,3 @@ def report(run: Path, out: Path | None) -> int:
         return 2
     sys.stdout.write(f"report: {path}\n")
     return 0
-
-
-def write_run_report(run: Path, out: Path | None = None) -> Path:
-    """Write the report of a recorded run; return where it is.
-
-    Raises
-    ------
-    InputError
-        There is no such run, no cycle of it is complete, or the report cannot be put there.
-    """
-    with RunReader(run) as reader:
-        recording = reader.path
-        path = out or recording.with_name(REPORT_NAME)
-        check_destination(path)
-        title = f"{reader.plan.plant}: run {reader.plan.run_id}"
-        notes = _notes(reader)
-        lead = run_line(reader.plan)
-        scheme = f"hierarchical ({reader.plan.scheme})"
-    console = Console(stderr=True)
-    # A day of cycles takes its time to read.
-    with console.status(f"reading {recording.stat().st_size / 1e6:,.0f} MB of {escape(str(run))}"):
-        series = replace(read_series(run), label=scheme)
-    with console.status("drawing"):
-        write_report(path, title, [series], metrics_tables([series]), notes, lead=lead)
-    return path
-
-
-def _notes(reader: RunReader) -> list[str]:
-    """Return what the recording says about the run."""
-    scenario = _scenario(reader)
-    origin = reader.metadata.get("run", {})
-    notes = [
-        f"Scenario: {scenario.get('title', reader.plan.plant)}.",
-        f"Recorded by heliarch {origin.get('driver', '')}, "
-        f"version {origin.get('version heliarch', 'unknown')}, in {reader.path.name}.",
-    ]
-    if scenario.get("neighbours", {}).get("history") == "hindsight":
-        notes.append("Clusters and neighbours were chosen from the run's own data: hindsight.")
-    if not reader.whole:
-        notes.append("The recording is incomplete: the report shows the part that it holds.")
-    return notes
-
-
-def _scenario(reader: RunReader) -> dict[str, Any]:
-    """Return the scenario that the recording carries, as it stands in its file."""
-    try:
-        return tomllib.loads(reader.scenario)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{reader.path}: expected a scenario in TOML, got: {error}") from None

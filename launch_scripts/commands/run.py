@@ -83,9 +83,9 @@ def _run(
 
 def _conclude(summary: RunSummary, folder: RunFolder, json: str | None, console: Console) -> int:
     """Print and write what the run came to. Returns the exit status."""
+    _write_summary(summary, folder, json)
     print_summary(summary, console)
     console.print(f"recording: {folder.recording}", highlight=False, soft_wrap=True, markup=False)
-    _write_summary(summary, folder, json)
     if summary.recording_ended:
         return complain(f"{summary.recording_ended}; what it holds can be read", FAILED)
     if summary.lost_by_processes:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
 from typing import Final, TypeAlias
 
 from rich.console import Console
 
+from bus_schemas.errors import InputError
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.wrong_messages import one_line_each
+from recordings.read.reader import RunReader
 from studies.metrics import RunMetrics
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT, shown_in
+from studies.report.health_table import health_table
 from studies.tables import Cell, Column, Number, Table, key_column, print_table, word_column
 
 Row: TypeAlias = tuple[str, Cell, str, str]
@@ -32,8 +37,11 @@ _SHARES: Final = {
 
 
 def print_summary(summary: RunSummary, console: Console) -> None:
-    """Print the table."""
+    """Print the table, and where something went wrong the health of the run."""
     print_table(console, summary_table(summary))
+    if summary.troubled:
+        with suppress(InputError), RunReader(Path(summary.folder)) as run:
+            print_table(console, health_table(run))
 
 
 def summary_table(summary: RunSummary) -> Table:
@@ -102,7 +110,7 @@ def _listed(counts: Mapping[str, int]) -> str:
 def _external_rows(summary: RunSummary) -> Iterator[Row]:
     for account in summary.external:
         answered = f"answered {account.answered:,} of {account.expected:,} times"
-        lost = f"; {account.lost:,} lost: they never came or could not be decoded" if account.lost else ""
+        lost = f"; {account.lost:,} never came or could not be decoded" if account.lost else ""
         recorded = sum(account.recorded.values())
         yield f"External {account.agent}", recorded, "", f"messages recorded; {answered}{lost}"
 
