@@ -92,7 +92,7 @@ def _message_rows(summary: RunSummary) -> Iterator[Row]:
     used_instead = f"{summary.old_inputs:,} older ones used instead" if summary.old_inputs else ""
     yield "Messages published", published, "", f"{help_calls:,} of them calls for help"
     yield "Messages recorded", recorded, "", ""
-    yield "Messages lost", summary.lost, "", ""
+    yield "Missing in the recording", summary.lost, "", ""
     yield "Messages dropped", sum(summary.dropped.values()), "", _listed(summary.dropped)
     yield "Inputs missed at deadlines", summary.missing_inputs, "", used_instead
     if summary.skipped_cycles:
@@ -100,7 +100,8 @@ def _message_rows(summary: RunSummary) -> Iterator[Row]:
         agent = max(skipped, key=skipped.__getitem__)
         yield "Cycles skipped", summary.skipped_cycles, "", f"most by {agent}: {skipped[agent]:,}"
     if summary.faults:
-        yield "Network faults", sum(summary.faults.values()), "", _listed(summary.faults)
+        injected = f"injected between agents: {_listed(summary.faults)}"
+        yield "Network faults", sum(summary.faults.values()), "", injected
 
 
 def _listed(counts: Mapping[str, int]) -> str:

@@ -130,7 +130,7 @@ def test_a_run_over_processes_tells_what_it_took_and_which_cycles_were_skipped()
 def test_messages_of_a_device_that_were_lost_are_counted_as_lost() -> None:
     device = ExternalAccount("c1/inv01", {"impp": 5}, lost=100, expected=20, answered=5)
     rows = rows_of(replace(summary_of(None), external=(device,)))
-    assert rows["Messages lost"][0] == "100"
+    assert rows["Missing in the recording"][0] == "100"
     assert rows["External c1/inv01"][0] == "5"
     assert "100" in rows["External c1/inv01"][2]
 

@@ -145,4 +145,4 @@ def test_energies_balance_in_every_run(
     )
     missed_kwh = found.tracking.mae_kw * run.cycles * cycle_s / 3600.0
     assert missed_kwh == pytest.approx(energy.unsatisfied_kwh + energy.over_delivered_kwh, abs=1e-6)
-    assert found.tracking.mae_kw <= found.tracking.rmse_kw * (1.0 + 1e-12)
+    assert found.tracking.mae_kw <= found.tracking.rmse_kw * (1.0 + 1e-12) + 1e-9
