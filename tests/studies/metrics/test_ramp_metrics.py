@@ -38,11 +38,6 @@ def test_a_ramp_exactly_at_the_limit_is_allowed() -> None:
     assert (found.largest_down_kw_per_min, found.minutes_above_limit) == (0.0, 0)
 
 
-def test_without_a_limit_nothing_is_counted() -> None:
-    found = ramp_metrics(np.array([0.0, 30.0]), RATING_KW, 60.0)
-    assert found == RampMetrics(30.0, 0.0, None, 1, None, None)
-
-
 def test_cycles_that_do_not_divide_a_minute_give_a_rate_per_minute() -> None:
     # The nearest to 60 s is two cycles of 25 s: 20 kW in 50 s
     found = ramp_metrics(np.array([0.0, 5.0, 20.0]), RATING_KW, 25.0)
