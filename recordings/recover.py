@@ -133,13 +133,6 @@ def recover_run(run: RunReader, out: Path, follow: Callable[[float], None] = _ig
 
     Attachments, metadata, schemas and channels are the same; so are the messages, byte for byte,
     with their times, sequence numbers and order. Metadata named `recovery` is added.
-
-    Raises
-    ------
-    InputError
-        There is something at `out` already, or no folder for it.
-    OSError
-        It cannot be written: the disk is full.
     """
     with new_path(out) as beside, beside.open("xb") as file:
         copy = _Copy(run, file)

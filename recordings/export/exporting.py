@@ -111,28 +111,7 @@ def export(
     clock: Clock,
     progress: Callable[[float], None],
 ) -> ExportSummary:
-    """Export a recording.
-
-    Parameters
-    ----------
-    reader
-        The recording.
-    form
-        The format.
-    path
-        The file or folder to make; there is none yet.
-    selection
-        What is wanted of the recording.
-    clock
-        Times of the messages in a file for viewers.
-    progress
-        Called now and then with the share that is done, in [0, 1]. What it raises ends the export.
-
-    Raises
-    ------
-    InputError
-        The path is taken, or the recording is damaged or holds what cannot be.
-    """
+    """Export a recording."""
     began_at = time.monotonic()
     counts: Counter[str] = Counter()
     cycles = (1 << 62, -(1 << 62))

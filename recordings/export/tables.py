@@ -84,17 +84,7 @@ class Table:
 def tables_of(
     signals: Sequence[Signal[Message]], plan: RunPlan, anchor: ClockAnchor
 ) -> dict[Signal[Message], tuple[Table, ...]]:
-    """Return, by signal, the tables that its messages have rows in; the last is the same for all.
-
-    Parameters
-    ----------
-    signals
-        Those that are wanted.
-    plan
-        Of the run.
-    anchor
-        Of the recording's clocks.
-    """
+    """Return by signal the tables that its messages have rows in; the last is common to all."""
     missing = missing_inputs_table()
     details = {SETPOINT: (help_given_table(),), PRODUCTION: (inverters_table(plan),)}
     return {
@@ -198,15 +188,6 @@ def _type(field: Type) -> pa.DataType:
 class TableFile:
     """A table that is being written.
 
-    Parameters
-    ----------
-    path
-        File to write, without its suffix; there is none yet.
-    table, form, plan
-        What to write, in which format, of which run.
-    batch_rows
-        Rows that are written at once.
-
     Attributes
     ----------
     path
@@ -280,21 +261,6 @@ def _iso_times(times: pa.Array, unit: str) -> pa.Array:
 
 class TableFolder:
     """A folder of tables that is being written.
-
-    Parameters
-    ----------
-    folder
-        Where to put them; there is none yet.
-    plan
-        Of the run.
-    signals
-        Those whose messages will come.
-    anchor
-        Of the recording's clocks.
-    form
-        The format of the files.
-    batch_rows
-        Rows of a table that are written at once.
 
     Attributes
     ----------

@@ -29,18 +29,6 @@ class ViewerFile:
     """A file for viewers that is being written.
 
     Keys, schema names, attachments and sequence numbers are those of the recording.
-
-    Parameters
-    ----------
-    path
-        File to write; there is none yet.
-    reader
-        The recording.
-    signals
-        Those that get channels.
-    clock
-        `wall`: log and publish times of the recording. `sim`: both are the simulated time at the
-        beginning of the message's cycle.
     """
 
     def __init__(
@@ -51,7 +39,7 @@ class ViewerFile:
         self._writer = Writer(self._file, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library=f"heliarch {version('heliarch')}")
         self._write_origin(reader, clock)
-        self._encoders = {signal: JsonEncoder(signal) for signal in signals}
+        self._encoder = JsonEncoder()
         self._schemas = {
             signal: self._writer.register_schema(
                 signal.type.__name__, "jsonschema", json.dumps(object_schema(signal)).encode()
@@ -64,7 +52,7 @@ class ViewerFile:
     @property
     def left_out(self) -> int:
         """Fields left out so far, since JSON has neither NaN nor infinity."""
-        return sum(encoder.left_out for encoder in self._encoders.values())
+        return self._encoder.left_out
 
     def add(self, record: RecordedMessage, message: Message) -> None:
         """Write one message."""
@@ -73,7 +61,7 @@ class ViewerFile:
             log_time=message.sim_time_ns if self._sim else record.log_time_ns,
             publish_time=message.sim_time_ns if self._sim else record.publish_time_ns,
             sequence=record.sequence,
-            data=self._encoders[record.port.signal].encode(message),
+            data=self._encoder.encode(message),
         )
 
     def __enter__(self) -> ViewerFile:

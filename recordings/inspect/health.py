@@ -148,15 +148,7 @@ _missing = msgspec.msgpack.Decoder(_Missing).decode
 
 
 class HealthWatch:
-    """Follows a recording message by message.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    cycles
-        Those that are looked at.
-    """
+    """Follows a recording message by message."""
 
     def __init__(self, plan: RunPlan, cycles: range) -> None:
         self.gaps = RunGaps(plan, cycles.start)
@@ -258,8 +250,9 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
     launcher = health.launcher
     unknown = f"not recorded: there is no {SUMMARY_NAME} beside the recording"
     if health.fault_rules:
+        rules = f"{len(health.fault_rules)} rule{'s' if len(health.fault_rules) > 1 else ''}"
         done = unknown if launcher is None else _counts(launcher.faults) or "none came about"
-        yield "faults", f"{len(health.fault_rules)} rules for the network set; {done}"
+        yield "faults", f"{rules} set for the network; {done}"
     else:
         yield "faults", "none injected"
     worst = ", ".join(f"{port} {count:,}" for port, count in list(health.lost.items())[:_NAMED])

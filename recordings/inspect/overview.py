@@ -140,22 +140,7 @@ def read_overview(
     cycles: range | None = None,
     follow: Callable[[float], None] = lambda share: None,
 ) -> Overview:
-    """Go through a recording, message by message but without decoding them, and count.
-
-    Parameters
-    ----------
-    run
-        The recording.
-    cycles
-        Those to look at; None: all.
-    follow
-        Called now and then with the share that has been read, 0 to 1.
-
-    Raises
-    ------
-    InputError
-        The file is damaged.
-    """
+    """Go through a recording, message by message but without decoding them, and count."""
     wanted = range(max(run.last_cycle + 1, run.stop_cycle or 0)) if cycles is None else cycles
     counting = _Counting(run, wanted)
     last_production = wanted.start - 1

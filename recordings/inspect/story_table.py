@@ -69,19 +69,7 @@ _TREE: Final = (_POWER, _IMPP, _REQUEST, _RESIDUAL, _HELP_ASKED, _SETPOINT, _ALP
 
 
 class StoryTable:
-    """The lines of one node's story.
-
-    Parameters
-    ----------
-    tree
-        The control tree.
-    node
-        Path of the node: decides which columns there are.
-    time_width
-        Characters of a cycle's local time.
-    width
-        Characters of a line.
-    """
+    """The lines of one node's story."""
 
     def __init__(
         self, tree: ControlTree, node: str, time_width: int, width: int = NARROWEST
@@ -114,17 +102,7 @@ class StoryTable:
 def plant_lines(
     tree: ControlTree, nodes: Sequence[NodeCycle], width: int = NARROWEST
 ) -> Iterator[str]:
-    """Yield the plant in one cycle: its nodes as a tree, with the columns of a story.
-
-    Parameters
-    ----------
-    tree
-        The control tree.
-    nodes
-        All of its nodes in that cycle.
-    width
-        Characters of a line.
-    """
+    """Yield the plant in one cycle: its nodes as a tree, with the columns of a story."""
     by_path = {_path(node): node for node in nodes}
     branches = dict(_branches(tree, ROOT, ""))
     longest = max(len(branch) for branch in branches.values())

@@ -74,13 +74,7 @@ class ChunkPlace(NamedTuple):
 
 
 def chunk_at(file: BinaryIO, offset: int, length: int, size: int) -> ChunkPlace:
-    """Read the head of a chunk's record, which says it has `length` bytes, in a file of `size`.
-
-    Raises
-    ------
-    struct.error
-        The file ends before the chunk's times.
-    """
+    """Read the head of a chunk's record, which says it has `length` bytes, in a file of `size`."""
     file.seek(offset + RECORD_HEAD.size)
     first_ns, last_ns, _, _, name_length = _CHUNK_HEAD.unpack(file.read(_CHUNK_HEAD.size))
     cut = offset + RECORD_HEAD.size + length > size
@@ -93,13 +87,7 @@ def chunk_at(file: BinaryIO, offset: int, length: int, size: int) -> ChunkPlace:
 
 
 def unpack_chunk(file: BinaryIO, place: ChunkPlace) -> bytes:
-    """Return the records in a chunk; of a cut one, those that can still be unpacked, unverified.
-
-    Raises
-    ------
-    DamagedChunkError
-        There is no chunk at its place, or it is not the one that was written.
-    """
+    """Return the records in a chunk; of a cut one, those that can still be unpacked, unverified."""
     file.seek(place.offset)
     head = file.read(RECORD_HEAD.size)
     if place.cut:

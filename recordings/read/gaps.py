@@ -123,13 +123,6 @@ class PortGaps:
 class RunGaps:
     """What is missing in a run, port by port.
 
-    Parameters
-    ----------
-    plan
-        Of the run.
-    first_cycle
-        Where the counting begins.
-
     Attributes
     ----------
     ports

@@ -30,15 +30,7 @@ _TIME_OF_DAY: Final = re.compile(r"\d{1,2}:\d{2}(:\d{2}(\.\d{1,6})?)?")
 
 
 class RunClock:
-    """Turns moments of a run into cycles, and cycles into local time.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    last_cycle
-        The last cycle that there is; -1: none.
-    """
+    """Turns moments of a run into cycles, and cycles into local time."""
 
     def __init__(self, plan: RunPlan, last_cycle: int) -> None:
         self._plan = plan
@@ -46,13 +38,7 @@ class RunClock:
         self._last_cycle = last_cycle
 
     def cycle(self, moment: Moment) -> int:
-        """Return the cycle in which a moment lies.
-
-        Raises
-        ------
-        InputError
-            It cannot be understood, or lies outside the run.
-        """
+        """Return the cycle in which a moment lies."""
         text = str(moment).strip()
         cycle = int(text) if re.fullmatch(r"-?\d{1,18}", text) else self._cycle_at(text)
         if not 0 <= cycle <= self._last_cycle:
@@ -60,13 +46,7 @@ class RunClock:
         return cycle
 
     def span(self, start: Moment | None, end: Moment | None) -> range:
-        """Return the cycles from one moment to another, both included; None: from or to the end.
-
-        Raises
-        ------
-        InputError
-            See `cycle`; or the end comes before the start.
-        """
+        """Return the cycles from one moment to another, both included; None: from or to the end."""
         first = 0 if start is None else self.cycle(start)
         last = self._last_cycle if end is None else self.cycle(end)
         if start is not None and end is not None and last < first:

@@ -113,13 +113,7 @@ class Outline:
 
 
 def read_outline(file: BinaryIO) -> Outline:
-    """Find out what an MCAP file consists of.
-
-    Raises
-    ------
-    NoMcapError
-        It does not begin as one.
-    """
+    """Find out what an MCAP file consists of."""
     size = file.seek(0, SEEK_END)
     file.seek(0)
     magic = file.read(len(MAGIC))

@@ -71,13 +71,7 @@ class RecordedMessage(NamedTuple):
     payload: bytes
 
     def message(self) -> Message:
-        """Decode it.
-
-        Raises
-        ------
-        InputError
-            It is no message of its signal.
-        """
+        """Decode it."""
         try:
             return decode(self.port.signal, self.payload)
         except msgspec.DecodeError as error:
@@ -91,14 +85,6 @@ class RunReader:
     """A recording of a run; of one that was cut, everything up to the cut.
 
     Memory is bounded by the largest chunk, and some 300 bytes for each chunk of the file.
-
-    Parameters
-    ----------
-    path
-        The MCAP file, or the folder of a run.
-    skip_damaged
-        Whether to go on behind a damaged chunk: the caller then has to report `damage` at the end.
-        Otherwise such a chunk is an error where it is read.
 
     Attributes
     ----------
@@ -114,11 +100,6 @@ class RunReader:
         What the run was.
     damage
         Chunks that were skipped so far: why, by their first byte.
-
-    Raises
-    ------
-    InputError
-        There is no such file, or it is no recording of a run.
     """
 
     def __init__(self, path: Path, *, skip_damaged: bool = False) -> None:
@@ -190,33 +171,14 @@ class RunReader:
     def on(
         self, ports: Collection[Port[Message]], cycles: range | None = None
     ) -> Iterator[Delivery]:
-        """Yield the messages on some ports, of some cycles (in steps of 1) or of all.
-
-        Raises
-        ------
-        InputError
-            The file is damaged where it is read.
-        """
+        """Yield the messages on some ports, of some cycles (in steps of 1) or of all."""
         for record in self.records(ports, cycles):
             yield record.port, record.message()
 
     def records(
         self, ports: Collection[Port[Message]] | None = None, cycles: range | None = None
     ) -> Iterator[RecordedMessage]:
-        """Yield messages as they are in the file; only their cycle is decoded.
-
-        Parameters
-        ----------
-        ports
-            Of which ports; None: of all.
-        cycles
-            Of which cycles (in steps of 1); None: of all.
-
-        Raises
-        ------
-        InputError
-            The file is damaged where it is read.
-        """
+        """Yield messages as they are in the file; only their cycle is decoded."""
         port_of = self._channels_of(self.ports() if ports is None else ports)
         for raw in self._raw(port_of, cycles):
             channel, sequence, log_time_ns, publish_time_ns, payload = raw

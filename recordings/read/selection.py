@@ -21,13 +21,7 @@ _SUBTREE: Final = "/*"
 
 
 def find_signals(names: str | Iterable[Signal[Message] | str]) -> tuple[Signal[Message], ...]:
-    """Return the recorded signals of these names, or of one text with commas between them.
-
-    Raises
-    ------
-    InputError
-        There is no such signal, or it is never recorded.
-    """
+    """Return the recorded signals of these names, or of one text with commas between them."""
     recorded = {signal.name: signal for signal in SIGNALS if signal.logged}
     found = []
     for name in _words(names) if isinstance(names, str) else names:
@@ -63,13 +57,7 @@ def find_agents(tree: ControlTree, names: str | Iterable[str]) -> tuple[str, ...
 
 
 def find_node(tree: ControlTree, name: str) -> str:
-    """Return the path of one node.
-
-    Raises
-    ------
-    InputError
-        The control tree has no such node, or the name means several.
-    """
+    """Return the path of one node."""
     found = find_nodes(tree, name)
     if len(found) != 1:
         raise InputError(f"node {name!r}: expected one node, got {len(found)}")
@@ -80,9 +68,12 @@ def _agents(
     tree: ControlTree, names: str | Iterable[str], also: tuple[str, ...]
 ) -> tuple[str, ...]:
     team = (*also, *(agent_name(node) for node in tree.nodes))
-    texts = [names] if isinstance(names, str) else names
+    if isinstance(names, str):
+        words = _words(names)
+    else:  # The path of the central controller is empty.
+        words = [word for name in names for word in _words(name) or [CENTRAL]]
     found: list[str] = []
-    for name in (word for text in texts for word in _words(text)):
+    for name in words:
         top = name.removesuffix(_SUBTREE)
         if top not in team or (top != name and top in also):
             raise InputError(f"node {name!r}: not in this run, {_expected(top, team)}")

@@ -138,13 +138,7 @@ class _Values:
 
 
 class SeriesCollector:
-    """Turns the messages of a run, live or from a recording, into a `RunSeries`.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    """
+    """Turns the messages of a run, live or from a recording, into a `RunSeries`."""
 
     def __init__(self, plan: RunPlan) -> None:
         self._plan = plan
@@ -180,13 +174,7 @@ class SeriesCollector:
                     column.add(cycle, value)
 
     def series(self, label: str) -> RunSeries:
-        """Return the cycles up to the last one that the plant completed.
-
-        Raises
-        ------
-        InputError
-            No cycle is complete.
-        """
+        """Return the cycles up to the last one that the plant completed."""
         cycles = self._cycles
         if not cycles:
             raise InputError("expected a run with at least one complete cycle, got none")
@@ -221,18 +209,7 @@ class SeriesCollector:
 
 
 def read_series(path: Path) -> RunSeries:
-    """Read a recording as a series.
-
-    Parameters
-    ----------
-    path
-        The MCAP file, or the folder of a run.
-
-    Raises
-    ------
-    InputError
-        There is no such recording, or no cycle of it is complete.
-    """
+    """Read a recording as a series."""
     return _read(path, DISPATCH, IMPP, RESIDUAL, COMMAND, PRODUCTION)
 
 

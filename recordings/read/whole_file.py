@@ -18,11 +18,6 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
 
     A device, a pipe or a link is written in place: it must not be replaced by a plain file.
     `/dev/stdout` is a link, which leads to a file where standard output goes to one.
-
-    Raises
-    ------
-    OSError
-        It cannot be written. A plain file stays as it was.
     """
     if path.is_symlink() or (path.exists() and not path.is_file()):
         with path.open("wb") as file:
@@ -35,13 +30,7 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def check_new(path: Path) -> None:
-    """Refuse a place where nothing new can be put.
-
-    Raises
-    ------
-    InputError
-        Something is there already, or there is no folder for it.
-    """
+    """Refuse a place where nothing new can be put."""
     if path.exists() or path.is_symlink():
         raise InputError(f"--out {path}: it exists already, expected a new name")
     if not path.absolute().parent.is_dir():
@@ -50,13 +39,7 @@ def check_new(path: Path) -> None:
 
 @contextmanager
 def new_path(path: Path) -> Iterator[Path]:
-    """Give a name to write a new file or folder under; it gets `path` when it is complete.
-
-    Raises
-    ------
-    InputError
-        See `check_new`; also if somebody else has put something there meanwhile.
-    """
+    """Give a name to write a new file or folder under; it gets `path` when it is complete."""
     check_new(path)
     with _beside(path) as beside:
         yield beside

@@ -15,11 +15,6 @@ from recordings.read.gaps import SequenceGaps
 class ExternalAgents:
     """The external agents of a run and their messages.
 
-    Parameters
-    ----------
-    plan
-        Of the run.
-
     Attributes
     ----------
     heard

@@ -16,15 +16,7 @@ REPEATED: Final = "repeated"
 
 
 class Complaints:
-    """All complaints of a run.
-
-    Parameters
-    ----------
-    log
-        Called with a line of text for each wrong message.
-    tell
-        Called with the first complaint of each key and cause.
-    """
+    """All complaints of a run."""
 
     def __init__(self, log: Callable[[str], None], tell: Callable[[Complaint], None]) -> None:
         self._log = log

@@ -78,25 +78,7 @@ class RecordingEnd:
 
 
 class Recorder:
-    """Writes down a run.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    tap
-        The recorder's place on the bus.
-    writer
-        The file.
-    link
-        To the launcher.
-    end
-        Asked from outside.
-    on_wrong
-        Called with a line of text for each wrong message.
-    attached
-        Whether a launcher says when to end. Otherwise the run's own stop does.
-    """
+    """Writes down a run."""
 
     def __init__(
         self,

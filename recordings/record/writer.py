@@ -137,15 +137,7 @@ class RunWriter:
         self._channels = self._register(plan)
 
     def add(self, port: Port[Message], head: Numbered, payload: bytes, logged_ns: int) -> None:
-        """Write one message.
-
-        Parameters
-        ----------
-        port, head, payload
-            Its port, its publish time and number, and itself as it was on the wire.
-        logged_ns
-            Monotonic time at which it was received.
-        """
+        """Write one message."""
         self.heard += 1
         self._cycle = head.cycle
         if self.trouble:

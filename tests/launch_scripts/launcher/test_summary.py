@@ -67,7 +67,7 @@ def summary_of(metrics: RunMetrics | None) -> RunSummary:
     )
 
 
-def rows_of(summary: RunSummary) -> dict[str, tuple[str, ...]]:
+def rows_of(summary: RunSummary) -> dict[str, list[str]]:
     return {name: cells for name, *cells in summary_table(summary).texts()}
 
 

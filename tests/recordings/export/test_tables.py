@@ -35,7 +35,7 @@ Frames = dict[str, list[dict[str, Any]]]
 def read(folder: Path, name: str, form: str) -> pd.DataFrame:
     if form == "parquet":
         return pd.read_parquet(folder / f"{name}.parquet")
-    return pd.read_csv(folder / f"{name}.csv", parse_dates=["time"])
+    return pd.read_csv(folder / f"{name}.csv", parse_dates=["time"], dtype={"regulation_kw": float})
 
 
 @pytest.fixture

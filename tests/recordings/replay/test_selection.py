@@ -37,7 +37,7 @@ def test_signals_are_excluded_and_so_is_the_clock() -> None:
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        ({"signals": "imp"}, "signal 'imp': not in a recording, near are impp"),
+        ({"signals": "imp"}, "signal 'imp': .*impp"),
         ({"signals": "ready"}, "signal 'ready': not in a recording"),
         ({"exclude": "wind"}, "signal 'wind': not in a recording"),
         ({"signals": "impp", "exclude": "impp"}, "--signals, --exclude: nothing is left to replay"),
