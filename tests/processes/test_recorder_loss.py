@@ -14,7 +14,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from launch_scripts.commands.recover_work import LOSSY, recover
+from launch_scripts.commands.recover import LOSSY, recover
 from running import Heliarch, assert_none_left, small_plant
 
 from bus_schemas.errors import InputError

@@ -76,7 +76,7 @@ def words_of(name: str, folder: Path) -> list[str]:
 
 
 def with_json(names: list[str]) -> list[str]:
-    return [name for name in names if name != "scenarios" and name != "report"]
+    return [name for name in names if name not in {"scenarios", "report"}]
 
 
 def test_every_command_is_held_to_the_contract() -> None:

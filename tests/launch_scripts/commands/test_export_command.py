@@ -8,7 +8,6 @@ import os
 import re
 import shutil
 import signal
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from bus_schemas.codec import decode
 from bus_schemas.messages import Message
 from bus_schemas.signals import Signal
 from launch_scripts.cli import app
-from recordings.export.csv_table import CsvTable
+from recordings.export.tables import TableFile
 from recordings.read.reader import RunReader
 from recordings.read.run_file import RECORDING_NAME
 
@@ -195,7 +194,7 @@ def test_an_export_does_not_replace_what_is_there(run: Path, form: str, tmp_path
     path = tmp_path / "there"
     path.write_text("before")
     assert refused(run, "--to", form, "--out", path) == (
-        f"heliarch: --out {path}: it exists already, accepted is a new name"
+        f"heliarch: --out {path}: it exists already, expected a new name"
     )
     assert path.read_text() == "before"
 
@@ -237,16 +236,6 @@ def test_an_export_is_not_exported_again(run: Path) -> None:
     assert "no recording of a heliarch run" in refused(run / "run.json.mcap", "--to", "csv")
 
 
-def test_without_pyarrow_parquet_is_refused_and_csv_is_not(
-    run: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delitem(sys.modules, "recordings.export.parquet_table", raising=False)
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    line = refused(run, "--to", "parquet")
-    assert "pip install 'heliarch[parquet]'" in line
-    exported(run, "--to", "csv", "--signals", "dispatch")
-
-
 # What goes wrong on the way -----------------------------------------------------------------------
 
 
@@ -266,7 +255,7 @@ def after_some_messages(
                 happens()
             return decode(of, payload)
 
-        monkeypatch.setattr("recordings.export.records.decode", counting)
+        monkeypatch.setattr("recordings.read.reader.decode", counting)
 
     return plant
 
@@ -294,6 +283,6 @@ def test_a_full_disk_leaves_nothing_behind(run: Path, monkeypatch: pytest.Monkey
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(CsvTable, "write", full)
+    monkeypatch.setattr(TableFile, "add", full)
     line = refused(run, "--to", "csv", status=1)
     assert re.fullmatch(r"heliarch: export: .*No space left on device; nothing is left of it", line)

@@ -11,6 +11,7 @@ from typing import Final
 import pytest
 from msgspec.structs import replace
 from reports_by_hand import missed, reported, summary_of
+from studies.timing.table import print_report
 from timed_recordings import PLAN, cycle, recorded
 from typer.testing import CliRunner, Result
 
@@ -22,7 +23,6 @@ from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepar
 from launch_scripts.scenarios.scenario import load_scenario
 from studies.timing.measured_run import whole_cycles
 from studies.timing.report import Reported
-from studies.timing.table import print_report
 
 FULL: Final = Path("/dev/full")
 
