@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import os
-import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -182,9 +181,7 @@ def _least_width(column: Column, texts: Sequence[str]) -> int:
     if column.align == "left":
         words = (len(word) for text in texts for word in text.split())
         longest = max(min(longest, _WORDS), *words, 0)
-    headings = re.split(r"\s+|(?<=-)", f"{column.title} {column.unit}")
-    least = max(longest, *map(len, headings))
-    return max(least, *map(len, _heading(column, least)), 0)
+    return max(longest, *map(len, _heading(column, longest)), 0)
 
 
 def _rich_table(table: Table) -> RichTable:
