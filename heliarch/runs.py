@@ -24,7 +24,7 @@ from launch_scripts.scenarios.toml_text import toml_value
 from studies.arrays.schemes import DEFAULT_SCHEMES, SCHEMES
 from studies.compare.cases import cases, parse_setting, with_settings
 from studies.compare.study import Comparison, run_case
-from studies.compare.tables import rows
+from studies.compare.tables import json_rows
 from studies.workers import share_work
 
 
@@ -157,8 +157,8 @@ def compare(
         tuple(seeds),
     )
     results = dict(share_work(partial(run_case, Comparison(names)), found, workers))
-    table = pd.DataFrame(rows([results[number] for number in sorted(results)]))
-    return table.drop(columns=["metrics", "remarks"])
+    table = pd.DataFrame(json_rows([results[number] for number in sorted(results)]))
+    return table.drop(columns=["metrics", "remarks"], errors="ignore")
 
 
 def _loaded(scenario: str | ScenarioFile) -> ScenarioFile:

@@ -92,32 +92,6 @@ def test_a_first_part_to_learn_from_is_not_run() -> None:
     assert "chosen from the first 1200 s; the rest was run" in found.stdout
 
 
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        (("--periods", "15"), "--periods 15: accepted are multiples of the cycle, 10 s, in"),
-        (("--periods", "10,x"), "--periods x: accepted are multiples of the cycle, 10 s, in"),
-        (("--periods", "0"), "--periods 0: accepted are multiples of the cycle, 10 s, in"),
-        (("--periods", "inf"), "--periods inf: accepted are multiples of the cycle, 10 s, in"),
-        (("--random", "0"), "--random 0: accepted are 1 to 1000 seeds"),
-        (("--learn", "1h"), "--learn 3600 s: accepted are multiples of the cycle, 10 s, from 20"),
-        (("--learn", "x"), "--learn x: accepted are seconds above 0"),
-        (("--set", "plant.meter_noise=0,0.01"), "--set: accepted is one value for each field"),
-        (("--json", "no/such/file"), "--json no/such/file: accepted is a file in an existing"),
-        (
-            ("--set", "control.period_cycles=[2,2]", "--periods", "30"),
-            "control.period_cycles[0] is 3, accepted are multiples of the tier below it (2)",
-        ),
-    ],
-)
-def test_what_cannot_be_is_refused_in_one_line(words: tuple[str, ...], complaint: str) -> None:
-    found = run(*QUICK, *words)
-    assert found.exit_code == 2
-    assert found.stderr.startswith(f"heliarch: {complaint}")
-    assert found.stderr.count("\n") == 1
-    assert not found.stdout
-
-
 def test_under_the_measured_sky_of_melpitz_virtual_neighbours_spare_the_central_controller(
     data_folder: Path,
 ) -> None:

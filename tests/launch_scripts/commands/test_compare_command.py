@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import pytest
 from typer.testing import CliRunner
 
 from launch_scripts.cli import app
@@ -38,7 +37,7 @@ def test_a_reference_group_can_be_named() -> None:
 
 def test_a_regulation_signal_gives_the_second_table() -> None:
     status, text, _ = compare(
-        "oahu-day", "--start", "10:00", "--duration", "10m", "--schemes", "paper"
+        "oahu-day", "--from", "10:00", "--duration", "10m", "--schemes", "paper"
     )
     assert status == 0
     assert "Regulation signal" in text
@@ -99,25 +98,3 @@ def test_a_report_holds_all_schemes(tmp_path: Path) -> None:
     page = out.read_text()
     assert "uniform-cap" in page
     assert "paper" in page
-
-
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        (["--schemes", "magic"], "--schemes magic: accepted are uncontrolled,"),
-        (["--show", "beauty"], "--show beauty: accepted are satisfied,"),
-        (["--workers", "0"], "--workers 0: accepted are 1 to 256"),
-        (["--reference", "few"], "--reference few: accepted are inv"),
-        (["--seeds", "x"], "--seeds x: accepted are whole numbers"),
-        (["--days", "x"], "--days x: accepted are dates"),
-        (["--set", "x"], "--set x: accepted is a field"),
-        (["--report", "/nowhere/at/all.html"], "/nowhere/at/all.html"),
-        (["--seeds", "1,2", "--report", "r.html"], "accepted with one case, the study has 2"),
-        (["--days", "2010-04-01", "--start", "2010-04-01T12:00"], "a time of day such as 12:30"),
-    ],
-)
-def test_bad_words_give_one_line(words: list[str], complaint: str) -> None:
-    status, text, error = compare("oahu", "--duration", "20", *words)
-    assert (status, text) == (2, "")
-    assert complaint in error
-    assert error.count("\n") == 1
