@@ -51,15 +51,7 @@ class PlaybackClock:
 
     Every moment is counted from one anchor, so errors do not add up. Only a pause, a seek and a
     change of rate set a new anchor.
-
-    Parameters
-    ----------
-    rate
-        Seconds of the clock per second; 0: everything is due at once.
-    paused
-        Whether it stands still.
-    now_ns
-        The monotonic clock.
+    The rate is in seconds of the clock per second; at 0 everything is due at once.
     """
 
     def __init__(

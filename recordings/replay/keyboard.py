@@ -21,8 +21,8 @@ class Key(Enum):
 
     PAUSE = "pause or go on"
     STEP = "one cycle"
-    FASTER = "twice the rate"
-    SLOWER = "half the rate"
+    FASTER = "twice the pace"
+    SLOWER = "half the pace"
     FORWARD = "10 s forward"
     BACK = "10 s back"
     FAR_FORWARD = "1 min forward"
@@ -30,7 +30,7 @@ class Key(Enum):
     QUIT = "end"
 
 
-KEYS_IN_WORDS: Final = "space pauses, s steps a cycle, + - rate, arrows seek (10 s, 1 min), q ends"
+KEYS_IN_WORDS: Final = "space pauses, s steps a cycle, + - pace, arrows seek (10 s, 1 min), q ends"
 
 _KEY_OF: Final = {
     b" ": Key.PAUSE,

@@ -53,34 +53,22 @@ class LiveComparison:
         self.findings = {agent: Findings() for agent in live}
         self._tree = plan.tree
         self._comparison = Comparison()
-        self._recorded: dict[tuple[Port[Message], int], Message] = {}
-        self._new: dict[tuple[Port[Message], int], Message] = {}
+        self._waiting: dict[tuple[Port[Message], int, bool], Message] = {}
 
-    def take_recorded(self, port: Port[Message], message: Message) -> None:
-        """Compare a recorded message, now or when its counterpart comes."""
-        self.findings[port.publisher].recorded += 1
-        new = self._new.pop((port, message.cycle), None)
-        if new is None:
-            self._recorded[port, message.cycle] = message
+    def take(self, port: Port[Message], message: Message, *, is_recorded: bool) -> None:
+        """Compare a message with its counterpart, now or when that comes."""
+        self.findings[port.publisher].recorded += is_recorded
+        other = self._waiting.pop((port, message.cycle, not is_recorded), None)
+        if other is None:
+            self._waiting[port, message.cycle, is_recorded] = message
         else:
-            self._compare(port, message, new)
-
-    def take_new(self, port: Port[Message], message: Message) -> None:
-        """Compare a new message, now or when its counterpart comes."""
-        recorded = self._recorded.pop((port, message.cycle), None)
-        if recorded is None:
-            self._new[port, message.cycle] = message
-        else:
-            self._compare(port, recorded, message)
+            self._compare(port, *((message, other) if is_recorded else (other, message)))
 
     def finish(self, before_cycle: int) -> None:
         """Count the messages without a counterpart in the cycles before one."""
-        for (port, cycle), message in self._recorded.items():
+        for (port, cycle, is_recorded), message in self._waiting.items():
             if cycle < before_cycle:
-                self._compare(port, message, None)
-        for (port, cycle), message in self._new.items():
-            if cycle < before_cycle:
-                self._compare(port, None, message)
+                self._compare(port, *((message, None) if is_recorded else (None, message)))
 
     def _compare(self, port: Port[Message], recorded: Message | None, new: Message | None) -> None:
         stage = stage_of(port, self._tree)
@@ -90,22 +78,7 @@ class LiveComparison:
 class LiveReplay:
     """A recording with live controllers in it.
 
-    Parameters
-    ----------
-    reader
-        The recording.
-    plan, live
-        Plan and names of the live controllers; its cycles are those to run.
-    children
-        Their processes.
-    bus
-        Connects them with the recorded agents.
-    observers
-        Publishes everything for subscribers.
-    interruption
-        Ends it.
-    progress
-        Shows it.
+    The plan is that of the live controllers; its cycles are those to run.
 
     Attributes
     ----------
@@ -145,22 +118,11 @@ class LiveReplay:
         self._look_at = 0.0
 
     def arm(self) -> None:
-        """Wait until the live controllers are there and answer a whole arming round.
+        """Send arming rounds until the live controllers are there and answer a whole one.
 
         In a round the other agents publish what they published first in the run.
-
-        Raises
-        ------
-        RunFailure
-            A live controller does not come or does not answer.
-        KeyboardInterrupt
-            The user has asked for an end.
         """
         give_up_at = time.monotonic() + _ARMING_S
-        while absent := self._bus.absent():
-            self._check(0.02)
-            if time.monotonic() > give_up_at:
-                raise RunFailure(f"no sign of life from {', '.join(absent)}")
         first = self._first_messages()
         number = 0
         while silent := self._run_round(number, first):
@@ -170,13 +132,7 @@ class LiveReplay:
                 raise RunFailure(f"no arming round closed: nothing came on {names}")
 
     def run(self) -> None:
-        """Take the live controllers through the run, and compare.
-
-        Raises
-        ------
-        RunFailure
-            One of them died, gave up, or does not publish any more.
-        """
+        """Take the live controllers through the run, and compare."""
         wake_precisely()
         if self._plan.lockstep:
             self._run_in_lockstep()
@@ -211,7 +167,9 @@ class LiveReplay:
         while silent and time.monotonic() < until:
             received = self._bus.receive(len(silent), _LOOK_S)
             silent -= {port for port, message, _ in received if message.cycle == cycle}
-            self._check(0.0)
+            self._children.events(0.0)
+            if self._interruption:
+                raise KeyboardInterrupt
         return silent
 
     def _run_in_lockstep(self) -> None:
@@ -259,7 +217,8 @@ class LiveReplay:
             rate = 0.0 if self._plan.lockstep else 1.0
             self._observers.announce(record.cycle, rate=rate, paused=False)
         if port.publisher in self._live:
-            self.comparison.take_recorded(port, decode(port.signal, record.payload))
+            message = decode(port.signal, record.payload)
+            self.comparison.take(port, message, is_recorded=True)
             return False
         self._bus.put(port, record.payload)
         self._observers.put(port, record.payload)
@@ -286,17 +245,11 @@ class LiveReplay:
                 self._received += 1
                 self._newest[port] = message.cycle
                 self._observers.put(port, payload)
-                self.comparison.take_new(port, message)
+                self.comparison.take(port, message, is_recorded=False)
         if time.monotonic() >= self._look_at:
             self._look_at = time.monotonic() + _LOOK_S
             self._children.events(0.0)
         return len(received)
-
-    def _check(self, timeout_s: float) -> None:
-        """Check that all processes live and the user has not asked for an end."""
-        self._children.events(timeout_s)
-        if self._interruption:
-            raise KeyboardInterrupt
 
     def _receive_the_last(self) -> None:
         """Let the live controllers end, and receive all that they have sent."""
@@ -332,15 +285,7 @@ class LiveReplay:
 def by_cycle(
     records: Iterable[RecordedMessage], ahead: int
 ) -> Iterator[tuple[int, list[RecordedMessage]]]:
-    """Yield each cycle with its messages, from cycle 0 on.
-
-    Parameters
-    ----------
-    records
-        In the order of their publish times.
-    ahead
-        Cycles by which one agent can be ahead of another.
-    """
+    """Yield each cycle with its messages; one agent may be some cycles ahead of another."""
     waiting: dict[int, list[RecordedMessage]] = {}
     cycle = 0
     for record in records:

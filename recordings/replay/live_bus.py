@@ -30,22 +30,13 @@ class Received(NamedTuple):
 class LiveBus(ReplayBus):
     """Publishes for all agents but the live ones, and receives what the live ones publish.
 
-    Parameters
-    ----------
-    plan
-        Of the live controllers, see `live_plan`.
-    live
-        Their names.
-    tcp_port
-        Where they connect.
+    The live ones run by `live_plan`, and connect to the TCP port.
     """
 
     def __init__(self, plan: RunPlan, live: Collection[str], tcp_port: int) -> None:
         keys = plan.keys
         others = [port for port in keys.ports if port.publisher not in {REPLAYER, *live}]
         super().__init__(plan, others, f"tcp/127.0.0.1:{tcp_port}")
-        self._alive_keys = {keys.alive_key(agent): agent for agent in live}
-        self._all_alive = keys.alive_key("**")
         self._inbox = Inbox()
         self._subscribers = [
             self.session.declare_subscriber(
@@ -56,20 +47,9 @@ class LiveBus(ReplayBus):
             for port in keys.ports
             if port.publisher in live
         ]
-        self._tokens = [
-            self.session.liveliness().declare_token(keys.alive_key(agent))
-            for agent in plan.tree.agents()
-            if agent not in live
-        ]
 
     def receive(self, wanted: int, timeout_s: float) -> list[Received]:
-        """Return what the live controllers have sent: `wanted` messages, or less at the time-out.
-
-        Raises
-        ------
-        RunFailure
-            One of them sent what is no message of the run.
-        """
+        """Return what the live controllers have sent, once there is enough or at the time-out."""
         received = []
         for port, payload, _ in self._inbox.take(wanted, timeout_s):
             data = payload.to_bytes()
@@ -81,26 +61,11 @@ class LiveBus(ReplayBus):
                 ) from None
         return received
 
-    def absent(self) -> list[str]:
-        """Return the live controllers whose liveliness token is not seen."""
-        replies = self.session.liveliness().get(self._all_alive, timeout=1.0)
-        seen = {str(reply.ok.key_expr) for reply in replies if reply.ok is not None}
-        return sorted(agent for key, agent in self._alive_keys.items() if key not in seen)
-
 
 def live_plan(plan: RunPlan, live: Iterable[str], tcp_ports: dict[str, int], port: int) -> RunPlan:
     """Return the plan by which live controllers find each other, and all others at one TCP port.
 
-    Parameters
-    ----------
-    plan
-        Of the run.
-    live
-        Names of the live controllers.
-    tcp_ports
-        TCP port of each live controller.
-    port
-        TCP port of the `LiveBus`. Every agent connects to the recorder, and so to it.
+    That port is of the `LiveBus`: every agent connects to the recorder, and so to it.
     """
     everybody = dict.fromkeys(plan.links.listening, port)
     everybody.update({agent: tcp_ports[agent] for agent in live if agent in everybody})

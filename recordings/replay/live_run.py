@@ -23,22 +23,13 @@ from launch_scripts.launcher.tcp_ports import reserved_ports
 from recordings.read.moments import RunClock
 from recordings.read.reader import RunReader
 from recordings.read.selection import find_nodes
+from recordings.replay.bus import await_subscriber, replay_bus, say, selected_ports
 from recordings.replay.live import LiveReplay
 from recordings.replay.live_bus import LiveBus, live_plan
 from recordings.replay.progress import ProgressLine
 from recordings.replay.publish_order import complete_cycles
-from recordings.replay.session import (
-    await_subscriber,
-    introduce,
-    replay_bus,
-    say,
-    selected_ports,
-)
 from recordings.replay.timing import TimingFigures
 from recordings.verify.report import finding_data, finding_lines, json_ready
-
-_NAMED: Final = 5
-"""So many controllers are named before the rest is counted."""
 
 _OTHERS: Final = "others"
 _SHARED: Final = (
@@ -64,19 +55,7 @@ class LiveRequest:
 
 
 class LiveFigures(msgspec.Struct, frozen=True):
-    """The result of a live replay.
-
-    Attributes
-    ----------
-    compared
-        Pairs of a recorded and a new message of the live controllers.
-    differing
-        Number of differences, by controller.
-    agents
-        Findings of each controller, as `heliarch verify --json` has them.
-    timing_error
-        Of the recorded messages, in real time.
-    """
+    """The result of a live replay; `agents` as `heliarch verify --json` has them."""
 
     run_id: str
     recording: str
@@ -91,19 +70,9 @@ class LiveFigures(msgspec.Struct, frozen=True):
 
 
 def replay_live(request: LiveRequest, reader: RunReader, out: TextIO) -> LiveFigures:
-    """Replay with live controllers, and print in what they differ.
-
-    Raises
-    ------
-    InputError
-        A name that is no controller of the run, or a plan of another plant.
-    RunFailure
-        A live controller died, gave up, or does not publish any more.
-    """
+    """Replay with live controllers, and print in what they differ."""
     live = _live_agents(reader.plan, request.live)
     plan = _plan(request, reader)
-    introduce(reader, out)
-    say(out, f"live: {_named(live)}; all others as recorded")
     with interruptible() as interruption, _folder() as folder:
         began_at = time.monotonic()
         replay = _run(request, reader, plan, live, folder, interruption, out)
@@ -116,7 +85,7 @@ def replay_live(request: LiveRequest, reader: RunReader, out: TextIO) -> LiveFig
         replay.cycles,
         wall_s,
         sum(found.compared for found in findings.values()),
-        {name: found.counts.total() for name, found in findings.items() if found.counts},
+        {name: sum(found.differences.values()) for name, found in findings.items() if found.first},
         [json_ready(finding_data(name, found)) for name, found in findings.items()],
         replay.timing.figures(),
         bool(interruption),
@@ -132,7 +101,8 @@ def replay_live(request: LiveRequest, reader: RunReader, out: TextIO) -> LiveFig
     for name, found in findings.items():
         for line in finding_lines(name, found, clock):
             say(out, line)
-    say(out, f"differences: {_counts(figures.differing)}" if figures.differing else "no difference")
+    counts = [f"{agent} {count:,}" for agent, count in figures.differing.items()]
+    say(out, f"differences: {', '.join(counts) or 'none'}")
     return figures
 
 
@@ -168,9 +138,10 @@ def _run(
         path = folder / "plan.json"
         path.write_bytes(plan.as_json())
         with (
-            replay_bus(plan, selected_ports(plan), request.listen, out) as observers,
+            replay_bus(reader, selected_ports(plan), request.listen, out) as observers,
             LiveBus(plan, live, tcp_ports[_OTHERS]) as bus,
         ):
+            say(out, f"live: {', '.join(live)}; all others as recorded")
             server.ask(Start(str(path), tuple(live), str(folder), 0.0))
             progress = ProgressLine(out, reader.clock, plan.cycles - 1)
             replay = LiveReplay(
@@ -213,13 +184,3 @@ def _plan(request: LiveRequest, reader: RunReader) -> RunPlan:
 def _brief(value: object) -> str:
     text = str(value)
     return text if len(text) <= 40 else f"{text[:40]}..."
-
-
-def _counts(differing: dict[str, int]) -> str:
-    most_first = sorted(differing.items(), key=lambda entry: (-entry[1], entry[0]))
-    return _named([f"{agent} {count:,}" for agent, count in most_first])
-
-
-def _named(names: Sequence[str]) -> str:
-    rest = len(names) - _NAMED
-    return ", ".join(names[:_NAMED]) + (f" and {rest} more" if rest > 0 else "")

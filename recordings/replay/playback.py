@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 from agents.machine import wake_precisely
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from launch_scripts.launcher.interruption import Interruption
 from recordings.read.reader import RecordedMessage, RunReader
+from recordings.replay.bus import ReplayBus
 from recordings.replay.clock import ClockKind, PlaybackClock, Positions
 from recordings.replay.keyboard import Key, Keyboard
 from recordings.replay.progress import ProgressLine
@@ -34,16 +34,6 @@ _SEEK_S: Final = {
 """How far a key seeks, in simulated time."""
 
 
-class Sink(Protocol):
-    """Where messages go."""
-
-    def put(self, port: Port[Message], payload: bytes) -> None:
-        """Publish bytes."""
-
-    def announce(self, cycle: int, *, rate: float, paused: bool) -> None:
-        """Publish where the replay stands."""
-
-
 class Span(NamedTuple):
     """The part of a run that is replayed: from the first cycle to just before the other one."""
 
@@ -51,9 +41,8 @@ class Span(NamedTuple):
     before_cycle: int | None
 
 
-@dataclass
-class Played:
-    """What has been replayed.
+class Playback:
+    """Plays a recording onto the bus.
 
     Attributes
     ----------
@@ -63,36 +52,12 @@ class Played:
         How late messages were sent: not those of steps, nor any at rate 0.
     """
 
-    messages: int
-    cycles: int
-    timing: TimingErrors
-
-
-class Playback:
-    """Plays a recording onto the bus.
-
-    Parameters
-    ----------
-    reader, span, ports
-        The recording, and the part of it that is played.
-    sink
-        Where it goes.
-    clock, kind
-        Rate and pause, and what determines the distances between messages.
-    keyboard, interruption
-        What controls it.
-    progress
-        Shows it.
-    sleep
-        Waits for some seconds of the clock.
-    """
-
     def __init__(
         self,
         reader: RunReader,
         span: Span,
         ports: Collection[Port[Message]],
-        sink: Sink,
+        bus: ReplayBus,
         clock: PlaybackClock,
         kind: ClockKind,
         keyboard: Keyboard,
@@ -100,11 +65,12 @@ class Playback:
         progress: ProgressLine,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self.played = Played(0, 0, TimingErrors())
+        self.messages = self.cycles = 0
+        self.timing = TimingErrors()
         self._reader = reader
         self._span = span
         self._ports = ports
-        self._sink = sink
+        self._bus = bus
         self._clock = clock
         self._kind = kind
         self._keyboard = keyboard
@@ -164,21 +130,21 @@ class Playback:
         if record.cycle > self._cycle:
             self._cycle = record.cycle
             # The message that ends the run names the cycle after the last one.
-            self.played.cycles += record.cycle <= self._reader.last_cycle
+            self.cycles += record.cycle <= self._reader.last_cycle
             self._announce()
-        self._sink.put(record.port, record.payload)
-        self.played.messages += 1
+        self._bus.put(record.port, record.payload)
+        self.messages += 1
         if self._clock.paused:
             self._clock.move_to(self._position_ns)
         elif self._clock.rate:
             late_ns = self._clock.now_ns() - self._clock.due_ns(self._position_ns)
-            self.played.timing.add(late_ns)
+            self.timing.add(late_ns)
 
     def _announce(self) -> None:
         """Publish where the replay stands."""
         if self._next is not None:
             clock = self._clock
-            self._sink.announce(self._next.cycle, rate=clock.rate, paused=clock.paused)
+            self._bus.announce(self._next.cycle, rate=clock.rate, paused=clock.paused)
 
     def _obey_keys(self) -> None:
         """Read the keyboard if it is time to, and do what the keys ask for, one after the other."""
@@ -227,5 +193,5 @@ class Playback:
         self._seek(min(max(here + cycles, self._span.first_cycle), last))
 
     def _state(self) -> str:
-        rate = f"rate {self._clock.rate:g}" if self._clock.rate else "as fast as possible"
+        rate = f"pace {self._clock.rate:g}" if self._clock.rate else "as fast as possible"
         return f", {rate}{' paused' if self._clock.paused else ''}"

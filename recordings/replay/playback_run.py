@@ -10,17 +10,11 @@ import msgspec
 
 from launch_scripts.launcher.interruption import interruptible
 from recordings.read.reader import RunReader
+from recordings.replay.bus import await_subscriber, replay_bus, say, selected_ports
 from recordings.replay.clock import CLOCKS, ClockKind, PlaybackClock, default_clock
 from recordings.replay.keyboard import KEYS_IN_WORDS, has_keyboard, keyboard
 from recordings.replay.playback import Playback, Span
 from recordings.replay.progress import ProgressLine
-from recordings.replay.session import (
-    await_subscriber,
-    introduce,
-    replay_bus,
-    say,
-    selected_ports,
-)
 from recordings.replay.timing import TimingFigures
 
 
@@ -58,23 +52,16 @@ class ReplayFigures(msgspec.Struct, frozen=True):
 
 
 def replay_recording(request: PlaybackRequest, reader: RunReader, out: TextIO) -> ReplayFigures:
-    """Replay a recording, and print the result.
-
-    Raises
-    ------
-    InputError
-        A signal or a moment that the run does not have, or an address that is taken.
-    """
+    """Replay a recording, and print the result."""
     ports = selected_ports(reader.plan, request.signals, request.exclude)
     span = reader.clock.span(request.start, request.end)
     kind = request.clock or default_clock(reader.plan)
-    introduce(reader, out)
-    say(out, f"clock {kind}: {CLOCKS[kind]}")
     with (
         interruptible() as interruption,
-        replay_bus(reader.plan, ports, request.listen, out) as bus,
+        replay_bus(reader, ports, request.listen, out) as bus,
         keyboard() as keys,
     ):
+        say(out, f"clock {kind}: {CLOCKS[kind]}")
         if has_keyboard():
             say(out, KEYS_IN_WORDS)
         playback = Playback(
@@ -93,16 +80,16 @@ def replay_recording(request: PlaybackRequest, reader: RunReader, out: TextIO) -
         began_at = time.monotonic()
         playback.play(loop=request.loop)
         wall_s = time.monotonic() - began_at
-    played = playback.played
-    timing = played.timing.figures()
-    say(out, f"replayed {played.messages:,} messages of {played.cycles:,} cycles in {wall_s:.1f} s")
+    timing = playback.timing.figures()
+    messages, cycles = playback.messages, playback.cycles
+    say(out, f"replayed {messages:,} messages of {cycles:,} cycles in {wall_s:.1f} s")
     if timing is not None:
         timing.write(out)
     return ReplayFigures(
         reader.plan.run_id,
         str(reader.path),
-        played.messages,
-        played.cycles,
+        messages,
+        cycles,
         wall_s,
         request.rate,
         kind,

@@ -12,15 +12,7 @@ _PLAIN_S: Final = 2.0
 
 
 class ProgressLine:
-    """The line.
-
-    Parameters
-    ----------
-    stream
-        Where it goes.
-    clock, last_cycle
-        Of the recording.
-    """
+    """The line, for a recording with this clock and last cycle."""
 
     def __init__(self, stream: TextIO, clock: RunClock, last_cycle: int) -> None:
         self._stream = stream

@@ -27,19 +27,7 @@ def in_publish_order(
 ) -> Iterator[RecordedMessage]:
     """Yield messages in the order of their publish times, those of one key always in theirs.
 
-    Parameters
-    ----------
-    reader
-        The recording.
-    ports
-        Of which ports; None: of all.
-    first_cycle, before_cycle
-        Of the cycles from the first one to just before the other one; None: to the end.
-
-    Raises
-    ------
-    InputError
-        The file is damaged where it is read.
+    Of the cycles from the first one to just before the other one; None: to the end.
     """
     margin = reader.plan.periods.longest + _LATE_CYCLES
     beyond = _ENDLESS if before_cycle is None else before_cycle + margin

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
-from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from recordings.verify.comparison import Comparison, FieldDifference
@@ -21,16 +20,17 @@ Kind: TypeAlias = Literal[
     "input not recorded",
     "fails",
 ]
-"""How the new messages of an agent differ from the recorded ones.
 
-- `differs`: in the fields of one message
-- `only recorded`: the agent does not send the message any more
-- `only new`: the recording does not have it
-- `recorded twice`: in one cycle
-- `not recorded`: the agent must have sent messages here that the recording lost
-- `input not recorded`: the agent used a message that the recording does not have
-- `fails`: the agent raises an error, or sends what cannot be sent
-"""
+KINDS: Final[dict[Kind, str]] = {
+    "differs": "differs",
+    "only recorded": "recorded, but not sent any more",
+    "only new": "sent now, but not recorded",
+    "recorded twice": "recorded twice in one cycle",
+    "not recorded": "the recording lost messages before this one",
+    "input not recorded": "used, but not recorded",
+    "fails": "raises an error, or sends what cannot be sent",
+}
+"""How new messages can differ from the recorded ones, in words."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,16 +39,14 @@ class Difference:
 
     Attributes
     ----------
-    kind, cycle, stage
-        What differs, and where.
-    port
-        The message that differs; of `input not recorded` the input.
+    message
+        Key of the message that differs; of `input not recorded` that of the input.
     fields
         Fields that differ.
-    message
+    content
         The recorded message if there is one, else the new one.
     inputs
-        What the agent received in that cycle.
+        What the agent received in that cycle, by key.
     missing
         The inputs that were not of that cycle, see `bus_schemas.missing`.
     text
@@ -58,10 +56,10 @@ class Difference:
     kind: Kind
     cycle: int
     stage: str
-    port: Port[Message] | None = None
+    message: str = ""
     fields: tuple[FieldDifference, ...] = ()
-    message: Message | None = None
-    inputs: tuple[Delivery, ...] = ()
+    content: Message | None = None
+    inputs: dict[str, Message] = field(default_factory=dict)
     missing: tuple[str, ...] = ()
     text: str = ""
 
@@ -76,8 +74,8 @@ class Findings:
         Its messages in the recording, and the pairs that were compared.
     missing_inputs, old_inputs
         Inputs that were missing at a deadline, and older ones that were used.
-    counts
-        Differences by kind.
+    differences
+        Their number by kind.
     first
         The first of them.
     failure
@@ -90,7 +88,7 @@ class Findings:
     compared: int = 0
     missing_inputs: int = 0
     old_inputs: int = 0
-    counts: Counter[Kind] = field(default_factory=Counter)
+    differences: Counter[Kind] = field(default_factory=Counter)
     first: Difference | None = None
     failure: Difference | None = None
     not_compared: int = 0
@@ -103,7 +101,7 @@ class Findings:
         recorded: Message | None,
         new: Message | None,
         stage: str,
-        inputs: Sequence[Delivery] = (),
+        inputs: Mapping[Port[Message], Message] | None = None,
     ) -> None:
         """Compare a recorded message with a new one; either may be None."""
         fields: tuple[FieldDifference, ...] = ()
@@ -118,13 +116,20 @@ class Findings:
         assert message is not None
         self.add(
             Difference(
-                kind, message.cycle, stage, port, fields, message, tuple(inputs), message.missing
+                kind,
+                message.cycle,
+                stage,
+                str(port),
+                fields,
+                message,
+                by_key(inputs or {}),
+                message.missing,
             )
         )
 
     def add(self, difference: Difference) -> None:
         """Count a difference, and keep it if it is the first."""
-        self.counts[difference.kind] += 1
+        self.differences[difference.kind] += 1
         if difference.kind == "fails":
             self.failure = difference
         if self.first is None or difference.cycle < self.first.cycle:
@@ -136,3 +141,8 @@ class Findings:
             self.not_compared += messages
             if self.not_compared_from is None:
                 self.not_compared_from = cycle
+
+
+def by_key(messages: Mapping[Port[Message], Message]) -> dict[str, Message]:
+    """Return messages by their keys."""
+    return {str(port): message for port, message in messages.items()}

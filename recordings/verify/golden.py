@@ -51,13 +51,7 @@ def main() -> None:
 
 
 def origin(run: Path) -> tuple[Path, RunPlan, str, Profile]:
-    """Return what it takes to record a run again: recording, plan, scenario and profile.
-
-    Raises
-    ------
-    InputError
-        The run was not made by `heliarch simulate` in lockstep, or has no profile.
-    """
+    """Return what it takes to record a run again: recording, plan, scenario and profile."""
     with RunReader(run) as reader:
         path, plan, scenario = reader.path, reader.plan, reader.scenario
         driver = reader.metadata["run"].get("driver", "")
@@ -74,15 +68,7 @@ def origin(run: Path) -> tuple[Path, RunPlan, str, Profile]:
 
 
 def record_again(run: Path) -> None:
-    """Simulate a recorded run again and replace its recording.
-
-    Raises
-    ------
-    InputError
-        See `origin`.
-    RunFailure
-        An agent fails, or they wait for each other. The recording stays as it was.
-    """
+    """Simulate a recorded run again; replace its recording once the new one is complete."""
     path, plan, scenario, profile = origin(run)
     unfinished = path.with_name(f"{path.name}.unfinished")
     writer = RunWriter(unfinished, plan, scenario, driver="simulate")

@@ -21,15 +21,7 @@ _MARGIN: Final = 1
 
 @dataclass(slots=True)
 class RecordedCycle:
-    """What a recording holds of one cycle.
-
-    Attributes
-    ----------
-    messages
-        The first message of each port.
-    repeated
-        Further messages of the same ports.
-    """
+    """The first recorded message of each port in a cycle, and further ones of the same ports."""
 
     number: int
     messages: dict[Port[Message], Message] = field(default_factory=dict)
@@ -42,17 +34,8 @@ class RecordedCycles:
     The file mixes the messages of neighbouring cycles, since agents are not equally fast. A cycle
     is complete when every agent has gone on to a later one.
 
-    Parameters
-    ----------
-    deliveries
-        The messages in the order of the file.
-    plan
-        Of the run.
-    stop_cycle
-        The first cycle that did not take place; None if the run broke off. Then the cycles at the
-        end are left out that are not complete.
-    most_waiting
-        When this many messages wait, the oldest cycle counts as complete.
+    Without a `stop_cycle` the run broke off: incomplete cycles at its end are left out. When
+    `most_waiting` messages wait, the oldest cycle counts as complete.
 
     Attributes
     ----------

@@ -13,23 +13,11 @@ from bus_schemas.messages import Message
 from bus_schemas.missing import in_words
 from recordings.read.moments import RunClock
 from recordings.verify.comparison import NOT_COMPARED, Comparison, Value
-from recordings.verify.findings import Difference, Findings, Kind
+from recordings.verify.findings import KINDS, Difference, Findings
 from recordings.verify.verification import Verification
 
 _WIDTH: Final = 100
-_MOST_INPUTS: Final = 40
-_MOST_FIELDS: Final = 12
 _HEAD: Final = frozenset(Message.__struct_fields__)
-
-_WHAT: Final[dict[Kind, str]] = {
-    "differs": "differs",
-    "only recorded": "recorded, but not sent any more",
-    "only new": "sent now, but not recorded",
-    "recorded twice": "recorded twice in one cycle",
-    "not recorded": "the recording lost messages before this one",
-    "input not recorded": "used, but not recorded",
-    "fails": "fails",
-}
 
 
 def verification_lines(found: Verification, comparison: Comparison, wall_s: float) -> Iterator[str]:
@@ -55,7 +43,7 @@ def finding_lines(name: str, findings: Findings, clock: RunClock) -> Iterator[st
     first, failure = findings.first, findings.failure
     if first is None:
         return
-    counts = ", ".join(f"{count:,} {kind}" for kind, count in findings.counts.items())
+    counts = ", ".join(f"{count:,} {kind}" for kind, count in findings.differences.items())
     yield f"{name}: {counts}; the first in cycle {first.cycle} ({clock.text(first.cycle)})"
     yield from _difference_lines(name, first)
     if failure is not None and failure is not first:
@@ -70,7 +58,7 @@ def finding_lines(name: str, findings: Findings, clock: RunClock) -> Iterator[st
 
 def verification_data(found: Verification, comparison: Comparison, wall_s: float) -> dict[str, Any]:
     """Return the result as plain data."""
-    names = ("whole", "stop_cycle", "cycles", "recorded", "not_decided", "differences")
+    names = ("stop_cycle", "cycles", "recorded", "not_decided", "differences")
     totals = ("compared", "not_compared", "missing_inputs", "old_inputs")
     return {
         "recording": str(found.recording),
@@ -92,18 +80,7 @@ def verification_data(found: Verification, comparison: Comparison, wall_s: float
 
 def finding_data(name: str, findings: Findings) -> dict[str, Any]:
     """Return the findings of one agent as plain data."""
-    return {
-        "agent": name,
-        "recorded": findings.recorded,
-        "compared": findings.compared,
-        "not_compared": findings.not_compared,
-        "not_compared_from": findings.not_compared_from,
-        "missing_inputs": findings.missing_inputs,
-        "old_inputs": findings.old_inputs,
-        "differences": dict(findings.counts),
-        "first": _difference_data(findings.first),
-        "failure": _difference_data(findings.failure),
-    }
+    return {"agent": name, **msgspec.to_builtins(findings)}
 
 
 def json_ready(value: Value) -> Value:
@@ -113,23 +90,6 @@ def json_ready(value: Value) -> Value:
     if isinstance(value, dict):
         return {name: json_ready(entry) for name, entry in value.items()}
     return list(map(json_ready, value)) if isinstance(value, list | tuple) else value
-
-
-def _difference_data(difference: Difference | None) -> dict[str, Any] | None:
-    if difference is None:
-        return None
-    message = difference.message
-    return {
-        "kind": difference.kind,
-        "cycle": difference.cycle,
-        "stage": difference.stage,
-        "message": None if difference.port is None else str(difference.port),
-        "fields": msgspec.to_builtins(difference.fields),
-        "content": None if message is None else msgspec.to_builtins(message),
-        "inputs": {str(port): msgspec.to_builtins(given) for port, given in difference.inputs},
-        "missing": difference.missing,
-        "text": difference.text,
-    }
 
 
 def _remarks(found: Verification) -> Iterator[str]:
@@ -155,7 +115,7 @@ def _verdict(found: Verification, comparison: Comparison) -> str:
         name, first = found.first
         return (
             f"\nNOT equal: {found.differences:,} differences of {_agents(count)}, the first: "
-            f"{first.port or first.text}, by {name} in cycle {first.cycle}"
+            f"{first.message or first.text}, by {name} in cycle {first.cycle}"
         )
     if not found.equal:
         return "NOT equal"
@@ -183,25 +143,21 @@ def _difference_lines(agent: str, difference: Difference) -> Iterator[str]:
 def _what_lines(difference: Difference) -> Iterator[str]:
     stage = f" (stage {difference.stage})" if difference.stage else ""
     content = difference.text
-    if difference.message is not None and difference.kind != "differs":
-        content = _content(difference.message)
-    what = _WHAT[difference.kind] + (f": {content}" if content else "")
-    yield f"  {difference.port or 'the agent'}{stage}: {what}"
+    if difference.content is not None and difference.kind != "differs":
+        content = _content(difference.content)
+    what = KINDS[difference.kind] + (f": {content}" if content else "")
+    yield f"  {difference.message or 'the agent'}{stage}: {what}"
     width = max((len(entry.field) for entry in difference.fields), default=0)
-    for entry in difference.fields[:_MOST_FIELDS]:
+    for entry in difference.fields:
         yield f"    {entry.field:{width}}  recorded  {_value(entry.recorded)}"
         yield f"    {'':{width}}  new       {_value(entry.new)}"
-    if (more := len(difference.fields) - _MOST_FIELDS) > 0:
-        yield f"    and {more} more fields, see --json"
 
 
 def _input_lines(difference: Difference) -> Iterator[str]:
-    named = sorted((str(port), message) for port, message in difference.inputs)
+    named = sorted(difference.inputs.items())
     width = max((len(key) for key, _ in named), default=0)
-    for key, message in named[:_MOST_INPUTS]:
+    for key, message in named:
         yield f"    {key:{width}}  {_content(message)}"
-    if (more := len(named) - _MOST_INPUTS) > 0:
-        yield f"    and {more} more, see --json"
     if difference.missing:
         yield f"    {in_words(difference.missing)}"
 

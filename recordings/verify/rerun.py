@@ -21,24 +21,12 @@ from bus_schemas.messages import Message
 from bus_schemas.missing import parse_missing
 from bus_schemas.signals import Port
 from recordings.verify.comparison import Comparison
-from recordings.verify.findings import Difference, Findings, Kind
+from recordings.verify.findings import Difference, Findings, Kind, by_key
 from recordings.verify.recorded_cycles import RecentMessages, RecordedCycle
 
 
 class AgentRerun:
-    """One agent on its way through a recording.
-
-    Parameters
-    ----------
-    name, make
-        Name of the agent, and what makes it from the present code.
-    plan
-        Of the recorded run.
-    recent
-        The newest recorded messages of all agents.
-    comparison
-        What counts as equal.
-    """
+    """One agent on its way through a recording. It is made from the present code."""
 
     def __init__(
         self,
@@ -61,8 +49,9 @@ class AgentRerun:
         self._sequence: dict[Port[Message], int] = {}
         self._period = {port: plan.period(port) for port in plan.wiring.heard.get(name, ())}
         self._heard = dict.fromkeys(self._period, -1)
-        self._inputs: list[Delivery] = []
+        self._inputs: dict[Port[Message], Message] = {}
         self._lost: dict[Port[Message], int] = {}
+        self._stage = ""
         self._is_over = False
         try:
             self._agent = make()
@@ -91,14 +80,14 @@ class AgentRerun:
             try:
                 self._run(number, recorded)
             except (Exception, SystemExit) as error:
-                self._fail(number, self._loop.stage, error)
+                self._fail(number, self._stage, error)
             findings.missing_inputs = self._loop.missing_inputs
             findings.old_inputs = self._loop.old_inputs
         findings.leave_out(number, sum(map(len, recorded.values())))
 
     def _run(self, cycle: int, recorded: dict[str, dict[Port[Message], Message]]) -> None:
         stages = list(self._agent.stages(cycle))
-        self._inputs = []
+        self._inputs, self._stage = {}, ""
         if not self._plan.lockstep:
             while stages and stages[-1].name not in recorded:
                 stages.pop()
@@ -113,6 +102,7 @@ class AgentRerun:
 
     def _run_stage(self, cycle: int, stage: Stage, recorded: dict[Port[Message], Message]) -> None:
         missing = next(iter(recorded.values())).missing if recorded else ()
+        self._stage = stage.name
         lost = self._hear_inputs(stage, cycle, missing)
         outputs = self._loop.close_stage(0)
         if not lost and (recorded or self._plan.lockstep):
@@ -143,7 +133,7 @@ class AgentRerun:
                 lost.append(port)
                 continue
             self._heard[port] = used
-            self._inputs.append((port, message))
+            self._inputs[port] = message
             self._loop.hear(port, message, 0)
         return lost
 
@@ -180,7 +170,8 @@ class AgentRerun:
 
     def _fail(self, cycle: int, stage: str, error: BaseException) -> None:
         text = f"{type(error).__name__}: {error}"
-        self.findings.add(Difference("fails", cycle, stage, inputs=tuple(self._inputs), text=text))
+        inputs = by_key(self._inputs)
+        self.findings.add(Difference("fails", cycle, stage, inputs=inputs, text=text))
         self._is_over = True
 
     def _add(
@@ -191,5 +182,6 @@ class AgentRerun:
         port: Port[Message] | None = None,
         message: Message | None = None,
     ) -> None:
-        inputs = tuple(self._inputs) if kind == "input not recorded" else ()
-        self.findings.add(Difference(kind, cycle, stage, port, message=message, inputs=inputs))
+        inputs = by_key(self._inputs) if kind == "input not recorded" else {}
+        key = "" if port is None else str(port)
+        self.findings.add(Difference(kind, cycle, stage, key, content=message, inputs=inputs))

@@ -34,18 +34,12 @@ class Verification:
 
     Attributes
     ----------
-    recording, plan, whole
-        The file, the plan of its run, and whether the file was closed in order.
     stop_cycle
         The first cycle that did not take place; None if the run broke off.
     cycles, recorded
         Cycles that were verified, and all messages of the recording.
-    not_decided
-        Of them those that no agent decides: the beginning and end of the run.
-    misplaced
-        Of them those that belong to no cycle of the run, or come long after their cycle.
-    cut_off
-        Of them those of incomplete cycles at the end.
+    not_decided, misplaced, cut_off
+        Of them those that were not compared, see `RecordedCycles`.
     agents
         Findings of each agent that was run again.
     left_out
@@ -54,7 +48,6 @@ class Verification:
 
     recording: Path
     plan: RunPlan
-    whole: bool
     stop_cycle: int | None
     cycles: int
     recorded: int
@@ -71,7 +64,7 @@ class Verification:
     @property
     def differences(self) -> int:
         """Number of differences of all agents."""
-        return sum(findings.counts.total() for findings in self.agents.values())
+        return sum(findings.differences.total() for findings in self.agents.values())
 
     @property
     def first(self) -> tuple[str, Difference] | None:
@@ -97,21 +90,8 @@ def verify(
 ) -> Verification:
     """Run agents again on the inputs of a recording and compare what they publish.
 
-    Parameters
-    ----------
-    run
-        Folder of the run, or its MCAP file.
-    nodes
-        Agents, see `select_agents`. None: all but external ones.
-    comparison
-        What counts as equal.
-    progress
-        Called with the share of the recording that has been read.
-
-    Raises
-    ------
-    InputError
-        There is no such recording or agent, or the recording holds nothing to compare.
+    Without `nodes` (see `select_agents`) all agents but external ones. `progress` is called with
+    the share of the recording that has been read.
     """
     with RunReader(run) as reader:
         plan, stop_cycle = reader.plan, reader.stop_cycle
@@ -129,7 +109,6 @@ def verify(
         found = Verification(
             reader.path,
             plan,
-            reader.whole,
             stop_cycle,
             cycles,
             recorded.read,
@@ -145,20 +124,9 @@ def verify(
 
 
 def select_agents(plan: RunPlan, nodes: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of agents in the order of the control tree.
+    """Return the names of agents in the order of the control tree; without `nodes` of all.
 
-    Parameters
-    ----------
-    plan
-        Of the run.
-    nodes
-        `plant`, `central`, or paths such as `c2` and `c1/inv07`; `c2/*` is `c2` and all below it.
-        None: all agents.
-
-    Raises
-    ------
-    InputError
-        There is no such agent.
+    A node is `plant`, `central`, or a path such as `c1/inv07`; `c2/*` is `c2` and all below it.
     """
     team = (PLANT, *(agent_name(path) for path in plan.tree.nodes))
     if not nodes:
@@ -172,13 +140,7 @@ def select_agents(plan: RunPlan, nodes: Sequence[str]) -> tuple[str, ...]:
 
 
 def run_profile(plan: RunPlan, recording: Path) -> Profile | None:
-    """Return the profile that lies beside a recording, None if there is none.
-
-    Raises
-    ------
-    InputError
-        It is damaged, or the profile of another run.
-    """
+    """Return the profile that lies beside a recording, None if there is none."""
     path = recording.with_name(PROFILE_NAME)
     if not path.exists():
         return None
