@@ -1,52 +1,53 @@
-"""`heliarch timing` refuses in one line what it cannot do, and loses nothing that it measured."""
+"""`heliarch timing` refuses what it cannot do before it runs, and reports on recorded runs."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Final
 
 import pytest
+from command_line import heliarch, refusal
 from msgspec.structs import replace
 from reports_by_hand import missed, summary_of
 from timed_recordings import PLAN, cycle, recorded
-from typer.testing import CliRunner, Result
 
 from bus_schemas.errors import InputError
-from launch_scripts.cli import app
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from studies.timing.measured_run import whole_cycles
 
-FULL: Final = Path("/dev/full")
 
-
-def timed(*words: str | Path) -> Result:
-    return CliRunner().invoke(app, ["timing", *map(str, words)])
-
-
-def refused(*words: str | Path) -> str:
-    """The one line with which it refuses."""
-    result = timed(*words)
-    assert result.exit_code == 2, result.output
-    assert result.stdout == ""
-    (line,) = result.stderr.splitlines()
-    assert line.startswith("heliarch: ")
-    return line
-
-
-def test_a_folder_that_holds_something_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "mine.txt").touch()
-    assert "it exists already" in refused("--out", tmp_path)
-    assert "it exists already" in refused("--rate", "5,10", "--out", tmp_path)
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("--rate", "0"), "--rate"),
+        (("--rate", "5000"), "--rate"),
+        (("--rate", ""), "--rate"),
+        (("--rate", "10", "--duration", "0.05"), "--duration"),
+        (("--rate", "0.1..5", "--duration", "5s"), "--duration"),
+        (("--duration", "soon"), "--duration"),
+        (("--external", "c9"), "--external"),
+        (("--duration", "1", "--out", "/dev/null/run"), "/dev/null/run"),
+        (("--rate", "5,10", "--out", "/dev/null/run"), "/dev/null/run"),
+        (("absent.mcap",), "absent.mcap"),
+        (("absent.mcap", "--rate", "20"), "--rate"),
+        (("absent.mcap", "--priority", "20"), "--priority"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(
+    words: tuple[str, ...], named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert named in refusal("timing", *words)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_budget_that_there_is_none_of_is_refused_with_the_scenario_named(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(load_scenario("oahu").text + "\n[timing.budgets]\nlop_p99_ms = 3\n")
-    line = refused(path)
-    assert f"{path}: timing: budgets.lop_p99_ms" in line
-    assert "loop_p99_ms" in line
+    line = refusal("timing", path)
+    assert str(path) in line
+    assert "lop_p99_ms" in line
 
 
 def with_deadlines(tmp_path: Path) -> Path:
@@ -61,7 +62,8 @@ def with_deadlines(tmp_path: Path) -> Path:
 
 def test_a_listed_rate_that_cannot_be_is_refused_before_any_has_run(tmp_path: Path) -> None:
     out = tmp_path / "sweep"
-    line = refused(with_deadlines(tmp_path), "--rate", "5,10,20", "--duration", "1", "--out", out)
+    words = ("--rate", "5,10,20", "--duration", "1", "--out", out)
+    line = refusal("timing", with_deadlines(tmp_path), *words)
     assert "control.deadlines_ms[2]" in line
     assert not out.exists()
 
@@ -97,7 +99,7 @@ def test_a_run_that_was_recorded_earlier_is_timed_without_running_anything(
     (folder / "summary.json").write_bytes(summary_of(folder).as_json())
     document = tmp_path / "x.json"
     run = folder if of_a_folder else folder / "run.mcap"
-    result = timed(run, "--json", document, "--report", "--processes")
+    result = heliarch("timing", run, "--json", document, "--report", "--processes")
     assert result.exit_code == 1, result.output
     assert "not kept: missed deadlines 1 (at most 0)" in result.stdout
     found = json.loads(document.read_bytes())
@@ -108,7 +110,7 @@ def test_a_run_that_was_recorded_earlier_is_timed_without_running_anything(
 
 def test_a_recording_of_a_run_in_lockstep_is_refused(tmp_path: Path) -> None:
     recorded(tmp_path, cycle(0), plan=replace(PLAN, cycle_wall_ns=0))
-    assert "real time" in refused(tmp_path)
+    assert "real time" in refusal("timing", tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -120,4 +122,4 @@ def test_the_exit_status_tells_kept_not_kept_and_interrupted(
     folder = recorded(tmp_path, cycle(0), cycle(1))
     summary = replace(summary_of(folder, lost=lost), interrupted=interrupted)
     (folder / "summary.json").write_bytes(summary.as_json())
-    assert timed(folder).exit_code == status
+    assert heliarch("timing", folder).exit_code == status
