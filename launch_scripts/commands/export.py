@@ -24,10 +24,9 @@ from launch_scripts.commands.output import progress_bar, say, write_json
 from studies.tables import console_for
 
 if TYPE_CHECKING:
-    from recordings.export.exporting import Selection
     from rich.console import Console
 
-    from recordings.export.exporting import ExportSummary
+    from recordings.export.exporting import ExportSummary, Selection
     from recordings.read.reader import RunReader
 
 EXAMPLE: Final = "heliarch export runs/oahu-20261121-120000-4711 --format csv --nodes c1/*"
@@ -82,9 +81,8 @@ def export(
 def _selection(
     reader: RunReader, signals: str | None, nodes: str | None, start: str | None, end: str | None
 ) -> Selection:
-    from recordings.export.exporting import Selection
-
     from bus_schemas.signals import SIGNALS
+    from recordings.export.exporting import Selection
     from recordings.read.selection import find_nodes, find_signals
 
     recorded = tuple(row for row in SIGNALS if row.logged)
