@@ -95,7 +95,7 @@ def _conclude(summary: RunSummary, folder: RunFolder, json: str | None, console:
 
 def _report(folder: RunFolder, console: Console) -> None:
     """Write the report of a run that is over; what draws it is not imported before."""
-    from launch_scripts.commands.report import write_run_report  # noqa: PLC0415
+    from launch_scripts.commands.report_work import write_run_report  # noqa: PLC0415
 
     path = write_run_report(folder.path)
     console.print(f"report: {path}", highlight=False, soft_wrap=True, markup=False)

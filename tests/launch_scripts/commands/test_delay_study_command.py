@@ -18,9 +18,9 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from agents.plan import Scheme
-from launch_scripts.commands import delays as delay_study_command
-from launch_scripts.commands.delays import StudyRequest
-from launch_scripts.commands.timing import STUDY_PAGE_NAME, studied
+from launch_scripts.commands import delays_work as delay_study_command
+from launch_scripts.commands.delays_work import StudyRequest
+from launch_scripts.commands.timing_work import studied
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from studies.delays import study as delay_study
@@ -102,13 +102,6 @@ def test_no_heading_unit_or_figure_is_cut(width: int, prepared: Preparation) -> 
     for unit in ("delay of each hop [s]", "lost messages [%]", "central period [s]"):
         assert f": {unit}, scheme" in " ".join(printed.split())
     assert tables.count("23.456") == tables.count("133,376") == tables.count("123,456") == 8
-
-
-def test_the_page_is_not_taken_for_a_file_of_the_repository() -> None:
-    ignored = (Path(__file__).parents[3] / ".gitignore").read_text(encoding="utf-8").splitlines()
-    assert "/*.html" in ignored
-    assert Path(STUDY_PAGE_NAME).match("*.html")
-    assert Path(STUDY_PAGE_NAME).parent == Path(), "it is written into the working folder"
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from typer.testing import CliRunner, Result
 
 from bus_schemas.errors import InputError
 from launch_scripts.cli import app
-from launch_scripts.commands import timing as timing_command
+from launch_scripts.commands import timing_work as timing_command
 from launch_scripts.launcher.interruption import interruptible
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
@@ -50,12 +50,6 @@ def refused(*words: str | Path) -> str:
         (("--rate", "0.1..5", "--duration", "5s"), "--duration 5s"),
         (("--duration", "soon"), "--duration soon"),
         (("--external", "c9"), "--external c9"),
-        (("--study", "--rate", "20"), "--rate"),
-        (("--study", "--fault", "loss=1%"), "--fault"),
-        (("--set", "commitment.share=0.5"), "--set"),
-        (("--workers", "3"), "--workers"),
-        (("--study", "--workers", "0"), "--workers 0"),
-        (("--study", "--rate", ""), "--rate"),
         (("--rate", ""), "--rate"),
         (("--duration", "1", "--out", "/dev/null/run"), "--out /dev/null/run"),
         (("--rate", "5,10", "--out", "/dev/null/run"), "--out /dev/null/run"),
