@@ -13,7 +13,7 @@ from numba import njit
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_PACKAGES: Final = ("agents.control.", "launch_scripts.study.")
+_PACKAGES: Final = ("agents.control.", "studies.arrays.")
 
 
 def compiled(
