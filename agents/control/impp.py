@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-METER_TOLERANCE: Final = 0.05
-"""Share of the rating by which a meter may read above the rating."""
+from bus_schemas.bounds import METER_TOLERANCE
 
 FIRST_METER_ERROR: Final = 0.002
 """Assumed error of an inverter's meter before anything is known of it, as a share."""

@@ -60,7 +60,7 @@ def test_a_process_runs_on_its_cpus() -> None:
     cpu = min(os.sched_getaffinity(0))
     refused, policy = place_of(MachineSettings(cpus=(cpu,)), lockstep=True)
     assert refused == ()
-    assert policy == f"other on CPU {cpu}"
+    assert policy == f"batch on CPU {cpu}"
 
 
 @linux
