@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from importlib.metadata import version
 from types import ModuleType
 from typing import Annotated, Final
@@ -24,6 +23,7 @@ from launch_scripts.commands import (
     timing,
     verify,
 )
+from launch_scripts.commands.boundary import BAD_INPUT, Command, CommandLine
 
 COMMANDS: Final[dict[str, tuple[ModuleType, ...]]] = {
     "Run": (launch, simulate, timing, scenarios),
@@ -41,6 +41,7 @@ def _print_version(asked: bool) -> None:
 
 
 def heliarch(
+    context: typer.Context,
     show_version: Annotated[
         bool,
         typer.Option(
@@ -49,29 +50,24 @@ def heliarch(
     ] = False,
 ) -> None:
     """Run a utility-scale solar plant's controllers as a team of processes."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+        raise typer.Exit(BAD_INPUT)
 
 
-def _assembled() -> typer.Typer:
-    """Return the command line with all its commands."""
-    found = typer.Typer(name="heliarch", no_args_is_help=True, pretty_exceptions_enable=False)
-    found.callback()(heliarch)
-    for heading, modules in COMMANDS.items():
-        for module in modules:
-            name = module.__name__.rpartition(".")[2]
-            decorate = found.command(
-                name, rich_help_panel=heading, epilog=f"Example: {module.EXAMPLE}"
-            )
-            decorate(getattr(module, name))
-    return found
-
-
-app = _assembled()
+app = typer.Typer(name="heliarch", cls=CommandLine, pretty_exceptions_enable=False)
+app.callback(invoke_without_command=True)(heliarch)
+for _heading, _modules in COMMANDS.items():
+    for _module in _modules:
+        _name = _module.__name__.rpartition(".")[2]
+        app.command(
+            _name,
+            cls=Command,
+            rich_help_panel=_heading,
+            epilog=f"Example: {_module.EXAMPLE}",
+        )(getattr(_module, _name))
 
 
 def main() -> None:
-    """Run the command line. Ctrl-C while a command is still being loaded ends it in one line."""
-    try:
-        app()
-    except KeyboardInterrupt:
-        sys.stderr.write("heliarch: interrupted\n")
-        sys.exit(130)
+    """Run the command line."""
+    app()

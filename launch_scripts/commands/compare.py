@@ -1,29 +1,49 @@
-"""`heliarch compare`."""
+"""`heliarch compare`: control schemes side by side, on one day or on many."""
 
-# The modules that do the work are imported when it runs: `--help` does not wait for them.
+# What does the work is imported when it runs: `--help` does not wait for it.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from bus_schemas.errors import InputError
 from launch_scripts.commands.options import (
     DataOption,
     DurationOption,
+    EndOption,
     JsonOption,
+    ReportOption,
     ScenarioArgument,
     StartOption,
+    WorkersOption,
 )
+from launch_scripts.commands.output import counted, say, write_json
+from studies.tables import console_for
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from studies.arrays.schemes import ReferenceGroups
+    from studies.compare.cases import Case
+    from studies.compare.study import CaseResult, Comparison
 
 EXAMPLE: Final = "heliarch compare oahu --set commitment.share=0.3,0.45 --seeds 1..10"
+PAGE_NAME: Final = "compare.html"
+
+_LISTED: Final = 40
+"""Up to so many cases each has its row; of more, the mean and the extremes are shown."""
 
 
 def compare(
     scenario: ScenarioArgument = "oahu-day",
     start: StartOption = None,
+    end: EndOption = None,
     duration: DurationOption = None,
     days: Annotated[
         str | None,
@@ -41,7 +61,12 @@ def compare(
         ),
     ] = None,
     schemes: Annotated[
-        str | None, typer.Option(help="Control schemes, with commas between.", metavar="NAMES")
+        str | None,
+        typer.Option(
+            help="Control schemes, with commas: uncontrolled, uniform-cap, grouping, paper, "
+            "predictive, physical-limit. Default all.",
+            metavar="NAMES",
+        ),
     ] = None,
     reference: Annotated[
         str | None,
@@ -51,40 +76,142 @@ def compare(
         ),
     ] = None,
     show: Annotated[
-        str, typer.Option(help="Figure to show of many cases.", metavar="FIGURE")
+        str,
+        typer.Option(
+            help="Figure to show of many cases: satisfied, unsatisfied, unavoidable, "
+            "control-caused, over-delivered, rmse, mae, mileage, ramp, above-ramp-limit, regd or "
+            "score.",
+            metavar="FIGURE",
+        ),
     ] = "control-caused",
-    agents: Annotated[
-        bool, typer.Option(help="Run the hierarchical schemes message by message.")
-    ] = False,
-    workers: Annotated[int, typer.Option(help="Processes that share the cases.")] = 1,
+    workers: WorkersOption = 1,
     scheduler: Annotated[
         str | None, typer.Option(help="Dask scheduler that shares the cases.", metavar="ADDRESS")
     ] = None,
     data: DataOption = None,
-    report: Annotated[
-        Path | None, typer.Option(help="Write an HTML report of one case.", metavar="FILE")
-    ] = None,
+    report: ReportOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Put control schemes side by side: the paper's tables, for any day or for many."""
-    from launch_scripts.commands.compare_work import CompareRequest
-    from launch_scripts.commands.compare_work import compare as compare_work
+    """Put control schemes side by side: the paper's tables, for any day or for many.
 
-    request = CompareRequest(
-        scenario,
-        start,
-        duration,
-        days,
-        seeds,
-        settings or [],
-        schemes,
-        reference,
-        show,
-        agents,
-        workers,
-        scheduler,
-        data,
-        report,
-        json,
+    Of one case, --report writes a page, compare.html by default.
+    """
+    from launch_scripts.scenarios.preparation import RunOptions
+    from launch_scripts.scenarios.scenario import load_scenario
+    from studies.compare.cases import cases, parse_days, parse_seeds, parse_setting
+    from studies.compare.study import Comparison
+    from studies.compare.tables import FIGURES, rows
+
+    if show not in FIGURES:
+        raise InputError(f"--show: expected one of {', '.join(FIGURES)}, got {show}")
+    found = cases(
+        load_scenario(scenario, data),
+        RunOptions(start, duration, end=end),
+        [parse_setting(text) for text in settings or ()],
+        parse_days(days) if days else (),
+        parse_seeds(seeds) if seeds else (),
     )
-    raise typer.Exit(compare_work(request))
+    if scheduler is not None and len(found) == 1:
+        raise InputError("--scheduler: expected more than one case, got one")
+    if report is not None and len(found) > 1:
+        raise InputError(f"--report: expected one case, got {len(found):,}")
+    comparison = Comparison(chosen_schemes(schemes), _groups(reference))
+    console = console_for(json)
+    if len(found) == 1:
+        page = None if report is None else Path(report or PAGE_NAME)
+        results = [_one(found[0], comparison, page, console)]
+    else:
+        results = _many(found, comparison, workers, scheduler, console)
+        _print_many(results, show, console)
+    write_json(rows(results), json)
+
+
+def chosen_schemes(text: str | None) -> tuple[str, ...]:
+    """Return the schemes of a text with commas; of None all."""
+    from studies.arrays.schemes import DEFAULT_SCHEMES, SCHEMES
+
+    if text is None:
+        return DEFAULT_SCHEMES
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
+    for name in names:
+        if name not in SCHEMES:
+            raise InputError(f"--schemes: expected {', '.join(SCHEMES)}, got {name}")
+    return names
+
+
+def _groups(text: str | None) -> ReferenceGroups:
+    from studies.arrays.schemes import ReferenceGroups
+
+    if text is None:
+        return ReferenceGroups()
+    names = tuple(name.strip() for name in text.split(","))
+    if not all(names):
+        raise InputError(f"--reference: expected sizes (1,4,8) or inverters, got {text!r}")
+    if all(name.isdecimal() for name in names):
+        return ReferenceGroups(sizes=tuple(int(name) for name in names))
+    return ReferenceGroups(members=names)
+
+
+def _one(case: Case, comparison: Comparison, page: Path | None, console: Console) -> CaseResult:
+    """Run one case and print the paper's tables; write a page of it if asked for."""
+    from launch_scripts.scenarios.preparation import prepare
+    from studies.compare.study import CaseResult, SchemeResult, remarks_of, results_of
+    from studies.compare.tables import commitment_table, regulation_table
+    from studies.report.metrics_tables import metrics_tables
+    from studies.report.run_report import write_report
+
+    preparation = prepare(case.scenario, case.options, "compare")
+    remarks = remarks_of(preparation)
+    say(console, *remarks)
+    found = list(results_of(preparation, comparison))
+    schemes = tuple(SchemeResult(label, metrics) for label, metrics, _ in found)
+    plan = preparation.plan
+    title = (
+        f"{plan.plant} from {preparation.local_start()}, {plan.cycles:,} cycles of "
+        f"{plan.cycle_ns / 1e9:g} s, actuator {plan.actuator}"
+    )
+    console.print(commitment_table(title, schemes))
+    regulation = regulation_table(schemes)
+    if regulation is not None:
+        console.print(regulation)
+    if page is not None:
+        notes = [f"Scenario: {preparation.scenario.scenario.title}.", *remarks]
+        series = [one for _, _, one in found]
+        write_report(page, title, series, metrics_tables(series), notes)
+        say(console, f"report: {page}")
+    return CaseResult(case.label, schemes, 0.0, 0.0, remarks)
+
+
+def _many(
+    found: Sequence[Case],
+    comparison: Comparison,
+    workers: int,
+    scheduler: str | None,
+    console: Console,
+) -> list[CaseResult]:
+    """Run many cases with a progress bar; return their results in order."""
+    from studies.compare.study import run_case
+    from studies.workers import share_over_cluster, share_work
+
+    run = partial(run_case, comparison)
+    if scheduler is not None:
+        shared = share_over_cluster(run, found, scheduler)
+    else:
+        shared = share_work(run, found, workers)
+    results = dict(counted(shared, "cases", len(found), console))
+    return [results[number] for number in sorted(results)]
+
+
+def _print_many(results: Sequence[CaseResult], show: str, console: Console) -> None:
+    from studies.compare.tables import pivot_table, summary_table
+
+    say(console, *dict.fromkeys(line for result in results for line in result.remarks))
+    table = pivot_table if len(results) <= _LISTED else summary_table
+    console.print(table(show, results))
+    prepare_s = sum(result.prepare_s for result in results)
+    run_s = sum(result.run_s for result in results)
+    say(
+        console,
+        f"sky and market took {prepare_s:.1f} s, the schemes and their figures {run_s:.1f} s, "
+        "added up over all cases",
+    )

@@ -1,66 +1,126 @@
-"""`heliarch export`."""
+"""`heliarch export`: a recording as a file for viewers, or as tables."""
 
-# The modules that do the work are imported when it runs: `--help` does not wait for them.
+# What does the work is imported when it runs: `--help` does not wait for it.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 import typer
 
-from launch_scripts.commands.options import JsonOption
+from bus_schemas.errors import InputError
+from launch_scripts.commands.boundary import OK, complain
+from launch_scripts.commands.options import (
+    FirstOption,
+    JsonOption,
+    LastOption,
+    NodesOption,
+    RunArgument,
+    SignalsOption,
+)
+from launch_scripts.commands.output import progress_bar, say, write_json
+from studies.tables import console_for
 
-EXAMPLE: Final = "heliarch export runs/oahu-20261121-120000-4711 --to csv"
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from recordings.export.exporting import ExportSummary
+    from recordings.export.records import Selection
+    from recordings.read.reader import RunReader
+
+EXAMPLE: Final = "heliarch export runs/oahu-20261121-120000-4711 --format csv --nodes c1/*"
 
 
 def export(
-    run: Annotated[
-        Path, typer.Argument(help="Folder of a run, or its run.mcap.", show_default=False)
+    run: RunArgument,
+    form: Annotated[
+        Literal["json-mcap", "parquet", "csv"],
+        typer.Option("--format", help="json-mcap is for Foxglove and Lichtblick."),
     ],
-    to: Annotated[
-        str,
+    start: FirstOption = None,
+    end: LastOption = None,
+    nodes: NodesOption = None,
+    signals: SignalsOption = None,
+    clock: Annotated[
+        Literal["wall", "sim"] | None,
         typer.Option(
-            help="json-mcap (for Foxglove and Lichtblick), parquet or csv.",
-            metavar="FORM",
-            show_default=False,
+            help="Times that a viewer of json-mcap shows: wall, as recorded (the default), or "
+            "sim, those of the plant."
         ),
-    ],
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
-            help="The file, or folder of tables, to make; default beside the recording.",
-            metavar="PATH",
-        ),
-    ] = None,
-    signals: Annotated[
-        str | None,
-        typer.Option(help="Only these, with commas between: impp,residual.", metavar="NAMES"),
-    ] = None,
-    nodes: Annotated[
-        str | None,
-        typer.Option(help="Only about these: c2/inv07,c2,central.", metavar="NODES"),
-    ] = None,
-    start: Annotated[
-        str | None,
-        typer.Option("--from", help="First cycle: 13:49:00, 90s, or its number.", metavar="MOMENT"),
-    ] = None,
-    end: Annotated[
-        str | None,
-        typer.Option("--until", help="Last cycle, likewise.", metavar="MOMENT"),
-    ] = None,
-    clock: Annotated[
-        str | None,
-        typer.Option(
-            help="Times that a viewer shows: wall (as recorded) or sim (those of the plant).",
-            metavar="CLOCK",
+            help="The new file, or folder of tables; default beside the recording.", metavar="PATH"
         ),
     ] = None,
     json: JsonOption = None,
-) -> None:
+) -> int:
     """Make a file for viewers, or tidy tables, of a recording."""
-    from launch_scripts.commands.export_work import ExportRequest, run_export
+    from recordings.export.exporting import default_path
+    from recordings.export.exporting import export as export_run
+    from recordings.export.unfinished import check_new
+    from recordings.read.damage import damage_text
+    from recordings.read.reader import RunReader
 
-    request = ExportRequest(run, to, out, signals, nodes, start, end, clock, json)
-    raise typer.Exit(run_export(request))
+    if clock is not None and form != "json-mcap":
+        raise InputError(f"--clock: expected --format json-mcap with it, got {form}")
+    with RunReader(run, skip_damaged=True) as reader:
+        path = out or default_path(reader.path, form)
+        check_new(path)
+        selection = _selection(reader, signals, nodes, start, end)
+        with progress_bar(f"{form} {path.name}") as follow:
+            summary = export_run(reader, form, path, selection, clock or "wall", follow)
+        damage = damage_text(reader)
+    _print(summary, console_for(json))
+    write_json(summary, json)
+    return complain(damage, OK) if damage else OK
+
+
+def _selection(
+    reader: RunReader, signals: str | None, nodes: str | None, start: str | None, end: str | None
+) -> Selection:
+    from bus_schemas.signals import SIGNALS
+    from recordings.export.records import Selection
+    from recordings.read.selection import find_nodes, find_signals
+
+    recorded = tuple(row for row in SIGNALS if row.logged)
+    wanted = find_signals(_names(signals)) or recorded
+    rows = tuple(row for row in recorded if row in wanted)
+    found = find_nodes(reader.plan.tree, _names(nodes))
+    if start is None and end is None:
+        return Selection(rows, found)
+    return Selection(rows, found, reader.clock.span(start, end))
+
+
+def _names(text: str | None) -> list[str]:
+    return [] if text is None else [name.strip() for name in text.split(",")]
+
+
+def _print(summary: ExportSummary, console: Console) -> None:
+    from rich.table import Table
+
+    tables = summary.form != "json-mcap"
+    table = Table("table" if tables else "signal")
+    table.add_column("rows" if tables else "messages", justify="right")
+    if tables:
+        table.add_column("size", justify="right")
+    for part in summary.parts:
+        size = [f"{part.size_bytes / 1e6:,.2f} MB"] if tables else []
+        table.add_row(part.name, f"{part.rows:,}", *size)
+    console.print(table)
+    extent = ""
+    if summary.first_cycle is not None:
+        extent = f", cycles {summary.first_cycle} to {summary.last_cycle},"
+    say(
+        console,
+        f"{summary.messages:,} messages{extent} in {summary.wall_s:.1f} s, "
+        f"{summary.size_bytes / 1e6:,.1f} MB",
+    )
+    if not summary.whole:
+        say(console, "the recording was cut short, or is still written: this is what it holds")
+    if summary.left_out:
+        say(console, f"{summary.left_out:,} fields left out: JSON has neither NaN nor infinity")
+    say(console, f"{summary.form}: {summary.path}")

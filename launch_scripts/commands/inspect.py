@@ -1,50 +1,241 @@
-"""`heliarch inspect`."""
+"""`heliarch inspect`: what a recording holds, the story of nodes, or the plant in one cycle."""
 
-# The modules that do the work are imported when it runs: `--help` does not wait for them.
+# What does the work is imported when it runs: `--help` does not wait for it.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, Final
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
+from rich.text import Text
 
-from launch_scripts.commands.options import JsonOption
+from bus_schemas.errors import InputError
+from launch_scripts.commands.boundary import OK, complain
+from launch_scripts.commands.options import FirstOption, JsonOption, LastOption, RunArgument
+from launch_scripts.commands.output import progress_bar, write_json
+from studies.tables import console_for
 
-EXAMPLE: Final = "heliarch inspect RUN --node c2/inv07 --from 13:49:00 --to 13:50:30"
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from recordings.inspect.overview import Overview
+    from recordings.inspect.story import NodeCycle
+    from recordings.read.reader import RunReader
+
+EXAMPLE: Final = "heliarch inspect RUN --nodes c2/inv07 --from 13:49:00 --to 13:50:30"
+
+_SHOWN_GAPS: Final = 10
+_NAME_WIDTH: Final = 12
 
 
 def inspect(
-    run: Annotated[
-        Path, typer.Argument(help="Folder of a run, or its run.mcap.", show_default=False)
-    ],
-    node: Annotated[
+    run: RunArgument,
+    nodes: Annotated[
         str | None,
         typer.Option(
-            help="Tell this node's story, cycle by cycle: c2/inv07, c1 or central.", metavar="NODE"
+            "--nodes",
+            help="Show these nodes cycle by cycle: c2/inv07,c1/*,central (c1/*: c1 and all below).",
+            metavar="NODES",
         ),
     ] = None,
-    start: Annotated[
-        str | None,
-        typer.Option("--from", help="First cycle: 13:49:00, 90s, or its number.", metavar="MOMENT"),
-    ] = None,
-    end: Annotated[
-        str | None,
-        typer.Option("--to", help="Last cycle, likewise.", metavar="MOMENT"),
-    ] = None,
+    start: FirstOption = None,
+    end: LastOption = None,
     cycle: Annotated[
         str | None,
         typer.Option(help="Show the whole plant in one cycle, likewise.", metavar="MOMENT"),
     ] = None,
     json: JsonOption = None,
-) -> None:
-    """Show what a recording holds, one node's story, or the whole plant in one cycle.
+) -> int:
+    """Show what a recording holds, nodes cycle by cycle, or the whole plant in one cycle.
 
-    Without --node and --cycle: scenario, duration, versions, messages and
+    Without --nodes and --cycle: scenario, duration, versions, messages and
     rate of each signal, and what is missing in between.
     """
-    from launch_scripts.commands.inspect_work import InspectRequest
-    from launch_scripts.commands.inspect_work import inspect as inspect_work
+    from recordings.read.damage import damage_text
+    from recordings.read.reader import RunReader
+    from recordings.read.selection import find_nodes
 
-    raise typer.Exit(inspect_work(InspectRequest(run, node, start, end, cycle, json)))
+    if cycle is not None and (start or end or nodes):
+        raise InputError("--cycle: expected neither --nodes, --from nor --to with it")
+    console = console_for(json)
+    with RunReader(run, skip_damaged=True) as reader:
+        if cycle is not None:
+            _show_plant(reader, reader.clock.cycle(cycle), json, console)
+        elif nodes is not None:
+            found = find_nodes(reader.plan.tree, [name.strip() for name in nodes.split(",")])
+            _show_story(reader, found, reader.clock.span(start, end), json, console)
+        else:
+            part = None if start is None and end is None else reader.clock.span(start, end)
+            _show_overview(reader, part, json, console)
+        damage = damage_text(reader)
+    return complain(damage, OK) if damage else OK
+
+
+# Nodes, cycle by cycle ----------------------------------------------------------------------
+
+
+def _show_story(
+    run: RunReader, nodes: Sequence[str], cycles: range, json: str | None, console: Console
+) -> None:
+    from launch_scripts.launcher.json_rows import json_rows
+    from recordings.inspect.story import story
+    from recordings.inspect.story_table import StoryTable
+
+    with json_rows(json) as listed:
+        for node in nodes:
+            table = StoryTable(run.plan.tree, node, len(run.clock.text(0)))
+            _print_lines(console, table.heading(), "bold")
+            for rows in story(run, [node], cycles):
+                for row in rows:
+                    _print_lines(console, table.row(row), _style(row))
+                    listed.write(row)
+    _warn_if_cut(run, console)
+
+
+def _style(row: NodeCycle) -> str:
+    """Let those stand out who need help, and those who had to go without something."""
+    return "red" if row.help_asked_kw else "yellow" if row.missing or row.stale_cycles else ""
+
+
+# The plant in one cycle ----------------------------------------------------------------------
+
+
+def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) -> None:
+    from launch_scripts.launcher.json_rows import json_rows
+    from recordings.inspect.story import story
+    from recordings.inspect.story_table import plant_lines
+    from recordings.read.damage import damage_text
+
+    found = next(story(run, run.plan.tree.nodes, range(cycle, cycle + 1)), None)
+    if found is None:
+        nothing = f"{run.path}: there is no message of cycle {cycle}, {run.clock.extent()}"
+        raise InputError(damage_text(run) or nothing)
+    central = found[0]
+    _print_lines(console, [f"cycle {cycle}, {run.clock.local(cycle):%Y-%m-%d} {central.time}"])
+    _print_lines(console, [_plant_text(central)])
+    heading, units, *lines = plant_lines(run.plan.tree, found)
+    _print_lines(console, ["", heading, units], "bold")
+    _print_lines(console, lines)
+    with json_rows(json) as listed:
+        for row in found:
+            listed.write(row)
+    _warn_if_cut(run, console)
+
+
+def _plant_text(central: NodeCycle) -> str:
+    """Say what was wanted of the plant, what it could have given and what it gave."""
+
+    def text(value_kw: float | None) -> str:
+        return "not recorded" if value_kw is None else f"{value_kw:.2f} kW"
+
+    return (
+        f"dispatch {text(central.dispatch_kw)} (commitment {text(central.commitment_kw)}), "
+        f"possible {text(central.possible_kw)}, produced {text(central.delivered_kw)}"
+    )
+
+
+def _print_lines(console: Console, lines: Iterable[str], style: str = "") -> None:
+    for line in lines:
+        console.print(Text(line, style), soft_wrap=True)
+
+
+# The whole recording -------------------------------------------------------------------------
+
+
+def _show_overview(
+    run: RunReader, cycles: range | None, json: str | None, console: Console
+) -> None:
+    from recordings.inspect.overview import read_overview
+    from recordings.inspect.story_table import WIDTH
+
+    with progress_bar("reading") as follow:
+        overview = read_overview(run, cycles, follow)
+    for name, value in _facts(overview):
+        first, *rest = textwrap.wrap(value, WIDTH - _NAME_WIDTH, break_long_words=False) or [""]
+        console.print(Text.assemble((name.ljust(_NAME_WIDTH), "bold"), first), soft_wrap=True)
+        _print_lines(console, (" " * _NAME_WIDTH + line for line in rest))
+    console.print(_signal_table(overview))
+    _print_lines(console, _gap_lines(run, overview))
+    _warn_if_cut(run, console)
+    write_json(overview, json)
+
+
+def _facts(overview: Overview) -> Iterator[tuple[str, str]]:
+    yield "recording", f"{overview.path} ({overview.size_mb:,.1f} MB, {overview.chunks:,} chunks)"
+    yield "scenario", overview.title or overview.plant
+    yield "run", f"{overview.run_id}, heliarch {overview.driver}"
+    pace = "lockstep" if overview.lockstep else f"pace {overview.pace:g}"
+    yield "control", f"scheme {overview.scheme}, actuator {overview.actuator}, {pace}"
+    begin, end = (text.replace("T", " ")[:19] for text in (overview.start, overview.end))
+    yield "time", f"{begin} to {end}, {overview.timezone}"
+    yield (
+        "cycles",
+        f"{overview.first_cycle:,} to {overview.last_cycle:,} of {overview.cycle_s:g} s, "
+        f"{overview.complete_cycles:,} complete, {overview.planned_cycles:,} planned",
+    )
+    yield "duration", f"{overview.simulated_s:,.0f} s simulated in {overview.wall_s:,.1f} s"
+    origin = overview.origin
+    versions = [f"{name} {text}" for name, text in overview.versions.items()]
+    yield "versions", ", ".join([*versions, f"Python {origin.get('python', 'not stated')}"])
+    if "host" in origin:  # A run in memory does not depend on it.
+        cpus, kernel = origin.get("cpu_count", "?"), origin.get("kernel", "?")
+        yield "host", f"{origin['host']}, {cpus} CPUs, Linux {kernel}"
+    yield "file", f"{'whole' if overview.whole else 'cut'}{_recovered(overview)}"
+
+
+def _recovered(overview: Overview) -> str:
+    """Say that a file was recovered, and whether anything may be missing in it."""
+    if not overview.recovery:
+        return ""
+    lossless = overview.recovery.get("lossless") == "true"
+    return (
+        f", recovered from {overview.recovery.get('recovered_from', 'another file')}, "
+        f"{'nothing' if lossless else 'something'} is missing"
+    )
+
+
+def _signal_table(overview: Overview) -> Table:
+    from rich.table import Table
+
+    table = Table(title=f"{overview.messages:,} messages")
+    table.add_column("signal", no_wrap=True)
+    headings = ("nodes", "messages", "per cycle", "per s", "lost", "repeated", "cycles without")
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    for count in overview.signals:
+        table.add_row(
+            count.signal,
+            f"{count.nodes:,}",
+            f"{count.messages:,}",
+            f"{count.per_cycle:,.2f}",
+            f"{count.per_s:,.1f}",
+            f"{count.lost:,}",
+            f"{count.repeated:,}",
+            f"{count.missing_cycles:,}",
+        )
+    return table
+
+
+def _gap_lines(run: RunReader, overview: Overview) -> Iterator[str]:
+    for gap in overview.gaps[:_SHOWN_GAPS]:
+        begin, end = run.clock.text(gap.first_cycle), run.clock.text(gap.last_cycle)
+        yield (
+            f"{gap.port}: none in {gap.cycles:,} cycles, {gap.first_cycle:,} to "
+            f"{gap.last_cycle:,} ({begin} to {end})"
+        )
+    rest = len(overview.gaps) - _SHOWN_GAPS + overview.more_gaps
+    if rest > 0:
+        yield f"and {rest:,} more gaps" + (" (--json has the first 100)" if rest else "")
+
+
+def _warn_if_cut(run: RunReader, console: Console) -> None:
+    if not run.whole:
+        text = (
+            f"{run.path} was cut, or is still being recorded: this is what it holds. "
+            "`heliarch recover` makes a whole file of it."
+        )
+        console.print(Text(text, "yellow"))

@@ -1,24 +1,36 @@
-"""`heliarch recover`."""
+"""`heliarch recover`: a whole recording out of one that was cut."""
 
-# The modules that do the work are imported when it runs: `--help` does not wait for them.
+# What does the work is imported when it runs: `--help` does not wait for it.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from launch_scripts.commands.options import JsonOption
+from launch_scripts.commands.boundary import FAILED, OK, complain
+from launch_scripts.commands.options import JsonOption, RunArgument
+from launch_scripts.commands.output import progress_bar, say, write_json
+from studies.tables import console_for
 
-EXAMPLE: Final = "heliarch recover RUN --out whole.mcap"
+if TYPE_CHECKING:
+    from recordings.read.reader import RunReader
+    from recordings.recover import Recovery
+
+EXAMPLE: Final = "heliarch recover runs/oahu-20261121-120000-4711 --out whole.mcap"
+LOSSY: Final = 3
+
+_WIDTH: Final = 100
+_SUFFIX: Final = ".recovered.mcap"
 
 
 def recover(
-    run: Annotated[
-        Path, typer.Argument(help="Folder of a run, or its run.mcap.", show_default=False)
-    ],
+    run: RunArgument,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -26,12 +38,95 @@ def recover(
         ),
     ] = None,
     json: JsonOption = None,
-) -> None:
+) -> int:
     """Make a whole recording of one that a crash or a full disk has cut.
 
     Exit status: 0 if nothing is missing, 3 if something is or may be,
     1 if there is nothing to recover.
     """
-    from launch_scripts.commands.recover_work import recover as recover_work
+    from recordings.read.reader import NothingRecordedError, RunReader
 
-    raise typer.Exit(recover_work(run, out, json))
+    try:
+        with RunReader(run) as reader:
+            return _recover(reader, out or reader.path.with_suffix(_SUFFIX), json)
+    except NothingRecordedError as error:
+        return complain(f"{error}: there is nothing to recover", FAILED)
+
+
+def _recover(run: RunReader, out: Path, json: str | None) -> int:
+    import msgspec
+
+    from recordings.recover import is_sound, recover_run
+
+    console = console_for(json)
+    with progress_bar("checking") as follow:
+        sound = is_sound(run, follow)
+    if sound:
+        say(console, f"{run.path}: it is whole, there is nothing to recover")
+        write_json({"source": str(run.path), "out": None, "lossless": True}, json)
+        return OK
+    with progress_bar("copying") as follow:
+        recovery = recover_run(run, out, follow)
+    if not recovery.messages:
+        out.unlink()
+        return complain(f"{run.path}: no message can be read, there is nothing to recover", FAILED)
+    for line in _lines(run, recovery):
+        say(console, textwrap.fill(line, _WIDTH, subsequent_indent="  ", break_long_words=False))
+    write_json(msgspec.to_builtins(recovery) | {"lossless": recovery.lossless}, json)
+    return OK if recovery.lossless else LOSSY
+
+
+def _lines(run: RunReader, recovery: Recovery) -> Iterator[str]:
+    """Say what there is and what is missing."""
+    from recordings.read.moments import RunClock
+    from recordings.record.recorder import FLUSH_S
+
+    yield f"recovered: {recovery.out}"
+    clock = RunClock(run.plan, recovery.last_cycle)
+    up_to = f" up to {clock.local(recovery.last_cycle):%Y-%m-%d %H:%M:%S}"
+    yield (
+        f"kept: {recovery.messages:,} messages, {recovery.complete_cycles:,} complete cycles"
+        f"{up_to if recovery.last_cycle >= 0 else ''}, with plan, scenario, schemas, times and "
+        "sequence numbers"
+    )
+    for chunk in recovery.damaged:
+        yield (
+            f"missing: a damaged chunk at byte {chunk.offset:,}, recorded from "
+            f"{_wall_time(chunk.first_ns)} to {_wall_time(chunk.last_ns)}: {chunk.reason}"
+        )
+    if recovery.cut_bytes:
+        yield (
+            f"the last {recovery.cut_bytes:,} bytes are an incomplete record; "
+            f"{recovery.cut_messages:,} messages could be read of it"
+            f"{', they have no checksum and may be damaged' if recovery.cut_messages else ''}"
+        )
+    if recovery.damaged_attachments:
+        yield f"damaged: attachment {', '.join(recovery.damaged_attachments)}, kept as it is"
+    shortfall = recovery.shortfall
+    if shortfall.lost:
+        yield f"may be missing: {shortfall.lost:,} messages, their sequence numbers are left out"
+    if shortfall.early_ports:
+        yield (
+            f"may be missing: the last messages of {shortfall.early_ports:,} keys, "
+            f"{shortfall.early_messages:,} were due up to the end of the run"
+        )
+    if recovery.lossless:
+        yield "missing: nothing, the recording goes up to the end of the run"
+    elif not recovery.closed:
+        yield (
+            f"missing: what came after {_wall_time(recovery.last_ns)}, wall clock; of what the "
+            f"recorder had heard, that is the last {FLUSH_S:g} s if it was killed"
+        )
+    if not recovery.ended:
+        yield (
+            f"the run was planned for {recovery.planned_cycles:,} cycles; nothing tells of those "
+            f"after cycle {recovery.last_cycle:,}"
+        )
+
+
+def _wall_time(time_ns: int) -> str:
+    """Return the wall clock of this machine's time zone."""
+    try:
+        return f"{datetime.fromtimestamp(time_ns / 1e9).astimezone():%Y-%m-%d %H:%M:%S.%f %Z}"
+    except (OverflowError, ValueError, OSError):
+        return f"a time that is damaged ({time_ns:,} ns)"

@@ -7,6 +7,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TextIO
 
@@ -15,7 +16,8 @@ import msgspec
 from agents.plan import RunPlan, load_plan
 from bus_schemas.errors import InputError
 from bus_schemas.tree import agent_name
-from launch_scripts.commands.replay_request import ReplayRequest, before_cycle
+from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK
+from launch_scripts.commands.output import write_json
 from launch_scripts.launcher.fork_requests import Start
 from launch_scripts.launcher.interruption import Interruption, interruptible
 from launch_scripts.launcher.supervision import Children, ForkServerProcess, RunFailure
@@ -23,7 +25,7 @@ from launch_scripts.launcher.tcp_ports import reserved_ports
 from recordings.read.moments import RunClock
 from recordings.read.selection import find_nodes
 from recordings.replay.absent_agents import AbsentAgents, live_plan
-from recordings.replay.figures import TimingFigures, print_timing, write_json
+from recordings.replay.figures import TimingFigures, print_timing
 from recordings.replay.live import LiveReplay
 from recordings.replay.progress import ProgressLine
 from recordings.replay.recorded_run import RecordedRun
@@ -31,10 +33,6 @@ from recordings.replay.selection import select
 from recordings.replay.session import await_subscriber, introduce, replay_session
 from recordings.verify.account import Account
 from recordings.verify.outcome import account_data, finding_lines
-
-EQUAL: Final = 0
-DIFFERENT: Final = 1
-INTERRUPTED: Final = 130
 
 _NAMED: Final = 5
 """So many controllers are named before the rest is counted."""
@@ -50,6 +48,19 @@ _SHARED: Final = (
 )
 """Fields in which the plan of the live controllers must be that of the run: the others keep to
 it."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveRequest:
+    """The values of the options, None where they were not given."""
+
+    run: Path
+    end: str | None
+    wait: bool
+    listen: str | None
+    live: str
+    plan: Path | None
+    json: str | None
 
 
 class LiveFigures(msgspec.Struct, frozen=True):
@@ -79,7 +90,13 @@ class LiveFigures(msgspec.Struct, frozen=True):
     interrupted: bool
 
 
-def replay_live(request: ReplayRequest, recorded: RecordedRun, out: TextIO) -> int:
+def replay_live(request: LiveRequest, out: TextIO) -> int:
+    """Replay a recording with live controllers. Returns the exit status."""
+    with RecordedRun(request.run) as recorded:
+        return _replay_live(request, recorded, out)
+
+
+def _replay_live(request: LiveRequest, recorded: RecordedRun, out: TextIO) -> int:
     """Replay with live controllers, and say in what they differ. Returns the exit status.
 
     Raises
@@ -89,7 +106,7 @@ def replay_live(request: ReplayRequest, recorded: RecordedRun, out: TextIO) -> i
     RunFailure
         A live controller died, gave up, or says nothing any more.
     """
-    live = _live_agents(recorded.plan, request.live or "")
+    live = _live_agents(recorded.plan, request.live)
     plan = _plan(request, recorded)
     introduce(recorded, out)
     out.write(f"live: {_named(live)}; all others do as recorded, whatever these say\n")
@@ -114,7 +131,7 @@ def replay_live(request: ReplayRequest, recorded: RecordedRun, out: TextIO) -> i
     write_json(figures, request.json)
     if interruption:
         return INTERRUPTED
-    return DIFFERENT if figures.differing else EQUAL
+    return FAILED if figures.differing else OK
 
 
 @contextmanager
@@ -132,7 +149,7 @@ def _folder() -> Iterator[Path]:
 
 
 def _run(
-    request: ReplayRequest,
+    request: LiveRequest,
     recorded: RecordedRun,
     plan: RunPlan,
     live: Sequence[str],
@@ -149,9 +166,7 @@ def _run(
         path = folder / "plan.json"
         path.write_bytes(told.as_json())
         with (
-            replay_session(
-                recorded, select(plan), request.namespace, request.listen, out
-            ) as observers,
+            replay_session(recorded, select(plan), None, request.listen, out) as observers,
             AbsentAgents(told, live, tcp_ports[_ABSENT]) as absent,
         ):
             server.ask(Start(str(path), tuple(live), str(folder), 0.0))
@@ -175,11 +190,11 @@ def _live_agents(plan: RunPlan, text: str) -> tuple[str, ...]:
         raise InputError(f"--live: {error}") from None
 
 
-def _plan(request: ReplayRequest, recorded: RecordedRun) -> RunPlan:
+def _plan(request: LiveRequest, recorded: RecordedRun) -> RunPlan:
     """Return the plan that the live controllers run by, with the cycles to replay."""
-    cycles = before_cycle(request.duration, recorded, 0) or recorded.complete_cycles
-    if not cycles:
+    if not recorded.complete_cycles:
         raise InputError(f"{recorded.path}: no complete cycle, expected a run that has one")
+    cycles = recorded.clock.span(None, request.end).stop
     plan = recorded.plan
     if request.plan is not None:
         plan = load_plan(request.plan)

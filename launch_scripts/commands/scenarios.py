@@ -1,7 +1,4 @@
-"""`heliarch scenarios`."""
-
-# The modules that do the work are imported when it runs: `--help` does not wait for them.
-# ruff: noqa: PLC0415
+"""`heliarch scenarios`: what comes with Heliarch."""
 
 from __future__ import annotations
 
@@ -14,7 +11,10 @@ EXAMPLE: Final = "heliarch scenarios"
 
 def scenarios() -> None:
     """List the scenarios that come with Heliarch."""
-    from launch_scripts.scenarios.scenario import load_scenario, shipped_scenarios
+    from launch_scripts.scenarios.scenario import (  # noqa: PLC0415
+        load_scenario,
+        shipped_scenarios,
+    )
 
     for name in shipped_scenarios():
         typer.echo(f"{name:14} {load_scenario(name).scenario.title}")

@@ -1,14 +1,20 @@
-"""`heliarch timing`."""
+"""`heliarch timing`: whether a plant meets its deadlines in real time, and by how much."""
 
-# The modules that do the work are imported when it runs: `--help` does not wait for them.
+# What does the work is imported when it runs: `--help` does not wait for it.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
 
-from typing import Annotated, Final
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
 
+import msgspec
 import typer
 
+from bus_schemas.errors import InputError
+from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK
 from launch_scripts.commands.options import (
     ActuatorOption,
     BasePortOption,
@@ -20,31 +26,56 @@ from launch_scripts.commands.options import (
     JsonOption,
     OutOption,
     PriorityOption,
+    ReportOption,
     SchemeOption,
     SeedOption,
+    SettingsOption,
     StartOption,
 )
+from launch_scripts.commands.output import say, write_json, write_page
+from studies.tables import console_for
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from launch_scripts.launcher.request import RunRequest
+    from studies.timing.rates import Rates
+    from studies.timing.report import Reported, TimingReport
 
 EXAMPLE: Final = "heliarch timing oahu --rate 20 --duration 60s --report"
+
+_RATE: Final = "1"
+_DURATION: Final = "60s"
+_SWEEP_DURATION: Final = "15s"
+
+
+@dataclass(frozen=True, slots=True)
+class _Output:
+    """How the result is shown, and where it is written: the values of the options."""
+
+    console: Console
+    json: str | None
+    report: str | None
+    by_agent: bool
 
 
 def timing(
     scenario: Annotated[
-        str | None,
+        str,
         typer.Argument(
-            help="A shipped scenario or a TOML file, default oahu; or the "
-            "folder or run.mcap of a run that was in real time: nothing is run then.",
-            show_default=False,
+            help="A shipped scenario or a TOML file; or the folder or run.mcap of a run that was "
+            "in real time: then nothing is run."
         ),
-    ] = None,
+    ] = "oahu",
     rate: Annotated[
         str | None,
         typer.Option(
-            help="Cycles a second: 20; several: 5,10,20; a range or auto: find the highest rate "
-            "that the plant keeps up with. Default 1.",
+            help="Cycles a second: 20; several: 5,10,20; a range such as 1..200, or auto: find the "
+            "highest rate that the plant keeps up with. Default 1.",
             metavar="RATES",
         ),
     ] = None,
+    start: StartOption = None,
     duration: Annotated[
         str | None,
         typer.Option(
@@ -53,26 +84,24 @@ def timing(
             metavar="TIME",
         ),
     ] = None,
-    start: StartOption = None,
     seed: SeedOption = None,
     scheme: SchemeOption = None,
     actuator: ActuatorOption = None,
-    out: OutOption = None,
-    data: DataOption = None,
-    json: JsonOption = None,
-    report: Annotated[
-        bool, typer.Option("--report", help="Write an HTML page into the run's folder.")
-    ] = False,
-    processes: Annotated[
-        bool, typer.Option("--processes", help="Show each process, not the tiers alone.")
-    ] = False,
+    settings: SettingsOption = None,
     fault: FaultOption = None,
     external: ExternalOption = None,
     external_timeout: ExternalTimeoutOption = 60.0,
     base_port: BasePortOption = None,
     cpus: CpusOption = None,
     priority: PriorityOption = None,
-) -> None:
+    processes: Annotated[
+        bool, typer.Option("--processes", help="Show each process as well as the tiers.")
+    ] = False,
+    data: DataOption = None,
+    out: OutOption = None,
+    report: ReportOption = None,
+    json: JsonOption = None,
+) -> int:
     """Run a plant in real time and report whether every tier meets its deadlines, and by how much.
 
     With a recorded run instead of a scenario, report on that.
@@ -80,28 +109,117 @@ def timing(
     Exit status 1: a budget was not kept, or the run failed. A scenario states its own budgets in
     its table timing.budgets; see docs/timing.md.
     """
-    from launch_scripts.commands.timing_work import TimingRequest
-    from launch_scripts.commands.timing_work import timing as timing_work
     from launch_scripts.launcher.request import RunRequest
     from launch_scripts.scenarios.externals import ExternalOptions
     from launch_scripts.scenarios.machine_table import MachineOptions
+    from launch_scripts.scenarios.scenario import load_scenario
+    from studies.compare.cases import with_settings
+    from studies.timing.rates import parse_rates
 
-    run = RunRequest(
+    output = _Output(console_for(json), json, report, processes)
+    if (path := Path(scenario)).is_dir() or path.suffix == ".mcap":
+        options = {
+            "--rate": rate, "--duration": duration, "--out": out, "--from": start, "--seed": seed,
+            "--scheme": scheme, "--actuator": actuator, "--set": settings, "--fault": fault,
+            "--external": external, "--base-port": base_port, "--cpus": cpus,
+            "--priority": priority,
+        }  # fmt: skip
+        _check_recorded(path, options)
+        return _time_recorded(path, output)
+    rates = parse_rates(_RATE if rate is None else rate)
+    request = RunRequest(
         "launch",
-        scenario or "oahu",
+        with_settings(load_scenario(scenario, data), settings or ()),
         start,
-        None,
-        None,
-        seed,
-        scheme,
-        actuator,
-        out,
-        data,
-        json,
-        report=False,
+        seed=seed,
+        scheme=scheme,
+        actuator=actuator,
+        out=out,
         faults=tuple(fault or ()),
         external=ExternalOptions(tuple(external or ()), external_timeout, base_port),
         machine=MachineOptions(tuple(cpus or ()), priority),
     )
-    request = TimingRequest(run, scenario, rate, duration, processes, report)
-    raise typer.Exit(timing_work(request))
+    if rates.single_hz is not None:
+        return _time_one(rates.single_hz, duration or _DURATION, request, output)
+    return _time_several(rates, duration or _SWEEP_DURATION, request, output)
+
+
+def _check_recorded(path: Path, options: Mapping[str, object]) -> None:
+    for option, given in options.items():
+        if given is not None:
+            raise InputError(
+                f"{option}: expected only --processes, --report or --json with {path}, which was "
+                "run already"
+            )
+
+
+def _time_recorded(path: Path, output: _Output) -> int:
+    from studies.timing.report import report_on
+
+    return _print_one(report_on(path, by_agent=output.by_agent), path, output)
+
+
+def _time_one(rate_hz: float, duration: str, request: RunRequest, output: _Output) -> int:
+    from studies.timing.measured_run import measured_run, prepare_at
+
+    preparation, folder = prepare_at(rate_hz, duration, request, request.out)
+    reported = measured_run(preparation, folder, output.console, by_agent=output.by_agent)
+    return _print_one(reported, folder.path, output)
+
+
+def _print_one(reported: Reported, run: Path, output: _Output) -> int:
+    """Print and write the result of a run."""
+    from studies.timing.page import PAGE_NAME, run_page
+    from studies.timing.tables import print_report
+
+    report = reported.report
+    print_report(report, output.console, processes=output.by_agent)
+    say(output.console, f"recording: {run}")
+    folder = run if run.is_dir() else run.parent
+    _write_page(lambda: run_page(reported), folder / PAGE_NAME, output)
+    if output.json is not None:
+        write_json(msgspec.Raw(report.as_json()), output.json)
+    if report.interrupted:
+        return INTERRUPTED
+    return OK if report.passed else FAILED
+
+
+def _time_several(rates: Rates, duration: str, request: RunRequest, output: _Output) -> int:
+    from launch_scripts.launcher.run_folder import new_run_id, run_folder
+    from studies.timing.measured_run import measured_run, prepare_at
+    from studies.timing.page import PAGE_NAME, sweep_page
+    from studies.timing.sweep import print_sweep, sweep
+
+    folder = run_folder(f"{new_run_id('timing')}-rates", request.out).path
+    reports: list[TimingReport] = []
+
+    def prepared(rate_hz: float) -> Callable[[], Reported]:
+        preparation, place = prepare_at(rate_hz, duration, request, folder / f"rate-{rate_hz:g}")
+        return lambda: measured_run(preparation, place, output.console)
+
+    # All listed rates are prepared before the first one runs, so that none is refused then.
+    listed = {rate_hz: prepared(rate_hz) for rate_hz in rates.listed_hz}
+
+    def timed(rate_hz: float) -> TimingReport:
+        run = listed.get(rate_hz) or prepared(rate_hz)
+        reports.append(run().report)
+        return reports[-1]
+
+    found = sweep(rates, timed)
+    print_sweep(found, output.console)
+    say(output.console, f"recordings: {folder}")
+    if reports:
+        _write_page(lambda: sweep_page(found, reports[-1]), folder / PAGE_NAME, output)
+    if output.json is not None:
+        write_json(msgspec.Raw(found.as_json()), output.json)
+    if found.interrupted:
+        return INTERRUPTED
+    return FAILED if found.highest_clean_hz is None else OK
+
+
+def _write_page(html: Callable[[], str], default: Path, output: _Output) -> None:
+    if output.report is None:
+        return
+    page = Path(output.report) if output.report else default
+    write_page(html(), page)
+    say(output.console, f"report: {page}")

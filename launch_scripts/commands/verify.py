@@ -1,18 +1,36 @@
-"""`heliarch verify`."""
+"""`heliarch verify`: runs agents again on recorded inputs and compares what they publish."""
 
-# The modules that do the work are imported when it runs: `--help` does not wait for them.
+# What does the work is imported when it runs: `--help` does not wait for it.
 # ruff: noqa: PLC0415
 
 from __future__ import annotations
 
+import time
+from collections.abc import Sequence
+from difflib import get_close_matches
+from math import inf
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
+import msgspec
 import typer
 
-from launch_scripts.commands.options import JsonOption
+from bus_schemas.errors import FailureError, InputError
+from launch_scripts.commands.boundary import FAILED, OK
+from launch_scripts.commands.options import JsonOption, NodesOption
+from launch_scripts.commands.output import progress_bar, say, write_json
+from studies.tables import console_for
 
-EXAMPLE: Final = "heliarch verify runs/oahu-20261121-120000-4711 --node 'c2/*'"
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from recordings.verify.comparison import Comparison
+    from recordings.verify.outcome import Outcome
+    from recordings.verify.verification import Verification
+
+EXAMPLE: Final = "heliarch verify runs/oahu-20261121-120000-4711 --nodes 'c2/*'"
+
+_PROGRESS_CYCLES: Final = 100
 
 
 def verify(
@@ -22,33 +40,94 @@ def verify(
             help="Folders of runs, or their run.mcap.", metavar="RUN...", show_default=False
         ),
     ],
-    nodes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--node",
-            help="Agents to re-run: plant, central, c2, c2/inv07; c2/*: c2 and all below it.",
-            metavar="NAMES",
-        ),
-    ] = None,
+    nodes: NodesOption = None,
     tolerance: Annotated[
         float, typer.Option(help="Largest difference of two equal floats.", metavar="X")
     ] = 0.0,
     ignored: Annotated[
-        list[str] | None,
-        typer.Option("--ignore", help="Fields that may differ.", metavar="FIELDS"),
+        str | None,
+        typer.Option("--ignore", help="Fields that may differ, with commas.", metavar="FIELDS"),
     ] = None,
     accept: Annotated[
         bool,
         typer.Option("--accept", help="Replace the recording by what the agents do now."),
     ] = False,
     json: JsonOption = None,
-) -> None:
-    """Re-run the agents of a recording on the inputs that they used, and compare what they say.
+) -> int:
+    """Run the agents of a recording again on the inputs that they used, and compare the messages.
 
-    Exit status 1: they differ, each agent's first difference is shown with its inputs; or what was
-    lost leaves it undecided.
+    Exit status 1: they differ, and each agent's first difference is shown with its inputs; or so
+    much of the recording is lost that it cannot be decided.
     """
-    from launch_scripts.commands.verify_work import VerifyRequest, run_verify
+    from recordings.verify.outcome import as_json
 
-    request = VerifyRequest(runs, nodes or [], tolerance, ignored or [], accept, json)
-    raise typer.Exit(run_verify(request))
+    console = console_for(json)
+    comparison = _comparison(tolerance, _names(ignored))
+    if accept:
+        _check_accept(runs, nodes)
+    outcomes = [_verify(run, _names(nodes), comparison, console) for run in runs]
+    if json is not None:
+        write_json(msgspec.Raw(as_json(outcomes)), json)
+    if accept:
+        for outcome in outcomes:
+            _accept(outcome.verification, console)
+    equal = all(outcome.verification.equal for outcome in outcomes)
+    return OK if equal or accept else FAILED
+
+
+def _comparison(tolerance: float, ignored: Sequence[str]) -> Comparison:
+    from recordings.verify.comparison import COMPARED_FIELDS, Comparison
+
+    if not 0.0 <= tolerance < inf:
+        raise InputError(f"--tolerance: expected a number from 0 on, got {tolerance:g}")
+    for name in ignored:
+        if name not in COMPARED_FIELDS:
+            near = get_close_matches(name, COMPARED_FIELDS) or COMPARED_FIELDS
+            raise InputError(f"--ignore: expected a field such as {', '.join(near)}, got {name}")
+    return Comparison(tolerance, frozenset(ignored))
+
+
+def _names(text: str | None) -> list[str]:
+    return [name.strip() for name in (text or "").split(",") if name.strip()]
+
+
+def _verify(run: Path, nodes: Sequence[str], comparison: Comparison, console: Console) -> Outcome:
+    from recordings.verify.outcome import Outcome
+    from recordings.verify.verification import verify as verify_run
+
+    began_at = time.monotonic()
+    with progress_bar("cycles") as follow:
+
+        def advance(cycle: int, cycles: int) -> None:
+            if cycle % _PROGRESS_CYCLES == 0:
+                follow(cycle / cycles)
+
+        found = verify_run(run, nodes, comparison, advance)
+    outcome = Outcome(found, comparison, time.monotonic() - began_at)
+    say(console, *outcome.lines())
+    return outcome
+
+
+def _check_accept(runs: Sequence[Path], nodes: str | None) -> None:
+    from recordings.verify.golden import check_rerecordable
+
+    if nodes is not None:
+        raise InputError("--accept: expected no --nodes with it: the whole run is recorded again")
+    for run in runs:
+        check_rerecordable(run)
+
+
+def _accept(found: Verification, console: Console) -> None:
+    from recordings.verify.golden import record_anew
+
+    if found.equal:
+        say(console, f"{found.recording}: nothing to accept")
+        return
+    for name, account in found.accounts.items():
+        if account.failure is not None:
+            raise FailureError(
+                f"--accept {found.recording}: {name} fails in cycle {account.failure.cycle}: "
+                f"{account.failure.text}"
+            )
+    record_anew(found.recording)
+    say(console, f"{found.recording}: recorded again as the agents behave now")

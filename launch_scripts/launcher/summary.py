@@ -14,6 +14,7 @@ from launch_scripts.launcher.supervision import Memory
 from launch_scripts.launcher.wrong_messages import WrongMessages
 from recordings.read.series import plant_series
 from studies.metrics import RunMetrics, run_metrics
+from studies.metrics.figures_of_merit import figures_json
 
 
 class MessageCount(msgspec.Struct, frozen=True):
@@ -123,8 +124,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
         document = msgspec.to_builtins(self)
         document["cycles_per_s"] = self.cycles_per_s
         if self.metrics is not None:
-            energy = self.metrics.commitment
-            document["metrics"]["commitment"]["satisfied_percent"] = energy.satisfied_percent
+            document["figures"] = figures_json(self.metrics)
         document["messages_lost"] = self.lost
         return msgspec.json.format(msgspec.json.encode(document), indent=2)
 

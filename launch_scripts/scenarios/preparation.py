@@ -62,6 +62,7 @@ class RunOptions:
     faults: tuple[str, ...] = ()
     external: ExternalOptions = NO_EXTERNALS
     machine: MachineOptions = AS_THE_SCENARIO_SAYS
+    end: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,11 +242,16 @@ def _with_cycle(scenario: Scenario, cycle_s: float | None) -> Scenario:
 
 def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
     table = scenario.time
-    start = _start(table, options.start)
+    start = _start(table, options.start, "--from")
     where, duration_s = f"time.duration_s: {table.duration_s:g} s,", table.duration_s
     if options.duration is not None:
         where = f"--duration {options.duration}:"
         duration_s = parse_duration_s(options.duration, "--duration")
+    if options.end is not None:
+        where = f"--to {options.end}:"
+        duration_s = (_start(table, options.end, "--to", start) - start).total_seconds()
+        if options.duration is not None or duration_s <= 0.0:
+            raise InputError(f"{where} expected a time after {start}, and no --duration")
     cycles = round(duration_s / table.cycle_s)
     if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:
         raise InputError(f"{where} accepted are multiples of the cycle, {table.cycle_s:g} s")
@@ -254,12 +260,14 @@ def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
     return pd.date_range(first, periods=cycles, freq=step, unit="ns")
 
 
-def _start(table: TimeTable, option: str | None) -> datetime:
+def _start(
+    table: TimeTable, option: str | None, name: str, day: datetime | None = None
+) -> datetime:
     if option is None and not _FIRST_YEAR <= table.start.year <= _LAST_YEAR:
         raise InputError(
             f"time.start: {table.start}, accepted are the years {_FIRST_YEAR} to {_LAST_YEAR}"
         )
-    scheduled = local_start(table)
+    scheduled = day or local_start(table)
     if option is None:
         return scheduled
     with suppress(ValueError):
@@ -271,7 +279,7 @@ def _start(table: TimeTable, option: str | None) -> datetime:
         if _FIRST_YEAR <= moment.year <= _LAST_YEAR:
             return moment if moment.tzinfo else moment.replace(tzinfo=scheduled.tzinfo)
     raise InputError(
-        f"--start {option}: accepted is a local time such as 12:30 or 2010-04-01T12:30:00, "
+        f"{name} {option}: accepted is a local time such as 12:30 or 2010-04-01T12:30:00, "
         f"{_FIRST_YEAR} to {_LAST_YEAR}"
     )
 

@@ -107,6 +107,11 @@ class RunSeries:
         return np.maximum(self.desired_kw - self.delivered_kw, 0.0)
 
     @property
+    def known(self) -> NDArray[np.bool_]:
+        """Whether the recording has dispatch and production of each cycle, shape (T,)."""
+        return np.isfinite(self.desired_kw) & np.isfinite(self.possible_kw + self.delivered_kw)
+
+    @property
     def times(self) -> pd.DatetimeIndex:
         """Local time of the beginning of each cycle, length T."""
         first = pd.Timestamp(self.start_time_ns, tz="UTC").tz_convert(self.timezone)

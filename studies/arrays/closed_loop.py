@@ -140,15 +140,12 @@ def is_corrected(plan: RunPlan, scheme: Scheme) -> bool:
 
     The plan says so for its own scheme. Of others `predictive` does.
     """
-    correction = getattr(plan, "correction", None)
-    if correction is None or scheme != plan.scheme:
-        return scheme == "predictive"
-    return bool(correction)
+    return plan.correction if scheme == plan.scheme else scheme == "predictive"
 
 
 def _available_kw(plan: RunPlan, profile: Profile) -> Floats:
     """Return what each inverter states of the interval that ended: nothing, or with a bias."""
-    bias = getattr(plan, "available_bias", None)
+    bias = plan.available_bias
     if bias is None:
         return np.full_like(profile.mpp_kw, np.nan)
     ended_kw = np.concatenate([profile.mpp_kw[:1], profile.mpp_kw[:-1]])

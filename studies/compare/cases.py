@@ -22,6 +22,7 @@ from launch_scripts.scenarios.scenario import (
     readable,
     with_two_digit_hour,
 )
+from launch_scripts.scenarios.toml_text import toml_text
 
 _MOST: Final = 100_000
 
@@ -68,6 +69,24 @@ def parse_setting(text: str) -> Setting:
             "commitment.share=0.5,0.7"
         )
     return Setting(field.strip(), tuple(_split(values)))
+
+
+def with_settings(scenario: ScenarioFile, texts: Sequence[str]) -> ScenarioFile:
+    """Return a scenario with some of its fields changed: one value for each, see `parse_setting`.
+
+    Raises
+    ------
+    InputError
+        A setting has several values, is no field of the scenario, or its value is not accepted.
+    """
+    if not texts:
+        return scenario
+    settings = [parse_setting(text) for text in texts]
+    for setting, text in zip(settings, texts, strict=True):
+        if len(setting.values) > 1:
+            raise InputError(f"--set {setting.field}: expected one value, got {text}")
+    (case,) = cases(scenario, RunOptions(), settings)
+    return case.scenario
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
@@ -166,7 +185,7 @@ def _on(
         start = datetime.fromisoformat(with_two_digit_hour(f"{day.isoformat()}T{clock}"))
     except ValueError:
         raise InputError(
-            f"--start {clock}: accepted beside --days is a time of day such as 12:30"
+            f"--from {clock}: accepted beside --days is a time of day such as 12:30"
         ) from None
     return replace(options, start=start.isoformat())
 
@@ -181,7 +200,10 @@ def _with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, str]]) ->
     except msgspec.ValidationError as error:
         words = _in_words(_to_blame(chosen, error) or chosen)
         raise InputError(f"{words}: {readable(error, document)}") from None
-    return msgspec.structs.replace(scenario, scenario=changed)
+    stated = msgspec.toml.decode(scenario.text)
+    for field, value in chosen:
+        _put(stated, field, value)
+    return msgspec.structs.replace(scenario, scenario=changed, text=toml_text(stated))
 
 
 def _in_words(chosen: Sequence[tuple[str, str]]) -> str:

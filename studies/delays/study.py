@@ -9,9 +9,6 @@ whenever it is repeated.
 from __future__ import annotations
 
 import dataclasses
-import multiprocessing
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias, get_args
 
@@ -19,9 +16,7 @@ import msgspec
 from msgspec.structs import replace
 
 from agents.plan import RunPlan, Scheme
-from agents.process import die_with_parent
 from bus_schemas.faults import FaultRule
-from launch_scripts.launcher.interruption import end_when_interrupted, interruptions_wait
 from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
 from recordings.read.series import RunSeries, SeriesCollector
 from sim_plant.profile import Profile
@@ -151,16 +146,20 @@ def plan_under(plan: RunPlan, condition: Condition) -> RunPlan:
     return replace(timed, faults=(rule,) if value else ())
 
 
-def run_under(plan: RunPlan, profile: Profile, condition: Condition) -> Outcome:
-    """Run a plan under a condition. The run must last longer than `WARM_UP_S`."""
-    troubled = plan_under(plan, condition)
-    collector = SeriesCollector(troubled)
-    run = MemoryRun(troubled, profile, collector.see)
+def run_in_memory(plan: RunPlan, profile: Profile) -> tuple[MemoryRun, RunSeries]:
+    """Run a plan's agents in memory, message by message; return the run and its series."""
+    collector = SeriesCollector(plan)
+    run = MemoryRun(plan, profile, collector.see)
     for _ in run.cycles():
         pass
+    return run, collector.series(plan.scheme)
+
+
+def run_under(plan: RunPlan, profile: Profile, condition: Condition) -> Outcome:
+    """Run a plan under a condition. The run must last longer than `WARM_UP_S`."""
+    run, series = run_in_memory(plan_under(plan, condition), profile)
     cycles = round(WARM_UP_S * 1e9) // plan.cycle_ns
-    series = _without_beginning(collector.series(condition.scheme), cycles)
-    return _outcome(condition, run, run_metrics(series))
+    return _outcome(condition, run, run_metrics(_without_beginning(series, cycles)))
 
 
 def _without_beginning(series: RunSeries, cycles: int) -> RunSeries:
@@ -200,39 +199,3 @@ def _awaited(plan: RunPlan) -> int:
         for agent in table.agents
         for stage in table.stages(agent, cycle)
     )
-
-
-def _begin_worker() -> None:
-    die_with_parent()
-    end_when_interrupted()
-
-
-def run_study_over(
-    plan: RunPlan, profile: Profile, chosen: Sequence[Condition], workers: int
-) -> Iterator[tuple[int, Outcome]]:
-    """Run under each condition, over processes; yield number and outcome of each as it is done."""
-    if workers == 1:
-        for number, condition in enumerate(chosen):
-            yield number, run_under(plan, profile, condition)
-        return
-    # Ctrl-C reaches every process of a terminal: workers then just end, as they do with us, also
-    # while they still import what they need.
-    pool = ProcessPoolExecutor(
-        workers,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_begin_worker,
-    )
-    try:
-        with interruptions_wait():
-            futures = {
-                pool.submit(run_under, plan, profile, condition): number
-                for number, condition in enumerate(chosen)
-            }
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    except (KeyboardInterrupt, GeneratorExit):
-        for worker in multiprocessing.active_children():
-            worker.terminate()  # A signal that came to us alone has not reached it.
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)

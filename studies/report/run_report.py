@@ -19,8 +19,8 @@ from studies.report.neighbour_figures import correlation_matrices, virtual_neigh
 from studies.report.page import html_page
 from studies.report.plant_figures import delivered_and_support, possible_power
 from studies.report.style import ReportFigure
-from studies.report.tables import ReportTable
 from studies.report.tracking_figures import regulation, tracking_error
+from studies.tables import Table
 
 _WHY_ABSENT: Final = {
     "regulation": "No regulation was asked for.",
@@ -36,7 +36,7 @@ def write_report(
     path: Path,
     title: str,
     series: Sequence[RunSeries],
-    tables: Sequence[ReportTable] = (),
+    tables: Sequence[Table] = (),
     notes: Sequence[str] = (),
 ) -> None:
     """Write a report as one HTML file, which opens without a network.
@@ -63,7 +63,7 @@ def write_report(
     check_comparable(series)
     figures = report_figures(series)
     text = [introduction(series), *notes, *_absent(figures)]
-    write_whole(path, html_page(title, text, tables, figures))
+    write_whole(path, html_page(title, text, [*tables, *figures]))
 
 
 def check_destination(path: Path) -> None:
