@@ -40,9 +40,11 @@ class Block:
 
     @property
     def commands(self) -> str:
-        """The shell text of it; empty for anything but a shell."""
+        """The shell text that does what the block says; empty where it is no code to run."""
         if self.language == "sh":
             return self.text
+        if self.language == "python":
+            return f"python - <<'PYTHON'\n{self.text}PYTHON\n"
         if self.language != "console":
             return ""
         return _prompted(self.text)
