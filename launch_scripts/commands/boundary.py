@@ -59,7 +59,7 @@ class Command(TyperCommand):
 def _with_report_value(args: list[str]) -> list[str]:
     """Give a bare `--report` an empty value. The word after it is its file if it ends in .html."""
     found = []
-    for word, following in zip(args, [*args[1:], ""], strict=True):
+    for word, following in zip(args, [*args[1:], ""], strict=False):
         is_bare = word == "--report" and not following.endswith(".html")
         found.append("--report=" if is_bare else word)
     return found
