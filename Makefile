@@ -31,7 +31,7 @@ test: $(READY) ## all tests, under 8 minutes on 2 cores
 	$(BIN)/pytest -m 'processes and not soak'
 
 docs: $(READY) ## the documents as a site in build/site; read them with `python -m http.server -d build/site`
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 golden: $(READY) ## record the golden runs anew, after a change of behaviour that is meant
 	$(BIN)/python recordings/golden/make.py

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 import typer
+import typer.core
+import typer.main
 from documents import DOCUMENTS, REPOSITORY, Block, blocks_of, heliarch_lines, words_of
 
 from bus_schemas.errors import InputError
@@ -105,7 +107,8 @@ def test_a_file_that_is_shown_is_the_file_that_comes_with_heliarch(document: Pat
 
 def parse(words: list[str]) -> None:
     """Parse the arguments of `heliarch` without running anything."""
-    group = typer.main.get_group(app)
+    group = typer.main.get_command(app)
+    assert isinstance(group, typer.core.TyperGroup)
     context = group.make_context("heliarch", list(words))
     name, command, rest = group.resolve_command(context, words)
     assert name is not None
