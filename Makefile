@@ -34,7 +34,7 @@ docs: $(READY) ## the documents as a site in build/site; read them with `python 
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 golden: $(READY) ## record the golden runs anew, after a change of behaviour that is meant
-	$(BIN)/python recordings/golden/make.py
+	$(BIN)/python -m recordings.verify.golden
 
 check: $(READY) ## format, lint, types, directions of imports
 	$(BIN)/ruff format --check .

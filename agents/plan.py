@@ -174,7 +174,9 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     @cached_property
     def network_faults(self) -> NetworkFaults:
         """The faults of the network, at work."""
-        return NetworkFaults(self.faults, self.faults_seed, self.tree, self.cycle_wall_ns)
+        return NetworkFaults(
+            self.faults, self.faults_seed, self.tree, self.cycle_ns, self.cycle_wall_ns
+        )
 
     @cached_property
     def periods(self) -> Periods:

@@ -31,6 +31,10 @@ _SET_PARENT_DEATH_SIGNAL: Final = 1
 """PR_SET_PDEATHSIG of prctl(2). It outlives execve(2)."""
 
 
+_STOP_PATIENCE_S: Final = 10.0
+"""How long a controller that is through its last cycle waits for the plant to end the run."""
+
+
 def die_with_parent(death_signal: signal.Signals = signal.SIGKILL) -> None:
     """Ask the kernel for a signal when the parent of this process dies, where it can (Linux)."""
     if sys.platform == "linux":
@@ -71,8 +75,13 @@ def _run_controller(plan: RunPlan, name: str, link: LauncherLink) -> None:
         for _ in seat.drive():
             if link.dismissed:
                 break
+        # Nobody ends a controller that was started by hand, should the plant have died.
+        give_up_at = time.monotonic() + _STOP_PATIENCE_S + 2.0 * plan.cycle_wall_ns / 1e9
         while not seat.loop.stop_heard and not link.dismissed:
-            seat.driver.turn()
+            seat.driver.turn(longest_ns=round(give_up_at * 1e9))
+            if time.monotonic() > give_up_at:
+                log.warning("%s ends: the plant did not say that the run is over", name)
+                break
         seat.report()
 
 
@@ -142,6 +151,7 @@ class Seat:
                 old_inputs=loop.old_inputs,
                 skipped_cycles=loop.skipped_cycles,
                 faults=self._faults.tally.as_counts() if self._faults else {},
+                matched_rules=tuple(self.plan.network_faults.matched),
                 dismissed=self.link.dismissed and loop.cycle < self.plan.cycles,
             )
         )

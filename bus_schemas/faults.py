@@ -24,15 +24,16 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from hashlib import blake2b
-from math import ceil, cos, inf, log, pi, sqrt
-from typing import Final, Literal
+from math import ceil, cos, log, pi, sqrt
+from typing import Annotated, Final, Literal, TypeAlias
 
 import msgspec
+from msgspec import Meta
 
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS, Port, listeners, ports
-from bus_schemas.tree import RECORDER, ControlTree
+from bus_schemas.tree import RECORDER, ControlTree, some_of
 
 LONGEST_MS: Final = 3_600_000.0
 """Longest delay, jitter or holding back that is accepted: an hour."""
@@ -46,47 +47,52 @@ UNHEARD: Final = frozenset(
 """Cyclic signals that no agent acts on: what becomes of them changes nothing in a run."""
 
 _LOST: Final[tuple[int, ...]] = ()
-_LISTED: Final = 12
 _MOST_SIGMAS: Final = sqrt(-2.0 * log(2.0**-53))
 """No normal number that is made of 53 bits is further from the mean: 8.6 standard deviations."""
 
 
+Share: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0)]
+Milliseconds: TypeAlias = Annotated[float, Meta(ge=0.0, le=LONGEST_MS)]
+Second: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12)]
+
+
 class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One way in which links are imperfect.
+    """One way in which links are imperfect."""
 
-    Attributes
-    ----------
-    source, listener
-        Names of the agents at the two ends of the links: `plant`, `central`, `c1/inv07`, or a
-        pattern such as `c1/*` (all below `c1`). Default: any.
-    signal
-        Name of a cyclic signal. Default: any.
-    delay_ms, jitter_ms, distribution
-        Delay of each message [ms], never below 0: `uniform` in delay_ms ± jitter_ms, `normal` with
-        jitter_ms as its standard deviation, or `fixed`. Without jitter all are fixed.
-    loss
-        Share of the messages that do not arrive.
-    duplicate
-        Share of the messages that arrive twice. The copy has a delay, and a loss, of its own.
-    reorder, reorder_ms
-        Share of the messages that are held back, and for how long besides their delay [ms], so
-        that later ones overtake them. Default: for one more `delay_ms`.
-    silent
-        Intervals in which nothing arrives, each from and to in seconds since cycle 0 on the clock
-        that the cycles go by. A message belongs to one by the beginning of its cycle.
-    """
+    source: Annotated[
+        str, Meta(description="Publishing agent: `plant`, `c1/inv07`, or a pattern such as `c1/*`.")
+    ] = "*"
+    listener: Annotated[str, Meta(description="Receiving agent, named in the same way.")] = "*"
+    signal: Annotated[str | None, Meta(description="Name of a cyclic signal. Default: any.")] = None
+    delay_ms: Annotated[Milliseconds, Meta(description="Delay of each message [ms].")] = 0.0
+    jitter_ms: Annotated[
+        Milliseconds, Meta(description="Spread of the delay [ms]; it is never below 0.")
+    ] = 0.0
+    distribution: Annotated[
+        Literal["fixed", "uniform", "normal"],
+        Meta(description="Of the delay: within ± `jitter_ms`, or with it as standard deviation."),
+    ] = "uniform"
+    loss: Annotated[Share, Meta(description="Share of the messages that do not arrive.")] = 0.0
+    duplicate: Annotated[
+        Share, Meta(description="Share that arrives twice; the copy has its own delay and loss.")
+    ] = 0.0
+    reorder: Annotated[
+        Share, Meta(description="Share that is held back, so that later messages overtake it.")
+    ] = 0.0
+    reorder_ms: Annotated[
+        Milliseconds | None,
+        Meta(description="For how much longer it is held back [ms]. Default: one more `delay_ms`."),
+    ] = None
+    silent: Annotated[
+        tuple[tuple[Second, Second], ...],
+        Meta(description="Intervals of simulated time since cycle 0 in which nothing arrives [s]."),
+    ] = ()
 
-    source: str = "*"
-    listener: str = "*"
-    signal: str | None = None
-    delay_ms: float = 0.0
-    jitter_ms: float = 0.0
-    distribution: Literal["fixed", "uniform", "normal"] = "uniform"
-    loss: float = 0.0
-    duplicate: float = 0.0
-    reorder: float = 0.0
-    reorder_ms: float | None = None
-    silent: tuple[tuple[float, float], ...] = ()
+    def __str__(self) -> str:
+        """Return its fields as `--fault` would have them, without the defaults."""
+        default = {field.name: field.default for field in msgspec.structs.fields(self)}
+        given = msgspec.structs.asdict(self).items()
+        return ",".join(f"{name}={value}" for name, value in given if value != default[name])
 
     @property
     def held_back_ms(self) -> float:
@@ -99,6 +105,15 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         spread = _MOST_SIGMAS if self.distribution == "normal" else 1.0
         held_back_ms = self.held_back_ms if self.reorder else 0.0
         return self.delay_ms + spread * self.jitter_ms + held_back_ms
+
+    @property
+    def acts_outside_silence(self) -> bool:
+        """Whether it does more than to be silent at times."""
+        return any((self.delay_ms, self.jitter_ms, self.loss, self.duplicate, self.reorder))
+
+    def is_silent(self, time_s: float) -> bool:
+        """Whether nothing arrives at a simulated time since cycle 0."""
+        return any(begin_s <= time_s < end_s for begin_s, end_s in self.silent)
 
     def acts_on(self, port: Port[Message], listener: str) -> bool:
         """Whether this link of a port is one of the rule's."""
@@ -145,14 +160,28 @@ class NetworkFaults:
     tree
         Control tree of the run.
     cycle_ns
-        Length of a cycle on the clock that the cycles go by [ns].
+        Length of a cycle in simulated time [ns], which `silent` is stated in.
+    cycle_wall_ns
+        Length of a cycle on the clock that delays go by [ns]; 0 in lockstep.
+
+    Attributes
+    ----------
+    matched
+        Numbers of the rules that a message has met so far: on one of its links, and, if the rule
+        has nothing but `silent`, in one of those intervals.
     """
 
     def __init__(
-        self, rules: tuple[FaultRule, ...], seed: int, tree: ControlTree, cycle_ns: int
+        self,
+        rules: tuple[FaultRule, ...],
+        seed: int,
+        tree: ControlTree,
+        cycle_ns: int,
+        cycle_wall_ns: int,
     ) -> None:
+        self.matched: set[int] = set()
         self._links = {
-            (port, listener): _Link(numbered, seed, port, listener, cycle_ns)
+            (port, listener): _Link(numbered, seed, port, listener, cycle_ns, cycle_wall_ns)
             for port, listener in links(tree)
             if (
                 numbered := [
@@ -185,7 +214,7 @@ class NetworkFaults:
         link = self._links.get((port, listener))
         if link is None or message.cycle < 0:
             return UNHARMED
-        return link.fate(message.cycle)
+        return link.fate(message.cycle, self.matched)
 
 
 class _Link:
@@ -198,17 +227,23 @@ class _Link:
         port: Port[Message],
         listener: str,
         cycle_ns: int,
+        cycle_wall_ns: int,
     ) -> None:
+        self._rules = rules
         self._stretches = [
             _Stretch(rule, f"{seed} {number} {port} {listener}") for number, rule in rules
         ]
-        self._rules = [rule for _, rule in rules]
-        self._silent_s = [interval for _, rule in rules for interval in rule.silent]
+        self._always = {number for number, rule in rules if rule.acts_outside_silence}
         self._cycle_s = cycle_ns / 1e9
+        self._cycle_wall_s = cycle_wall_ns / 1e9
 
-    def fate(self, cycle: int) -> tuple[int, ...]:
-        """Return the delays [ns] of the copies that arrive."""
-        if self._silent_s and self._is_silent(cycle * self._cycle_s):
+    def fate(self, cycle: int, matched: set[int]) -> tuple[int, ...]:
+        """Return the delays [ns] of the copies that arrive; note which rules the message met."""
+        matched |= self._always
+        time_s = cycle * self._cycle_s
+        silent = [number for number, rule in self._rules if rule.is_silent(time_s)]
+        if silent:
+            matched.update(silent)
             return _LOST
         delays_ms = [0.0]
         for stretch in self._stretches:
@@ -217,13 +252,10 @@ class _Link:
 
     def most_under_way(self) -> int:
         """Return how many messages the link can hold, copies and all."""
-        longest_s = sum(rule.longest_ms for rule in self._rules) / 1e3
-        cycles = ceil(longest_s / self._cycle_s) + 1 if self._cycle_s else 1
-        doublers = sum(rule.duplicate > 0.0 for rule in self._rules)
+        longest_s = sum(rule.longest_ms for _, rule in self._rules) / 1e3
+        cycles = ceil(longest_s / self._cycle_wall_s) + 1 if self._cycle_wall_s else 1
+        doublers = sum(rule.duplicate > 0.0 for _, rule in self._rules)
         return cycles << doublers
-
-    def _is_silent(self, time_s: float) -> bool:
-        return any(begin_s <= time_s < end_s for begin_s, end_s in self._silent_s)
 
 
 @dataclass(slots=True)
@@ -286,6 +318,15 @@ _NUMBERS: Final = struct.Struct("<qq")
 _WORDS: Final = struct.Struct("<8Q")
 
 
+def unmatched_rules(rules: tuple[FaultRule, ...], matched: Collection[int]) -> tuple[str, ...]:
+    """Name the rules that no message of a run has met, a line each."""
+    return tuple(
+        f"fault {rule}: no message of this run matched it"
+        for number, rule in enumerate(rules)
+        if number not in matched and rule.signal not in UNHEARD
+    )
+
+
 def links(tree: ControlTree) -> list[tuple[Port[Message], str]]:
     """Each port of a cyclic signal with each agent that acts on it."""
     return [
@@ -299,7 +340,7 @@ def links(tree: ControlTree) -> list[tuple[Port[Message], str]]:
 def check_rule(
     rule: FaultRule, tree: ControlTree, where: str, external: Collection[str] = ()
 ) -> None:
-    """Refuse a rule that cannot be meant.
+    """Refuse a rule that does not fit the run.
 
     Parameters
     ----------
@@ -313,50 +354,36 @@ def check_rule(
     Raises
     ------
     InputError
-        A share outside 0 to 1, a negative time, an interval that ends before it begins; an agent
-        or a signal that the run does not have, or agents that never talk to each other.
+        Fields that contradict each other, or a rule that does nothing; an agent or a signal that
+        the run does not have, or agents that never talk to each other.
     """
-    _check_numbers(rule, where)
+    _check_fields(rule, where)
     _check_ends(rule, tree, where)
     heard_by = [listener for port, listener in links(tree) if rule.acts_on(port, listener)]
     if heard_by and all(listener in external for listener in heard_by):
         raise InputError(
-            f"{where}: messages are delayed and lost where they come in, here at external agents "
-            f"alone ({', '.join(dict.fromkeys(heard_by))}), accepted are links to other agents"
+            f"{where}: expected a listener that Heliarch runs, where faults act, got external "
+            f"agents alone ({', '.join(dict.fromkeys(heard_by))})"
         )
 
 
-def _check_numbers(rule: FaultRule, where: str) -> None:
-    for name in ("loss", "duplicate", "reorder"):
-        share = getattr(rule, name)
-        if not 0.0 <= share <= 1.0:
-            raise InputError(f"{where}: {name} is {share:g}, accepted is a share from 0 to 1")
-    for name in ("delay_ms", "jitter_ms", "reorder_ms"):
-        time_ms = getattr(rule, name)
-        if time_ms is not None and not 0.0 <= time_ms <= LONGEST_MS:
-            raise InputError(f"{where}: {name} is {time_ms:g}, accepted is 0 to {LONGEST_MS:.0f}")
+def _check_fields(rule: FaultRule, where: str) -> None:
+    """Check what the bounds of the fields do not say."""
     if rule.distribution == "fixed" and rule.jitter_ms:
         raise InputError(
-            f"{where}: jitter_ms is {rule.jitter_ms:g} with a fixed delay, accepted are uniform "
-            "and normal"
+            f"{where}: distribution: expected uniform or normal with jitter, got fixed"
         )
     if rule.reorder and not rule.held_back_ms:
-        raise InputError(
-            f"{where}: reorder without a time to hold back for, accepted is reorder_ms or delay_ms "
-            "above 0"
-        )
+        raise InputError(f"{where}: reorder_ms: expected a time above 0 with reorder, got none")
     for begin_s, end_s in rule.silent:
-        if not 0.0 <= begin_s < end_s < inf:
+        if begin_s >= end_s:
             raise InputError(
-                f"{where}: silent from {begin_s:g} s to {end_s:g} s, accepted is an interval that "
-                "ends after it begins, at 0 s or later"
+                f"{where}: silent: expected an end after the beginning, got {begin_s:g} s to "
+                f"{end_s:g} s"
             )
-    if not any(
-        (rule.delay_ms, rule.jitter_ms, rule.loss, rule.duplicate, rule.reorder, rule.silent)
-    ):
+    if not (rule.acts_outside_silence or rule.silent):
         raise InputError(
-            f"{where}: it does nothing, accepted is a rule with a delay, jitter, loss, duplicate, "
-            "reorder or silent"
+            f"{where}: expected a delay, jitter, loss, duplicate, reorder or silent, got none"
         )
 
 
@@ -365,13 +392,13 @@ def _check_ends(rule: FaultRule, tree: ControlTree, where: str) -> None:
     for end, pattern in (("source", rule.source), ("listener", rule.listener)):
         if pattern == RECORDER:
             raise InputError(
-                f"{where}: {end} is the recorder, which hears everything; accepted are the agents "
-                f"that act: {some_of(agents)}"
+                f"{where}: {end}: expected an agent that acts ({some_of(agents)}), got recorder, "
+                "which hears everything"
             )
         if not any(fnmatchcase(agent, pattern) for agent in agents):
             raise InputError(
-                f"{where}: {end} {pattern!r} is no agent of this run, accepted: {some_of(agents)}, "
-                "or a pattern such as c1/*"
+                f"{where}: {end}: expected {some_of(agents)}, or a pattern such as c1/*, got "
+                f"{pattern!r}"
             )
     if rule.signal in UNHEARD:
         return
@@ -381,7 +408,9 @@ def _check_ends(rule: FaultRule, tree: ControlTree, where: str) -> None:
         return  # No agent acts on it, so that losing it costs nothing.
     if rule.signal is not None and rule.signal not in names:
         kind = "not cyclic" if rule.signal in {row.name for row in SIGNALS} else "not known"
-        raise InputError(f"{where}: signal {rule.signal!r} is {kind}, accepted: {', '.join(names)}")
+        raise InputError(
+            f"{where}: signal: expected {', '.join(names)}, got {rule.signal!r}, which is {kind}"
+        )
     if not any(rule.acts_on(port, listener) for port, listener in found):
         instead = dict.fromkeys(
             f"{port.signal.name} to {listener}"
@@ -389,13 +418,6 @@ def _check_ends(rule: FaultRule, tree: ControlTree, where: str) -> None:
             if fnmatchcase(port.publisher, rule.source)
         )
         raise InputError(
-            f"{where}: {rule.source} never sends {rule.signal or 'anything'} to {rule.listener}, "
-            f"accepted from {rule.source}: {some_of(list(instead))}"
+            f"{where}: expected one of {some_of(list(instead))}, got {rule.signal or 'anything'} "
+            f"from {rule.source} to {rule.listener}, which is never sent"
         )
-
-
-def some_of(names: list[str]) -> str:
-    """List the first of many names."""
-    rest = len(names) - _LISTED
-    listed = ", ".join(names[:_LISTED])
-    return f"{listed} and {rest} more" if rest > 0 else listed

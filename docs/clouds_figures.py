@@ -22,10 +22,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pvlib.irradiance import get_extra_radiation
 from pvlib.solarposition import get_solarposition
-
-from sim_plant.clouds import CloudSettings, clear_sky_ghi, clear_sky_index
-from sim_plant.irradiance import read_measured_ghi
-from sim_plant.sky_statistics import (
+from sky_statistics import (
     changes,
     cloud_cover,
     cloud_motion,
@@ -36,6 +33,9 @@ from sim_plant.sky_statistics import (
     rotated,
     sky_shares,
 )
+
+from sim_plant.clouds import CloudSettings, clear_sky_ghi, clear_sky_index
+from sim_plant.irradiance import read_measured_ghi
 
 mpl.use("Agg")
 

@@ -52,6 +52,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 import pandas as pd
+from msgspec import Meta
 from numpy.typing import NDArray
 from pvlib.location import Location
 from scipy import fft, ndimage, special
@@ -86,41 +87,42 @@ _TRACK_SLOPE = (np.sqrt(5.0) - 1.0) / 2.0
 _NEXT_PIECE = np.array([0.7548776662466927, 0.5698402909980532])
 
 
+Cover = Annotated[float, Meta(ge=0.0, le=1.0)]
+Speed = Annotated[float, Meta(ge=0.0, le=60.0)]
+Bearing = Annotated[float, Meta(ge=0.0, le=360.0)]
+Size = Annotated[float, Meta(ge=50.0, le=20_000.0)]
+Softness = Annotated[float, Meta(ge=0.1, le=5.0)]
+LowIndex = Annotated[float, Meta(ge=0.05, le=1.0)]
+HighIndex = Annotated[float, Meta(ge=1.0, le=1.4)]
+Evolution = Annotated[float, Meta(ge=60.0, le=86_400.0)]
+Turbidity = Annotated[float, Meta(ge=1.0, le=10.0)]
+
+
 class CloudSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The sky. The defaults are broken clouds in the trade wind of Oahu.
+    """The sky. The defaults are broken clouds in the trade wind of Oahu."""
 
-    Attributes
-    ----------
-    cloud_cover : float, default 0.45
-        Share of the sky that clouds cover, on the average over hours; 0 is a clear sky.
-    drift_speed_ms : float, default 10
-        Speed of the clouds [m/s].
-    drift_from_deg : float, default 65
-        Where the clouds come from, clockwise from north [degree], as a wind direction is given.
-    cloud_size_m : float, default 800
-        Size of a typical cloud [m]; the gaps between clouds follow from the cover.
-    cloud_softness : float, default 1
-        How gradually light falls from a cloud's edge inwards: at 0.5 half as far, at 2 twice.
-        Sharp cumulus is at 0.6, thin or torn stratocumulus at 1.2 and above.
-    thick_cloud_index : float, default 0.3
-        Clear-sky index under the thickest cloud.
-    edge_enhancement : float, default 1.2
-        Highest clear-sky index, in the gaps between clouds; 1 is without enhancement.
-    evolution_s : float, default 1200
-        Time after which groups of clouds have entirely changed [s]; what is smaller changes sooner.
-    linke_turbidity : float, default 3
-        Linke turbidity of the clear sky.
-    """
-
-    cloud_cover: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.45
-    drift_speed_ms: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 10.0
-    drift_from_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] = 65.0
-    cloud_size_m: Annotated[float, msgspec.Meta(ge=50.0, le=20_000.0)] = 800.0
-    cloud_softness: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 1.0
-    thick_cloud_index: Annotated[float, msgspec.Meta(ge=0.05, le=1.0)] = 0.3
-    edge_enhancement: Annotated[float, msgspec.Meta(ge=1.0, le=1.4)] = 1.2
-    evolution_s: Annotated[float, msgspec.Meta(ge=60.0, le=86_400.0)] = 1200.0
-    linke_turbidity: Annotated[float, msgspec.Meta(ge=1.0, le=10.0)] = 3.0
+    cloud_cover: Annotated[
+        Cover, Meta(description="Share of the sky under clouds, on average over hours.")
+    ] = 0.45
+    drift_speed_ms: Annotated[Speed, Meta(description="Speed of the clouds [m/s].")] = 10.0
+    drift_from_deg: Annotated[
+        Bearing, Meta(description="Where the clouds come from, clockwise from north [degree].")
+    ] = 65.0
+    cloud_size_m: Annotated[Size, Meta(description="Size of a typical cloud [m].")] = 800.0
+    cloud_softness: Annotated[
+        Softness,
+        Meta(description="How gradually light falls inwards: 0.6 cumulus, 1.2 torn clouds."),
+    ] = 1.0
+    thick_cloud_index: Annotated[
+        LowIndex, Meta(description="Clear-sky index under the thickest cloud.")
+    ] = 0.3
+    edge_enhancement: Annotated[
+        HighIndex, Meta(description="Highest clear-sky index, between clouds; 1: no enhancement.")
+    ] = 1.2
+    evolution_s: Annotated[
+        Evolution, Meta(description="Time after which groups of clouds have changed entirely [s].")
+    ] = 1200.0
+    linke_turbidity: Annotated[Turbidity, Meta(description="Of the clear sky.")] = 3.0
 
 
 def clear_sky_ghi(

@@ -7,113 +7,73 @@ from typing import Annotated, TypeAlias
 import msgspec
 import numpy as np
 import pandas as pd
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
-from sim_plant.csv_tables import (
-    check_header,
-    check_increasing,
-    parse_times,
-    read_header,
-    read_numbers,
-    shown,
-)
+from sim_plant.csv_tables import check_increasing, read_csv
 from sim_plant.time_steps import step_ns
 
-Share = Annotated[float, msgspec.Meta(gt=0.0, le=1.2)]
 _LARGEST_KW = 1e8
 _COLUMN = "commitment_kw"
 
-
-class ConstantCommitment(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="constant"
-):
-    """The same power at every time step.
-
-    Attributes
-    ----------
-    power_kw : float
-        The committed power [kW], at least 0.
-    """
-
-    power_kw: Annotated[float, msgspec.Meta(ge=0.0, le=_LARGEST_KW)]
+Power = Annotated[float, Meta(ge=0.0, le=_LARGEST_KW)]
+Share = Annotated[float, Meta(gt=0.0, le=1.2)]
+Window = Annotated[float, Meta(gt=0.0, le=86400.0)]
 
 
-class ShareOfMedian(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="share-of-median"
-):
+class _Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
+    """How the commitment is made."""
+
+
+class ConstantCommitment(_Rule, frozen=True, tag="constant"):
+    """The same power at every time step."""
+
+    power_kw: Annotated[Power, Meta(description="The committed power [kW].")]
+
+
+class ShareOfMedian(_Rule, frozen=True, tag="share-of-median"):
     """A share of the plant's median possible power in the run, the same at every time step.
 
     This is hindsight: the median is known only after the run. It serves to compare control
     schemes at a like difficulty on different days, not as a bid that a plant could have made.
-
-    Attributes
-    ----------
-    share : float
-        Above 0, at most 1.2.
     """
 
-    share: Share
+    share: Annotated[Share, Meta(description="Share of the median.")]
 
 
-class ShareOfClearSky(
-    msgspec.Struct,
-    frozen=True,
-    forbid_unknown_fields=True,
-    tag_field="kind",
-    tag="share-of-clear-sky",
-):
-    """A share of the power that the plant would have under a clear sky, known in advance.
+class ShareOfClearSky(_Rule, frozen=True, tag="share-of-clear-sky"):
+    """A share of the power that the plant would have under a clear sky, known in advance."""
 
-    Attributes
-    ----------
-    share : float
-        Above 0, at most 1.2.
-    """
-
-    share: Share
+    share: Annotated[Share, Meta(description="Share of the clear-sky power.")]
 
 
-class BelowPossible(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="below-possible"
-):
+class BelowPossible(_Rule, frozen=True, tag="below-possible"):
     r"""A smooth profile below the possible power, as in the paper's case study.
 
     .. math:: P_{com}(t) = \lambda \, \overline{P_{MPP}}(t)
 
     where the mean of the plant's possible power is taken over a window centred on t, cut off at
     both ends of the run, and :math:`\lambda` is the share. The paper draws such a profile (its
-    figure of the uncurtailed power) and gives no rule for it: rule and parameters are ours.
+    figure of the uncurtailed power) and gives no rule for it: rule and parameters are ours. Under a
+    passing cloud the possible power may be less than the commitment.
 
     This is hindsight: a centred mean knows what the clouds are going to do. It is not a bid that
     a plant could have made.
-
-    Attributes
-    ----------
-    share : float
-        Above 0, at most 1.2. Below 1 it leaves headroom on average, not at every instant: under a
-        passing cloud the possible power may be less than the commitment.
-    window_s : float
-        Length of the window [s].
     """
 
-    share: Share
-    window_s: Annotated[float, msgspec.Meta(gt=0.0, le=86400.0)]
+    share: Annotated[
+        Share, Meta(description="Share of the mean possible power around each moment.")
+    ]
+    window_s: Annotated[Window, Meta(description="Length of the window of that mean [s].")]
 
 
-class ScheduledCommitment(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind", tag="file"
-):
-    """A schedule in a file.
+class ScheduledCommitment(_Rule, frozen=True, tag="file"):
+    """A schedule in a file."""
 
-    Attributes
-    ----------
-    path : str
-        CSV file: time stamps (ISO 8601 with `Z` or an offset) in the first column, whatever its
-        header, and the power from that moment on in the column `commitment_kw` [kW].
-    """
-
-    path: str
+    path: Annotated[
+        str, Meta(description="CSV: ISO 8601 time stamps first, `commitment_kw` from then on [kW].")
+    ]
 
 
 CommitmentSettings: TypeAlias = (
@@ -210,29 +170,19 @@ def read_schedule_kw(path: Path, times: pd.DatetimeIndex) -> NDArray[np.float64]
         The file is not as described, a power is not from 0 to 1e8 kW, time stamps do not
         increase, or the schedule does not cover the run.
     """
-    header = read_header(path)
-    check_header(path, header[1:], (_COLUMN,))
-    stamps, values = read_numbers(path, header, (_COLUMN,), "a number in kW")
-    power_kw = values[:, 0]
-    bad = np.flatnonzero((power_kw < 0.0) | (power_kw > _LARGEST_KW))
-    if bad.size:
-        raise InputError(
-            f"{path.name}: line {bad[0] + 2}, column '{_COLUMN}': found '{power_kw[bad[0]]:g}';"
-            f" accepted: 0 to {_LARGEST_KW:g} kW"
-        )
-    begins = parse_times(path, header[0], stamps)
-    check_increasing(
-        begins.asi8,
-        lambda row: (
-            f"{path.name}: line {row + 2}, column '{header[0]}': {shown(str(stamps.iloc[row]))}"
-        ),
-    )
+    table = read_csv(path)
+    table.check_header((_COLUMN,))
+    expected = f"a power from 0 to {_LARGEST_KW:g} kW"
+    power_kw = table.numbers((_COLUMN,), expected, 0.0, _LARGEST_KW)[:, 0]
+    stamp = table.header[0]
+    begins = table.times(stamp)
+    check_increasing(begins.asi8, lambda row, wanted: table.error(row, stamp, wanted))
     ends = begins[-1] + (begins[-1] - begins[-2])
     run_ends = times[-1] + pd.Timedelta(step_ns(times), unit="ns")
     if times[0] < begins[0] or run_ends > ends:
         raise InputError(
-            f"{path.name}: does not cover the run, {_utc(times[0])} to {_utc(run_ends)};"
-            f" it covers {_utc(begins[0])} to {_utc(ends)}"
+            f"{path.name}: expected a schedule of the run, {_utc(times[0])} to {_utc(run_ends)}, "
+            f"got {_utc(begins[0])} to {_utc(ends)}"
         )
     held: NDArray[np.float64] = power_kw[begins.searchsorted(times, side="right") - 1]
     return held
@@ -242,8 +192,8 @@ def _median_kw(possible_kw: NDArray[np.float64]) -> float:
     median = float(np.median(possible_kw))
     if not median > 0.0:
         raise InputError(
-            f"commitment: the median possible power of the run is {median:g} kW;"
-            " share-of-median accepts a run that is in daylight for more than half of its time"
+            "commitment: expected a run with daylight for more than half of its time, got a median "
+            f"possible power of {median:g} kW"
         )
     return median
 

@@ -1,10 +1,13 @@
-"""CSV files with a header line, read so that each fault is told with file, line and column."""
+"""CSV files, read so that each fault is reported with file, line and column."""
+
+from __future__ import annotations
 
 import csv
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
-from typing import TextIO
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -12,167 +15,201 @@ from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
 
-TIME_ACCEPTED = "accepted: ISO 8601 with Z or an offset, e.g. 2013-09-08T09:15:00Z"
-
-_TIME_PATTERN = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:\.\d+)?)?(?:Z|[+-]\d\d:?\d\d)"
+_TIME_PATTERN: Final = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:\.\d+)?)?(?:Z|[+-]\d\d:?\d\d)"
 
 
-def read_header(path: Path) -> tuple[str, ...]:
-    """Return the names of the columns, after checking that they and the first row fit each other.
+@dataclass(frozen=True, slots=True, eq=False)
+class CsvTable:
+    """A CSV file with a header line, as text.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, is empty, or its first row has another width than its header.
-    """
-    with _open_text(path) as file:
-        rows = csv.reader(file)
-        try:
-            header = next(rows, None)
-            first = next(rows, None)
-        except (csv.Error, UnicodeDecodeError) as error:
-            raise unreadable(path, error) from error
-    if header is None:
-        raise InputError(f"{path.name}: is empty; accepted: a CSV file with a header line")
-    if first is not None and len(first) != len(header):
-        raise _wrong_width(path, 2, len(first), len(header))
-    return tuple(name.strip() for name in header)
-
-
-def check_header(path: Path, header: Sequence[str], needed: Sequence[str]) -> None:
-    """Refuse a header that lacks a column which the reader needs.
-
-    Raises
-    ------
-    InputError
-        With the columns that are accepted and those that were found.
-    """
-    columns = "columns" if len(needed) > 1 else "column"
-    for name in needed:
-        if name not in header:
-            raise InputError(
-                f"{path.name}: line 1: no column '{name}';"
-                f" accepted: the {columns} {', '.join(needed)}; found {', '.join(header)}"
-            )
-
-
-def check_no_column_twice(path: Path, columns: Sequence[str], accepted: str) -> None:
-    """Refuse a header that names a column twice.
-
-    Raises
-    ------
-    InputError
-        With the name.
-    """
-    for name in columns:
-        if columns.count(name) > 1:
-            raise InputError(
-                f"{path.name}: line 1: column '{name}' is there twice; accepted: {accepted}"
-            )
-
-
-def read_numbers(
-    path: Path,
-    header: tuple[str, ...],
-    wanted: Sequence[str],
-    accepted: str,
-    *,
-    empty_is_missing: bool = False,
-) -> tuple[pd.Series, NDArray[np.float64]]:
-    """Read the first column as text and the wanted columns as numbers.
-
-    Parameters
+    Attributes
     ----------
-    path : pathlib.Path
-        The file, of T rows below its header.
+    name : str
+        Name of the file, for error messages.
     header : tuple of str
-        Names of all its columns, from `read_header`.
-    wanted : sequence of str
-        Names of N columns; the values of others are not looked at.
-    accepted : str
-        What a value must be, for the error message, e.g. `a number in W/m2`.
-    empty_is_missing : bool, default False
-        Whether an empty field is a missing value instead of an error.
+        Names of the columns.
+    fields : pandas.DataFrame
+        Text of rows below the header; columns are numbered, the index is that of the lines from 0.
+    """
 
-    Returns
-    -------
-    first : pandas.Series of str, length T
-    values : numpy.ndarray, shape (T, N)
-        NaN where a value is missing.
+    name: str
+    header: tuple[str, ...]
+    fields: pd.DataFrame
+
+    def text(self, column: str) -> pd.Series:
+        """Return the text of a column."""
+        return self.fields[self.header.index(column)]
+
+    def names(self, column: str) -> tuple[str, ...]:
+        """Return the names in a column, without spaces around them."""
+        return tuple(self.text(column).str.strip())
+
+    def picked(self, rows: Sequence[int]) -> CsvTable:
+        """Return some of the rows."""
+        return CsvTable(self.name, self.header, self.fields.iloc[list(rows)])
+
+    def error(self, row: int, column: str, expected: str, found: object = None) -> InputError:
+        """Say what was expected in a field and what is there."""
+        text = self.text(column)
+        line, got = int(text.index[row]) + 1, text.iloc[row] if found is None else found
+        return InputError(
+            f"{self.name}: line {line}, column '{column}': expected {expected}, got '{got}'"
+        )
+
+    def check_header(self, needed: Sequence[str]) -> None:
+        """Refuse a header that lacks a column which the reader needs.
+
+        Raises
+        ------
+        InputError
+            With the columns that are needed and those that were found.
+        """
+        if missing := [name for name in needed if name not in self.header]:
+            raise InputError(
+                f"{self.name}: line 1: expected the columns {', '.join(needed)}, got "
+                f"{', '.join(self.header)} without {', '.join(missing)}"
+            )
+
+    def check_no_column_twice(self) -> None:
+        """Refuse a header that names a column twice.
+
+        Raises
+        ------
+        InputError
+            With the name.
+        """
+        for name in self.header[1:]:
+            if self.header[1:].count(name) > 1:
+                raise InputError(
+                    f"{self.name}: line 1: expected column '{name}' once, got it twice"
+                )
+
+    def numbers(
+        self,
+        columns: Sequence[str],
+        expected: str = "a number",
+        low: float = -np.inf,
+        high: float = np.inf,
+        *,
+        empty_is_missing: bool = False,
+    ) -> NDArray[np.float64]:
+        """Return columns as numbers.
+
+        Parameters
+        ----------
+        columns : sequence of str
+            Names of N columns.
+        expected : str
+            What a value must be, for the error message, such as `a number in W/m2`.
+        low, high : float
+            Bounds of the values, inclusive.
+        empty_is_missing : bool, default False
+            Whether an empty field is a missing value (NaN) instead of an error.
+
+        Returns
+        -------
+        numpy.ndarray, shape (T, N)
+
+        Raises
+        ------
+        InputError
+            A value is not as expected.
+        """
+        found = [pd.to_numeric(self.text(name), errors="coerce") for name in columns]
+        values = np.column_stack(found).astype(np.float64)
+        bad = ~((values >= low) & (values <= high) & np.isfinite(values))
+        if empty_is_missing:
+            empty = np.column_stack([self.text(name).str.strip() == "" for name in columns])
+            bad &= ~empty
+        if bad.any():
+            row, column = np.argwhere(bad)[0]
+            raise self.error(int(row), columns[column], expected)
+        return values
+
+    def times(self, column: str) -> pd.DatetimeIndex:
+        """Return the time stamps of a column in UTC.
+
+        Raises
+        ------
+        InputError
+            There are fewer than two, or one is not ISO 8601 with `Z` or an offset: a guess of the
+            zone would move the sun.
+        """
+        self._check_length()
+        stamps = self.text(column)
+        well_formed = stamps.str.fullmatch(_TIME_PATTERN)
+        times = pd.to_datetime(
+            stamps.where(well_formed), utc=True, format="ISO8601", errors="coerce"
+        ).dt.as_unit("ns")
+        bad = np.flatnonzero(times.isna())
+        if bad.size:
+            expected = "ISO 8601 with Z or an offset, such as 2013-09-08T09:15:00Z"
+            raise self.error(int(bad[0]), column, expected)
+        return pd.DatetimeIndex(times).rename(None)
+
+    def seconds_ns(self, column: str) -> NDArray[np.int64]:
+        """Return a column of seconds that keep one step, in ns.
+
+        Raises
+        ------
+        InputError
+            There are fewer than two, one is no number of seconds, or they do not keep one step.
+        """
+        self._check_length()
+        second = self.numbers((column,), "a number of seconds", -1e9, 1e9)[:, 0]
+        time_ns: NDArray[np.int64] = np.rint(second * 1e9).astype(np.int64)
+        check_steady(time_ns, lambda row, expected: self.error(row, column, expected))
+        return time_ns
+
+    def _check_length(self) -> None:
+        if len(self.fields) < 2:
+            raise InputError(f"{self.name}: expected at least 2 rows, got {len(self.fields)}")
+
+
+def read_csv(path: Path) -> CsvTable:
+    """Read a CSV file with a header line.
 
     Raises
     ------
     InputError
-        There are fewer than two rows, a row has another width than the header, or a wanted value
-        is no number or, unless `empty_is_missing`, empty.
+        The file cannot be read, is empty, or has rows of different widths.
     """
     try:
-        table = pd.read_csv(
-            path,
-            header=0,
-            names=list(header),
-            dtype={header[0]: str} | dict.fromkeys(wanted, np.float64),
-            index_col=False,
-            skip_blank_lines=False,
-            encoding="utf-8-sig",
-            low_memory=False,
-        )
-    except (OSError, ValueError) as error:
-        # pandas does not say where: look again, field by field.
-        bad = _first_bad_field(path, header, wanted, accepted, empty_is_missing)
-        raise bad or unreadable(path, error) from error
-    values = table[list(wanted)].to_numpy()
-    if len(table) < 2:
-        raise InputError(f"{path.name}: {len(table)} rows below the header; accepted: at least 2")
-    if np.isnan(values).any():
-        bad = _first_bad_field(path, header, wanted, accepted, empty_is_missing)
-        if bad is not None:
-            raise bad
-    return table[header[0]], values
+        # A spreadsheet may have put a byte order mark first.
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{path}: expected a CSV file, got: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected UTF-8, got byte {error.start} that is not") from None
+    fields = text_fields(text, path.name)
+    header = tuple(name.strip() for name in fields.iloc[0])
+    return CsvTable(path.name, header, fields.iloc[1:])
 
 
-def named_rows(path: Path, needed: Sequence[str]) -> list[tuple[int, dict[str, str]]]:
-    """Return line number and fields (by column name) of each row of a small file.
+def text_fields(text: str, name: str) -> pd.DataFrame:
+    """Return the text of all fields; each line must have as many as the first.
 
     Raises
     ------
     InputError
-        A needed column is absent, or a row has another width than the header.
+        It is empty or no CSV, or a line has another number of fields.
     """
-    header = read_header(path)
-    check_header(path, header, needed)
-    rows = []
-    for line, fields in _rows_below_header(path):
-        if len(fields) != len(header):
-            raise _wrong_width(path, line, len(fields), len(header))
-        rows.append((line, {k: v.strip() for k, v in zip(header, fields, strict=True)}))
-    return rows
-
-
-def parse_times(path: Path, column: str, stamps: pd.Series) -> pd.DatetimeIndex:
-    """Turn the text of time stamps into UTC.
-
-    Raises
-    ------
-    InputError
-        One is not ISO 8601 with `Z` or an offset: a guess of the zone would move the sun.
-    """
-    well_formed = stamps.str.fullmatch(_TIME_PATTERN).fillna(False).to_numpy(dtype=bool)
-    times = pd.to_datetime(
-        stamps.where(well_formed), utc=True, format="ISO8601", errors="coerce"
-    ).dt.as_unit("ns")
-    bad = np.flatnonzero(times.isna())
-    if bad.size:
-        stamp = stamps.iloc[bad[0]]
-        found = shown("" if pd.isna(stamp) else str(stamp))
-        raise InputError(
-            f"{path.name}: line {bad[0] + 2}, column '{column}': {found}; {TIME_ACCEPTED}"
-        )
-    return pd.DatetimeIndex(times).rename(None)
+    try:
+        rows = list(csv.reader(StringIO(text.rstrip("\r\n"))))
+    except csv.Error as error:
+        raise InputError(f"{name}: expected a CSV file, got: {error}") from None
+    if not rows:
+        raise InputError(f"{name}: expected a CSV file with a header line, got nothing")
+    for line, row in enumerate(rows, start=1):
+        if len(row) != len(rows[0]):
+            raise InputError(
+                f"{name}: line {line}: expected {len(rows[0])} fields, as in line 1, got {len(row)}"
+            )
+    return pd.DataFrame(rows)
 
 
 def check_increasing(
-    time_ns: NDArray[np.int64], place: Callable[[int], str], first_line: int = 2
+    time_ns: NDArray[np.int64], error: Callable[[int, str], InputError], first_line: int = 2
 ) -> None:
     """Refuse time stamps that repeat or go back.
 
@@ -180,126 +217,32 @@ def check_increasing(
     ----------
     time_ns : numpy.ndarray, shape (T,)
         The time stamps [ns].
-    place : callable
-        Says where a row stands and what was found there, for the error message.
+    error : callable
+        Makes the error of a row from what was expected there.
     first_line : int, default 2
         Line of the first row.
 
     Raises
     ------
     InputError
-        With the first that does.
+        For the first that does.
     """
-    step_ns = np.diff(time_ns)
-    bad = np.flatnonzero(step_ns <= 0)
+    bad = np.flatnonzero(np.diff(time_ns) <= 0)
     if bad.size:
-        raise InputError(
-            f"{place(int(bad[0]) + 1)} {_jump(step_ns, bad[0], first_line)};"
-            " accepted: each time stamp later than the one before"
-        )
+        raise error(int(bad[0]) + 1, f"a time after that of line {first_line + bad[0]}")
 
 
 def check_steady(
-    time_ns: NDArray[np.int64], place: Callable[[int], str], first_line: int = 2
+    time_ns: NDArray[np.int64], error: Callable[[int, str], InputError], first_line: int = 2
 ) -> None:
     """Refuse time stamps that do not keep one step above zero.
 
-    Parameters
-    ----------
-    time_ns, place, first_line
-        As in `check_increasing`.
-
-    Raises
-    ------
-    InputError
-        With the first that does not.
+    Parameters and errors are those of `check_increasing`.
     """
     step_ns = np.diff(time_ns)
     # The median, so that one gap at the top of the file is not taken for its step.
     usual_ns = float(np.median(step_ns))
     bad = np.flatnonzero((step_ns <= 0) | (step_ns != usual_ns))
     if bad.size:
-        accepted = f"one step of {usual_ns / 1e9:g} s" if usual_ns > 0.0 else "one step above 0 s"
-        raise InputError(
-            f"{place(int(bad[0]) + 1)} {_jump(step_ns, bad[0], first_line)};"
-            f" accepted: {accepted} throughout"
-        )
-
-
-def number(text: str) -> float:
-    """Return the value of a field, NaN if it is not a number."""
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
-
-
-def shown(text: str) -> str:
-    """Say what stands in a field, for an error message."""
-    return f"found '{text}'" if text.strip() else "found an empty field"
-
-
-def unreadable(path: Path, error: Exception) -> InputError:
-    """Say in one line why a file cannot be read."""
-    if isinstance(error, OSError):
-        reason = error.strerror or type(error).__name__
-    else:
-        reason = " ".join(str(error).split())
-    return InputError(f"{path}: cannot be read: {reason}; accepted: a CSV file in UTF-8")
-
-
-def _first_bad_field(
-    path: Path,
-    header: tuple[str, ...],
-    wanted: Sequence[str],
-    accepted: str,
-    empty_is_missing: bool,
-) -> InputError | None:
-    """Say which field keeps the file from being a table of numbers; None if none does."""
-    columns = [(name, header.index(name, 1)) for name in wanted]
-    for line, fields in _rows_below_header(path):
-        if len(fields) != len(header):
-            return _wrong_width(path, line, len(fields), len(header))
-        for name, column in columns:
-            text = fields[column]
-            if math.isnan(number(text)) and (text.strip() or not empty_is_missing):
-                return InputError(
-                    f"{path.name}: line {line}, column '{name}': {shown(text)};"
-                    f" accepted: {accepted}"
-                )
-    return None
-
-
-def _rows_below_header(path: Path) -> Iterator[tuple[int, list[str]]]:
-    with _open_text(path) as file:
-        rows = csv.reader(file)
-        try:
-            next(rows, None)
-            for fields in rows:
-                yield rows.line_num, fields
-        except (csv.Error, UnicodeDecodeError) as error:
-            raise unreadable(path, error) from error
-
-
-def _open_text(path: Path) -> TextIO:
-    try:
-        # A spreadsheet may have put a byte order mark first.
-        return path.open(encoding="utf-8-sig", newline="")
-    except OSError as error:
-        raise unreadable(path, error) from error
-
-
-def _jump(step_ns: NDArray[np.int64], row: np.intp, first_line: int) -> str:
-    step_s = float(step_ns[row]) / 1e9
-    before = f"line {first_line + int(row)}"
-    if step_s == 0.0:
-        return f"repeats {before}"
-    if step_s < 0.0:
-        return f"goes back {-step_s:g} s from {before}"
-    return f"is {step_s:g} s after {before}"
-
-
-def _wrong_width(path: Path, line: int, found: int, expected: int) -> InputError:
-    return InputError(
-        f"{path.name}: line {line}: {found} fields; accepted: {expected}, as in the header"
-    )
+        step = f"{usual_ns / 1e9:g} s" if usual_ns > 0.0 else "one step above 0 s"
+        raise error(int(bad[0]) + 1, f"a time {step} after that of line {first_line + bad[0]}")

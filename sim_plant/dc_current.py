@@ -1,9 +1,8 @@
 """DC currents of a real plant's combiner boxes, and the AC power of its inverters that they mean.
 
-Currents of plants are published without their units, as a share of something that is not told.
-The share is taken for that of the inverter's rating: an inverter whose combiners carry
-`full_power_current` on average is at its rating, and no more comes out however bright it is. Which
-current that is, is a convention of the scenario and not a property of the plant.
+Plants publish currents without units, as a share of something unstated. Here an inverter whose
+combiners carry `full_power_current` on average is at its rating, and delivers no more however
+bright it is. That current is a convention of the scenario, not a property of the plant.
 """
 
 from __future__ import annotations
@@ -13,19 +12,12 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
-from bus_schemas.tree import check_name
-from sim_plant.csv_tables import (
-    check_no_column_twice,
-    check_steady,
-    named_rows,
-    number,
-    read_header,
-    read_numbers,
-    shown,
-)
+from bus_schemas.tree import check_name, some_of
+from sim_plant.csv_tables import CsvTable, read_csv
 
 TIME_COLUMN: Final = "t_s"
 
@@ -67,14 +59,6 @@ class InverterCurrents:
     report: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class _Combiner:
-    name: str
-    inverter: str
-    x_m: float
-    y_m: float
-
-
 def read_currents(
     currents_csv: Path, positions_csv: Path, full_power_current: float, *, refuse_gaps: bool
 ) -> InverterCurrents:
@@ -106,28 +90,27 @@ def read_currents(
         of the current at full power, or all are faint beside it; an inverter has currents at some
         times and none at others.
     """
-    header = read_header(currents_csv)
+    table = read_csv(currents_csv)
     combiners = _read_combiners(positions_csv)
-    columns = _columns(currents_csv, header, combiners, positions_csv)
-    accepted = "a number" + (", as irradiance.gaps is 'refuse'" if refuse_gaps else " or nothing")
-    stamps, current = read_numbers(
-        currents_csv, header, columns, accepted, empty_is_missing=not refuse_gaps
+    columns = _columns(table, combiners.index, positions_csv)
+    current = _currents(table, columns, full_power_current, refuse_gaps)
+    # Combiners of the positions file that the currents lack are missing throughout.
+    share = pd.DataFrame(np.maximum(current / full_power_current, 0.0), columns=list(columns))
+    share = share.reindex(columns=combiners.index)
+    inverters, report = _inverters(table.name, share, combiners["inverter"], refuse_gaps)
+    means = np.column_stack(
+        [np.nanmean(share.loc[:, combiners["inverter"] == one], axis=1) for one in inverters]
     )
-    time_ns = _time_ns(currents_csv, stamps.to_list())
-    _check_range(currents_csv, columns, current, full_power_current)
-    share = np.maximum(current / full_power_current, 0.0)
-    members: dict[str, list[_Combiner]] = {}
-    for combiner in combiners.values():
-        members.setdefault(combiner.inverter, []).append(combiner)
-    means, report = _means(currents_csv, share, columns, members, refuse_gaps)
+    _check_never_silent(table, inverters, means)
+    positions = combiners.groupby("inverter", sort=False)[["x_m", "y_m"]].mean()
     return InverterCurrents(
-        time_ns,
-        np.column_stack(list(means.values())),
-        tuple(means),
-        np.array([np.mean([one.x_m for one in members[inverter]]) for inverter in means]),
-        np.array([np.mean([one.y_m for one in members[inverter]]) for inverter in means]),
-        len(members),
-        tuple(report),
+        table.seconds_ns(TIME_COLUMN),
+        means,
+        inverters,
+        positions["x_m"][list(inverters)].to_numpy(),
+        positions["y_m"][list(inverters)].to_numpy(),
+        len(positions),
+        report,
     )
 
 
@@ -149,123 +132,87 @@ def ac_power_kw(share: NDArray[np.float64], rating_kw: NDArray[np.float64]) -> N
     return np.minimum(share, 1.0) * rating_kw
 
 
-def _read_combiners(path: Path) -> dict[str, _Combiner]:
-    found: dict[str, _Combiner] = {}
-    for line, row in named_rows(path, ("combiner", "inverter", "x_m", "y_m")):
-        name = row["combiner"]
-        if name in found:
-            raise InputError(
-                f"{path.name}: line {line}: combiner '{name}' is there twice;"
-                " accepted: one position per combiner"
-            )
-        check_name(row["inverter"], f"{path.name}: line {line}")
-        found[name] = _Combiner(
-            name, row["inverter"], _metres(path, line, row, "x_m"), _metres(path, line, row, "y_m")
-        )
-    return found
+def _read_combiners(path: Path) -> pd.DataFrame:
+    """Return inverter and position of each combiner, indexed by its name."""
+    table = read_csv(path)
+    table.check_header(("combiner", "inverter", "x_m", "y_m"))
+    names, inverters = table.names("combiner"), table.names("inverter")
+    for row, (name, inverter) in enumerate(zip(names, inverters, strict=True)):
+        check_name(inverter, f"{path.name}: line {row + 2}")
+        if name in names[:row]:
+            raise table.error(row, "combiner", "a name that no other combiner has")
+    expected = f"metres from -{_FURTHEST_M:.0f} to {_FURTHEST_M:.0f}"
+    x_m, y_m = table.numbers(("x_m", "y_m"), expected, -_FURTHEST_M, _FURTHEST_M).T
+    return pd.DataFrame({"inverter": inverters, "x_m": x_m, "y_m": y_m}, index=list(names))
 
 
-def _metres(path: Path, line: int, row: dict[str, str], column: str) -> float:
-    value = number(row[column])
-    if not abs(value) <= _FURTHEST_M:
+def _columns(table: CsvTable, combiners: pd.Index, positions: Path) -> tuple[str, ...]:
+    first, *columns = table.header
+    if first != TIME_COLUMN or not columns:
         raise InputError(
-            f"{path.name}: line {line}, column '{column}': {shown(row[column])};"
-            f" accepted: metres from -{_FURTHEST_M:.0f} to {_FURTHEST_M:.0f}"
+            f"{table.name}: line 1: expected {TIME_COLUMN}, then a column for each combiner, got "
+            f"{some_of(table.header)}"
         )
-    return value
-
-
-def _columns(
-    path: Path, header: tuple[str, ...], combiners: dict[str, _Combiner], positions: Path
-) -> tuple[str, ...]:
-    columns = header[1:]
-    if header[0] != TIME_COLUMN:
+    table.check_no_column_twice()
+    if unknown := [name for name in columns if name not in combiners]:
         raise InputError(
-            f"{path.name}: line 1: the first column is '{header[0]}'; accepted: {TIME_COLUMN},"
-            " seconds from the beginning of the measurement"
+            f"{positions.name}: expected a line for each combiner of {table.name}, got none for "
+            f"{some_of(unknown)}"
         )
-    if not columns:
-        raise InputError(f"{path.name}: line 1: no combiner; accepted: at least one column")
-    check_no_column_twice(path, columns, "one per combiner")
-    for name in columns:
-        if name not in combiners:
-            raise InputError(
-                f"{positions.name}: no position for combiner '{name}' of {path.name};"
-                " accepted: a line for each combiner"
-            )
-    return columns
+    return tuple(columns)
 
 
-def _time_ns(path: Path, stamps: list[str]) -> NDArray[np.int64]:
-    def place(row: int) -> str:
-        text = stamps[row] if isinstance(stamps[row], str) else ""
-        return f"{path.name}: line {row + 2}, column '{TIME_COLUMN}': {shown(text)}"
-
-    time_s = np.array([number(text) if isinstance(text, str) else np.nan for text in stamps])
-    bad = np.flatnonzero(~(np.abs(time_s) < 1e9))
-    if bad.size:
-        raise InputError(f"{place(int(bad[0]))}; accepted: a number of seconds")
-    time_ns: NDArray[np.int64] = np.rint(time_s * 1e9).astype(np.int64)
-    check_steady(time_ns, place)
-    return time_ns
-
-
-def _check_range(
-    path: Path, columns: tuple[str, ...], current: NDArray[np.float64], full_power_current: float
-) -> None:
+def _currents(
+    table: CsvTable, columns: tuple[str, ...], full_power_current: float, refuse_gaps: bool
+) -> NDArray[np.float64]:
     lowest, highest = _LOWEST_SHARE * full_power_current, _HIGHEST_SHARE * full_power_current
-    bad = np.argwhere((current < lowest) | (current > highest))
-    if bad.size:
-        row, column = bad[0]
-        raise InputError(
-            f"{path.name}: line {row + 2}, column '{columns[column]}': found"
-            f" '{current[row, column]:g}'; accepted: {lowest:g} to {highest:g}, as"
-            f" irradiance.full_power_current is {full_power_current:g}"
-        )
+    expected = (
+        f"{lowest:g} to {highest:g}, as irradiance.full_power_current is {full_power_current:g}, "
+        + ("and none missing, as irradiance.gaps is 'refuse'" if refuse_gaps else "or nothing")
+    )
+    current = table.numbers(columns, expected, lowest, highest, empty_is_missing=not refuse_gaps)
     largest = float(np.nanmax(current, initial=lowest))
     if 0.0 < largest < _FAINT_SHARE * full_power_current:
         raise InputError(
-            f"{path.name}: the largest current is {largest:g}, which seems to be in another unit"
-            f" than irradiance.full_power_current, {full_power_current:g}"
+            f"{table.name}: expected currents in the unit of irradiance.full_power_current, "
+            f"{full_power_current:g}, got at most {largest:g}"
         )
+    return current
 
 
-def _means(
-    path: Path,
-    share: NDArray[np.float64],
-    columns: tuple[str, ...],
-    members: dict[str, list[_Combiner]],
-    refuse_gaps: bool,
-) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
-    """Mean over the combiners of each inverter that has any, and what was missing."""
-    means, report = {}, []
-    for inverter, own in members.items():
-        values = share[:, [columns.index(one.name) for one in own if one.name in columns]]
-        total, there = len(own) * len(share), int(np.isfinite(values).sum())
-        what = (
-            f"{path.name}: inverter {inverter}: {total - there:,} of {total:,} currents of its"
-            f" {len(own)} combiners missing"
-        )
-        if there < total and refuse_gaps:
-            raise InputError(f"{what}; accepted with irradiance.gaps = 'refuse': none missing")
-        if there == 0:
-            report.append(f"{what}: left out, with its rating")
+def _inverters(
+    name: str, share: pd.DataFrame, inverter_of: pd.Series, refuse_gaps: bool
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the inverters of which there is any current, and a line on what was missing."""
+    used, report = [], []
+    for inverter in inverter_of.unique():
+        own = share.loc[:, inverter_of == inverter]
+        total, there, combiners = own.size, int(own.count().sum()), own.shape[1]
+        if there:
+            used.append(inverter)
+        if there == total:
             continue
-        if there < total:
-            report.append(f"{what}: the mean is over those that are there")
-        _check_never_silent(path, inverter, values)
-        means[inverter] = np.nanmean(values, axis=1)
-    if not means:
-        raise InputError(f"{path.name}: no inverter has a current; accepted: at least one")
-    return means, report
+        what = (
+            f"{name}: inverter {inverter}: {total - there:,} of {total:,} currents of its "
+            f"{combiners} combiners missing"
+        )
+        if refuse_gaps:
+            raise InputError(f"{what}, expected none, as irradiance.gaps is 'refuse'")
+        then = "the mean is over those that are there" if there else "left out, with its rating"
+        report.append(f"{what}: {then}")
+    if not used:
+        raise InputError(f"{name}: expected at least one inverter with a current, got none")
+    return tuple(used), tuple(report)
 
 
-def _check_never_silent(path: Path, inverter: str, values: NDArray[np.float64]) -> None:
-    """Refuse an inverter that is there at some times and not at others: it cannot come and go."""
-    silent = np.flatnonzero(np.isnan(values).all(axis=1))
+def _check_never_silent(
+    table: CsvTable, inverters: tuple[str, ...], means: NDArray[np.float64]
+) -> None:
+    """Refuse an inverter that has currents at some times only: it cannot come and go."""
+    silent = np.argwhere(np.isnan(means))
     if silent.size:
+        row, inverter = silent[0]
         raise InputError(
-            f"{path.name}: line {silent[0] + 2}: no current of inverter {inverter}, and"
-            f" {silent.size:,} such lines; accepted: some of its currents in each line, or none"
-            " in all"
+            f"{table.name}: line {row + 2}: expected some current of inverter "
+            f"{inverters[inverter]} in each line, or none at all, got {len(silent):,} lines without"
         )

@@ -128,8 +128,8 @@ def _check_silences(nobody: NDArray[np.bool_], source: str, first_line: int) -> 
     for first, after in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         if after - first > _LONGEST_LINE or first == 0 or after == len(nobody):
             raise InputError(
-                f"{source}: lines {first + first_line} to {after - 1 + first_line}: no sensor has a"
-                f" value; accepted: at most {_LONGEST_LINE} such lines between lines with values"
+                f"{source}: lines {first + first_line} to {after - 1 + first_line}: expected at "
+                f"most {_LONGEST_LINE} lines without any value, between lines with values"
             )
 
 

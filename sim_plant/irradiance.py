@@ -9,16 +9,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
-from sim_plant.csv_tables import (
-    check_no_column_twice,
-    check_steady,
-    named_rows,
-    number,
-    parse_times,
-    read_header,
-    read_numbers,
-    shown,
-)
+from bus_schemas.tree import some_of
+from sim_plant.csv_tables import CsvTable, check_steady, read_csv
 
 GHI_MIN_WM2 = -10.0
 GHI_MAX_WM2 = 2000.0
@@ -73,8 +65,9 @@ def read_measured_ghi(
     positions_csv : pathlib.Path
         The coordinates.
     stations : sequence of str, optional
-        The sensors wanted, in this order. By default all columns of `ghi_csv`. Values of other
-        columns are not checked.
+        The sensors wanted, in this order. By default all columns of `ghi_csv`, which must then be
+        all stations of `positions_csv`: a file that lacks some is that of a smaller plant. Values
+        of other columns are not checked.
 
     Returns
     -------
@@ -88,18 +81,23 @@ def read_measured_ghi(
         empty, not a number or out of range; the file seems to hold kW/m^2; a time stamp is not as
         described, repeats, goes back, or does not keep the step of the file.
     """
-    header = read_header(ghi_csv)
-    wanted = _wanted_columns(ghi_csv, header, stations)
+    table = read_csv(ghi_csv)
+    if stations is None:
+        positions = read_csv(positions_csv)
+        positions.check_header(("station",))
+        listed = positions.names("station")
+        if missing := [name for name in listed if name not in table.header[1:]]:
+            raise InputError(
+                f"{ghi_csv.name}: line 1: expected a column for each station of "
+                f"{positions_csv.name}, or irradiance.stations, got none for {some_of(missing)}"
+            )
+    wanted = _wanted_columns(table, stations)
     lat_deg, lon_deg = read_positions(positions_csv, wanted)
-    stamps, ghi_wm2 = read_numbers(ghi_csv, header, wanted, "a number in W/m2")
+    ghi_wm2 = table.numbers(wanted, "a number in W/m2")
     check_ghi(ghi_csv.name, ghi_wm2, [f"column '{name}'" for name in wanted], first_line=2)
-    times = parse_times(ghi_csv, header[0], stamps)
-    check_steady(
-        times.asi8,
-        lambda row: (
-            f"{ghi_csv.name}: line {row + 2}, column '{header[0]}': {shown(str(stamps.iloc[row]))}"
-        ),
-    )
+    stamp = table.header[0]
+    times = table.times(stamp)
+    check_steady(times.asi8, lambda row, expected: table.error(row, stamp, expected))
     return Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg)
 
 
@@ -125,24 +123,20 @@ def read_positions(
     InputError
         A station has no position, or two; a coordinate is not a number of degrees.
     """
-    positions: dict[str, tuple[float, float]] = {}
-    for line, row in named_rows(path, ("station", *_POSITION_LIMITS)):
-        name = row["station"]
-        if name not in stations:
-            continue
-        if name in positions:
-            raise InputError(
-                f"{path.name}: line {line}: station '{name}' is there twice;"
-                " accepted: one position per station"
-            )
-        positions[name] = (_degrees(path, line, row, "lat"), _degrees(path, line, row, "lon"))
+    table = read_csv(path)
+    table.check_header(("station", *_POSITION_LIMITS))
+    names = table.names("station")
     for name in stations:
-        if name not in positions:
+        if names.count(name) != 1:
             raise InputError(
-                f"{path.name}: no position for station '{name}'; accepted: a line for each station"
+                f"{path.name}: expected one line for station '{name}', got {names.count(name)}"
             )
-    degrees = np.array([positions[name] for name in stations])
-    return degrees[:, 0], degrees[:, 1]
+    chosen = table.picked([names.index(name) for name in stations])
+    lat_deg, lon_deg = (
+        chosen.numbers((column,), f"degrees from -{limit:g} to {limit:g}", -limit, limit)[:, 0]
+        for column, limit in _POSITION_LIMITS.items()
+    )
+    return lat_deg, lon_deg
 
 
 def check_ghi(
@@ -170,14 +164,14 @@ def check_ghi(
     if bad.size:
         row, column = bad[0]
         raise InputError(
-            f"{source}: line {row + first_line}, {columns[column]}: found"
-            f" '{ghi_wm2[row, column]:g}'; accepted: {GHI_MIN_WM2:g} to {GHI_MAX_WM2:g} W/m2"
+            f"{source}: line {row + first_line}, {columns[column]}: expected {GHI_MIN_WM2:g} to "
+            f"{GHI_MAX_WM2:g} W/m2, got '{ghi_wm2[row, column]:g}'"
         )
     largest = float(np.nanmax(ghi_wm2, initial=GHI_MIN_WM2))
     if 0.0 < largest < _KILOWATT_BELOW:
         raise InputError(
-            f"{source}: the largest value is {largest:g}, so the unit seems to be kW/m2;"
-            f" accepted: W/m2, with a maximum of at least {_KILOWATT_BELOW:g}"
+            f"{source}: expected W/m2, with a maximum of at least {_KILOWATT_BELOW:g}, got at most "
+            f"{largest:g}, which seems to be in kW/m2"
         )
 
 
@@ -191,33 +185,20 @@ def check_stations_once(stations: Sequence[str]) -> None:
     """
     for name in stations:
         if stations.count(name) > 1:
-            raise InputError(f"stations: '{name}' is there twice; accepted: each station once")
+            raise InputError(f"stations: expected each station once, got '{name}' twice")
 
 
-def _wanted_columns(
-    path: Path, header: tuple[str, ...], stations: Sequence[str] | None
-) -> tuple[str, ...]:
-    columns = header[1:]
+def _wanted_columns(table: CsvTable, stations: Sequence[str] | None) -> tuple[str, ...]:
+    columns = table.header[1:]
     wanted = columns if stations is None else tuple(stations)
     if not wanted:
-        raise InputError(f"{path.name}: line 1: no station; accepted: at least one column of GHI")
-    check_no_column_twice(path, columns, "one per station")
+        raise InputError(f"{table.name}: line 1: expected at least one column of GHI, got none")
+    table.check_no_column_twice()
     for name in wanted:
         if name not in columns:
             raise InputError(
-                f"{path.name}: line 1: no column for station '{name}';"
-                f" its stations are {', '.join(columns)}"
+                f"{table.name}: line 1: expected a column for station '{name}', got "
+                f"{some_of(columns)}"
             )
     check_stations_once(wanted)
     return wanted
-
-
-def _degrees(path: Path, line: int, row: dict[str, str], column: str) -> float:
-    limit = _POSITION_LIMITS[column]
-    value = number(row[column])
-    if not abs(value) <= limit:
-        raise InputError(
-            f"{path.name}: line {line}, column '{column}': {shown(row[column])};"
-            f" accepted: degrees from -{limit:g} to {limit:g}"
-        )
-    return value

@@ -18,7 +18,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date, timedelta, timezone
-from io import BytesIO
 from pathlib import Path
 from typing import Final
 from zipfile import BadZipFile, ZipFile
@@ -28,7 +27,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
-from sim_plant.csv_tables import check_steady, number, shown
+from sim_plant.csv_tables import check_steady, text_fields
 from sim_plant.gap_filling import fill_from_neighbours
 from sim_plant.irradiance import Irradiance, check_ghi, check_stations_once, read_positions
 
@@ -142,8 +141,8 @@ def latest_day_before(folder: Path, day: date) -> date:
     earlier = [found for found in days if found is not None and found < day]
     if not earlier:
         raise InputError(
-            f"{folder}: no file of a day before {day:%Y-%m-%d}, from which neighbours.history ="
-            f" 'earlier-day' takes the past; accepted: {_ACCEPTED}, or 'hindsight'"
+            f"{folder}: expected {_ACCEPTED} of a day before {day:%Y-%m-%d}, from which "
+            "neighbours.history = 'earlier-day' takes the past, got none"
         )
     return max(earlier)
 
@@ -153,9 +152,11 @@ def _wanted(stations: Sequence[str] | None) -> tuple[str, ...]:
     for name in wanted:
         if name not in HORIZONTAL:
             what = "is tilted" if name in _TILTED else "is not in the daily files"
-            raise InputError(f"stations: '{name}' {what}; accepted: {', '.join(HORIZONTAL)}")
+            raise InputError(
+                f"stations: expected {', '.join(HORIZONTAL)}, got '{name}', which {what}"
+            )
     if not wanted:
-        raise InputError(f"stations: none; accepted: {', '.join(HORIZONTAL)}")
+        raise InputError(f"stations: expected {', '.join(HORIZONTAL)}, got none")
     check_stations_once(wanted)
     return wanted
 
@@ -175,8 +176,8 @@ def _find(folder: Path, day: date) -> tuple[str, bytes]:
     except OSError as error:
         raise InputError(f"{error.filename or folder}: {error.strerror}") from None
     except (BadZipFile, RuntimeError, NotImplementedError) as error:
-        raise InputError(f"{month}: {error}; accepted: a ZIP archive of daily files") from None
-    raise InputError(f"{folder}: no file of {day:%Y-%m-%d}; accepted: {_ACCEPTED}")
+        raise InputError(f"{month}: expected a ZIP archive of daily files, got: {error}") from None
+    raise InputError(f"{folder}: expected {_ACCEPTED} of {day:%Y-%m-%d}, got none")
 
 
 def _names_in(month: Path) -> list[str]:
@@ -186,50 +187,29 @@ def _names_in(month: Path) -> list[str]:
     except OSError as error:
         raise InputError(f"{month}: {error.strerror}") from None
     except BadZipFile as error:
-        raise InputError(f"{month}: {error}; accepted: a ZIP archive of daily files") from None
+        raise InputError(f"{month}: expected a ZIP archive of daily files, got: {error}") from None
 
 
 def _table(source: str, content: bytes) -> NDArray[np.float64]:
     """All fields as numbers, shape (lines, 23)."""
-    lines = content.count(b"\n") + (not content.endswith(b"\n"))
-    # pandas drops what a first line has too much.
-    if content.count(b",") != lines * (len(_FIELDS) - 1):
-        raise _first_bad_field(source, content) or InputError(f"{source}: has no lines of fields")
-    try:
-        table = pd.read_csv(
-            BytesIO(content),
-            header=None,
-            names=list(_FIELDS),
-            dtype=np.float64,
-            index_col=False,
-            skip_blank_lines=False,
-            encoding="latin-1",
-        ).to_numpy(copy=True)
-    except ValueError as error:
-        # pandas does not say where: look again, line by line.
-        raise _first_bad_field(source, content) or InputError(f"{source}: {error}") from error
-    if np.isnan(table).any():
-        raise _first_bad_field(source, content) or InputError(f"{source}: has a field too few")
-    if len(table) < 2:
-        raise InputError(f"{source}: {len(table)} lines; accepted: at least 2")
+    text = text_fields(content.decode("latin-1"), source)
+    if text.shape[1] != len(_FIELDS):
+        hint = ", as a file of AP2 has" if text.shape[1] == 7 else ""
+        raise InputError(
+            f"{source}: line 1: expected {len(_FIELDS)} fields, got {text.shape[1]}{hint}"
+        )
+    if len(text) < 2:
+        raise InputError(f"{source}: expected at least 2 lines, got {len(text)}")
+    columns = [pd.to_numeric(text[field], errors="coerce") for field in text]
+    table = np.column_stack(columns).astype(np.float64)
+    bad = np.argwhere(np.isnan(table))
+    if bad.size:
+        row, place = bad[0]
+        raise InputError(
+            f"{source}: line {row + 1}, field {place + 1} ({_FIELDS[place]}): expected a number, "
+            f"{MISSING:g} where it is missing, got '{text.iloc[row, place]}'"
+        )
     return table
-
-
-def _first_bad_field(source: str, content: bytes) -> InputError | None:
-    for line, text in enumerate(content.decode("latin-1").splitlines(), start=1):
-        fields = text.split(",")
-        if len(fields) != len(_FIELDS):
-            hint = ", a file of AP2 has 7" if len(fields) == 7 else ""
-            return InputError(
-                f"{source}: line {line}: {len(fields)} fields; accepted: {len(_FIELDS)}{hint}"
-            )
-        for place, field in enumerate(fields):
-            if np.isnan(number(field)):
-                return InputError(
-                    f"{source}: line {line}, field {place + 1} ({_FIELDS[place]}): {shown(field)};"
-                    f" accepted: a number, {MISSING:g} where it is missing"
-                )
-    return None
 
 
 def _times(source: str, table: NDArray[np.float64], day: date) -> pd.DatetimeIndex:
@@ -251,16 +231,17 @@ def _times(source: str, table: NDArray[np.float64], day: date) -> pd.DatetimeInd
             value = table[row, field - 1]
             of = f" of {year[row]:g}" if field == 3 else ""
             raise InputError(
-                f"{source}: line {row + 1}, field {field} ({_FIELDS[field - 1]}):"
-                f" found '{value:g}'{of}; accepted: {accepted}"
+                f"{source}: line {row + 1}, field {field} ({_FIELDS[field - 1]}): expected "
+                f"{accepted}, got '{value:g}'{of}"
             )
     second_of_day = hour * 3600.0 + minute * 60.0 + second
     midnight = pd.Timestamp(day).tz_localize(TIMEZONE).tz_convert("UTC")
     times = pd.DatetimeIndex(midnight + pd.to_timedelta(second_of_day, unit="s")).as_unit("ns")
     check_steady(
         times.asi8,
-        lambda row: (
-            f"{source}: line {row + 1}: {hour[row]:02g}:{minute[row]:02g}:{second[row]:02g}"
+        lambda row, expected: InputError(
+            f"{source}: line {row + 1}: expected {expected}, got "
+            f"{hour[row]:02g}:{minute[row]:02g}:{second[row]:02g}"
         ),
         first_line=1,
     )
@@ -274,9 +255,8 @@ def _check_nothing_missing(
     if missing.any():
         row, column = np.argwhere(missing)[0]
         raise InputError(
-            f"{source}: line {row + 1}, {columns[column]}: found '{MISSING:g}', one of"
-            f" {int(missing.sum()):,} missing values; accepted with irradiance.gaps = 'refuse':"
-            " none missing"
+            f"{source}: line {row + 1}, {columns[column]}: expected no missing value, as "
+            f"irradiance.gaps is 'refuse', got '{MISSING:g}', one of {int(missing.sum()):,}"
         )
 
 
@@ -290,7 +270,7 @@ def _without_silent(
     limit = f"more than {100.0 * most_missing:g} % of the day"
     if not kept.size:
         raise InputError(
-            f"{source}: of each sensor {limit} is missing; accepted: at least one sensor with less"
+            f"{source}: expected at least one sensor with less missing, got {limit} of each"
         )
     report = [
         f"{found.sensors[sensor]}: {missing[sensor]:,} of {total:,} values missing, {limit}:"

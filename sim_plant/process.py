@@ -6,16 +6,16 @@ from agents.launcher_link import LauncherLink
 from agents.plan import RunPlan
 from agents.process import Seat, run_guarded
 from bus_schemas.tree import PLANT
-from sim_plant.conductor import ArmingError, Conductor
 from sim_plant.plant import Plant
+from sim_plant.plant_run import ArmingError, PlantRun
 from sim_plant.profile import Profile
 
 
 def run_plant(plan: RunPlan, profile: Profile, link: LauncherLink, patience_s: float = 30.0) -> int:
-    """Join the bus and conduct the run. Returns the exit status."""
+    """Join the bus and lead the run. Returns the exit status."""
 
     def run() -> None:
         with Seat(plan, Plant(plan, profile), link) as seat:
-            Conductor(seat, patience_s).conduct()
+            PlantRun(seat, patience_s).run()
 
     return run_guarded(PLANT, link, run, expected=(ArmingError,))

@@ -12,6 +12,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 import pandas as pd
+from msgspec import Meta
 from numpy.typing import NDArray
 from pvlib import inverter, irradiance, pvsystem, solarposition, temperature
 
@@ -25,39 +26,44 @@ _TWILIGHT_ZENITH_DEG = 96.0
 _TWILIGHT_MAX_WM2 = 50.0
 
 
+Tilt = Annotated[float, Meta(ge=0.0, le=90.0)]
+Azimuth = Annotated[float, Meta(ge=0.0, le=360.0)]
+DcAcRatio = Annotated[float, Meta(gt=0.0, le=3.0)]
+Celsius = Annotated[float, Meta(ge=-60.0, le=60.0)]
+WindSpeed = Annotated[float, Meta(ge=0.0, le=60.0)]
+PowerCoefficient = Annotated[float, Meta(ge=-0.01, le=0.0)]
+Efficiency = Annotated[float, Meta(gt=0.5, le=1.0)]
+Albedo = Annotated[float, Meta(ge=0.0, le=1.0)]
+
+
 class PvSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """The arrays and inverters of the plant, all alike but for their rating.
 
-    Attributes
-    ----------
-    tilt_deg : float, default 0
-        Tilt of the modules from the horizontal [degree]. At 0 the POA irradiance is the measured
-        GHI itself, with no model between: the paper's sensors lie flat.
-    azimuth_deg : float, default 180
-        Where the modules face, clockwise from north [degree].
-    dc_ac_ratio : float, default 1
-        DC rating of an array at standard test conditions over the AC rating of its inverter.
-    temp_air_c : float, default 20
-        Air temperature [degree Celsius], pvlib's default.
-    wind_speed_ms : float, default 0
-        Wind speed at 10 m height [m/s], pvlib's default.
-    gamma_pdc_per_c : float, default -0.0035
-        Temperature coefficient of DC power [1/degree Celsius]. pvlib has no default; this is the
-        "premium" crystalline module of PVWatts version 5 (doi:10.2172/1158421).
-    inverter_efficiency : float, default 0.96
-        Nominal efficiency of the inverter, pvlib's default.
-    albedo : float, default 0.25
-        Reflectance of the ground, pvlib's default; of no effect at tilt 0.
+    Defaults are pvlib's. It has none for `gamma_pdc_per_c`: -0.0035 is the "premium" crystalline
+    module of PVWatts version 5 (doi:10.2172/1158421).
     """
 
-    tilt_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 0.0
-    azimuth_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] = 180.0
-    dc_ac_ratio: Annotated[float, msgspec.Meta(gt=0.0, le=3.0)] = 1.0
-    temp_air_c: Annotated[float, msgspec.Meta(ge=-60.0, le=60.0)] = 20.0
-    wind_speed_ms: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 0.0
-    gamma_pdc_per_c: Annotated[float, msgspec.Meta(ge=-0.01, le=0.0)] = -0.0035
-    inverter_efficiency: Annotated[float, msgspec.Meta(gt=0.5, le=1.0)] = 0.96
-    albedo: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.25
+    tilt_deg: Annotated[
+        Tilt, Meta(description="Tilt of the modules [degree]; at 0 POA irradiance is the GHI.")
+    ] = 0.0
+    azimuth_deg: Annotated[
+        Azimuth, Meta(description="Where the modules face, clockwise from north [degree].")
+    ] = 180.0
+    dc_ac_ratio: Annotated[
+        DcAcRatio, Meta(description="DC rating of an array over the AC rating of its inverter.")
+    ] = 1.0
+    temp_air_c: Annotated[Celsius, Meta(description="Air temperature [degree Celsius].")] = 20.0
+    wind_speed_ms: Annotated[WindSpeed, Meta(description="Wind speed at 10 m [m/s].")] = 0.0
+    gamma_pdc_per_c: Annotated[
+        PowerCoefficient,
+        Meta(description="Temperature coefficient of DC power [1/degree Celsius]."),
+    ] = -0.0035
+    inverter_efficiency: Annotated[
+        Efficiency, Meta(description="Nominal efficiency of the inverter.")
+    ] = 0.96
+    albedo: Annotated[
+        Albedo, Meta(description="Reflectance of the ground; without effect at tilt 0.")
+    ] = 0.25
 
 
 def ac_power_kw(
@@ -153,9 +159,9 @@ def _check_night_is_dark(
     if bad.size:
         row = bad[0]
         raise InputError(
-            f"irradiance: {row_max_wm2[row]:.1f} W/m2 at {times[row].isoformat()}, when the sun is"
-            f" {zenith_deg[row] - 90.0:.1f} degrees below the horizon of the plant; accepted: time"
-            " stamps whose offset from UTC is right, and the coordinates of the sensors"
+            "irradiance: expected time stamps whose offset from UTC is right, and the coordinates "
+            f"of the sensors, got {row_max_wm2[row]:.1f} W/m2 at {times[row].isoformat()} with the "
+            f"sun {zenith_deg[row] - 90.0:.1f} degrees below the horizon"
         )
 
 

@@ -16,65 +16,52 @@ from typing import Annotated, Final
 import msgspec
 import numpy as np
 import pandas as pd
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
-from sim_plant.csv_tables import check_steady, number, read_header, read_numbers, shown
+from sim_plant.csv_tables import read_csv
 from sim_plant.synthetic_regd import SAMPLES, STEP_S, synthetic_regd
 
-Capacity = Annotated[float, msgspec.Meta(gt=0.0, le=1e8)]
-Second = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
-Seed = Annotated[int, msgspec.Meta(ge=0, le=2**32)]
+Capacity = Annotated[float, Meta(gt=0.0, le=1e8)]
+Second = Annotated[float, Meta(ge=-1e9, le=1e9)]
+Seed = Annotated[int, Meta(ge=0, le=2**32)]
 
 _NS: Final = 1_000_000_000
 _DAY_NS: Final = 86_400 * _NS
-_LARGEST_S: Final = 1e9
-_SIGNAL_ACCEPTED: Final = "a number from -1 to 1"
 
 
-class _Offer(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the plant offers, and when.
+class _Offer(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind"
+):
+    """What the plant offers, and when."""
 
-    Attributes
-    ----------
-    capacity_kw : float
-        Power that a signal of +1 asks for on top of the commitment [kW], above 0.
-    offered_from, offered_to : datetime.time, optional
-        Local times of day between which regulation is offered, `from` and `to` in a file; from
-        midnight, to midnight by default. A `from` that is later than `to` goes over midnight.
-    """
-
-    capacity_kw: Capacity
-    offered_from: time | None = msgspec.field(default=None, name="from")
-    offered_to: time | None = msgspec.field(default=None, name="to")
-
-
-class RegulationFile(_Offer, frozen=True, tag_field="kind", tag="file"):
-    """A signal from a CSV of two columns with a header.
-
-    Attributes
-    ----------
-    path : str
-        The file: second of the signal's own clock, signal in per unit from -1 to 1 (positive:
-        raise output).
-    signal_midnight_s : float, default 0
-        Second of the signal that coincides with local midnight on the run's first day.
-    """
-
-    path: str
-    signal_midnight_s: Second = 0.0
+    capacity_kw: Annotated[
+        Capacity, Meta(description="Power that a signal of +1 asks for, on top of the rest [kW].")
+    ]
+    offered_from: Annotated[
+        time | None, Meta(description="Local time from which it is offered. Default: midnight.")
+    ] = msgspec.field(default=None, name="from")
+    offered_to: Annotated[
+        time | None, Meta(description="Local time until then; before `from`: on the next day.")
+    ] = msgspec.field(default=None, name="to")
 
 
-class SyntheticRegulation(_Offer, frozen=True, tag_field="kind", tag="synthetic"):
-    """A synthetic signal that moves like PJM's RegD.
+class RegulationFile(_Offer, frozen=True, tag="file"):
+    """A signal from a CSV of two columns with a header."""
 
-    Attributes
-    ----------
-    seed : int, default 0
-        Seed of the signal, at least 0.
-    """
+    path: Annotated[
+        str, Meta(description="CSV: second of the signal's clock, signal from -1 to 1 (+: raise).")
+    ]
+    signal_midnight_s: Annotated[
+        Second, Meta(description="Second of the signal at local midnight of the run's first day.")
+    ] = 0.0
 
-    seed: Seed = 0
+
+class SyntheticRegulation(_Offer, frozen=True, tag="synthetic"):
+    """A synthetic signal that moves like PJM's RegD."""
+
+    seed: Annotated[Seed, Meta(description="Seed of the signal.")] = 0
 
 
 RegulationSettings = RegulationFile | SyntheticRegulation
@@ -146,8 +133,8 @@ def _offered(settings: RegulationSettings, clock_ns: NDArray[np.int64]) -> NDArr
     end_ns = _of_day_ns(settings.offered_to) or _DAY_NS
     if begin_ns == end_ns:
         raise InputError(
-            f"regulation.from and regulation.to are both {settings.offered_to};"
-            " accepted: two times of day, or neither for the whole day"
+            "regulation.from, regulation.to: expected two times of day, or neither for the whole "
+            f"day, got {settings.offered_to} twice"
         )
     begun, not_over = clock_ns % _DAY_NS >= begin_ns, clock_ns % _DAY_NS < end_ns
     return np.asarray(begun & not_over if begin_ns < end_ns else begun | not_over)
@@ -201,14 +188,13 @@ class RegulationSignal:
         wanted = "where the run's regulation {}; regulation.signal_midnight_s shifts the signal"
         if first_ns < begins_ns:
             raise InputError(
-                f"{self.source}: line 2: the signal begins at second {begins_ns / _NS:.15g};"
-                f" accepted: at {first_ns / _NS:.15g} or before, {wanted.format('begins')}"
+                f"{self.source}: line 2: expected second {first_ns / _NS:.15g} or before, "
+                f"{wanted.format('begins')}, got {begins_ns / _NS:.15g}"
             )
         if last_ns >= ends_ns:
             raise InputError(
-                f"{self.source}: line {len(self.time_ns) + 1}: the signal ends at second"
-                f" {ends_ns / _NS:.15g}; accepted: later than {last_ns / _NS:.15g},"
-                f" {wanted.format('ends')}"
+                f"{self.source}: line {len(self.time_ns) + 1}: expected an end after second "
+                f"{last_ns / _NS:.15g}, {wanted.format('ends')}, got {ends_ns / _NS:.15g}"
             )
         return self.value[np.searchsorted(self.time_ns, time_ns, side="right") - 1]
 
@@ -226,35 +212,14 @@ def read_signal(path: Path) -> RegulationSignal:
         -1 to 1; the seconds repeat, go back, or do not keep the step of the file.
     """
     if not path.exists():
-        raise InputError(f"{path}: no such file; accepted: --data with the folder that holds it")
-    header = read_header(path)
-    if len(header) != 2 or not np.isnan(number(header[1])):
+        raise InputError(f"{path}: expected a file, in the folder of --data, got none")
+    table = read_csv(path)
+    is_number = pd.to_numeric(pd.Series(table.header), errors="coerce").notna()
+    if len(table.header) != 2 or is_number.iloc[1]:
         raise InputError(
-            f"{path.name}: line 1: found '{','.join(header)[:60]}'; accepted: a header with the"
-            " names of two columns, seconds and signal"
+            f"{path.name}: line 1: expected the names of two columns, seconds and signal, got "
+            f"'{','.join(table.header)[:60]}'"
         )
-    seconds, values = read_numbers(path, header, (header[1],), _SIGNAL_ACCEPTED)
-    value = values[:, 0]
-    bad = np.flatnonzero(np.abs(value) > 1.0)
-    if bad.size:
-        raise InputError(
-            f"{path.name}: line {bad[0] + 2}, column '{header[1]}': found '{value[bad[0]]:.15g}';"
-            f" accepted: {_SIGNAL_ACCEPTED}"
-        )
-    return RegulationSignal(_steady_ns(path, header[0], seconds), value, path.name)
-
-
-def _steady_ns(path: Path, column: str, seconds: pd.Series) -> NDArray[np.int64]:
-    """Turn the text of the first column into times that keep one step."""
-
-    def place(row: int) -> str:
-        return f"{path.name}: line {row + 2}, column '{column}': {shown(str(text[row]))}"
-
-    text = seconds.fillna("").to_list()
-    second = np.array([number(field) for field in text])
-    bad = np.flatnonzero(~(np.abs(second) <= _LARGEST_S))
-    if bad.size:
-        raise InputError(f"{place(int(bad[0]))}; accepted: seconds, at most {_LARGEST_S:g}")
-    time_ns: NDArray[np.int64] = np.rint(second * _NS).astype(np.int64)
-    check_steady(time_ns, place)
-    return time_ns
+    seconds, signal = table.header
+    value = table.numbers((signal,), "a number from -1 to 1", -1.0, 1.0)[:, 0]
+    return RegulationSignal(table.seconds_ns(seconds), value, path.name)

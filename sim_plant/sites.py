@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +10,7 @@ from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
 from bus_schemas.tree import check_name
+from sim_plant.csv_tables import CsvTable, read_csv
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,34 +48,26 @@ def read_sites(path: Path, plant_rating_kw: float | None) -> Sites:
     InputError
         With file, line and column of what cannot be used.
     """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
-            columns = set(reader.fieldnames or ())
-            rows = [(reader.line_num, row) for row in reader]
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file, accepted is a CSV of inverters") from None
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}, accepted is a CSV of inverters") from None
-    except csv.Error as error:
-        raise InputError(f"{path}: {error}, accepted is a CSV of inverters") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not UTF-8 at byte {error.start}, accepted is a CSV") from None
-    for column in ("inverter", "lat", "lon"):
-        if column not in columns:
-            raise InputError(
-                f"{path}, line 1: no column {column!r}, accepted are inverter, lat, lon and "
-                "rating_kw"
-            )
-    if not rows:
-        raise InputError(f"{path}: no inverters, accepted is one line for each")
-    names = _names(path, rows)
+    table = read_csv(path)
+    table.check_header(("inverter", "lat", "lon"))
+    if table.fields.empty:
+        raise InputError(f"{path.name}: expected a line for each inverter, got none")
+    if "rating_kw" in table.header:
+        smallest_kw = float(np.nextafter(0.0, 1.0))
+        rating_kw = _column(table, "rating_kw", "a number above 0, up to 1e7", smallest_kw, 1e7)
+    else:
+        rating_kw = equal_ratings_kw(plant_rating_kw, len(table.fields), path.name)
     return Sites(
-        names,
-        np.array([_number(path, line, row, "lat", -90.0, 90.0) for line, row in rows]),
-        np.array([_number(path, line, row, "lon", -180.0, 180.0) for line, row in rows]),
-        _ratings(path, rows, "rating_kw" in columns, plant_rating_kw),
+        _names(table),
+        _column(table, "lat", "a number from -90 to 90", -90.0, 90.0),
+        _column(table, "lon", "a number from -180 to 180", -180.0, 180.0),
+        rating_kw,
     )
+
+
+def inverter_name(station: str) -> str:
+    """Name the inverter at a station: `16` becomes `inv16`, `inv04` stays as it is."""
+    return station if station.startswith("inv") else f"inv{station}"
 
 
 def equal_ratings_kw(
@@ -90,48 +81,20 @@ def equal_ratings_kw(
         There is no rating to split.
     """
     if plant_rating_kw is None:
-        raise InputError(f"{where}: no ratings, accepted is plant.rating_kw or a column rating_kw")
+        raise InputError(f"{where}: expected plant.rating_kw or a column rating_kw, got neither")
     return np.full(inverters, plant_rating_kw / inverters)
 
 
-def _names(path: Path, rows: list[tuple[int, dict[str, str]]]) -> tuple[str, ...]:
-    first_line: dict[str, int] = {}
-    for line, row in rows:
-        name = (row["inverter"] or "").strip()
-        check_name(name, f"{path}, line {line}")
-        if name in first_line:
-            raise InputError(
-                f"{path}, line {line}: inverter {name} is in line {first_line[name]} already, "
-                "names must differ"
-            )
-        first_line[name] = line
-    return tuple(first_line)
+def _names(table: CsvTable) -> tuple[str, ...]:
+    names = table.names("inverter")
+    for row, name in enumerate(names):
+        check_name(name, f"{table.name}: line {row + 2}")
+        if name in names[:row]:
+            raise table.error(row, "inverter", "a name that no other inverter has")
+    return names
 
 
-def _ratings(
-    path: Path,
-    rows: list[tuple[int, dict[str, str]]],
-    has_ratings: bool,
-    plant_rating_kw: float | None,
+def _column(
+    table: CsvTable, column: str, expected: str, low: float, high: float
 ) -> NDArray[np.float64]:
-    if not has_ratings:
-        return equal_ratings_kw(plant_rating_kw, len(rows), str(path))
-    smallest_kw = np.nextafter(0.0, 1.0)
-    return np.array([_number(path, line, row, "rating_kw", smallest_kw, 1e7) for line, row in rows])
-
-
-def _number(
-    path: Path, line: int, row: dict[str, str], column: str, lowest: float, highest: float
-) -> float:
-    text = (row[column] or "").strip()
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not isfinite(value) or not lowest <= value <= highest:
-        accepted = "above 0" if 0.0 < lowest < 1e-300 else f"from {lowest:g}"
-        raise InputError(
-            f"{path}, line {line}: {column} is {text or 'empty'!r}, accepted is a number "
-            f"{accepted} to {highest:g}"
-        )
-    return value
+    return table.numbers((column,), expected, low, high)[:, 0]

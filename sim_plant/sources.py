@@ -155,8 +155,8 @@ class MeasuredSky:
         """
         if self.earlier is None:
             raise InputError(
-                "neighbours.history is 'earlier-day', accepted with measurements of one day is"
-                " 'hindsight'"
+                "neighbours.history: expected 'hindsight' with measurements of one day, got "
+                "'earlier-day'"
             )
         return self.earlier.possible_kw(times - self.earlier_by)
 
@@ -220,8 +220,7 @@ class MeasuredPlant:
             Always.
         """
         raise InputError(
-            "neighbours.history is 'earlier-day', accepted with measurements of one day is"
-            " 'hindsight'"
+            "neighbours.history: expected 'hindsight' with DC currents, got 'earlier-day'"
         )
 
     def clear_sky_kw(self, times: pd.DatetimeIndex) -> NDArray[np.float64]:
@@ -233,9 +232,8 @@ class MeasuredPlant:
             Always.
         """
         raise InputError(
-            "commitment.kind is 'share-of-clear-sky', which needs date and place; accepted with"
-            " DC currents, which have neither: 'constant', 'file', 'share-of-median' and"
-            " 'below-possible'"
+            "commitment.kind: expected 'constant', 'file', 'share-of-median' or 'below-possible' "
+            "with DC currents, which have no date and place, got 'share-of-clear-sky'"
         )
 
     def remarks(self, times: pd.DatetimeIndex) -> tuple[str, ...]:

@@ -71,8 +71,8 @@ def on_cycles(
     step, cycle = step_ns(times), step_ns(cycles)
     if cycle > step and cycle % step:
         raise InputError(
-            f"{source}: a value every {step / _NS:g} s; accepted is a time.cycle_s that is a"
-            f" multiple of it, or shorter, found {cycle / _NS:g} s"
+            f"{source}: expected a time.cycle_s that is a multiple of its step, {step / _NS:g} s, "
+            f"or shorter, got {cycle / _NS:g} s"
         )
     rows = _covering_rows(times, cycles, source)
     values, times = series(rows), times[rows]
@@ -104,8 +104,8 @@ def _covering_rows(times: pd.DatetimeIndex, cycles: pd.DatetimeIndex, source: st
     covered_until = times[-1] + pd.Timedelta(step_ns(times), unit="ns")
     if start < times[0] or end > covered_until:
         raise InputError(
-            f"{source}: does not cover {_iso(start)} to {_iso(end)};"
-            f" it covers {_iso(times[0])} to {_iso(covered_until)}"
+            f"{source}: expected measurements of {_iso(start)} to {_iso(end)}, got "
+            f"{_iso(times[0])} to {_iso(covered_until)}"
         )
     first = int(times.searchsorted(start, side="right")) - 1
     return slice(first, int(times.searchsorted(end)) + 1)

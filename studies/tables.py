@@ -183,7 +183,8 @@ def _least_width(column: Column, texts: Sequence[str]) -> int:
         words = (len(word) for text in texts for word in text.split())
         longest = max(min(longest, _WORDS), *words, 0)
     headings = re.split(r"\s+|(?<=-)", f"{column.title} {column.unit}")
-    return max(longest, *map(len, headings))
+    least = max(longest, *map(len, headings))
+    return max(least, *map(len, _heading(column, least)), 0)
 
 
 def _rich_table(table: Table) -> RichTable:

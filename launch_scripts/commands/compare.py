@@ -24,7 +24,7 @@ from launch_scripts.commands.options import (
     WorkersOption,
 )
 from launch_scripts.commands.output import counted, say, write_json
-from studies.tables import console_for
+from studies.tables import console_for, print_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -35,9 +35,6 @@ if TYPE_CHECKING:
 
 EXAMPLE: Final = "heliarch compare oahu --set commitment.share=0.3,0.45 --seeds 1..10"
 PAGE_NAME: Final = "compare.html"
-
-_LISTED: Final = 40
-"""Up to so many cases each has its row; of more, the mean and the extremes are shown."""
 
 
 def compare(
@@ -78,9 +75,9 @@ def compare(
     show: Annotated[
         str,
         typer.Option(
-            help="Figure to show of many cases: satisfied, unsatisfied, unavoidable, "
-            "control-caused, over-delivered, rmse, mae, mileage, ramp, above-ramp-limit, regd or "
-            "score.",
+            help="Figure of merit to show of many cases: satisfied, shortfall, unavoidable, "
+            "control-caused, over-delivered, rmse, mae, mileage, ramp, above-ramp-limit, regd, "
+            "score, or another name of those in the JSON.",
             metavar="FIGURE",
         ),
     ] = "control-caused",
@@ -100,10 +97,11 @@ def compare(
     from launch_scripts.scenarios.scenario import load_scenario
     from studies.compare.cases import cases, parse_days, parse_seeds, parse_setting
     from studies.compare.study import Comparison
-    from studies.compare.tables import FIGURES, rows
+    from studies.compare.tables import json_rows
+    from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
 
-    if show not in FIGURES:
-        raise InputError(f"--show: expected one of {', '.join(FIGURES)}, got {show}")
+    if show not in FIGURES_OF_MERIT:
+        raise InputError(f"--show: expected one of {', '.join(FIGURES_OF_MERIT)}, got {show}")
     found = cases(
         load_scenario(scenario, data),
         RunOptions(start, duration, end=end),
@@ -123,15 +121,15 @@ def compare(
     else:
         results = _many(found, comparison, workers, scheduler, console)
         _print_many(results, show, console)
-    write_json(rows(results), json)
+    write_json(json_rows(results), json)
 
 
 def chosen_schemes(text: str | None) -> tuple[str, ...]:
     """Return the schemes of a text with commas; of None all."""
-    from studies.arrays.schemes import DEFAULT_SCHEMES, SCHEMES
+    from studies.arrays.schemes import SCHEMES
 
     if text is None:
-        return DEFAULT_SCHEMES
+        return tuple(SCHEMES)
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
     for name in names:
         if name not in SCHEMES:
@@ -156,7 +154,7 @@ def _one(case: Case, comparison: Comparison, page: Path | None, console: Console
     """Run one case and print the paper's tables; write a page of it if asked for."""
     from launch_scripts.scenarios.preparation import prepare
     from studies.compare.study import CaseResult, SchemeResult, remarks_of, results_of
-    from studies.compare.tables import commitment_table, regulation_table
+    from studies.compare.tables import case_tables
     from studies.report.metrics_tables import metrics_tables
     from studies.report.run_report import write_report
 
@@ -170,10 +168,8 @@ def _one(case: Case, comparison: Comparison, page: Path | None, console: Console
         f"{plan.plant} from {preparation.local_start()}, {plan.cycles:,} cycles of "
         f"{plan.cycle_ns / 1e9:g} s, actuator {plan.actuator}"
     )
-    console.print(commitment_table(title, schemes))
-    regulation = regulation_table(schemes)
-    if regulation is not None:
-        console.print(regulation)
+    for table in case_tables(title, schemes):
+        print_table(console, table)
     if page is not None:
         notes = [f"Scenario: {preparation.scenario.scenario.title}.", *remarks]
         series = [one for _, _, one in found]
@@ -203,11 +199,10 @@ def _many(
 
 
 def _print_many(results: Sequence[CaseResult], show: str, console: Console) -> None:
-    from studies.compare.tables import pivot_table, summary_table
+    from studies.compare.tables import cases_table
 
     say(console, *dict.fromkeys(line for result in results for line in result.remarks))
-    table = pivot_table if len(results) <= _LISTED else summary_table
-    console.print(table(show, results))
+    print_table(console, cases_table(show, results))
     prepare_s = sum(result.prepare_s for result in results)
     run_s = sum(result.run_s for result in results)
     say(

@@ -72,7 +72,7 @@ def delays(
     from studies.compare.cases import with_settings
     from studies.compare.study import remarks_of
     from studies.delays.page import study_page
-    from studies.delays.table import print_study
+    from studies.delays.tables import print_study
 
     changes = tuple(settings or ())
     if scenario is None:
@@ -120,7 +120,7 @@ def _prepared(scenario: ScenarioFile, options: RunOptions) -> Preparation:
 
 def _outcomes(preparation: Preparation, workers: int, console: Console) -> list[Outcome]:
     from studies.delays.study import conditions, run_under
-    from studies.delays.table import counted_s
+    from studies.delays.tables import counted_s
     from studies.workers import share_work
 
     plan = preparation.plan

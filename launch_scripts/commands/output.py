@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
+import msgspec
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -53,25 +54,24 @@ def counted(
 
 
 def write_page(html: str, path: Path) -> None:
-    """Write a page; it appears whole or not at all."""
-    from recordings.read.whole_file import whole_file  # noqa: PLC0415
-
+    """Write a page; folders that are missing are made."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as file:
-        file.write(html.encode())
+    _write(html.encode(), path)
 
 
 def write_json(content: object, destination: str | None) -> None:
     """Write a command's result where `--json` says: a file, `-` for standard output, or nowhere."""
-    import msgspec  # noqa: PLC0415
-
-    from recordings.read.whole_file import whole_file  # noqa: PLC0415
-
     if destination is None:
         return
     document = msgspec.json.format(msgspec.json.encode(content), indent=1) + b"\n"
     if destination == "-":
         sys.stdout.write(document.decode())
-        return
-    with whole_file(Path(destination)) as file:
-        file.write(document)
+    else:
+        _write(document, Path(destination))
+
+
+def _write(content: bytes, path: Path) -> None:
+    from recordings.read.whole_file import whole_file  # noqa: PLC0415 - `--help` need not wait
+
+    with whole_file(path) as file:
+        file.write(content)

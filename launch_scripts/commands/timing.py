@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
-import msgspec
 import typer
 
 from bus_schemas.errors import InputError
@@ -177,8 +176,7 @@ def _print_one(reported: Reported, run: Path, output: _Output) -> int:
     say(output.console, f"recording: {run}")
     folder = run if run.is_dir() else run.parent
     _write_page(lambda: run_page(reported), folder / PAGE_NAME, output)
-    if output.json is not None:
-        write_json(msgspec.Raw(report.as_json()), output.json)
+    write_json(report.document(), output.json)
     if report.interrupted:
         return INTERRUPTED
     return OK if report.passed else FAILED
@@ -210,8 +208,7 @@ def _time_several(rates: Rates, duration: str, request: RunRequest, output: _Out
     say(output.console, f"recordings: {folder}")
     if reports:
         _write_page(lambda: sweep_page(found, reports[-1]), folder / PAGE_NAME, output)
-    if output.json is not None:
-        write_json(msgspec.Raw(found.as_json()), output.json)
+    write_json(found, output.json)
     if found.interrupted:
         return INTERRUPTED
     return FAILED if found.highest_clean_hz is None else OK

@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
-import msgspec
 import typer
 
 from bus_schemas.errors import FailureError, InputError
@@ -25,12 +24,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from recordings.verify.comparison import Comparison
-    from recordings.verify.outcome import Outcome
     from recordings.verify.verification import Verification
 
 EXAMPLE: Final = "heliarch verify runs/oahu-20261121-120000-4711 --nodes 'c2/*'"
-
-_PROGRESS_CYCLES: Final = 100
 
 
 def verify(
@@ -54,24 +50,23 @@ def verify(
     ] = False,
     json: JsonOption = None,
 ) -> int:
-    """Run the agents of a recording again on the inputs that they used, and compare the messages.
+    """Run the agents of a recording again on the inputs that they used, and compare the outputs.
 
-    Exit status 1: they differ, and each agent's first difference is shown with its inputs; or so
-    much of the recording is lost that it cannot be decided.
+    Exit status 1: they differ. The first difference of each agent is shown
+    with its inputs.
     """
-    from recordings.verify.outcome import as_json
+    from recordings.verify.report import json_ready
 
     console = console_for(json)
     comparison = _comparison(tolerance, _names(ignored))
     if accept:
         _check_accept(runs, nodes)
-    outcomes = [_verify(run, _names(nodes), comparison, console) for run in runs]
-    if json is not None:
-        write_json(msgspec.Raw(as_json(outcomes)), json)
+    results = [_verify(run, _names(nodes), comparison, console) for run in runs]
+    equal = all(found.equal for found, _ in results)
+    write_json(json_ready({"equal": equal, "runs": [data for _, data in results]}), json)
     if accept:
-        for outcome in outcomes:
-            _accept(outcome.verification, console)
-    equal = all(outcome.verification.equal for outcome in outcomes)
+        for found, _ in results:
+            _accept(found, console)
     return OK if equal or accept else FAILED
 
 
@@ -91,43 +86,40 @@ def _names(text: str | None) -> list[str]:
     return [name.strip() for name in (text or "").split(",") if name.strip()]
 
 
-def _verify(run: Path, nodes: Sequence[str], comparison: Comparison, console: Console) -> Outcome:
-    from recordings.verify.outcome import Outcome
+def _verify(
+    run: Path, nodes: Sequence[str], comparison: Comparison, console: Console
+) -> tuple[Verification, dict[str, Any]]:
+    from recordings.verify.report import verification_data, verification_lines
     from recordings.verify.verification import verify as verify_run
 
     began_at = time.monotonic()
-    with progress_bar("cycles") as follow:
-
-        def advance(cycle: int, cycles: int) -> None:
-            if cycle % _PROGRESS_CYCLES == 0:
-                follow(cycle / cycles)
-
-        found = verify_run(run, nodes, comparison, advance)
-    outcome = Outcome(found, comparison, time.monotonic() - began_at)
-    say(console, *outcome.lines())
-    return outcome
+    with progress_bar("verify") as follow:
+        found = verify_run(run, nodes, comparison, follow)
+    wall_s = time.monotonic() - began_at
+    say(console, *verification_lines(found, comparison, wall_s))
+    return found, verification_data(found, comparison, wall_s)
 
 
 def _check_accept(runs: Sequence[Path], nodes: str | None) -> None:
-    from recordings.verify.golden import check_rerecordable
+    from recordings.verify.golden import origin
 
     if nodes is not None:
         raise InputError("--accept: expected no --nodes with it: the whole run is recorded again")
     for run in runs:
-        check_rerecordable(run)
+        origin(run)
 
 
 def _accept(found: Verification, console: Console) -> None:
-    from recordings.verify.golden import record_anew
+    from recordings.verify.golden import record_again
 
     if found.equal:
         say(console, f"{found.recording}: nothing to accept")
         return
-    for name, account in found.accounts.items():
-        if account.failure is not None:
+    for name, findings in found.agents.items():
+        if findings.failure is not None:
             raise FailureError(
-                f"--accept {found.recording}: {name} fails in cycle {account.failure.cycle}: "
-                f"{account.failure.text}"
+                f"--accept {found.recording}: {name} fails in cycle {findings.failure.cycle}: "
+                f"{findings.failure.text}"
             )
-    record_anew(found.recording)
+    record_again(found.recording)
     say(console, f"{found.recording}: recorded again as the agents behave now")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Final
+
+import msgspec
 
 from agents.events import (
     AnyEvent,
@@ -19,14 +20,14 @@ from agents.events import (
 )
 from agents.machine import refusals
 from agents.plan import RunPlan
-from bus_schemas.faults import some_of
-from bus_schemas.tree import PLANT, RECORDER
+from bus_schemas.faults import unmatched_rules
+from bus_schemas.tree import PLANT, RECORDER, some_of
 from launch_scripts.launcher.fork_requests import Start
 from launch_scripts.launcher.interruption import Interruption, interruptible
 from launch_scripts.launcher.launch_summary import LaunchAccount, launch_summary
 from launch_scripts.launcher.live_view import View
 from launch_scripts.launcher.run_folder import RunFolder
-from launch_scripts.launcher.run_pulse import HEARTBEAT_S, RunPulse
+from launch_scripts.launcher.run_watch import HEARTBEAT_S, RunWatch
 from launch_scripts.launcher.summary import RunSummary, merge_counts
 from launch_scripts.launcher.supervision import (
     Children,
@@ -71,8 +72,6 @@ class Launch:
         Monotonic time at which the user asked for it [s]: start-up counts from there.
     server
         Starts the processes.
-    on_armed
-        Called when everybody is there: in real time just before cycle 0 begins.
     """
 
     def __init__(
@@ -83,7 +82,6 @@ class Launch:
         view: View,
         began_at: float,
         server: ForkServerProcess,
-        on_armed: Callable[[], None] = lambda: None,
     ) -> None:
         self._server = server
         self._preparation = preparation
@@ -91,10 +89,9 @@ class Launch:
         self._folder = folder
         self._view = view
         self._began_at = began_at
-        self._on_armed = on_armed
         self._patience_s = preparation.external.timeout_s if plan.external else 0.0
         self._armed_at = began_at
-        self._pulse = RunPulse(plan, view.say)
+        self._watch = RunWatch(plan, view.say)
         self._stalled_at: float | None = None
         self._asked_at: float | None = None
         self._rounds = 0
@@ -130,7 +127,7 @@ class Launch:
             self._follow_or_explain(children)
             seen = self._account(children, refused)
             recorded = self._finish(children)
-            return launch_summary(
+            summary = launch_summary(
                 self._preparation,
                 plan,
                 self._folder,
@@ -139,6 +136,10 @@ class Launch:
                 seen,
                 interrupted=bool(self._interruption),
             )
+            unmatched = unmatched_rules(plan.faults, _matched_rules(children))
+            for line in unmatched:
+                view.say(line)
+            return msgspec.structs.replace(summary, remarks=(*summary.remarks, *unmatched))
 
     def _follow_or_explain(self, children: Children) -> None:
         """Follow the run; where it fails, say what external agents may have to do with it."""
@@ -172,15 +173,14 @@ class Launch:
         match event:
             case Armed():
                 self._armed_at = now
-                self._pulse.begin(now)
+                self._watch.begin(now)
                 self._rounds = event.rounds
-                self._on_armed()
                 self._view.say(
                     f"armed: cycle 0 began {now - self._started_at:.2f} s after the processes were "
                     f"started, {now - self._began_at:.1f} s after the command"
                 )
             case Status():
-                self._pulse.hear(event.cycle, now)
+                self._watch.hear(event.cycle, now)
                 self._external.note(event)
                 self._view.show(event)
             case Waiting():
@@ -201,7 +201,7 @@ class Launch:
             self._check_arming(children, now)
         if self._stalled_at is not None and now > self._stalled_at + _GATHER_S:
             raise RunFailure(explain_stall(children))
-        if self._rounds and (trouble := self._pulse.check(now)) is not None:
+        if self._rounds and (trouble := self._watch.check(now)) is not None:
             agent, text = trouble
             raise RunFailure(blame(children, agent, text))
         gone_at = self._external.plant_gone_at
@@ -273,19 +273,23 @@ class Launch:
         )
 
 
+def _matched_rules(children: Children) -> set[int]:
+    ended = [child.finished for child in children if child.finished is not None]
+    return {number for account in ended for number in account.matched_rules}
+
+
 def launch(
     preparation: Preparation,
     folder: RunFolder,
     view: View,
     began_at: float,
     server: ForkServerProcess,
-    on_armed: Callable[[], None] = lambda: None,
 ) -> RunSummary:
     """Run a plant as processes over Zenoh, recorded.
 
     Parameters
     ----------
-    preparation, folder, began_at, on_armed
+    preparation, folder, began_at
         See `Launch`.
     view
         Shows the run.
@@ -300,4 +304,4 @@ def launch(
     agents = preparation.plan.links.listening
     with reserved_ports(agents, preparation.external.base_port) as tcp_ports:
         plan = folder.fill(preparation, tcp_ports)
-        return Launch(preparation, plan, folder, view, began_at, server, on_armed).run()
+        return Launch(preparation, plan, folder, view, began_at, server).run()

@@ -20,6 +20,7 @@ from agents.loop import AgentLoop
 from agents.plan import RunPlan
 from agents.team import controllers
 from bus_schemas.codec import encode
+from bus_schemas.faults import unmatched_rules
 from bus_schemas.memory_bus import MemoryBus, VirtualClock
 from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, Port
@@ -155,7 +156,7 @@ def simulate(
     for loop in loops:
         for (_, cause), number in loop.dropped.items():
             drops[cause] += number
-    return RunSummary(
+    summary = RunSummary(
         run_id=plan.run_id,
         scenario=plan.plant,
         driver="simulate",
@@ -178,6 +179,10 @@ def simulate(
         interrupted=interrupted,
         recording_ended=writer.trouble,
     )
+    unmatched = unmatched_rules(plan.faults, run.plan.network_faults.matched)
+    for line in unmatched:
+        view.say(line)
+    return msgspec.structs.replace(summary, remarks=(*summary.remarks, *unmatched))
 
 
 def _follow(

@@ -1,11 +1,10 @@
-"""In what ways a run's network is imperfect: the scenario's rules, and those of `--fault`.
+"""The network faults of a run: the scenario's rules, and those of `--fault`.
 
 An option reads `--fault source=c1/*,signal=impp,delay=50ms,jitter=10ms,loss=2%,silent=60s..90s`.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Sequence
 from typing import Any, Final
 
@@ -13,15 +12,15 @@ import msgspec
 
 from bus_schemas.errors import InputError
 from bus_schemas.faults import UNHEARD, FaultRule, check_rule
+from bus_schemas.times import duration_s, split_range
 from bus_schemas.tree import ControlTree
+from launch_scripts.scenarios.fields import readable
 from launch_scripts.scenarios.scenario import ScenarioFile
 
 _EXAMPLE: Final = "source=c1/*,signal=impp,delay=50ms,jitter=10ms,loss=2%,silent=60s..90s"
 _WORDS: Final = ("source", "listener", "signal", "distribution")
 _TIMES: Final = {"delay": "delay_ms", "jitter": "jitter_ms", "reorder-by": "reorder_ms"}
 _SHARES: Final = ("loss", "duplicate", "reorder")
-_MS: Final = {"us": 1e-3, "ms": 1.0, "s": 1e3, "m": 60e3, "h": 3600e3}
-_NUMBER: Final = r"\d+(?:\.\d*)?|\.\d+"
 
 
 def fault_rules(
@@ -48,7 +47,7 @@ def fault_rules(
 
 
 def fault_remarks(rules: Sequence[FaultRule]) -> tuple[str, ...]:
-    """Say of which signals faults change nothing, a line each."""
+    """Name the signals of which faults change nothing, a line each."""
     unheard = dict.fromkeys(rule.signal for rule in rules if rule.signal in UNHEARD)
     return tuple(
         f"faults on {signal} change nothing: no agent acts on {signal}" for signal in unheard
@@ -58,63 +57,53 @@ def fault_remarks(rules: Sequence[FaultRule]) -> tuple[str, ...]:
 def parse_fault(text: str) -> FaultRule:
     """Read a rule from its words, each with its value; `silent` may come several times.
 
+    Whether it fits the run is checked by `check_rule`.
+
     Raises
     ------
     InputError
-        A word or a value is not accepted. Whether they fit the run is not looked at here.
+        A word or a value is not accepted.
     """
-    values: dict[str, Any] = {}
+    where, values = f"--fault {text}", dict[str, Any]()
     for part in text.split(","):
-        word, equals, value = (piece.strip() for piece in part.partition("="))
-        if not equals or not value:
-            raise InputError(f"--fault {text}: {part.strip()!r}, accepted is such as {_EXAMPLE}")
+        word, _, value = (piece.strip() for piece in part.partition("="))
+        if not value:
+            raise InputError(f"{where}: expected words such as {_EXAMPLE}, got {part.strip()!r}")
         if word == "silent":
-            values.setdefault("silent", []).append(_interval_s(value, text))
+            ends = split_range(value, f"{where}: silent")
+            interval_s = [_duration_s(end, f"{where}: silent") for end in ends]
+            values.setdefault("silent", []).append(interval_s)
             continue
-        name, read = _field(word, value, text)
+        name, read = _field(word, value, where)
         if name in values:
-            raise InputError(f"--fault {text}: {word} twice, accepted is once")
+            raise InputError(f"{where}: expected {word} once, got it twice")
         values[name] = read
     try:
         return msgspec.convert(values, FaultRule)
     except msgspec.ValidationError as error:
-        raise InputError(f"--fault {text}: {error}") from None
+        raise InputError(f"{where}: {readable(error, FaultRule, values)}") from None
 
 
-def _field(word: str, value: str, text: str) -> tuple[str, str | float]:
+def _field(word: str, value: str, where: str) -> tuple[str, str | float]:
     if word in _WORDS:
         return word, value
     if word in _TIMES:
-        return _TIMES[word], _time_ms(value, word, text)
+        return _TIMES[word], _duration_s(value, f"{where}: {word}") * 1e3
     if word in _SHARES:
-        return word, _share(value, word, text)
+        return word, _share(value, f"{where}: {word}")
     accepted = ", ".join((*_WORDS, *_TIMES, *_SHARES, "silent"))
-    raise InputError(f"--fault {text}: {word!r} is not known, accepted: {accepted}")
+    raise InputError(f"{where}: expected {accepted}, got {word!r}")
 
 
-def _time_ms(value: str, word: str, text: str) -> float:
-    found = re.fullmatch(rf"({_NUMBER})(us|ms|s|m|h)", value)
-    if found is None:
-        raise InputError(
-            f"--fault {text}: {word} is {value!r}, accepted is a time with its unit such as 50ms, "
-            "0.05s or 2m"
-        )
-    return float(found[1]) * _MS[found[2]]
+def _duration_s(text: str, where: str) -> float:
+    found_s = duration_s(text)
+    if found_s is None:
+        raise InputError(f"{where}: expected a duration such as 50ms, 0.05s or 2m, got {text!r}")
+    return found_s
 
 
-def _share(value: str, word: str, text: str) -> float:
-    found = re.fullmatch(rf"({_NUMBER})(%?)", value)
-    if found is None:
-        raise InputError(
-            f"--fault {text}: {word} is {value!r}, accepted is a share such as 2% or 0.02"
-        )
-    return float(found[1]) / (100.0 if found[2] else 1.0)
-
-
-def _interval_s(value: str, text: str) -> tuple[float, float]:
-    begin, dots, end = value.partition("..")
-    if not dots:
-        raise InputError(
-            f"--fault {text}: silent is {value!r}, accepted is an interval such as 60s..90s"
-        )
-    return _time_ms(begin, "silent", text) / 1e3, _time_ms(end, "silent", text) / 1e3
+def _share(text: str, where: str) -> float:
+    try:
+        return float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
+    except ValueError:
+        raise InputError(f"{where}: expected a share such as 2% or 0.02, got {text!r}") from None

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from typing import Annotated, Final, cast
 
 import msgspec
+from msgspec import Meta
 
 from agents.cycle import KINDS, Kind
 from agents.machine import HIGHEST_PRIORITY, LOWEST_PRIORITY, MachineSettings
@@ -15,21 +16,18 @@ from bus_schemas.errors import InputError
 
 
 class MachineTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the processes of a run may take of the machine.
+    """What the processes of a run may take of the machine."""
 
-    Attributes
-    ----------
-    cpus
-        Processors of all processes, `"0-1"`, and of those of one kind, `"plant=0"`.
-    priority
-        In real time: priority of plant and controllers under SCHED_FIFO; 0 is the normal policy.
-    lock_memory
-        In real time: whether the memory of plant and controllers is never paged out.
-    """
-
-    cpus: tuple[str, ...] = ()
-    priority: Annotated[int, msgspec.Meta(ge=0, le=HIGHEST_PRIORITY)] = 0
-    lock_memory: bool = False
+    cpus: Annotated[
+        tuple[str, ...],
+        Meta(description='Processors of all processes, `"0-1"`, or of one kind, `"plant=0"`.'),
+    ] = ()
+    priority: Annotated[
+        int, Meta(ge=0, le=HIGHEST_PRIORITY, description="Under SCHED_FIFO; 0: the normal policy.")
+    ] = 0
+    lock_memory: Annotated[
+        bool, Meta(description="Whether the memory of plant and controllers is never paged out.")
+    ] = False
 
 
 class MachineOptions(msgspec.Struct, frozen=True):
@@ -70,8 +68,7 @@ def _cpus(where: str, words: Iterable[str]) -> tuple[tuple[int, ...], dict[Kind,
         kind, equals, listed = word.rpartition("=")
         if equals and kind not in KINDS:
             raise InputError(
-                f"{where} {word}: there is no kind of process {kind!r}, accepted are "
-                f"{', '.join(KINDS)}"
+                f"{where} {word}: expected a kind of process ({', '.join(KINDS)}), got {kind!r}"
             )
         cpus = _cpu_list(f"{where} {word}", listed)
         if equals:
@@ -84,7 +81,7 @@ def _cpus(where: str, words: Iterable[str]) -> tuple[tuple[int, ...], dict[Kind,
 def _cpu_list(where: str, text: str) -> tuple[int, ...]:
     """Read a list of processors as the kernel writes it: `0`, `0-3` or `0,2-3`."""
     if not re.fullmatch(r"\d{1,4}(-\d{1,4})?(,\d{1,4}(-\d{1,4})?)*", text):
-        raise InputError(f"{where}: accepted are processors such as 0, 0-3 or plant=0")
+        raise InputError(f"{where}: expected processors such as 0, 0-3 or plant=0, got {text!r}")
     cpus: set[int] = set()
     for part in text.split(","):
         first, _, last = part.partition("-")
@@ -92,7 +89,7 @@ def _cpu_list(where: str, text: str) -> tuple[int, ...]:
     known = _own_cpus()
     if not cpus or not cpus <= known:
         listed = ", ".join(map(str, sorted(known)))
-        raise InputError(f"{where}: this machine does not give us these, accepted are {listed}")
+        raise InputError(f"{where}: expected processors of this machine, {listed}, got {text}")
     return tuple(sorted(cpus))
 
 
@@ -106,11 +103,11 @@ def _own_cpus() -> set[int]:
 def _priority(priority: int, lockstep: bool) -> int:
     if not LOWEST_PRIORITY <= priority <= HIGHEST_PRIORITY:
         raise InputError(
-            f"--priority {priority}: accepted is {LOWEST_PRIORITY} to {HIGHEST_PRIORITY}"
+            f"--priority: expected {LOWEST_PRIORITY} to {HIGHEST_PRIORITY}, got {priority}"
         )
     if lockstep:
         raise InputError(
-            f"--priority {priority}: in lockstep nothing can be late, accepted is it with a --pace "
-            "such as 1"
+            "--priority: expected a --pace such as 1 with it, got lockstep, where nothing can be "
+            "late"
         )
     return priority

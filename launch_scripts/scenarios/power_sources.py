@@ -20,7 +20,7 @@ from sim_plant import oahu_grid
 from sim_plant.dc_current import ac_power_kw, read_currents
 from sim_plant.irradiance import Irradiance, read_measured_ghi
 from sim_plant.positions import placed_on_the_equator
-from sim_plant.sites import Sites, equal_ratings_kw, read_sites
+from sim_plant.sites import Sites, equal_ratings_kw, inverter_name, read_sites
 from sim_plant.sources import CloudySky, MeasuredPlant, MeasuredSky, PowerSource
 
 
@@ -45,7 +45,13 @@ def power_source(
     """
     irradiance = scenario_file.scenario.irradiance
     if seed is not None and not isinstance(irradiance, CloudIrradiance):
-        raise InputError("--seed: the scenario's irradiance is measured, it has no seed")
+        raise InputError("--seed: expected a scenario with synthetic clouds, got a measured one")
+    inverters = scenario_file.scenario.plant.inverters
+    if inverters is not None and not isinstance(irradiance, CloudIrradiance):
+        raise InputError(
+            "plant.inverters: expected none with measured data, which says where the inverters "
+            f"are, got {inverters!r}"
+        )
     match irradiance:
         case CloudIrradiance():
             return _cloudy_sky(scenario_file, irradiance, seed)
@@ -61,7 +67,7 @@ def _cloudy_sky(scenario_file: ScenarioFile, table: CloudIrradiance, seed: int |
     plant = scenario_file.scenario.plant
     if plant.inverters is None:
         raise InputError(
-            "plant.inverters is missing, accepted is a CSV with the columns inverter, lat, lon"
+            "plant.inverters: expected a CSV with the columns inverter, lat, lon, got nothing"
         )
     return CloudySky(
         sites=read_sites(scenario_file.data_path(plant.inverters), plant.rating_kw),
@@ -88,7 +94,7 @@ def _oahu_sky(
     scenario = scenario_file.scenario
     folder = scenario_file.data_path(table.folder) if table.folder else scenario_file.data_folder
     if not (any(folder.glob("*.txt")) or any(folder.glob("*.zip"))):
-        raise InputError(f"{folder}: no daily files, accepted is --data with the folder of them")
+        raise InputError(f"{folder}: expected daily files, in the folder of --data, got none")
     positions = scenario_file.data_path(table.positions)
     most_missing = None if table.gaps == "refuse" else table.most_missing
     day = times[0].tz_convert(oahu_grid.TIMEZONE).date()
@@ -111,7 +117,7 @@ def _at_the_sensors(scenario_file: ScenarioFile, irradiance: Irradiance, station
     """Put one inverter at each sensor; a station without a sensor takes its share away."""
     rating_kw = equal_ratings_kw(scenario_file.scenario.plant.rating_kw, stations, "plant")
     return Sites(
-        tuple(f"inv{station}" for station in irradiance.sensors),
+        tuple(inverter_name(station) for station in irradiance.sensors),
         irradiance.lat_deg,
         irradiance.lon_deg,
         rating_kw[: len(irradiance.sensors)],
@@ -131,7 +137,7 @@ def _measured_plant(scenario_file: ScenarioFile, table: DcCurrents) -> MeasuredP
     # An inverter that is left out takes its rating away.
     rating_kw = equal_ratings_kw(scenario.plant.rating_kw, currents.listed, "plant")
     sites = Sites(
-        tuple(f"inv{inverter}" for inverter in currents.inverters),
+        tuple(inverter_name(inverter) for inverter in currents.inverters),
         *placed_on_the_equator(currents.x_m, currents.y_m),
         rating_kw[: len(currents.inverters)],
     )
@@ -148,5 +154,5 @@ def _measured_plant(scenario_file: ScenarioFile, table: DcCurrents) -> MeasuredP
 def _measurements(scenario_file: ScenarioFile, name: str) -> Path:
     path = scenario_file.data_path(name)
     if not path.exists():
-        raise InputError(f"{path}: no such file, accepted is --data with the folder that holds it")
+        raise InputError(f"{path}: expected a file, in the folder of --data, got none")
     return path

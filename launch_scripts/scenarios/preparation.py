@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+import re
 from dataclasses import dataclass
 from datetime import datetime, time
 from typing import Final, Literal
@@ -16,10 +16,12 @@ from agents.control.correlation import HourlyMatrices, hourly_covariance
 from agents.periods import Periods
 from agents.plan import Actuator, RunPlan, Scheme
 from bus_schemas.errors import InputError
+from bus_schemas.times import parse_duration_s, read_time
 from bus_schemas.tree import ControlTree, depth
 from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
 from launch_scripts.scenarios.externals import NO_EXTERNALS, ExternalOptions, check_externals
 from launch_scripts.scenarios.fault_rules import fault_remarks, fault_rules
+from launch_scripts.scenarios.fields import field_names
 from launch_scripts.scenarios.machine_table import (
     AS_THE_SCENARIO_SAYS,
     MachineOptions,
@@ -35,8 +37,6 @@ from launch_scripts.scenarios.scenario import (
     ScenarioFile,
     TimeTable,
     local_start,
-    parse_duration_s,
-    with_two_digit_hour,
 )
 from sim_plant.commitment import commitment_kw, hindsight
 from sim_plant.profile import Profile
@@ -113,7 +113,7 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
         Scenario, options and data do not go together.
     """
     if options.seed is not None and not 0 <= options.seed <= LARGEST_SEED:
-        raise InputError(f"--seed {options.seed}: accepted is 0 to {LARGEST_SEED}")
+        raise InputError(f"--seed: expected 0 to {LARGEST_SEED}, got {options.seed}")
     scenario = _with_cycle(scenario_file.scenario, options.cycle_s)
     try:
         day = _day(scenario_file, scenario, options)
@@ -243,21 +243,29 @@ def _with_cycle(scenario: Scenario, cycle_s: float | None) -> Scenario:
 def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
     table = scenario.time
     start = _start(table, options.start, "--from")
-    where, duration_s = f"time.duration_s: {table.duration_s:g} s,", table.duration_s
+    where, duration_s = "time.duration_s", table.duration_s
     if options.duration is not None:
-        where = f"--duration {options.duration}:"
-        duration_s = parse_duration_s(options.duration, "--duration")
+        where, duration_s = "--duration", parse_duration_s(options.duration, "--duration")
     if options.end is not None:
-        where = f"--to {options.end}:"
-        duration_s = (_start(table, options.end, "--to", start) - start).total_seconds()
-        if options.duration is not None or duration_s <= 0.0:
-            raise InputError(f"{where} expected a time after {start}, and no --duration")
+        where, duration_s = "--to", _until_end_s(start, table, options)
     cycles = round(duration_s / table.cycle_s)
     if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:
-        raise InputError(f"{where} accepted are multiples of the cycle, {table.cycle_s:g} s")
+        raise InputError(
+            f"{where}: expected a multiple of the cycle, {table.cycle_s:g} s, got {duration_s:g} s"
+        )
     step = pd.Timedelta(seconds=table.cycle_s)
     first = pd.Timestamp(start).tz_convert("UTC")
     return pd.date_range(first, periods=cycles, freq=step, unit="ns")
+
+
+def _until_end_s(start: datetime, table: TimeTable, options: RunOptions) -> float:
+    """Return the time from the start to the end that the user asked for [s]."""
+    duration_s = (_start(table, options.end, "--to", start) - start).total_seconds()
+    if options.duration is not None:
+        raise InputError("--to: expected no --duration with it")
+    if duration_s <= 0.0:
+        raise InputError(f"--to: expected a time after {start}, got {options.end}")
+    return duration_s
 
 
 def _start(
@@ -265,22 +273,19 @@ def _start(
 ) -> datetime:
     if option is None and not _FIRST_YEAR <= table.start.year <= _LAST_YEAR:
         raise InputError(
-            f"time.start: {table.start}, accepted are the years {_FIRST_YEAR} to {_LAST_YEAR}"
+            f"time.start: expected a year from {_FIRST_YEAR} to {_LAST_YEAR}, got {table.start}"
         )
     scheduled = day or local_start(table)
     if option is None:
         return scheduled
-    with suppress(ValueError):
-        clock = time.fromisoformat(with_two_digit_hour(option))
-        if clock.tzinfo is None:
-            return datetime.combine(scheduled.date(), clock, scheduled.tzinfo)
-    with suppress(ValueError):
-        moment = datetime.fromisoformat(with_two_digit_hour(option))
-        if _FIRST_YEAR <= moment.year <= _LAST_YEAR:
-            return moment if moment.tzinfo else moment.replace(tzinfo=scheduled.tzinfo)
+    moment = read_time(option)
+    if isinstance(moment, time) and moment.tzinfo is None:
+        return datetime.combine(scheduled.date(), moment, scheduled.tzinfo)
+    if isinstance(moment, datetime) and _FIRST_YEAR <= moment.year <= _LAST_YEAR:
+        return moment if moment.tzinfo else moment.replace(tzinfo=scheduled.tzinfo)
     raise InputError(
-        f"{name} {option}: accepted is a local time such as 12:30 or 2010-04-01T12:30:00, "
-        f"{_FIRST_YEAR} to {_LAST_YEAR}"
+        f"{name}: expected a local time such as 12:30 or 2010-04-01T12:30:00, {_FIRST_YEAR} to "
+        f"{_LAST_YEAR}, got {option}"
     )
 
 
@@ -337,16 +342,20 @@ def _periods(scenario: Scenario, tree: ControlTree) -> Periods:
     cycles = scenario.control.period_cycles or (1,) * tiers
     if len(cycles) != tiers:
         raise InputError(
-            f"control.period_cycles has {len(cycles)} entries, accepted is one for each of the "
-            f"{tiers} tiers that have children"
+            f"control.period_cycles: expected one entry for each of the {tiers} tiers that have "
+            f"children, got {len(cycles)}"
         )
     return Periods(tuple(cycles))
 
 
 def _with_file(scenario_file: ScenarioFile, text: str) -> str:
     """Name the scenario where the text speaks of one of its fields."""
-    tables = {"commitment", "control", "machine", "plant", "neighbours", "regulation", "time"}
-    of_a_field = text.split(".", 1)[0] in tables or text.startswith(
-        ("plant:", "stations:", "pace ")
-    )
-    return f"{scenario_file.path}: {text}" if of_a_field else text
+    place = re.match(r"(\w+)(?:\.(\w+))?\W", text)
+    names = field_names(Scenario, "") if place else ()
+    if (
+        place
+        and place[1] in names
+        and (not place[2] or place[2] in field_names(Scenario, place[1]))
+    ):
+        return f"{scenario_file.path}: {text}"
+    return text

@@ -17,22 +17,27 @@ def toml_text(document: Mapping[str, Any]) -> str:
 def _lines(document: Mapping[str, Any]) -> Iterator[str]:
     for name, value in document.items():
         if not isinstance(value, Mapping):
-            yield f"{_key(name)} = {_value(value)}"
+            yield f"{_key(name)} = {toml_value(value)}"
     for name, table in document.items():
         if isinstance(table, Mapping):
             yield f"\n[{_key(name)}]"
-            yield from (f"{_key(field)} = {_value(value)}" for field, value in table.items())
+            yield from (f"{_key(field)} = {toml_value(value)}" for field, value in table.items())
 
 
 def _key(name: str) -> str:
     return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else json.dumps(name, ensure_ascii=False)
 
 
-def _value(value: object) -> str:
+def toml_value(value: object) -> str:
+    """Return one value as TOML."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_key(name)} = {_value(one)}" for name, one in value.items()) + "}"
+        return (
+            "{"
+            + ", ".join(f"{_key(name)} = {toml_value(one)}" for name, one in value.items())
+            + "}"
+        )
     if isinstance(value, list):
-        return "[" + ", ".join(map(_value, value)) + "]"
+        return "[" + ", ".join(map(toml_value, value)) + "]"
     if isinstance(value, date | time):
         return value.isoformat()
     if isinstance(value, float):

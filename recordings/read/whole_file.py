@@ -21,6 +21,15 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
     OSError
         It cannot be written. A plain file stays as it was.
     """
+    try:
+        with _written(path) as file:
+            yield file
+    except OSError as error:  # That a disk is full is often found by a call that knows no name.
+        raise OSError(error.errno, error.strerror, error.filename or str(path)) from None
+
+
+@contextmanager
+def _written(path: Path) -> Iterator[BinaryIO]:
     if path.is_symlink() or (path.exists() and not path.is_file()):
         with path.open("wb") as file:
             yield file

@@ -57,7 +57,7 @@ def write_report(
     Raises
     ------
     InputError
-        There is nothing to report, the runs do not belong together, or the file cannot be written.
+        There is nothing to report, or the runs do not belong together.
     """
     check_destination(path)
     check_comparable(series)
@@ -189,17 +189,6 @@ def _count(number: int, noun: str) -> str:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a page, of which nobody sees half, see `whole_file`.
-
-    Raises
-    ------
-    InputError
-        It cannot be written.
-    """
-    try:
-        with whole_file(path) as file:
-            file.write(text.encode())
-    except OSError as error:
-        raise InputError(
-            f"report {path}: {error.strerror}, accepted is a file that may be written"
-        ) from None
+    """Write a page, which appears whole or not at all, see `whole_file`."""
+    with whole_file(path) as file:
+        file.write(text.encode())

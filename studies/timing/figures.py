@@ -80,11 +80,11 @@ def loop_figure(reported: Reported) -> ReportFigure:
     timing, report = reported.timing, reported.report
     times_ms = np.array(timing.loop_ns) / 1e6
     rows = extremes(times_ms)
-    seconds = np.array(timing.loop_cycles)[rows] / report.rate_hz
+    seconds = (np.array(timing.loop_cycles)[rows] / report.rate_hz).tolist()
     figure = go.Figure(
         go.Scatter(
             x=seconds,
-            y=times_ms[rows],
+            y=times_ms[rows].tolist(),
             name="loop time",
             mode="lines",
             line={"color": BLUE, "width": 1.2},

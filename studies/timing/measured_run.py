@@ -11,6 +11,7 @@ import psutil
 from rich.console import Console
 
 from bus_schemas.errors import InputError
+from bus_schemas.times import parse_duration_s
 from launch_scripts.launcher.interruption import interruptible
 from launch_scripts.launcher.launch import launch
 from launch_scripts.launcher.live_view import view_for
@@ -18,7 +19,6 @@ from launch_scripts.launcher.request import RunRequest, prepare_run
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.scenarios.preparation import Preparation
-from launch_scripts.scenarios.scenario import parse_duration_s
 from studies.timing.rates import cycles_per_s
 from studies.timing.report import Reported, report_on
 

@@ -12,7 +12,6 @@ from studies.timing.sweep import Sweep, conclusion, machine_lines, sweep_table, 
 from studies.timing.tables import (
     budgets_table,
     counts_table,
-    cycle_lines,
     failures,
     header_lines,
     network_lines,
@@ -38,7 +37,7 @@ def run_page(reported: Reported) -> str:
     text = [
         *([f"Not kept: {'; '.join(missed)}."] if missed else []),
         f"{first}; {'; '.join(machine)}.",
-        *(f"{line}." for line in (*cycle_lines(report), *network_lines(report))),
+        *(f"{line}." for line in network_lines(report)),
     ]
     waits = [
         waits_figure(f"waits-{place}", cycle, reported.plan.tree)

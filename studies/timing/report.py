@@ -99,10 +99,9 @@ class TimingReport(msgspec.Struct, frozen=True):
         )
         return self.cycles > 0 and late == 0 and not self.lost_messages
 
-    def as_json(self) -> bytes:
-        """Return the report as JSON, with the verdict on all of it."""
-        document = {"passed": self.passed, "clean": self.clean, **msgspec.to_builtins(self)}
-        return msgspec.json.format(msgspec.json.encode(document), indent=1)
+    def document(self) -> dict[str, object]:
+        """Return the report for other programs, with the verdict on all of it."""
+        return {"passed": self.passed, "clean": self.clean, **msgspec.structs.asdict(self)}
 
 
 class Reported(msgspec.Struct, frozen=True):
@@ -177,7 +176,7 @@ def report_on(
 def _budgets_in(reader: RunReader) -> BudgetTable:
     try:
         stated = tomllib.loads(reader.scenario).get("timing", {})
-        return msgspec.convert(stated, TimingTable).stated
+        return msgspec.convert(stated, TimingTable).budgets
     except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
         raise InputError(f"{reader.path}: scenario.toml in it: {error}") from None
 

@@ -80,10 +80,6 @@ class Sweep(msgspec.Struct, frozen=True):
     highest_clean_hz: float | None
     interrupted: bool
 
-    def as_json(self) -> bytes:
-        """Return the sweep as JSON."""
-        return msgspec.json.format(msgspec.json.encode(self), indent=1)
-
 
 Timed: TypeAlias = Callable[[float], TimingReport]
 """Runs the plant at a rate and reports on it."""
@@ -175,7 +171,7 @@ def sweep_table(found: Sweep) -> Table:
         Column("CPU", "%", 0),
         word_column(""),
     )
-    return Table("rates [cycles/s]", columns, tuple(map(_cells, found.rows)))
+    return Table("Rates [cycles/s]", columns, tuple(map(_cells, found.rows)))
 
 
 def machine_lines(found: Sweep) -> list[str]:

@@ -153,7 +153,9 @@ def times_tables(report: TimingReport) -> list[Table]:
     tables = []
     for measure, found in groupby(report.times, lambda row: row.measure):
         rows = [(_name(row), *_figures(row.times), *_limit(row, report.verdicts)) for row in found]
-        tables.append(Table(f"{measure} [ms]", _JUDGED, tuple(rows), (MEANINGS[measure],)))
+        tables.append(
+            Table(f"{measure.capitalize()} [ms]", _JUDGED, tuple(rows), (MEANINGS[measure],))
+        )
     return tables
 
 
@@ -177,10 +179,10 @@ def counts_table(tiers: Sequence[TierTiming]) -> Table:
     """Return counts and resources of each tier."""
     columns = (
         key_column("tier"),
-        *map(Column, ("processes", "missed deadlines", "missing inputs", "old inputs", "dropped")),
+        *map(Column, ("number", "missed deadlines", "missing inputs", "old inputs", "dropped")),
         *map(Column, ("overruns", "skipped cycles")),
-        Column("CPU, all", "%", 1),
-        Column("CPU, highest", "%", 1),
+        Column("CPU", "% all", 1),
+        Column("CPU", "% most", 1),
         Column("memory", "MB", 1),
     )
     rows = tuple(
@@ -191,7 +193,12 @@ def counts_table(tiers: Sequence[TierTiming]) -> Table:
         )
         for tier in tiers
     )
-    return Table("counts", columns, rows, ("CPU in % of one core; memory of the largest process",))
+    return Table(
+        "Counts",
+        columns,
+        rows,
+        ("CPU in % of one core, of all processes and of the busiest; memory of the largest one",),
+    )
 
 
 def processes_table(processes: Iterable[ProcessTiming]) -> Table:
@@ -214,7 +221,7 @@ def processes_table(processes: Iterable[ProcessTiming]) -> Table:
         )
         for one in processes
     )
-    return Table("processes", columns, rows)
+    return Table("Processes", columns, rows)
 
 
 def budgets_table(verdicts: Iterable[Verdict]) -> Table:
@@ -230,7 +237,7 @@ def budgets_table(verdicts: Iterable[Verdict]) -> Table:
         for verdict in verdicts
         if not verdict.measure or verdict.value is None or not verdict.line.endswith("p99")
     )
-    return Table("other budgets", columns, rows)
+    return Table("Other budgets", columns, rows)
 
 
 def _process_table(process: ProcessTiming) -> Table:

@@ -7,11 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.typing import NDArray
-
-from sim_plant import clouds
-from sim_plant.clouds import CloudSettings, clear_sky_ghi, synthetic_ghi
-from sim_plant.irradiance import read_measured_ghi
-from sim_plant.sky_statistics import (
+from sky_statistics import (
     changes,
     cloud_cover,
     cloud_motion,
@@ -19,6 +15,10 @@ from sim_plant.sky_statistics import (
     pair_correlations,
     peak_lags,
 )
+
+from sim_plant import clouds
+from sim_plant.clouds import CloudSettings, clear_sky_ghi, synthetic_ghi
+from sim_plant.irradiance import read_measured_ghi
 
 # A made-up plant of 12 sensors over one kilometre, near the airport of the paper.
 _PLACES = np.random.default_rng(12).random((12, 2))

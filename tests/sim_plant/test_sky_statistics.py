@@ -6,9 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.typing import NDArray
-
-from bus_schemas.errors import InputError
-from sim_plant.sky_statistics import (
+from sky_statistics import (
     SkyShares,
     changes,
     cloud_cover,
@@ -21,6 +19,8 @@ from sim_plant.sky_statistics import (
     rotated,
     sky_shares,
 )
+
+from bus_schemas.errors import InputError
 
 RNG = np.random.default_rng(5)
 EAST_M, NORTH_M = 1000.0 * RNG.random((2, 15))

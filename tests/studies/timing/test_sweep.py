@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 
+import msgspec
 import pytest
 from msgspec.structs import replace
 from reports_by_hand import missed, reported
@@ -137,7 +138,7 @@ def test_a_sweep_shows_its_rates_and_the_machine(reports: Reports) -> None:
     text = printed(found)
     assert "load average 0.50 before, 0.75 after" in text
     assert all(figure in text for figure in ("200.00", "13.600"))
-    document = json.loads(found.as_json())
+    document = json.loads(msgspec.json.encode(found))
     assert document["highest_clean_hz"] == 5.0
     assert [row["clean"] for row in document["rows"]] == [True, False]
 

@@ -7,6 +7,7 @@ import json
 import re
 from pathlib import Path
 
+import msgspec
 import pytest
 from msgspec.structs import replace
 from reports_by_hand import missed, reported, summary_of
@@ -69,7 +70,7 @@ def test_without_a_summary_what_only_the_launcher_knew_is_not_zero(tmp_path: Pat
     text = printed(report)
     assert row(text, "direct").count("-") == 4
     assert "summary.json" in text
-    document = json.loads(report.as_json())
+    document = json.loads(msgspec.json.encode(report.document()))
     assert document["lost_messages"] is None
     assert document["tiers"][0]["cpu_percent"] is None
     assert document["processes"][0]["dropped"] is None
@@ -119,7 +120,7 @@ def test_an_external_device_and_its_wrong_messages_are_reported(tmp_path: Path) 
 
 
 def test_the_document_has_all_rows_and_histograms(tmp_path: Path) -> None:
-    document = json.loads(reported(tmp_path).report.as_json())
+    document = json.loads(msgspec.json.encode(reported(tmp_path).report.document()))
     assert (document["passed"], document["clean"]) == (True, True)
     setpoint = next(entry for entry in document["times"] if entry["of"] == "setpoint")
     assert setpoint["times"]["count"] == 12

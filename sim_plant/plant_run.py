@@ -15,10 +15,9 @@ from typing import Final, Literal
 from agents.events import Armed
 from agents.process import Seat
 from bus_schemas.bus import Arrival
-from bus_schemas.faults import some_of
 from bus_schemas.messages import Message
 from bus_schemas.signals import READY, RUN, Port
-from bus_schemas.tree import PLANT, ROOT
+from bus_schemas.tree import PLANT, ROOT, some_of
 
 log = logging.getLogger(__name__)
 
@@ -69,7 +68,7 @@ def needed_messages(waiting: Iterable[Port[Message]], external: Collection[str])
     return ", ".join(needs[:_MOST_NAMED]) + rest
 
 
-class Conductor:
+class PlantRun:
     """Takes the plant, and with it everybody, through a run.
 
     Parameters
@@ -87,7 +86,7 @@ class Conductor:
         self._patience_s = patience_s
         self._recorded_round = FIRST_ROUND - 1
 
-    def conduct(self) -> None:
+    def run(self) -> None:
         """Arm, start, run, stop.
 
         Raises

@@ -29,7 +29,7 @@ _LOOK_S: Final = 0.1
 """How often it looks otherwise. So much of a pause counts, lest one always slow find nobody."""
 
 
-class RunPulse:
+class RunWatch:
     """The signs of life of one run, from its first cycle on.
 
     In lockstep everybody soon waits for a recorder that stands still, so that the run would stall.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 from bus_schemas.signals import COMMAND
-from sim_plant.conductor import longest_round_s, needed_messages
+from sim_plant.plant_run import longest_round_s, needed_messages
 
 COMMANDS = [COMMAND.of(f"c1/inv{number:02d}") for number in range(1, 18)]
 

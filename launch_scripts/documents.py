@@ -1,0 +1,349 @@
+"""Fills what documents show of the code: tables and byte examples, between two comments.
+
+    .venv/bin/python -m launch_scripts.documents
+
+rewrites `docs/scenarios.md` and `docs/wire.md`. The prose is written there by hand; a test compares
+the parts between `<!-- table: NAME -->` and `<!-- end -->` with the code.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, Final, cast
+
+import numpy as np
+from msgspec import NODEFAULT, inspect
+
+from agents.agent import Agent, Stage, Turn
+from agents.plan import RunPlan
+from agents.team import controllers
+from bus_schemas import messages
+from bus_schemas.bounds import BOUNDS, LARGEST, Bound
+from bus_schemas.codec import encode
+from bus_schemas.messages import Dispatch, Message
+from bus_schemas.signals import DISPATCH, HELP, RESIDUAL, SIGNALS
+from bus_schemas.tree import CENTRAL, PLANT, ROOT
+from launch_scripts.scenarios.fields import description, members, takes
+from launch_scripts.scenarios.scenario import Scenario
+from sim_plant.plant import Plant
+from sim_plant.profile import Profile
+
+DOCUMENTS: Final = ("docs/scenarios.md", "docs/wire.md")
+INVERTER: Final = "c2/inv07"
+
+_MARKED: Final = re.compile(r"(<!-- table: (.*?) -->\n).*?(<!-- end -->)", re.DOTALL)
+_PLAN: Final = RunPlan(
+    run_id="example",
+    plant="oahu",
+    inverters=(("c1/inv01", 470.0), ("c2/inv05", 470.0), (INVERTER, 470.0)),
+    start_time_ns=0,
+    cycle_ns=1_000_000,
+    cycles=1,
+    timezone="UTC",
+    regulation_capacity_kw=0.0,
+    cycle_wall_ns=1_000_000,
+    period_cycles=(1, 1),
+    scheme="paper",
+    actuator="fraction",
+    alpha_min=0.05,
+    hold_cycles=3,
+    stall_timeout_s=1.0,
+    neighbourhoods=(),
+    tcp_ports={},
+)
+
+
+def filled(text: str) -> str:
+    """Return a document with all that is derived in it as the code has it now."""
+    return _MARKED.sub(lambda found: f"{found[1]}{table(found[2])}{found[3]}", text)
+
+
+def table(name: str) -> str:
+    """Return what stands between the comments of a name, such as `signals` or `scenario time`."""
+    return "".join(f"{line}\n" for line in _lines(*name.split(" ", 1)))
+
+
+def _lines(what: str, which: str = "") -> Iterator[str]:
+    match what:
+        case "scenario":
+            return _scenario_table(which)
+        case "message":
+            return _fields(getattr(messages, which))
+        case "bytes":
+            return _rows(("bytes (hex)", "what they are"), _parts(encode(_EXAMPLES[which])))
+    return {"signals": _signals, "stages": _stages, "bounds": _bounds}[what]()
+
+
+def _rows(header: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> Iterator[str]:
+    yield f"| {' | '.join(header)} |"
+    yield "|" + "---|" * len(header)
+    for row in rows:
+        yield f"| {' | '.join(map(str, row))} |"
+
+
+# Scenarios
+
+
+def scenario_tables() -> dict[str, inspect.StructType]:
+    """Return the tables of a scenario by name; of several kinds of one, `irradiance clouds`."""
+    found: dict[str, inspect.StructType] = {}
+
+    def add(path: str, kind: inspect.Type) -> None:
+        kinds = members(kind)
+        for one in kinds:
+            if isinstance(one, inspect.VarTupleType):
+                add(path, one.item_type)
+            if isinstance(one, inspect.StructType):
+                found[f"{path} {one.tag}" if len(kinds) > 1 else path] = one
+                for field in one.fields:
+                    add(f"{path}.{field.encode_name}".removeprefix("file."), field.type)
+
+    add("file", inspect.type_info(Scenario))
+    return found
+
+
+def _scenario_table(name: str) -> Iterator[str]:
+    return _rows(
+        ("field", "what it takes", "default", "what it is"),
+        (
+            (
+                f"`{field.encode_name}`",
+                takes(members(field.type)),
+                _default(field),
+                description(field.type) or "A table: see below.",
+            )
+            for field in scenario_tables()[name].fields
+        ),
+    )
+
+
+def _default(field: inspect.Field) -> str:
+    match field.default:
+        case bool():
+            return str(field.default).lower()
+        case str():
+            return f'"{field.default}"'
+        case int() | float():
+            return f"{field.default:.10g}"
+    return "required" if field.default is NODEFAULT and field.required else ""
+
+
+# On the wire
+
+
+def _signals() -> Iterator[str]:
+    return _rows(
+        ("key", "type", "about", "published by", "heard by", "how often", "recorded"),
+        (
+            (
+                f"`<plant>/{'' if row.nodes(_PLAN.tree) == (ROOT,) else '<path>/'}{row.name}`",
+                row.type.__name__,
+                row.about.value,
+                row.publisher.value,
+                ", ".join(role.value for role in row.listeners) or "the recorder alone",
+                row.occurrence.value,
+                "yes" if row.logged else "no",
+            )
+            for row in SIGNALS
+        ),
+    )
+
+
+def _fields(kind: type[Message]) -> Iterator[str]:
+    """Describe the fields that a type has beside those of every message."""
+    known = () if kind is Message else Message.__struct_fields__
+    fields = cast("inspect.StructType", inspect.type_info(kind)).fields
+    return _rows(
+        ("field", "msgpack type", "unit"),
+        (
+            (f"`{field.name}`", _type_name(field.type), _unit(field.name))
+            for field in fields
+            if field.name not in known
+        ),
+    )
+
+
+def _unit(name: str) -> str:
+    return {"kw": "kW", "ns": "ns"}.get(name.rpartition("_")[2], "")
+
+
+def _type_name(kind: inspect.Type) -> str:
+    match kind:
+        case inspect.UnionType():
+            there = [one for one in kind.types if not isinstance(one, inspect.NoneType)]
+            return " or ".join(map(_type_name, there)) + ", nil or left out"
+        case inspect.LiteralType():
+            return "string, one of " + ", ".join(map(str, kind.values))
+        case inspect.VarTupleType(item_type=inspect.StructType() as entry):
+            inner = ", ".join(f"{field.name}: {_type_name(field.type)}" for field in entry.fields)
+            return f"array of arrays [{inner}]"
+        case inspect.VarTupleType():
+            return f"array of {_type_name(kind.item_type)}"
+    names: dict[type[inspect.Type], str] = {
+        inspect.IntType: "integer",
+        inspect.FloatType: "float 64",
+        inspect.StrType: "string",
+        inspect.BoolType: "boolean",
+    }
+    return names[type(kind)]
+
+
+def _stages() -> Iterator[str]:
+    return _rows(
+        ("agent", "stage", "awaits", "uses as well", "publishes", "deadline"),
+        (
+            (
+                kind,
+                stage.name,
+                ", ".join(sorted({port.signal.name for port in stage.awaits})),
+                ", ".join(sorted({port.signal.name for port in stage.uses})),
+                ", ".join(_published(agent, stage)),
+                "at the tick" if stage.timed else f"{_deadline_share(agent, stage):.3f}",
+            )
+            for kind, agent in _team()
+            for stage in agent.stages(0)
+        ),
+    )
+
+
+def _deadline_share(agent: Agent[Any], stage: Stage) -> float:
+    return _PLAN.deadlines.deadline_ns(agent.name, stage.name) / _PLAN.cycle_wall_ns
+
+
+def _team() -> tuple[tuple[str, Agent[Any]], ...]:
+    team: dict[str, Agent[Any]] = {agent.name: agent for agent in controllers(_PLAN)}
+    one = np.zeros((1, len(_PLAN.tree.leaves)))
+    return (
+        ("plant", Plant(_PLAN, Profile(mpp_kw=one, commitment_kw=one[:, 0]))),
+        ("direct controller", team[INVERTER]),
+        ("supervisor", team["c2"]),
+        ("central controller", team[CENTRAL]),
+    )
+
+
+def _published(agent: Agent[Any], stage: Stage) -> Iterator[str]:
+    """Yield the signals that a stage publishes in a cycle in which it hears the dispatch alone."""
+    dispatch = Dispatch(
+        0, 0, PLANT, (), power_kw=0.0, plant_rating_kw=1.0, commitment_kw=0.0, regulation_kw=0.0
+    )
+    inputs: dict[Any, Any] = dict.fromkeys((*stage.awaits, *stage.uses))
+    inputs[DISPATCH.of(ROOT)] = dispatch
+    _, outputs = agent.step(
+        agent.initial_state(), Turn(stage.name, 0, 0, (0, 0, agent.name, ()), inputs)
+    )
+    for name in dict.fromkeys(port.signal.name for port, _ in outputs if port.signal is not HELP):
+        yield name
+        if name == RESIDUAL.name:
+            yield "`help` if it is negative"
+
+
+def _bounds() -> Iterator[str]:
+    return _rows(
+        ("message", "field", "from", "to"),
+        (
+            (kind.__name__, f"`{bound.field}`", _bound(bound, bound.low), _bound(bound, bound.high))
+            for kind, bounds in BOUNDS.items()
+            for bound in bounds
+        ),
+    )
+
+
+def _bound(bound: Bound, value: float) -> str:
+    """Say a bound in words; those of powers are multiples of a rating."""
+    if abs(value) == LARGEST:
+        return "any finite number"
+    if 0.0 < value < 1e-300:
+        return "above 0"
+    share = f"{round(value, 6):g}"
+    if not bound.field.endswith("_kw") or value == 0.0:
+        return share
+    return {"1": "the rating", "-1": "- the rating"}.get(share, f"{share} times the rating")
+
+
+# Byte by byte
+
+_TIME_NS: Final = 1_270_159_202_000_000_000
+
+
+def _head(source: str, ready_ns: int, *missing: str) -> tuple[Any, ...]:
+    """Return the head of an example's message, of cycle 2; it is published 0.1 ms later."""
+    return 2, _TIME_NS, source, missing, ready_ns, ready_ns + 100_000, 2
+
+
+_EXAMPLES: Final[dict[str, Message]] = {
+    "telemetry": messages.Telemetry(
+        *_head(PLANT, 4_999_900_000), power_kw=120.5, alpha=0.5, limit_kw=470.0
+    ),
+    "impp": messages.Impp(
+        *(-999_999, _TIME_NS - 1_000_001_000_000_000, INVERTER, (), 3_999_900_000, 4_000_000_000),
+        power_kw=241.0,
+        stale_cycles=0,
+    ),
+    "residual": messages.Residual(*_head(INVERTER, 5_002_900_000, "dispatch@1"), power_kw=-20.0),
+    "setpoint": messages.Setpoint(
+        *_head("c2", 5_003_400_000),
+        power_kw=100.0,
+        share_kw=80.0,
+        help_given=(messages.HelpGiven("c2/inv05", 20.0),),
+    ),
+    "command": messages.Command(
+        *_head(INVERTER, 5_003_900_000), alpha=100.0 / 241.0, power_kw=100.0
+    ),
+    "run": messages.Run(
+        *(0, _TIME_NS - 2_000_000_000, PLANT, (), 2_799_900_000, 2_800_000_000, 0),
+        state="start",
+        start_time_ns=3_000_000_000,
+        cycle_wall_ns=1_000_000_000,
+    ),
+}
+
+_FIXED: Final = {
+    0xCB: (">d", "float 64"),
+    0xCC: (">B", "unsigned integer of 1 byte"),
+    0xCD: (">H", "unsigned integer of 2 bytes"),
+    0xCE: (">I", "unsigned integer of 4 bytes"),
+    0xCF: (">Q", "unsigned integer of 8 bytes"),
+    0xD2: (">i", "signed integer of 4 bytes"),
+}
+
+
+def _parts(payload: bytes) -> Iterator[tuple[str, str]]:
+    """Take a message apart: its head, then names, values and entries as they follow each other."""
+    yield f"`{payload[:1].hex()}`", f"a map of {payload[0] & 0x0F} entries"
+    place = 1
+    while place < len(payload):
+        length, meaning = _value(payload[place:])
+        yield f"`{payload[place : place + length].hex(' ')}`", meaning
+        place += length
+
+
+def _value(data: bytes) -> tuple[int, str]:
+    """Return the length of the value that begins here, and what it is."""
+    first = data[0]
+    if first in _FIXED:
+        layout, name = _FIXED[first]
+        return 1 + struct.calcsize(layout), f"{name}: {struct.unpack_from(layout, data, 1)[0]!r}"
+    if first < 0x80:
+        return 1, f"integer {first}"
+    if 0xA0 <= first < 0xC0:
+        length = 1 + (first & 0x1F)
+        return length, f'string "{data[1:length].decode()}"'
+    if first == 0xC0:
+        return 1, "nil"
+    if 0x90 <= first < 0xA0:
+        return 1, f"an array of {first & 0x0F} entries"
+    raise ValueError(f"no example has the msgpack type {first:#x}")
+
+
+def main() -> None:
+    """Rewrite the documents."""
+    for name in DOCUMENTS:
+        path = Path(name)
+        path.write_text(filled(path.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
