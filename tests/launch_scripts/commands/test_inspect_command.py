@@ -170,7 +170,9 @@ def test_a_huge_length_in_a_cut_file_is_no_trouble(
     path.write_bytes(content)
     result = CliRunner().invoke(app, ["inspect", str(path)])
     assert result.exit_code == 0, result.output
-    assert f"can be read up to byte {end_of_readable(bytes(content):,}" in " ".join(result.output.split()))
+    assert f"can be read up to byte {end_of_readable(bytes(content)):,}" in " ".join(
+        result.output.split()
+    )
 
 
 def end_of_readable(content: bytes) -> int:
