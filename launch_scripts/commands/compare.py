@@ -160,8 +160,8 @@ def _one(case: Case, comparison: Comparison, page: Path | None, console: Console
 
     preparation = prepare(case.scenario, case.options, "compare")
     remarks = remarks_of(preparation)
-    say(console, *remarks)
     found = list(results_of(preparation, comparison))
+    say(console, *remarks)
     schemes = tuple(SchemeResult(label, metrics) for label, metrics, _ in found)
     plan = preparation.plan
     title = (

@@ -69,6 +69,15 @@ def inspect(
     return complain(damage, OK) if damage else OK
 
 
+<<<<<<< HEAD
+=======
+def _width(console: Console) -> int:
+    from recordings.inspect.story_table import NARROWEST
+
+    return max(console.width, NARROWEST)
+
+
+>>>>>>> main
 # Nodes, cycle by cycle ----------------------------------------------------------------------
 
 

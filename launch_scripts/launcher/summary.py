@@ -128,6 +128,17 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
         """Those of the launcher's own processes, which is a failure of the run."""
         return sum(abs(count.lost) for count in self.messages)
 
+    @property
+    def troubled(self) -> bool:
+        """Whether messages, inputs or agents were missing at some time."""
+        return bool(
+            self.lost
+            or self.missing_inputs
+            or self.skipped_cycles
+            or self.recording_ended
+            or any((self.dropped, self.faults, self.wrong))
+        )
+
     def as_json(self) -> bytes:
         """Return the summary as JSON, with the figures that follow from others."""
         document = msgspec.to_builtins(self)

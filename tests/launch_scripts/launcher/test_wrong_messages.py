@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from agents.events import Complaint
-from launch_scripts.launcher.wrong_messages import WrongMessages, one_line_each, wrong_messages
+from launch_scripts.launcher.wrong_messages import one_line_each, wrong_messages
 from launch_scripts.scenarios.externals import ExternalOptions
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
@@ -26,12 +26,6 @@ def test_of_recorder_and_listeners_the_larger_count_holds() -> None:
     ]
     assert found[0].example == "it came twice in cycle 3"
     assert found[1].example == "older than the newest one"
-
-
-def test_of_a_flood_the_key_is_named() -> None:
-    (found,) = wrong_messages(PLAN, [], [{"c1/inv01/impp": {"flooded": 9_000}}])
-    assert (found.key, found.cause, found.count) == ("c1/inv01/impp", "flooded", 9_000)
-    assert found.example == "more than can be looked at"
 
 
 def test_what_comes_late_from_processes_is_no_device_s_fault() -> None:
@@ -66,8 +60,3 @@ def test_one_thing_that_a_device_does_wrong_is_one_line() -> None:
     assert late.key.startswith("c1/inv01/")
     assert late.key.endswith(" and 3 more")
     assert (unknown.key, unknown.count) == ("nobody/impp", 3)
-
-
-def test_one_key_stays_as_it_is() -> None:
-    one = WrongMessages("c1/inv01/impp", "late", 3, "older than the newest one", "c1/inv01")
-    assert one_line_each([one]) == (one,)
