@@ -29,13 +29,13 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def shown(*words: str | Path) -> str:
-    result = CliRunner().invoke(app, ["inspect", *map(str, words)])
+    result = CliRunner().invoke(app, ["inspect", *map(str, words)], env={"COLUMNS": "80"})
     assert result.exit_code == 0, result.output
     return result.stdout
 
 
 def complaint(*words: str | Path) -> str:
-    result = CliRunner().invoke(app, ["inspect", *map(str, words)])
+    result = CliRunner().invoke(app, ["inspect", *map(str, words)], env={"COLUMNS": "80"})
     assert result.exit_code == 2, result.output
     assert result.stderr.startswith("heliarch: ")
     assert result.stderr.count("\n") == 1
