@@ -69,15 +69,12 @@ def inspect(
     return complain(damage, OK) if damage else OK
 
 
-<<<<<<< HEAD
-=======
 def _width(console: Console) -> int:
     from recordings.inspect.story_table import NARROWEST
 
     return max(console.width, NARROWEST)
 
 
->>>>>>> main
 # Nodes, cycle by cycle ----------------------------------------------------------------------
 
 
@@ -139,12 +136,6 @@ def _plant_text(central: NodeCycle) -> str:
         f"dispatch {text(central.dispatch_kw)} (commitment {text(central.commitment_kw)}), "
         f"possible {text(central.possible_kw)}, produced {text(central.delivered_kw)}"
     )
-
-
-def _width(console: Console) -> int:
-    from recordings.inspect.story_table import NARROWEST
-
-    return max(console.width, NARROWEST)
 
 
 def _print_lines(console: Console, lines: Iterable[str], style: str = "") -> None:
