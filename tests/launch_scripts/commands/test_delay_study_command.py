@@ -152,7 +152,7 @@ def test_tables_json_and_page_tell_the_same(
     ("request_", "complaint"),
     [
         (StudyRequest(workers=0), "--workers 0: accepted are 1 to 256"),
-        (StudyRequest(json="/nowhere/at/all.json"), "accepted is a file in an existing folder"),
+        (StudyRequest(json="/nowhere/at/all.json"), "expected a file in an existing folder"),
         (StudyRequest(page=Path(__file__) / "page.html"), "accepted is a file in a folder"),
         (StudyRequest("absent", duration="2m"), "--duration 2m: accepted for a study is more than"),
         (StudyRequest("oahu", settings=("a.b=1,2",)), "--set a.b=1,2: accepted is one value"),

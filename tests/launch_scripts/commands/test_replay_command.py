@@ -90,7 +90,7 @@ def test_a_recording_that_was_cut_is_replayed_up_to_the_cut(recorded: Path, tmp_
         (["--clock", "moon"], "--clock moon: accepted are wall (as recorded) and sim"),
         (["--from", "12:30:00"], "--start-offset 12:30:00: outside the run"),
         (["--from", "noon"], "--start-offset noon: not understood"),
-        (["--duration", "-3"], "--duration -3: accepted are seconds above 0"),
+        (["--duration", "-3"], "--duration: expected seconds above 0"),
         (["--signals", "imp"], "near are impp"),
         (["--listen", "7447"], "--listen 7447: accepted is an address such as tcp/127.0.0.1:7447"),
         (["--listen", "tcp/127.0.0.1:99999"], "--listen tcp/127.0.0.1:99999: "),

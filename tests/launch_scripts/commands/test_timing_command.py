@@ -75,8 +75,8 @@ def test_what_makes_no_sense_is_refused(
 
 def test_a_folder_that_holds_something_is_refused(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").touch()
-    assert "it exists already" in refused("--out", tmp_path)
-    assert "it exists already" in refused("--rate", "5,10", "--out", tmp_path)
+    assert "exists already" in refused("--out", tmp_path)
+    assert "exists already" in refused("--rate", "5,10", "--out", tmp_path)
 
 
 def test_a_budget_that_there_is_none_of_is_refused_with_the_scenario_named(tmp_path: Path) -> None:

@@ -233,7 +233,7 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_place_where_no_json_can_be_is_refused_before_the_work(tmp_path: Path, run: Path) -> None:
-    assert "accepted is a file in an existing folder" in refused(
+    assert "expected a file in an existing folder" in refused(
         run, "--json", tmp_path / "no" / "file.json"
     )
 
