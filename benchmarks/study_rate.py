@@ -13,11 +13,14 @@ from collections.abc import Callable
 from functools import partial
 from typing import get_args
 
+from msgspec.structs import replace
+
 from agents.plan import Scheme
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
+from studies.arrays.closed_loop import is_corrected
 from studies.arrays.schemes import SCHEMES, ReferenceGroups, run_scheme
-from studies.compare.study import run_agents
+from studies.delays.study import run_in_memory
 from studies.metrics import run_metrics
 
 PAPER_S = 14.144
@@ -57,7 +60,8 @@ def main() -> None:
     sys.stdout.write(f"sky, market and clusters worked out in {prepared_s:.1f} s\n")
     sys.stdout.write(f"{f'median of {ROUNDS}':44}{'wall':>11}{'processor':>11}\n")
     for scheme in get_args(Scheme):
-        line(f"agents, {scheme}", timed(partial(run_agents, scheme, day)))
+        plan = replace(day.plan, scheme=scheme, correction=is_corrected(day.plan, scheme))
+        line(f"agents, {scheme}", timed(partial(run_in_memory, plan, day.profile)))
     sys.stdout.write(f"{'the paper, its own simulation':44}{PAPER_S:9.2f} s\n")
     for name in SCHEMES:
         times = timed(partial(of_arrays, name, day, one_group))

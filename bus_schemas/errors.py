@@ -1,9 +1,12 @@
-"""The one error that a user's input can cause."""
+"""The errors that a command tells in one line."""
 
 
 class InputError(ValueError):
-    """Bad input from a user, told in one line.
+    """Bad input from a user: exit status 2.
 
-    The message says which file, line or field, what was found there and what is accepted. The
-    command line prints it as it is and ends with exit status 2.
+    The message says which file, line or field, what was expected and what was found.
     """
+
+
+class FailureError(Exception):
+    """What was asked for could not be done, for no fault of the input: exit status 1."""

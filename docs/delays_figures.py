@@ -1,6 +1,6 @@
 """Draws the study of delay, loss and slow central control as docs/delays.png.
 
-heliarch timing --study --json study.json
+heliarch delays --json study.json
 python docs/delays_figures.py study.json docs/delays.png
 """
 
@@ -14,45 +14,44 @@ import matplotlib.pyplot as plt
 import msgspec
 from matplotlib.axes import Axes
 
-from studies.delays.figures import StudyCurve
-from studies.delays.page import study_curves
+from studies.delays.page import StudyCurve, study_curves
 from studies.delays.study import Outcome
 
 mpl.use("Agg")
 
 MERITS = {
-    "control-caused [%]": "control-caused\nshortfall [% of desired]",
-    "mileage [kW/h]": "mileage of support\n[kW/h]",
-    "PJM score": "PJM performance score",
+    "control-caused": "control-caused\nshortfall [% of desired]",
+    "mileage": "mileage of support\n[kW/h]",
+    "score": "PJM performance score",
 }
-"""Of what `heliarch timing --study --report` draws, and what it is called here."""
+"""The figures of merit that are drawn, and their names here."""
 
 LOOKS = {"paper": ("#d55e00", "o"), "predictive": ("#0072b2", "s")}
 
 
 class Study(msgspec.Struct):
-    """What is needed of the document."""
+    """The part of the document that is drawn."""
 
     outcomes: list[Outcome]
 
 
 def draw(study: Study, picture: Path) -> None:
-    """Draw the outcomes with late messages used into a PNG file."""
+    """Draw the outcomes into a PNG file."""
     curves = study_curves(study.outcomes)
-    troubles = list(dict.fromkeys(curve.column for curve in curves))
+    troubles = list(dict.fromkeys(curve.trouble for curve in curves))
     figure, panels = plt.subplots(
         len(MERITS), len(troubles), figsize=(9.5, 7.4), sharey="row", layout="constrained"
     )
     for row, (merit, what) in zip(panels, MERITS.items(), strict=True):
         for panel, trouble in zip(row, troubles, strict=True):
             for curve in curves:
-                if (curve.row, curve.column) == (merit, trouble):
+                if (curve.figure, curve.trouble) == (merit, trouble):
                     draw_curve(panel, curve)
             panel.grid(color="#e4e4e4")
             panel.set_axisbelow(True)
-            if merit == "PJM score":
+            if merit == "score":
                 panel.set_xlabel(trouble)
-            if merit == "mileage [kW/h]":
+            if merit == "mileage":
                 panel.set_ylim(bottom=0.0)
                 panel.yaxis.set_major_formatter("{x:,.0f}")
         row[0].set_ylabel(what)
@@ -63,10 +62,10 @@ def draw(study: Study, picture: Path) -> None:
 
 def draw_curve(panel: Axes, curve: StudyCurve) -> None:
     """Draw a scheme along a trouble, in even steps."""
-    colour, marker = LOOKS[curve.name]
-    steps = range(len(curve.troubles))
-    panel.plot(steps, curve.merits, color=colour, marker=marker, ms=4, lw=1.4, label=curve.name)
-    panel.set_xticks(steps, [f"{value:g}" for value in curve.troubles], fontsize=8)
+    colour, marker = LOOKS[curve.scheme]
+    steps = range(len(curve.values))
+    panel.plot(steps, curve.merits, color=colour, marker=marker, ms=4, lw=1.4, label=curve.scheme)
+    panel.set_xticks(steps, [f"{value:g}" for value in curve.values], fontsize=8)
 
 
 if __name__ == "__main__":

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
+from recorded_runs import plan_of
 
 from agents.plan import RunPlan
-from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
@@ -22,24 +22,14 @@ CYCLE_NS = 1_000_000_000
 STEP_NS = 100_000
 """Between two messages of a run by hand."""
 
-PLAN = RunPlan(
+PLAN = plan_of(
+    {"c1/a": 100.0, "c1/b": 100.0, "c2/c": 100.0, "c2/d": 100.0},
+    cycles=40,
+    period_cycles=(2, 1),
     run_id="recorded-1",
     plant="field",
-    inverters=(("c1/a", 100.0), ("c1/b", 100.0), ("c2/c", 100.0), ("c2/d", 100.0)),
-    start_time_ns=1_270_159_200_000_000_000,  # 2010-04-01 12:00:00 in Honolulu
-    cycle_ns=CYCLE_NS,
-    cycles=40,
-    timezone="Pacific/Honolulu",
-    regulation_capacity_kw=0.0,
-    cycle_wall_ns=0,
-    period_cycles=(2, 1),
-    scheme="predictive",
-    actuator="fraction",
-    alpha_min=0.05,
-    hold_cycles=3,
     stall_timeout_s=0.5,
-    neighbourhoods=(),
-    tcp_ports={},
+    correction=False,
 )
 
 
@@ -81,11 +71,6 @@ def write(
             writer.flush()
     writer.close()
     return folder
-
-
-def deliveries(said: Iterable[Said]) -> list[Delivery]:
-    """Ports and messages."""
-    return [(port, message) for port, message, _ in said]
 
 
 def without(said: Iterable[Said], is_left_out: Callable[[Said], bool]) -> list[Said]:

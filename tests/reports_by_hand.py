@@ -11,22 +11,9 @@ from agents.cycle import kind_of
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from launch_scripts.launcher.summary import MessageCount, ProcessAccount, RunSummary
-from studies.timing.durations import Durations
-from studies.timing.floor import FloorTimes
-from studies.timing.host import Host
 from studies.timing.report import Reported, report_on
 
-HOST = Host(
-    kernel="Linux 6",
-    cpu="A processor",
-    cpus=2,
-    scheduling="normal",
-    load_before=0.5,
-    load_after=0.75,
-    python="3.11",
-    heliarch="0.1",
-    zenoh="1.10",
-)
+LOAD = (0.5, 0.75)
 
 MISSED = {**TIMES_MS, "production": (PLAN.deadlines.deadline_ns("plant", "apply") / 1e6, 95.0)}
 MISSED.pop("c2/d/command")
@@ -35,15 +22,6 @@ MISSED.pop("c2/d/command")
 def missed(number: int) -> Iterable[Delivery]:
     """A cycle in which the command of `c2/d` never came."""
     return cycle(number, MISSED, {"production": ("c2/d/command",)})
-
-
-def floor_times() -> tuple[FloorTimes, ...]:
-    """A timer that woke twice, and a round trip that was not measured."""
-    durations = Durations()
-    for late_us in (50, 250):
-        durations.add(late_us * 1_000)
-    timer = FloorTimes("timer", durations.distribution())
-    return timer, FloorTimes("Zenoh round trip", None, "not measured: no answer")
 
 
 def summary_of(
@@ -57,7 +35,6 @@ def summary_of(
             {"late": dropped} if dropped else {},
             40.0,
             cpu_s=1.0,
-            voluntary_switches=7,
         )
         for agent in plan.tree.agents()
         if agent not in plan.external
@@ -93,11 +70,10 @@ def reported(
     dropped: int = 0,
     plan: RunPlan = PLAN,
     by_agent: bool = False,
-    floor: tuple[FloorTimes, ...] = (),
 ) -> Reported:
     """A report on these cycles (default: two good ones) against the budgets of a TOML table."""
     folder.mkdir(exist_ok=True)
     scenario = f"{SCENARIO}[timing.budgets]\n{budgets}\n"
     recorded(folder, *(cycles or (cycle(0), cycle(1))), plan=plan, scenario=scenario)
     summary = summary_of(folder, plan, lost=lost, dropped=dropped)
-    return report_on(folder, summary, HOST, floor, by_agent=by_agent)
+    return report_on(folder, summary, LOAD, by_agent=by_agent)

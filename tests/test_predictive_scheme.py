@@ -20,7 +20,7 @@ from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import ScenarioFile, load_scenario
 from studies.arrays.schemes import ReferenceGroups, run_scheme
 from studies.compare.cases import cases, parse_setting
-from studies.compare.study import CaseResult, Comparison, run_cases
+from studies.compare.study import CaseResult, Comparison, run_case
 from studies.metrics import run_metrics
 
 COMPARISON = Comparison(("grouping", "paper", "predictive"))
@@ -33,7 +33,7 @@ def study(
 ) -> Sequence[CaseResult]:
     words = [parse_setting(text) for text in (*settings, *SETTINGS)]
     found = cases(scenario, options or RunOptions(), words)
-    return [result for _, result in run_cases(found, COMPARISON)]
+    return [run_case(COMPARISON, case) for case in found]
 
 
 DEAREST = 3.4

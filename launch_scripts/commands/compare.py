@@ -1,211 +1,212 @@
 """`heliarch compare`: control schemes side by side, on one day or on many."""
 
+# What does the work is imported when it runs: `--help` does not wait for it.
+# ruff: noqa: PLC0415
+
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Annotated, Final
 
-import msgspec
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+import typer
 
 from bus_schemas.errors import InputError
-from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
-from launch_scripts.launcher.json_rows import check_json_destination
-from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
-from launch_scripts.scenarios.scenario import load_scenario
-from recordings.read.series import RunSeries
-from recordings.read.whole_file import whole_file
-from studies.arrays.schemes import DEFAULT_SCHEMES, SCHEMES, ReferenceGroups
-from studies.compare.cases import Case, cases, parse_days, parse_seeds, parse_setting
-from studies.compare.study import (
-    CaseResult,
-    Comparison,
-    SchemeResult,
-    WorkerLost,
-    remarks_of,
-    results_of,
-    run_cases,
+from launch_scripts.commands.options import (
+    DataOption,
+    DurationOption,
+    EndOption,
+    JsonOption,
+    ReportOption,
+    ScenarioArgument,
+    StartOption,
+    WorkersOption,
 )
-from studies.compare.tables import (
-    FIGURES,
-    commitment_table,
-    pivot_table,
-    regulation_table,
-    rows,
-    summary_table,
-)
-from studies.report.metrics_tables import metrics_tables
-from studies.report.run_report import check_destination, write_report
+from launch_scripts.commands.output import counted, say, write_json
+from studies.tables import console_for, print_table
 
-_LISTED: Final = 40
-"""Up to so many cases each has its row; of more, the mean and the extremes are shown."""
+if TYPE_CHECKING:
+    from rich.console import Console
 
-_MOST_WORKERS: Final = 256
-_PIPE_WIDTH: Final = 120
+    from studies.arrays.schemes import ReferenceGroups
+    from studies.compare.cases import Case
+    from studies.compare.study import CaseResult, Comparison
+
+EXAMPLE: Final = "heliarch compare oahu --set commitment.share=0.3,0.45 --seeds 1..10"
+PAGE_NAME: Final = "compare.html"
 
 
-@dataclass(frozen=True, slots=True)
-class CompareRequest:
-    """The words of the command line, None where the user said nothing."""
+def compare(
+    scenario: ScenarioArgument = "oahu-day",
+    start: StartOption = None,
+    end: EndOption = None,
+    duration: DurationOption = None,
+    days: Annotated[
+        str | None,
+        typer.Option(help="Dates, such as 2010-04-01..2010-04-30.", metavar="DATES"),
+    ] = None,
+    seeds: Annotated[
+        str | None, typer.Option(help="Seeds of synthetic clouds, such as 1..5,9.", metavar="SEEDS")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            help="A field of the scenario and its values; each combination is a case.",
+            metavar="FIELD=VALUES",
+        ),
+    ] = None,
+    schemes: Annotated[
+        str | None,
+        typer.Option(
+            help="Control schemes, with commas: uncontrolled, uniform-cap, grouping, paper, "
+            "predictive, physical-limit. Default all.",
+            metavar="NAMES",
+        ),
+    ] = None,
+    reference: Annotated[
+        str | None,
+        typer.Option(
+            help="Reference groups of grouping control: sizes (1,4,8), or inverters (inv01,inv07).",
+            metavar="GROUPS",
+        ),
+    ] = None,
+    show: Annotated[
+        str,
+        typer.Option(
+            help="Figure of merit to show of many cases: satisfied, shortfall, unavoidable, "
+            "control-caused, over-delivered, rmse, mae, mileage, ramp, above-ramp-limit, regd, "
+            "score, or another name of those in the JSON.",
+            metavar="FIGURE",
+        ),
+    ] = "control-caused",
+    workers: WorkersOption = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Dask scheduler that shares the cases.", metavar="ADDRESS")
+    ] = None,
+    data: DataOption = None,
+    report: ReportOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Put control schemes side by side: the paper's tables, for any day or for many.
 
-    scenario: str
-    start: str | None
-    duration: str | None
-    days: str | None
-    seeds: str | None
-    settings: Sequence[str]
-    schemes: str | None
-    reference: str | None
-    show: str
-    agents: bool
-    workers: int
-    scheduler: str | None
-    data: Path | None
-    report: Path | None
-    json: str | None
+    Of one case, --report writes a page, compare.html by default.
+    """
+    from launch_scripts.scenarios.preparation import RunOptions
+    from launch_scripts.scenarios.scenario import load_scenario
+    from studies.compare.cases import cases, parse_days, parse_seeds, parse_setting
+    from studies.compare.study import Comparison
+    from studies.compare.tables import json_rows
+    from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
 
-
-def compare(request: CompareRequest) -> int:
-    """Compare what was asked for and print the tables. Returns the exit status."""
-    console = _console(to_stderr=request.json == "-")
-    try:
-        comparison, found = _plan(request)
-        if len(found) == 1:
-            results = [_one(found[0], comparison, request.report, console)]
-        else:
-            results = _many(found, comparison, request, console)
-        _write_rows(results, request.json)
-    except (InputError, OSError) as error:
-        return complain(error, BAD_INPUT)
-    except WorkerLost as error:
-        return complain(error, FAILED)
-    except KeyboardInterrupt:
-        return complain("interrupted", INTERRUPTED)
-    return OK
-
-
-def _console(*, to_stderr: bool) -> Console:
-    """Return a console on which the tables keep their columns, also in a pipe."""
-    console = Console(stderr=to_stderr)
-    return console if console.is_terminal else Console(stderr=to_stderr, width=_PIPE_WIDTH)
-
-
-def _plan(request: CompareRequest) -> tuple[Comparison, list[Case]]:
-    if request.show not in FIGURES:
-        raise InputError(f"--show {request.show}: accepted are {', '.join(FIGURES)}")
-    if not 1 <= request.workers <= _MOST_WORKERS:
-        raise InputError(f"--workers {request.workers}: accepted are 1 to {_MOST_WORKERS}")
-    check_json_destination(request.json)
-    if request.report is not None:
-        check_destination(request.report)
+    if show not in FIGURES_OF_MERIT:
+        raise InputError(f"--show: expected one of {', '.join(FIGURES_OF_MERIT)}, got {show}")
     found = cases(
-        load_scenario(request.scenario, request.data),
-        RunOptions(request.start, request.duration),
-        [parse_setting(text) for text in request.settings],
-        parse_days(request.days) if request.days else (),
-        parse_seeds(request.seeds) if request.seeds else (),
+        load_scenario(scenario, data),
+        RunOptions(start, duration, end=end),
+        [parse_setting(text) for text in settings or ()],
+        parse_days(days) if days else (),
+        parse_seeds(seeds) if seeds else (),
     )
-    if request.scheduler is not None and len(found) == 1:
-        raise InputError("--scheduler: accepted with more than one case, there is one")
-    if request.report is not None and len(found) > 1:
-        raise InputError(f"--report: accepted with one case, the study has {len(found):,}")
-    return Comparison(_schemes(request.schemes), _groups(request.reference), request.agents), found
+    if scheduler is not None and len(found) == 1:
+        raise InputError("--scheduler: expected more than one case, got one")
+    if report is not None and len(found) > 1:
+        raise InputError(f"--report: expected one case, got {len(found):,}")
+    comparison = Comparison(chosen_schemes(schemes), _groups(reference))
+    console = console_for(json)
+    if len(found) == 1:
+        page = None if report is None else Path(report or PAGE_NAME)
+        results = [_one(found[0], comparison, page, console)]
+    else:
+        results = _many(found, comparison, workers, scheduler, console)
+        _print_many(results, show, console)
+    write_json(json_rows(results), json)
 
 
-def _schemes(text: str | None) -> tuple[str, ...]:
+def chosen_schemes(text: str | None) -> tuple[str, ...]:
+    """Return the schemes of a text with commas; of None all."""
+    from studies.arrays.schemes import SCHEMES
+
     if text is None:
-        return DEFAULT_SCHEMES
+        return tuple(SCHEMES)
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
     for name in names:
         if name not in SCHEMES:
-            raise InputError(f"--schemes {name}: accepted are {', '.join(SCHEMES)}")
+            raise InputError(f"--schemes: expected {', '.join(SCHEMES)}, got {name}")
     return names
 
 
 def _groups(text: str | None) -> ReferenceGroups:
+    from studies.arrays.schemes import ReferenceGroups
+
     if text is None:
         return ReferenceGroups()
-    words = tuple(word.strip() for word in text.split(","))
-    if not all(words):
-        raise InputError(f"--reference {text!r}: accepted are sizes (1,4,8) or inverters")
-    if all(word.isdecimal() for word in words):
-        return ReferenceGroups(sizes=tuple(int(word) for word in words))
-    return ReferenceGroups(members=words)
+    names = tuple(name.strip() for name in text.split(","))
+    if not all(names):
+        raise InputError(f"--reference: expected sizes (1,4,8) or inverters, got {text!r}")
+    if all(name.isdecimal() for name in names):
+        return ReferenceGroups(sizes=tuple(int(name) for name in names))
+    return ReferenceGroups(members=names)
 
 
-def _one(case: Case, comparison: Comparison, report: Path | None, console: Console) -> CaseResult:
-    """Run one case and print the paper's tables; write a report of it if asked for."""
+def _one(case: Case, comparison: Comparison, page: Path | None, console: Console) -> CaseResult:
+    """Run one case and print the paper's tables; write a page of it if asked for."""
+    from launch_scripts.scenarios.preparation import prepare
+    from studies.compare.study import CaseResult, SchemeResult, remarks_of, results_of
+    from studies.compare.tables import case_tables
+    from studies.report.metrics_tables import metrics_tables
+    from studies.report.run_report import write_report
+
     preparation = prepare(case.scenario, case.options, "compare")
-    for line in remarks_of(preparation):
-        console.print(line, highlight=False)
+    remarks = remarks_of(preparation)
     found = list(results_of(preparation, comparison))
+    say(console, *remarks)
     schemes = tuple(SchemeResult(label, metrics) for label, metrics, _ in found)
-    title = f"{preparation.plan.plant} from {preparation.local_start()}, {_length(preparation)}"
-    console.print(commitment_table(title, schemes))
-    regulation = regulation_table(schemes)
-    if regulation is not None:
-        console.print(regulation)
-    if report is not None:
-        _write_report(report, title, [series for _, _, series in found], preparation)
-        console.print(f"report: {report}", highlight=False, soft_wrap=True)
-    return CaseResult(case.label, schemes, 0.0, 0.0, remarks_of(preparation))
-
-
-def _length(preparation: Preparation) -> str:
     plan = preparation.plan
-    return f"{plan.cycles:,} cycles of {plan.cycle_ns / 1e9:g} s, actuator {plan.actuator}"
-
-
-def _write_report(
-    path: Path, title: str, series: Sequence[RunSeries], preparation: Preparation
-) -> None:
-    notes = [f"Scenario: {preparation.scenario.scenario.title}.", *remarks_of(preparation)]
-    write_report(path, title, series, metrics_tables(series), notes)
+    title = (
+        f"{plan.plant} from {preparation.local_start()}, {plan.cycles:,} cycles of "
+        f"{plan.cycle_ns / 1e9:g} s, actuator {plan.actuator}"
+    )
+    for table in case_tables(title, schemes):
+        print_table(console, table)
+    if page is not None:
+        notes = [f"Scenario: {preparation.scenario.scenario.title}.", *remarks]
+        series = [one for _, _, one in found]
+        write_report(page, title, series, metrics_tables(series), notes)
+        say(console, f"report: {page}")
+    return CaseResult(case.label, schemes, 0.0, 0.0, remarks)
 
 
 def _many(
-    found: Sequence[Case], comparison: Comparison, request: CompareRequest, console: Console
+    found: Sequence[Case],
+    comparison: Comparison,
+    workers: int,
+    scheduler: str | None,
+    console: Console,
 ) -> list[CaseResult]:
-    """Run many cases with a progress bar and print one figure of them."""
-    results: dict[int, CaseResult] = {}
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task("cases", total=len(found))
-        for number, result in run_cases(
-            found, comparison, workers=request.workers, scheduler=request.scheduler
-        ):
-            results[number] = result
-            progress.advance(task)
-    ordered = [results[number] for number in sorted(results)]
-    for line in dict.fromkeys(line for result in ordered for line in result.remarks):
-        console.print(line, highlight=False)
-    table = pivot_table if len(ordered) <= _LISTED else summary_table
-    console.print(table(request.show, ordered))
-    prepare_s = sum(result.prepare_s for result in ordered)
-    run_s = sum(result.run_s for result in ordered)
-    console.print(
+    """Run many cases with a progress bar; return their results in order."""
+    from studies.compare.study import run_case
+    from studies.workers import share_over_cluster, share_work
+
+    run = partial(run_case, comparison)
+    if scheduler is not None:
+        shared = share_over_cluster(run, found, scheduler)
+    else:
+        shared = share_work(run, found, workers)
+    results = dict(counted(shared, "cases", len(found), console))
+    return [results[number] for number in sorted(results)]
+
+
+def _print_many(results: Sequence[CaseResult], show: str, console: Console) -> None:
+    from studies.compare.tables import cases_table
+
+    say(console, *dict.fromkeys(line for result in results for line in result.remarks))
+    print_table(console, cases_table(show, results))
+    prepare_s = sum(result.prepare_s for result in results)
+    run_s = sum(result.run_s for result in results)
+    say(
+        console,
         f"sky and market took {prepare_s:.1f} s, the schemes and their figures {run_s:.1f} s, "
         "added up over all cases",
-        highlight=False,
     )
-    return ordered
-
-
-def _write_rows(results: Sequence[CaseResult], json: str | None) -> None:
-    if json is None:
-        return
-    document = msgspec.json.format(msgspec.json.encode(rows(results)), indent=1)
-    if json == "-":
-        sys.stdout.write(document.decode() + "\n")
-        return
-    with whole_file(Path(json)) as file:
-        file.write(document + b"\n")

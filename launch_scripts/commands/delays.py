@@ -1,35 +1,40 @@
-"""`heliarch timing --study`: how much delay and loss the control survives."""
+"""`heliarch delays`: how much delay and loss the control survives."""
+
+# What does the work is imported when it runs: `--help` does not wait for it.
+# ruff: noqa: PLC0415
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
-import msgspec
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+import typer
 
 from bus_schemas.errors import InputError
-from bus_schemas.times import parse_duration_s
-from launch_scripts.commands.termination import Termination
-from launch_scripts.exit_status import FAILED, INTERRUPTED, OK, complain
-from launch_scripts.launcher.json_rows import check_json_destination
-from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
-from launch_scripts.scenarios.scenario import load_scenario
-from studies.compare.cases import cases, parse_setting
-from studies.compare.study import remarks_of
-from studies.delays.page import study_page
-from studies.delays.study import (
-    WARM_UP_S,
-    Outcome,
-    conditions,
-    run_study_over,
+from launch_scripts.commands.options import (
+    DataOption,
+    DurationOption,
+    EndOption,
+    JsonOption,
+    ReportOption,
+    SeedOption,
+    SettingsOption,
+    StartOption,
+    WorkersOption,
 )
-from studies.delays.table import counted_s, print_study
-from studies.timing.written_files import concluded, write_files
+from launch_scripts.commands.output import counted, say, write_json, write_page
+from studies.tables import console_for
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from launch_scripts.scenarios.preparation import Preparation, RunOptions
+    from launch_scripts.scenarios.scenario import ScenarioFile
+    from studies.delays.study import Outcome
+
+EXAMPLE: Final = "heliarch delays oahu --from 12:30 --duration 20m --report"
+PAGE_NAME: Final = "delays.html"
 
 DEFAULT_SCENARIO: Final = "oahu-day"
 DEFAULT_START: Final = "11:58"
@@ -37,168 +42,90 @@ DEFAULT_DURATION: Final = "62m"
 DEFAULT_SETTINGS: Final = ("commitment.share=0.6",)
 """At the scenario's own share, 0.8, the clouds take more than control ever could."""
 
-_MOST_WORKERS: Final = 256
 
+def delays(
+    scenario: Annotated[
+        str | None,
+        typer.Argument(
+            help="A shipped scenario or a TOML file; default the hour from noon of oahu-day, with "
+            "a commitment of 0.6 of what is possible.",
+            show_default=False,
+        ),
+    ] = None,
+    start: StartOption = None,
+    end: EndOption = None,
+    duration: DurationOption = None,
+    seed: SeedOption = None,
+    settings: SettingsOption = None,
+    workers: WorkersOption = 2,
+    data: DataOption = None,
+    report: ReportOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Show how much delay and loss the control survives, and how slow a central controller.
 
-@dataclass(frozen=True, slots=True)
-class StudyRequest:
-    """The words of the command line, None where the user said nothing.
-
-    Without a scenario it is the hour from noon of `oahu-day`, with a commitment of 0.6 of what is
-    possible. `page` is the HTML page to write.
+    Runs in memory, each scheme with delays and losses of its own. --report writes delays.html by
+    default.
     """
+    from launch_scripts.scenarios.preparation import RunOptions
+    from launch_scripts.scenarios.scenario import load_scenario
+    from studies.compare.cases import with_settings
+    from studies.compare.study import remarks_of
+    from studies.delays.page import study_page
+    from studies.delays.tables import print_study
 
-    scenario: str | None = None
-    start: str | None = None
-    duration: str | None = None
-    seed: int | None = None
-    settings: tuple[str, ...] = ()
-    data: Path | None = None
-    workers: int = 2
-    json: str | None = None
-    page: Path | None = None
-
-
-class _StudyDocument(msgspec.Struct, frozen=True, kw_only=True):
-    """The study for machines."""
-
-    scenario: str
-    start: str
-    cycles: int
-    cycle_s: float
-    settings: tuple[str, ...]
-    remarks: tuple[str, ...]
-    outcomes: tuple[Outcome, ...]
-
-
-def run_study(request: StudyRequest, console: Console, termination: Termination) -> int:
-    """Run the study that was asked for and print its tables. Returns the exit status.
-
-    Raises
-    ------
-    InputError
-        It cannot be.
-    """
-    request, preparation = _prepared(request)
-    try:
-        outcomes = _run(preparation, request.workers, console)
-    except BrokenProcessPool:
-        if termination.number is not None:  # `timeout` sends its signal to the workers, too.
-            return complain("interrupted", INTERRUPTED)
-        return complain("a worker was killed, often for a lack of memory: fewer --workers", FAILED)
-    with termination.held():
-        unwritten = write_files(
-            request.json,
-            lambda: _document(request, preparation, outcomes),
-            request.page,
-            lambda: study_page(preparation, outcomes),
-        )
-        print_study(preparation, outcomes, console)
-    return concluded(OK, unwritten)
+    changes = tuple(settings or ())
+    if scenario is None:
+        scenario, start = DEFAULT_SCENARIO, start or DEFAULT_START
+        changes = (*DEFAULT_SETTINGS, *changes)
+        if end is None:
+            duration = duration or DEFAULT_DURATION
+    console = console_for(json)
+    changed = with_settings(load_scenario(scenario, data), changes)
+    preparation = _prepared(changed, RunOptions(start, duration, seed=seed, end=end))
+    outcomes = _outcomes(preparation, workers, console)
+    print_study(preparation, outcomes, console)
+    if report is not None:
+        page = Path(report or PAGE_NAME)
+        write_page(study_page(preparation, outcomes), page)
+        say(console, f"report: {page}")
+    document: dict[str, Any] = {
+        "scenario": preparation.plan.plant,
+        "start": preparation.local_start(),
+        "cycles": preparation.plan.cycles,
+        "cycle_s": preparation.plan.cycle_ns / 1e9,
+        "settings": changes,
+        "remarks": remarks_of(preparation),
+        "outcomes": outcomes,
+    }
+    write_json(document, json)
 
 
-def _prepared(request: StudyRequest) -> tuple[StudyRequest, Preparation]:
-    try:
-        request = _with_defaults(request)
-        return request, _prepare(request)
-    except OSError as error:
-        # A file that may not be read, or a name that no file can have.
-        raise InputError(str(error)) from None
+def _prepared(scenario: ScenarioFile, options: RunOptions) -> Preparation:
+    """Work out the run; refuse one of which nothing would count."""
+    from launch_scripts.scenarios.preparation import prepare
+    from studies.delays.study import WARM_UP_S
 
-
-def _with_defaults(request: StudyRequest) -> StudyRequest:
-    if not 1 <= request.workers <= _MOST_WORKERS:
-        raise InputError(f"--workers {request.workers}: accepted are 1 to {_MOST_WORKERS}")
-    if request.duration is not None:
-        _check_duration(request.duration)
-    check_json_destination(request.json)
-    if request.page is not None:
-        _check_page(request.page)
-    if request.scenario is not None:
-        return request
-    return StudyRequest(
-        DEFAULT_SCENARIO,
-        request.start or DEFAULT_START,
-        request.duration or DEFAULT_DURATION,
-        request.seed,
-        DEFAULT_SETTINGS + request.settings,
-        request.data,
-        request.workers,
-        request.json,
-        request.page,
-    )
-
-
-def _check_duration(duration: str) -> None:
-    """Refuse a study of which nothing would count, before its weather is worked out."""
-    if parse_duration_s(duration, "--duration") <= WARM_UP_S:
-        raise InputError(
-            f"--duration {duration}: accepted for a study is more than the {WARM_UP_S:g} s at the "
-            "beginning of each run that do not count"
-        )
-
-
-def _check_page(path: Path) -> None:
-    """Refuse a place where no page can be written; folders that are not there are made later."""
-    existing = next(folder for folder in path.absolute().parents if folder.exists())
-    if path.is_dir() or not existing.is_dir():
-        raise InputError(f"report {path}: accepted is a file in a folder, {existing} is none")
-
-
-def _prepare(request: StudyRequest) -> Preparation:
-    settings = [parse_setting(text) for text in request.settings]
-    for setting, text in zip(settings, request.settings, strict=True):
-        if len(setting.values) > 1:
-            raise InputError(f"--set {text}: accepted is one value for a study")
-    (case,) = cases(
-        load_scenario(request.scenario or DEFAULT_SCENARIO, request.data),
-        RunOptions(request.start, request.duration, seed=request.seed),
-        settings,
-    )
-    preparation = prepare(case.scenario, case.options, "study")
+    preparation = prepare(scenario, options, "delays")
     if preparation.plan.faults:
+        raise InputError(f"{scenario.path} faults: expected none, this study has its own")
+    length_s = preparation.plan.cycles * preparation.plan.cycle_ns / 1e9
+    if length_s <= WARM_UP_S:
         raise InputError(
-            f"{case.scenario.path}: faults, accepted for a study is a scenario without: it brings "
-            "its own"
-        )
-    if preparation.plan.cycles * preparation.plan.cycle_ns <= WARM_UP_S * 1e9:
-        raise InputError(
-            f"a run of {preparation.plan.cycles:,} cycles, accepted for a study is one of more "
-            f"than the {WARM_UP_S:g} s that do not count"
+            f"--duration: expected more than the {WARM_UP_S:g} s at the beginning of each run "
+            f"that do not count, got {length_s:g} s"
         )
     return preparation
 
 
-def _run(preparation: Preparation, workers: int, console: Console) -> list[Outcome]:
+def _outcomes(preparation: Preparation, workers: int, console: Console) -> list[Outcome]:
+    from studies.delays.study import conditions, run_under
+    from studies.delays.tables import counted_s
+    from studies.workers import share_work
+
     plan = preparation.plan
     correction = preparation.scenario.scenario.control.correction
     chosen = conditions(plan.cycle_ns / 1e9, counted_s(preparation), correction)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
-    found: dict[int, Outcome] = {}
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task("runs", total=len(chosen))
-        for number, outcome in run_study_over(plan, preparation.profile, chosen, workers):
-            found[number] = outcome
-            progress.advance(task)
+    shared = share_work(partial(run_under, plan, preparation.profile), chosen, workers)
+    found = dict(counted(shared, "runs", len(chosen), console))
     return [found[number] for number in sorted(found)]
-
-
-def _document(
-    request: StudyRequest, preparation: Preparation, outcomes: Sequence[Outcome]
-) -> bytes:
-    plan = preparation.plan
-    document = _StudyDocument(
-        scenario=plan.plant,
-        start=preparation.local_start(),
-        cycles=plan.cycles,
-        cycle_s=plan.cycle_ns / 1e9,
-        settings=request.settings,
-        remarks=remarks_of(preparation),
-        outcomes=tuple(outcomes),
-    )
-    return msgspec.json.format(msgspec.json.encode(document), indent=1)

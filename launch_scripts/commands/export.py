@@ -1,136 +1,106 @@
 """`heliarch export`: a recording as a file for viewers, or as tables."""
 
+# What does the work is imported when it runs: `--help` does not wait for it.
+# ruff: noqa: PLC0415
+
 from __future__ import annotations
 
-import sys
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
-import msgspec
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-from rich.table import Table
+import typer
 
 from bus_schemas.errors import InputError
-from bus_schemas.signals import SIGNALS
-from launch_scripts.commands.termination import leaving_on_sigterm
-from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
-from launch_scripts.launcher.json_rows import check_json_destination
-from recordings.export.exporting import FORMS, ExportSummary, Form, default_path, export
-from recordings.export.records import Selection
-from recordings.export.unfinished import check_new
-from recordings.export.viewer_file import CLOCKS, Clock
-from recordings.read.damage import damage_text
-from recordings.read.reader import RunReader
-from recordings.read.selection import find_nodes, find_signals
+from launch_scripts.commands.boundary import OK, complain
+from launch_scripts.commands.options import (
+    FirstOption,
+    JsonOption,
+    LastOption,
+    NodesOption,
+    RunArgument,
+    SignalsOption,
+)
+from launch_scripts.commands.output import progress_bar, say, write_json
+from studies.tables import console_for
 
-RECORDED: Final = tuple(row for row in SIGNALS if row.logged)
+if TYPE_CHECKING:
+    from rich.console import Console
 
+    from recordings.export.exporting import ExportSummary, Selection
+    from recordings.read.reader import RunReader
 
-@dataclass(frozen=True, slots=True)
-class ExportRequest:
-    """The words of the command line, None where the user said nothing."""
-
-    run: Path
-    to: str
-    out: Path | None
-    signals: str | None
-    nodes: str | None
-    start: str | None
-    end: str | None
-    clock: str | None
-    json: str | None
+EXAMPLE: Final = "heliarch export runs/oahu-20261121-120000-4711 --format csv --nodes c1/*"
 
 
-def run_export(request: ExportRequest) -> int:
-    """Export what was asked for and say what it came to. Returns the exit status."""
-    # With the JSON on standard output, nothing else may go there.
-    console = Console(stderr=request.json == "-")
-    try:
-        summary, damage = _export(request)
-    except InputError as error:
-        return complain(str(error), BAD_INPUT)
-    except OSError as error:
-        return complain(f"export: {error}; nothing is left of it", FAILED)
-    except KeyboardInterrupt:
-        return complain("interrupted; nothing is left of the export", INTERRUPTED)
-    _print(summary, console)
-    try:
-        _write_json(summary, request.json)
-    except OSError as error:
-        return complain(f"--json: {error}", FAILED)
-    if damage:
-        sys.stderr.write(f"heliarch: {damage}\n")
-    return OK
+def export(
+    run: RunArgument,
+    form: Annotated[
+        Literal["json-mcap", "parquet", "csv"],
+        typer.Option("--format", help="json-mcap is for Foxglove and Lichtblick."),
+    ],
+    start: FirstOption = None,
+    end: LastOption = None,
+    nodes: NodesOption = None,
+    signals: SignalsOption = None,
+    clock: Annotated[
+        Literal["wall", "sim"] | None,
+        typer.Option(
+            help="Times that a viewer of json-mcap shows: wall, as recorded (the default), or "
+            "sim, those of the plant."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="The new file, or folder of tables; default beside the recording.", metavar="PATH"
+        ),
+    ] = None,
+    json: JsonOption = None,
+) -> int:
+    """Make a file for viewers, or tidy tables, of a recording."""
+    from recordings.export.exporting import default_path
+    from recordings.export.exporting import export as export_run
+    from recordings.read.damage import damage_text
+    from recordings.read.reader import RunReader
+    from recordings.read.whole_file import check_new
 
-
-def _export(request: ExportRequest) -> tuple[ExportSummary, str]:
-    """Export; return what it came to, and what of the recording is damaged."""
-    form, clock = _form(request.to), _clock(request)
-    check_json_destination(request.json)
-    with RunReader(request.run, skip_damaged=True) as reader, leaving_on_sigterm():
-        path = request.out or default_path(reader.path, form)
+    if clock is not None and form != "json-mcap":
+        raise InputError(f"--clock: expected --format json-mcap with it, got {form}")
+    with RunReader(run, skip_damaged=True) as reader:
+        path = out or default_path(reader.path, form)
         check_new(path)
-        selection = _selection(request, reader)
-        with _progress(f"{form} {path.name}") as bar:
-            task = bar.add_task("", total=1.0)
-            summary = export(
-                reader,
-                form,
-                path,
-                selection,
-                clock,
-                lambda share: bar.update(task, completed=share),
-            )
-        return summary, damage_text(reader)
+        selection = _selection(reader, signals, nodes, start, end)
+        with progress_bar(f"{form} {path.name}") as follow:
+            summary = export_run(reader, form, path, selection, clock or "wall", follow)
+        damage = damage_text(reader)
+    _print(summary, console_for(json))
+    write_json(summary, json)
+    return complain(damage, OK) if damage else OK
 
 
-def _form(text: str) -> Form:
-    for form in FORMS:
-        if form == text:
-            return form
-    raise InputError(f"--to {text}: accepted are {', '.join(FORMS)} (the last moment is --until)")
+def _selection(
+    reader: RunReader, signals: str | None, nodes: str | None, start: str | None, end: str | None
+) -> Selection:
+    from bus_schemas.signals import SIGNALS
+    from recordings.export.exporting import Selection
+    from recordings.read.selection import find_nodes, find_signals
 
-
-def _clock(request: ExportRequest) -> Clock:
-    if request.clock is None:
-        return "wall"
-    if request.to != "json-mcap":
-        raise InputError(f"--clock: accepted with --to json-mcap, this is --to {request.to}")
-    for clock in CLOCKS:
-        if clock == request.clock:
-            return clock
-    raise InputError(f"--clock {request.clock}: accepted are {', '.join(CLOCKS)}")
-
-
-def _selection(request: ExportRequest, reader: RunReader) -> Selection:
-    wanted = find_signals(_names(request.signals)) or RECORDED
-    signals = tuple(row for row in RECORDED if row in wanted)
-    nodes = find_nodes(reader.plan.tree, _names(request.nodes))
-    if request.start is None and request.end is None:
-        return Selection(signals, nodes)
-    return Selection(signals, nodes, reader.clock.span(request.start, request.end))
+    recorded = tuple(row for row in SIGNALS if row.logged)
+    wanted = find_signals(_names(signals)) or recorded
+    rows = tuple(row for row in recorded if row in wanted)
+    found = find_nodes(reader.plan.tree, _names(nodes))
+    if start is None and end is None:
+        return Selection(rows, found)
+    return Selection(rows, found, reader.clock.span(start, end))
 
 
 def _names(text: str | None) -> list[str]:
     return [] if text is None else [name.strip() for name in text.split(",")]
 
 
-def _progress(title: str) -> Progress:
-    console = Console(stderr=True)
-    return Progress(
-        TextColumn(title, markup=False),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
-
-
 def _print(summary: ExportSummary, console: Console) -> None:
+    from rich.table import Table
+
     tables = summary.form != "json-mcap"
     table = Table("table" if tables else "signal")
     table.add_column("rows" if tables else "messages", justify="right")
@@ -140,30 +110,16 @@ def _print(summary: ExportSummary, console: Console) -> None:
         size = [f"{part.size_bytes / 1e6:,.2f} MB"] if tables else []
         table.add_row(part.name, f"{part.rows:,}", *size)
     console.print(table)
-    lines = [
-        f"{summary.messages:,} messages{_extent(summary)} in {summary.wall_s:.1f} s, "
-        f"{summary.size_bytes / 1e6:,.1f} MB"
-    ]
+    extent = ""
+    if summary.first_cycle is not None:
+        extent = f", cycles {summary.first_cycle} to {summary.last_cycle},"
+    say(
+        console,
+        f"{summary.messages:,} messages{extent} in {summary.wall_s:.1f} s, "
+        f"{summary.size_bytes / 1e6:,.1f} MB",
+    )
     if not summary.whole:
-        lines.append("the recording was cut short, or is still written: this is what it holds")
+        say(console, "the recording was cut short, or is still written: this is what it holds")
     if summary.left_out:
-        lines.append(f"{summary.left_out:,} fields left out: JSON has neither NaN nor infinity")
-    lines.append(f"{summary.form}: {summary.path}")
-    for line in lines:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
-
-
-def _extent(summary: ExportSummary) -> str:
-    if summary.first_cycle is None:
-        return ""
-    return f", cycles {summary.first_cycle} to {summary.last_cycle},"
-
-
-def _write_json(summary: ExportSummary, json: str | None) -> None:
-    if json is None:
-        return
-    document = msgspec.json.format(msgspec.json.encode(summary), indent=1)
-    if json == "-":
-        sys.stdout.write(document.decode() + "\n")
-    else:
-        Path(json).write_bytes(document + b"\n")
+        say(console, f"{summary.left_out:,} fields left out: JSON has neither NaN nor infinity")
+    say(console, f"{summary.form}: {summary.path}")

@@ -1,82 +1,86 @@
 """`heliarch recover`: a whole recording out of one that was cut."""
 
+# What does the work is imported when it runs: `--help` does not wait for it.
+# ruff: noqa: PLC0415
+
 from __future__ import annotations
 
-import sys
 import textwrap
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Annotated, Final
 
-import msgspec
-from rich.console import Console
+import typer
 
-from bus_schemas.errors import InputError
-from launch_scripts.commands.reading_progress import reading_progress
-from launch_scripts.commands.termination import leaving_on_sigterm
-from launch_scripts.exit_status import BAD_INPUT, INTERRUPTED, complain
-from launch_scripts.launcher.json_rows import check_json_destination
-from recordings.read.moments import RunClock
-from recordings.read.reader import NothingRecordedError, RunReader
-from recordings.record.recorder import FLUSH_S
-from recordings.recover import Recovery, is_sound, recover_run
+from launch_scripts.commands.boundary import FAILED, OK, complain
+from launch_scripts.commands.options import JsonOption, RunArgument
+from launch_scripts.commands.output import progress_bar, say, write_json
+from studies.tables import console_for
 
-WHOLE: Final = 0
-NOTHING: Final = 1
+if TYPE_CHECKING:
+    from recordings.read.reader import RunReader
+    from recordings.recover import Recovery
+
+EXAMPLE: Final = "heliarch recover runs/oahu-20261121-120000-4711 --out whole.mcap"
 LOSSY: Final = 3
 
 _WIDTH: Final = 100
 _SUFFIX: Final = ".recovered.mcap"
 
 
-def recover(path: Path, out: Path | None, json: str | None) -> int:
-    """Recover a recording and say what is missing. Returns the exit status.
+def recover(
+    run: RunArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="The new file; default run.recovered.mcap beside the recording.", metavar="FILE"
+        ),
+    ] = None,
+    json: JsonOption = None,
+) -> int:
+    """Make a whole recording of one that a crash or a full disk has cut.
 
-    Parameters
-    ----------
-    path
-        Folder of the run, or its MCAP file.
-    out
-        The new file; by default `run.recovered.mcap` beside the recording.
-    json
-        Where the result goes as JSON: a path, `-` for standard output, or None.
+    Exit status: 0 if nothing is missing, 3 if something is or may be,
+    1 if there is nothing to recover.
     """
-    console = Console(stderr=json == "-", soft_wrap=True, highlight=False, markup=False)
+    from recordings.read.reader import NothingRecordedError, RunReader
+
     try:
-        check_json_destination(json)
-        with RunReader(path) as run, leaving_on_sigterm():
-            return _recover(run, out or run.path.with_suffix(_SUFFIX), json, console)
+        with RunReader(run) as reader:
+            return _recover(reader, out or reader.path.with_suffix(_SUFFIX), json)
     except NothingRecordedError as error:
-        return complain(f"{error}: there is nothing to recover", NOTHING)
-    except InputError as error:
-        return complain(error, BAD_INPUT)
-    except OSError as error:
-        return complain(f"{error.filename or out or path}: {error.strerror}", NOTHING)
-    except KeyboardInterrupt:
-        return complain("interrupted", INTERRUPTED)
+        return complain(f"{error}: there is nothing to recover", FAILED)
 
 
-def _recover(run: RunReader, out: Path, json: str | None, console: Console) -> int:
-    with reading_progress("checking") as follow:
+def _recover(run: RunReader, out: Path, json: str | None) -> int:
+    import msgspec
+
+    from recordings.recover import is_sound, recover_run
+
+    console = console_for(json)
+    with progress_bar("checking") as follow:
         sound = is_sound(run, follow)
     if sound:
-        console.print(f"{run.path}: it is whole, there is nothing to recover")
-        document: dict[str, object] = {"source": str(run.path), "out": None, "lossless": True}
-        return _write_json(document, json, WHOLE)
-    with reading_progress("copying") as follow:
+        say(console, f"{run.path}: it is whole, there is nothing to recover")
+        write_json({"source": str(run.path), "out": None, "lossless": True}, json)
+        return OK
+    with progress_bar("copying") as follow:
         recovery = recover_run(run, out, follow)
     if not recovery.messages:
         out.unlink()
-        return complain(f"{run.path}: no message can be read, there is nothing to recover", NOTHING)
-    for line in _account(run, recovery):
-        console.print(textwrap.fill(line, _WIDTH, subsequent_indent="  ", break_long_words=False))
-    document = msgspec.to_builtins(recovery) | {"lossless": recovery.lossless}
-    return _write_json(document, json, WHOLE if recovery.lossless else LOSSY)
+        return complain(f"{run.path}: no message can be read, there is nothing to recover", FAILED)
+    for line in _lines(run, recovery):
+        say(console, textwrap.fill(line, _WIDTH, subsequent_indent="  ", break_long_words=False))
+    write_json(msgspec.to_builtins(recovery) | {"lossless": recovery.lossless}, json)
+    return OK if recovery.lossless else LOSSY
 
 
-def _account(run: RunReader, recovery: Recovery) -> Iterator[str]:
+def _lines(run: RunReader, recovery: Recovery) -> Iterator[str]:
     """Say what there is and what is missing."""
+    from recordings.read.moments import RunClock
+    from recordings.record.recorder import FLUSH_S
+
     yield f"recovered: {recovery.out}"
     clock = RunClock(run.plan, recovery.last_cycle)
     up_to = f" up to {clock.local(recovery.last_cycle):%Y-%m-%d %H:%M:%S}"
@@ -126,16 +130,3 @@ def _wall_time(time_ns: int) -> str:
         return f"{datetime.fromtimestamp(time_ns / 1e9).astimezone():%Y-%m-%d %H:%M:%S.%f %Z}"
     except (OverflowError, ValueError, OSError):
         return f"a time that is damaged ({time_ns:,} ns)"
-
-
-def _write_json(document: dict[str, object], json: str | None, status: int) -> int:
-    """Write the result; return the exit status, which is another if that fails."""
-    text = msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n"
-    try:
-        if json == "-":
-            sys.stdout.write(text.decode())
-        elif json is not None:
-            Path(json).write_bytes(text)
-    except OSError as error:
-        return complain(f"--json: {error}", NOTHING)
-    return status

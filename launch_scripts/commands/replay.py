@@ -1,108 +1,125 @@
-"""`heliarch replay`: from the command line's words to an exit status."""
+"""`heliarch replay`: a recording back on the bus, with or without live controllers."""
+
+# What does the work is imported when it runs: `--help` does not wait for it.
+# ruff: noqa: PLC0415
 
 from __future__ import annotations
 
+import re
 import sys
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import TextIO
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import typer
 
 from bus_schemas.errors import InputError
-from launch_scripts.commands.replay_live import replay_live
-from launch_scripts.commands.replay_request import ReplayRequest, check_request, requested_span
-from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
-from launch_scripts.launcher.interruption import interruptible
-from launch_scripts.launcher.supervision import RunFailure
-from recordings.replay.clock import PlaybackClock, RecordedSpacing, SimulatedSpacing, Spacing
-from recordings.replay.figures import (
-    ReplayFigures,
-    print_replay,
-    write_json,
+from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK
+from launch_scripts.commands.options import (
+    FirstOption,
+    JsonOption,
+    LastOption,
+    RunArgument,
+    SignalsOption,
 )
-from recordings.replay.keyboard import KEYS_IN_WORDS, Keyboard, has_keyboard, keyboard
-from recordings.replay.player import Played, Player
-from recordings.replay.progress import ProgressLine
-from recordings.replay.recorded_run import RecordedRun
-from recordings.replay.selection import select
-from recordings.replay.session import await_subscriber, introduce, replay_session
+from launch_scripts.commands.output import write_json
+
+EXAMPLE: Final = "heliarch replay runs/oahu-4711 --from 13:49:00 --pace 0.5"
+
+_ENDPOINT: Final = re.compile(r"tcp/[^/\s#?]+:\d{1,5}")
 
 
-def replay(request: ReplayRequest) -> int:
-    """Replay what was asked for and say what it came to. Returns the exit status."""
-    # With the JSON on standard output, nothing else may go there.
-    out = sys.stderr if request.json == "-" else sys.stdout
-    try:
-        check_request(request)
-        with RecordedRun(request.run) as recorded:
-            if request.live is not None:
-                return replay_live(request, recorded, out)
-            return _replay(request, recorded, out)
-    except InputError as error:
-        return complain(error, BAD_INPUT)
-    except RunFailure as error:
-        return complain(error, FAILED)
-    except KeyboardInterrupt:
-        return complain("interrupted", INTERRUPTED)
+def replay(
+    run: RunArgument,
+    start: FirstOption = None,
+    end: LastOption = None,
+    pace: Annotated[
+        str, typer.Option(help="Recorded seconds per second, or max.", metavar="PACE")
+    ] = "1",
+    clock: Annotated[
+        Literal["sim", "wall"] | None,
+        typer.Option(
+            help="sim: each cycle when it begins in simulated time (default after lockstep); wall: "
+            "each message when it was published (default after real time)."
+        ),
+    ] = None,
+    start_paused: Annotated[
+        bool, typer.Option("--start-paused", help="Wait for the space bar.")
+    ] = False,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    signals: SignalsOption = None,
+    exclude: Annotated[
+        str | None, typer.Option(help="All but these; clock too may be one.", metavar="NAMES")
+    ] = None,
+    wait: Annotated[bool, typer.Option("--wait", help="Begin when a subscriber is there.")] = False,
+    listen: Annotated[
+        str | None,
+        typer.Option(
+            help="Where subscribers connect: tcp/127.0.0.1:7447; default a free port.",
+            metavar="ENDPOINT",
+        ),
+    ] = None,
+    live: Annotated[
+        str | None,
+        typer.Option(
+            help="Controllers that run live, and are compared: c1/inv01,c2.", metavar="NODES"
+        ),
+    ] = None,
+    plan: Annotated[
+        Path | None,
+        typer.Option(help="Plan of the live controllers; default the run's.", metavar="FILE"),
+    ] = None,
+    json: JsonOption = None,
+) -> int:
+    """Put a recording back onto the bus, or let some agents of it run live.
 
+    In a terminal: space pauses and goes on, s steps one cycle, + and - change
+    the pace, arrows seek (left and right 10 s, up and down 1 min of simulated
+    time), q ends.
+    """
+    from launch_scripts.launcher.request import parse_pace
+    from recordings.read.reader import RunReader
+    from recordings.replay.keyboard import has_keyboard
+    from recordings.replay.live_run import LiveRequest, replay_live
+    from recordings.replay.playback_run import PlaybackRequest, replay_recording
 
-def _replay(request: ReplayRequest, recorded: RecordedRun, out: TextIO) -> int:
-    selection = select(recorded.plan, request.signals, request.exclude)
-    span = requested_span(request, recorded)
-    introduce(recorded, out)
-    progress = ProgressLine(out, recorded.plan)
-    with (
-        interruptible() as interruption,
-        replay_session(recorded, selection, request.namespace, request.listen, out) as session,
-        _announced_keyboard(out) as keys,
-    ):
-        player = Player(
-            recorded,
-            span,
-            selection,
-            session,
-            PlaybackClock(request.rate, paused=request.start_paused),
-            lambda: _spacing(request, recorded),
-            keys,
-            interruption,
-            progress,
-        )
-        if request.wait:
-            await_subscriber(session, interruption, out)
-        began_at = time.monotonic()
-        player.play(loop=request.loop)
-        wall_s = time.monotonic() - began_at
-        progress.close()
-    figures = _figures(request, recorded, player.played, wall_s, bool(interruption))
-    print_replay(figures, out)
-    write_json(figures, request.json)
-    return INTERRUPTED if interruption else OK
-
-
-@contextmanager
-def _announced_keyboard(out: TextIO) -> Iterator[Keyboard]:
-    with keyboard() as keys:
-        if has_keyboard():
-            out.write(f"{KEYS_IN_WORDS}\n")
-            out.flush()
-        yield keys
-
-
-def _spacing(request: ReplayRequest, recorded: RecordedRun) -> Spacing:
-    return RecordedSpacing() if request.clock == "wall" else SimulatedSpacing(recorded.plan)
-
-
-def _figures(
-    request: ReplayRequest, recorded: RecordedRun, played: Played, wall_s: float, interrupted: bool
-) -> ReplayFigures:
-    return ReplayFigures(
-        recorded.plan.run_id,
-        str(recorded.path),
-        played.messages,
-        played.cycles,
-        wall_s,
-        request.rate,
-        request.clock,
-        played.timing.figures(),
-        interrupted,
+    out = sys.stderr if json == "-" else sys.stdout
+    if listen is not None and not _ENDPOINT.fullmatch(listen):
+        raise InputError(f"--listen: expected an address such as tcp/127.0.0.1:7447, got {listen}")
+    if live is None and plan is not None:
+        raise InputError("--plan: expected --live with it: the live controllers run by this plan")
+    if start_paused and not has_keyboard():
+        raise InputError("--start-paused: expected a terminal, where space goes on")
+    if live is not None:
+        options = {
+            "--from": start, "--pace": pace != "1", "--clock": clock, "--loop": loop,
+            "--start-paused": start_paused, "--signals": signals, "--exclude": exclude,
+        }  # fmt: skip
+        _check_live(options)
+        with RunReader(run) as reader:
+            found = replay_live(LiveRequest(live, plan, end, wait, listen), reader, out)
+        write_json(found, json)
+        return INTERRUPTED if found.interrupted else FAILED if found.differing else OK
+    speed = parse_pace(pace)
+    request = PlaybackRequest(
+        start,
+        end,
+        speed if isinstance(speed, float) else 0.0,
+        clock,
+        start_paused,
+        loop,
+        signals,
+        exclude,
+        wait,
+        listen,
     )
+    with RunReader(run) as reader:
+        figures = replay_recording(request, reader, out)
+    write_json(figures, json)
+    return INTERRUPTED if figures.interrupted else OK
+
+
+def _check_live(options: Mapping[str, object]) -> None:
+    for option, given in options.items():
+        if given:
+            raise InputError(f"{option}: not possible with --live, which begins with the run")

@@ -1,236 +1,201 @@
-"""`heliarch timing`: from the command line's words to tables, JSON, page and exit status."""
+"""`heliarch timing`: whether a plant meets its deadlines in real time, and by how much."""
+
+# What does the work is imported when it runs: `--help` does not wait for it.
+# ruff: noqa: PLC0415
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Annotated, Final
 
-from rich.console import Console
+import typer
 
 from bus_schemas.errors import InputError
-from launch_scripts.commands.delays import StudyRequest, run_study
-from launch_scripts.commands.termination import Termination, terminable
-from launch_scripts.exit_status import BAD_INPUT, FAILED, INTERRUPTED, OK, complain
-from launch_scripts.launcher.json_rows import check_json_destination
-from launch_scripts.launcher.request import RunRequest
-from launch_scripts.launcher.run_folder import new_run_id, run_folder
-from launch_scripts.launcher.supervision import RunFailure
-from studies.timing.figure_tables import console_for
-from studies.timing.measured_run import measured_run, prepare_at, whole_cycles
-from studies.timing.page import PAGE_NAME, run_page, sweep_page
-from studies.timing.rates import Rates, parse_rates
-from studies.timing.report import Reported, TimingReport, report_on
-from studies.timing.sweep import Sweep, print_sweep, sweep
-from studies.timing.table import print_report
-from studies.timing.written_files import concluded, write_files
+from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK
+from launch_scripts.commands.options import (
+    ActuatorOption,
+    BasePortOption,
+    CpusOption,
+    DataOption,
+    ExternalOption,
+    ExternalTimeoutOption,
+    FaultOption,
+    JsonOption,
+    OutOption,
+    PriorityOption,
+    ReportOption,
+    SchemeOption,
+    SeedOption,
+    SettingsOption,
+    StartOption,
+)
+from launch_scripts.commands.output import say, write_json, write_page
+from studies.tables import console_for
 
-STUDY_PAGE_NAME: Final = "delay-study.html"
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from launch_scripts.launcher.request import RunRequest
+    from studies.timing.rates import Rates
+    from studies.timing.report import Reported, TimingReport
+
+EXAMPLE: Final = "heliarch timing oahu --rate 20 --duration 60s --report"
 
 _RATE: Final = "1"
 _DURATION: Final = "60s"
 _SWEEP_DURATION: Final = "15s"
-_STUDY_WORKERS: Final = 2
 
 
 @dataclass(frozen=True, slots=True)
-class TimingRequest:
-    """The words of the command line, None where the user said nothing.
+class _Output:
+    """How the result is shown, and where it is written: the values of the options."""
 
-    Attributes
-    ----------
-    run
-        What to run, as for `heliarch launch`.
-    scenario
-        Which, or a recording; None where the user named none: then a study takes another one than
-        a run.
-    rate
-        Cycles a second: one, several, a range, or `auto`.
-    duration
-        How long, for each rate.
-    processes
-        Whether to show each process.
-    report
-        Whether to write the page.
-    study, settings, workers
-        Whether to study delay and loss in memory instead, and what is for that alone: fields of
-        the scenario to change, and how many processes share the work.
+    console: Console
+    json: str | None
+    report: str | None
+    by_agent: bool
+
+
+def timing(
+    scenario: Annotated[
+        str,
+        typer.Argument(
+            help="A shipped scenario or a TOML file; or the folder or run.mcap of a run that was "
+            "in real time: then nothing is run."
+        ),
+    ] = "oahu",
+    rate: Annotated[
+        str | None,
+        typer.Option(
+            help="Cycles a second: 20; several: 5,10,20; a range such as 1..200, or auto: find the "
+            "highest rate that the plant keeps up with. Default 1.",
+            metavar="RATES",
+        ),
+    ] = None,
+    start: StartOption = None,
+    duration: Annotated[
+        str | None,
+        typer.Option(
+            help="Length of the run, simulated and real: seconds, or 90s, 10m; default 60s, 15s "
+            "for each of several rates.",
+            metavar="TIME",
+        ),
+    ] = None,
+    seed: SeedOption = None,
+    scheme: SchemeOption = None,
+    actuator: ActuatorOption = None,
+    settings: SettingsOption = None,
+    fault: FaultOption = None,
+    external: ExternalOption = None,
+    external_timeout: ExternalTimeoutOption = 60.0,
+    base_port: BasePortOption = None,
+    cpus: CpusOption = None,
+    priority: PriorityOption = None,
+    processes: Annotated[
+        bool, typer.Option("--processes", help="Show each process as well as the tiers.")
+    ] = False,
+    data: DataOption = None,
+    out: OutOption = None,
+    report: ReportOption = None,
+    json: JsonOption = None,
+) -> int:
+    """Run a plant in real time and report whether every tier meets its deadlines, and by how much.
+
+    With a recorded run instead of a scenario, report on that.
+
+    Exit status 1: a budget was not kept, or the run failed. A scenario states its own budgets in
+    its table timing.budgets; see docs/timing.md.
     """
+    from launch_scripts.launcher.request import RunRequest
+    from launch_scripts.scenarios.externals import ExternalOptions
+    from launch_scripts.scenarios.machine_table import MachineOptions
+    from launch_scripts.scenarios.scenario import load_scenario
+    from studies.compare.cases import with_settings
+    from studies.timing.rates import parse_rates
 
-    run: RunRequest
-    scenario: str | None
-    rate: str | None
-    duration: str | None
-    processes: bool
-    report: bool
-    study: bool = False
-    settings: tuple[str, ...] = ()
-    workers: int | None = None
-
-
-def timing(request: TimingRequest) -> int:
-    """Time a plant, or a run that is over; print what it came to. Returns the exit status.
-
-    SIGTERM and SIGHUP end the measurement as Ctrl-C does, and change the exit status. Of a study
-    that is ended so nothing is printed.
-    """
-    console = console_for(request.run.json)
-    if request.study:
-        return _guarded(lambda termination: run_study(_study(request), console, termination))
-    return _guarded(lambda termination: _time(request, console, termination))
-
-
-def studied(request: StudyRequest) -> int:
-    """Study delay and loss; print what they cost. Returns the exit status."""
-    console = console_for(request.json)
-    return _guarded(lambda termination: run_study(request, console, termination))
-
-
-def _guarded(act: Callable[[Termination], int]) -> int:
-    """Do what was asked for; say in one line why it could not be done."""
-    try:
-        with terminable() as termination:
-            try:
-                return termination.status(act(termination))
-            except KeyboardInterrupt:
-                return termination.status(complain("interrupted", INTERRUPTED))
-    except InputError as error:
-        return complain(error, BAD_INPUT)
-    except OSError as error:
-        return complain(f"{error.filename}: {error.strerror}" if error.filename else error, FAILED)
-    except RunFailure as error:
-        return complain(error, FAILED)
-
-
-def _time(request: TimingRequest, console: Console, termination: Termination) -> int:
-    recording = _recording(request)
-    if recording is not None:
-        reported = report_on(recording, by_agent=request.processes)
-        return _tell_one(reported, recording, request, console)
-    rates = _check(request)
+    output = _Output(console_for(json), json, report, processes)
+    if (path := Path(scenario)).is_dir() or path.suffix == ".mcap":
+        options = {
+            "--rate": rate, "--duration": duration, "--out": out, "--from": start, "--seed": seed,
+            "--scheme": scheme, "--actuator": actuator, "--set": settings, "--fault": fault,
+            "--external": external, "--base-port": base_port, "--cpus": cpus,
+            "--priority": priority,
+        }  # fmt: skip
+        _check_recorded(path, options)
+        return _time_recorded(path, output)
+    rates = parse_rates(_RATE if rate is None else rate)
+    request = RunRequest(
+        "launch",
+        with_settings(load_scenario(scenario, data), settings or ()),
+        start,
+        seed=seed,
+        scheme=scheme,
+        actuator=actuator,
+        out=out,
+        faults=tuple(fault or ()),
+        external=ExternalOptions(tuple(external or ()), external_timeout, base_port),
+        machine=MachineOptions(tuple(cpus or ()), priority),
+    )
     if rates.single_hz is not None:
-        return _time_one(rates.single_hz, request, console, termination)
-    return _time_several(rates, request, console, termination)
+        return _time_one(rates.single_hz, duration or _DURATION, request, output)
+    return _time_several(rates, duration or _SWEEP_DURATION, request, output)
 
 
-def _recording(request: TimingRequest) -> Path | None:
-    """Return the recording that the user named; None if it is a scenario to run."""
-    path = Path(request.scenario or "")
-    if not request.scenario or not (path.is_dir() or path.suffix == ".mcap"):
-        return None
-    check_json_destination(request.run.json)
-    run = request.run
-    _refuse(
-        {
-            "--rate": request.rate,
-            "--duration": request.duration,
-            "--out": run.out,
-            **_of_a_run(run),
-        },
-        f"{path} was run already; expected beside it --processes, --report or --json",
-    )
-    return path
-
-
-def _of_a_run(run: RunRequest) -> dict[str, object]:
-    return {
-        "--start": run.start,
-        "--seed": run.seed,
-        **_not_of_a_study(run),
-    }
-
-
-def _not_of_a_study(run: RunRequest) -> dict[str, object]:
-    return {
-        "--scheme": run.scheme,
-        "--actuator": run.actuator,
-        "--fault": run.faults,
-        "--external": run.external.agents,
-        "--base-port": run.external.base_port,
-        "--cpus": run.machine.cpus,
-        "--priority": run.machine.priority,
-    }
-
-
-def _refuse(options: dict[str, object], why: str) -> None:
+def _check_recorded(path: Path, options: Mapping[str, object]) -> None:
     for option, given in options.items():
-        if given or given == "":
-            raise InputError(f"{option}: {why}")
+        if given is not None:
+            raise InputError(
+                f"{option}: expected only --processes, --report or --json with {path}, which was "
+                "run already"
+            )
 
 
-def _study(request: TimingRequest) -> StudyRequest:
-    """Return the study that was asked for; refuse what would be lost on it."""
-    run = request.run
-    _refuse(
-        {"--rate": request.rate, "--processes": request.processes, **_not_of_a_study(run)},
-        "a study runs in memory, each scheme with delays and losses of its own; expected beside "
-        "--study are --start, --duration, --seed, --set, --data, --workers, --report, --out and "
-        "--json",
-    )
-    page = (run.out or Path()) / STUDY_PAGE_NAME if request.report else None
-    return StudyRequest(
-        request.scenario,
-        run.start,
-        request.duration,
-        run.seed,
-        request.settings,
-        run.data,
-        _STUDY_WORKERS if request.workers is None else request.workers,
-        run.json,
-        page,
-    )
+def _time_recorded(path: Path, output: _Output) -> int:
+    from studies.timing.report import report_on
+
+    return _print_one(report_on(path, by_agent=output.by_agent), path, output)
 
 
-def _check(request: TimingRequest) -> Rates:
-    _refuse(
-        {"--set": request.settings, "--workers": request.workers}, "it is for a study (--study)"
-    )
-    rates = parse_rates(_RATE if request.rate is None else request.rate)
-    check_json_destination(request.run.json)
-    for rate_hz in rates.listed_hz or (rates.search_hz or ())[:1]:
-        whole_cycles(rate_hz, request.duration or _DURATION)
-    return rates
+def _time_one(rate_hz: float, duration: str, request: RunRequest, output: _Output) -> int:
+    from studies.timing.measured_run import measured_run, prepare_at
+
+    preparation, folder = prepare_at(rate_hz, duration, request, request.out)
+    reported = measured_run(preparation, folder, output.console, by_agent=output.by_agent)
+    return _print_one(reported, folder.path, output)
 
 
-def _time_one(
-    rate_hz: float, request: TimingRequest, console: Console, termination: Termination
-) -> int:
-    duration = request.duration or _DURATION
-    preparation, folder = prepare_at(rate_hz, duration, request.run, request.run.out)
-    reported = measured_run(preparation, folder, console, by_agent=request.processes)
-    with termination.held():
-        return _tell_one(reported, folder.path, request, console)
+def _print_one(reported: Reported, run: Path, output: _Output) -> int:
+    """Print and write the result of a run."""
+    from studies.timing.page import PAGE_NAME, run_page
+    from studies.timing.tables import print_report
 
-
-def _tell_one(reported: Reported, run: Path, request: TimingRequest, console: Console) -> int:
-    """Write and print what a run came to."""
     report = reported.report
-    page = (run if run.is_dir() else run.parent) / PAGE_NAME
-    unwritten = write_files(
-        request.run.json,
-        report.as_json,
-        page if request.report else None,
-        lambda: run_page(reported),
-    )
-    print_report(report, console, processes=request.processes)
-    _say(console, f"recording: {run}")
-    return concluded(exit_status(report), unwritten)
+    print_report(report, output.console, processes=output.by_agent)
+    say(output.console, f"recording: {run}")
+    folder = run if run.is_dir() else run.parent
+    _write_page(lambda: run_page(reported), folder / PAGE_NAME, output)
+    write_json(report.document(), output.json)
+    if report.interrupted:
+        return INTERRUPTED
+    return OK if report.passed else FAILED
 
 
-def _time_several(
-    rates: Rates, request: TimingRequest, console: Console, termination: Termination
-) -> int:
-    folder = run_folder(f"{new_run_id('timing')}-rates", request.run.out).path
-    duration = request.duration or _SWEEP_DURATION
+def _time_several(rates: Rates, duration: str, request: RunRequest, output: _Output) -> int:
+    from launch_scripts.launcher.run_folder import new_run_id, run_folder
+    from studies.timing.measured_run import measured_run, prepare_at
+    from studies.timing.page import PAGE_NAME, sweep_page
+    from studies.timing.sweep import print_sweep, sweep
+
+    folder = run_folder(f"{new_run_id('timing')}-rates", request.out).path
     reports: list[TimingReport] = []
 
     def prepared(rate_hz: float) -> Callable[[], Reported]:
-        out = folder / f"rate-{rate_hz:g}"
-        preparation, place = prepare_at(rate_hz, duration, request.run, out)
-        return lambda: measured_run(preparation, place, console)
+        preparation, place = prepare_at(rate_hz, duration, request, folder / f"rate-{rate_hz:g}")
+        return lambda: measured_run(preparation, place, output.console)
 
-    # All listed rates are worked out before the first one runs, so that none is refused then.
+    # All listed rates are prepared before the first one runs, so that none is refused then.
     listed = {rate_hz: prepared(rate_hz) for rate_hz in rates.listed_hz}
 
     def timed(rate_hz: float) -> TimingReport:
@@ -239,34 +204,19 @@ def _time_several(
         return reports[-1]
 
     found = sweep(rates, timed)
-    with termination.held():
-        return _tell_several(found, reports, folder, request, console)
-
-
-def _tell_several(
-    found: Sweep,
-    reports: list[TimingReport],
-    folder: Path,
-    request: TimingRequest,
-    console: Console,
-) -> int:
-    """Write and print what the rates came to."""
-    page = folder / PAGE_NAME if request.report and reports else None
-    unwritten = write_files(
-        request.run.json, found.as_json, page, lambda: sweep_page(found, reports[-1])
-    )
-    print_sweep(found, console)
-    _say(console, f"recordings: {folder}")
-    status = FAILED if found.highest_clean_hz is None else OK
-    return concluded(INTERRUPTED if found.interrupted else status, unwritten)
-
-
-def _say(console: Console, text: str) -> None:
-    console.print(text, highlight=False, soft_wrap=True, markup=False)
-
-
-def exit_status(report: TimingReport) -> int:
-    """Return what the run means to a script: kept, not kept, or interrupted."""
-    if report.interrupted:
+    print_sweep(found, output.console)
+    say(output.console, f"recordings: {folder}")
+    if reports:
+        _write_page(lambda: sweep_page(found, reports[-1]), folder / PAGE_NAME, output)
+    write_json(found, output.json)
+    if found.interrupted:
         return INTERRUPTED
-    return OK if report.passed else FAILED
+    return FAILED if found.highest_clean_hz is None else OK
+
+
+def _write_page(html: Callable[[], str], default: Path, output: _Output) -> None:
+    if output.report is None:
+        return
+    page = Path(output.report) if output.report else default
+    write_page(html(), page)
+    say(output.console, f"report: {page}")

@@ -1,157 +1,125 @@
-"""`heliarch verify`: agents re-run on recorded inputs, and what they say held against the old."""
+"""`heliarch verify`: runs agents again on recorded inputs and compares what they publish."""
+
+# What does the work is imported when it runs: `--help` does not wait for it.
+# ruff: noqa: PLC0415
 
 from __future__ import annotations
 
-import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Sequence
 from difflib import get_close_matches
 from math import inf
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+import typer
 
-from bus_schemas.errors import InputError
-from launch_scripts.exit_status import BAD_INPUT, INTERRUPTED, complain
-from launch_scripts.launcher.json_rows import check_json_destination
-from launch_scripts.launcher.supervision import RunFailure
-from recordings.verify.comparison import COMPARED_FIELDS, Comparison
-from recordings.verify.outcome import Outcome, as_json
-from recordings.verify.verification import Verification, verify
+from bus_schemas.errors import FailureError, InputError
+from launch_scripts.commands.boundary import FAILED, OK
+from launch_scripts.commands.options import JsonOption, NodesOption
+from launch_scripts.commands.output import progress_bar, say, write_json
+from studies.tables import console_for
 
-EQUAL: Final = 0
-DIFFERENT: Final = 1
+if TYPE_CHECKING:
+    from rich.console import Console
 
-_PROGRESS_CYCLES: Final = 100
-"""The bar moves once in so many cycles."""
+    from recordings.verify.comparison import Comparison
+    from recordings.verify.verification import Verification
 
-
-@dataclass(frozen=True, slots=True)
-class VerifyRequest:
-    """The words of the command line, None where the user said nothing."""
-
-    runs: Sequence[Path]
-    nodes: Sequence[str]
-    tolerance: float
-    ignored: Sequence[str]
-    accept: bool
-    json: str | None
+EXAMPLE: Final = "heliarch verify runs/oahu-20261121-120000-4711 --nodes 'c2/*'"
 
 
-def run_verify(request: VerifyRequest) -> int:
-    """Verify what was asked for and say what it came to. Returns the exit status.
+def verify(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Folders of runs, or their run.mcap.", metavar="RUN...", show_default=False
+        ),
+    ],
+    nodes: NodesOption = None,
+    tolerance: Annotated[
+        float, typer.Option(help="Largest difference of two equal floats.", metavar="X")
+    ] = 0.0,
+    ignored: Annotated[
+        str | None,
+        typer.Option("--ignore", help="Fields that may differ, with commas.", metavar="FIELDS"),
+    ] = None,
+    accept: Annotated[
+        bool,
+        typer.Option("--accept", help="Replace the recording by what the agents do now."),
+    ] = False,
+    json: JsonOption = None,
+) -> int:
+    """Run the agents of a recording again on the inputs that they used, and compare the outputs.
 
-    0: every agent says what it said; or the new recording is accepted. 1: there is a difference,
-    or the recording has lost so much that nobody can tell, or what was found cannot be written.
+    Exit status 1: they differ. The first difference of each agent is shown
+    with its inputs.
     """
-    out = Console(stderr=request.json == "-", soft_wrap=True, highlight=False, markup=False)
-    try:
-        nodes, comparison = _plan(request)
-        outcomes = [_verify(run, nodes, comparison, out) for run in request.runs]
-        _write_json(outcomes, request.json)
-        if request.accept:
-            for outcome in outcomes:
-                _accept(outcome.verification, out)
-    except InputError as error:
-        return complain(error, BAD_INPUT)
-    except RunFailure as error:
-        return complain(error, DIFFERENT)
-    except OSError as error:
-        return complain(f"{error.filename or ''}: {error.strerror}", BAD_INPUT)
-    except KeyboardInterrupt:
-        return complain("interrupted", INTERRUPTED)
-    equal = all(outcome.verification.equal for outcome in outcomes)
-    return EQUAL if equal or request.accept else DIFFERENT
+    from recordings.verify.report import json_ready
+
+    console = console_for(json)
+    comparison = _comparison(tolerance, _names(ignored))
+    if accept:
+        _check_accept(runs, nodes)
+    results = [_verify(run, _names(nodes), comparison, console) for run in runs]
+    equal = all(found.equal for found, _ in results)
+    write_json(json_ready({"equal": equal, "runs": [data for _, data in results]}), json)
+    if accept:
+        for found, _ in results:
+            _accept(found, console)
+    return OK if equal or accept else FAILED
 
 
-def _plan(request: VerifyRequest) -> tuple[list[str], Comparison]:
-    nodes, ignored = _words(request.nodes), _words(request.ignored)
-    if not 0.0 <= request.tolerance < inf:
-        raise InputError(f"--tolerance {request.tolerance:g}: accepted is 0 or more")
+def _comparison(tolerance: float, ignored: Sequence[str]) -> Comparison:
+    from recordings.verify.comparison import COMPARED_FIELDS, Comparison
+
+    if not 0.0 <= tolerance < inf:
+        raise InputError(f"--tolerance: expected a number from 0 on, got {tolerance:g}")
     for name in ignored:
         if name not in COMPARED_FIELDS:
             near = get_close_matches(name, COMPARED_FIELDS) or COMPARED_FIELDS
-            raise InputError(f"--ignore {name}: no message has it, accepted: {', '.join(near)}")
-    if request.accept and nodes:
-        raise InputError("--accept: the whole run is recorded anew, accepted is no --node with it")
-    check_json_destination(request.json)
-    if request.accept:
-        _check_rerecordable(request.runs)
-    return nodes, Comparison(request.tolerance, frozenset(ignored))
+            raise InputError(f"--ignore: expected a field such as {', '.join(near)}, got {name}")
+    return Comparison(tolerance, frozenset(ignored))
 
 
-def _check_rerecordable(runs: Sequence[Path]) -> None:
-    # Weather and market come with it: who only verifies need not wait for them.
-    from recordings.verify.golden import check_rerecordable  # noqa: PLC0415
-
-    for run in runs:
-        check_rerecordable(run)
+def _names(text: str | None) -> list[str]:
+    return [name.strip() for name in (text or "").split(",") if name.strip()]
 
 
-def _words(texts: Sequence[str]) -> list[str]:
-    """Return the words of options that may be repeated, or name several with commas between."""
-    return [word.strip() for text in texts for word in text.split(",") if word.strip()]
+def _verify(
+    run: Path, nodes: Sequence[str], comparison: Comparison, console: Console
+) -> tuple[Verification, dict[str, Any]]:
+    from recordings.verify.report import verification_data, verification_lines
+    from recordings.verify.verification import verify as verify_run
 
-
-def _verify(run: Path, nodes: Sequence[str], comparison: Comparison, out: Console) -> Outcome:
     began_at = time.monotonic()
-    with _progress() as bar:
-        task = bar.add_task("cycles", total=None)
-
-        def advance(cycle: int, cycles: int) -> None:
-            if cycle % _PROGRESS_CYCLES == 0:
-                bar.update(task, completed=cycle, total=cycles)
-
-        found = verify(run, nodes, comparison, advance)
-    outcome = Outcome(found, comparison, time.monotonic() - began_at)
-    for line in outcome.lines():
-        out.print(line)
-    return outcome
+    with progress_bar("verify") as follow:
+        found = verify_run(run, nodes, comparison, follow)
+    wall_s = time.monotonic() - began_at
+    say(console, *verification_lines(found, comparison, wall_s))
+    return found, verification_data(found, comparison, wall_s)
 
 
-@contextmanager
-def _progress() -> Iterator[Progress]:
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as bar:
-        yield bar
+def _check_accept(runs: Sequence[Path], nodes: str | None) -> None:
+    from recordings.verify.golden import origin
+
+    if nodes is not None:
+        raise InputError("--accept: expected no --nodes with it: the whole run is recorded again")
+    for run in runs:
+        origin(run)
 
 
-def _accept(found: Verification, out: Console) -> None:
+def _accept(found: Verification, console: Console) -> None:
+    from recordings.verify.golden import record_again
+
     if found.equal:
-        out.print(f"{found.recording}: nothing to accept")
+        say(console, f"{found.recording}: nothing to accept")
         return
-    for name, account in found.accounts.items():
-        if account.failure is not None:
-            raise RunFailure(
-                f"--accept: {name} fails in cycle {account.failure.cycle} "
-                f"({account.failure.text}); {found.recording} stays as it was"
+    for name, findings in found.agents.items():
+        if findings.failure is not None:
+            raise FailureError(
+                f"--accept {found.recording}: {name} fails in cycle {findings.failure.cycle}: "
+                f"{findings.failure.text}"
             )
-    from recordings.verify.golden import record_anew  # noqa: PLC0415
-
-    path = record_anew(found.recording)
-    out.print(f"{path}: accepted, recorded anew as the agents behave now")
-
-
-def _write_json(outcomes: Sequence[Outcome], json: str | None) -> None:
-    if json is None:
-        return
-    try:
-        if json == "-":
-            sys.stdout.write(as_json(outcomes).decode() + "\n")
-            sys.stdout.flush()
-        else:
-            Path(json).write_bytes(as_json(outcomes) + b"\n")
-    except OSError as error:
-        raise RunFailure(f"--json {json}: {error.strerror}") from error
+    record_again(found.recording)
+    say(console, f"{found.recording}: recorded again as the agents behave now")

@@ -47,23 +47,3 @@ def interruptible() -> Iterator[Interruption]:
     finally:
         signal.signal(signal.SIGINT, before[0])
         signal.signal(signal.SIGTERM, before[1])
-
-
-@contextmanager
-def interruptions_wait() -> Iterator[None]:
-    """Let Ctrl-C come after this block only, also to processes that are started in it.
-
-    These begin with it held back, so that it does not tear their imports apart; they let it through
-    with `end_when_interrupted`.
-    """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def end_when_interrupted() -> None:
-    """Let Ctrl-C end this process without a word, also one that has been waiting."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})

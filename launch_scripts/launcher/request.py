@@ -8,12 +8,11 @@ from typing import Literal
 
 from agents.plan import Actuator, Scheme
 from bus_schemas.errors import InputError
-from launch_scripts.launcher.json_rows import check_json_destination
 from launch_scripts.launcher.run_folder import RunFolder, new_run_id, run_folder
 from launch_scripts.scenarios.externals import NO_EXTERNALS, ExternalOptions
 from launch_scripts.scenarios.machine_table import AS_THE_SCENARIO_SAYS, MachineOptions
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
-from launch_scripts.scenarios.scenario import FASTEST_PACE, SLOWEST_PACE, load_scenario
+from launch_scripts.scenarios.scenario import FASTEST_PACE, SLOWEST_PACE, ScenarioFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,17 +20,15 @@ class RunRequest:
     """The words of the command line, None where the user said nothing."""
 
     driver: Literal["launch", "simulate"]
-    scenario: str
-    start: str | None
-    duration: str | None
-    pace: str | None
-    seed: int | None
-    scheme: Scheme | None
-    actuator: Actuator | None
-    out: Path | None
-    data: Path | None
-    json: str | None
-    report: bool
+    scenario: ScenarioFile
+    start: str | None = None
+    end: str | None = None
+    duration: str | None = None
+    pace: str | None = None
+    seed: int | None = None
+    scheme: Scheme | None = None
+    actuator: Actuator | None = None
+    out: Path | None = None
     cycle_s: float | None = None
     faults: tuple[str, ...] = ()
     external: ExternalOptions = NO_EXTERNALS
@@ -46,14 +43,12 @@ def prepare_run(request: RunRequest) -> tuple[Preparation, RunFolder]:
     InputError
         The words of the command line, the scenario and its data do not go together.
     """
-    check_json_destination(request.json)
-    scenario = load_scenario(request.scenario, request.data)
-    run_id = new_run_id(scenario.scenario.name)
+    run_id = new_run_id(request.scenario.scenario.name)
     folder = run_folder(run_id, request.out)
     options = RunOptions(
         request.start,
         request.duration,
-        _pace(request.pace),
+        parse_pace(request.pace),
         request.seed,
         request.scheme,
         request.actuator,
@@ -61,8 +56,9 @@ def prepare_run(request: RunRequest) -> tuple[Preparation, RunFolder]:
         request.faults,
         request.external,
         request.machine,
+        request.end,
     )
-    preparation = prepare(scenario, options, run_id)
+    preparation = prepare(request.scenario, options, run_id)
     _check_faults(request, preparation)
     return preparation, folder
 
@@ -77,7 +73,8 @@ def _check_faults(request: RunRequest, preparation: Preparation) -> None:
         )
 
 
-def _pace(text: str | None) -> float | Literal["max"] | None:
+def parse_pace(text: str | None) -> float | Literal["max"] | None:
+    """Read the value of `--pace`."""
     if text is None or text == "max":
         return "max" if text else None
     try:

@@ -31,6 +31,7 @@ from agents.events import (
 )
 from agents.launcher_link import EventReader
 from agents.plan import RunPlan
+from bus_schemas.errors import FailureError
 from bus_schemas.tree import RECORDER
 from bus_schemas.zenoh_bus import ZENOH_RUNTIME
 from launch_scripts.launcher.fork_requests import Request, Signal, Tell, log_name
@@ -68,7 +69,7 @@ def memory_of(pid: int) -> Memory:
     return Memory(info.rss / 1e6, info.uss / 1e6)
 
 
-class RunFailure(Exception):  # noqa: N818 - what failed is the run, not the program
+class RunFailure(FailureError):  # noqa: N818 - what failed is the run, not the program
     """A run that could not go on. The text names the process, who waited for what, and its log."""
 
 

@@ -31,6 +31,7 @@ from launch_scripts.scenarios.power_sources import power_source
 from launch_scripts.scenarios.real_time import cycle_wall_ns, tier_deadlines_ns
 from launch_scripts.scenarios.scenario import (
     LARGEST_SEED,
+    CloudIrradiance,
     ControlTable,
     PlantTable,
     Scenario,
@@ -62,6 +63,7 @@ class RunOptions:
     faults: tuple[str, ...] = ()
     external: ExternalOptions = NO_EXTERNALS
     machine: MachineOptions = AS_THE_SCENARIO_SAYS
+    end: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +206,14 @@ def _plan(
         correction=_corrects(control, options.scheme or control.scheme),
         available_bias=scenario.plant.available_bias,
         tier_deadlines_ns=deadlines_ns,
+        seed=_seed(scenario, options),
     )
+
+
+def _seed(scenario: Scenario, options: RunOptions) -> int | None:
+    if not isinstance(scenario.irradiance, CloudIrradiance):
+        return None
+    return scenario.irradiance.seed if options.seed is None else options.seed
 
 
 def _corrects(control: ControlTable, scheme: Scheme) -> bool:
@@ -241,10 +250,12 @@ def _with_cycle(scenario: Scenario, cycle_s: float | None) -> Scenario:
 
 def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
     table = scenario.time
-    start = _start(table, options.start)
+    start = _start(table, options.start, "--from")
     where, duration_s = "time.duration_s", table.duration_s
     if options.duration is not None:
         where, duration_s = "--duration", parse_duration_s(options.duration, "--duration")
+    if options.end is not None:
+        where, duration_s = "--to", _until_end_s(start, table, options)
     cycles = round(duration_s / table.cycle_s)
     if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:
         raise InputError(
@@ -255,12 +266,24 @@ def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
     return pd.date_range(first, periods=cycles, freq=step, unit="ns")
 
 
-def _start(table: TimeTable, option: str | None) -> datetime:
+def _until_end_s(start: datetime, table: TimeTable, options: RunOptions) -> float:
+    """Return the time from the start to the end that the user asked for [s]."""
+    duration_s = (_start(table, options.end, "--to", start) - start).total_seconds()
+    if options.duration is not None:
+        raise InputError("--to: expected no --duration with it")
+    if duration_s <= 0.0:
+        raise InputError(f"--to: expected a time after {start}, got {options.end}")
+    return duration_s
+
+
+def _start(
+    table: TimeTable, option: str | None, name: str, day: datetime | None = None
+) -> datetime:
     if option is None and not _FIRST_YEAR <= table.start.year <= _LAST_YEAR:
         raise InputError(
             f"time.start: expected a year from {_FIRST_YEAR} to {_LAST_YEAR}, got {table.start}"
         )
-    scheduled = local_start(table)
+    scheduled = day or local_start(table)
     if option is None:
         return scheduled
     moment = read_time(option)
@@ -269,7 +292,7 @@ def _start(table: TimeTable, option: str | None) -> datetime:
     if isinstance(moment, datetime) and _FIRST_YEAR <= moment.year <= _LAST_YEAR:
         return moment if moment.tzinfo else moment.replace(tzinfo=scheduled.tzinfo)
     raise InputError(
-        f"--start: expected a local time such as 12:30 or 2010-04-01T12:30:00, {_FIRST_YEAR} to "
+        f"{name}: expected a local time such as 12:30 or 2010-04-01T12:30:00, {_FIRST_YEAR} to "
         f"{_LAST_YEAR}, got {option}"
     )
 

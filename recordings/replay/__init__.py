@@ -1,1 +1,1 @@
-"""`heliarch replay`: a recording back onto the bus, with or without live agents among it."""
+"""`heliarch replay`: a recording back on the bus, with or without live controllers."""

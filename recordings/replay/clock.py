@@ -1,74 +1,57 @@
-"""When each recorded message is due: positions in the recording, and moments on the wall clock."""
+"""When each recorded message is due: its position on a clock, and the moment of that position."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Protocol
+from typing import Final, Literal, TypeAlias
 
 from agents.plan import RunPlan
 from recordings.read.reader import RecordedMessage
 
+ClockKind: TypeAlias = Literal["sim", "wall"]
+"""`sim`: a cycle begins when it does in simulated time, and within it messages are as far apart as
+they were published. `wall`: all messages are as far apart as they were published."""
 
-class Spacing(Protocol):
-    """Says where in a recording a message lies [ns]. Only differences mean something."""
-
-    def position_ns(self, record: RecordedMessage) -> int:
-        """Return the position of the next message in the order of the recorded."""
-
-
-class RecordedSpacing:
-    """Messages are as far apart as they were published, whatever that is in simulated time."""
-
-    def position_ns(self, record: RecordedMessage) -> int:
-        """Return its publish time."""
-        return record.publish_time_ns
+CLOCKS: Final[dict[ClockKind, str]] = {
+    "sim": "simulated time",
+    "wall": "recorded publish times",
+}
 
 
-class SimulatedSpacing:
-    """A cycle begins when it does in simulated time; within it messages keep their spacing.
+def default_clock(plan: RunPlan) -> ClockKind:
+    """Return the clock that shows a run as the plant lived it: lockstep takes no time for it."""
+    return "sim" if plan.lockstep else "wall"
 
-    A lockstep run, whose cycles took a few milliseconds each, is replayed as the plant would have
-    lived through it.
 
-    Parameters
-    ----------
-    plan
-        Of the run: tells when its cycles are.
-    """
+class Positions:
+    """Positions of messages on a clock [ns]; only their differences have a meaning."""
 
-    def __init__(self, plan: RunPlan) -> None:
+    def __init__(self, plan: RunPlan, kind: ClockKind) -> None:
         self._plan = plan
+        self._kind = kind
         self._cycle = -1
         self._began_ns = 0
+        self._last_ns = -(1 << 62)
 
-    def position_ns(self, record: RecordedMessage) -> int:
-        """Return the beginning of its cycle and what passed since that cycle's first message."""
-        if record.cycle > self._cycle:
-            self._cycle, self._began_ns = record.cycle, record.publish_time_ns
-        elapsed_ns = record.publish_time_ns - self._began_ns
-        return self._plan.sim_time_ns(record.cycle) + min(max(elapsed_ns, 0), self._plan.cycle_ns)
+    def next(self, record: RecordedMessage) -> int:
+        """Return the position of the next message, never before that of the last one."""
+        position_ns = record.publish_time_ns
+        if self._kind == "sim":
+            if record.cycle > self._cycle:
+                self._cycle, self._began_ns = record.cycle, record.publish_time_ns
+            elapsed_ns = min(record.publish_time_ns - self._began_ns, self._plan.cycle_ns)
+            position_ns = self._plan.sim_time_ns(record.cycle) + elapsed_ns
+        self._last_ns = max(self._last_ns, position_ns)
+        return self._last_ns
 
 
 class PlaybackClock:
-    """Maps positions in the recording to moments of the monotonic clock.
+    """Maps positions to moments of the monotonic clock.
 
     Every moment is counted from one anchor, so errors do not add up. Only a pause, a seek and a
-    change of rate set a new one.
-
-    Parameters
-    ----------
-    rate
-        Seconds in the recording in a second; 0: everything is due at once.
-    now_ns
-        The monotonic clock.
-
-    Attributes
-    ----------
-    rate, now_ns
-        See above.
-    paused
-        Whether it stands still.
+    change of rate set a new anchor.
+    The rate is in seconds of the clock per second; at 0 everything is due at once.
     """
 
     def __init__(

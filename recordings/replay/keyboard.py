@@ -1,8 +1,9 @@
-"""Keys that steer a replay: read one by one from the terminal, which is left as it was found."""
+"""Keys that control a replay, read one by one from the terminal, which is restored afterwards."""
 
 from __future__ import annotations
 
 import os
+import re
 import select
 import signal
 import sys
@@ -16,20 +17,20 @@ from typing import Final, Protocol
 
 
 class Key(Enum):
-    """What a key asks for."""
+    """What a key does."""
 
-    PAUSE = "space: pause, go on"
-    STEP = "s: one cycle"
-    FASTER = "+: twice as fast"
-    SLOWER = "-: half as fast"
-    FORWARD = "right: 10 s on"
-    BACK = "left: 10 s back"
-    FAR_FORWARD = "up: 1 min on"
-    FAR_BACK = "down: 1 min back"
-    QUIT = "q: end"
+    PAUSE = "pause or go on"
+    STEP = "one cycle"
+    FASTER = "twice the pace"
+    SLOWER = "half the pace"
+    FORWARD = "10 s forward"
+    BACK = "10 s back"
+    FAR_FORWARD = "1 min forward"
+    FAR_BACK = "1 min back"
+    QUIT = "end"
 
 
-KEYS_IN_WORDS: Final = "space pauses, s steps a cycle, + - rate, arrows seek (10 s, 1 min), q ends"
+KEYS_IN_WORDS: Final = "space pauses, s steps a cycle, + - pace, arrows seek (10 s, 1 min), q ends"
 
 _KEY_OF: Final = {
     b" ": Key.PAUSE,
@@ -38,25 +39,25 @@ _KEY_OF: Final = {
     b"=": Key.FASTER,  # the same key, without shift
     b"-": Key.SLOWER,
     b"q": Key.QUIT,
-}
-_ARROW_OF: Final = {
     b"A": Key.FAR_FORWARD,
     b"B": Key.FAR_BACK,
     b"C": Key.FORWARD,
     b"D": Key.BACK,
 }
-_MOST_BYTES: Final = 64
+_KEYS: Final = re.compile(rb"\x1b[\[O]([A-D])|([ s+=q-])")
+_UNFINISHED: Final = re.compile(rb"\x1b[\[O]?$")
+"""The beginning of an arrow key, whose other bytes come with the next read."""
 
 
 class Keyboard(Protocol):
     """Where keys come from."""
 
     def wait(self, seconds: float) -> list[Key]:
-        """Return the keys that were pressed, at once if there are any, or after a time."""
+        """Return all keys that were pressed, at once if there are any, else after a time."""
 
 
 class NoKeyboard:
-    """Nobody is there to press a key."""
+    """Standard input is no terminal."""
 
     def wait(self, seconds: float) -> list[Key]:
         """Wait for the time."""
@@ -65,36 +66,24 @@ class NoKeyboard:
 
 
 class TerminalKeyboard:
-    """The terminal's keys.
-
-    Parameters
-    ----------
-    descriptor
-        File descriptor of the terminal, in cbreak mode.
-    """
+    """The keys of a terminal in cbreak mode, by its file descriptor."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
+        self._typed = b""
 
     def wait(self, seconds: float) -> list[Key]:
-        """Return the keys that were pressed, at once if there are any, or after a time."""
-        readable, _, _ = select.select([self._descriptor], [], [], max(seconds, 0.0))
-        # A terminal hands over the bytes of an arrow key in one go.
-        return keys_in(os.read(self._descriptor, _MOST_BYTES)) if readable else []
-
-
-def keys_in(typed: bytes) -> list[Key]:
-    """Return the keys that a terminal's bytes stand for; what stands for none is passed over."""
-    keys = []
-    rest = typed
-    while rest:
-        if rest[:2] in (b"\x1b[", b"\x1bO"):
-            key, rest = _ARROW_OF.get(rest[2:3]), rest[3:]
-        else:
-            key, rest = _KEY_OF.get(rest[:1]), rest[1:]
-        if key is not None:
-            keys.append(key)
-    return keys
+        """Return all keys that were pressed, at once if there are any, else after a time."""
+        while select.select([self._descriptor], [], [], max(seconds, 0.0))[0]:
+            typed = os.read(self._descriptor, 1024)
+            if not typed:
+                break
+            self._typed += typed
+            seconds = 0.0
+        keys = [_KEY_OF[found[1] or found[2]] for found in _KEYS.finditer(self._typed)]
+        rest = _UNFINISHED.search(self._typed)
+        self._typed = rest[0] if rest else b""
+        return keys
 
 
 def has_keyboard() -> bool:
@@ -105,24 +94,18 @@ def has_keyboard() -> bool:
         # In the background a read would stop the program.
         return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
     except OSError:
-        return True  # Not the terminal that started it: nobody stops it there.
+        return True  # It is not the controlling terminal, so nobody stops us there.
 
 
 @contextmanager
 def keyboard() -> Iterator[Keyboard]:
-    """Take the terminal's keys one by one, unseen, for as long as the context lasts."""
+    """Read the terminal key by key, without echo, as long as the context lasts."""
     if not has_keyboard():
         yield NoKeyboard()
         return
-    with keys_of(sys.stdin.fileno()) as keys:
-        yield keys
-
-
-@contextmanager
-def keys_of(descriptor: int) -> Iterator[TerminalKeyboard]:
-    """Put a terminal into cbreak mode, and back into the mode it was in."""
+    descriptor = sys.stdin.fileno()
     before = termios.tcgetattr(descriptor)
-    # Ctrl-Z: the shell takes its own mode back, and fg must bring ours again.
+    # After Ctrl-Z the shell restores its own mode; `fg` must set ours again.
     continued = signal.signal(signal.SIGCONT, lambda *_: tty.setcbreak(descriptor))
     tty.setcbreak(descriptor)
     try:

@@ -1,1 +1,1 @@
-"""Verification: agents re-run on the inputs of a recording, their words held against the old."""
+"""Verification: agents run again on the inputs of a recording, their messages compared with it."""

@@ -17,7 +17,7 @@ Value: TypeAlias = Any
 """A field's value as plain data: numbers, text and lists of them."""
 
 NOT_COMPARED: Final = ("ready_time_ns", "publish_time_ns", "sequence")
-"""The driver fills these in as it sends: the agent does not decide them."""
+"""The driver sets these when it sends a message; the agent does not decide them."""
 
 COMPARED_FIELDS: Final = tuple(
     sorted(
@@ -31,10 +31,6 @@ COMPARED_FIELDS: Final = tuple(
     )
 )
 """Names of all fields that are compared."""
-
-
-class Unsendable(Exception):  # noqa: N818 - the message is to blame, not the program
-    """A new message that cannot be encoded, or that no listener would accept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,30 +49,13 @@ class Comparison:
     Attributes
     ----------
     tolerance
-        Absolute difference of two floats up to which they are equal. At 0 they must be the same
-        bits.
+        Largest absolute difference of two equal floats. At 0 they must have the same bits.
     ignored
         Fields that are not compared.
     """
 
     tolerance: float = 0.0
     ignored: frozenset[str] = frozenset()
-
-    def are_equal(self, recorded: Message, new: Message) -> bool:
-        """Whether a new message is the recorded one, bit for bit.
-
-        Raises
-        ------
-        Unsendable
-            The new message cannot be encoded.
-        """
-        new.ready_time_ns = recorded.ready_time_ns
-        new.publish_time_ns = recorded.publish_time_ns
-        new.sequence = recorded.sequence
-        try:
-            return encode(new) == encode(recorded)
-        except Exception as error:
-            raise Unsendable(f"{type(error).__name__}: {error}") from error
 
     def differences(
         self, port: Port[Message], recorded: Message, new: Message
@@ -85,28 +64,30 @@ class Comparison:
 
         Raises
         ------
-        Unsendable
-            The new message could not be sent.
+        msgspec.MsgspecError, TypeError
+            The new message cannot be sent: it cannot be encoded, or no listener would accept it.
         """
-        if self.are_equal(recorded, new):
+        new.ready_time_ns = recorded.ready_time_ns
+        new.publish_time_ns = recorded.publish_time_ns
+        new.sequence = recorded.sequence
+        payload = encode(new)
+        if payload == encode(recorded):
             return ()
-        try:
-            # As whoever listens would get it: on the wire an int may stand for a float.
-            received = decode(port.signal, encode(new))
-        except msgspec.DecodeError as error:
-            raise Unsendable(f"{type(error).__name__}: {error}") from error
-        return tuple(self._differing_fields(recorded, received))
-
-    def _differing_fields(self, recorded: Message, new: Message) -> Iterator[FieldDifference]:
-        left_out = self.ignored.union(NOT_COMPARED)
-        for name in recorded.__struct_fields__:
-            if name not in left_out:
-                old = msgspec.to_builtins(getattr(recorded, name))
-                now = msgspec.to_builtins(getattr(new, name))
-                yield from self._differing(name, old, now)
+        # Compare what a listener would get: on the wire an int may stand for a float.
+        received = decode(port.signal, payload)
+        return tuple(
+            difference
+            for name in recorded.__struct_fields__
+            if name not in self.ignored
+            for difference in self._differing(
+                name,
+                msgspec.to_builtins(getattr(recorded, name)),
+                msgspec.to_builtins(getattr(received, name)),
+            )
+        )
 
     def _differing(self, name: str, old: Value, now: Value) -> Iterator[FieldDifference]:
-        """Yield the parts of a value that differ: of lists of one length the entries."""
+        """Yield the parts of a value that differ: of two lists of one length, the entries."""
         if isinstance(old, list | tuple) and isinstance(now, list | tuple) and len(old) == len(now):
             for place, pair in enumerate(zip(old, now, strict=True)):
                 yield from self._differing(f"{name}[{place}]", *pair)

@@ -1,109 +1,96 @@
-"""Records a simulated run anew, in its own place: what the code does now is what it shall do.
+"""Golden recordings: short simulated runs to which the agents are held.
 
-Plan and profile stay as they are. So neither the weather nor the clusters are worked out again, and
-what differs afterwards is what the agents do.
+`heliarch verify --accept` records a run again with its own plan and profile, so that sky and
+clusters stay as they are. `make golden` simulates all golden runs from their scenarios.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
+import shutil
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 from typing import Final
 
 from agents.plan import RunPlan
-from bus_schemas.codec import decode, encode
+from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.launcher.supervision import RunFailure
 from recordings.read.reader import RunReader
+from recordings.read.run_file import RECORDING_NAME
 from recordings.record.writer import RunWriter
 from recordings.verify.verification import PROFILE_NAME, run_profile
 from sim_plant.profile import Profile
 
-_UNFINISHED: Final = ".unfinished"
+GOLDEN: Final = Path(__file__).parents[1] / "golden"
+
+RUNS: Final = {
+    "oahu-predictive": "oahu --duration 24s",
+    "oahu-limit": "oahu --actuator limit --duration 20s",
+    "oahu-day-paper": "oahu-day --scheme paper --start 12:13:08 --duration 16s",
+    "valley-periods": f"{GOLDEN / 'valley-periods.toml'} --start 13:02:00 --duration 8s",
+}
+"""Arguments of `heliarch simulate` for each golden run."""
 
 
-def check_rerecordable(run: Path) -> None:
-    """Refuse a run that cannot be recorded anew without a clock and processes.
-
-    Raises
-    ------
-    InputError
-        It was not made by `simulate` in lockstep, or its profile is not there.
-    """
-    _origin(run)
-
-
-def record_anew(run: Path) -> Path:
-    """Run the agents and the plant of a recording again and replace the recording.
-
-    Parameters
-    ----------
-    run
-        Folder of the run, or its MCAP file.
-
-    Returns
-    -------
-    Path
-        The recording. It is replaced only once the new one is complete.
-
-    Raises
-    ------
-    InputError
-        See `check_rerecordable`.
-    RunFailure
-        The agents wait for each other, or one of them fails. The recording stays as it was.
-    """
-    path, plan, scenario, profile = _origin(run)
-    unfinished = path.with_name(path.name + _UNFINISHED)
-    unfinished.unlink(missing_ok=True)
-    writer = RunWriter(unfinished, plan, scenario, driver="simulate")
-
-    def record(port: Port[Message], message: Message) -> None:
-        payload = encode(message)
-        decode(port.signal, payload)  # What nobody can read is no recording.
-        if port.signal.logged:
-            writer.add(port, message, payload, time.monotonic_ns())
-
-    try:
-        _run_all(plan, profile, record)
-        writer.close()
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
-    return path
+def main() -> None:
+    """Simulate each golden run; keep its recording, and the profile for the plant."""
+    for name, arguments in RUNS.items():
+        with tempfile.TemporaryDirectory() as scratch:
+            run = Path(scratch) / "run"
+            command = ["-m", "launch_scripts", "simulate", *arguments.split(), "--out", str(run)]
+            subprocess.run([sys.executable, *command], check=True, stdout=subprocess.DEVNULL)
+            (GOLDEN / name).mkdir(exist_ok=True)
+            for file in (RECORDING_NAME, PROFILE_NAME):
+                shutil.move(run / file, GOLDEN / name / file)
+        sys.stdout.write(f"{GOLDEN / name}\n")
 
 
-def _run_all(
-    plan: RunPlan, profile: Profile, tap: Callable[[Port[Message], Message], None]
-) -> None:
-    try:
-        memory_run = MemoryRun(plan, profile, tap)
-        for _ in memory_run.cycles():
-            pass
-        memory_run.close()
-    except (RunFailure, OSError):
-        raise
-    except (Exception, SystemExit) as error:  # Whatever the code under test does wrong.
-        raise RunFailure(
-            f"an agent fails: {type(error).__name__}: {error}; the recording stays as it was"
-        ) from error
-
-
-def _origin(run: Path) -> tuple[Path, RunPlan, str, Profile]:
+def origin(run: Path) -> tuple[Path, RunPlan, str, Profile]:
+    """Return what it takes to record a run again: recording, plan, scenario and profile."""
     with RunReader(run) as reader:
         path, plan, scenario = reader.path, reader.plan, reader.scenario
         driver = reader.metadata["run"].get("driver", "")
     if not plan.lockstep or driver != "simulate":
+        mode = "in lockstep" if plan.lockstep else "in real time"
         raise InputError(
-            f"--accept: {path} was recorded by {driver}"
-            f"{'' if plan.lockstep else ' in real time'}, expected a run of `heliarch simulate` "
-            "in lockstep"
+            f"--accept {path}: expected a run of `heliarch simulate` in lockstep, got one of "
+            f"{driver} {mode}"
         )
     profile = run_profile(plan, path)
     if profile is None:
-        raise InputError(f"--accept: no {PROFILE_NAME} lies beside {path}, the plant needs it")
+        raise InputError(f"--accept {path}: expected {PROFILE_NAME} beside it, got none")
     return path, plan, scenario, profile
+
+
+def record_again(run: Path) -> None:
+    """Simulate a recorded run again; replace its recording once the new one is complete."""
+    path, plan, scenario, profile = origin(run)
+    unfinished = path.with_name(f"{path.name}.unfinished")
+    writer = RunWriter(unfinished, plan, scenario, driver="simulate")
+
+    def record(port: Port[Message], message: Message) -> None:
+        if port.signal.logged:
+            writer.add(port, message, encode(message), message.publish_time_ns)
+
+    try:
+        memory_run = MemoryRun(plan, profile, record)
+        for _ in memory_run.cycles():
+            pass
+        memory_run.close()
+        writer.close()
+        unfinished.replace(path)
+    except (RunFailure, OSError):
+        raise
+    except (Exception, SystemExit) as error:  # Whatever the changed code does wrong.
+        raise RunFailure(f"--accept {path}: {type(error).__name__}: {error}") from error
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+if __name__ == "__main__":
+    main()

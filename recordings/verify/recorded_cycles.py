@@ -1,97 +1,71 @@
-"""Walks through a recording cycle by cycle, with a bounded number of messages in memory."""
+"""The messages of a recording cycle by cycle, with a bounded number of them in memory."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
+from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
-from bus_schemas.tree import RECORDER, ControlTree
+from bus_schemas.tree import RECORDER
 
-MOST_HELD: Final = 200_000
-"""Messages that are held at most for the sake of an agent that lags behind: some 100 MB."""
+MOST_WAITING: Final = 200_000
+"""Most messages that wait for an agent that is late or has ended: about 100 MB."""
 
 _MARGIN: Final = 1
-"""Cycles by which messages of one agent may overtake each other on their way to the recorder."""
+"""Messages of one agent may overtake each other by this many cycles on the way to the recorder."""
 
 
 @dataclass(slots=True)
 class RecordedCycle:
-    """What a recording holds of one cycle.
-
-    Attributes
-    ----------
-    number
-        Number of the cycle.
-    messages
-        The message of each port; of a port with several the first one.
-    repeated
-        The further ones.
-    """
+    """The first recorded message of each port in a cycle, and further ones of the same ports."""
 
     number: int
     messages: dict[Port[Message], Message] = field(default_factory=dict)
     repeated: list[Delivery] = field(default_factory=list)
 
 
-class CycleWalk:
-    """The cycles of a recording in their order, each once it is complete.
+class RecordedCycles:
+    """The cycles of a recording in order, each as soon as it is complete.
 
-    Messages of a cycle lie near each other in the file, mixed with those of the next ones: an agent
-    may be ahead of another, or be heard late. A cycle is complete once every agent has gone on.
+    The file mixes the messages of neighbouring cycles, since agents are not equally fast. A cycle
+    is complete when every agent has gone on to a later one.
 
-    Parameters
-    ----------
-    deliveries
-        The messages in the order of the file.
-    tree, cycles
-        Control tree and number of cycles of the run.
-    external
-        External agents: they may send anything of any cycle.
-    most_held
-        When so many messages wait for an agent that lags behind or is dead, it is waited for no
-        longer.
+    Without a `stop_cycle` the run broke off: incomplete cycles at its end are left out. When
+    `most_waiting` messages wait, the oldest cycle counts as complete.
 
     Attributes
     ----------
     read
         Messages so far.
     not_decided
-        Those of them that no agent decides: the beginning and end of the run.
-    newest
-        Cycle of the newest message of each agent, -1 if there is none.
-    ended
-        Whether the whole recording has been read.
-    strays
-        Messages that belong to no cycle of the run.
-    too_late
-        Messages, by agent, that lie behind the end of their cycle. External agents may send such.
+        Of them those that no agent decides: the beginning and end of the run.
+    misplaced
+        Of them those that belong to no cycle of the run, or come long after their cycle.
+    cut_off
+        Of them those of cycles at the end that did not take place or are incomplete.
     """
 
     def __init__(
         self,
         deliveries: Iterable[Delivery],
-        tree: ControlTree,
-        cycles: int,
-        external: Collection[str] = (),
-        most_held: int = MOST_HELD,
+        plan: RunPlan,
+        stop_cycle: int | None,
+        most_waiting: int = MOST_WAITING,
     ) -> None:
-        self.read = 0
-        self.not_decided = 0
-        self.newest = {agent: -1 for agent in tree.agents() if agent != RECORDER}
-        self.ended = False
-        self.strays = 0
-        self.too_late: Counter[str] = Counter()
+        self.read = self.not_decided = self.misplaced = self.cut_off = 0
         self._deliveries = deliveries
-        self._cycles = cycles
-        self._external = frozenset(external)
-        self._most_held = most_held
-        self._held: dict[int, RecordedCycle] = {}
-        self._held_messages = 0
+        self._external = plan.external
+        self._cycles = plan.cycles
+        self._broke_off = stop_cycle is None
+        self._end = plan.cycles if stop_cycle is None else stop_cycle
+        self._most_waiting = max(most_waiting, len(plan.keys.ports) * (plan.periods.longest + 2))
+        self._newest = {agent: -1 for agent in plan.tree.agents() if agent != RECORDER}
+        self._waiting: dict[int, RecordedCycle] = {}
+        self._waiting_messages = 0
         self._next = 0
 
     def __iter__(self) -> Iterator[RecordedCycle]:
@@ -99,40 +73,61 @@ class CycleWalk:
             self.read += 1
             if not port.signal.decided:
                 self.not_decided += 1
-            elif self._keep(port, message):
-                slowest = min(self.newest.values())
+            elif self._add(port, message):
+                slowest = min(self._newest.values())
                 while self._next < slowest - _MARGIN:
                     yield self._pop()
-            if self._held_messages >= self._most_held:
+            if self._waiting_messages >= self._most_waiting:
                 yield self._pop()
-        self.ended = True
-        while self._held:
+        complete = self._first_incomplete() if self._broke_off else self._end
+        while self._next < complete and self._waiting:
             yield self._pop()
+        self.cut_off += self._waiting_messages
 
-    def _keep(self, port: Port[Message], message: Message) -> bool:
-        """Keep a message; return whether its agent has gone on to another cycle by it."""
+    def _first_incomplete(self) -> int:
+        """Return the first cycle that a run that broke off may not have completed."""
+        return min(cycle for agent, cycle in self._newest.items() if agent not in self._external)
+
+    def _add(self, port: Port[Message], message: Message) -> bool:
+        """Keep a message; return whether its agent has gone on to another cycle."""
         number, agent = message.cycle, port.publisher
-        if not self._next <= number < self._cycles:
-            if 0 <= number < self._next or agent in self._external:
-                self.too_late[agent] += 1
-            else:
-                self.strays += 1
+        if not self._next <= number < self._end:
+            if self._end <= number < self._cycles:  # Agents may begin what did not take place.
+                self.cut_off += 1
+            elif agent not in self._external:  # A device may send anything.
+                self.misplaced += 1
             return False
-        cycle = self._held.get(number)
-        if cycle is None:
-            cycle = self._held[number] = RecordedCycle(number)
+        cycle = self._waiting.setdefault(number, RecordedCycle(number))
         if port in cycle.messages:
             cycle.repeated.append((port, message))
         else:
             cycle.messages[port] = message
-        self._held_messages += 1
-        if number <= self.newest[agent]:
+        self._waiting_messages += 1
+        if number <= self._newest[agent]:
             return False
-        self.newest[agent] = number
+        self._newest[agent] = number
         return True
 
     def _pop(self) -> RecordedCycle:
-        cycle = self._held.pop(self._next, None) or RecordedCycle(self._next)
-        self._held_messages -= len(cycle.messages) + len(cycle.repeated)
+        cycle = self._waiting.pop(self._next, None) or RecordedCycle(self._next)
+        self._waiting_messages -= len(cycle.messages) + len(cycle.repeated)
         self._next += 1
         return cycle
+
+
+class RecentMessages:
+    """The newest messages of each port, by cycle: as many as an agent can still use."""
+
+    def __init__(self, plan: RunPlan) -> None:
+        self.of_port: dict[Port[Message], dict[int, Message]] = {
+            port: {} for port in plan.keys.ports
+        }
+        self._most = plan.hold_cycles + 2
+
+    def add(self, cycle: RecordedCycle) -> None:
+        """Take in the messages of the next cycle."""
+        for port, message in cycle.messages.items():
+            kept = self.of_port[port]
+            kept[cycle.number] = message
+            if len(kept) > self._most:
+                del kept[next(iter(kept))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, NamedTuple, TypeAlias
 
 import msgspec
@@ -22,6 +23,7 @@ from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepar
 from launch_scripts.scenarios.scenario import ControlTable, ScenarioFile
 from recordings.read.series import RunSeries
 from sim_plant.profile import Profile
+from sim_plant.sites import Sites
 from studies.arrays.schemes import ReferenceGroups, run_scheme
 from studies.metrics import CommitmentMetrics, commitment_metrics
 from studies.metrics.help import HelpMetrics, help_metrics
@@ -30,26 +32,21 @@ _HOUR_NS: Final = 3_600_000_000_000
 
 
 class Arrangement(NamedTuple):
-    """A run whose inverters have been put into clusters: ready for any scheme."""
+    """A run with its inverters in clusters, ready for any scheme."""
 
     plan: RunPlan
     profile: Profile
 
 
 Arrange: TypeAlias = Callable[[ControlTable], Arrangement]
-"""Puts the inverters of one and the same day into the clusters that a control table asks for."""
+"""Puts the inverters of one day into the clusters that a control table asks for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Past:
-    """What clusters are chosen from.
+    """The past that clusters are chosen from.
 
-    Attributes
-    ----------
-    inverters
-        Names of the n inverters.
-    correlation
-        Their mean hourly correlation in the past (paper, eq. 5), shape (n, n).
+    `correlation` is the mean hourly correlation of the n inverters (paper, eq. 5), shape (n, n).
     """
 
     inverters: tuple[str, ...]
@@ -58,7 +55,7 @@ class Past:
 
 @dataclass(frozen=True, slots=True)
 class Shortfall:
-    """Energy that a run missed, in % of the energy desired.
+    """Shortfall of a run, in % of the desired energy.
 
     Attributes
     ----------
@@ -67,10 +64,10 @@ class Shortfall:
     unavoidable_percent, control_caused_percent
         What no controller could have met, and the rest.
     begun_lacking_percent
-        That part of the control-caused shortfall that fell into periods at whose beginning the
-        whole plant lacked. The paper's central controller then asks each cluster for what it has
-        at that moment, and this holds until its next turn, however soon the clouds have gone. The
-        predictive scheme lends them what they lack.
+        The part of the control-caused shortfall in periods at whose beginning the whole plant
+        lacked power. The paper's central controller then asks each cluster for what it has at that
+        moment, and this holds until its next turn, even if the clouds are soon gone. The
+        predictive scheme tops the clusters up.
     """
 
     period_cycles: int
@@ -81,20 +78,19 @@ class Shortfall:
 
 @dataclass(frozen=True, slots=True)
 class ClustersWorth:
-    """What a run came to with its inverters clustered in one way.
+    """The result of a run with its inverters clustered in one way.
 
     Attributes
     ----------
     clusters
         Names of the inverters in each cluster of the lowest tier.
     past_correlation, run_correlation
-        Mean correlation over all pairs that share such a cluster: in the past that clusters are
-        chosen from, and in the run itself. Both are means of hourly correlations of power.
+        Mean hourly correlation of power over all pairs that share such a cluster: in the past that
+        clusters are chosen from, and in the run itself.
     help
-        Where inverters in need found help, with the central controller acting as often as in the
-        first of the periods.
+        Where inverters in need found help, at the first of the central controller's periods.
     shortfalls
-        What was missed with each of the central controller's periods.
+        One for each of those periods.
     """
 
     clusters: tuple[tuple[str, ...], ...]
@@ -106,78 +102,63 @@ class ClustersWorth:
 
 def by_scenario(scenario: ScenarioFile, options: RunOptions) -> Arrange:
     """Arrange a scenario's run as any other command does: clusters from the scenario's past."""
+    return partial(_by_scenario, scenario, options)
 
-    def arrange(control: ControlTable) -> Arrangement:
-        changed = msgspec.structs.replace(scenario.scenario, control=control)
-        prepared = prepare(msgspec.structs.replace(scenario, scenario=changed), options, "clusters")
-        return Arrangement(prepared.plan, prepared.profile)
 
-    return arrange
+def _by_scenario(scenario: ScenarioFile, options: RunOptions, control: ControlTable) -> Arrangement:
+    changed = msgspec.structs.replace(scenario.scenario, control=control)
+    prepared = prepare(msgspec.structs.replace(scenario, scenario=changed), options, "clusters")
+    return Arrangement(prepared.plan, prepared.profile)
 
 
 def by_first_part(preparation: Preparation, learn_s: float) -> Arrange:
-    """Arrange what is left of a run after its first part, clusters chosen from that part alone.
+    """Arrange the rest of a run after its first part, with clusters chosen from that part alone.
 
-    So a measurement of one day can be used without hindsight. Whatever the scenario says of the
-    past does not count, and the first part is one past, not one for each of its hours.
-
-    Parameters
-    ----------
-    preparation
-        The whole run.
-    learn_s
-        Length of its first part [s].
+    So a measurement of one day can be used without hindsight. The scenario's own past is ignored,
+    and the first part is one past, not one for each of its hours.
 
     Raises
     ------
     InputError
         The first part is no multiple of the cycle, shorter than two cycles, or the whole run.
     """
-    plan, profile = preparation.plan, preparation.profile
+    plan = preparation.plan
     cycle_s = plan.cycle_ns / 1e9
     learned = round(learn_s / cycle_s)
     if abs(learned * cycle_s - learn_s) > 1e-6 or not 2 <= learned < plan.cycles:
         raise InputError(
-            f"--learn {learn_s:g} s: accepted are multiples of the cycle, {cycle_s:g} s, from "
-            f"{2 * cycle_s:g} to {(plan.cycles - 1) * cycle_s:g} s"
+            f"--learn: expected a multiple of the cycle, {cycle_s:g} s, from {2 * cycle_s:g} to "
+            f"{(plan.cycles - 1) * cycle_s:g} s, got {learn_s:g} s"
         )
     first = pd.DatetimeIndex([pd.Timestamp(plan.start_time_ns, tz="UTC")])
     sites = power_source(preparation.scenario, None, first).sites
+    return partial(_by_first_part, plan, preparation.profile, sites, learned)
+
+
+def _by_first_part(
+    plan: RunPlan, profile: Profile, sites: Sites, learned: int, control: ControlTable
+) -> Arrangement:
     listed = [_leaf_names(plan.tree).index(name) for name in sites.names]
     past = hourly_covariance(profile.mpp_kw[:learned, listed], np.zeros(learned, dtype=np.int64))
     begins_ns = plan.sim_time_ns(learned)
-
-    def arrange(control: ControlTable) -> Arrangement:
-        tree = control_tree(control, sites, past, past.hours)
-        order = [sites.names.index(name) for name in _leaf_names(tree)]
-        rest = msgspec.structs.replace(
-            plan,
-            inverters=tree.inverters,
-            neighbourhoods=neighbourhoods(tree, in_order(past, order), {0: begins_ns}),
-            start_time_ns=begins_ns,
-            cycles=plan.cycles - learned,
-        )
-        return Arrangement(rest, _rest_of(profile, learned, [listed[place] for place in order]))
-
-    return arrange
+    tree = control_tree(control, sites, past, past.hours)
+    order = [sites.names.index(name) for name in _leaf_names(tree)]
+    rest = msgspec.structs.replace(
+        plan,
+        inverters=tree.inverters,
+        neighbourhoods=neighbourhoods(tree, in_order(past, order), {0: begins_ns}),
+        start_time_ns=begins_ns,
+        cycles=plan.cycles - learned,
+    )
+    return Arrangement(rest, _rest_of(profile, learned, [listed[place] for place in order]))
 
 
 def past_of(arrange: Arrange, control: ControlTable, inverters: int) -> Past:
-    """Return the past of a run, hours of the run alone.
+    """Return the past of a run of so many inverters, for the hours of the run alone.
 
-    Clusters are chosen from the hours of the whole scenario. That is the same, unless only a part
-    of it is run.
-
-    Parameters
-    ----------
-    arrange
-        The run.
-    control
-        The scenario's control table.
-    inverters
-        How many inverters the plant has.
+    Clusters are chosen from the hours of the whole scenario: the same, unless a part of it is run.
     """
-    # In one cluster of all, every inverter is every other's neighbour.
+    # In one cluster of all inverters, everybody is a neighbour of everybody.
     one_cluster = msgspec.structs.replace(
         control,
         clusters="listed",
@@ -194,19 +175,7 @@ def past_of(arrange: Arrange, control: ControlTable, inverters: int) -> Past:
 def worth_of(
     arrangement: Arrangement, past: Past, scheme: Scheme, periods: Sequence[int]
 ) -> ClustersWorth:
-    """Run an arrangement, once for each period of the central controller.
-
-    Parameters
-    ----------
-    arrangement
-        The run and its clusters.
-    past
-        What the clusters were, or could have been, chosen from.
-    scheme
-        How maxima are estimated.
-    periods
-        Every how many cycles the central controller acts.
-    """
+    """Run an arrangement, once for each period of the central controller [cycles]."""
     runs = [_run(arrangement, scheme, period) for period in periods]
     clusters = _lowest_clusters(arrangement.plan.tree)
     names = _leaf_names(arrangement.plan.tree)
@@ -257,7 +226,7 @@ def _shortfall(run: RunSeries, period: int) -> Shortfall:
     begun_lacking = run.residual_kw.sum(axis=1)[turn] < 0.0
     energy = _energies(run, slice(None))
     if not energy.desired_kwh > 0.0:
-        raise InputError("nothing is desired of the plant, accepted is a commitment above 0")
+        raise InputError("commitment: expected more than 0 kW at some time, got none")
     in_percent = 100.0 / energy.desired_kwh
     return Shortfall(
         period,

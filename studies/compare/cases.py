@@ -21,6 +21,7 @@ from launch_scripts.scenarios.scenario import (
     check_scenario,
     local_start,
 )
+from launch_scripts.scenarios.toml_text import toml_text
 
 _MOST: Final = 100_000
 
@@ -35,17 +36,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One day with one choice of settings.
-
-    Attributes
-    ----------
-    label
-        What is particular to it; empty if it is the only one.
-    scenario
-        The scenario with its settings.
-    options
-        Start, duration and seed.
-    """
+    """One day with one choice of settings; its label is empty if it is the only case."""
 
     label: str
     scenario: ScenarioFile
@@ -53,52 +44,51 @@ class Case:
 
 
 def parse_setting(text: str) -> Setting:
-    """Read `commitment.share=0.5,0.7`: a field of the scenario, and its values as TOML.
-
-    Raises
-    ------
-    InputError
-        It is not of that form.
-    """
+    """Read `commitment.share=0.5,0.7`: a field of the scenario, and its values as TOML."""
     field, equals, values = text.partition("=")
     if not equals or not re.fullmatch(r"\w+(\.\w+)*", field.strip()) or not values.strip():
         raise InputError(
-            f"--set {text}: accepted is a field of the scenario and values, such as "
-            "commitment.share=0.5,0.7"
+            f"--set: expected a field and values such as commitment.share=0.5,0.7, got {text}"
         )
     return Setting(field.strip(), tuple(_split(values)))
 
 
-def parse_seeds(text: str) -> tuple[int, ...]:
-    """Read `1..5,9`.
+def with_settings(scenario: ScenarioFile, texts: Sequence[str]) -> ScenarioFile:
+    """Return a scenario with some of its fields changed: one value for each, see `parse_setting`.
 
     Raises
     ------
     InputError
-        It is not a list of whole numbers and ranges.
+        A setting has several values, is no field of the scenario, or its value is not accepted.
     """
+    if not texts:
+        return scenario
+    settings = [parse_setting(text) for text in texts]
+    for setting, text in zip(settings, texts, strict=True):
+        if len(setting.values) > 1:
+            raise InputError(f"--set {setting.field}: expected one value, got {text}")
+    (case,) = cases(scenario, RunOptions(), settings)
+    return case.scenario
+
+
+def parse_seeds(text: str) -> tuple[int, ...]:
+    """Read `1..5,9`."""
     if not re.fullmatch(r"\d+(\.\.\d+)?(,\d+(\.\.\d+)?)*", text):
-        raise InputError(f"--seeds {text}: accepted are whole numbers and ranges, such as 1..5,9")
+        raise InputError(f"--seeds: expected whole numbers and ranges such as 1..5,9, got {text}")
     ranges = []
     for part in text.split(","):
         first, _, last = part.partition("..")
         ranges.append(range(int(first), int(last or first) + 1))
-    # Counted before they are listed: a slip of the finger must not fill the memory.
+    # Count before listing: a typing error must not fill the memory.
     if not all(ranges) or sum(map(len, ranges)) > _MOST:
         raise InputError(
-            f"--seeds {text}: accepted are ranges from low to high, at most {_MOST:,} seeds in all"
+            f"--seeds: expected ranges from low to high, at most {_MOST:,} seeds, got {text}"
         )
     return tuple(dict.fromkeys(chain.from_iterable(ranges)))
 
 
 def parse_days(text: str) -> tuple[date, ...]:
-    """Read `2010-04-01`, `2010-04-01..2010-04-30`, or several of them with commas between.
-
-    Raises
-    ------
-    InputError
-        It is not a list of dates and ranges.
-    """
+    """Read `2010-04-01`, `2010-04-01..2010-04-30`, or several of them with commas."""
     found: list[date] = []
     try:
         for part in text.split(","):
@@ -110,7 +100,7 @@ def parse_days(text: str) -> tuple[date, ...]:
         found = []
     if not found:
         raise InputError(
-            f"--days {text}: accepted are dates and ranges, such as 2010-04-01..2010-04-30"
+            f"--days: expected dates and ranges such as 2010-04-01..2010-04-30, got {text}"
         )
     return tuple(found)
 
@@ -135,7 +125,7 @@ def cases(
     for choice in choices:
         count *= len(choice)
     if count > _MOST:
-        raise InputError(f"the study has {count:,} cases, accepted are at most {_MOST:,}")
+        raise InputError(f"--days, --seeds, --set: expected at most {_MOST:,} cases, got {count:,}")
     found = []
     for chosen in product(*choices):
         changed = _with_settings(scenario, chosen)
@@ -163,11 +153,13 @@ def _on(
     start = options.start
     clock = local_start(scenario.scenario.time).time() if start is None else read_time(start)
     if not isinstance(clock, time):
-        raise InputError(f"--start: expected a time of day such as 12:30 with --days, got {start}")
+        raise InputError(f"--from: expected a time of day such as 12:30 with --days, got {start}")
     return replace(options, start=datetime.combine(day, clock).isoformat())
 
 
 def _with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, str]]) -> ScenarioFile:
+    if not chosen:
+        return scenario
     document = msgspec.to_builtins(scenario.scenario, builtin_types=(datetime,))
     for field, value in chosen:
         _put(document, field, value)
@@ -177,7 +169,10 @@ def _with_settings(scenario: ScenarioFile, chosen: Sequence[tuple[str, str]]) ->
     except msgspec.ValidationError as error:
         words = _in_words(_to_blame(chosen, error) or chosen)
         raise InputError(f"{words}: {readable(error, Scenario, document)}") from None
-    return msgspec.structs.replace(scenario, scenario=changed)
+    stated = msgspec.toml.decode(scenario.text)
+    for field, value in chosen:
+        _put(stated, field, value)
+    return msgspec.structs.replace(scenario, scenario=changed, text=toml_text(stated))
 
 
 def _in_words(chosen: Sequence[tuple[str, str]]) -> str:
@@ -208,7 +203,7 @@ def _put(document: dict[str, Any], field: str, value: str) -> None:
         table = table[part]
         if not isinstance(table, dict):
             where = ".".join(tables[: depth + 1])
-            raise InputError(f"--set {field}: {where} is no table, accepted is a field of one")
+            raise InputError(f"--set {field}: expected a field of a table, but {where} is a value")
     table[name] = _toml(value)
 
 

@@ -1,171 +1,75 @@
-"""The tables of a comparison, in the terminal and as rows for other programs."""
+"""The tables of a comparison, and its rows for other programs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from statistics import fmean
 from typing import Final
 
-from rich.table import Table
-
 from studies.compare.study import CaseResult, SchemeResult
-from studies.metrics import RunMetrics
+from studies.metrics.figures_of_merit import (
+    FIGURES_OF_MERIT,
+    FigureOfMerit,
+    figures_json,
+    runs_as_rows,
+    shown_in,
+)
+from studies.tables import Cell, Column, Table, key_column
 
-Figure = Callable[[RunMetrics], float | None]
-
-FIGURES: Final[dict[str, tuple[str, Figure]]] = {
-    "satisfied": ("% of desired", lambda m: m.commitment.satisfied_percent),
-    "unsatisfied": (
-        "% of desired",
-        lambda m: m.commitment.percent(m.commitment.unsatisfied_kwh),
-    ),
-    "unavoidable": (
-        "% of desired",
-        lambda m: m.commitment.percent(m.commitment.unavoidable_kwh),
-    ),
-    "control-caused": (
-        "% of desired",
-        lambda m: m.commitment.percent(m.commitment.control_caused_kwh),
-    ),
-    "over-delivered": (
-        "% of desired",
-        lambda m: m.commitment.percent(m.commitment.over_delivered_kwh),
-    ),
-    "rmse": ("kW", lambda m: m.tracking.rmse_kw),
-    "mae": ("kW", lambda m: m.tracking.mae_kw),
-    "mileage": ("kW per hour", lambda m: m.support.per_hour_kw),
-    "ramp": (
-        "largest, kW per minute",
-        lambda m: (
-            max(m.ramps.largest_up_kw_per_min, m.ramps.largest_down_kw_per_min) if m.ramps else None
-        ),
-    ),
-    "above-ramp-limit": (
-        "% of minutes",
-        lambda m: m.ramps.above_limit_percent if m.ramps else None,
-    ),
-    "regd": (
-        "% of requests fulfilled at 1 % of rating",
-        lambda m: m.regulation.requests[-1].fulfilled_percent if m.regulation else None,
-    ),
-    "score": (
-        "PJM performance score, 0 to 1",
-        lambda m: (
-            m.regulation.performance.score if m.regulation and m.regulation.performance else None
-        ),
-    ),
-}
-"""Figures that a study can be shown by: name, unit, and where it is found."""
+_LISTED: Final = 40
+"""Up to this many cases have a row each; of more, the mean and the extremes are shown."""
 
 
-def commitment_table(title: str, schemes: Sequence[SchemeResult]) -> Table:
-    """Return the paper's first table and what it leaves out, a row a scheme."""
-    table = Table(title=title, title_justify="left")
-    table.add_column("scheme", no_wrap=True)
-    for heading in (
-        "satis-\nfied %",
-        "missing\nkWh",
-        "unavoid-\nable %",
-        "control-\ncaused %",
-        "over-de-\nlivered %",
-        "mileage\nkW/h",
-        "RMSE\nkW",
-    ):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for entry in schemes:
-        energy = entry.metrics.commitment
-        table.add_row(
-            entry.scheme,
-            _text(energy.satisfied_percent),
-            f"{energy.unsatisfied_kwh:,.1f}",
-            _text(energy.percent(energy.unavoidable_kwh)),
-            _text(energy.percent(energy.control_caused_kwh)),
-            _text(energy.percent(energy.over_delivered_kwh), 2),
-            f"{entry.metrics.support.per_hour_kw:,.0f}",
-            f"{entry.metrics.tracking.rmse_kw:,.1f}",
-        )
-    return table
+def case_tables(title: str, schemes: Sequence[SchemeResult]) -> list[Table]:
+    """Return the paper's tables for one case, a row for each scheme."""
+    runs = [(entry.scheme, entry.metrics) for entry in schemes]
+    tables = [runs_as_rows(title, runs, shown_in("compare", "commitment"))]
+    followed = [(name, metrics) for name, metrics in runs if metrics.regulation]
+    if followed:
+        figures = shown_in("compare", "regulation")
+        tables.append(runs_as_rows("Regulation signal", followed, figures))
+    return tables
 
 
-def regulation_table(schemes: Sequence[SchemeResult]) -> Table | None:
-    """Return the paper's second table, and PJM's score beside it; None without regulation."""
-    followed = [(entry.scheme, entry.metrics.regulation) for entry in schemes]
-    if not any(regulation for _, regulation in followed):
-        return None
-    table = Table(title="Regulation signal", title_justify="left")
-    table.add_column("scheme", no_wrap=True)
-    for heading in (
-        "fulfilled\nat 0.1 %",
-        "fulfilled\nat 1 %",
-        "accuracy",
-        "delay",
-        "precision",
-        "score",
-    ):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for scheme, regulation in followed:
-        if regulation is None:
-            continue
-        score = regulation.performance
-        parts = (
-            (score.accuracy, score.delay, score.precision, score.score) if score else (None,) * 4
-        )
-        table.add_row(
-            scheme,
-            *(f"{request.fulfilled_percent:.2f} %" for request in regulation.requests[:2]),
-            *(_text(part) for part in parts),
-        )
-    return table
+def cases_table(name: str, results: Sequence[CaseResult]) -> Table:
+    """Return one figure of merit of many cases."""
+    figure = FIGURES_OF_MERIT[name]
+    if len(results) > _LISTED:
+        return _summary(figure, results)
+    schemes = [entry.scheme for entry in results[0].schemes]
+    columns = (key_column("case"), *(Column(scheme, "", figure.decimals) for scheme in schemes))
+    rows = tuple(
+        (result.label, *(figure.read(entry.metrics) for entry in result.schemes))
+        for result in results
+    )
+    return Table(figure.heading, columns, rows)
 
 
-def pivot_table(figure: str, results: Sequence[CaseResult]) -> Table:
-    """Return one figure of many cases: a row a case, a column a scheme."""
-    unit, read = FIGURES[figure]
-    table = Table(title=f"{figure}, {unit}", title_justify="left")
-    table.add_column("case")
-    for name in _scheme_names(results):
-        table.add_column(name.replace(" ", "\n"), justify="right", no_wrap=True)
-    for result in results:
-        table.add_row(result.label, *_values(result, read))
-    return table
-
-
-def summary_table(figure: str, results: Sequence[CaseResult]) -> Table:
-    """Return the mean and the extremes of one figure over many cases, a row a scheme."""
-    unit, read = FIGURES[figure]
-    table = Table(title=f"{figure}, {unit}, {len(results):,} cases", title_justify="left")
-    for heading in ("scheme", "mean", "least", "most"):
-        table.add_column(heading, justify="left" if heading == "scheme" else "right")
-    for place, name in enumerate(_scheme_names(results)):
-        values = [read(result.schemes[place].metrics) for result in results]
+def _summary(figure: FigureOfMerit, results: Sequence[CaseResult]) -> Table:
+    statistics = (("mean", fmean), ("least", min), ("most", max))
+    rows: list[tuple[Cell, ...]] = []
+    for place, entry in enumerate(results[0].schemes):
+        values = [figure.read(result.schemes[place].metrics) for result in results]
         known = [value for value in values if value is not None]
         if known:
-            table.add_row(name, *(_text(value) for value in (fmean(known), min(known), max(known))))
-    return table
+            rows.append((entry.scheme, *(of_many(known) for _, of_many in statistics)))
+    columns = (
+        key_column("scheme"),
+        *(Column(title, "", figure.decimals) for title, _ in statistics),
+    )
+    return Table(f"{figure.heading}, {len(results):,} cases", columns, tuple(rows))
 
 
-def rows(results: Sequence[CaseResult]) -> list[dict[str, object]]:
-    """Return a row for each case and scheme: the figures, all metrics, and what was mended."""
+def json_rows(results: Sequence[CaseResult]) -> list[dict[str, object]]:
+    """Return a row for each case and scheme: all figures of merit, all metrics, remarks."""
     return [
         {
             "case": result.label,
             "scheme": entry.scheme,
-            **{name: read(entry.metrics) for name, (_, read) in FIGURES.items()},
+            **figures_json(entry.metrics),
             "metrics": entry.metrics,
             "remarks": result.remarks,
         }
         for result in results
         for entry in result.schemes
     ]
-
-
-def _scheme_names(results: Sequence[CaseResult]) -> list[str]:
-    return [entry.scheme for entry in results[0].schemes]
-
-
-def _values(result: CaseResult, read: Figure) -> list[str]:
-    return [_text(read(entry.metrics)) for entry in result.schemes]
-
-
-def _text(value: float | None, decimals: int = 3) -> str:
-    return "-" if value is None else f"{value:.{decimals}f}"

@@ -1,17 +1,13 @@
-"""What delay, loss and a slow central controller cost: the question that the paper leaves out.
+"""What delay, loss and a slow central controller cost.
 
 The paper neglects communication delays. Here one run is repeated on the virtual clock, each time
 with one thing worse: every message delayed on every hop, a share of all messages lost, or a
-central controller that acts more rarely. What happens is then due to that alone, and is the same
-whenever it is repeated.
+central controller that acts more rarely. Any difference is due to that alone, and repeatable.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import multiprocessing
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias, get_args
 
@@ -19,13 +15,12 @@ import msgspec
 from msgspec.structs import replace
 
 from agents.plan import RunPlan, Scheme
-from agents.process import die_with_parent
 from bus_schemas.faults import FaultRule
-from launch_scripts.launcher.interruption import end_when_interrupted, interruptions_wait
 from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
 from recordings.read.series import RunSeries, SeriesCollector
 from sim_plant.profile import Profile
 from studies.metrics import RunMetrics, run_metrics
+from studies.metrics.figures_of_merit import figures_json
 from studies.timing.cycle_waits import StageTable
 
 Trouble: TypeAlias = Literal["delay", "loss", "period"]
@@ -39,7 +34,7 @@ VALUES: Final[dict[Trouble, tuple[float, ...]]] = {
 
 
 WARM_UP_S: Final = 120.0
-"""The beginning of each run that does not count [s]: with long delays nobody knows anything yet."""
+"""The first seconds of each run, which do not count: with long delays messages are still coming."""
 
 _BY_CYCLE: Final = (
     "commitment_kw",
@@ -54,17 +49,10 @@ _BY_CYCLE: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """One run of the study.
+    """One run of the study: what is worse than in the scenario, how much, and the scheme.
 
-    Attributes
-    ----------
-    trouble, value
-        What is worse than in the scenario, and how bad it is.
-    scheme
-        How the inverters' maxima are estimated.
-    correction
-        Whether the central controller corrects its target by the plant's meter. None: with
-        `predictive` alone.
+    `correction` says whether the central controller corrects its target by the plant's meter;
+    None: with `predictive` alone.
     """
 
     trouble: Trouble
@@ -74,25 +62,16 @@ class Condition:
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
-    """What one run of the study came to, the figures of merit without its beginning.
+    """The result of one run, without its warm-up.
 
     Attributes
     ----------
-    trouble, value, scheme
-        See `Condition`.
-    control_caused_percent, over_delivered_percent
-        Energy that control alone did not deliver, and that it delivered too much, in % of what was
-        desired; None where nothing was desired.
-    mileage_kw_per_h
-        Mileage of the support power.
-    fulfilled_percent
-        Requests of the regulation signal fulfilled to within 1 % of the rating.
-    score
-        PJM's performance score.
+    figures
+        Its figures of merit by name.
     missed_percent
-        Inputs that were not there at their deadline, in % of all that were awaited.
+        Inputs that had not come at their deadline, in % of all that were awaited.
     old_inputs
-        Older messages that were used in place of those.
+        Older messages that were used in their place.
     lost
         Messages that the network lost.
     """
@@ -100,11 +79,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     trouble: Trouble
     value: float
     scheme: Scheme
-    control_caused_percent: float | None
-    over_delivered_percent: float | None
-    mileage_kw_per_h: float
-    fulfilled_percent: float | None
-    score: float | None
+    figures: dict[str, float | None]
     missed_percent: float
     old_inputs: int
     lost: int
@@ -113,15 +88,8 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 def conditions(cycle_s: float, counted_s: float, correction: bool | None = None) -> list[Condition]:
     """List the runs of the study: each value with each scheme.
 
-    Parameters
-    ----------
-    cycle_s
-        Length of a cycle [s]. Central periods that are no whole number of cycles are left out.
-    counted_s
-        How much of each run counts [s]. Left out are central periods of which it does not hold two:
-        nothing could be said of them.
-    correction
-        See `Condition`.
+    Left out are central periods that are no whole number of cycles, and those of which the time
+    that counts does not hold two.
     """
     found = []
     for trouble, values in VALUES.items():
@@ -135,32 +103,35 @@ def conditions(cycle_s: float, counted_s: float, correction: bool | None = None)
 
 
 def plan_under(plan: RunPlan, condition: Condition) -> RunPlan:
-    """Return a plan with the trouble of a condition in it, on the clock."""
+    """Return a plan with the trouble of a condition, on the virtual clock."""
     scheme, value, correction = condition.scheme, condition.value, condition.correction
     if correction is None:
         correction = scheme == "predictive"
     timed = replace(on_the_clock(plan), scheme=scheme, correction=correction)
-    match condition.trouble:
-        case "period":
-            cycles = round(value * 1e9) // plan.cycle_ns
-            return replace(timed, period_cycles=(cycles, *(1 for _ in plan.period_cycles[1:])))
-        case "delay":
-            rule = FaultRule(delay_ms=1e3 * value)
-        case "loss":
-            rule = FaultRule(loss=value / 100.0)
-    return replace(timed, faults=(rule,) if value else ())
+    if condition.trouble == "period":
+        cycles = round(value * 1e9) // plan.cycle_ns
+        return replace(timed, period_cycles=(cycles, *(1 for _ in plan.period_cycles[1:])))
+    if not value:
+        return replace(timed, faults=())
+    is_delay = condition.trouble == "delay"
+    rule = FaultRule(delay_ms=1e3 * value) if is_delay else FaultRule(loss=value / 100.0)
+    return replace(timed, faults=(rule,))
+
+
+def run_in_memory(plan: RunPlan, profile: Profile) -> tuple[MemoryRun, RunSeries]:
+    """Run a plan's agents in memory, message by message; return the run and its series."""
+    collector = SeriesCollector(plan)
+    run = MemoryRun(plan, profile, collector.see)
+    for _ in run.cycles():
+        pass
+    return run, collector.series(plan.scheme)
 
 
 def run_under(plan: RunPlan, profile: Profile, condition: Condition) -> Outcome:
     """Run a plan under a condition. The run must last longer than `WARM_UP_S`."""
-    troubled = plan_under(plan, condition)
-    collector = SeriesCollector(troubled)
-    run = MemoryRun(troubled, profile, collector.see)
-    for _ in run.cycles():
-        pass
+    run, series = run_in_memory(plan_under(plan, condition), profile)
     cycles = round(WARM_UP_S * 1e9) // plan.cycle_ns
-    series = _without_beginning(collector.series(condition.scheme), cycles)
-    return _outcome(condition, run, run_metrics(series))
+    return _outcome(condition, run, run_metrics(_without_beginning(series, cycles)))
 
 
 def _without_beginning(series: RunSeries, cycles: int) -> RunSeries:
@@ -173,21 +144,16 @@ def _without_beginning(series: RunSeries, cycles: int) -> RunSeries:
 
 
 def _outcome(condition: Condition, run: MemoryRun, metrics: RunMetrics) -> Outcome:
-    energy, regulation = metrics.commitment, metrics.regulation
-    loops, tally = run.loops.values(), run.bus.tally
+    loops = run.loops.values()
     missed = sum(loop.missing_inputs for loop in loops)
     return Outcome(
         trouble=condition.trouble,
         value=condition.value,
         scheme=condition.scheme,
-        control_caused_percent=energy.percent(energy.control_caused_kwh),
-        over_delivered_percent=energy.percent(energy.over_delivered_kwh),
-        mileage_kw_per_h=metrics.support.per_hour_kw,
-        fulfilled_percent=regulation.requests[-1].fulfilled_percent if regulation else None,
-        score=regulation.performance.score if regulation and regulation.performance else None,
+        figures=figures_json(metrics),
         missed_percent=100.0 * missed / _awaited(run.plan),
         old_inputs=sum(loop.old_inputs for loop in loops),
-        lost=tally.lost,
+        lost=run.bus.tally.lost,
     )
 
 
@@ -200,39 +166,3 @@ def _awaited(plan: RunPlan) -> int:
         for agent in table.agents
         for stage in table.stages(agent, cycle)
     )
-
-
-def _begin_worker() -> None:
-    die_with_parent()
-    end_when_interrupted()
-
-
-def run_study_over(
-    plan: RunPlan, profile: Profile, chosen: Sequence[Condition], workers: int
-) -> Iterator[tuple[int, Outcome]]:
-    """Run under each condition, over processes; yield number and outcome of each as it is done."""
-    if workers == 1:
-        for number, condition in enumerate(chosen):
-            yield number, run_under(plan, profile, condition)
-        return
-    # Ctrl-C reaches every process of a terminal: workers then just end, as they do with us, also
-    # while they still import what they need.
-    pool = ProcessPoolExecutor(
-        workers,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_begin_worker,
-    )
-    try:
-        with interruptions_wait():
-            futures = {
-                pool.submit(run_under, plan, profile, condition): number
-                for number, condition in enumerate(chosen)
-            }
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    except (KeyboardInterrupt, GeneratorExit):
-        for worker in multiprocessing.active_children():
-            worker.terminate()  # A signal that came to us alone has not reached it.
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)

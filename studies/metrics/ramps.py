@@ -40,6 +40,11 @@ class RampMetrics:
     minutes_above_limit: int | None
     above_limit_percent: float | None
 
+    @property
+    def largest_kw_per_min(self) -> float:
+        """The larger of the two, in kW per minute."""
+        return max(self.largest_up_kw_per_min, self.largest_down_kw_per_min)
+
 
 def ramp_metrics(
     delivered_kw: NDArray[np.float64],
@@ -52,7 +57,7 @@ def ramp_metrics(
     Parameters
     ----------
     delivered_kw
-        Power of the plant, cycle by cycle, shape (T,).
+        Power of the plant, cycle by cycle, shape (T,); NaN where it is not known.
     rating_kw
         AC rating of the plant [kW].
     cycle_s
@@ -63,14 +68,18 @@ def ramp_metrics(
     Returns
     -------
     RampMetrics or None
-        None if the run is too short for a ramp.
+        None if no ramp is known: the run is too short.
     """
     span = max(1, round(60.0 / cycle_s))
     if len(delivered_kw) <= span:
         return None
     ramp_kw_per_min = (delivered_kw[span:] - delivered_kw[:-span]) * (60.0 / (span * cycle_s))
+    # By minute the largest ramp; minutes without any known one do not count.
     minute_begins = np.arange(0, len(ramp_kw_per_min), span)
-    largest_kw_per_min = np.maximum.reduceat(np.abs(ramp_kw_per_min), minute_begins)
+    largest_kw_per_min = np.fmax.reduceat(np.abs(ramp_kw_per_min), minute_begins)
+    largest_kw_per_min = largest_kw_per_min[np.isfinite(largest_kw_per_min)]
+    if not len(largest_kw_per_min):
+        return None
     limit_kw_per_min = above = above_percent = None
     if limit_percent_per_min is not None:
         limit_kw_per_min = rating_kw * limit_percent_per_min / 100.0
@@ -78,10 +87,10 @@ def ramp_metrics(
         too_fast = largest_kw_per_min > limit_kw_per_min + _ROUNDING * rating_kw
         above, above_percent = int(too_fast.sum()), 100.0 * float(too_fast.mean())
     return RampMetrics(
-        largest_up_kw_per_min=max(0.0, float(ramp_kw_per_min.max())),
-        largest_down_kw_per_min=max(0.0, -float(ramp_kw_per_min.min())),
+        largest_up_kw_per_min=max(0.0, float(np.nanmax(ramp_kw_per_min))),
+        largest_down_kw_per_min=max(0.0, -float(np.nanmin(ramp_kw_per_min))),
         limit_kw_per_min=limit_kw_per_min,
-        minutes=len(minute_begins),
+        minutes=len(largest_kw_per_min),
         minutes_above_limit=above,
         above_limit_percent=above_percent,
     )

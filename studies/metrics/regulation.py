@@ -84,22 +84,8 @@ class RegulationMetrics:
     performance: PerformanceScore | None
 
 
-def regulation_metrics(
-    series: RunSeries,
-    offered: NDArray[np.bool_] | None = None,
-    tolerances_percent: Sequence[float] = TOLERANCES_PERCENT,
-) -> RegulationMetrics | None:
+def regulation_metrics(series: RunSeries) -> RegulationMetrics | None:
     """Work out how well a plant followed its regulation signal.
-
-    Parameters
-    ----------
-    series
-        The run.
-    offered
-        Whether the plant offered regulation, shape (T,). By default as `offered_cycles` reads it
-        from the signal.
-    tolerances_percent
-        Tolerances of a request, in % of the plant's rating.
 
     Returns
     -------
@@ -107,8 +93,7 @@ def regulation_metrics(
         None if no regulation was offered.
     """
     capacity_kw = series.regulation_capacity_kw
-    if offered is None:
-        offered = offered_cycles(series.regulation_kw, series.cycle_s)
+    offered = offered_cycles(series.regulation_kw, series.cycle_s) & series.known
     if capacity_kw == 0.0 or not offered.any():
         return None
     signal = series.regulation_kw / capacity_kw
@@ -124,7 +109,6 @@ def regulation_metrics(
             (delivered_kw - series.desired_kw)[offered],
             _request_numbers(series)[offered],
             float(series.rating_kw.sum()),
-            tolerances_percent,
         ),
         performance=performance_score(signal, response, offered, series.times[0], series.cycle_s),
     )
@@ -148,6 +132,7 @@ def offered_cycles(regulation_kw: NDArray[np.float64], cycle_s: float) -> NDArra
     -------
     numpy.ndarray of bool, shape (T,)
     """
+    # Where the regulation is not known (NaN), the signal is taken to go on.
     asked = np.flatnonzero(regulation_kw)
     gap_s = (np.diff(asked) - 1) * cycle_s
     change = np.zeros(len(regulation_kw) + 1, dtype=np.int64)
@@ -162,7 +147,7 @@ def requests_fulfilled(
     deviation_kw: NDArray[np.float64],
     request: NDArray[np.int64],
     rating_kw: float,
-    tolerances_percent: Sequence[float],
+    tolerances_percent: Sequence[float] = TOLERANCES_PERCENT,
 ) -> tuple[RequestsFulfilled, ...]:
     """Count the requests that were fulfilled, short and over, at each tolerance.
 

@@ -66,7 +66,7 @@ def find_cloud_passage(series: RunSeries) -> CloudPassage | None:
     CloudPassage or None
         None where no candidate has such a drop, or the scheme estimates no IMPP.
     """
-    hours = local_hours(series)
+    hours = hours_from_first_midnight(series)
     drop_kw = _drops(series)
     needy = series.residual_kw < 0.0
     able = _minute_before(series, series.residual_kw).min().to_numpy() > 0.0
@@ -91,18 +91,21 @@ def find_cloud_passage(series: RunSeries) -> CloudPassage | None:
 def correlation_by_hour(series: RunSeries) -> HourlyMatrices:
     """Correlate the inverters' true maximum power within each local hour of the run (eq. 5).
 
-    Hours in which no inverter's power varies, such as those of the night, are left out.
+    Hours count from the first day's midnight: 34 is 10 to 11 h of the second day. Hours in which
+    no inverter's power varies, such as those of the night, are left out.
     """
-    matrices = hourly_correlation(series.mpp_kw, local_hours(series))
+    known = np.isfinite(series.mpp_kw).all(axis=1)
+    matrices = hourly_correlation(series.mpp_kw[known], hours_from_first_midnight(series)[known])
     varies = [position for position, matrix in enumerate(matrices.values) if np.any(matrix < 1.0)]
     return HourlyMatrices(
         tuple(matrices.hours[position] for position in varies), matrices.values[varies]
     )
 
 
-def local_hours(series: RunSeries) -> NDArray[np.int64]:
-    """Return the local hour of the day of each cycle, 0 to 23, shape (T,)."""
-    return np.asarray(series.times.hour, dtype=np.int64)
+def hours_from_first_midnight(series: RunSeries) -> NDArray[np.int64]:
+    """Return the local hour of each cycle, from 0; on the second day 24 to 47. Shape (T,)."""
+    local = series.times.tz_localize(None)
+    return np.asarray((local - local[0].normalize()) // pd.Timedelta(hours=1), dtype=np.int64)
 
 
 def clusters(series: RunSeries) -> dict[str, list[int]]:

@@ -22,14 +22,17 @@ from studies.report.style import (
     diverging_scale,
     dress,
     label_time_axis,
+    list_names,
+    name_px,
     plain,
-    share_vertical_axis,
+    scheme_title,
+    share_axis,
     thinning_note,
     time_line,
 )
 
-_ROW_PX = 20
-_GREATEST_MAP_PX = 900
+_LEAST_MAP_PX = 160
+_TITLE_PX = 44
 
 
 def residuals(series: RunSeries) -> ReportFigure | None:
@@ -47,7 +50,8 @@ def residuals(series: RunSeries) -> ReportFigure | None:
     """
     if np.isnan(series.residual_kw).all():
         return None
-    map_px = min(_ROW_PX * max(len(series.inverters), 8), _GREATEST_MAP_PX)
+    count = len(series.inverters)
+    map_px = max(count * name_px(count), _LEAST_MAP_PX)
     figure = make_subplots(
         rows=2,
         cols=1,
@@ -61,19 +65,19 @@ def residuals(series: RunSeries) -> ReportFigure | None:
     figure.add_trace(line, row=2, col=1)
     dress(figure, map_px + 230, legend=False)
     figure.update_layout(hovermode="closest")
-    figure.update_yaxes(autorange="reversed", showgrid=False, row=1, col=1)
+    list_names(figure, count, row=1, col=1)
     figure.update_yaxes(title_text="worst [kW]", row=2, col=1)
     figure.add_hline(y=0.0, line={"color": BLACK, "width": 1}, row=2, col=1)
     label_time_axis(figure, series, rows=2)
-    needy = 100.0 * np.mean(worst_kw < 0.0)
-    cells = " A cell shows the least residual of the cycles that it covers."
+    needy = 100.0 * np.mean(worst_kw[np.isfinite(worst_kw)] < 0.0)
+    cells = " Each cell shows the least residual of the cycles that it covers."
     return ReportFigure(
         "residuals",
         "Residuals of the inverters",
-        "Residual of each inverter, IMPP less request [kW]: red where it cannot meet its request "
-        "and needs help, blue where it has power to spare (the two sides have scales of their "
-        "own); below, the least residual of all inverters [kW]. "
-        f"At least one of them needed help in {needy:.1f} % of the cycles."
+        "Residual of each inverter, IMPP less request [kW]. Red: it cannot meet its request and "
+        "needs help. Blue: it has headroom. The two sides have scales of their own. The line below "
+        "is the least residual of all inverters [kW]. "
+        f"At least one inverter needed help in {needy:.1f} % of the cycles."
         + (cells if series.cycles > COLUMNS else "")
         + thinning_note(series.cycles),
         figure,
@@ -84,7 +88,7 @@ def _residual_map(series: RunSeries, map_px: int) -> go.Heatmap:
     order = inverters_by_cluster(series)
     cells_kw, rows = least_per_bucket(series.residual_kw[:, order])
     cell_ms = rows * series.cycle_s * 1e3
-    # But for the few largest on either side, which would leave the rest pale.
+    # Without the few largest on either side, which would leave the rest pale.
     least_kw = min(0.0, float(np.nanquantile(cells_kw, 0.005)))
     greatest_kw = max(0.0, float(np.nanquantile(cells_kw, 0.995)))
     return go.Heatmap(
@@ -101,63 +105,63 @@ def _residual_map(series: RunSeries, map_px: int) -> go.Heatmap:
 
 
 def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
-    """Draw the energy that each inverter gave above its share, and that it lacked to it.
+    """Draw the energy that each inverter gave above its share, and by which it fell short of it.
 
     Parameters
     ----------
     series
         Runs of the same plant, a panel for each. The panels share both axes.
     """
-    figure = make_subplots(
-        rows=len(series),
-        cols=1,
-        shared_xaxes=True,
-        vertical_spacing=0.2 / len(series),
-        subplot_titles=[plain(one.label) for one in series],
-    )
     order = inverters_by_cluster(series[0])
     names = [plain(series[0].inverters[position]) for position in order]
-    for row, one in enumerate(series, start=1):
+    figure = make_subplots(
+        rows=1,
+        cols=len(series),
+        shared_yaxes=True,
+        horizontal_spacing=0.03,
+        subplot_titles=[scheme_title(one.label, len(series)) for one in series],
+    )
+    for column, one in enumerate(series, start=1):
         given_kwh, lacking_kwh = energy_beside_share(one)
         for name, energy_kwh, colour in (
-            ("given above its share", given_kwh, BLUE),
-            ("lacking to its share", -lacking_kwh, SUPPORT),
+            ("above its share", given_kwh, BLUE),
+            ("below its share", -lacking_kwh, SUPPORT),
         ):
             bars = go.Bar(
-                x=names,
-                y=energy_kwh[order],
+                y=names,
+                x=energy_kwh[order],
+                orientation="h",
                 name=name,
                 legendgroup=name,
-                showlegend=row == 1,
+                showlegend=column == 1,
                 marker={"color": colour},
-                hovertemplate="%{x}: %{y:,.2f} kWh",
+                hovertemplate="%{y}: %{x:,.2f} kWh",
             )
-            figure.add_trace(bars, row=row, col=1)
-    panel_px = 230
-    dress(figure, 130 + panel_px * len(series))
+            figure.add_trace(bars, row=1, col=column)
+    plot_px = max(len(names) * name_px(len(names)), _LEAST_MAP_PX)
+    dress(figure, plot_px + 140)
     figure.update_layout(
         barmode="relative",
         bargap=0.25,
         hovermode="closest",
-        legend_y=1.0 + 24.0 / (panel_px * len(series)),
-        margin_t=70,
-        margin_b=80,
+        legend_y=1.0 + (_TITLE_PX / plot_px if len(series) > 1 else 0.0),
+        margin_t=90 if len(series) > 1 else 46,
     )
-    figure.update_xaxes(showgrid=False)
-    figure.update_yaxes(title_text="energy [kWh]", zeroline=True)
-    share_vertical_axis(figure)
+    list_names(figure, len(names))
+    figure.update_xaxes(title_text="energy [kWh]", zeroline=True)
+    share_axis(figure, "x")
     return ReportFigure(
         "help-energy",
-        "Energy given and lacking, inverter by inverter",
-        "Energy [kWh] that each inverter delivered above its share of the desired power, and by "
-        "which it fell short of that share (downwards). The share is by rating, whatever the "
-        "scheme asked of the inverter.",
+        "Energy above and below the share, inverter by inverter",
+        "Energy [kWh] that each inverter delivered above its share of the desired power (to the "
+        "right), and by which it fell short of that share (to the left). The share is by rating, "
+        "whatever the scheme asked of the inverter.",
         figure,
     )
 
 
 def energy_beside_share(series: RunSeries) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    r"""Work out the energy that inverters gave above their share, and lacked to it.
+    r"""Work out the energy above each inverter's share, and by which it fell short of that.
 
     With the share :math:`S_i = P_{desired} \, c_i / \sum c` of the inverter with the rating c_i
     (eq. 3 of the paper, where ratings are equal), both summed over the run:
@@ -170,12 +174,12 @@ def energy_beside_share(series: RunSeries) -> tuple[NDArray[np.float64], NDArray
     Returns
     -------
     tuple of numpy.ndarray
-        Energy given and lacking [kWh], each of shape (n,).
+        Energy above and below the share [kWh], each of shape (n,).
     """
     share_kw = np.outer(np.maximum(series.desired_kw, 0.0), series.rating_kw)
     share_kw /= series.rating_kw.sum()
     above_kw = series.power_kw - share_kw
     hours = series.cycle_s / 3600.0
-    given_kwh = np.maximum(above_kw, 0.0).sum(axis=0) * hours
-    lacking_kwh = np.maximum(-above_kw, 0.0).sum(axis=0) * hours
+    given_kwh = np.nansum(np.maximum(above_kw, 0.0), axis=0) * hours
+    lacking_kwh = np.nansum(np.maximum(-above_kw, 0.0), axis=0) * hours
     return np.asarray(given_kwh), np.asarray(lacking_kwh)

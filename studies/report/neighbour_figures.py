@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import accumulate
+from typing import Final
 
 import numpy as np
+import pandas as pd
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
@@ -22,6 +25,7 @@ from studies.report.style import (
     ORANGE,
     ReportFigure,
     clock_range_ms,
+    clock_text,
     colour_bar,
     diverging_scale,
     dress,
@@ -30,8 +34,11 @@ from studies.report.style import (
     time_line,
 )
 
-_MATRICES_ACROSS = 5
-_MATRIX_PX = 178
+_ACROSS: Final = 5
+_MATRIX_PX: Final = {1: 420, 2: 340, 3: 240}
+"""Side of a matrix by how many stand beside each other."""
+_SMALLEST_MATRIX_PX: Final = 178
+_NAME_PX: Final = 14
 
 
 def virtual_neighbours(series: RunSeries) -> ReportFigure | None:
@@ -91,12 +98,11 @@ def _request_lines(series: RunSeries, passage: CloudPassage) -> list[go.Scatter]
 def _passage_caption(series: RunSeries, passage: CloudPassage) -> str:
     shaded, helping = series.inverters[passage.shaded], series.inverters[passage.helping]
     return (
-        f"Above, the estimated maximum power IMPP of two inverters [kW], and the request made of "
-        f"them; below, the curtailment level alpha that each was given (no unit). The IMPP of "
-        f"{shaded} falls by {passage.drop_kw:,.0f} kW within a minute, up to "
-        f"{series.times[passage.bottom]:%H:%M:%S}, while {helping} has power to spare. Chosen by "
-        f"rule: of the least correlated pairs of each cluster and hour (here "
-        f"{passage.correlation:+.2f}) the one with the largest such drop."
+        f"Above: IMPP, the estimated maximum power of two inverters, and their request [kW]. "
+        f"Below: their curtailment level alpha (no unit). The IMPP of {shaded} falls by "
+        f"{passage.drop_kw:,.0f} kW within a minute, until {clock_text(series, passage.bottom)}, "
+        f"while {helping} has headroom. The figure shows the largest such drop among the least "
+        f"correlated pairs of each cluster and hour; this pair has {passage.correlation:+.2f}."
     )
 
 
@@ -118,17 +124,19 @@ def correlation_matrices(series: RunSeries) -> ReportFigure | None:
         return None
     order = inverters_by_cluster(series)
     names = [plain(series.inverters[position]) for position in order]
-    rows = -(-len(matrices.hours) // _MATRICES_ACROSS)
-    height_px = rows * _MATRIX_PX
+    across = min(_ACROSS, len(matrices.hours))
+    rows = -(-len(matrices.hours) // across)
+    matrix_px = _MATRIX_PX.get(across, _SMALLEST_MATRIX_PX)
+    height_px = rows * matrix_px
     figure = make_subplots(
         rows=rows,
-        cols=_MATRICES_ACROSS,
+        cols=across,
         horizontal_spacing=0.02,
         vertical_spacing=30.0 / height_px,
-        subplot_titles=[f"{hour} to {hour + 1} h" for hour in matrices.hours],
+        subplot_titles=_hour_titles(series, matrices.hours),
     )
     for place, matrix in enumerate(matrices.values):
-        row, column = place // _MATRICES_ACROSS + 1, place % _MATRICES_ACROSS + 1
+        row, column = place // across + 1, place % across + 1
         figure.add_trace(
             go.Heatmap(
                 z=matrix[np.ix_(order, order)].astype(np.float32),
@@ -140,7 +148,7 @@ def correlation_matrices(series: RunSeries) -> ReportFigure | None:
             row=row,
             col=column,
         )
-        _mark_clusters(figure, series, row, column)
+        _mark_clusters(figure, series, row, column, matrix_px)
     dress(figure, height_px + 60, legend=False)
     _square_up(figure)
     figure.update_layout(
@@ -150,31 +158,48 @@ def correlation_matrices(series: RunSeries) -> ReportFigure | None:
             "colorscale": diverging_scale(-1.0, 1.0),
             "cmin": -1.0,
             "cmax": 1.0,
-            "colorbar": colour_bar("", _MATRIX_PX - 30),
+            "colorbar": colour_bar("", matrix_px - 30),
         },
     )
     return ReportFigure(
         "correlation",
         "Correlation of the inverters, hour by hour",
-        "Pearson correlation of the true maximum power of each two inverters in the cycles of each "
-        "local hour (no unit): red where one falls when the other rises, dark blue where both move "
-        "as one, as on the diagonal. Lines part the clusters. This is what the run came to, not "
-        "the history by which its neighbours were chosen.",
+        "Pearson correlation of the true maximum power of every two inverters in each local hour "
+        "(no unit). Red: one falls while the other rises. Dark blue: both move together, as on the "
+        "diagonal. White lines separate the clusters. These are the correlations in the run "
+        "itself, not in the history by which clusters and neighbours were chosen.",
         figure,
     )
 
 
-def _mark_clusters(figure: go.Figure, series: RunSeries, row: int, column: int) -> None:
+def _hour_titles(series: RunSeries, hours: Sequence[int]) -> list[str]:
+    """Return `13 to 14 h`, with the day in front where the run has more than one."""
+    midnight = series.times[0].tz_localize(None).normalize()
+    begins = [midnight + pd.Timedelta(hours=hour) for hour in hours]
+    several_days = series.times[0].date() != series.times[-1].date()
+    return [
+        f"{begin.day} {begin:%b}, {begin.hour} h"
+        if several_days
+        else f"{begin.hour} to {begin.hour + 1} h"
+        for begin in begins
+    ]
+
+
+def _mark_clusters(
+    figure: go.Figure, series: RunSeries, row: int, column: int, matrix_px: int
+) -> None:
     """Name the clusters beside a matrix of the first column, and draw lines between them."""
     sizes = [len(members) for members in clusters(series).values()]
     ends = list(accumulate(sizes))
+    step = max(1, -(-len(sizes) * _NAME_PX // matrix_px))
     for end in ends[:-1]:
         line = {"color": "white", "width": 1.5}
         figure.add_vline(x=end - 0.5, line=line, row=row, col=column)
         figure.add_hline(y=end - 0.5, line=line, row=row, col=column)
     figure.update_yaxes(
-        tickvals=[end - (size + 1) / 2.0 for end, size in zip(ends, sizes, strict=True)],
-        ticktext=[plain(cluster or "plant") for cluster in clusters(series)],
+        tickvals=[end - (size + 1) / 2.0 for end, size in zip(ends, sizes, strict=True)][::step],
+        ticktext=[plain(cluster or "plant") for cluster in clusters(series)][::step],
+        tickfont_size=11,
         showticklabels=column == 1,
         row=row,
         col=column,

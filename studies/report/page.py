@@ -2,33 +2,59 @@
 
 from __future__ import annotations
 
-import html
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib import resources
-from typing import Final
+from typing import Final, NamedTuple, TypeAlias
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from studies.report.style import ReportFigure
-from studies.report.tables import ReportTable
+from studies.tables import Table
 
-# The page asks for nothing from anywhere: a browser refuses even what would try.
-_POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
+Content: TypeAlias = Table | ReportFigure
+
+_WIDTH: Final = 96
+"""Characters that fit beside one another where the page is 800 px wide, in the small type."""
+
+_SMALL: Final = 76
+"""Tables of more characters than that are set in smaller type."""
+
+_TEMPLATES: Final = Environment(
+    loader=PackageLoader("studies.report", "templates"),
+    autoescape=True,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    undefined=StrictUndefined,
 )
 
 
-_NARROW: Final = 4
-"""Tables of more runs than that are set smaller."""
+class _Section(NamedTuple):
+    """A table or a figure as the template needs it."""
+
+    anchor: str
+    heading: str
+    parts: Sequence[Table] = ()
+    small: bool = False
+    figure: ReportFigure | None = None
+
+    @property
+    def data(self) -> Markup:
+        """Plotly's `data` and `layout`. Only "<" could end a script element, or begin a comment."""
+        assert self.figure is not None
+        return Markup(self.figure.figure.to_json().replace("<", "\\u003c"))
 
 
 def html_page(
     title: str,
     paragraphs: Sequence[str],
-    tables: Sequence[ReportTable],
-    figures: Sequence[ReportFigure],
+    content: Sequence[Content],
+    figures: Sequence[ReportFigure] = (),
+    *,
+    verdict: tuple[bool, str] | None = None,
 ) -> str:
-    """Return an HTML document: heading, text, contents, then tables and figures, each numbered.
+    """Return an HTML document: heading, verdict, text, contents, then tables and figures, numbered.
 
     Plotly's JavaScript stands in it once. The data of a figure are a JSON script element of their
     own, `ANCHOR-plot-data`, with Plotly's `data` and `layout`.
@@ -39,92 +65,35 @@ def html_page(
         Heading, plain text.
     paragraphs
         Text below the heading, plain text.
-    tables, figures
+    content, figures
         What to show, in this order. The figures' anchors must differ.
+    verdict
+        Whether the run passed, and a line about it, which stands first.
     """
-    numbered_tables = [
-        (f"table-{number}", f"Table {number}. {table.heading}", table)
-        for number, table in enumerate(tables, start=1)
-    ]
-    numbered_figures = [
-        (figure.anchor, f"Figure {number}. {figure.heading}", figure)
-        for number, figure in enumerate(figures, start=1)
-    ]
-    contents = [
-        f'<li><a href="#{anchor}">{html.escape(heading)}</a></li>'
-        for anchor, heading, _ in [*numbered_tables, *numbered_figures]
-    ]
-    lines = [
-        "<!DOCTYPE html>",
-        '<html lang="en">',
-        *_head(title),
-        "<body>",
-        "<header>",
-        f"<h1>{html.escape(title)}</h1>",
-        *(f"<p>{html.escape(text)}</p>" for text in paragraphs),
-        "<noscript><p>The figures need JavaScript, the tables do not.</p></noscript>",
-        "</header>",
-        '<nav aria-label="Contents">',
-        "<ul>",
-        *contents,
-        "</ul>",
-        "</nav>",
-        "<main>",
-        *(_table(*entry) for entry in numbered_tables),
-        *(_figure(*entry) for entry in numbered_figures),
-        "</main>",
-        f"<script>{get_plotlyjs()}</script>",
-        f"<script>\n{_part('page.js')}</script>",
-        "</body>",
-        "</html>",
-        "",
-    ]
-    return "\n".join(lines)
-
-
-def _head(title: str) -> list[str]:
-    return [
-        "<head>",
-        '<meta charset="utf-8">',
-        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>{html.escape(title)}</title>",
-        f"<style>\n{_part('page.css')}</style>",
-        "</head>",
-    ]
-
-
-def _table(anchor: str, heading: str, table: ReportTable) -> str:
-    columns = "".join(
-        f'<th scope="col" class="number">{html.escape(column)}</th>' for column in table.columns
-    )
-    rows = "\n".join(
-        f'<tr><th scope="row">{html.escape(name)}</th><td class="unit">{html.escape(unit)}</td>'
-        + "".join(f'<td class="number">{html.escape(value)}</td>' for value in values)
-        + "</tr>"
-        for name, unit, values in table.rows
-    )
-    wide = ' class="wide"' if len(table.columns) > _NARROW else ""
-    note = f'<p class="note">{html.escape(table.note)}</p>\n' if table.note else ""
-    return (
-        f'<section id="{anchor}">\n<h2>{html.escape(heading)}</h2>\n'
-        f'<div class="scroll"><table{wide}>\n'
-        f"<thead><tr><th></th><th></th>{columns}</tr></thead>\n"
-        f"<tbody>\n{rows}\n</tbody>\n</table></div>\n{note}</section>"
+    return _TEMPLATES.get_template("page.html.j2").render(
+        title=title,
+        paragraphs=paragraphs,
+        verdict=verdict,
+        sections=list(_sections([*content, *figures])),
+        style=_file("page.css"),
+        script=_file("page.js"),
+        plotly=Markup(get_plotlyjs()),
     )
 
 
-def _figure(anchor: str, heading: str, figure: ReportFigure) -> str:
-    height_px = figure.figure.layout.height
-    # Within a script element only "<" could end it, or begin a comment.
-    data = figure.figure.to_json().replace("<", "\\u003c")
-    return (
-        f'<section id="{anchor}">\n<h2>{html.escape(heading)}</h2>\n<figure>\n'
-        f'<div class="plot" id="{anchor}-plot" style="height: {height_px}px"></div>\n'
-        f"<figcaption>{html.escape(figure.caption)}</figcaption>\n</figure>\n"
-        f'<script type="application/json" id="{anchor}-plot-data">{data}</script>\n</section>'
-    )
+def _sections(content: Sequence[Content]) -> Iterator[_Section]:
+    tables = figures = 0
+    for one in content:
+        if isinstance(one, Table):
+            tables += 1
+            parts = one.parts(_WIDTH)
+            small = len(one.parts(_SMALL)) > len(parts) or len(parts) > 1
+            heading = f"Table {tables}. {one.title}"
+            yield _Section(f"table-{tables}", heading, parts, small)
+        else:
+            figures += 1
+            yield _Section(one.anchor, f"Figure {figures}. {one.heading}", figure=one)
 
 
-def _part(name: str) -> str:
-    return resources.files("recordings.report").joinpath(name).read_text(encoding="utf-8")
+def _file(name: str) -> Markup:
+    return Markup(resources.files("studies.report").joinpath(name).read_text(encoding="utf-8"))

@@ -20,7 +20,7 @@ from studies.report.style import (
     label_time_axis,
     plain,
     scheme_line,
-    share_vertical_axis,
+    share_axis,
     thinning_note,
     time_line,
 )
@@ -48,7 +48,7 @@ def possible_power(series: Sequence[RunSeries]) -> ReportFigure:
         line={"color": SAND, "width": 1},
     )
     figure.add_trace(possible)
-    if np.any(first.regulation_kw):
+    if np.any(np.nan_to_num(first.regulation_kw)):
         desired = time_line(
             first,
             first.desired_kw,
@@ -64,13 +64,13 @@ def possible_power(series: Sequence[RunSeries]) -> ReportFigure:
     dress(figure, 420)
     figure.update_yaxes(title_text="plant power [kW]", rangemode="tozero")
     label_time_axis(figure, first)
-    short = 100.0 * np.mean(first.possible_kw < first.desired_kw)
+    short = 100.0 * np.mean((first.possible_kw < first.desired_kw)[first.known])
     return ReportFigure(
         "possible-power",
-        "Possible, promised and delivered power",
-        "Power of the plant [kW]: the shaded area is what all inverters could have given at their "
-        "maximum power points, the dashed line the commitment. Less was possible than was desired "
-        f"in {short:.1f} % of the cycles." + thinning_note(first.cycles),
+        "Possible, committed and delivered power",
+        "Power of the plant [kW]. The shaded area is what all inverters could have given at their "
+        "maximum power points; the dashed line is the commitment. Possible power was below desired "
+        f"power in {short:.1f} % of the cycles." + thinning_note(first.cycles),
         figure,
     )
 
@@ -88,25 +88,26 @@ def delivered_and_support(series: Sequence[RunSeries]) -> ReportFigure:
         cols=1,
         shared_xaxes=True,
         vertical_spacing=0.18 / len(series),
-        subplot_titles=[plain(one.label) for one in series],
+        subplot_titles=[plain(one.label) if len(series) > 1 else "" for one in series],
     )
     for position, one in enumerate(series):
         for trace in _panel(one, _delivered(one, series), position):
             figure.add_trace(trace, row=position + 1, col=1)
     dress(figure, 110 + _PANEL_PX * len(series))
     figure.update_yaxes(title_text="power [kW]", range=_common_range_kw(series))
-    share_vertical_axis(figure)
+    share_axis(figure, "y")
     # Above the title of the first panel.
-    figure.update_layout(legend_y=1.0 + 24.0 / (_PANEL_PX * len(series)), margin_t=70)
+    if len(series) > 1:
+        figure.update_layout(legend_y=1.0 + 24.0 / (_PANEL_PX * len(series)), margin_t=70)
     label_time_axis(figure, series[0], rows=len(series))
     needed = "; ".join(
-        f"{one.label} {one.support_kw.sum() * one.cycle_s / 3600.0:,.1f} kWh" for one in series
+        f"{one.label} {np.nansum(one.support_kw) * one.cycle_s / 3600.0:,.1f} kWh" for one in series
     )
     return ReportFigure(
         "support",
         "Delivered power and the support it needed",
         "Delivered and desired power of the plant [kW], and the support power that others had to "
-        f"give [kW], max(0, desired - delivered). Its energy: {needed}."
+        f"give, max(0, desired - delivered) [kW]. Energy of the support: {needed}."
         + thinning_note(series[0].cycles),
         figure,
     )
@@ -115,8 +116,8 @@ def delivered_and_support(series: Sequence[RunSeries]) -> ReportFigure:
 def _common_range_kw(series: Sequence[RunSeries]) -> list[float]:
     """Return a range that holds delivered and desired power of all runs, and zero."""
     curves = [curve for one in series for curve in (one.delivered_kw, one.desired_kw)]
-    least_kw = min(0.0, *(float(curve.min()) for curve in curves))
-    greatest_kw = max(float(curve.max()) for curve in curves)
+    least_kw = min(0.0, *(float(np.nanmin(curve)) for curve in curves))
+    greatest_kw = max(float(np.nanmax(curve)) for curve in curves)
     return [least_kw, greatest_kw + 0.05 * (greatest_kw - least_kw)]
 
 

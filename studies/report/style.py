@@ -7,8 +7,9 @@ apart ("Color Universal Design", 2008, https://jfly.uni-koeln.de/color/).
 from __future__ import annotations
 
 import html
+import textwrap
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 import plotly.graph_objects as go
@@ -31,6 +32,11 @@ SUPPORT: Final = VERMILLION
 SCHEMES: Final = (BLUE, "#009e73", "#cc79a7", ORANGE, "#56b4e9")
 _DASHES: Final = ("solid", "dash", "dot", "dashdot")
 
+_FEW_NAMES: Final = 30
+_MOST_NAMES: Final = 150
+_ROOMY_PX: Final = 20
+_TIGHT_PX: Final = 13
+
 FONT: Final = "system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans-serif"
 
 
@@ -45,7 +51,7 @@ class ReportFigure:
     heading
         What it is.
     caption
-        What one sees, and in which units. Plain text.
+        What it shows, and in which units. Plain text.
     figure
         The figure itself.
     """
@@ -111,6 +117,13 @@ def plain(text: str) -> str:
     return html.escape(text, quote=False)
 
 
+def scheme_title(label: str, panels: int) -> str:
+    """Return the title of one of several panels beside each other, in lines that fit."""
+    if panels == 1:
+        return ""
+    return "<br>".join(plain(line) for line in textwrap.wrap(label, max(10, 72 // panels)))
+
+
 def clock_ms(series: RunSeries) -> NDArray[np.float64]:
     """Return the wall clock at the beginning of each cycle, as Plotly's axes count it.
 
@@ -125,6 +138,13 @@ def clock_ms(series: RunSeries) -> NDArray[np.float64]:
     """
     first_ms = series.times[0].tz_localize(None).as_unit("ns").value / 1e6
     return np.asarray(first_ms + np.arange(series.cycles) * series.cycle_s * 1e3)
+
+
+def clock_text(series: RunSeries, cycle: int) -> str:
+    """Return the local time of a cycle, with its day where the run has more than one."""
+    moment = series.times[cycle]
+    several_days = series.times[0].date() != series.times[-1].date()
+    return f"{moment.day} {moment:%b %H:%M:%S}" if several_days else f"{moment:%H:%M:%S}"
 
 
 def clock_title(series: RunSeries) -> str:
@@ -194,6 +214,7 @@ def dress(figure: go.Figure, height_px: int, *, legend: bool = True) -> go.Figur
         "ticks": "outside",
         "tickcolor": "#bdbdbd",
         "title_standoff": 8,
+        "automargin": True,
         "separatethousands": True,
     }
     figure.update_xaxes(**axis)
@@ -201,12 +222,31 @@ def dress(figure: go.Figure, height_px: int, *, legend: bool = True) -> go.Figur
     return figure
 
 
-def share_vertical_axis(figure: go.Figure) -> None:
-    """Make the panels of a figure keep the same vertical range, also when one is zoomed."""
-    # The first axis may not be said to match itself.
-    for axis in figure.select_yaxes():
-        if axis.plotly_name != "yaxis":
-            axis.matches = "y"
+def list_names(figure: go.Figure, count: int, **of_panel: int) -> None:
+    """List the names of inverters downwards, all of them while there are no more than 150."""
+    few = count <= _MOST_NAMES
+    figure.update_yaxes(
+        autorange="reversed",
+        showgrid=False,
+        dtick=1 if few else None,
+        tickfont_size=13 if name_px(count) == _ROOMY_PX else 10.5,
+        **of_panel,
+    )
+
+
+def name_px(count: int) -> int:
+    """Return the height of one of so many rows with a name each; less if they are too many."""
+    if count > _MOST_NAMES:
+        return max(1, 1800 // count)
+    return _ROOMY_PX if count <= _FEW_NAMES else _TIGHT_PX
+
+
+def share_axis(figure: go.Figure, letter: Literal["x", "y"]) -> None:
+    """Make the panels of a figure keep the same range, also when one is zoomed."""
+    for axis in figure.select_xaxes() if letter == "x" else figure.select_yaxes():
+        # The first axis must not match itself.
+        if axis.plotly_name != f"{letter}axis":
+            axis.matches = letter
 
 
 def label_time_axis(figure: go.Figure, series: RunSeries, rows: int = 1) -> None:

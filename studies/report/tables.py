@@ -1,40 +1,20 @@
-"""A table of the report, as text."""
+"""The old name of a report's table; use `studies.tables.Table`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from studies.tables import Column, Table, key_column, word_column
 
 
-@dataclass(frozen=True, slots=True)
-class ReportTable:
-    """A table: one row for each thing, one column for each run or scheme.
-
-    Attributes
-    ----------
-    heading
-        What it is.
-    columns
-        Heading of each column of values, for instance the control schemes.
-    rows
-        Of each row its name, its unit (empty for none) and one value for each column.
-    note
-        A sentence on how to read it, or nothing.
-
-    Raises
-    ------
-    ValueError
-        A row has another number of values than there are columns.
-    """
-
-    heading: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, str, tuple[str, ...]], ...]
-    note: str = ""
-
-    def __post_init__(self) -> None:
-        for name, _, values in self.rows:
-            if len(values) != len(self.columns):
-                raise ValueError(
-                    f"table {self.heading!r}, row {name!r}: {len(values)} values for "
-                    f"{len(self.columns)} columns"
-                )
+def ReportTable(  # noqa: N802
+    heading: str,
+    columns: tuple[str, ...],
+    rows: tuple[tuple[str, str, tuple[str, ...]], ...],
+    note: str = "",
+) -> Table:
+    """Return a table with a name, a unit and text for each column in its rows."""
+    return Table(
+        heading,
+        (key_column(""), word_column(""), *map(Column, columns)),
+        tuple((name, unit, *values) for name, unit, values in rows),
+        (note,) if note else (),
+    )

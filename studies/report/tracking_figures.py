@@ -14,6 +14,7 @@ from studies.report.style import (
     BLACK,
     ReportFigure,
     clock_range_ms,
+    clock_text,
     dress,
     label_time_axis,
     plain,
@@ -38,7 +39,7 @@ def tracking_error(series: Sequence[RunSeries]) -> ReportFigure:
     """
     figure = go.Figure()
     for position, one in enumerate(series):
-        error_kw, share = folded_distribution(one.delivered_kw - one.desired_kw)
+        error_kw, share = folded_distribution((one.delivered_kw - one.desired_kw)[one.known])
         figure.add_trace(
             go.Scatter(
                 x=error_kw,
@@ -59,9 +60,9 @@ def tracking_error(series: Sequence[RunSeries]) -> ReportFigure:
     return ReportFigure(
         "tracking-error",
         "Distribution of the tracking error",
-        "Share of cycles [%, logarithmic] in which the plant delivered at least so much too little "
-        "(left of zero) or too much (right of zero) [kW]. The curves leave out the cycles without "
-        f"an error: {exact}.",
+        "Share of the cycles [%, logarithmic] in which the plant delivered too little (left of "
+        "zero) or too much (right of zero) by at least so much [kW]. Cycles without an error are "
+        f"not in the curves: {exact}.",
         figure,
     )
 
@@ -107,7 +108,7 @@ def _tail(
 
 
 def _exact_percent(one: RunSeries) -> float:
-    error_kw = np.abs(one.delivered_kw - one.desired_kw)
+    error_kw = np.abs(one.delivered_kw - one.desired_kw)[one.known]
     return float(100.0 * np.mean(error_kw <= _ROUNDING_KW))
 
 
@@ -125,14 +126,14 @@ def regulation(series: Sequence[RunSeries]) -> ReportFigure | None:
         None where no regulation was asked.
     """
     first = series[0]
-    if not np.any(first.regulation_kw):
+    if not np.any(np.nan_to_num(first.regulation_kw)):
         return None
     worst = farthest_from_asked([one for one in series if _curtails(one)] or series)
     figure = make_subplots(
         rows=2,
         cols=1,
         vertical_spacing=0.16,
-        subplot_titles=["whole run", f"from {first.times[worst.start]:%H:%M:%S}"],
+        subplot_titles=["whole run", f"from {clock_text(first, worst.start)}"],
     )
     for row, cycles in enumerate((range(first.cycles), worst), start=1):
         for trace in _asked_and_given(series, cycles, in_legend=row == 1):
@@ -152,11 +153,11 @@ def regulation(series: Sequence[RunSeries]) -> ReportFigure | None:
     return ReportFigure(
         "regulation",
         "Regulation asked and given",
-        "Regulation that the signal asked for, and what was given, delivered power less the "
-        f"commitment [kW]; a signal of 1 stands for {first.regulation_capacity_kw:,.0f} kW. Below "
-        f"are the {len(worst) * first.cycle_s / 60.0:.3g} minutes in which the mean distance "
-        "between the two was largest, cycles left out in which the plant could not have given it. "
-        "What lies further than three times that below the commitment, or twice above, is cut off."
+        "Regulation that the signal asked for, and the regulation given: delivered power less the "
+        f"commitment [kW]. A signal of 1 asks for {capacity_kw:,.0f} kW. Below are the "
+        f"{len(worst) * first.cycle_s / 60.0:.3g} minutes with the largest mean distance between "
+        "the two; cycles in which the plant could not have given the regulation do not count. The "
+        "axis ends at three times the capacity below the commitment and twice above it."
         + thinning_note(first.cycles),
         figure,
     )
@@ -175,7 +176,7 @@ def farthest_from_asked(series: Sequence[RunSeries]) -> range:
     first = series[0]
     length = min(max(1, round(_CLOSE_LOOK_S / first.cycle_s)), first.cycles)
     error_kw = np.mean([np.abs(one.delivered_kw - one.desired_kw) for one in series], axis=0)
-    could = (first.regulation_kw != 0.0) & (first.possible_kw >= first.desired_kw)
+    could = first.known & (first.regulation_kw != 0.0) & (first.possible_kw >= first.desired_kw)
     asked = np.where(could, error_kw, 0.0)
     total_kw = np.convolve(asked, np.ones(length), mode="valid")
     begin = int(total_kw.argmax())
@@ -183,7 +184,7 @@ def farthest_from_asked(series: Sequence[RunSeries]) -> range:
 
 
 def _curtails(one: RunSeries) -> bool:
-    return not np.array_equal(one.power_kw, one.mpp_kw)
+    return not np.array_equal(one.power_kw, one.mpp_kw, equal_nan=True)
 
 
 def _asked_and_given(

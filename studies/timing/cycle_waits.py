@@ -1,11 +1,9 @@
 """Who waited for whom in a cycle, worked out from the publish times of its messages.
 
-A stage closes when it has all that it awaits. So of those inputs the one that was published last is
-its cause. From the plant's production, which ends a cycle, the causes lead back to the tick: that
-chain made the cycle as long as it was, whatever happened beside it.
-
-A wait lasts from the publishing of the cause to the publishing of the message. That holds the hop
-between the two agents as well as the decision.
+A stage closes when it has every input that it awaits, so the input published last is its cause.
+From the plant's production, which ends a cycle, the causes lead back to the tick: this chain made
+the cycle as long as it was. A wait lasts from the publishing of the cause to the publishing of the
+message; it includes the hop between the two agents and the decision.
 """
 
 from __future__ import annotations
@@ -34,11 +32,11 @@ _DOING: Final = {
 }
 
 _MOST_NAMED: Final = 3
-"""Inputs that were waited for in vain: more names than that say nothing more."""
+"""How many missing inputs a sentence names."""
 
 
 class Head(msgspec.Struct, gc=False):
-    """What the timing of a message rests on; the rest of it is not decoded."""
+    """The fields of a message that timing needs; the rest is not decoded."""
 
     cycle: int
     missing: tuple[str, ...]
@@ -51,12 +49,10 @@ CycleHeads: TypeAlias = dict[Port[Message], Head]
 
 
 class Closing(NamedTuple):
-    """A stage of a cycle as its messages tell it.
+    """A stage of one agent in one cycle, as its messages show it.
 
     Attributes
     ----------
-    agent, stage
-        Whose, and which.
     last
         The message that it published last.
     ready_ns
@@ -64,7 +60,7 @@ class Closing(NamedTuple):
     first_ns, last_ns
         When its first and its last message went out.
     missing
-        What it says of inputs that were not due: the cycle of the message used, or None.
+        Inputs that were older than due: the cycle of the message used, or None.
     """
 
     agent: str
@@ -77,13 +73,13 @@ class Closing(NamedTuple):
 
     @property
     def without(self) -> tuple[Port[Message], ...]:
-        """The awaited inputs that were not those of this cycle."""
+        """The awaited inputs that did not come in this cycle."""
         if not self.missing:
             return ()
         return tuple(port for port in self.stage.awaits if str(port) in self.missing)
 
     def completed_by(self, heads: CycleHeads) -> Port[Message] | None:
-        """Return the awaited input that was published last of those that were in time."""
+        """Return the awaited input that was published last of those that came in time."""
         in_time = [
             port
             for port in self.stage.awaits
@@ -99,20 +95,18 @@ Closings: TypeAlias = dict[str, dict[str, Closing]]
 
 
 class Wait(NamedTuple):
-    """A stage of an agent: from what it waited for to its own last message.
+    """A stage of an agent, from what it waited for to its own last message.
 
     Attributes
     ----------
-    agent, stage
-        Whose, and which.
     cause
-        The input that was published last; None: the agent went by the clock.
+        The input that was published last; None if the clock closed the stage.
     message
-        What it published in the end.
+        What it published last.
     began_ns, ended_ns
-        When the two were published, after the cycle's scheduled tick [ns].
+        When cause and message were published, after the cycle's scheduled tick [ns].
     without
-        Keys of inputs that it waited for in vain, up to its deadline.
+        Keys of inputs that had not come at its deadline.
     """
 
     agent: str
@@ -129,12 +123,13 @@ class Wait(NamedTuple):
         return self.ended_ns - self.began_ns
 
     def in_words(self) -> str:
-        """Say it: `c2/inv09 took 18.4 ms to estimate`."""
+        """Return a phrase such as `c2/inv09 took 18.4 ms to estimate`."""
         took = f"{self.agent} took {self.length_ns / 1e6:.1f} ms {_DOING[self.stage]}"
-        named = ", ".join(self.without[:_MOST_NAMED])
+        if not self.without:
+            return took
         others = len(self.without) - _MOST_NAMED
         rest = f" and {others} more" if others > 0 else ""
-        return f"{took}, without {named}{rest}" if self.without else took
+        return f"{took}, without {', '.join(self.without[:_MOST_NAMED])}{rest}"
 
 
 class CycleWaits(NamedTuple):
@@ -142,14 +137,12 @@ class CycleWaits(NamedTuple):
 
     Attributes
     ----------
-    cycle
-        Its number.
     loop_ns
         From the scheduled tick to the plant's production [ns].
     chain
         The waits that made it so long, from the tick on.
     waits
-        All of them, those of the chain too: one for each stage of each agent that spoke.
+        One for each stage of each agent that published, those of the chain included.
     """
 
     cycle: int
@@ -168,13 +161,7 @@ class CycleWaits(NamedTuple):
 
 
 class StageTable:
-    """Which stages the agents of a run have in a cycle, and which messages come from each.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    """
+    """The stages of each agent of a run, and which messages come from each."""
 
     def __init__(self, plan: RunPlan) -> None:
         commands = tuple(COMMAND.of(leaf) for leaf in plan.tree.leaves)
@@ -186,7 +173,7 @@ class StageTable:
         }
 
     def stages(self, agent: str, cycle: int) -> tuple[Stage, ...]:
-        """Return an agent's stages of a cycle, in their order."""
+        """Return an agent's stages of a cycle, in order."""
         return self._plant if agent == PLANT else self._team[agent](cycle)
 
     def closings(self, cycle: int, heads: CycleHeads) -> Closings:
@@ -215,17 +202,7 @@ def _closing(
 
 
 def cycle_waits(table: StageTable, cycle: int, tick_ns: int, heads: CycleHeads) -> CycleWaits:
-    """Return the waits of a cycle that the plant has ended.
-
-    Parameters
-    ----------
-    table
-        Stages of the run.
-    cycle, tick_ns
-        Number of the cycle, and its scheduled beginning.
-    heads
-        Its messages.
-    """
+    """Return the waits of a cycle that the plant has ended; `tick_ns` is its scheduled start."""
     closings = table.closings(cycle, heads)
     every = [closing for stages in closings.values() for closing in stages.values()]
     waits = tuple(
@@ -242,7 +219,7 @@ def _chain(
 ) -> Iterator[Wait]:
     """Follow the causes from the plant's production back to the tick.
 
-    A message that came too late counts up to the moment at which nobody waited for it any more.
+    A message that came too late counts up to the moment when nobody waited for it any more.
     """
     seen: set[tuple[str, str]] = set()
     message: Port[Message] | None = PRODUCTION.of(ROOT)
@@ -260,10 +237,10 @@ def _chain(
 
 
 def _cause(closing: Closing, heads: CycleHeads, closings: Closings) -> Port[Message] | None:
-    """Return what a stage waited for last; None: it went by the clock.
+    """Return what a stage waited for last; None if the clock closed it.
 
-    Where it closed at its deadline that is what came too late. A stage that awaits nothing follows
-    the one before it.
+    For a stage that closed at its deadline this is the input that came too late. A stage that
+    awaits nothing follows the agent's stage before it.
     """
     if late := [port for port in closing.without if port in heads]:
         return max(late, key=lambda port: heads[port].publish_time_ns)

@@ -24,19 +24,17 @@ _STEPS_PER_DECADE: Final = 12
 
 
 class Distribution(msgspec.Struct, frozen=True):
-    """What durations come to.
+    """A summary of durations.
 
     Attributes
     ----------
-    count
-        Number of durations.
     min_us, max_us
-        Least and greatest [us], exactly.
+        Exact [us].
     p50_us, p99_us, p99_9_us
-        Percentiles [us]: the upper edge of the bin, at most 1 % too high and never above the
-        greatest duration. So no budget is kept by rounding.
+        Upper edge of the bin [us]: at most 1 % too high and never above the maximum, so that
+        rounding never makes a budget look kept.
     histogram
-        The HdrHistogram itself, encoded as text: values in ns. Others can merge it.
+        The HdrHistogram encoded as text, values in ns. Others can merge it.
     """
 
     count: int

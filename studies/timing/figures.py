@@ -1,16 +1,19 @@
-"""Figures of a plant's timing: percentile curves, who waited for whom, latency against rate."""
+"""Figures of a plant's timing: who waited for whom, loop times, percentiles, rates."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
+import numpy as np
 import plotly.graph_objects as go
 
 from bus_schemas.tree import CENTRAL, PLANT, ControlTree
+from studies.report.decimation import extremes
 from studies.report.style import (
+    BLACK,
     BLUE,
     GREY,
     SCHEMES,
@@ -19,8 +22,14 @@ from studies.report.style import (
     dress,
     faint,
     plain,
+    thinning_note,
 )
+from studies.timing.budgets import Verdict
 from studies.timing.cycle_waits import CycleWaits, Wait
+from studies.timing.durations import curve_ms
+from studies.timing.report import Reported
+from studies.timing.run_timing import LOOP, WHOLE_LOOP, Times
+from studies.timing.sweep import RateRow
 
 _CURVES_PX: Final = 440
 _ROW_PX: Final = 17
@@ -31,105 +40,17 @@ _PERCENTILES: Final = ("0", "50", "90", "99", "99.9", "99.99", "99.999")
 """What the axis of percentiles shows: each step to the right leaves a tenth of the durations."""
 
 _DASHES: Final = ("solid", "dash", "dot")
-_FLOOR: Final = {"color": GREY, "width": 1.5}
-_HOP: Final = "#d8d8d8"
-
-
-@dataclass(frozen=True, slots=True)
-class PercentileCurve:
-    """A distribution of durations.
-
-    Attributes
-    ----------
-    name
-        What was measured.
-    shares
-        Shares of the durations that exceed a value, falling from 1.
-    values_ms
-        Those values [ms].
-    floor
-        Whether it is what the machine itself needs.
-    """
-
-    name: str
-    shares: list[float]
-    values_ms: list[float]
-    floor: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class RatePoint:
-    """What a plant came to at one rate.
-
-    Attributes
-    ----------
-    rate_hz
-        Cycles a second.
-    p50_ms, p99_ms, max_ms
-        Loop time [ms].
-    clean
-        Whether no deadline was missed, none overrun and nothing lost.
-    """
-
-    rate_hz: float
-    p50_ms: float
-    p99_ms: float
-    max_ms: float
-    clean: bool
-
-
-def percentile_curves(
-    anchor: str, heading: str, caption: str, curves: Sequence[PercentileCurve]
-) -> ReportFigure:
-    """Draw durations against their percentiles, both so that the rare long ones can be seen.
-
-    Parameters
-    ----------
-    anchor, heading, caption
-        See `ReportFigure`.
-    curves
-        What to draw; those of the floor are grey.
-    """
-    figure = go.Figure()
-    solid = [curve for curve in curves if not curve.floor]
-    for place, curve in enumerate(solid):
-        colour = SCHEMES[place % len(SCHEMES)]
-        dash = _DASHES[place // len(SCHEMES) % len(_DASHES)]
-        figure.add_trace(_curve(curve, {"color": colour, "dash": dash, "width": 1.8}))
-    for place, curve in enumerate(curve for curve in curves if curve.floor):
-        figure.add_trace(_curve(curve, {**_FLOOR, "dash": _DASHES[place % len(_DASHES)]}))
-    least = min((share for curve in curves for share in curve.shares), default=0.01)
-    figure = dress(figure, _CURVES_PX)
-    figure.update_layout(hovermode="closest", margin_t=46 + 22 * (len(curves) // 5))
-    figure.update_xaxes(
-        type="log",
-        range=[0.0, _decades(least)],
-        tickvals=[1.0 / share for share in _SHARES],
-        ticktext=list(_PERCENTILES),
-        title_text="percentile [%]",
-    )
-    figure.update_yaxes(type="log", title_text="duration [ms]", dtick=1, rangemode="normal")
-    return ReportFigure(anchor, heading, caption, figure)
+_MOST_NAMED: Final = 3
 
 
 def waits_figure(anchor: str, cycle: CycleWaits, tree: ControlTree) -> ReportFigure:
-    """Draw who waited for whom in a cycle: a row for each agent, time to the right.
-
-    Parameters
-    ----------
-    anchor
-        See `ReportFigure`.
-    cycle
-        The cycle.
-    tree
-        Control tree of the run: gives the rows their order.
-    """
+    """Draw who waited for whom in a cycle: a row for each agent, in the order of the tree."""
     rows = [PLANT, CENTRAL, *_in_tree_order(tree)]
     chain = {(wait.agent, wait.stage) for wait in cycle.chain}
     others = [wait for wait in cycle.waits if (wait.agent, wait.stage) not in chain]
     figure = go.Figure()
-    figure.add_trace(_bars(others, "beside it", faint(BLUE, 0.35)))
-    figure.add_trace(_bars(cycle.chain, "chain that made the cycle so long", VERMILLION))
+    figure.add_trace(_bars(others, "others", faint(BLUE, 0.35)))
+    figure.add_trace(_bars(cycle.chain, "chain that set the length of the cycle", VERMILLION))
     figure.add_trace(_links(cycle.chain))
     height_px = _FRAME_PX + _ROW_PX * len(rows)
     figure = dress(figure, height_px)
@@ -145,29 +66,129 @@ def waits_figure(anchor: str, cycle: CycleWaits, tree: ControlTree) -> ReportFig
     )
     figure.update_xaxes(title_text="time after the plant's scheduled tick [ms]", rangemode="tozero")
     caption = (
-        f"A bar lasts from the moment at which the last input was published that an agent waited "
-        f"for to its own last message of that stage: the hop is in it. Orange: the chain from the "
-        f"tick to the plant's production, {cycle.loop_ns / 1e6:.1f} ms; whatever is beside it did "
-        f"not delay the cycle. Its longest link: {cycle.slowest.in_words()}."
+        f"A bar begins when the last input that an agent waited for was published and ends with "
+        f"the agent's last message of that stage; it includes the hop. Orange: the chain from the "
+        f"tick to the plant's production, {cycle.loop_ns / 1e6:.1f} ms; the other bars did not "
+        f"delay the cycle. Longest link: {cycle.slowest.in_words()}."
     )
     heading = f"Who waited for whom in cycle {cycle.cycle:,}"
     return ReportFigure(anchor, heading, caption, figure)
 
 
-def rate_figure(points: Sequence[RatePoint]) -> ReportFigure:
-    """Draw loop times against the rate, beside the length of a cycle."""
-    rates_hz = [point.rate_hz for point in points]
+def loop_figure(reported: Reported) -> ReportFigure:
+    """Draw the loop time of every cycle over the run, with its budgets."""
+    timing, report = reported.timing, reported.report
+    times_ms = np.array(timing.loop_ns) / 1e6
+    rows = extremes(times_ms)
+    seconds = (np.array(timing.loop_cycles)[rows] / report.rate_hz).tolist()
+    figure = go.Figure(
+        go.Scatter(
+            x=seconds,
+            y=times_ms[rows].tolist(),
+            name="loop time",
+            mode="lines",
+            line={"color": BLUE, "width": 1.2},
+            hovertemplate="%{x:,.1f} s: %{y:.2f} ms",
+        )
+    )
+    _add_budgets(figure, report.verdicts, [(LOOP, WHOLE_LOOP)], [seconds[0], seconds[-1]])
+    figure = dress(figure, _CURVES_PX)
+    figure.update_xaxes(title_text="time since cycle 0 [s]")
+    figure.update_yaxes(type="log", title_text="loop time [ms]", **_round_ticks())
+    caption = (
+        "From the plant's scheduled tick to its last command, cycle by cycle. Black: budgets."
+        + thinning_note(report.cycles)
+    )
+    return ReportFigure("loop", "Loop time over time", caption, figure)
+
+
+def percentile_figure(
+    anchor: str, heading: str, rows: Sequence[Times], verdicts: Sequence[Verdict]
+) -> ReportFigure:
+    """Draw durations against their percentiles on axes that show the rare long ones."""
     figure = go.Figure()
-    for place, name in enumerate(("p50", "p99", "max")):
-        values_ms = [getattr(point, f"{name}_ms") for point in points]
+    several = len({row.measure for row in rows}) > 1
+    curves = [curve_ms(row.times) for row in rows]
+    for place, (row, (shares, values_ms)) in enumerate(zip(rows, curves, strict=True)):
+        figure.add_trace(
+            go.Scatter(
+                x=[1.0 / share for share in shares],
+                y=values_ms,
+                name=plain(f"{row.measure} {row.of}" if several else row.of),
+                mode="lines",
+                line={
+                    "color": SCHEMES[place % len(SCHEMES)],
+                    "dash": _DASHES[place // len(SCHEMES) % len(_DASHES)],
+                    "width": 1.8,
+                    "shape": "hv",
+                },
+                customdata=[100.0 * (1.0 - share) for share in shares],
+                hovertemplate="%{customdata:.4g} %: %{y:.3f} ms",
+            )
+        )
+    _add_budgets(figure, verdicts, [(row.measure, row.of) for row in rows], [1.0, 100.0])
+    least = min(share for shares, _ in curves for share in shares)
+    figure = dress(figure, _CURVES_PX)
+    figure.update_layout(hovermode="closest", margin_t=46 + 22 * (len(figure.data) // 4))
+    figure.update_xaxes(
+        type="log",
+        range=[0.0, _decades(least)],
+        tickvals=[1.0 / share for share in _SHARES],
+        ticktext=list(_PERCENTILES),
+        title_text="percentile [%]",
+    )
+    figure.update_yaxes(type="log", title_text="duration [ms]", dtick=1, rangemode="normal")
+    caption = (
+        "Each step to the right leaves a tenth of the durations: at 99 % one in a hundred is "
+        "longer. Black: budgets of the 99th percentile; a curve must cross 99 % below its own."
+    )
+    return ReportFigure(anchor, heading, caption, figure)
+
+
+def _add_budgets(
+    figure: go.Figure,
+    verdicts: Sequence[Verdict],
+    rows: Sequence[tuple[str, str]],
+    ends: Sequence[float],
+) -> None:
+    """Draw a line for each limit of these rows."""
+    lines: dict[float, list[str]] = defaultdict(list)
+    for verdict in verdicts:
+        if (verdict.measure, verdict.of) in rows:
+            lines[verdict.limit].append(verdict.line)
+    for place, (limit_ms, names) in enumerate(sorted(lines.items())):
+        others = len(names) - _MOST_NAMED
+        of = ", ".join(names[:_MOST_NAMED]) + (f" and {others} more" if others > 0 else "")
+        figure.add_trace(
+            go.Scatter(
+                x=list(ends),
+                y=[limit_ms, limit_ms],
+                name=f"budget {limit_ms:g} ms",
+                mode="lines",
+                line={"color": BLACK, "width": 1.3, "dash": _DASHES[(place + 1) % len(_DASHES)]},
+                hovertemplate=f"budget {limit_ms:g} ms: {plain(of)}<extra></extra>",
+            )
+        )
+
+
+def rate_figure(rows: Sequence[RateRow]) -> ReportFigure:
+    """Draw loop times against the rate, with the length of a cycle."""
+    rates_hz = [row.rate_hz for row in rows]
+    series = (
+        ("p50", [row.loop_p50_us for row in rows]),
+        ("p99", [row.loop_p99_us for row in rows]),
+        ("max", [row.loop_max_us for row in rows]),
+    )
+    figure = go.Figure()
+    for colour, (name, values_us) in zip(SCHEMES, series, strict=False):
         figure.add_trace(
             go.Scatter(
                 x=rates_hz,
-                y=values_ms,
+                y=[None if value_us is None else value_us / 1e3 for value_us in values_us],
                 name=f"loop {name}",
                 mode="lines+markers",
-                marker={"symbol": ["circle" if p.clean else "x" for p in points], "size": 9},
-                line={"color": SCHEMES[place], "width": 1.8},
+                marker={"symbol": ["circle" if row.clean else "x" for row in rows], "size": 9},
+                line={"color": colour, "width": 1.8},
                 hovertemplate="%{x:g} cycles/s: %{y:.2f} ms",
             )
         )
@@ -177,7 +198,7 @@ def rate_figure(points: Sequence[RatePoint]) -> ReportFigure:
             y=[1e3 / rate_hz for rate_hz in rates_hz],
             name="length of a cycle",
             mode="lines",
-            line={**_FLOOR, "dash": "dash"},
+            line={"color": GREY, "width": 1.5, "dash": "dash"},
             hovertemplate="%{y:.2f} ms",
         )
     )
@@ -191,23 +212,10 @@ def rate_figure(points: Sequence[RatePoint]) -> ReportFigure:
     )
     figure.update_yaxes(type="log", title_text="time [ms]", **_round_ticks())
     caption = (
-        "Time from the plant's scheduled tick to its last command. A circle is a rate at which no "
-        "deadline was missed, no stage overran and nothing was lost; a cross is one that the plant "
-        "did not keep up with."
+        "Time from the plant's scheduled tick to its last command. Circle: no deadline was missed, "
+        "no stage overran and nothing was lost. Cross: the plant did not keep up."
     )
     return ReportFigure("rates", "Loop time against rate", caption, figure)
-
-
-def _curve(curve: PercentileCurve, line: dict[str, object]) -> go.Scatter:
-    return go.Scatter(
-        x=[1.0 / share for share in curve.shares],
-        y=curve.values_ms,
-        name=plain(curve.name),
-        mode="lines",
-        line={**line, "shape": "hv"},
-        customdata=[100.0 * (1.0 - share) for share in curve.shares],
-        hovertemplate="%{customdata:.4g} %: %{y:.3f} ms",
-    )
 
 
 def _round_ticks() -> dict[str, object]:
@@ -217,7 +225,7 @@ def _round_ticks() -> dict[str, object]:
 
 
 def _decades(least_share: float) -> float:
-    """Length of the axis: up to the next whole percentile that is shown."""
+    """Return the length of the axis: up to the next whole percentile that is shown."""
     return next((float(place) for place in range(1, 6) if 10.0**-place <= least_share), 5.0)
 
 
@@ -229,13 +237,13 @@ def _bars(waits: Sequence[Wait], name: str, colour: str) -> go.Bar:
         x=[wait.length_ns / 1e6 for wait in waits],
         name=name,
         marker={"color": colour, "line": {"color": "white", "width": 0.5}},
-        customdata=[_told(wait) for wait in waits],
+        customdata=[_hover(wait) for wait in waits],
         hovertemplate="%{customdata}<extra></extra>",
     )
 
 
 def _links(chain: Sequence[Wait]) -> go.Scatter:
-    """Draw the chain's messages: down from the one who said them to the one who waited."""
+    """Draw the chain's messages: from their publisher to the agent that waited for them."""
     times_ms: list[float | None] = []
     agents: list[str | None] = []
     for earlier, later in pairwise(chain):
@@ -244,14 +252,14 @@ def _links(chain: Sequence[Wait]) -> go.Scatter:
     return go.Scatter(
         x=times_ms,
         y=agents,
-        name="its messages",
+        name="messages of the chain",
         mode="lines",
         line={"color": VERMILLION, "width": 1, "dash": "dot"},
         hoverinfo="skip",
     )
 
 
-def _told(wait: Wait) -> str:
+def _hover(wait: Wait) -> str:
     cause = "the clock" if wait.cause is None else str(wait.cause)
     lines = [
         wait.in_words(),

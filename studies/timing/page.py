@@ -1,53 +1,28 @@
-"""The timing of a run, or of several rates, as one HTML page in the style of the run's report."""
+"""The timing of a run, or of several rates, as one HTML page."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
 from studies.report.page import html_page
-from studies.report.style import ReportFigure
-from studies.report.tables import ReportTable
-from studies.timing.durations import curve_ms
-from studies.timing.figure_tables import Column, FigureTable, page_table
-from studies.timing.figures import (
-    PercentileCurve,
-    RatePoint,
-    percentile_curves,
-    rate_figure,
-    waits_figure,
-)
+from studies.timing.figures import loop_figure, percentile_figure, rate_figure, waits_figure
 from studies.timing.report import Reported, TimingReport
 from studies.timing.run_timing import LOOP
-from studies.timing.sweep import (
-    Sweep,
-    conclusion,
-    machine_lines,
-    sweep_tables,
-    trouble_lines,
-)
-from studies.timing.table import (
+from studies.timing.sweep import Sweep, conclusion, machine_lines, sweep_table, trouble_lines
+from studies.timing.tables import (
     budgets_table,
     counts_table,
-    cycle_lines,
     failures,
     header_lines,
-    ms,
     network_lines,
-    row_name,
+    processes_table,
     times_tables,
     verdict_line,
 )
-from studies.timing.tiers import figure
 
 PAGE_NAME: Final = "timing.html"
 
-_CAPTION: Final = (
-    "Each step to the right leaves a tenth of the durations: at 99 % one in a hundred is longer. "
-    "Grey: what this machine needs by itself, measured beside the plant at the same rate."
-)
-
-_FIGURES: Final = (
+_PERCENTILES: Final = (
     ("loop", "Loop time and lateness", (LOOP, "lateness", "response")),
     ("decision", "Decision time by tier", ("decision",)),
     ("hop", "Hop latency by signal", ("hop",)),
@@ -55,109 +30,51 @@ _FIGURES: Final = (
 
 
 def run_page(reported: Reported) -> str:
-    """Return the page of one run."""
+    """Return the page of one run: verdict, slowest cycles, loop time, percentiles, tables."""
     report = reported.report
-    title = f"{report.scenario}: timing of run {report.run_id}"
+    first, *machine = header_lines(report)
+    missed = failures(report)
+    text = [
+        *([f"Not kept: {'; '.join(missed)}."] if missed else []),
+        f"{first}; {'; '.join(machine)}.",
+        *(f"{line}." for line in network_lines(report)),
+    ]
     waits = [
         waits_figure(f"waits-{place}", cycle, reported.plan.tree)
-        for place, cycle in enumerate(reported.slowest, start=1)
+        for place, cycle in enumerate(reported.timing.slowest, start=1)
     ]
-    first, *machine = header_lines(report)
-    text = [
-        f"{first}.",
-        f"{'; '.join([verdict_line(report), *failures(report)])}.",
-        f"{'; '.join(machine)}.",
-        *(f"{line}." for line in (*cycle_lines(report), *network_lines(report))),
+    curves = [
+        percentile_figure(f"percentiles-{name}", heading, rows, report.verdicts)
+        for name, heading, measures in _PERCENTILES
+        if (rows := [row for row in report.times if row.measure in measures])
     ]
-    return html_page(title, text, page_tables(report), [*percentile_figures(report), *waits])
+    return html_page(
+        f"{report.scenario}: timing of run {report.run_id}",
+        text,
+        [
+            *waits,
+            *([loop_figure(reported)] if report.cycles else []),
+            *curves,
+            *times_tables(report),
+            counts_table(report.tiers),
+            budgets_table(report.verdicts),
+            processes_table(report.processes),
+        ],
+        verdict=(report.passed, verdict_line(report)),
+    )
 
 
 def sweep_page(found: Sweep, last: TimingReport) -> str:
-    """Return the page of a sweep over rates. The last report says of what the runs were."""
-    points = [
-        RatePoint(
-            row.rate_hz,
-            row.loop_p50_us / 1e3,
-            row.loop_p99_us / 1e3,
-            row.loop_max_us / 1e3,
-            row.clean,
-        )
-        for row in found.rows
-        if not row.interrupted  # It proves nothing, so the figure leaves it out.
-        and row.loop_p50_us is not None
-        and row.loop_p99_us is not None
-        and row.loop_max_us is not None
-    ]
+    """Return the page of a sweep over rates; its last report says what was run."""
     text = [
-        f"{conclusion(found)}.",
         *(f"{line}." for line in trouble_lines(found)),
         f"{'; '.join([*machine_lines(found), *last.remarks])}.",
     ]
-    title = f"{last.scenario}: loop time against rate"
-    figures = [rate_figure(points)] if points else []
-    return html_page(title, text, [page_table(table) for table in sweep_tables(found)], figures)
-
-
-def page_tables(report: TimingReport) -> list[ReportTable]:
-    """Return the tables of a run: durations, counts, other budgets, and each process."""
-    tables = (
-        *times_tables(report),
-        counts_table(report.tiers),
-        budgets_table(report.verdicts),
-        _processes_table(report),
+    # A rate that was interrupted proves nothing.
+    drawn = [row for row in found.rows if row.loop_p50_us is not None and not row.interrupted]
+    return html_page(
+        f"{last.scenario}: loop time against rate",
+        text,
+        [*([rate_figure(drawn)] if drawn else []), sweep_table(found)],
+        verdict=(found.highest_clean_hz is not None, f"{conclusion(found)}."),
     )
-    return [page_table(table) for table in tables]
-
-
-def percentile_figures(report: TimingReport) -> list[ReportFigure]:
-    """Return the distributions, a figure for each kind of measure, the floor in each."""
-    return [
-        percentile_curves(f"percentiles-{name}", heading, _CAPTION, curves)
-        for name, heading, measures in _FIGURES
-        if (curves := _curves(report, measures))
-    ]
-
-
-def _curves(report: TimingReport, measures: Sequence[str]) -> list[PercentileCurve]:
-    named = len(measures) > 1
-    curves = [
-        PercentileCurve(
-            f"{row.measure} {row_name(row)}" if named else row_name(row), *curve_ms(row.times)
-        )
-        for row in report.times
-        if row.measure in measures
-    ]
-    floor = [
-        PercentileCurve(f"floor: {entry.name}", *curve_ms(entry.times), floor=True)
-        for entry in report.floor
-        if entry.times is not None
-    ]
-    return curves + floor if curves else []
-
-
-def _processes_table(report: TimingReport) -> FigureTable:
-    headings = (
-        "slowest decision [ms]",
-        "CPU [% of a core]",
-        "memory [MB]",
-        "waits",
-        "missed deadlines",
-        "overruns",
-        "skipped cycles",
-        "dropped",
-    )
-    rows = [
-        (
-            process.agent if process.agent == process.tier else f"{process.agent} ({process.tier})",
-            ms(process.slowest_decision_us),
-            figure(process.cpu_percent, 1),
-            figure(process.resident_mb, 1),
-            figure(process.voluntary_switches),
-            f"{sum(process.missed_deadlines.values()):,}",
-            f"{sum(process.overruns.values()):,}",
-            f"{process.skipped_cycles:,}",
-            figure(None if process.dropped is None else sum(process.dropped.values())),
-        )
-        for process in report.processes
-    ]
-    return FigureTable("processes", "", [Column(heading, 0) for heading in headings], rows)

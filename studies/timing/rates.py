@@ -11,23 +11,12 @@ HIGHEST_HZ: Final = 1000.0
 LOWEST_HZ: Final = 1.0 / 3600.0
 _AUTO_FROM_HZ: Final = 5.0
 
-_ACCEPTED: Final = (
-    "accepted are a number of cycles a second such as 20, several such as 5,10,20, a range such as "
-    "1..200, or auto"
-)
+_EXPECTED: Final = "cycles a second such as 20, several such as 5,10,20, 1..200 or auto"
 
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """What rates to run at.
-
-    Attributes
-    ----------
-    listed_hz
-        These, one after another.
-    search_hz
-        Instead: the highest clean one in this range.
-    """
+    """Rates to run at: those listed, or a search for the highest clean one in a range."""
 
     listed_hz: tuple[float, ...] = ()
     search_hz: tuple[float, float] | None = None
@@ -44,24 +33,18 @@ def cycles_per_s(rate_hz: float) -> str:
 
 
 def parse_rates(text: str) -> Rates:
-    """Read what was given with `--rate`.
-
-    Raises
-    ------
-    InputError
-        It is no rate, or one that no clock of this kind can keep.
-    """
+    """Read the value of `--rate`."""
     if text == "auto":
         return Rates(search_hz=(_AUTO_FROM_HZ, HIGHEST_HZ))
     if ".." in text:
         low, _, high = text.partition("..")
         search = _rate_hz(low, text), _rate_hz(high, text)
         if search[0] >= search[1]:
-            raise InputError(f"--rate {text}: the range is empty, accepted is for instance 1..200")
+            raise InputError(f"--rate: expected a range from low to high, got {text}")
         return Rates(search_hz=search)
     listed = tuple(_rate_hz(part, text) for part in text.split(","))
     if len(set(listed)) < len(listed):
-        raise InputError(f"--rate {text}: a rate stands there twice, accepted is each once")
+        raise InputError(f"--rate: expected each rate once, got {text}")
     return Rates(listed_hz=listed)
 
 
@@ -69,14 +52,12 @@ def _rate_hz(part: str, text: str) -> float:
     try:
         rate_hz = float(part)
     except ValueError:
-        raise InputError(f"--rate {text}: {part.strip()!r} is no number, {_ACCEPTED}") from None
+        raise InputError(f"--rate: expected {_EXPECTED}, got {text}") from None
     if rate_hz > HIGHEST_HZ:
         raise InputError(
-            f"--rate {text}: accepted is at most {HIGHEST_HZ:g} cycles/s; timers wake a process "
-            "some 0.1 ms late, so that a cycle below 1 ms would have no time left for its stages"
+            f"--rate: expected at most {HIGHEST_HZ:g} cycles/s, got {text}; timers wake a process "
+            "about 0.1 ms late, so a cycle below 1 ms leaves no time for its stages"
         )
     if not rate_hz >= LOWEST_HZ:
-        raise InputError(
-            f"--rate {text}: accepted is a number above 0, at least one cycle an hour (0.000278)"
-        )
+        raise InputError(f"--rate: expected at least one cycle an hour (0.000278), got {text}")
     return rate_hz

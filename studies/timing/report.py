@@ -1,9 +1,8 @@
-"""What a run in real time came to, as one document: all that table, page and JSON say."""
+"""The timing of one run as one document: everything that tables, JSON and page show."""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -12,62 +11,24 @@ from agents.events import ExternalAccount
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.run_folder import RunFolder
-from launch_scripts.launcher.summary import ProcessAccount, RunSummary
+from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.wrong_messages import WrongMessages
 from launch_scripts.scenarios.budget_table import BudgetTable, TimingTable
 from recordings.read.reader import RunReader
-from studies.timing.budgets import Verdict, budgets_of, expected_rows, judge
+from studies.timing.budgets import Verdict, judge
 from studies.timing.cycle_waits import CycleWaits
-from studies.timing.floor import FloorTimes
-from studies.timing.host import Host, recorded_host
-from studies.timing.run_timing import RunTiming, Times, run_timing, tier_of
-from studies.timing.tiers import TierAccount, cpu_percent, tier_accounts
+from studies.timing.host import Host, host_of
+from studies.timing.processes import ProcessTiming, TierTiming, process_timings, tier_timings
+from studies.timing.run_timing import RunTiming, Times, run_timing
 
-
-class ProcessTimes(msgspec.Struct, frozen=True):
-    """What one process came to; None stands for what only its launcher knew.
-
-    Attributes
-    ----------
-    agent, tier
-        Its name and tier.
-    cpu_percent
-        Processor time [% of one core].
-    resident_mb
-        Most memory that was seen resident [MB].
-    voluntary_switches
-        How often it waited for something, over its whole life.
-    slowest_decision_us
-        Its longest decision [us].
-    missed_deadlines, overruns
-        By stage.
-    missing_inputs
-        By port.
-    old_inputs, skipped_cycles
-        See `TierAccount`.
-    dropped
-        Messages that could not be used, by cause.
-    times
-        Its durations, row by row; empty unless `--processes` asked for them.
-    """
-
-    agent: str
-    tier: str
-    cpu_percent: float | None
-    resident_mb: float | None
-    voluntary_switches: int | None
-    slowest_decision_us: float
-    missed_deadlines: dict[str, int]
-    overruns: dict[str, int]
-    missing_inputs: dict[str, int]
-    old_inputs: int
-    skipped_cycles: int
-    dropped: dict[str, int] | None
-    times: tuple[Times, ...]
+_NO_SUMMARY = (
+    "no summary.json of this run beside the recording: processor time, memory, dropped and lost "
+    "messages are not known"
+)
 
 
 class SlowCycle(msgspec.Struct, frozen=True):
-    """One of the slowest cycles, and what made it slow."""
+    """One of the slowest cycles, and the longest wait in it."""
 
     cycle: int
     loop_us: float
@@ -84,35 +45,26 @@ class TimingReport(msgspec.Struct, frozen=True):
     ----------
     scenario, run_id, folder
         What was run, and where its recording is.
-    host
-        What it was run on.
     rate_hz, cycles, wall_s
-        Cycles a second, how many, and how long they took.
+        Cycles a second, how many the plant ended, and how long they took.
     interrupted
         Whether the user ended it early.
     remarks
-        What is to be known of the run besides: what the machine did not permit, a recording that
-        ended early.
-    external
-        What was heard of the user's own devices.
-    wrong
-        Messages of theirs that could not be used, by key and cause.
+        What a reader must know: what the machine did not permit, a recording that ended early.
+    external, wrong
+        What was heard of the user's own devices, and their messages that could not be used.
     faults
-        What the faults of the network did to messages, if there were any.
+        What the network faults that were asked for did to messages.
     lost_messages
-        Messages that were published and are not in the recording; None if it is not known.
+        Messages that were published and are not in the recording; None if not known.
     times
-        Durations by tier and stage, and by signal, of all processes together.
-    tiers
-        Counts and shares by tier.
-    processes
-        Process by process.
-    floor
-        What the machine itself needs.
+        Durations by tier and stage, and by signal.
+    tiers, processes
+        Counts and resources.
     slowest_cycles
         The slowest first.
     verdicts
-        Budget by budget.
+        One for each budget.
     """
 
     scenario: str
@@ -129,9 +81,8 @@ class TimingReport(msgspec.Struct, frozen=True):
     faults: dict[str, int]
     lost_messages: int | None
     times: tuple[Times, ...]
-    tiers: tuple[TierAccount, ...]
-    processes: tuple[ProcessTimes, ...]
-    floor: tuple[FloorTimes, ...]
+    tiers: tuple[TierTiming, ...]
+    processes: tuple[ProcessTiming, ...]
     slowest_cycles: tuple[SlowCycle, ...]
     verdicts: tuple[Verdict, ...]
 
@@ -148,25 +99,23 @@ class TimingReport(msgspec.Struct, frozen=True):
         )
         return self.cycles > 0 and late == 0 and not self.lost_messages
 
-    def as_json(self) -> bytes:
-        """Return the report as JSON, with the verdict on all of it."""
-        document = {"passed": self.passed, "clean": self.clean, **msgspec.to_builtins(self)}
-        return msgspec.json.format(msgspec.json.encode(document), indent=1)
+    def document(self) -> dict[str, object]:
+        """Return the report for other programs, with the verdict on all of it."""
+        return {"passed": self.passed, "clean": self.clean, **msgspec.structs.asdict(self)}
 
 
 class Reported(msgspec.Struct, frozen=True):
-    """A report, and what its page draws besides: the waits of the slowest cycles."""
+    """A report, and what its page draws besides."""
 
     report: TimingReport
-    slowest: tuple[CycleWaits, ...]
+    timing: RunTiming
     plan: RunPlan
 
 
 def report_on(
     run: Path,
     summary: RunSummary | None = None,
-    host: Host | None = None,
-    floor: tuple[FloorTimes, ...] = (),
+    load: tuple[float, float] | None = None,
     *,
     by_agent: bool = False,
 ) -> Reported:
@@ -177,13 +126,11 @@ def report_on(
     run
         Its folder, or the MCAP file.
     summary
-        Of the run. None: that in its folder, if there is one.
-    host
-        What it was run on. None: as far as the recording tells.
-    floor
-        What was measured of the machine beside it.
+        Of the run; by default the one in its folder, if there is one.
+    load
+        Load average of the machine before and after it, if known.
     by_agent
-        Whether each process gets rows of its own.
+        Whether each process gets rows of durations of its own.
 
     Raises
     ------
@@ -191,21 +138,23 @@ def report_on(
         It is no recording of a run in real time, or it is damaged.
     """
     with RunReader(run) as reader:
-        plan, table = reader.plan, budgets_in(reader)
+        plan, table = reader.plan, _budgets_in(reader)
         timing = run_timing(reader, by_agent=by_agent)
         folder, metadata = reader.path.parent, reader.metadata["run"]
     summary = summary or _summary_in(folder, plan)
-    accounts = summary.processes if summary else ()
-    wall_s = summary.wall_s if summary else timing.cycles * plan.cycle_wall_ns / 1e9
+    remarks: tuple[str, ...] = (_NO_SUMMARY,)
+    if summary:
+        remarks = (*summary.remarks, *filter(None, [summary.recording_ended]))
     lost = summary.lost if summary else None
-    remarks = _remarks(summary)
-    tiers = tier_accounts(timing.agents, accounts, wall_s, plan.tree)
-    verdicts = judge(budgets_of(plan, table), timing.times, tiers, lost, _expected(plan, table))
+    wall_s = summary.wall_s if summary else timing.cycles * plan.cycle_wall_ns / 1e9
+    accounts = summary.processes if summary else ()
+    processes = process_timings(timing.agents, accounts, wall_s, plan.tree)
+    tiers = tier_timings(processes)
     report = TimingReport(
         scenario=plan.plant,
         run_id=plan.run_id,
         folder=str(folder),
-        host=host or recorded_host(plan, remarks, metadata),
+        host=host_of(plan, metadata, remarks, load),
         rate_hz=1e9 / plan.cycle_wall_ns,
         cycles=timing.cycles,
         wall_s=wall_s,
@@ -217,16 +166,14 @@ def report_on(
         lost_messages=lost,
         times=timing.times,
         tiers=tiers,
-        processes=_processes(timing, accounts, wall_s, plan),
-        floor=floor,
+        processes=processes,
         slowest_cycles=tuple(map(_slow_cycle, timing.slowest)),
-        verdicts=verdicts,
+        verdicts=judge(plan, table, timing.times, tiers, lost),
     )
-    return Reported(report, timing.slowest, plan)
+    return Reported(report, timing, plan)
 
 
-def budgets_in(reader: RunReader) -> BudgetTable:
-    """Return the budgets that the scenario of a recording states."""
+def _budgets_in(reader: RunReader) -> BudgetTable:
     try:
         stated = tomllib.loads(reader.scenario).get("timing", {})
         return msgspec.convert(stated, TimingTable).budgets
@@ -234,54 +181,14 @@ def budgets_in(reader: RunReader) -> BudgetTable:
         raise InputError(f"{reader.path}: scenario.toml in it: {error}") from None
 
 
-def _expected(plan: RunPlan, table: BudgetTable) -> set[tuple[str, str]]:
-    return expected_rows(plan) | {("hop", signal) for signal in table.hop_p99_ms}
-
-
 def _summary_in(folder: Path, plan: RunPlan) -> RunSummary | None:
-    """Return the summary of a run in a folder; None if there is none of this run."""
+    """Return the summary in a folder; None if there is none of this run."""
     try:
         document = RunFolder(folder).summary.read_bytes()
         summary = msgspec.json.decode(document, type=RunSummary)
     except (OSError, msgspec.DecodeError):
         return None
     return summary if summary.run_id == plan.run_id else None
-
-
-def _remarks(summary: RunSummary | None) -> tuple[str, ...]:
-    if summary is None:
-        return (
-            "no summary.json of this run beside the recording: processor time, memory, dropped and "
-            "lost messages are not known",
-        )
-    return (*summary.remarks, *filter(None, [summary.recording_ended]))
-
-
-def _processes(
-    timing: RunTiming, accounts: Sequence[ProcessAccount], wall_s: float, plan: RunPlan
-) -> tuple[ProcessTimes, ...]:
-    seen: Mapping[str, ProcessAccount] = {account.agent: account for account in accounts}
-    found = []
-    for agent, own in timing.agents.items():
-        account = seen.get(agent)
-        found.append(
-            ProcessTimes(
-                agent=agent,
-                tier=tier_of(agent, plan.tree),
-                cpu_percent=cpu_percent(account, wall_s) if account else None,
-                resident_mb=account.resident_mb if account else None,
-                voluntary_switches=account.voluntary_switches if account else None,
-                slowest_decision_us=own.slowest_decision_ns / 1e3,
-                missed_deadlines=dict(own.missed_deadlines),
-                overruns=dict(own.overruns),
-                missing_inputs=dict(own.missing_inputs),
-                old_inputs=own.old_inputs,
-                skipped_cycles=own.skipped_cycles,
-                dropped=account.dropped if account else None,
-                times=own.times,
-            )
-        )
-    return tuple(found)
 
 
 def _slow_cycle(cycle: CycleWaits) -> SlowCycle:

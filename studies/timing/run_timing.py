@@ -1,45 +1,14 @@
 """How a run in real time kept its time, computed from its recording in one walk.
 
-Every message says when its stage could close (`ready_time_ns`: its last input had come, or its
-deadline had passed) and when it went out (`publish_time_ns`). All is measured against scheduled
-times: the tick of cycle k is `run.start_time_ns + k x cycle_wall_ns`. Arming rounds do not count.
-
-loop, all commands
-    From the tick to `ready_time_ns` of the plant's production: the last command had come, or its
-    deadline had passed.
-loop, each command
-    From the tick to the publishing of the command. The hop to the plant is not in it.
-decision
-    From `ready_time_ns` to the publishing of the stage's last message.
-hop
-    From the publishing of the input that completed a stage to `ready_time_ns`, by signal. That
-    input is taken to be the one published last; where another came later its hop was longer.
-lateness
-    From the scheduled time of a stage that the clock closed (the plant's tick; a deadline at which
-    an input was missing) to the publishing of its first message.
-jitter
-    How much the time between the first messages of a stage in two cycles differs from the cycles
-    between them.
-age
-    From the publishing of the oldest input that a stage used to `ready_time_ns`.
-response
-    Of external agents, seen from outside: from the publishing of the input that completed a stage
-    to the publishing of its last message. The hop is in it.
-
-missed deadlines
-    Stages whose messages name an awaited input in `missing`. Those are the missing inputs.
-old inputs
-    Older messages that a stage used in place of the due ones, as `missing` says.
-overruns
-    Stages that had all inputs, and whose last message went out after their deadline. The plant's
-    tick has its part of the cycle for it.
-skipped cycles
-    Cycles in which an agent published nothing. A skipped cycle has no durations. Of one that an
-    agent left half done, those who waited for the rest count a missed deadline.
+docs/timing.md defines each measure. All follow from two times that every message states: when its
+stage could close (`ready_time_ns`) and when it went out (`publish_time_ns`). Durations are taken
+against scheduled times: the tick of cycle k is `run.start_time_ns + k x cycle_wall_ns`. Arming
+rounds do not count.
 """
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -76,7 +45,7 @@ SLOWEST: Final = 3
 """How many of the slowest cycles are looked into."""
 
 _HELD_S: Final = 3.0
-"""How much later than the newest cycle a message may be recorded and still count."""
+"""How much later than the newest cycle a message may be recorded and still count [s]."""
 
 _decode_head = msgspec.msgpack.Decoder(Head).decode
 
@@ -91,11 +60,9 @@ class Times(msgspec.Struct, frozen=True):
     of
         What was measured: a stage of a tier (`direct estimate`), a signal (`residual`).
     kind
-        What its budget goes by where it is not `of`: the kind of the agents, or the signal.
-    times
-        The durations.
+        The kind of the agents, or the signal: names its budget if `of` does not.
     outside
-        Whether they are of a device that measures nothing of itself for us.
+        Whether they are of a device whose own times are not used.
     """
 
     measure: str
@@ -107,7 +74,7 @@ class Times(msgspec.Struct, frozen=True):
 
 @dataclass(slots=True)
 class AgentTiming:
-    """What one agent of a run came to, external ones left out.
+    """Counts of one of our own agents.
 
     Attributes
     ----------
@@ -115,14 +82,8 @@ class AgentTiming:
         By stage.
     missing_inputs
         By port.
-    old_inputs
-        Older messages used in place of the due ones.
-    skipped_cycles
-        Cycles in which it published nothing.
-    slowest_decision_ns
-        Its longest decision.
     times
-        Its durations, row by row; empty unless they were asked for.
+        Its own rows of durations; empty unless they were asked for.
     """
 
     missed_deadlines: Counter[str] = field(default_factory=Counter)
@@ -139,20 +100,24 @@ class RunTiming(NamedTuple):
 
     Attributes
     ----------
-    cycles
-        How many the plant ended.
     times
         Durations by tier and stage, and by signal.
-    agents
-        What each agent came to.
     slowest
         The slowest cycles, the slowest first.
+    loop_cycles, loop_ns
+        The cycles that the plant ended, and the loop time of each.
     """
 
-    cycles: int
     times: tuple[Times, ...]
     agents: dict[str, AgentTiming]
     slowest: tuple[CycleWaits, ...]
+    loop_cycles: array[int]
+    loop_ns: array[int]
+
+    @property
+    def cycles(self) -> int:
+        """How many cycles the plant ended."""
+        return len(self.loop_cycles)
 
 
 def tier_of(agent: str, tree: ControlTree) -> str:
@@ -163,14 +128,7 @@ def tier_of(agent: str, tree: ControlTree) -> str:
 
 
 def run_timing(reader: RunReader, *, by_agent: bool = False) -> RunTiming:
-    """Work out the timing of a run. Memory is bounded, however long it was.
-
-    Parameters
-    ----------
-    reader
-        Of its recording.
-    by_agent
-        Whether each agent gets rows of its own too.
+    """Work out the timing of a run; with `by_agent` each agent has rows of its own too.
 
     Raises
     ------
@@ -197,7 +155,7 @@ class _Ticks:
                 f"{reader.path}: it does not say when cycle 0 began in real time, expected the "
                 "recording of a run of `heliarch launch` or `timing` at a finite pace"
             )
-        # The agents believe no start that is far from now either.
+        # Agents, too, ignore a start time that is far from now.
         is_far = abs(start.start_time_ns - start.publish_time_ns) > START_WITHIN_NS
         self._start_ns = start.publish_time_ns if is_far else start.start_time_ns
         self.cycle_ns = plan.cycle_wall_ns
@@ -257,7 +215,7 @@ def _end_cycle(reader: RunReader) -> int:
 
 
 class _Walk:
-    """Takes in cycle after cycle."""
+    """Adds up cycle after cycle."""
 
     def __init__(self, plan: RunPlan, ticks: _Ticks, by_agent: bool) -> None:
         self._plan = plan
@@ -288,10 +246,11 @@ class _Walk:
         self._last: dict[tuple[str, str], tuple[int, int]] = {}
         self._spoke_ns: dict[str, int] = {}
         self._slowest: list[tuple[int, int, CycleHeads]] = []
-        self._ended = 0
+        self._loop_cycles = array("q")
+        self._loop_ns = array("q")
 
     def see(self, cycle: int, heads: CycleHeads) -> None:
-        """Take in a cycle. They come in their order, those without messages too."""
+        """Add a cycle. Cycles come in order, including those without messages."""
         tick_ns = self._ticks.of(cycle)
         for port, head in heads.items():
             self._published[port].append((cycle, head.publish_time_ns))
@@ -311,10 +270,11 @@ class _Walk:
         production = heads.get(PRODUCTION.of(ROOT))
         if production is None:
             return
-        self._ended += 1
         outside = PLANT in self._plan.external
         applied_ns = production.publish_time_ns if outside else production.ready_time_ns
         self._add(LOOP, WHOLE_LOOP, "", applied_ns - tick_ns, PLANT, "")
+        self._loop_cycles.append(cycle)
+        self._loop_ns.append(applied_ns - tick_ns)
         # Of two that took as long the earlier one: `-cycle` keeps it.
         entry = production.publish_time_ns - tick_ns, -cycle, heads
         if len(self._slowest) < SLOWEST:
@@ -411,7 +371,7 @@ class _Walk:
             self._own[agent][measure, own_row].add(duration_ns)
 
     def timing(self) -> RunTiming:
-        """Return what it came to."""
+        """Return the timing of all cycles so far."""
         outside = {LOOP} if PLANT in self._plan.external else set()
         times = [
             Times(measure, of, self._kinds[measure, of], found, measure in {"response", *outside})
@@ -425,7 +385,8 @@ class _Walk:
             cycle_waits(self._table, -cycle, self._ticks.of(-cycle), heads)
             for _, cycle, heads in sorted(self._slowest, key=lambda entry: entry[:2], reverse=True)
         )
-        return RunTiming(self._ended, tuple(sorted(times, key=self._order)), self._agents, slowest)
+        in_order = tuple(sorted(times, key=self._order))
+        return RunTiming(in_order, self._agents, slowest, self._loop_cycles, self._loop_ns)
 
     def _own_times(self, agent: str, rows: dict[tuple[str, str], Durations]) -> tuple[Times, ...]:
         found = (

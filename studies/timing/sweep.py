@@ -10,42 +10,37 @@ from rich.console import Console
 
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.supervision import RunFailure
-from studies.timing.figure_tables import Column, FigureTable, print_table
-from studies.timing.floor import FloorTimes
+from studies.tables import Cell, Column, Table, key_column, print_table, word_column
 from studies.timing.host import Host
+from studies.timing.processes import total
 from studies.timing.rates import LOWEST_HZ, Rates, cycles_per_s
 from studies.timing.report import TimingReport
 from studies.timing.run_timing import LOOP, WHOLE_LOOP
-from studies.timing.table import floor_table, host_lines, how_often, ms
-from studies.timing.tiers import figure, total
+from studies.timing.tables import host_lines, how_often, print_lines
 
 _CLOSE_ENOUGH: Final = 1.1
 """The search ends where the lowest rate that fails is no further above the highest clean one."""
 
 
 class RateRow(msgspec.Struct, frozen=True):
-    """What a plant came to at one rate.
+    """The run at one rate.
 
     Attributes
     ----------
-    rate_hz, cycles
-        Cycles a second, and how many there were.
     loop_p50_us, loop_p99_us, loop_max_us
-        Loop time [us]; None where no loop closed.
+        Loop time [us]; None if the plant ended no cycle.
     missed_deadlines, overruns, lost_messages
         Of all processes together.
     cpu_percent
-        Processor time of all processes together, the recorder too [% of one core].
+        Processor time of all processes together [% of one core].
     clean
-        Whether none was missed, none overran and nothing was skipped or lost.
+        Whether nothing was missed, overran, was skipped or lost.
     trouble
-        What was missed, overran or was lost, and in which tier; empty if nothing was.
+        What was, and in which tier.
     failed
         Why the run failed; empty if it did not.
     interrupted
         Whether the user ended it early: then it proves nothing.
-    host, floor
-        What it was run on, and what that machine needs by itself at this rate.
     """
 
     rate_hz: float
@@ -62,11 +57,10 @@ class RateRow(msgspec.Struct, frozen=True):
     interrupted: bool = False
     trouble: str = ""
     host: Host | None = None
-    floor: tuple[FloorTimes, ...] = ()
 
     @property
     def outcome(self) -> str:
-        """What became of it, in a word or two."""
+        """Its outcome in a word or two."""
         if self.interrupted:
             return "interrupted"
         if self.failed:
@@ -80,62 +74,27 @@ class RateRow(msgspec.Struct, frozen=True):
 
 
 class Sweep(msgspec.Struct, frozen=True):
-    """Runs at several rates.
-
-    Attributes
-    ----------
-    rows
-        By rate, ascending.
-    highest_clean_hz
-        The highest rate at which the plant kept up; None: it never did.
-    interrupted
-        Whether the user ended it early.
-    """
+    """Runs at several rates, ascending; `highest_clean_hz` is None if none was clean."""
 
     rows: tuple[RateRow, ...]
     highest_clean_hz: float | None
     interrupted: bool
 
-    def as_json(self) -> bytes:
-        """Return the sweep as JSON."""
-        return msgspec.json.format(msgspec.json.encode(self), indent=1)
-
 
 Timed: TypeAlias = Callable[[float], TimingReport]
 """Runs the plant at a rate and reports on it."""
 
-_MEANING: Final = " [cycles/s]: cycle and loop time [ms], processor time [% of a core]"
-_COLUMNS: Final = (
-    Column("cycles", 8),
-    Column("cycle", 8),
-    Column("loop\np50", 8),
-    Column("loop\np99", 8),
-    Column("loop\nmax", 8),
-    Column("missed\ndeadlines", 9),
-    Column("overruns", 8),
-    Column("lost", 5),
-    Column("CPU", 5),
-    Column("", 11),
-)
-
 
 def sweep(rates: Rates, timed: Timed) -> Sweep:
-    """Run at the listed rates; or look for the highest clean one, doubling and then halving steps.
+    """Run at the listed rates; or search for the highest clean one, doubling, then halving steps.
 
-    A rate that a search comes to may be refused, since stated deadlines do not fit into its cycle,
-    or its run may fail: then the rate has failed, and those before it count all the same.
-
-    Parameters
-    ----------
-    rates
-        The rates.
-    timed
-        Runs the plant at one of them.
+    A rate of a search may be refused because stated deadlines do not fit into its cycle, or its
+    run may fail: that rate has failed, and the others still count.
 
     Raises
     ------
     InputError
-        The first rate of all is refused.
+        The very first rate is refused.
     """
     rows: dict[float, RateRow] = {}
     for rate_hz in _search(rates.search_hz, rows) if rates.search_hz else rates.listed_hz:
@@ -157,7 +116,7 @@ def sweep(rates: Rates, timed: Timed) -> Sweep:
 
 
 def rate_row(report: TimingReport) -> RateRow:
-    """Return what a run says of its rate. One that was interrupted proves nothing."""
+    """Return the row of a run."""
     rows = {(row.measure, row.of): row.times for row in report.times}
     loop = rows.get((LOOP, WHOLE_LOOP))
     return RateRow(
@@ -174,49 +133,49 @@ def rate_row(report: TimingReport) -> RateRow:
         interrupted=report.interrupted,
         trouble=_trouble(report),
         host=report.host,
-        floor=report.floor,
     )
 
 
 def _trouble(report: TimingReport) -> str:
     """Say what keeps a run from being clean, tier by tier."""
-    told = [] if report.cycles else ["no cycle was completed"]
+    found = [] if report.cycles else ["no cycle was completed"]
     for tier in report.tiers:
         counts = (
             ("missed a deadline", tier.missed_deadlines),
             ("overran", tier.overruns),
             ("skipped a cycle", tier.skipped_cycles),
         )
-        told += [f"{tier.tier} {what} {how_often(count)}" for what, count in counts if count]
+        found += [f"{tier.tier} {what} {how_often(count)}" for what, count in counts if count]
     if report.lost_messages:
-        told.append(f"messages not recorded: {report.lost_messages:,}")
-    return ", ".join(told)
+        found.append(f"messages not recorded: {report.lost_messages:,}")
+    return ", ".join(found)
 
 
 def print_sweep(found: Sweep, console: Console) -> None:
     """Print the rates, on what they were run, and the highest clean one."""
-    for line in machine_lines(found):
-        console.print(line, highlight=False, markup=False)
-    for table in sweep_tables(found):
-        print_table(console, table)
-    console.print()
-    for line in (*trouble_lines(found), conclusion(found)):
-        console.print(line, highlight=False, markup=False)
+    print_lines(console, [*machine_lines(found), ""])
+    print_table(console, sweep_table(found))
+    print_lines(console, [*trouble_lines(found), conclusion(found)])
 
 
-def sweep_tables(found: Sweep) -> list[FigureTable]:
-    """Return the rates, and the machine's floor at each."""
-    rates = FigureTable("rates", _MEANING, _COLUMNS, [_cells(row) for row in found.rows])
-    floors = [
-        floor_table("floor", f" at {cycles_per_s(row.rate_hz)} [ms]", row.floor)
-        for row in found.rows
-        if row.floor
-    ]
-    return [rates, *floors]
+def sweep_table(found: Sweep) -> Table:
+    """Return a row for each rate."""
+    columns = (
+        key_column("rate"),
+        Column("cycles"),
+        Column("cycle", "ms", 2),
+        Column("loop p50", "ms"),
+        Column("loop p99", "ms"),
+        Column("loop max", "ms"),
+        *map(Column, ("missed deadlines", "overruns", "lost")),
+        Column("CPU", "%", 0),
+        word_column(""),
+    )
+    return Table("Rates [cycles/s]", columns, tuple(map(_cells, found.rows)))
 
 
 def machine_lines(found: Sweep) -> list[str]:
-    """Say on what the rates were run: the load before the first one, and after the last one."""
+    """Say on which machine, with the load before the first rate and after the last one."""
     hosts = [row.host for row in found.rows if row.host is not None]
     if not hosts:
         return []
@@ -235,7 +194,7 @@ def trouble_lines(found: Sweep) -> list[str]:
 
 
 def _search(search_hz: tuple[float, float], rows: dict[float, RateRow]) -> Iterator[float]:
-    """Yield rates to try, of which the rows so far tell how they went."""
+    """Yield rates to try; each is run, and has its row, before the next one is asked for."""
     rate_hz, highest_hz = search_hz
     yield rate_hz
     while rows[rate_hz].clean and rate_hz < highest_hz:
@@ -260,16 +219,14 @@ def _bounds(rows: Collection[RateRow]) -> tuple[float, float] | None:
     return (clean_hz, min(failed)) if failed else None
 
 
-def _cells(row: RateRow) -> tuple[str, ...]:
+def _cells(row: RateRow) -> tuple[Cell, ...]:
+    loop_us = (row.loop_p50_us, row.loop_p99_us, row.loop_max_us)
     return (
         f"{row.rate_hz:.4g}",
-        f"{row.cycles:,}",
-        f"{1e3 / row.rate_hz:,.2f}",
-        *map(ms, (row.loop_p50_us, row.loop_p99_us, row.loop_max_us)),
-        f"{row.missed_deadlines:,}",
-        f"{row.overruns:,}",
-        f"{row.lost_messages:,}",
-        figure(row.cpu_percent),
+        row.cycles,
+        1e3 / row.rate_hz,
+        *(None if value_us is None else value_us / 1e3 for value_us in loop_us),
+        *(row.missed_deadlines, row.overruns, row.lost_messages, row.cpu_percent),
         row.outcome,
     )
 

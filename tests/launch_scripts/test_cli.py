@@ -24,7 +24,7 @@ def test_ctrl_c_before_a_command_can_see_to_it_is_no_traceback(
 @pytest.mark.parametrize(
     "command",
     [
-        *("simulate", "launch", "timing", "compare", "clusters", "report"),
+        *("simulate", "launch", "timing", "compare", "clusters", "delays", "report"),
         *("export", "verify", "inspect", "replay", "recover"),
     ],
 )

@@ -178,7 +178,7 @@ def test_the_example_plant_conducts_our_controllers(
         # In real time controllers that a slow machine keeps waiting curtail nothing.
         assert all(delivered <= 1.1 * desired for desired, delivered in powers_kw[1:])
         assert run.process.returncode == 0, run.error_text()
-    assert "plant" not in verified(run).accounts
+    assert "plant" not in verified(run).agents
     assert_none_left(run.folder)
 
 

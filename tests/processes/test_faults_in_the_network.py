@@ -37,7 +37,7 @@ def test_a_run_over_a_bad_network_verifies_equal_and_misses_what_the_rules_took(
     assert set(summary.faults) == {"lost", "duplicated", "delayed"}
     found = verified(run)
     assert_equal_as_far_as_recorded(run, found)
-    assert found.missing_inputs > 0
+    assert found.total("missing_inputs") > 0
     assert_none_left(run.folder)
     with RunReader(run.folder) as reader:
         assert_missed(reader, list(reader.messages()))

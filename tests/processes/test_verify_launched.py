@@ -59,8 +59,8 @@ def test_a_run_in_real_time_with_a_supervisor_that_stood_still_verifies_equal(
     run.process.send_signal(signal.SIGINT)
     run.wait()
     found = verified(run)
-    assert found.missing_inputs > 0
-    assert found.compared > 0
+    assert found.total("missing_inputs") > 0
+    assert found.total("compared") > 0
     assert_equal_as_far_as_recorded(run, found)
 
 
@@ -73,4 +73,4 @@ def test_a_run_that_a_killed_controller_ended_verifies_equal_up_to_there(heliarc
     found = verified(run)
     assert findings(found) == {}
     assert found.stop_cycle is None
-    assert found.compared > 0.9 * found.recorded
+    assert found.total("compared") > 0.8 * found.recorded

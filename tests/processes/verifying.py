@@ -15,7 +15,7 @@ def verified(run: Heliarch) -> Verification:
 
 def findings(found: Verification) -> dict[str, object]:
     """The first difference of each agent that has one."""
-    return {name: entry.first for name, entry in found.accounts.items() if entry.first}
+    return {name: entry.first for name, entry in found.agents.items() if entry.first}
 
 
 def assert_equal_as_far_as_recorded(run: Heliarch, found: Verification) -> None:
@@ -29,5 +29,5 @@ def assert_equal_as_far_as_recorded(run: Heliarch, found: Verification) -> None:
         assert findings(found) == {}
         return
     assert run.process.returncode == 1
-    kinds = {kind for account in found.accounts.values() for kind in account.counts}
+    kinds = {kind for findings in found.agents.values() for kind in findings.differences}
     assert kinds <= {"only new", "not recorded", "input not recorded"}

@@ -11,7 +11,8 @@ from recordings_by_hand import cycle_of_the_plant, whole_run, write_run
 
 from bus_schemas.bus import Delivery
 from recordings import open_run
-from recordings.inspect.overview import Gap, Overview, SignalCount, read_overview
+from recordings.inspect.overview import Overview, SignalCount, read_overview
+from recordings.read.gaps import Gap
 
 CYCLES = 60
 END = CYCLES - 1

@@ -1,4 +1,4 @@
-"""Keys are understood, and the terminal is as before, however it ends."""
+"""Keys are understood, and the terminal is as before, however a replay ends."""
 
 from __future__ import annotations
 
@@ -9,47 +9,50 @@ from collections.abc import Iterator
 
 import pytest
 
-from recordings.replay.keyboard import Key, NoKeyboard, has_keyboard, keyboard, keys_in, keys_of
+from recordings.replay.keyboard import Key, TerminalKeyboard, keyboard
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[int, int]]:
+    """Both ends of a terminal that is standard input: where one types, and what is read."""
+    typing, seen = pty.openpty()
+    with open(seen, encoding="utf-8", closefd=False) as stdin:
+        monkeypatch.setattr("sys.stdin", stdin)
+        yield typing, seen
+    os.close(typing)
+    os.close(seen)
 
 
 @pytest.mark.parametrize(
     ("typed", "keys"),
     [
-        (b" ", [Key.PAUSE]),
         (b"s+-=q", [Key.STEP, Key.FASTER, Key.SLOWER, Key.FASTER, Key.QUIT]),
+        (b"ss" * 100, [Key.STEP] * 200),
         (b"\x1b[A\x1b[B", [Key.FAR_FORWARD, Key.FAR_BACK]),
-        (b"\x1b[C\x1b[D", [Key.FORWARD, Key.BACK]),
-        (b"\x1bOC", [Key.FORWARD]),
+        (b"\x1b[C\x1bOD", [Key.FORWARD, Key.BACK]),
+        (b"x\x1b[Cs\x1b", [Key.FORWARD, Key.STEP]),
         (b"xyz", []),
-        (b"x\x1b[Cs", [Key.FORWARD, Key.STEP]),
-        (b"\x1b", []),
-        (b"\x1b[", []),
-        (b"", []),
     ],
 )
-def test_bytes_of_a_terminal_are_keys(typed: bytes, keys: list[Key]) -> None:
-    assert keys_in(typed) == keys
+def test_every_key_that_was_typed_is_read_at_once(
+    typed: bytes, keys: list[Key], terminal: tuple[int, int]
+) -> None:
+    typing, _ = terminal
+    with keyboard() as found:
+        os.write(typing, typed)
+        assert found.wait(10.0) == keys
+        assert found.wait(0.0) == []
 
 
-@pytest.fixture
-def terminal() -> Iterator[tuple[int, int]]:
-    """Both ends of a terminal: where one types, and what the program sees."""
-    typing, seen = pty.openpty()
-    yield typing, seen
-    os.close(typing)
-    os.close(seen)
-
-
-def test_a_key_comes_without_return_and_unseen(terminal: tuple[int, int]) -> None:
-    typing, seen = terminal
-    with keys_of(seen) as keys:
-        assert keys.wait(0.0) == []
-        os.write(typing, b" \x1b[C")
-        found = keys.wait(10.0)
-        mode = termios.tcgetattr(seen)[3]
-    assert found == [Key.PAUSE, Key.FORWARD]
-    assert not mode & (termios.ICANON | termios.ECHO)
-    assert mode & termios.ISIG  # Ctrl-C stays what it is
+def test_an_arrow_key_may_come_in_two_parts() -> None:
+    reading, writing = os.pipe()
+    keys = TerminalKeyboard(reading)
+    os.write(writing, b"s\x1b[")
+    assert keys.wait(10.0) == [Key.STEP]
+    os.write(writing, b"C")
+    assert keys.wait(10.0) == [Key.FORWARD]
+    os.close(reading)
+    os.close(writing)
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
@@ -58,23 +61,21 @@ def test_the_terminal_is_restored_however_it_ends(
 ) -> None:
     _, seen = terminal
     before = termios.tcgetattr(seen)
-    modes = []
 
     def use_it_and_fail() -> None:
-        with keys_of(seen):
-            modes.append(termios.tcgetattr(seen))
+        with keyboard():
+            mode = termios.tcgetattr(seen)[3]
+            assert not mode & (termios.ICANON | termios.ECHO)
+            assert mode & termios.ISIG  # Ctrl-C stays what it is
             raise error
 
     with pytest.raises(error):
         use_it_and_fail()
-    assert modes != [before]
     assert termios.tcgetattr(seen) == before
 
 
-def test_without_a_terminal_nobody_presses_a_key(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_terminal_no_key_comes(monkeypatch: pytest.MonkeyPatch) -> None:
     with open(os.devnull, encoding="utf-8") as nothing:  # noqa: PTH123 - os.devnull is text
         monkeypatch.setattr("sys.stdin", nothing)
-        assert not has_keyboard()
         with keyboard() as keys:
-            assert isinstance(keys, NoKeyboard)
             assert keys.wait(0.001) == []

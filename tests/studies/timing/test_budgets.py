@@ -11,7 +11,7 @@ from reports_by_hand import MISSED, missed, reported
 from timed_recordings import PLAN, TIMES_MS, cycle, recorded
 
 from launch_scripts.scenarios.budget_table import BudgetTable, TimingTable
-from studies.timing.budgets import Verdict, budgets_of
+from studies.timing.budgets import Verdict, p99_limits_ms
 from studies.timing.report import report_on
 
 
@@ -20,13 +20,13 @@ def failed(verdicts: tuple[Verdict, ...]) -> set[str]:
 
 
 def test_default_budgets_follow_the_length_of_the_cycle() -> None:
-    fast = budgets_of(PLAN, BudgetTable())  # 100 ms; each of six stages has 15.
-    assert fast.loop_p99_ms == pytest.approx(50.0)
-    assert fast.times_p99_ms["decision"]["direct actuate"] == pytest.approx(15.0)
-    assert fast.times_p99_ms["lateness"] == {"plant": pytest.approx(2.0)}
-    slow = budgets_of(replace(PLAN, cycle_wall_ns=800_000_000_000), BudgetTable())
+    fast = p99_limits_ms(PLAN, BudgetTable())  # 100 ms; each of six stages has 15.
+    assert fast["loop"] == {"all commands": pytest.approx(50.0)}
+    assert fast["decision"]["direct actuate"] == pytest.approx(15.0)
+    assert fast["lateness"] == {"plant": pytest.approx(2.0)}
+    slow = p99_limits_ms(replace(PLAN, cycle_wall_ns=800_000_000_000), BudgetTable())
     # 120 s for each stage: the paper's upper bounds are nearer.
-    decision = slow.times_p99_ms["decision"]
+    decision = slow["decision"]
     assert decision["plant apply"] == pytest.approx(120_000)
     assert decision["central solve"] == 60_000
     assert decision["supervisor report"] == decision["supervisor solve"] == 10_000
@@ -35,20 +35,20 @@ def test_default_budgets_follow_the_length_of_the_cycle() -> None:
 
 def test_budgets_of_decisions_follow_the_deadlines_of_the_tiers() -> None:
     plan = replace(PLAN, tier_deadlines_ns=(6_000_000, 50_000_000, 60_000_000))
-    decision = budgets_of(plan, BudgetTable()).times_p99_ms["decision"]
+    decision = p99_limits_ms(plan, BudgetTable())["decision"]
     # Three stages share the 6 ms up to the central controller's last message; cycles last 100 ms.
     assert decision["direct estimate"] == decision["central solve"] == pytest.approx(2.0)
     assert decision["supervisor solve"] == pytest.approx(44.0)
     assert decision["direct actuate"] == pytest.approx(10.0)
     assert decision["plant apply"] == pytest.approx(20.0)
-    stated = budgets_of(plan, BudgetTable(decision_p99_ms={"direct": 3.0}))
-    assert stated.times_p99_ms["decision"]["direct estimate"] == 3.0
+    stated = p99_limits_ms(plan, BudgetTable(decision_p99_ms={"direct": 3.0}))
+    assert stated["decision"]["direct estimate"] == 3.0
 
 
 def test_a_devices_response_has_the_budget_of_its_own_stage() -> None:
     tiers_ns = (6_000_000, 50_000_000, 60_000_000)
     plan = replace(PLAN, tier_deadlines_ns=tiers_ns, external=("c2/d",))
-    response = budgets_of(plan, BudgetTable()).times_p99_ms["response"]
+    response = p99_limits_ms(plan, BudgetTable())["response"]
     assert response == {
         "c2/d estimate": pytest.approx(2.0),
         "c2/d actuate": pytest.approx(10.0),
@@ -130,3 +130,23 @@ def test_a_table_of_a_scenario_is_read_with_its_types() -> None:
     assert (table.loop_p99_ms, table.missed_deadlines) == (25, 3)
     assert table.hop_p99_ms == {"setpoint": 5.5}
     assert TimingTable().budgets == BudgetTable()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "foo = 3",
+        "hop_p99_ms = { foo = 3 }",
+        "hop_p99_ms = { production = 3 }",
+        "decision_p99_ms = { recorder = 3 }",
+        "hop_p99_ms = 3",
+        "loop_p99_ms = 0",
+        "hop_p99_ms = { setpoint = 0.0 }",
+        "loop_p99_ms = nan",
+        'loop_p99_ms = "fast"',
+        "missed_deadlines = 1.5",
+    ],
+)
+def test_a_budget_that_makes_no_sense_is_refused(line: str) -> None:
+    with pytest.raises(msgspec.ValidationError):
+        msgspec.toml.decode(f"[budgets]\n{line}\n", type=TimingTable)

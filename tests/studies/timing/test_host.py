@@ -1,4 +1,4 @@
-"""The header says what the processes took of the machine, and what they were refused."""
+"""The host says what the processes took of the machine, less what they were refused."""
 
 from __future__ import annotations
 
@@ -7,9 +7,16 @@ from msgspec.structs import replace
 from timed_recordings import PLAN
 
 from agents.machine import MachineSettings
-from studies.timing.host import recorded_host, this_host
+from studies.timing.host import Host, host_of
 
 REFUSED = ("priority 20: the kernel refuses SCHED_FIFO (not permitted)",)
+NOT_LOCKED = ("memory: not locked (not permitted); it takes CAP_IPC_LOCK",)
+
+
+def host(machine: MachineSettings, remarks: tuple[str, ...] = ()) -> Host:
+    return host_of(
+        replace(PLAN, machine=machine), {"kernel": "6.18", "cpu_count": "4"}, remarks, None
+    )
 
 
 @pytest.mark.parametrize(
@@ -29,27 +36,16 @@ REFUSED = ("priority 20: the kernel refuses SCHED_FIFO (not permitted)",)
 def test_scheduling_is_what_was_asked_for_and_not_refused(
     machine: MachineSettings, remarks: tuple[str, ...], scheduling: str
 ) -> None:
-    plan = replace(PLAN, machine=machine)
-    assert this_host(plan, remarks, 0.5).scheduling == scheduling
-    assert recorded_host(plan, remarks, {}).scheduling == scheduling
+    assert host(machine, remarks).scheduling == scheduling
 
 
-@pytest.mark.parametrize(
-    ("asked", "remarks", "locked"),
-    [
-        (True, (), True),
-        (True, ("memory: not locked (not permitted); it takes CAP_IPC_LOCK",), False),
-        (False, (), False),
-    ],
-)
-def test_locked_memory_is_what_was_asked_for_and_permitted(
-    asked: bool, remarks: tuple[str, ...], locked: bool
-) -> None:
-    plan = replace(PLAN, machine=MachineSettings(lock_memory=asked))
-    assert this_host(plan, remarks, 0.5).memory_locked is locked
+def test_locked_memory_is_what_was_asked_for_and_permitted() -> None:
+    locked = MachineSettings(lock_memory=True)
+    assert host(locked).memory_locked
+    assert not host(locked, NOT_LOCKED).memory_locked
+    assert not host(MachineSettings()).memory_locked
 
 
-def test_of_a_recording_the_machine_is_that_of_its_metadata() -> None:
-    found = recorded_host(PLAN, (), {"kernel": "6.18", "cpu_count": "4", "python": "3.11"})
-    assert (found.kernel, found.cpus, found.python) == ("6.18", 4, "3.11")
-    assert found.load_before is None
+def test_the_machine_is_that_of_the_recording() -> None:
+    found = host(MachineSettings())
+    assert (found.kernel, found.cpus, found.load_before) == ("6.18", 4, None)

@@ -24,22 +24,9 @@ def test_rates_are_read(text: str, rates: Rates) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("0", "accepted is a number above 0"),
-        ("-5", "accepted is a number above 0"),
-        ("nan", "accepted is a number above 0"),
-        ("fast", "'fast' is no number, accepted are a number of cycles a second such as 20"),
-        ("5,,10", "'' is no number"),
-        ("1001", "at most 1000 cycles/s; timers wake a process some 0.1 ms late"),
-        ("inf", "at most 1000 cycles/s"),
-        ("20..10", "the range is empty, accepted is for instance 1..200"),
-        ("5,5", "a rate stands there twice"),
-        ("10..2000", "--rate 10..2000: accepted is at most"),
-    ],
+    "text", ["0", "-5", "nan", "fast", "5,,10", "1001", "inf", "20..10", "5,5", "10..2000", ""]
 )
-def test_what_is_no_rate_is_refused(text: str, words: str) -> None:
-    with pytest.raises(InputError) as refusal:
+def test_what_is_no_rate_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--rate: expected") as refusal:
         parse_rates(text)
-    assert str(refusal.value).startswith(f"--rate {text}: ")
-    assert words in str(refusal.value)
+    assert f"got {text}" in str(refusal.value)

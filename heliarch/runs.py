@@ -1,0 +1,173 @@
+"""Simulations and comparisons from Python."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import date
+from functools import partial
+from pathlib import Path
+
+import pandas as pd
+from rich.console import Console
+
+from agents.plan import Actuator, Scheme
+from bus_schemas.errors import InputError
+from launch_scripts.commands.run import run
+from launch_scripts.launcher.request import RunRequest
+from launch_scripts.launcher.summary import RunSummary
+from launch_scripts.scenarios.preparation import RunOptions
+from launch_scripts.scenarios.scenario import ScenarioFile, load_scenario
+from launch_scripts.scenarios.toml_text import toml_value
+from studies.arrays.schemes import SCHEMES
+from studies.compare.cases import cases, parse_setting, with_settings
+from studies.compare.study import Comparison, run_case
+from studies.compare.tables import json_rows
+from studies.workers import share_work
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedRun:
+    """A run that is over.
+
+    Attributes
+    ----------
+    summary
+        Its figures of merit and counts, as `summary.json` has them.
+    folder
+        Its folder, for `open_run`.
+    """
+
+    summary: RunSummary
+    folder: Path
+
+
+def simulate(
+    scenario: str | ScenarioFile = "oahu",
+    *,
+    start: str | None = None,
+    end: str | None = None,
+    duration: str | None = None,
+    seed: int | None = None,
+    scheme: Scheme | None = None,
+    actuator: Actuator | None = None,
+    settings: Mapping[str, object] | None = None,
+    faults: Sequence[str] = (),
+    out: str | Path | None = None,
+) -> SimulatedRun:
+    """Simulate a plant in this process and record it, as `heliarch simulate` does.
+
+    Parameters
+    ----------
+    scenario
+        A shipped scenario, the path of a TOML file, or what `load_scenario` returned.
+    start, end
+        Local time of the first cycle, and at which the last one ends: `12:30`, or
+        `2010-04-01T12:30`.
+    duration
+        Simulated time in place of `end`: `90s`, `15m`, `1h30m`.
+    seed
+        Of the synthetic clouds.
+    scheme, actuator
+        In place of those of the scenario.
+    settings
+        Fields of the scenario to change: `{"commitment.share": 0.5}`.
+    faults
+        Rules as for `--fault`: `"source=c1/*,delay=50ms"`.
+    out
+        Folder of the run; by default a new one in `runs/`.
+
+    Returns
+    -------
+    SimulatedRun
+        The summary, and the folder with the recording.
+
+    Raises
+    ------
+    InputError
+        Scenario, options and data do not go together.
+    """
+    request = RunRequest(
+        "simulate",
+        with_settings(_loaded(scenario), _texts(settings)),
+        start,
+        end,
+        duration,
+        seed=seed,
+        scheme=scheme,
+        actuator=actuator,
+        out=None if out is None else Path(out),
+        faults=tuple(faults),
+    )
+    with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
+        summary, folder = run(request, Console(file=nowhere), time.monotonic())
+    return SimulatedRun(summary, folder.path)
+
+
+def compare(
+    scenario: str | ScenarioFile = "oahu-day",
+    *,
+    schemes: Iterable[str] = tuple(SCHEMES),
+    start: str | None = None,
+    end: str | None = None,
+    duration: str | None = None,
+    days: Iterable[date] = (),
+    seeds: Iterable[int] = (),
+    settings: Mapping[str, object | Sequence[object]] | None = None,
+    workers: int = 1,
+) -> pd.DataFrame:
+    """Compare control schemes, as `heliarch compare` does.
+
+    Parameters
+    ----------
+    scenario, start, end, duration
+        As for `simulate`.
+    schemes
+        Control schemes; see `heliarch compare --help`.
+    days, seeds
+        Run every day, and every seed of the clouds.
+    settings
+        Fields of the scenario, each with a value or a list of values:
+        `{"commitment.share": [0.3, 0.45]}`. Every combination is a case.
+    workers
+        Processes that share the cases. With more than one, call this from a script that guards
+        its entry point with `if __name__ == "__main__"`.
+
+    Returns
+    -------
+    DataFrame
+        A row for each case and scheme, a column for each figure of merit.
+
+    Raises
+    ------
+    InputError
+        Scenario, schemes, options and data do not go together.
+    """
+    names = tuple(schemes)
+    for name in names:
+        if name not in SCHEMES:
+            raise InputError(f"schemes: expected {', '.join(SCHEMES)}, got {name}")
+    found = cases(
+        _loaded(scenario),
+        RunOptions(start, duration, end=end),
+        [parse_setting(text) for text in _texts(settings)],
+        tuple(days),
+        tuple(seeds),
+    )
+    results = dict(share_work(partial(run_case, Comparison(names)), found, workers))
+    table = pd.DataFrame(json_rows([results[number] for number in sorted(results)]))
+    return table.drop(columns=["metrics", "remarks"])
+
+
+def _loaded(scenario: str | ScenarioFile) -> ScenarioFile:
+    return load_scenario(scenario) if isinstance(scenario, str) else scenario
+
+
+def _texts(settings: Mapping[str, object] | None) -> list[str]:
+    """Return settings as the command line has them."""
+    return [
+        f"{field}={','.join(map(toml_value, value if isinstance(value, list) else [value]))}"
+        for field, value in (settings or {}).items()
+    ]

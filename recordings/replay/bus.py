@@ -1,0 +1,129 @@
+"""A Zenoh session that publishes recorded bytes for any subscriber that connects."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any, Self, TextIO
+
+import zenoh
+
+from agents.plan import RunPlan
+from bus_schemas.bus import Outbox
+from bus_schemas.codec import encode
+from bus_schemas.errors import InputError
+from bus_schemas.messages import Clock, Message
+from bus_schemas.signals import CLOCK, SIGNALS, Port
+from bus_schemas.tree import REPLAYER, ROOT
+from bus_schemas.zenoh_bus import ENCODING, SessionSettings, open_session
+from launch_scripts.launcher.interruption import Interruption
+from launch_scripts.launcher.tcp_ports import reserved_ports
+from recordings.read.reader import RunReader
+from recordings.read.selection import find_signals
+
+
+class ReplayBus:
+    """Publishes payloads as they are. A slow subscriber holds the replay up: nothing is dropped.
+
+    Subscribers connect to the endpoint. The name of the run is the prefix of every key.
+    """
+
+    def __init__(self, plan: RunPlan, ports: Iterable[Port[Message]], endpoint: str) -> None:
+        try:
+            self.session = open_session(SessionSettings(plan.run_id, [endpoint], []))
+        except zenoh.ZError as error:
+            reason = str(error).partition(" at /")[0]
+            raise InputError(
+                f"--listen: expected a free address such as tcp/127.0.0.1:7447, got {endpoint}: "
+                f"{reason}"
+            ) from None
+        self._plan = plan
+        self._outbox = Outbox()
+        self._publishers = {
+            port: self.session.declare_publisher(
+                plan.keys.key(port),
+                encoding=ENCODING,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                reliability=zenoh.Reliability.RELIABLE,
+            )
+            for port in ports
+        }
+
+    def put(self, port: Port[Message], payload: bytes) -> None:
+        """Publish bytes, if the port is among those that are published."""
+        publisher = self._publishers.get(port)
+        if publisher is not None:
+            publisher.put(payload)
+
+    def announce(self, cycle: int, *, rate: float, paused: bool) -> None:
+        """Publish where the replay stands."""
+        sim_time_ns = self._plan.sim_time_ns(cycle)
+        message = Clock(cycle, sim_time_ns, REPLAYER, (), rate=rate, paused=paused)
+        self._outbox.stamp(CLOCK.of(ROOT), message, time.monotonic_ns())
+        self.put(CLOCK.of(ROOT), encode(message))
+
+    @property
+    def has_subscriber(self) -> bool:
+        """Whether anybody subscribes to any of the keys."""
+        return any(_has_match(publisher) for publisher in self._publishers.values())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        # An open session can block the exit of the interpreter.
+        self.session.close()
+
+
+def selected_ports(
+    plan: RunPlan, signals: str | None = None, exclude: str | None = None
+) -> tuple[Port[Message], ...]:
+    """Return the ports that are replayed: by default the recorded ones, and the replay's clock."""
+    excluded = _names(exclude)
+    left_out = {*find_signals(name for name in excluded if name != CLOCK.name)}
+    kept = find_signals(_names(signals)) or tuple(signal for signal in SIGNALS if signal.logged)
+    ports = [
+        port for port in plan.keys.ports if port.signal in kept and port.signal not in left_out
+    ]
+    if not ports:
+        raise InputError("--exclude: expected some signal to be left, got none")
+    return tuple(ports) if CLOCK.name in excluded else (*ports, CLOCK.of(ROOT))
+
+
+@contextmanager
+def replay_bus(
+    reader: RunReader, ports: Collection[Port[Message]], listen: str | None, out: TextIO
+) -> Iterator[ReplayBus]:
+    """Join the bus, at an address or at a free port of 127.0.0.1; print how to subscribe."""
+    plan = reader.plan
+    with reserved_ports((REPLAYER,)) as tcp_ports:
+        endpoint = listen or f"tcp/127.0.0.1:{tcp_ports[REPLAYER]}"
+        with ReplayBus(plan, ports, endpoint) as bus:
+            say(out, f"{plan.run_id}, {reader.clock.extent()}")
+            if not reader.whole:
+                say(out, "cut short: replayed up to the cut (`heliarch recover` repairs the file)")
+            say(out, f"endpoint {endpoint}\nkeys {plan.run_id}/{plan.plant}/**")
+            yield bus
+
+
+def await_subscriber(bus: ReplayBus, interruption: Interruption, out: TextIO) -> None:
+    """Wait until somebody subscribes, or the user asks for an end."""
+    say(out, "waiting for a subscriber")
+    while not interruption and not bus.has_subscriber:
+        interruption.wait(0.05)
+
+
+def say(out: TextIO, text: str) -> None:
+    """Print a line at once."""
+    out.write(f"{text}\n")
+    out.flush()
+
+
+def _names(text: str | None) -> list[str]:
+    return [] if text is None else [name.strip() for name in text.split(",")]
+
+
+def _has_match(publisher: zenoh.Publisher) -> bool:
+    status: Any = publisher.matching_status  # Its type stub says bool, which it is not.
+    return bool(status.matching)

@@ -1,0 +1,197 @@
+"""Plays a recording: waits until each message is due, publishes it, and obeys the keyboard."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Iterator
+from typing import Final, NamedTuple
+
+from agents.machine import wake_precisely
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port
+from launch_scripts.launcher.interruption import Interruption
+from recordings.read.reader import RecordedMessage, RunReader
+from recordings.replay.bus import ReplayBus
+from recordings.replay.clock import ClockKind, PlaybackClock, Positions
+from recordings.replay.keyboard import Key, Keyboard
+from recordings.replay.progress import ProgressLine
+from recordings.replay.publish_order import in_publish_order
+from recordings.replay.timing import TimingErrors
+
+_LOOK_S: Final = 0.02
+"""How often the keyboard is read."""
+
+_FASTEST: Final = 1024.0
+_SLOWEST: Final = 1.0 / 1024.0
+
+_SEEK_S: Final = {
+    Key.BACK: -10.0,
+    Key.FORWARD: 10.0,
+    Key.FAR_BACK: -60.0,
+    Key.FAR_FORWARD: 60.0,
+}
+"""How far a key seeks, in simulated time."""
+
+
+class Span(NamedTuple):
+    """The part of a run that is replayed: from the first cycle to just before the other one."""
+
+    first_cycle: int
+    before_cycle: int | None
+
+
+class Playback:
+    """Plays a recording onto the bus.
+
+    Attributes
+    ----------
+    messages, cycles
+        Messages that were published, and cycles that were begun.
+    timing
+        How late messages were sent: not those of steps, nor any at rate 0.
+    """
+
+    def __init__(
+        self,
+        reader: RunReader,
+        span: Span,
+        ports: Collection[Port[Message]],
+        bus: ReplayBus,
+        clock: PlaybackClock,
+        kind: ClockKind,
+        keyboard: Keyboard,
+        interruption: Interruption,
+        progress: ProgressLine,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self.messages = self.cycles = 0
+        self.timing = TimingErrors()
+        self._reader = reader
+        self._span = span
+        self._ports = ports
+        self._bus = bus
+        self._clock = clock
+        self._kind = kind
+        self._keyboard = keyboard
+        self._interruption = interruption
+        self._progress = progress
+        self._sleep = sleep
+        self._quit = False
+        self._look_at_ns = 0
+        self._keys: deque[Key] = deque()
+        self._step_to = -1
+        self._cycle = -1
+        self._seek(span.first_cycle)
+
+    def play(self, *, loop: bool = False) -> None:
+        """Play the span once, or again and again until the user ends it."""
+        wake_precisely()
+        if self._clock.paused:
+            self._announce()
+        while not (self._quit or self._interruption):
+            if self._next is None and not self._clock.paused:
+                if not loop or self._cycle < 0:
+                    break
+                self._seek(self._span.first_cycle)
+            elif self._next is not None and self._is_due():
+                self._send(self._next)
+                self._turn_to_next()
+            self._obey_keys()
+        self._progress.end(self._cycle, self._state())
+
+    def _is_due(self) -> bool:
+        """Whether the next message is due; if not, wait for a little."""
+        assert self._next is not None
+        if self._clock.paused:
+            return self._next.cycle <= self._step_to
+        left_s = (self._clock.due_ns(self._position_ns) - self._clock.now_ns()) / 1e9
+        if left_s > 0.0:
+            self._sleep(min(left_s, _LOOK_S))
+        return left_s <= 0.0
+
+    def _seek(self, cycle: int) -> None:
+        """Let the first message of a cycle be the next one, and be due now."""
+        self._records: Iterator[RecordedMessage] = in_publish_order(
+            self._reader, self._ports, cycle, self._span.before_cycle
+        )
+        self._positions = Positions(self._reader.plan, self._kind)
+        self._cycle = self._step_to = -1
+        self._position_ns = 0
+        self._turn_to_next()
+        self._clock.move_to(self._position_ns)
+
+    def _turn_to_next(self) -> None:
+        self._next = next(self._records, None)
+        if self._next is not None:
+            self._position_ns = self._positions.next(self._next)
+
+    def _send(self, record: RecordedMessage) -> None:
+        if record.cycle > self._cycle:
+            self._cycle = record.cycle
+            # The message that ends the run names the cycle after the last one.
+            self.cycles += record.cycle <= self._reader.last_cycle
+            self._announce()
+        self._bus.put(record.port, record.payload)
+        self.messages += 1
+        if self._clock.paused:
+            self._clock.move_to(self._position_ns)
+        elif self._clock.rate:
+            late_ns = self._clock.now_ns() - self._clock.due_ns(self._position_ns)
+            self.timing.add(late_ns)
+
+    def _announce(self) -> None:
+        """Publish where the replay stands."""
+        if self._next is not None:
+            clock = self._clock
+            self._bus.announce(self._next.cycle, rate=clock.rate, paused=clock.paused)
+
+    def _obey_keys(self) -> None:
+        """Read the keyboard if it is time to, and do what the keys ask for, one after the other."""
+        if self._is_stepping():
+            return
+        now_ns = self._clock.now_ns()
+        if self._clock.paused and not self._keys:
+            self._keys.extend(self._keyboard.wait(_LOOK_S))
+        elif now_ns >= self._look_at_ns:
+            self._look_at_ns = now_ns + round(_LOOK_S * 1e9)
+            self._keys.extend(self._keyboard.wait(0.0))
+            self._progress.show(self._cycle, self._state())
+        while self._keys and not self._is_stepping():
+            self._do(self._keys.popleft())
+            self._announce()
+            cycle = self._next.cycle if self._next is not None else self._cycle
+            self._progress.show(cycle, self._state(), now=True)
+
+    def _is_stepping(self) -> bool:
+        """Whether a step is under way: it ends at the first message of a later cycle."""
+        return self._next is not None and self._next.cycle <= self._step_to
+
+    def _do(self, key: Key) -> None:
+        match key:
+            case Key.PAUSE:
+                self._clock.toggle_pause()
+            case Key.STEP if self._clock.paused:
+                self._step_to = self._next.cycle if self._next is not None else -1
+            case Key.STEP:
+                self._clock.toggle_pause()
+            case Key.FASTER:
+                self._clock.set_rate(min(self._clock.rate * 2.0, _FASTEST))
+            case Key.SLOWER if self._clock.rate:  # Rate 0, as fast as possible, stays.
+                self._clock.set_rate(max(self._clock.rate / 2.0, _SLOWEST))
+            case Key.QUIT:
+                self._quit = True
+            case key if key in _SEEK_S:
+                self._seek_by(_SEEK_S[key])
+
+    def _seek_by(self, seconds: float) -> None:
+        """Go forward or back by a simulated time, at least a cycle, within the span."""
+        cycles = round(seconds * 1e9 / self._reader.plan.cycle_ns)
+        cycles = cycles or (1 if seconds > 0.0 else -1)
+        here = self._next.cycle if self._next is not None else self._cycle
+        last = (self._span.before_cycle or self._reader.last_cycle + 1) - 1
+        self._seek(min(max(here + cycles, self._span.first_cycle), last))
+
+    def _state(self) -> str:
+        rate = f"pace {self._clock.rate:g}" if self._clock.rate else "as fast as possible"
+        return f", {rate}{' paused' if self._clock.paused else ''}"

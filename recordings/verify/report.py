@@ -1,0 +1,176 @@
+"""The result of a verification as text, and as plain data for JSON."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+from math import isfinite
+from typing import Any, Final
+
+import msgspec
+
+from bus_schemas.messages import Message
+from bus_schemas.missing import in_words
+from recordings.read.moments import RunClock
+from recordings.verify.comparison import NOT_COMPARED, Comparison, Value
+from recordings.verify.findings import KINDS, Difference, Findings
+from recordings.verify.verification import Verification
+
+_WIDTH: Final = 100
+_HEAD: Final = frozenset(Message.__struct_fields__)
+
+
+def verification_lines(found: Verification, comparison: Comparison, wall_s: float) -> Iterator[str]:
+    """Yield the result in lines of at most 100 columns (paths excepted)."""
+    speed = found.cycles * found.plan.cycle_ns / 1e9 / max(wall_s, 1e-9)
+    yield f"{found.recording}"
+    yield (
+        f"{found.cycles:,} cycles, {_agents(len(found.agents))} run again, "
+        f"{found.total('compared'):,} of {found.recorded:,} messages compared"
+    )
+    yield f"{wall_s:.1f} s, {speed:,.0f} x simulated time"
+    yield from _remarks(found)
+    clock = RunClock(found.plan, found.plan.cycles - 1)
+    for name, findings in found.agents.items():
+        if findings.first is not None:
+            yield ""
+            yield from finding_lines(name, findings, clock)
+    yield _verdict(found, comparison)
+
+
+def finding_lines(name: str, findings: Findings, clock: RunClock) -> Iterator[str]:
+    """Yield what was found of an agent that has differences."""
+    first, failure = findings.first, findings.failure
+    if first is None:
+        return
+    counts = ", ".join(f"{count:,} {kind}" for kind, count in findings.differences.items())
+    yield f"{name}: {counts}; the first in cycle {first.cycle} ({clock.text(first.cycle)})"
+    yield from _difference_lines(name, first)
+    if failure is not None and failure is not first:
+        yield f"{name}: fails in cycle {failure.cycle} ({clock.text(failure.cycle)})"
+        yield from _difference_lines(name, failure)
+    if findings.not_compared:
+        yield (
+            f"{name}: {findings.not_compared:,} messages not compared, "
+            f"from cycle {findings.not_compared_from} on"
+        )
+
+
+def verification_data(found: Verification, comparison: Comparison, wall_s: float) -> dict[str, Any]:
+    """Return the result as plain data."""
+    names = ("stop_cycle", "cycles", "recorded", "not_decided", "differences")
+    totals = ("compared", "not_compared", "missing_inputs", "old_inputs")
+    return {
+        "recording": str(found.recording),
+        "run_id": found.plan.run_id,
+        "equal": found.equal,
+        "tolerance": comparison.tolerance,
+        "ignored": sorted(comparison.ignored),
+        "lockstep": found.plan.lockstep,
+        **{name: getattr(found, name) for name in names},
+        **{name: found.total(name) for name in totals},
+        "first_agent": found.first[0] if found.first is not None else None,
+        "misplaced": found.misplaced,
+        "cut_off": found.cut_off,
+        "left_out": found.left_out,
+        "wall_s": wall_s,
+        "agents": [finding_data(name, findings) for name, findings in found.agents.items()],
+    }
+
+
+def finding_data(name: str, findings: Findings) -> dict[str, Any]:
+    """Return the findings of one agent as plain data."""
+    return {"agent": name, **msgspec.to_builtins(findings)}
+
+
+def json_ready(value: Value) -> Value:
+    """Return plain data with the floats that JSON has no number for as text: nan, inf, -inf."""
+    if isinstance(value, float):
+        return value if isfinite(value) else str(value)
+    if isinstance(value, dict):
+        return {name: json_ready(entry) for name, entry in value.items()}
+    return list(map(json_ready, value)) if isinstance(value, list | tuple) else value
+
+
+def _remarks(found: Verification) -> Iterator[str]:
+    for name, why in found.left_out.items():
+        yield f"{name}: left out, {why}"
+    if missing := found.total("missing_inputs"):
+        yield (
+            f"{missing:,} inputs were missing at their deadlines, {found.total('old_inputs'):,} "
+            "older ones were used"
+        )
+    if found.stop_cycle is None:
+        yield (
+            f"the run or its recording broke off: {found.cut_off:,} messages of incomplete cycles "
+            "left out"
+        )
+    if found.misplaced:
+        yield f"{found.misplaced:,} messages belong to no cycle of the run, or come long after it"
+
+
+def _verdict(found: Verification, comparison: Comparison) -> str:
+    count = sum(findings.first is not None for findings in found.agents.values())
+    if found.first is not None:
+        name, first = found.first
+        return (
+            f"\nNOT equal: {found.differences:,} differences of {_agents(count)}, the first: "
+            f"{first.message or first.text}, by {name} in cycle {first.cycle}"
+        )
+    if not found.equal:
+        return "NOT equal"
+    if not comparison.ignored and not comparison.tolerance:
+        return f"equal bit for bit; left out: {', '.join(NOT_COMPARED)}"
+    within = f" within {comparison.tolerance:g}" if comparison.tolerance else ""
+    return f"equal{within} except for {', '.join([*sorted(comparison.ignored), *NOT_COMPARED])}"
+
+
+def _agents(count: int) -> str:
+    return f"{count:,} agent" + "s" * (count != 1)
+
+
+def _difference_lines(agent: str, difference: Difference) -> Iterator[str]:
+    lines = [*_what_lines(difference)]
+    if difference.inputs or difference.missing:
+        lines += [f"  inputs of {agent} in cycle {difference.cycle}", *_input_lines(difference)]
+    for line in lines:
+        indent = " " * (len(line) - len(line.lstrip()) + 8)
+        yield from textwrap.wrap(
+            line, _WIDTH, subsequent_indent=indent, drop_whitespace=True, break_on_hyphens=False
+        )
+
+
+def _what_lines(difference: Difference) -> Iterator[str]:
+    stage = f" (stage {difference.stage})" if difference.stage else ""
+    content = difference.text
+    if difference.content is not None and difference.kind != "differs":
+        content = _content(difference.content)
+    what = KINDS[difference.kind] + (f": {content}" if content else "")
+    yield f"  {difference.message or 'the agent'}{stage}: {what}"
+    width = max((len(entry.field) for entry in difference.fields), default=0)
+    for entry in difference.fields:
+        yield f"    {entry.field:{width}}  recorded  {_value(entry.recorded)}"
+        yield f"    {'':{width}}  new       {_value(entry.new)}"
+
+
+def _input_lines(difference: Difference) -> Iterator[str]:
+    named = sorted(difference.inputs.items())
+    width = max((len(key) for key, _ in named), default=0)
+    for key, message in named:
+        yield f"    {key:{width}}  {_content(message)}"
+    if difference.missing:
+        yield f"    {in_words(difference.missing)}"
+
+
+def _content(message: Message) -> str:
+    """Return the fields of a message without its head."""
+    data: dict[str, Any] = msgspec.to_builtins(message)
+    return "  ".join(f"{name} {_value(value)}" for name, value in data.items() if name not in _HEAD)
+
+
+def _value(value: Value) -> str:
+    """Return a value with all its digits, lists without their brackets."""
+    if not isinstance(value, list | tuple):
+        return str(value)
+    entries = (" ".join(map(str, entry)) if isinstance(entry, list) else entry for entry in value)
+    return ", ".join(map(str, entries)) or "none"

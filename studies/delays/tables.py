@@ -1,0 +1,118 @@
+"""The study of delay and loss as tables and lines of text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import takewhile
+from typing import Final, get_args
+
+from rich.console import Console
+
+from agents.plan import Scheme
+from launch_scripts.scenarios.preparation import Preparation
+from studies.compare.study import remarks_of
+from studies.delays.study import VALUES, WARM_UP_S, Outcome, Trouble
+from studies.metrics.figures_of_merit import shown_in
+from studies.tables import Column, Table, key_column, print_table
+
+BEARABLE_PERCENT: Final = 1.0
+"""Control-caused shortfall, in % of desired, up to which a trouble counts as survived."""
+
+TROUBLES: Final[dict[Trouble, tuple[str, str, str]]] = {
+    "delay": ("Every hop delayed", "delay of each hop", "s"),
+    "loss": ("A share of all messages lost", "lost messages", "%"),
+    "period": ("A slow central controller", "central period", "s"),
+}
+"""Title of each trouble, what measures it, and its unit."""
+
+_LEGEND: Final = (
+    "absent: inputs that had not come at their deadline, in % of all",
+    "old inputs: older messages used in their place",
+    f"the first {WARM_UP_S:g} s of each run do not count",
+)
+
+
+def print_study(preparation: Preparation, outcomes: Sequence[Outcome], console: Console) -> None:
+    """Print the tables, and how much of each trouble is survived."""
+    lines = (study_title(preparation), *study_notes(preparation), "")
+    console.print("\n".join(lines), highlight=False, markup=False)
+    for trouble in VALUES:
+        print_table(console, trouble_table(trouble, outcomes))
+    console.print("\n".join(survived(outcomes)), highlight=False, markup=False)
+
+
+def counted_s(preparation: Preparation) -> float:
+    """Return how much of each run counts [s]."""
+    plan = preparation.plan
+    return plan.cycles * plan.cycle_ns / 1e9 - WARM_UP_S
+
+
+def study_title(preparation: Preparation) -> str:
+    """Return what was studied."""
+    plan = preparation.plan
+    length = f"{plan.cycles:,} cycles of {plan.cycle_ns / 1e9:g} s"
+    return f"{plan.plant} from {preparation.local_start()}, {length}"
+
+
+def study_notes(preparation: Preparation) -> tuple[str, ...]:
+    """Say what a reader of the tables must know."""
+    notes = (*remarks_of(preparation), *_LEGEND)
+    counted = counted_s(preparation)
+    if counted / 2.0 >= max(VALUES["period"]):
+        return notes
+    return (
+        *notes,
+        f"central periods above {counted / 2.0:g} s are left out: the {counted:g} s that count do "
+        "not hold two of them",
+    )
+
+
+def column_of(outcomes: Sequence[Outcome], trouble: Trouble, scheme: str) -> list[Outcome]:
+    """Return the outcomes of a scheme under a growing trouble."""
+    return [one for one in outcomes if (one.trouble, one.scheme) == (trouble, scheme)]
+
+
+def survived(outcomes: Sequence[Outcome]) -> list[str]:
+    """Say, for each scheme, up to where each trouble costs less than 1 % of the desired energy."""
+    return [
+        f"{scheme}: the shortfall that control causes stays below {BEARABLE_PERCENT:g} % of the "
+        "desired energy at " + ", ".join(_limits(outcomes, scheme))
+        for scheme in get_args(Scheme)
+    ]
+
+
+def _limits(outcomes: Sequence[Outcome], scheme: Scheme) -> Iterator[str]:
+    for trouble, (_, measure, unit) in TROUBLES.items():
+        column = column_of(outcomes, trouble, scheme)
+        bearable = [one.value for one in takewhile(_is_bearable, column)]
+        yield f"{measure} up to {bearable[-1]:g} {unit}" if bearable else f"no {measure}"
+
+
+def _is_bearable(one: Outcome) -> bool:
+    percent = one.figures["control-caused"]
+    return percent is not None and percent < BEARABLE_PERCENT
+
+
+def trouble_table(trouble: Trouble, outcomes: Sequence[Outcome]) -> Table:
+    """Return a row for each run under a trouble."""
+    title, measure, unit = TROUBLES[trouble]
+    figures = shown_in("delays")
+    columns = (
+        key_column(f"{measure} [{unit}]", "value"),
+        key_column("scheme"),
+        *(figure.column for figure in figures),
+        Column("absent", "%", 1, name="missed_percent"),
+        Column("old inputs", name="old_inputs"),
+    )
+    rows = tuple(
+        (
+            f"{one.value:g}",
+            one.scheme,
+            *(one.figures[figure.name] for figure in figures),
+            one.missed_percent,
+            one.old_inputs,
+        )
+        for one in outcomes
+        if one.trouble == trouble
+    )
+    return Table(title, columns, rows)

@@ -1,0 +1,218 @@
+"""One table model: titled columns, rows and notes; in a terminal, as JSON, and in a page.
+
+`print_table` and `json_rows` are here; pages draw tables with `studies.report.page`.
+"""
+
+from __future__ import annotations
+
+import os
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import isfinite
+from typing import Final, Literal, NamedTuple, TypeAlias
+
+from rich import box
+from rich.console import Console
+from rich.table import Table as RichTable
+from rich.text import Text
+
+WIDTH: Final = 100
+"""Columns of a terminal that a table uses at most."""
+
+_GAP: Final = 2
+_HEADING: Final = 9
+"""Headings wrap to this width, or to the width of their column if that is larger."""
+_WORDS: Final = 24
+"""A column of words may wrap once it is wider than this."""
+
+
+class Number(NamedTuple):
+    """A number in a column whose rows have different decimals. None prints as a hyphen."""
+
+    value: float | None
+    decimals: int
+
+
+Cell: TypeAlias = str | int | float | bool | Number | None
+"""A bool prints as PASS or FAIL, None and NaN as a hyphen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of a table.
+
+    Attributes
+    ----------
+    title, unit
+        Heading. The unit stands below the title in a terminal.
+    decimals
+        Of the floats in it.
+    align
+        Numbers stand to the right, words to the left; only words wrap.
+    key
+        Whether it tells rows apart: every part of a table that had to be split repeats it.
+    name
+        In JSON; by default the title.
+    """
+
+    title: str
+    unit: str = ""
+    decimals: int = 3
+    align: Literal["left", "right"] = "right"
+    key: bool = False
+    name: str = ""
+
+
+def key_column(title: str, name: str = "") -> Column:
+    """Return a column of words that tells rows apart."""
+    return Column(title, align="left", key=True, name=name)
+
+
+def word_column(title: str, name: str = "") -> Column:
+    """Return a column of words, such as a note."""
+    return Column(title, align="left", name=name)
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table: its title, its columns, one row for each thing, and notes on how to read it."""
+
+    title: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.columns):
+                raise ValueError(
+                    f"table {self.title!r}, row {row[:1]}: expected {len(self.columns)} cells, "
+                    f"got {len(row)}"
+                )
+
+    def texts(self) -> list[tuple[str, ...]]:
+        """Return all cells as text."""
+        return [tuple(map(cell_text, row, self.columns)) for row in self.rows]
+
+    def parts(self, width: int) -> list[Table]:
+        """Split a table into as many as it takes for each to fit; all have the key columns."""
+        groups = self._groups(width)
+        if len(groups) == 1:
+            return [self]
+        # Even parts look better than a last one of a single column.
+        while len(evener := self._groups(width - 1)) == len(groups):
+            groups, width = evener, width - 1
+        return [self._part(group) for group in groups]
+
+    def _groups(self, width: int) -> list[list[int]]:
+        """Return the places of the columns of each part."""
+        widths = [least + _GAP for least in self._widths()]
+        keys = [at for at, column in enumerate(self.columns) if column.key]
+        groups: list[list[int]] = [[]]
+        for at in range(len(self.columns)):
+            if at in keys:
+                continue
+            if groups[-1] and sum(widths[one] for one in (*keys, *groups[-1], at)) > width + _GAP:
+                groups.append([])
+            groups[-1].append(at)
+        return [sorted(keys + group) for group in groups]
+
+    def _part(self, places: Sequence[int]) -> Table:
+        columns = tuple(self.columns[at] for at in places)
+        return replace(
+            self, columns=columns, rows=tuple(tuple(row[at] for at in places) for row in self.rows)
+        )
+
+    def _widths(self) -> list[int]:
+        """Return the least width of each column."""
+        texts = self.texts()
+        return [
+            _least_width(column, [row[at] for row in texts])
+            for at, column in enumerate(self.columns)
+        ]
+
+
+def cell_text(cell: Cell, column: Column) -> str:
+    """Return a cell as it stands in a terminal and in a page."""
+    if isinstance(cell, str):
+        return cell
+    if isinstance(cell, bool):
+        return "PASS" if cell else "FAIL"
+    value, decimals = cell if isinstance(cell, Number) else (cell, column.decimals)
+    if value is None or not isfinite(value):
+        return "-"
+    return f"{value:,}" if isinstance(value, int) else f"{value:,.{decimals}f}"
+
+
+def print_table(console: Console, table: Table) -> None:
+    """Print a table, whole: where it is too wide, its parts stand below one another."""
+    width = min(console.width, WIDTH)
+    console.print(Text(table.title, "bold"), width=width)
+    for place, part in enumerate(table.parts(width) if table.rows else ()):
+        console.print("\n" * (place > 0), end="")
+        console.print(_rich_table(part), width=width)
+    for note in table.notes:
+        console.print(Text(note, "dim"), width=width)
+    console.print()
+
+
+def json_rows(table: Table) -> list[dict[str, str | float | bool | None]]:
+    """Return a row of a table as a JSON object by column name; numbers keep all their digits."""
+    names = [column.name or column.title for column in table.columns]
+    return [dict(zip(names, map(_json_cell, row), strict=True)) for row in table.rows]
+
+
+def console_for(json: str | None) -> Console:
+    """Return the console for tables; standard error if the JSON goes to standard output."""
+    console = Console(stderr=json == "-")
+    if console.is_terminal or "COLUMNS" in os.environ:
+        return console
+    return Console(stderr=json == "-", width=WIDTH)
+
+
+def _json_cell(cell: Cell) -> str | float | bool | None:
+    value = cell.value if isinstance(cell, Number) else cell
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def _least_width(column: Column, texts: Sequence[str]) -> int:
+    longest = max(map(len, texts), default=0)
+    if column.align == "left":
+        words = (len(word) for text in texts for word in text.split())
+        longest = max(min(longest, _WORDS), *words, 0)
+    return max(longest, *map(len, _heading(column, longest)), 0)
+
+
+def _rich_table(table: Table) -> RichTable:
+    shown = RichTable(
+        box=box.SIMPLE_HEAD,
+        show_header=any(column.title for column in table.columns),
+        show_edge=False,
+        padding=(0, 1),
+        pad_edge=False,
+        collapse_padding=True,
+    )
+    for column, least in zip(table.columns, table._widths(), strict=True):
+        shown.add_column(
+            Text("\n".join(_heading(column, least))),
+            justify=column.align,
+            min_width=least,
+            no_wrap=column.align == "right",
+            overflow="fold",
+        )
+    for row in table.texts():
+        shown.add_row(*(Text(text, _STYLES.get(text, "")) for text in row))
+    return shown
+
+
+_STYLES: Final = {"PASS": "green", "FAIL": "bold red"}
+
+
+def _heading(column: Column, width: int) -> list[str]:
+    """Return the lines of a heading, at most as wide as the column where its words allow it."""
+    return [
+        line
+        for text in (column.title, column.unit)
+        for line in textwrap.wrap(text, max(width, _HEADING), break_long_words=False)
+    ]

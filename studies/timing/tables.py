@@ -1,0 +1,264 @@
+"""The timing of a run as tables and lines of text, for a terminal and for a page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
+from typing import Final
+
+from rich.console import Console
+
+from launch_scripts.launcher.wrong_messages import one_line_each
+from studies.tables import Cell, Column, Table, cell_text, key_column, print_table, word_column
+from studies.timing.budgets import Verdict
+from studies.timing.durations import Distribution
+from studies.timing.host import Host
+from studies.timing.processes import ProcessTiming, TierTiming
+from studies.timing.rates import cycles_per_s
+from studies.timing.report import TimingReport
+from studies.timing.run_timing import Times
+
+MEANINGS: Final = {
+    "loop": "from the plant's scheduled tick to its last command; each command: to its publishing",
+    "decision": "from the moment when a stage could close to its last message",
+    "hop": "from the publishing of the input that completed a stage to when the stage could close",
+    "lateness": "from the scheduled time of what the clock closes to its first message",
+    "jitter": "how much the time between two first messages differs from the cycles between them",
+    "age": "from the publishing of the oldest input to when the stage could close",
+    "response": "from the last input to the device's own last message, seen from outside",
+}
+"""What each measure is, in a few words; docs/timing.md has the definitions."""
+
+_STATISTICS: Final = tuple(Column(name) for name in ("min", "p50", "p99", "p99.9", "max"))
+_TIMES: Final = (key_column(""), Column("count"), *_STATISTICS)
+_JUDGED: Final = (*_TIMES, Column("p99 at most"), word_column("budget"))
+
+_HOPS: Final = (
+    "(each time begins when what the agent waited for was published: it includes the hop)"
+)
+_DECIMALS: Final = {"ms": 3, "%": 2, "MB": 1, "": 0}
+"""Decimals of a budget's figures, by unit."""
+
+
+def print_report(report: TimingReport, console: Console, *, processes: bool) -> None:
+    """Print the tables of a run; with `processes` one for each process as well."""
+    print_lines(console, [*header_lines(report), ""])
+    for table in (*times_tables(report), counts_table(report.tiers)):
+        print_table(console, table)
+    for process in report.processes if processes else ():
+        print_table(console, _process_table(process))
+    print_lines(console, [*cycle_lines(report), *network_lines(report), ""])
+    print_table(console, budgets_table(report.verdicts))
+    style = "green" if report.passed else "bold red"
+    console.print(verdict_line(report), style=style, highlight=False, markup=False)
+    print_lines(console, [f"  not kept: {line}" for line in failures(report)])
+
+
+def print_lines(console: Console, lines: Iterable[str]) -> None:
+    """Print lines of plain text."""
+    for line in lines:
+        console.print(line, highlight=False, markup=False)
+
+
+def header_lines(report: TimingReport) -> list[str]:
+    """Return what was run, and on which machine."""
+    cycles = f"{report.cycles:,} cycle{'' if report.cycles == 1 else 's'}"
+    return [
+        f"{report.scenario} at {cycles_per_s(report.rate_hz)} in real time: {cycles} in "
+        f"{report.wall_s:.1f} s{', interrupted' if report.interrupted else ''}",
+        *host_lines(report.host),
+        *report.remarks,
+    ]
+
+
+def host_lines(host: Host) -> list[str]:
+    """Return the machine and the software of a run."""
+    load = [
+        cell_text(value, Column("", decimals=2)) for value in (host.load_before, host.load_after)
+    ]
+    lines = [
+        f"kernel {host.kernel}",
+        f"{host.cpus} CPUs; load average {load[0]} before, {load[1]} after",
+        f"scheduling: {host.scheduling}{'; memory locked' if host.memory_locked else ''}",
+        f"Python {host.python}, heliarch {host.heliarch}, Zenoh {host.zenoh}",
+    ]
+    if host.load_before is not None and host.load_before > host.cpus:
+        lines.append(
+            "the machine was busy before the run began: more processes were running than it has "
+            "processors"
+        )
+    return lines
+
+
+def network_lines(report: TimingReport) -> list[str]:
+    """Say what external agents sent, what of it was wrong, and what faults did to messages."""
+    external = [
+        f"external {account.agent}: answered {how_often(account.answered)} of {account.expected:,}"
+        f"; gaps in its sequence numbers show {account.lost:,} messages that never came or could "
+        "not be decoded"
+        for account in report.external
+    ]
+    wrong = [
+        f"wrong {entry.key}, {how_often(entry.count)}: {entry.cause}: {entry.example}"
+        for entry in one_line_each(report.wrong)
+    ]
+    faults = ", ".join(f"{count:,} {name}" for name, count in report.faults.items())
+    return [
+        *external,
+        *wrong,
+        *([f"network faults that were asked for: {faults}"] if faults else []),
+    ]
+
+
+def cycle_lines(report: TimingReport) -> list[str]:
+    """Say what made the slowest cycles slow."""
+    lines = [
+        f"{'slowest' if place == 0 else 'next'} {cycle.text}"
+        for place, cycle in enumerate(report.slowest_cycles)
+    ]
+    return [*lines, *([_HOPS] if lines else [])]
+
+
+def verdict_line(report: TimingReport) -> str:
+    """Return the verdict on the whole run."""
+    failed = len(failures(report))
+    if not failed:
+        return f"PASS: all {len(report.verdicts)} budgets were kept"
+    return f"FAIL: {failed} of {len(report.verdicts)} budgets not kept"
+
+
+def failures(report: TimingReport) -> list[str]:
+    """Return the budgets that were not kept, with what was measured."""
+    return [
+        f"{verdict.line}: nothing was measured"
+        if verdict.value is None
+        else f"{verdict.line} {_amount(verdict.value, verdict.unit)} "
+        f"(at most {_amount(verdict.limit, verdict.unit)})"
+        for verdict in report.verdicts
+        if not verdict.passed
+    ]
+
+
+def _amount(value: float | None, unit: str) -> str:
+    return "nothing" if value is None else f"{value:,.{_DECIMALS[unit]}f} {unit}".rstrip()
+
+
+def how_often(count: int) -> str:
+    """Return `1 time`, `2 times`."""
+    return f"{count:,} time{'' if count == 1 else 's'}"
+
+
+def times_tables(report: TimingReport) -> list[Table]:
+    """Return a table of durations for each measure."""
+    tables = []
+    for measure, found in groupby(report.times, lambda row: row.measure):
+        rows = [(_name(row), *_figures(row.times), *_limit(row, report.verdicts)) for row in found]
+        tables.append(
+            Table(f"{measure.capitalize()} [ms]", _JUDGED, tuple(rows), (MEANINGS[measure],))
+        )
+    return tables
+
+
+def _name(row: Times) -> str:
+    return f"{row.of} (from outside)" if row.outside else row.of
+
+
+def _figures(times: Distribution) -> tuple[Cell, ...]:
+    statistics_us = (times.min_us, times.p50_us, times.p99_us, times.p99_9_us, times.max_us)
+    return (times.count, *(value_us / 1e3 for value_us in statistics_us))
+
+
+def _limit(row: Times, verdicts: Iterable[Verdict]) -> tuple[Cell, Cell]:
+    for verdict in verdicts:
+        if (verdict.measure, verdict.of) == (row.measure, row.of) and verdict.line.endswith("p99"):
+            return verdict.limit, verdict.passed
+    return "", ""
+
+
+def counts_table(tiers: Sequence[TierTiming]) -> Table:
+    """Return counts and resources of each tier."""
+    columns = (
+        key_column("tier"),
+        *map(Column, ("number", "missed deadlines", "missing inputs", "old inputs", "dropped")),
+        *map(Column, ("overruns", "skipped cycles")),
+        Column("CPU", "% all", 1),
+        Column("CPU", "% most", 1),
+        Column("memory", "MB", 1),
+    )
+    rows = tuple(
+        (
+            *(tier.tier, tier.processes, tier.missed_deadlines, tier.missing_inputs),
+            *(tier.old_inputs, tier.dropped, tier.overruns, tier.skipped_cycles),
+            *(tier.cpu_percent, tier.cpu_highest_percent, tier.resident_mb),
+        )
+        for tier in tiers
+    )
+    return Table(
+        "Counts",
+        columns,
+        rows,
+        ("CPU in % of one core, of all processes and of the busiest; memory of the largest one",),
+    )
+
+
+def processes_table(processes: Iterable[ProcessTiming]) -> Table:
+    """Return counts and resources of each process."""
+    columns = (
+        key_column("process"),
+        word_column("tier"),
+        Column("slowest decision", "ms"),
+        Column("CPU", "%", 1),
+        Column("memory", "MB", 1),
+        *map(Column, ("missed deadlines", "overruns", "skipped cycles", "dropped")),
+    )
+    rows = tuple(
+        (
+            *(one.agent, one.tier),
+            None if one.slowest_decision_us is None else one.slowest_decision_us / 1e3,
+            *(one.cpu_percent, one.resident_mb),
+            *(sum(one.missed_deadlines.values()), sum(one.overruns.values()), one.skipped_cycles),
+            None if one.dropped is None else sum(one.dropped.values()),
+        )
+        for one in processes
+    )
+    return Table("Processes", columns, rows)
+
+
+def budgets_table(verdicts: Iterable[Verdict]) -> Table:
+    """Return the budgets that no row of the durations shows."""
+    columns = (key_column("budget"), Column("measured"), Column("at most"), word_column(""))
+    rows = tuple(
+        (
+            verdict.line,
+            _amount(verdict.value, verdict.unit),
+            _amount(verdict.limit, verdict.unit),
+            verdict.passed,
+        )
+        for verdict in verdicts
+        if not verdict.measure or verdict.value is None or not verdict.line.endswith("p99")
+    )
+    return Table("Other budgets", columns, rows)
+
+
+def _process_table(process: ProcessTiming) -> Table:
+    rows = tuple(
+        (f"{row.measure} {row.of}".rstrip(), *_figures(row.times)) for row in process.times
+    )
+    return Table(f"{process.agent} ({process.tier}) [ms]", _TIMES, rows, (_counts(process),))
+
+
+def _counts(process: ProcessTiming) -> str:
+    counts: Sequence[tuple[str, Mapping[str, int]]] = (
+        ("missed", process.missed_deadlines),
+        ("overruns", process.overruns),
+        ("missing", process.missing_inputs),
+        ("dropped", process.dropped or {}),
+    )
+    lines = [
+        f"{name} {', '.join(f'{key} {count:,}' for key, count in found.items())}"
+        for name, found in counts
+        if found
+    ]
+    if process.skipped_cycles:
+        lines.append(f"{process.skipped_cycles:,} cycles skipped")
+    return "; ".join(lines) or "kept every deadline"

@@ -1,0 +1,49 @@
+"""Running `heliarch` in tests of commands: in this process, or as one of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from typer.testing import CliRunner, Result
+
+from launch_scripts.cli import app
+
+REPOSITORY = Path(__file__).parents[3]
+
+
+def heliarch(*words: str | Path) -> Result:
+    """Run a command in this process."""
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def done(*words: str | Path) -> str:
+    """Run a command that succeeds; return what it prints."""
+    result = heliarch(*words)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def refusal(*words: str | Path, status: int = 2) -> str:
+    """Run a command that refuses; return its one line."""
+    result = heliarch(*words)
+    assert result.exit_code == status, result.output
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("heliarch: ")
+    return line
+
+
+def process(*words: str | Path, cwd: Path, stdout: int = subprocess.PIPE) -> subprocess.Popen[str]:
+    """Start a command as a process."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "launch_scripts", *map(str, words)],
+        stdout=stdout,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        process_group=0,
+    )

@@ -1,0 +1,355 @@
+"""What holds for every command: bad input, a full disk, `| head`, Ctrl-C and SIGTERM."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+import psutil
+import pytest
+from command_line import heliarch, process, refusal
+from recordings_by_hand import whole_run, write_run
+from replayed_runs import run_in_memory, write
+from running import small_plant
+from timed_recordings import cycle, recorded
+from typer.testing import CliRunner
+
+from launch_scripts.cli import COMMANDS, app
+
+NAMES: Final = [module.__name__.rpartition(".")[2] for some in COMMANDS.values() for module in some]
+FULL: Final = Path("/dev/full")
+RUN: Final = "RUN"
+"""Stands for the folder of a recorded run."""
+
+QUICK: Final[dict[str, tuple[str, ...]]] = {
+    "launch": ("small.toml", "--duration", "5"),
+    "simulate": ("small.toml", "--duration", "5"),
+    "timing": ("timed",),
+    "scenarios": (),
+    "report": (RUN,),
+    "inspect": (RUN, "--nodes", "c1"),
+    "verify": (RUN,),
+    "replay": (RUN, "--pace", "max"),
+    "compare": ("small.toml", "--duration", "20", "--schemes", "paper"),
+    "clusters": ("small.toml", "--duration", "20", "--random", "1"),
+    "delays": ("small.toml", "--duration", "130", "--set", "time.cycle_s=5", "--workers", "1"),
+    "export": (RUN, "--format", "csv"),
+    "recover": (RUN,),
+}
+"""For each command words with which it has done its work in seconds."""
+
+LONG: Final[dict[str, tuple[str, ...]]] = {
+    "launch": ("small.toml", "--pace", "1"),
+    "simulate": ("small.toml", "--pace", "1"),
+    "timing": ("small.toml", "--duration", "10m"),
+    "report": ("long.mcap",),
+    "inspect": ("long.mcap",),
+    "replay": ("long.mcap", "--pace", "1"),
+    "compare": ("small.toml", "--seeds", "1..1000", "--workers", "2"),
+    "clusters": ("oahu", "--random", "1000"),
+    "delays": ("small.toml", "--workers", "2"),
+    "export": ("long.mcap", "--format", "csv"),
+    "recover": ("long.mcap",),
+}
+"""Words with which it takes long enough to be ended; `verify` and `scenarios` never do."""
+
+
+@pytest.fixture(scope="module")
+def master(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a scenario and two recorded runs."""
+    path = tmp_path_factory.mktemp("master")
+    small_plant(path)
+    write(path / "run", run_in_memory())
+    (path / "timed").mkdir()
+    recorded(path / "timed", cycle(0), cycle(1))
+    return path
+
+
+@pytest.fixture
+def folder(master: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder of its own for a test."""
+    shutil.copytree(master, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def words_of(name: str, folder: Path) -> list[str]:
+    return [name, *(str(folder / "run") if word == RUN else word for word in QUICK[name])]
+
+
+def with_json(names: list[str]) -> list[str]:
+    return [name for name in names if name not in {"scenarios", "report"}]
+
+
+def test_every_command_is_held_to_the_contract() -> None:
+    assert sorted(QUICK) == sorted(NAMES)
+
+
+# Bad input ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", with_json(NAMES))
+@pytest.mark.parametrize("place", ["nowhere/x.json", "run"])
+def test_a_json_file_that_cannot_be_is_refused_before_any_work(
+    name: str, place: str, folder: Path
+) -> None:
+    before = sorted(folder.rglob("*"))
+    assert "--json" in refusal(*words_of(name, folder), "--json", place)
+    assert sorted(folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize("name", ["launch", "simulate", "timing", "compare", "delays"])
+def test_a_page_that_cannot_be_is_refused_before_any_work(name: str, folder: Path) -> None:
+    before = sorted(folder.rglob("*"))
+    assert "--report" in refusal(*words_of(name, folder), "--report", "nowhere/x.html")
+    assert sorted(folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_unknown_option_is_refused(name: str, folder: Path) -> None:
+    assert "--nonsense" in refusal(*words_of(name, folder), "--nonsense")
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if RUN in QUICK[name]])
+def test_what_is_no_recording_is_refused(name: str, folder: Path) -> None:
+    (folder / "text.mcap").write_text("cycle,power_kw\n")
+    words = [word if word != str(folder / "run") else "{}" for word in words_of(name, folder)]
+    for bad in ("nowhere", "text.mcap", "."):
+        line = refusal(*(bad if word == "{}" else word for word in words))
+        assert bad in line or "run.mcap" in line
+
+
+BAD: Final = [
+    *((name, option, value)
+      for name in ("launch", "simulate")
+      for option, value in (
+          ("--from", "noon"), ("--to", "11:00"), ("--duration", "soon"), ("--pace", "0"),
+          ("--pace", "fast"), ("--seed", "-1"), ("--seed", "x"), ("--scheme", "magic"),
+          ("--actuator", "magic"), ("--set", "commitment.share"), ("--set", "no.such=1"),
+          ("--set", "commitment.share=0.1,0.2"), ("--fault", "loss=2"), ("--out", "run"),
+          ("--out", "/dev/null/run"), ("--data", "nowhere"))),
+    ("launch", "--external", "c9"),
+    ("launch", "--cpus", "x"),
+    ("timing", "--rate", "20"),
+    ("timing", "--priority", "20"),
+    ("report", "--out", "nowhere/report.html"),
+    ("report", "--out", "."),
+    ("inspect", "--nodes", "c9"),
+    ("inspect", "--from", "18:00"),
+    ("inspect", "--to", "noonish"),
+    ("inspect", "--cycle", "3"),
+    ("verify", "--nodes", "c1/aa"),
+    ("verify", "--tolerance", "-1"),
+    ("verify", "--ignore", "powr_kw"),
+    ("replay", "--from", "18:00"),
+    ("replay", "--from", "noon"),
+    ("replay", "--pace", "-1"),
+    ("replay", "--pace", "nan"),
+    ("replay", "--clock", "moon"),
+    ("replay", "--signals", "imp"),
+    ("replay", "--listen", "7447"),
+    ("replay", "--plan", "plan.json"),
+    ("replay", "--live", "c1/x"),
+    ("replay", "--live", "plant"),
+    ("compare", "--schemes", "magic"),
+    ("compare", "--show", "beauty"),
+    ("compare", "--workers", "0"),
+    ("compare", "--seeds", "x"),
+    ("compare", "--days", "x"),
+    ("compare", "--set", "x"),
+    ("compare", "--scheduler", "x"),
+    ("clusters", "--periods", "1.5"),
+    ("clusters", "--periods", "10,x"),
+    ("clusters", "--periods", "inf"),
+    ("clusters", "--random", "0"),
+    ("clusters", "--learn", "1h"),
+    ("clusters", "--learn", "x"),
+    ("clusters", "--set", "commitment.share=0.1,0.2"),
+    ("delays", "--workers", "0"),
+    ("delays", "--duration", "1m"),
+    ("delays", "--set", "commitment.share=0.1,0.2"),
+    ("export", "--format", "xlsx"),
+    ("export", "--signals", "residuals"),
+    ("export", "--nodes", "c1/inv99"),
+    ("export", "--from", "18:00"),
+    ("export", "--clock", "sim"),
+    ("export", "--out", "run"),
+    ("recover", "--out", "run"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "option", "value"), BAD)
+def test_bad_input_is_one_line_and_leaves_nothing(
+    name: str, option: str, value: str, folder: Path
+) -> None:
+    if name == "recover":
+        cut(folder / "run" / "run.mcap")
+    before = sorted(folder.rglob("*"))
+    line = refusal(*words_of(name, folder), option, value)
+    told = (option, value, option.lstrip("-").rstrip("s"))
+    assert any(text in line for text in told), line
+    assert sorted(folder.rglob("*")) == before
+
+
+def cut(recording: Path) -> None:
+    content = recording.read_bytes()
+    recording.write_bytes(content[: len(content) // 2])
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("simulate", "small.toml", "--to", "13:00", "--duration", "1h"),
+        ("inspect", "run", "--cycle", "3", "--nodes", "c1"),
+        ("verify", "run", "--accept", "--nodes", "c1"),
+        ("replay", "run", "--start-paused"),
+        ("replay", "run", "--live", "c1", "--loop"),
+        ("replay", "run", "--live", "c1", "--from", "9"),
+        ("replay", "run", "--live", "c1", "--pace", "2"),
+        ("compare", "small.toml", "--seeds", "1,2", "--report"),
+        ("compare", "small.toml", "--schemes", "grouping", "--reference", "few"),
+        ("compare", "small.toml", "--days", "2010-04-01", "--from", "2010-04-01T12:00"),
+        ("timing", "small.toml", "--rate", "0.1..5", "--duration", "5s"),
+        ("timing", "small.toml", "--rate", "5,10", "--out", "run"),
+        ("nonsense",),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(words: tuple[str, ...], folder: Path) -> None:
+    before = sorted(folder.rglob("*"))
+    refusal(*words)
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_without_a_command_the_help_is_shown() -> None:
+    result = CliRunner().invoke(app, [])
+    assert result.exit_code == 2
+    assert all(name in result.stdout for name in NAMES)
+
+
+# A full disk --------------------------------------------------------------------------------------
+
+full_disk = pytest.mark.skipif(not FULL.exists(), reason="this system has no device that is full")
+
+
+@full_disk
+@pytest.mark.parametrize("name", with_json(NAMES))
+def test_json_on_a_full_disk_is_a_failure_in_one_line(name: str, folder: Path) -> None:
+    if name == "recover":
+        cut(folder / "run" / "run.mcap")
+    result = heliarch(*words_of(name, folder), "--json", FULL)
+    assert result.exit_code == 1, result.output
+    (line,) = result.stderr.splitlines()
+    assert str(FULL) in line
+    assert FULL.is_char_device()
+
+
+@full_disk
+@pytest.mark.parametrize("name", ["simulate", "timing", "compare", "delays"])
+def test_a_page_on_a_full_disk_is_a_failure_in_one_line(name: str, folder: Path) -> None:
+    result = heliarch(*words_of(name, folder), f"--report={FULL}")
+    assert result.exit_code == 1, result.output
+    (line,) = result.stderr.splitlines()
+    assert str(FULL) in line
+
+
+@full_disk
+@pytest.mark.parametrize("name", NAMES)
+def test_standard_output_on_a_full_disk_is_a_failure_in_one_line(name: str, folder: Path) -> None:
+    with FULL.open("wb") as full:
+        found = process(*words_of(name, folder), cwd=folder, stdout=full.fileno())
+        _, errors = found.communicate(timeout=120)
+    assert (found.returncode, len(errors.splitlines())) == (1, 1), errors
+
+
+# Nobody reads on ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_reader_who_leaves_is_no_error_message(name: str, folder: Path) -> None:
+    found = process(*words_of(name, folder), cwd=folder)
+    assert found.stdout is not None
+    found.stdout.close()  # As `head -0` does.
+    _, errors = found.communicate(timeout=120)
+    assert errors == ""
+    assert found.returncode == 1
+
+
+# Ctrl-C and SIGTERM -------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def long_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording that takes seconds to read, cut so that it can be recovered."""
+    path = tmp_path_factory.mktemp("long") / "long.mcap"
+    write_run(path, whole_run(8_000), close=False)
+    return path
+
+
+@pytest.fixture
+def started() -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Start commands; nothing of them outlives the test."""
+    running: list[subprocess.Popen[str]] = []
+
+    def start(*words: str, cwd: Path) -> subprocess.Popen[str]:
+        running.append(process(*words, cwd=cwd))
+        return running[-1]
+
+    yield start
+    for one in running:
+        with suppress(ProcessLookupError):
+            os.killpg(one.pid, signal.SIGKILL)
+        one.communicate()
+
+
+def is_at_work(found: subprocess.Popen[str]) -> bool:
+    """Whether a command has come to what it must clean up: workers, processes, or an open file."""
+    assert found.poll() is None, found.communicate()
+    with suppress(psutil.Error):
+        one = psutil.Process(found.pid)
+        return (
+            bool(one.children())
+            or any(
+                "long.mcap" in entry.path or entry.path.endswith(("run.mcap", ".mcap"))
+                for entry in one.open_files()
+            )
+            or any("numba" in entry.path for entry in one.memory_maps())
+        )
+    return False
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("name", LONG)
+@pytest.mark.parametrize(
+    ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["Ctrl-C", "SIGTERM"]
+)
+def test_a_signal_ends_a_command_with_its_status_and_leaves_nothing_behind(
+    name: str,
+    number: signal.Signals,
+    status: int,
+    folder: Path,
+    long_recording: Path,
+    started: Callable[..., subprocess.Popen[str]],
+) -> None:
+    (folder / "long.mcap").symlink_to(long_recording)
+    before = set(folder.iterdir())
+    found = started(name, *LONG[name], cwd=folder)
+    give_up_at = time.monotonic() + 100.0
+    while not is_at_work(found):
+        assert time.monotonic() < give_up_at
+        time.sleep(0.02)
+    children = psutil.Process(found.pid).children(recursive=True)
+    os.kill(found.pid, number)
+    _, errors = found.communicate(timeout=100)
+    assert found.returncode == status, errors
+    assert len(errors.splitlines()) <= 1, errors
+    _, alive = psutil.wait_procs(children, timeout=30)
+    assert not alive
+    new = {path.name for path in folder.iterdir()} - {path.name for path in before}
+    assert new <= {"runs"}

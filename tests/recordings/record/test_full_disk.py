@@ -1,0 +1,71 @@
+"""A full disk ends the recording, once and with a reason, and not the run."""
+
+from __future__ import annotations
+
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TESTS = Path(__file__).parents[2]
+
+_PROGRAM = """
+import resource, sys, time
+from pathlib import Path
+from recordings_by_hand import PLAN, SCENARIO, whole_run
+from bus_schemas.codec import encode
+
+from recordings.read.reader import RunReader
+from recordings.record.writer import RunWriter
+
+path, most = Path(sys.argv[1]), int(sys.argv[2])
+resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+told = []
+writer = RunWriter(path, PLAN, SCENARIO, "simulate", on_end=told.append)
+for number, (port, message) in enumerate(whole_run(200)):
+    writer.add(port, message, encode(message), time.monotonic_ns())
+    if number % 300 == 0:
+        writer.flush()
+writer.close()
+with RunReader(path) as run:
+    found = sum(1 for _ in run.records())
+    print(len(told), writer.heard, writer.recorded.total(), found, run.whole)
+print(writer.trouble)
+"""
+
+
+def run_with_space_for(path: Path, most: int) -> tuple[list[str], str]:
+    """Write 200 cycles in a process whose files cannot grow beyond a size."""
+    command = [sys.executable, "-c", _PROGRAM, str(path), str(most)]
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+        cwd=TESTS.parent,
+        env={"PYTHONPATH": f"{TESTS}:{TESTS.parent}"},
+    )
+    figures, trouble = done.stdout.splitlines()
+    return figures.split(), trouble
+
+
+@pytest.mark.skipif(not hasattr(resource, "RLIMIT_FSIZE"), reason="no limit on the size of files")
+def test_a_file_that_cannot_grow_ends_the_recording_and_not_its_writer(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    (times, heard, recorded, found, whole), trouble = run_with_space_for(path, 100_000)
+    assert trouble.startswith("the recording ended in cycle ")
+    assert trouble.endswith(f"{path}: File too large")
+    assert times == "1"
+    assert 0 < int(recorded) == int(found) < int(heard)
+    assert whole == "False"
+
+
+def test_with_space_enough_all_of_it_is_written(tmp_path: Path) -> None:
+    figures, trouble = run_with_space_for(tmp_path / "run.mcap", 10_000_000)
+    assert trouble == ""
+    assert figures[0] == "0"
+    assert figures[1] == figures[2] == figures[3]
+    assert figures[4] == "True"

@@ -1,0 +1,226 @@
+"""A replay sends what is due in its order, and does what keys ask for."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import TextIO
+
+import pytest
+from clock_by_hand import ClockByHand
+from replayed_runs import PLAN, Said, run_in_memory, write
+
+from bus_schemas.codec import encode
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port
+from launch_scripts.launcher.interruption import Interruption
+from recordings.read.reader import RunReader
+from recordings.replay.bus import ReplayBus
+from recordings.replay.clock import PlaybackClock
+from recordings.replay.keyboard import Key
+from recordings.replay.playback import Playback, Span
+from recordings.replay.progress import ProgressLine
+
+SAID = run_in_memory()
+ALL = Span(0, None)
+
+
+class Heard(ReplayBus):
+    """What was sent, and where the replay said it stands."""
+
+    def __init__(self, on_put: Callable[[Heard], None] = lambda heard: None) -> None:
+        self.clock = ClockByHand()
+        self.ports: list[Port[Message]] = []
+        self.payloads: list[bytes] = []
+        self.moments_ns: list[int] = []
+        self.states: list[tuple[int, float, bool]] = []
+        self._on_put = on_put
+
+    def put(self, port: Port[Message], payload: bytes) -> None:
+        self.ports.append(port)
+        self.payloads.append(payload)
+        self.moments_ns.append(self.clock.now_ns)
+        self._on_put(self)
+
+    def announce(self, cycle: int, *, rate: float, paused: bool) -> None:
+        self.states.append((cycle, rate, paused))
+
+
+class Hands:
+    """Keys that are pressed, those of one entry in one go."""
+
+    def __init__(self, *keys: Key | list[Key] | None) -> None:
+        self._keys = list(keys)
+
+    def wait(self, seconds: float) -> list[Key]:
+        keys = self._keys.pop(0) if self._keys else Key.QUIT
+        return keys if isinstance(keys, list) else [] if keys is None else [keys]
+
+
+class NoHands:
+    """Nobody presses a key."""
+
+    def wait(self, seconds: float) -> list[Key]:
+        assert seconds == 0.0, "a replay under way does not stop to look at the keyboard"
+        return []
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of 40 cycles."""
+    return write(tmp_path_factory.mktemp("player") / "run", SAID)
+
+
+def play(
+    recorded: Path,
+    heard: Heard,
+    *,
+    span: Span = ALL,
+    rate: float = 0.0,
+    paused: bool = False,
+    hands: Hands | NoHands | None = None,
+    interruption: Interruption | None = None,
+    out: TextIO | None = None,
+    loop: bool = False,
+) -> Playback:
+    """Replay the recording, as fast as possible, on the clock of who hears it."""
+    with RunReader(recorded) as reader:
+        playback = Playback(
+            reader,
+            span,
+            [port for port in PLAN.keys.ports if port.signal.logged],
+            heard,
+            PlaybackClock(rate, paused=paused, now_ns=heard.clock),
+            "wall",
+            hands or NoHands(),
+            Interruption() if interruption is None else interruption,
+            ProgressLine(out or io.StringIO(), reader.clock, reader.last_cycle),
+            heard.clock.sleep,
+        )
+        playback.play(loop=loop)
+        return playback
+
+
+def payloads(said: list[Said], first: int = 0, before: int = 1000) -> list[bytes]:
+    """What was on the wire in some cycles."""
+    return [encode(entry.message) for entry in said if first <= entry.message.cycle < before]
+
+
+def step(first: int, cycle: int | None = None) -> list[bytes]:
+    """What goes out up to a cycle's end, from the beginning of another one (the same by default).
+
+    One agent may be ahead of another: a cycle ends, for a step, where the first message of a later
+    one comes.
+    """
+    last = first if cycle is None else cycle
+    sent = []
+    for entry in SAID:
+        if entry.message.cycle > last:
+            break
+        if entry.message.cycle >= first:
+            sent.append(encode(entry.message))
+    return sent
+
+
+def test_all_bytes_are_sent_on_their_ports_in_their_order(recorded: Path) -> None:
+    heard, out = Heard(), io.StringIO()
+    played = play(recorded, heard, out=out)
+    assert heard.payloads == payloads(SAID)
+    assert heard.ports == [entry.port for entry in SAID]
+    assert (played.messages, played.cycles) == (len(SAID), 40)
+    assert played.timing.figures() is None  # as fast as possible: nothing is due
+    # The message that ends the run names the cycle after the last one.
+    assert heard.states == [(cycle, 0.0, False) for cycle in range(41)]
+    assert "12:00:39 cycle 39 of 0 to 39" in out.getvalue().splitlines()[-1]
+
+
+def test_a_span_is_played_alone(recorded: Path) -> None:
+    heard, out = Heard(), io.StringIO()
+    play(recorded, heard, span=Span(5, 9), out=out)
+    assert heard.payloads == payloads(SAID, 5, 9)
+    assert "12:00:08 cycle 8 of 0 to 39" in out.getvalue().splitlines()[-1]
+
+
+def test_a_loop_begins_again_until_the_user_ends_it(recorded: Path) -> None:
+    interruption = Interruption()
+    once = payloads(SAID, 5, 9)
+
+    def end_in_the_third_round(heard: Heard) -> None:
+        interruption.count = int(len(heard.payloads) == 2 * len(once) + 3)
+
+    heard = Heard(end_in_the_third_round)
+    play(recorded, heard, span=Span(5, 9), interruption=interruption, loop=True)
+    assert heard.payloads == once + once + once[:3]
+
+
+def due_at_a_quarter(first: int, before: int, began_ns: int) -> list[int]:
+    """When messages of some cycles are due at a quarter of the rate at which they were said."""
+    said_ns = [
+        entry.message.publish_time_ns for entry in SAID if first <= entry.message.cycle < before
+    ]
+    return [began_ns + 4 * (time_ns - said_ns[0]) for time_ns in said_ns]
+
+
+def test_each_message_is_sent_when_it_is_due_and_all_is_timed(recorded: Path) -> None:
+    heard = Heard()
+    played = play(recorded, heard, span=Span(5, 9), rate=0.25)
+    due_ns = due_at_a_quarter(5, 9, heard.moments_ns[0])
+    assert heard.moments_ns == due_ns
+    figures = played.timing.figures()
+    assert figures is not None
+    assert figures.count == len(due_ns)
+    assert figures.max_us < 1.0
+
+
+def test_while_it_is_paused_nothing_is_sent_but_where_it_stands(recorded: Path) -> None:
+    heard = Heard()
+    play(recorded, heard, paused=True, hands=Hands(None, None, Key.QUIT))
+    assert heard.payloads == []
+    assert heard.states[0] == (0, 0.0, True)
+
+
+@pytest.mark.parametrize("keys", [[Key.STEP, None, Key.STEP, Key.STEP], [[Key.STEP] * 3]])
+def test_each_step_sends_one_cycle_also_if_keys_come_together(
+    keys: list[Key | list[Key] | None], recorded: Path
+) -> None:
+    heard = Heard()
+    played = play(recorded, heard, paused=True, hands=Hands(*keys), rate=1.0)
+    assert heard.payloads == step(0, 2)
+    assert played.timing.figures() is None  # a step has no due time
+
+
+@pytest.mark.parametrize(
+    ("key", "lands_at"),
+    [(Key.FORWARD, 12), (Key.FAR_FORWARD, 39), (Key.BACK, 0), (Key.FAR_BACK, 0)],
+)
+def test_arrows_seek_by_simulated_time_within_the_run(
+    recorded: Path, key: Key, lands_at: int
+) -> None:
+    heard = Heard()
+    play(recorded, heard, paused=True, hands=Hands([Key.STEP, Key.STEP, key, Key.STEP, Key.QUIT]))
+    assert heard.payloads == step(0, 1) + step(lands_at)
+
+
+def test_arrows_stay_within_the_span(recorded: Path) -> None:
+    heard = Heard()
+    hands = Hands(Key.FAR_FORWARD, Key.STEP, Key.FAR_BACK, Key.STEP, Key.QUIT)
+    play(recorded, heard, span=Span(5, 9), paused=True, hands=hands)
+    assert heard.payloads == payloads(SAID, 8, 9) + step(5)
+
+
+def test_after_a_step_to_the_end_one_can_go_back(recorded: Path) -> None:
+    heard = Heard()
+    hands = Hands(Key.STEP, Key.STEP, Key.BACK, Key.STEP, Key.QUIT)
+    play(recorded, heard, span=Span(30, 31), paused=True, hands=hands)
+    assert heard.payloads == payloads(SAID, 30, 31) * 2
+
+
+@pytest.mark.parametrize(("rate", "rates"), [(1.0, [1.0, 2.0, 4.0, 2.0]), (0.0, [0.0] * 4)])
+def test_plus_and_minus_change_the_rate_unless_it_is_as_fast_as_possible(
+    rate: float, rates: list[float], recorded: Path
+) -> None:
+    heard = Heard()
+    hands = Hands([Key.FASTER, Key.FASTER, Key.SLOWER, Key.QUIT])
+    play(recorded, heard, paused=True, hands=hands, rate=rate)
+    assert [state[1] for state in heard.states[:4]] == rates

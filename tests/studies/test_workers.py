@@ -1,0 +1,113 @@
+"""Work is shared over processes, and none of them outlives the study."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from operator import neg
+from pathlib import Path
+
+import psutil
+import pytest
+
+from bus_schemas.errors import InputError
+from studies.workers import WorkerLostError, check_workers, share_over_cluster, share_work
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+def die_on_three(number: int) -> int:
+    if number == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def refuse_three(number: int) -> int:
+    if number == 3:
+        raise InputError("expected no 3")
+    return number
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_each_result_comes_with_the_place_of_its_item(workers: int) -> None:
+    assert dict(share_work(neg, range(5), workers)) == {place: -place for place in range(5)}
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_error_of_the_work_arrives_as_it_is(workers: int) -> None:
+    with pytest.raises(InputError, match="expected no 3"):
+        list(share_work(refuse_three, range(6), workers))
+
+
+def test_a_worker_that_is_killed_is_reported() -> None:
+    with pytest.raises(WorkerLostError):
+        list(share_work(die_on_three, range(6), 2))
+
+
+def test_who_stops_listening_ends_the_workers() -> None:
+    found = share_work(time.sleep, [0.0, 600.0, 600.0], 2)
+    next(found)
+    found.close()  # type: ignore[attr-defined]
+    assert not [child for child in psutil.Process().children() if "spawn_main" in words(child)]
+
+
+@pytest.mark.parametrize("workers", [0, 257])
+def test_a_number_of_workers_that_cannot_be_is_refused(workers: int) -> None:
+    with pytest.raises(InputError, match=f"got {workers}"):
+        check_workers(workers)
+
+
+def words(process: psutil.Process) -> str:
+    return " ".join(process.cmdline())
+
+
+@pytest.fixture
+def comparison(tmp_path: Path) -> Iterator[psutil.Process]:
+    """`heliarch compare --workers 2`, long enough to be ended by the test."""
+    command = "compare oahu-day --seeds 1..50 --schemes uniform-cap --workers 2"
+    with subprocess.Popen(
+        [sys.executable, "-m", "launch_scripts", *command.split()],
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        process_group=0,
+    ) as process:
+        yield psutil.Process(process.pid)
+        process.kill()
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("signum", [signal.SIGTERM, signal.SIGKILL, signal.SIGINT])
+def test_no_worker_outlives_a_comparison(
+    comparison: psutil.Process, signum: signal.Signals
+) -> None:
+    give_up_at = time.monotonic() + 60.0
+    workers: list[psutil.Process] = []
+    while len(workers) < 2:
+        assert time.monotonic() < give_up_at, "the workers never started"
+        workers = [child for child in comparison.children() if "spawn_main" in words(child)]
+        time.sleep(0.05)
+    comparison.send_signal(signum)
+    _, alive = psutil.wait_procs(workers, timeout=30)
+    assert not alive
+
+
+@pytest.mark.processes
+def test_a_dask_cluster_gives_the_same() -> None:
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        found = share_over_cluster(neg, range(5), cluster.scheduler_address)
+        assert dict(found) == {place: -place for place in range(5)}
+
+
+def test_a_scheduler_that_is_no_address_is_refused() -> None:
+    pytest.importorskip("distributed", reason="Dask is not installed")
+    with pytest.raises(InputError, match="got nowhere"):
+        list(share_over_cluster(neg, range(5), "nowhere"))

@@ -1,0 +1,133 @@
+"""The tables of a run show every figure, and the verdict names what was not kept."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from pathlib import Path
+
+import msgspec
+import pytest
+from msgspec.structs import replace
+from reports_by_hand import missed, reported, summary_of
+from rich.console import Console
+from timed_recordings import PLAN, cycle, recorded
+
+from agents.events import ExternalAccount
+from launch_scripts.launcher.wrong_messages import WrongMessages
+from studies.timing.report import TimingReport, report_on
+from studies.timing.tables import counts_table, print_report, times_tables
+
+
+def printed(found: TimingReport, *, processes: bool = False, width: int = 100) -> str:
+    console = Console(file=io.StringIO(), width=width)
+    print_report(found, console, processes=processes)
+    assert isinstance(console.file, io.StringIO)
+    return console.file.getvalue()
+
+
+def row(text: str, name: str) -> list[str]:
+    """The figures of the first row of this name."""
+    return str(re.findall(rf"^{name} +(\d.*?) *$", text, re.MULTILINE)[0]).split()
+
+
+def test_each_row_has_its_figures_its_budget_and_its_verdict(tmp_path: Path) -> None:
+    text = printed(reported(tmp_path, budgets="hop_p99_ms = { residual = 0.45 }").report)
+    count, *times_ms, limit_ms, verdict = row(text, "residual")
+    assert (count, limit_ms, verdict) == ("6", "0.450", "FAIL")
+    assert [float(time) for time in times_ms] == pytest.approx([0.3, 0.4, 0.5, 0.5, 0.5], rel=0.01)
+    assert row(text, "central solve")[-2:] == ["15.000", "PASS"]
+
+
+@pytest.mark.parametrize("width", [60, 80, 100, 200])
+def test_no_figure_and_no_name_is_cut_in_a_narrow_terminal(width: int, tmp_path: Path) -> None:
+    report = reported(tmp_path).report
+    text = printed(report, width=width)
+    assert "…" not in text
+    assert max(map(len, text.splitlines())) <= max(width, 100)
+    tables = [*times_tables(report), counts_table(report.tiers)]
+    names = {cells[0] for table in tables for cells in table.texts()}
+    figures = {figure for table in tables for cells in table.texts() for figure in cells[1:]}
+    assert all(name in text for name in names)
+    assert all(figure in text for figure in figures)
+
+
+def test_the_verdict_names_each_budget_that_was_not_kept(tmp_path: Path) -> None:
+    good, late = (
+        printed(reported(tmp_path / "good").report),
+        printed(reported(tmp_path / "late", cycle(0), missed(1), lost=1).report),
+    )
+    assert good.splitlines()[-1].startswith("PASS")
+    assert "not kept: missed deadlines 1 (at most 0)" in late
+    assert "not kept: messages not recorded 1 (at most 0)" in late
+    assert row(late, "missed deadlines") == ["1", "0", "FAIL"]
+    assert row(late, "overruns") == ["0", "0", "PASS"]
+
+
+def test_without_a_summary_what_only_the_launcher_knew_is_not_zero(tmp_path: Path) -> None:
+    report = report_on(recorded(tmp_path, cycle(0), cycle(1))).report
+    text = printed(report)
+    assert row(text, "direct").count("-") == 4
+    assert "summary.json" in text
+    document = json.loads(msgspec.json.encode(report.document()))
+    assert document["lost_messages"] is None
+    assert document["tiers"][0]["cpu_percent"] is None
+    assert document["processes"][0]["dropped"] is None
+
+
+def test_the_summary_beside_a_recording_is_used_if_it_is_of_that_run(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    live = reported(folder, dropped=2).report
+    assert live.tiers[0].cpu_percent == pytest.approx(10.0)
+    summary = summary_of(folder, dropped=2).as_json()
+    (folder / "summary.json").write_bytes(summary)
+    later = report_on(folder).report
+    assert (later.tiers, later.processes) == (live.tiers, live.processes)
+    (folder / "summary.json").write_bytes(summary.replace(b"by-hand-2", b"another"))
+    assert report_on(folder / "run.mcap").report.tiers[0].cpu_percent is None
+
+
+def test_locked_memory_and_a_busy_machine_are_mentioned(tmp_path: Path) -> None:
+    report = reported(tmp_path).report
+    text = printed(report)
+    assert "locked" not in text
+    assert "busy" not in text
+    host = replace(report.host, memory_locked=True, load_before=1e6)
+    text = printed(replace(report, host=host))
+    assert "memory locked" in text
+    assert "busy before the run" in text
+
+
+def test_each_process_is_shown_if_asked_for(tmp_path: Path) -> None:
+    report = reported(tmp_path, cycle(0), missed(1), by_agent=True).report
+    assert "c2/d (direct)" not in printed(report)
+    text = printed(report, processes=True)
+    assert "plant (plant)" in text
+    assert "missed apply 1" in text
+    assert row(text, "hop c1/a/telemetry")[0] == "2"
+
+
+def test_an_external_device_and_its_wrong_messages_are_reported(tmp_path: Path) -> None:
+    device = ExternalAccount("c2/d", {"command": 2}, lost=1, expected=6, answered=5)
+    wrong = WrongMessages("c2/d/command", "not msgpack", 3, "b'x'")
+    report = reported(tmp_path, plan=replace(PLAN, external=("c2/d",))).report
+    text = printed(replace(report, external=(device,), wrong=(wrong,), faults={"lost": 4}))
+    assert "external c2/d: answered 5 times of 6" in text
+    assert "wrong c2/d/command, 3 times: not msgpack: b'x'" in text
+    assert "4 lost" in text
+    assert "c2/d estimate (from outside)" in text
+
+
+def test_the_document_has_all_rows_and_histograms(tmp_path: Path) -> None:
+    document = json.loads(msgspec.json.encode(reported(tmp_path).report.document()))
+    assert (document["passed"], document["clean"]) == (True, True)
+    setpoint = next(entry for entry in document["times"] if entry["of"] == "setpoint")
+    assert setpoint["times"]["count"] == 12
+    assert setpoint["times"]["histogram"]
+    assert {entry["line"] for entry in document["verdicts"]} >= {
+        "hop setpoint p99",
+        "messages not recorded",
+    }
+    assert [process["agent"] for process in document["processes"]][:2] == ["plant", "central"]
+    assert document["slowest_cycles"][0]["slowest_agent"] == "c2/c"
