@@ -37,17 +37,7 @@ class DamagedChunk(msgspec.Struct, frozen=True):
 
 
 class Shortfall(msgspec.Struct, frozen=True):
-    """What is missing of a run.
-
-    Attributes
-    ----------
-    lost
-        Messages that the sequence numbers leave out.
-    early_ports
-        Ports whose messages stop before the end of the run, if that is known.
-    early_messages
-        Messages that were still due on them.
-    """
+    """What is missing of a run: lost between others, and due at the end of some ports."""
 
     lost: int = 0
     early_ports: int = 0
@@ -60,30 +50,9 @@ class Shortfall(msgspec.Struct, frozen=True):
 class Recovery(msgspec.Struct, frozen=True):
     """The result of a recovery.
 
-    Attributes
-    ----------
-    source, out
-        The recording, and the new one.
-    closed
-        Whether the recorder had come to the end of the messages.
-    ended
-        Whether it goes up to the end of the run, and the plant completed all cycles.
-    messages
-        How many were kept.
-    complete_cycles, last_cycle, planned_cycles
-        Cycles that the plant completed, the last one with a message, and the cycles of the plan.
-    last_ns
-        Wall clock at which the last message was recorded [ns since 1970-01-01 UTC].
-    cut_bytes
-        Bytes at the end of the file that make up no whole record, usually an incomplete chunk.
-    cut_messages
-        Messages that could be read of that chunk. They were kept, but no checksum verifies them.
-    shortfall
-        What is missing of the run.
-    damaged
-        Chunks that could not be read.
-    damaged_attachments
-        Names of attachments with a wrong checksum, which were kept.
+    `closed`: the recorder had come to its end. `ended`: the recording goes up to the end of the
+    run. `cut_bytes` at the end of the file make up no whole record; `cut_messages` could be read of
+    them, and no checksum verifies those.
     """
 
     source: str

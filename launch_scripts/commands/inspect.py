@@ -47,7 +47,7 @@ def inspect(
     """Show what a recording holds, nodes cycle by cycle, or the whole plant in one cycle.
 
     Without --nodes and --cycle: scenario, duration, versions, messages and
-    rate of each signal, and what is missing in between.
+    rate of each signal, the health of the run, and what is missing.
     """
     from recordings.read.damage import damage_text
     from recordings.read.reader import RunReader
@@ -60,7 +60,7 @@ def inspect(
         if cycle is not None:
             _show_plant(reader, reader.clock.cycle(cycle), json, console)
         elif nodes is not None:
-            found = find_nodes(reader.plan.tree, [name.strip() for name in nodes.split(",")])
+            found = find_nodes(reader.plan.tree, nodes)
             _show_story(reader, found, reader.clock.span(start, end), json, console)
         else:
             part = None if start is None and end is None else reader.clock.span(start, end)
@@ -69,12 +69,15 @@ def inspect(
     return complain(damage, OK) if damage else OK
 
 
+<<<<<<< HEAD
+=======
 def _width(console: Console) -> int:
     from recordings.inspect.story_table import NARROWEST
 
     return max(console.width, NARROWEST)
 
 
+>>>>>>> main
 # Nodes, cycle by cycle ----------------------------------------------------------------------
 
 
@@ -136,6 +139,12 @@ def _plant_text(central: NodeCycle) -> str:
         f"dispatch {text(central.dispatch_kw)} (commitment {text(central.commitment_kw)}), "
         f"possible {text(central.possible_kw)}, produced {text(central.delivered_kw)}"
     )
+
+
+def _width(console: Console) -> int:
+    from recordings.inspect.story_table import NARROWEST
+
+    return max(console.width, NARROWEST)
 
 
 def _print_lines(console: Console, lines: Iterable[str], style: str = "") -> None:

@@ -36,18 +36,7 @@ _FOLLOW_EVERY: Final = 4096
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """The part of a recording that is wanted.
-
-    Attributes
-    ----------
-    signals
-        Which signals.
-    nodes
-        About which nodes; none given: about all.
-    cycles
-        Which cycles; None: everything, with the plant's message that the run is over, which carries
-        the number of the cycle after the last one.
-    """
+    """The part of a recording that is wanted: no nodes or cycles given means all."""
 
     signals: tuple[Signal[Message], ...]
     nodes: tuple[str, ...] = ()
@@ -63,27 +52,7 @@ class Part(msgspec.Struct, frozen=True):
 
 
 class ExportSummary(msgspec.Struct, frozen=True, kw_only=True):
-    """The result of an export.
-
-    Attributes
-    ----------
-    run_id, form, path
-        What was exported, into which format, and where it is.
-    whole
-        Whether the recording was whole. Of one that was cut, everything up to there is exported.
-    first_cycle, last_cycle
-        Of the messages that were exported; None if there were none.
-    messages
-        How many there were.
-    left_out
-        Fields that hold a NaN or an infinity, which JSON does not have.
-    size_bytes
-        Of all files.
-    wall_s
-        Time that it took.
-    parts
-        By table or signal.
-    """
+    """The result of an export; `left_out` fields are NaN or infinite, which JSON does not have."""
 
     run_id: str
     form: Form

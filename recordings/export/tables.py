@@ -186,15 +186,7 @@ def _type(field: Type) -> pa.DataType:
 
 
 class TableFile:
-    """A table that is being written.
-
-    Attributes
-    ----------
-    path
-        The file.
-    rows
-        How many there are so far.
-    """
+    """A table that is being written."""
 
     def __init__(
         self, path: Path, table: Table, form: TableForm, plan: RunPlan, batch_rows: int
@@ -260,13 +252,7 @@ def _iso_times(times: pa.Array, unit: str) -> pa.Array:
 
 
 class TableFolder:
-    """A folder of tables that is being written.
-
-    Attributes
-    ----------
-    files
-        The tables, by name.
-    """
+    """A folder of tables that is being written."""
 
     def __init__(
         self,

@@ -50,17 +50,7 @@ class Absence(msgspec.Struct, frozen=True):
 
 
 class Misses(msgspec.Struct, frozen=True):
-    """Inputs that an agent had to do without, or used in an older version.
-
-    Attributes
-    ----------
-    agent
-        Its name.
-    inputs
-        How many.
-    first_cycle, last_cycle
-        In which cycle this was so for the first and the last time.
-    """
+    """Inputs that an agent had to do without, or used in an older version."""
 
     agent: str
     inputs: int
@@ -77,21 +67,7 @@ class WrongMessages(msgspec.Struct, frozen=True):
 
 
 class LauncherAccount(msgspec.Struct, frozen=True):
-    """What the run summary says that a recording cannot.
-
-    Attributes
-    ----------
-    dropped
-        Messages that agents could not use, by cause.
-    faults
-        What the faults of the network did, and how often.
-    skipped_cycles
-        Cycles that were over before their agent came to them.
-    recording_ended
-        Why the recording does not go up to the end of the run.
-    wrong
-        Wrong messages of external agents and strangers.
-    """
+    """What the run summary says that a recording cannot."""
 
     run_id: str
     dropped: dict[str, int] = {}

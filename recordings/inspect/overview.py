@@ -22,22 +22,8 @@ _FOLLOW_EVERY: Final = 10_000
 class SignalCount(msgspec.Struct, frozen=True):
     """Messages of one signal.
 
-    Attributes
-    ----------
-    signal
-        Its name.
-    nodes
-        About how many nodes there are messages.
-    messages
-        How many there are.
-    per_cycle, per_s
-        The same for each cycle, and for each second of the wall clock.
-    lost
-        Messages that were published and are not in the recording: told by sequence numbers.
-    repeated
-        Messages that came again.
-    missing_cycles
-        Cycles, summed over nodes, without the message that was due in them.
+    `lost` ones were published and not recorded, `repeated` ones came again; in `missing_cycles`,
+    summed over nodes, the message that was due is missing.
     """
 
     signal: str
@@ -51,40 +37,7 @@ class SignalCount(msgspec.Struct, frozen=True):
 
 
 class Overview(msgspec.Struct, frozen=True):
-    """What a recording holds.
-
-    Attributes
-    ----------
-    path
-        The MCAP file.
-    run_id, plant, title, driver
-        Which run it is; the title is the scenario's.
-    whole
-        Whether the file was closed in order.
-    size_mb
-        Of the file, and the number of its chunks [MB of 1,000,000 bytes].
-    start, end, timezone
-        Local time at the beginning of the first and of the last cycle.
-    first_cycle, last_cycle, planned_cycles
-        The cycles that were counted, and how many the plan of the run has.
-    complete_cycles
-        Those that the plant completed.
-    cycle_s, simulated_s, wall_s
-        Length of a cycle and of all of them; time on the wall clock between the first and the
-        last message.
-    scheme, actuator, lockstep, pace
-        How the run was controlled and timed; pace in simulated seconds per second, 0 in lockstep.
-    versions, origin
-        Versions of the software, and the rest of the recording's metadata.
-    recovery
-        Metadata of a file that `heliarch recover` made; empty otherwise.
-    signals
-        Messages by signal.
-    gaps, more_gaps
-        The first gaps, and how many more there are.
-    health
-        How the run fared.
-    """
+    """What a recording holds."""
 
     path: str
     run_id: str

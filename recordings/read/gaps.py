@@ -58,17 +58,7 @@ class SequenceGaps:
 
 
 class Gap(msgspec.Struct, frozen=True):
-    """Cycles without the message that was due in them.
-
-    Attributes
-    ----------
-    port
-        Which message, for instance `c1/inv07/impp`.
-    first_cycle, last_cycle
-        First and last cycle without it.
-    cycles
-        In how many cycles it was due.
-    """
+    """Cycles without the message that was due in them."""
 
     port: str
     first_cycle: int
@@ -83,17 +73,7 @@ def due_step(plan: RunPlan, port: Port[Message]) -> int:
 
 
 class PortGaps:
-    """The messages of one port, and what is missing between them.
-
-    Attributes
-    ----------
-    sequence
-        What the numbers leave out.
-    messages
-        How many there are.
-    missing
-        Cycles without the message that was due in them.
-    """
+    """The messages of one port, and what is missing between them."""
 
     __slots__ = ("_cycle", "_step", "messages", "missing", "sequence")
 
@@ -121,15 +101,7 @@ class PortGaps:
 
 
 class RunGaps:
-    """What is missing in a run, port by port.
-
-    Attributes
-    ----------
-    ports
-        By port.
-    gaps, more_gaps
-        The first gaps, and how many more there are.
-    """
+    """What is missing in a run, port by port."""
 
     def __init__(self, plan: RunPlan, first_cycle: int = 0) -> None:
         logged = sorted((port for port in plan.keys.ports if port.signal.logged), key=str)

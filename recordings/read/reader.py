@@ -71,14 +71,16 @@ class RecordedMessage(NamedTuple):
     payload: bytes
 
     def message(self) -> Message:
-        """Decode it."""
-        try:
-            return decode(self.port.signal, self.payload)
-        except msgspec.DecodeError as error:
-            raise InputError(
-                f"{self.port} number {self.sequence}: expected a "
-                f"{self.port.signal.type.__name__}, got: {error}"
-            ) from None
+        """Decode it; InputError if it is no message of its signal."""
+        return _decoded(self.port, self.sequence, self.payload)
+
+
+def _decoded(port: Port[Message], sequence: int, payload: bytes) -> Message:
+    try:
+        return decode(port.signal, payload)
+    except msgspec.DecodeError as error:
+        expected = port.signal.type.__name__
+        raise InputError(f"{port} number {sequence}: expected a {expected}, got: {error}") from None
 
 
 class RunReader:
@@ -172,8 +174,12 @@ class RunReader:
         self, ports: Collection[Port[Message]], cycles: range | None = None
     ) -> Iterator[Delivery]:
         """Yield the messages on some ports, of some cycles (in steps of 1) or of all."""
-        for record in self.records(ports, cycles):
-            yield record.port, record.message()
+        port_of = self._channels_of(ports)
+        for channel, sequence, _, _, payload in self._raw(port_of, cycles):
+            port = port_of[channel]
+            message = _decoded(port, sequence, payload)
+            if cycles is None or cycles.start <= message.cycle < cycles.stop:
+                yield port, message
 
     def records(
         self, ports: Collection[Port[Message]] | None = None, cycles: range | None = None

@@ -13,13 +13,7 @@ from recordings.read.gaps import SequenceGaps
 
 
 class ExternalAgents:
-    """The external agents of a run and their messages.
-
-    Attributes
-    ----------
-    heard
-        Their messages that belong in the recording.
-    """
+    """The external agents of a run and their messages."""
 
     def __init__(self, plan: RunPlan) -> None:
         self.heard = 0

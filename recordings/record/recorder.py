@@ -251,15 +251,7 @@ class Recorder:
 
 
 class Round:
-    """The arming round under way: which of the messages that always come have been heard.
-
-    Attributes
-    ----------
-    count
-        How many rounds have begun.
-    answered
-        Whether all of a round has been heard.
-    """
+    """The arming round under way: which of the messages that always come have been heard."""
 
     def __init__(self, plan: RunPlan) -> None:
         steady = {Occurrence.CYCLE, Occurrence.TURN}

@@ -99,14 +99,6 @@ def test_what_is_written_is_read_back(written: tuple[Path, list[Delivery]]) -> N
         assert list(reader.messages()) == deliveries
 
 
-def test_some_signals_can_be_read_alone(written: tuple[Path, list[Delivery]]) -> None:
-    path, deliveries = written
-    with RunReader(path) as reader:
-        found = list(reader.messages(HELP, SETPOINT))
-    assert found == [pair for pair in deliveries if pair[0].signal in {HELP, SETPOINT}]
-    assert len(found) == 6
-
-
 def test_a_run_can_be_named_by_its_folder(written: tuple[Path, list[Delivery]]) -> None:
     path, _ = written
     with RunReader(path.parent) as reader:

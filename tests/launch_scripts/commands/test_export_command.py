@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+<<<<<<< HEAD
+import os
+=======
+>>>>>>> main
 import shutil
 from pathlib import Path
 
@@ -170,6 +174,98 @@ def test_a_damaged_part_is_left_out_and_told_in_one_line(tmp_path: Path, form: s
 def test_an_export_does_not_replace_what_is_there(run: Path, form: str, tmp_path: Path) -> None:
     path = tmp_path / "there"
     path.write_text("before")
+<<<<<<< HEAD
+    assert refused(run, "--format", form, "--out", path) == (
+        f"heliarch: --out {path}: it exists already, expected a new name"
+    )
+    assert path.read_text() == "before"
+
+
+def test_a_form_that_does_not_exist_is_refused(run: Path) -> None:
+    line = refused(run, "--format", "xlsx")
+    assert all(word in line for word in ("--format", "xlsx", "json-mcap", "parquet", "csv"))
+
+
+def test_a_signal_that_does_not_exist_is_refused_with_near_names(run: Path) -> None:
+    line = refused(run, "--format", "csv", "--signals", "residuals")
+    assert "'residuals'" in line
+    assert "residual" in line
+
+
+def test_a_node_that_does_not_exist_is_refused(run: Path) -> None:
+    assert "c1/inv99" in refused(run, "--format", "csv", "--nodes", "c1/inv99")
+
+
+def test_a_moment_outside_the_run_is_refused(run: Path) -> None:
+    assert "outside the run" in refused(run, "--format", "csv", "--from", "18:00")
+
+
+def test_a_clock_is_refused_where_there_is_none_to_choose(run: Path) -> None:
+    assert "--clock" in refused(run, "--format", "csv", "--clock", "sim")
+    assert "wall" in refused(run, "--format", "json-mcap", "--clock", "utc")
+
+
+def test_a_figures_file_in_no_folder_is_refused_before_any_work(run: Path) -> None:
+    path = run / "missing" / "figures.json"
+    assert str(path) in refused(run, "--format", "csv", "--json", path)
+    assert not (run / "run-csv").exists()
+
+
+def test_an_export_is_not_exported_again(run: Path) -> None:
+    exported(run, "--format", "json-mcap")
+    assert "no recording of a heliarch run" in refused(run / "run.json.mcap", "--format", "csv")
+
+
+# What goes wrong on the way -----------------------------------------------------------------------
+
+
+@pytest.fixture
+def after_some_messages(
+    monkeypatch: pytest.MonkeyPatch,
+) -> Callable[[Callable[[], None]], None]:
+    """Let something happen while the 2,000th message is exported."""
+
+    def plant(happens: Callable[[], None]) -> None:
+        count = 0
+
+        def counting(of: Signal[Message], payload: bytes) -> Message:
+            nonlocal count
+            count += 1
+            if count == 2000:
+                happens()
+            return decode(of, payload)
+
+        monkeypatch.setattr("recordings.read.reader.decode", counting)
+
+    return plant
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_ctrl_c_leaves_nothing_behind(
+    run: Path, form: str, after_some_messages: Callable[[Callable[[], None]], None]
+) -> None:
+    after_some_messages(lambda: os.kill(os.getpid(), signal.SIGINT))
+    before = sorted(run.parent.rglob("*"))
+    assert heliarch("export", run, "--format", form).exit_code == 130
+    assert sorted(run.parent.rglob("*")) == before
+
+
+def test_sigterm_leaves_nothing_behind(
+    run: Path, after_some_messages: Callable[[Callable[[], None]], None]
+) -> None:
+    after_some_messages(lambda: os.kill(os.getpid(), signal.SIGTERM))
+    before = sorted(run.parent.rglob("*"))
+    assert heliarch("export", run, "--format", "csv").exit_code == 128 + signal.SIGTERM
+    assert sorted(run.parent.rglob("*")) == before
+
+
+def test_a_full_disk_leaves_nothing_behind(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(TableFile, "add", full)
+    assert "No space left on device" in refused(run, "--format", "csv", status=1)
+=======
     assert heliarch("export", run, "--format", form, "--out", path).exit_code == 2
     assert path.read_text() == "before"
 
@@ -177,3 +273,4 @@ def test_an_export_does_not_replace_what_is_there(run: Path, form: str, tmp_path
 def test_an_export_is_not_exported_again(run: Path) -> None:
     exported(run, "--format", "json-mcap")
     assert heliarch("export", run / "run.json.mcap", "--format", "csv").exit_code == 2
+>>>>>>> main

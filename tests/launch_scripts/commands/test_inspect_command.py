@@ -29,13 +29,13 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def shown(*words: str | Path) -> str:
-    result = CliRunner().invoke(app, ["inspect", *map(str, words)])
+    result = CliRunner().invoke(app, ["inspect", *map(str, words)], env={"COLUMNS": "80"})
     assert result.exit_code == 0, result.output
     return result.stdout
 
 
 def complaint(*words: str | Path) -> str:
-    result = CliRunner().invoke(app, ["inspect", *map(str, words)])
+    result = CliRunner().invoke(app, ["inspect", *map(str, words)], env={"COLUMNS": "80"})
     assert result.exit_code == 2, result.output
     assert result.stderr.startswith("heliarch: ")
     assert result.stderr.count("\n") == 1
@@ -55,7 +55,11 @@ def test_a_recording_is_told_with_what_is_missing_in_it(recording: Path) -> None
     assert row[5:] == ["5", "0", "5"]
     assert "lost 5 messages: c1/a/impp 5" in facts
     assert "c1/a/impp: 5 from 20 to 24 (12:00:20 to 12:00:24)" in text
-    assert all(len(line) <= 80 for line in text.splitlines() if "run.mcap" not in line)
+    assert all(
+        len(line) <= 80
+        for line in text.splitlines()
+        if "run.mcap" not in line and "mcap-" not in line
+    )
 
 
 def test_a_nodes_story_has_a_line_for_each_cycle_of_the_span(recording: Path) -> None:
@@ -122,9 +126,38 @@ def test_a_recording_that_was_cut_is_shown_and_recover_is_named(
     cut.write_bytes(content[: len(content) // 2])
     text = shown(cut)
     assert ["file", "cut"] in [line.split() for line in text.splitlines()]
+<<<<<<< HEAD
+    assert "`heliarch recover`" in text
+    assert "recover" in shown(cut, "--nodes", "c1/a", "--to", "3")
+    assert "outside the run" in complaint(cut, "--nodes", "c1/a", "--to", "12:01:59")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--nodes", "c1/x"], "node 'c1/x': "),
+        (["--nodes", "c1/a", "--from", "13:49"], "13:49: outside the run, which goes from 2010-04"),
+        (["--nodes", "c1/a", "--from", "noonish"], "noonish: "),
+        (["--cycle", "120"], "120: outside the run"),
+        (["--cycle", "12", "--nodes", "c1"], "--cycle: "),
+        (["--json", "/no/such/folder/x.json"], "--json: "),
+    ],
+)
+def test_what_cannot_be_shown_is_refused_in_one_line(
+    recording: Path, words: list[str], said: str
+) -> None:
+    assert said in complaint(recording, *words)
+
+
+def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_text("cycle,power_kw\n")
+    assert "not an MCAP file, it begins with b'cycle,po'" in complaint(path)
+=======
     assert "`heliarch recover` makes a whole file of it" in " ".join(text.split())
     assert "recover" in shown(cut, "--nodes", "c1/a", "--to", "3")
     assert "outside the run" in complaint(cut, "--nodes", "c1/a", "--to", "12:01:59")
+>>>>>>> main
 
 
 @pytest.fixture
@@ -158,6 +191,19 @@ def test_a_cycle_in_a_damaged_part_is_not_shown(damaged: Path) -> None:
     assert "a part of the file is damaged" in complaint(damaged, "--cycle", "40")
 
 
+<<<<<<< HEAD
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
+@pytest.mark.parametrize("words", [[], ["--nodes", "c1/a"], ["--cycle", "3"]])
+def test_json_that_cannot_be_written_is_told_in_one_line(recording: Path, words: list[str]) -> None:
+    result = CliRunner().invoke(app, ["inspect", str(recording), *words, "--json", "/dev/full"])
+    assert result.exit_code == 1
+    assert result.stderr.count("\n") == 1
+    assert "No space left on device" in result.stderr
+    assert Path("/dev/full").is_char_device()
+
+
+=======
+>>>>>>> main
 @pytest.mark.parametrize("length", [2**64 - 1, 2**40])
 def test_a_huge_length_in_a_cut_file_is_no_trouble(
     recording: Path, tmp_path: Path, length: int

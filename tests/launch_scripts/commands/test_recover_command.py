@@ -131,3 +131,35 @@ def test_messages_out_of_an_incomplete_chunk_are_called_unverified(
         first = run.outline.chunks[0]
     path.write_bytes(path.read_bytes()[: first.offset + first.length - 5])
     assert "they have no checksum and may be damaged" in " ".join(recover(path).stdout.split())
+<<<<<<< HEAD
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
+def test_json_that_cannot_be_written_leaves_the_new_file(content: bytes, tmp_path: Path) -> None:
+    path, out = tmp_path / "run.mcap", tmp_path / "new.mcap"
+    path.write_bytes(content[:-40])
+    result = recover(path, "--out", out, "--json", "/dev/full")
+    assert result.exit_code == 1
+    assert result.stderr.count("\n") == 1
+    assert "No space left on device" in result.stderr
+    with open_run(out) as run:
+        assert run.whole
+
+
+def test_sigterm_leaves_nothing_unfinished(
+    content: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content[: len(content) // 2])
+
+    def terminated(*_: object) -> None:
+        assert list(tmp_path.glob(".*.unfinished"))
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(_Copy, "add_chunk", terminated)
+    before = signal.getsignal(signal.SIGTERM)
+    assert recover(path).exit_code == 128 + signal.SIGTERM
+    assert list(tmp_path.iterdir()) == [path]
+    assert signal.getsignal(signal.SIGTERM) == before
+=======
+>>>>>>> main

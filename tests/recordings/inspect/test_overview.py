@@ -142,9 +142,3 @@ def test_what_is_missing_at_the_end_is_counted_up_to_where_the_plant_ended_the_r
     gaps = {gap.port: (gap.first_cycle, gap.last_cycle, gap.cycles) for gap in overview.gaps}
     assert gaps["production"] == gaps["c1/a/impp"] == (50, END, 10)
     assert gaps["c1/setpoint"] == (50, END - 1, 5)
-
-
-def test_a_part_lacks_what_was_due_up_to_its_own_end(look: Callable[..., Overview]) -> None:
-    overview = look(is_kept=lambda pair: not 18 <= pair[1].cycle < 25, cycles=range(11, 21))
-    gaps = {gap.port: (gap.first_cycle, gap.last_cycle) for gap in overview.gaps}
-    assert gaps["production"] == (18, 20)

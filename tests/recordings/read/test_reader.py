@@ -14,7 +14,7 @@ from recordings_by_hand import PLAN, cycle_of_the_plant, whole_run, write_run
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
-from bus_schemas.signals import IMPP, PRODUCTION, RUN, SETPOINT, SIGNALS, TELEMETRY
+from bus_schemas.signals import PRODUCTION, RUN, SIGNALS, TELEMETRY
 from bus_schemas.tree import ROOT
 from recordings import open_run
 from recordings.read import reader
@@ -63,12 +63,6 @@ def test_signals_nodes_and_cycles_choose_from_all_messages(
             and (not nodes or port.node in paths)
             and start <= message.cycle <= end
         ]
-
-
-def test_signals_go_by_name_or_by_themselves(run: RunReader) -> None:
-    by_name = list(run.messages("impp", "setpoint", nodes="c1/a", end="10s"))
-    assert by_name == list(run.messages(IMPP, SETPOINT, nodes=["c1/a"], end="12:00:10"))
-    assert len(by_name) == 22
 
 
 def test_raw_records_are_the_messages_with_their_times_and_numbers(
