@@ -75,9 +75,13 @@ def compare(
     show: Annotated[
         str,
         typer.Option(
-            help="Figure of merit to show of many cases: satisfied, shortfall, unavoidable, "
-            "control-caused, over-delivered, rmse, mae, mileage, ramp, above-ramp-limit, regd, "
-            "score, or another name of those in the JSON.",
+            help="Figure of merit to show of many cases: desired-energy, possible-energy, "
+            "delivered-energy, satisfied, shortfall-energy, unavoidable-energy, "
+            "control-caused-energy, over-delivered-energy, shortfall, unavoidable, "
+            "control-caused, over-delivered, rmse, mae, mileage-total, mileage, "
+            "mileage-per-minute, headroom, mean-headroom, ancillary-potential, rise, fall, "
+            "ramp, ramp-limit, above-ramp-limit, capacity, offered, signal-mileage, "
+            "regd-strict, regd, accuracy, delay, precision, score.",
             metavar="FIGURE",
         ),
     ] = "control-caused",

@@ -107,6 +107,7 @@ def test_a_file_that_is_shown_is_the_file_that_comes_with_heliarch(document: Pat
 
 def parse(words: list[str]) -> None:
     """Parse the arguments of `heliarch` without running anything."""
+    assert "--install-completion" not in words, "parsing it would do it"
     group = typer.main.get_command(app)
     assert isinstance(group, typer.core.TyperGroup)
     context = group.make_context("heliarch", list(words))
