@@ -10,7 +10,7 @@ PEERS := .venv-peers
 PEERS_READY := $(PEERS)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test golden check format bench bench-peers bench-study soak clean
+.PHONY: help setup run test docs golden check format bench bench-peers bench-study soak clean
 
 help: ## list the tasks
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -29,6 +29,9 @@ run: $(READY) ## the main job: one simulated hour of broken clouds over 17 inver
 test: $(READY) ## all tests, under 8 minutes on 2 cores
 	$(BIN)/pytest -n 2 --dist loadfile -m 'not processes and not soak'
 	$(BIN)/pytest -m 'processes and not soak'
+
+docs: $(READY) ## the documents as a site in build/site; read them with `python -m http.server -d build/site`
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 golden: $(READY) ## record the golden runs anew, after a change of behaviour that is meant
 	$(BIN)/python -m recordings.verify.golden
@@ -61,4 +64,4 @@ soak: $(READY) ## the recorder killed 20 times at random moments: what a recordi
 	$(BIN)/pytest -m soak
 
 clean: ## remove what the tasks made, recordings of runs excepted
-	rm -rf $(VENV) $(PEERS) *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -1,6 +1,6 @@
 """Draws measured skies beside the cloud model's, and prints the numbers of docs/clouds.md.
 
-python docs/clouds_figures.py FOLDER docs
+python docs/clouds_figures.py FOLDER docs/images
 
 FOLDER holds the measured data sets in folders of their own: hope-melpitz-1s, livermore-ghi-2s and
 plant20mw-combiners-10s. Those that are absent are left out.

@@ -90,20 +90,21 @@ def test_of_a_recording_cut_before_its_first_message_nothing_is_recovered(
 
 
 @pytest.mark.parametrize("length", [2**64 - 1, 2**40])
-def test_a_huge_length_costs_one_chunk_alone(content: bytes, tmp_path: Path, length: int) -> None:
+def test_behind_a_chunk_of_a_wrong_length_nothing_is_kept(
+    content: bytes, tmp_path: Path, length: int
+) -> None:
     path, out = tmp_path / "run.mcap", tmp_path / "new.mcap"
     path.write_bytes(content)
     with open_run(path) as run:
         place, end = run.outline.chunks[3], run.outline.readable_end
-        messages = sum(1 for _ in run.records())
     torn = bytearray(content[: end - 20])
     torn[place.offset + 1 : place.offset + 9] = length.to_bytes(8, "little")
     path.write_bytes(torn)
     result = recover(path, "--out", out)
     assert result.exit_code == 3, result.output
-    assert f"missing: a damaged chunk at byte {place.offset:,}" in result.stdout
+    assert "missing: what came after" in result.stdout
     with open_run(out) as run:
-        assert sum(1 for _ in run.records()) == messages - 200
+        assert sum(1 for _ in run.records()) == 4 * 200
 
 
 def test_what_a_run_may_lack_at_its_end_is_counted(tmp_path: Path) -> None:
