@@ -93,23 +93,6 @@ class Exited(Event, frozen=True):
     involuntary_switches: int
 
 
-class PlantPower(msgspec.Struct, frozen=True):
-    """The plant's power, cycle by cycle [kW].
-
-    Attributes
-    ----------
-    desired_kw, regulation_kw
-        What was asked of it in all, and the part of it that is regulation.
-    possible_kw, delivered_kw
-        What it could have given, and what it gave.
-    """
-
-    desired_kw: list[float] = msgspec.field(default_factory=list)
-    regulation_kw: list[float] = msgspec.field(default_factory=list)
-    possible_kw: list[float] = msgspec.field(default_factory=list)
-    delivered_kw: list[float] = msgspec.field(default_factory=list)
-
-
 class Presence(Event, frozen=True):
     """The liveliness token of an external agent has come or gone, seen by the recorder.
 
@@ -179,8 +162,8 @@ class Recorded(Event, frozen=True):
         Messages in the file, by signal.
     foreign
         Payloads on the run's keys that are no messages of the run.
-    plant
-        What the run came to.
+    cycles
+        How many cycles the plant completed.
     ended_early
         Why the file does not go up to the end of the run; empty if it does.
     external
@@ -191,7 +174,7 @@ class Recorded(Event, frozen=True):
 
     recorded: dict[str, int]
     foreign: int
-    plant: PlantPower
+    cycles: int
     ended_early: str = ""
     external: tuple[ExternalAccount, ...] = ()
     complaints: tuple[Complaint, ...] = ()

@@ -110,6 +110,8 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         stage has the same share of the cycle.
     machine
         What the processes may take of the machine.
+    seed
+        Seed of the synthetic clouds; None where the irradiance is measured.
     """
 
     run_id: str
@@ -138,6 +140,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     available_bias: float | None = None
     tier_deadlines_ns: tuple[int, ...] = ()
     machine: MachineSettings = MachineSettings()
+    seed: int | None = None
 
     @cached_property
     def tree(self) -> ControlTree:

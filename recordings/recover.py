@@ -1,4 +1,4 @@
-"""Makes a whole recording of one that was cut: everything up to the cut, with its index again."""
+"""Makes a whole recording of a cut one: everything up to the cut, with a new index."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from mcap.writer import CompressionType, Writer
 
 from bus_schemas.codec import decode
 from bus_schemas.signals import PRODUCTION, RUN
-from recordings.export.unfinished import unfinished
 from recordings.read.chunks import (
     ChunkPlace,
     DamagedChunkError,
@@ -19,26 +18,17 @@ from recordings.read.chunks import (
     messages_in,
     unpack_chunk,
 )
-from recordings.read.completeness import Completeness, Shortfall
+from recordings.read.gaps import RunGaps
 from recordings.read.outline import Outline
 from recordings.read.reader import RunReader, cycle_of
+from recordings.read.whole_file import new_path
 
 RECOVERY_METADATA: Final = "recovery"
-"""Name of the metadata that tells where a recovered file is from."""
+"""Name of the metadata of a recovered file."""
 
 
 class DamagedChunk(msgspec.Struct, frozen=True):
-    """A chunk in the middle of a file that could not be read.
-
-    Attributes
-    ----------
-    offset
-        Its first byte in the file.
-    first_ns, last_ns
-        Wall clock between which its messages were recorded [ns since 1970-01-01 UTC].
-    reason
-        Why.
-    """
+    """A chunk that could not be read: where, when it was recorded (wall clock), and why."""
 
     offset: int
     first_ns: int
@@ -46,36 +36,23 @@ class DamagedChunk(msgspec.Struct, frozen=True):
     reason: str
 
 
-class Recovery(msgspec.Struct, frozen=True):
-    """What came of a recovery.
+class Shortfall(msgspec.Struct, frozen=True):
+    """What is missing of a run: lost between others, and due at the end of some ports."""
 
-    Attributes
-    ----------
-    source, out
-        The recording, and the new one.
-    closed
-        Whether the recorder had come to the end of the messages.
-    ended
-        Whether it goes up to the end of the run, and the plant completed all cycles.
-    messages
-        How many were kept.
-    complete_cycles, last_cycle, planned_cycles
-        Cycles that the plant completed, the last one of which there is anything, and how many the
-        plan of the run has.
-    last_ns
-        Wall clock at which the last message was recorded [ns since 1970-01-01 UTC].
-    cut_bytes
-        Bytes at the end of the file that make up no whole record: of an incomplete chunk, as a
-        rule.
-    cut_messages
-        Messages that could be read of that chunk; they are among those that were kept. No
-        checksum vouches for them: that of the chunk is of all of it.
-    shortfall
-        What is not there of the run, up to its end where that is told.
-    damaged
-        Chunks that could not be read.
-    damaged_attachments
-        Names of attachments that are not what was written; they were kept as they are.
+    lost: int = 0
+    early_ports: int = 0
+    early_messages: int = 0
+
+    def __bool__(self) -> bool:
+        return bool(self.lost or self.early_ports)
+
+
+class Recovery(msgspec.Struct, frozen=True):
+    """The result of a recovery.
+
+    `closed`: the recorder had come to its end. `ended`: the recording goes up to the end of the
+    run. `cut_bytes` at the end of the file make up no whole record; `cut_messages` could be read of
+    them, and no checksum verifies those.
     """
 
     source: str
@@ -100,15 +77,14 @@ class Recovery(msgspec.Struct, frozen=True):
         return there and not self.damaged and not self.damaged_attachments
 
 
-def is_sound(run: RunReader, follow: Callable[[float], None] = lambda share: None) -> bool:
-    """Whether a recording was closed in order and all that is in it can be read.
+def _ignore(share: float) -> None:
+    """Follow nothing."""
 
-    Parameters
-    ----------
-    run
-        The recording.
-    follow
-        Called every now and then with how far the reading has come, 0 to 1.
+
+def is_sound(run: RunReader, follow: Callable[[float], None] = _ignore) -> bool:
+    """Whether a recording was closed in order and all of it can be read.
+
+    `follow` is called now and then with the share that has been read, 0 to 1.
     """
     if not run.whole or run.outline.damaged_attachments:
         return False
@@ -121,31 +97,13 @@ def is_sound(run: RunReader, follow: Callable[[float], None] = lambda share: Non
     return True
 
 
-def recover_run(
-    run: RunReader, out: Path, follow: Callable[[float], None] = lambda share: None
-) -> Recovery:
-    """Copy all that can be read of a recording into a new one.
+def recover_run(run: RunReader, out: Path, follow: Callable[[float], None] = _ignore) -> Recovery:
+    """Copy everything that can be read of a recording into a new one.
 
     Attachments, metadata, schemas and channels are the same; so are the messages, byte for byte,
     with their times, sequence numbers and order. Metadata named `recovery` is added.
-
-    Parameters
-    ----------
-    run
-        The recording.
-    out
-        The new file. It appears when it is complete.
-    follow
-        Called every now and then with how far the reading has come, 0 to 1.
-
-    Raises
-    ------
-    InputError
-        There is something at `out` already, or no folder for it.
-    OSError
-        It cannot be written: the disk is full.
     """
-    with unfinished(out) as beside, beside.open("xb") as file:
+    with new_path(out) as beside, beside.open("xb") as file:
         copy = _Copy(run, file)
         for place in run.outline.chunks:
             follow(place.offset / run.outline.size)
@@ -154,15 +112,7 @@ def recover_run(
 
 
 class _Copy:
-    """A new recording that is being filled from an old one.
-
-    Parameters
-    ----------
-    run
-        The old one.
-    file
-        The new one.
-    """
+    """A new recording that is being filled from an old one."""
 
     def __init__(self, run: RunReader, file: BinaryIO) -> None:
         self._run = run
@@ -170,7 +120,7 @@ class _Copy:
         self._productions = 0
         self._last_cycle = -1
         self._end_cycle: int | None = None
-        self._completeness = Completeness(run.plan)
+        self._gaps = RunGaps(run.plan)
         self._damaged: list[DamagedChunk] = []
         self._writer = Writer(file, compression=CompressionType.LZ4)
         self._write_origin(run.outline)
@@ -190,15 +140,17 @@ class _Copy:
                 self._add(raw)
                 self._cut_messages += place.cut
         except (DamagedChunkError, msgspec.DecodeError) as error:
-            # Of a chunk that was cut there is no checksum: it is read for as long as it decodes.
+            # A cut chunk has no checksum: it is read for as long as it decodes.
             if not place.cut:
                 self._damaged.append(
                     DamagedChunk(place.offset, place.first_ns, place.last_ns, str(error))
                 )
 
     def finish(self, out: Path) -> Recovery:
-        """Write down where the file is from, and its index; return what came of it."""
+        """Write where the file is from, and its index."""
         run = self._run
+        early = {} if self._end_cycle is None else self._gaps.end(self._end_cycle)
+        early_messages = sum(map(len, early.values()))
         recovery = Recovery(
             source=str(run.path),
             out=str(out),
@@ -211,11 +163,11 @@ class _Copy:
             last_ns=self._last_ns,
             cut_bytes=0 if run.outline.closed else run.outline.size - run.outline.readable_end,
             cut_messages=self._cut_messages,
-            shortfall=self._completeness.shortfall(self._end_cycle),
+            shortfall=Shortfall(self._gaps.lost, len(early), early_messages),
             damaged=tuple(self._damaged),
             damaged_attachments=tuple(run.outline.damaged_attachments),
         )
-        told = {
+        metadata = {
             "recovered_from": run.path.name,
             "lossless": str(recovery.lossless).lower(),
             "cut_bytes": str(recovery.cut_bytes),
@@ -223,8 +175,8 @@ class _Copy:
         }
         if recovery.damaged_attachments:
             # Their new checksums will be right.
-            told["damaged_attachments"] = ", ".join(recovery.damaged_attachments)
-        self._writer.add_metadata(RECOVERY_METADATA, told)
+            metadata["damaged_attachments"] = ", ".join(recovery.damaged_attachments)
+        self._writer.add_metadata(RECOVERY_METADATA, metadata)
         self._writer.finish()
         return recovery
 
@@ -239,7 +191,7 @@ class _Copy:
             self._productions += port is not None and port.signal is PRODUCTION
             self._last_cycle = max(self._last_cycle, cycle)
         if port is not None:
-            self._completeness.see(port, cycle, sequence)
+            self._gaps.see(port, cycle, sequence)
         self._writer.add_message(
             self._channel_of[channel], log_time_ns, payload, publish_time_ns, sequence
         )

@@ -6,9 +6,8 @@
 from __future__ import annotations
 
 import os
-import re
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Final, Literal, NamedTuple, TypeAlias
@@ -182,9 +181,7 @@ def _least_width(column: Column, texts: Sequence[str]) -> int:
     if column.align == "left":
         words = (len(word) for text in texts for word in text.split())
         longest = max(min(longest, _WORDS), *words, 0)
-    headings = re.split(r"\s+|(?<=-)", f"{column.title} {column.unit}")
-    least = max(longest, *map(len, headings))
-    return max(least, *map(len, _heading(column, least)), 0)
+    return max(longest, *map(len, _heading(column, longest)), 0)
 
 
 def _rich_table(table: Table) -> RichTable:
@@ -212,6 +209,10 @@ def _rich_table(table: Table) -> RichTable:
 _STYLES: Final = {"PASS": "green", "FAIL": "bold red"}
 
 
-def _heading(column: Column, least: int) -> Iterator[str]:
-    for text in (column.title, column.unit):
-        yield from textwrap.wrap(text, max(least, _HEADING), break_long_words=False)
+def _heading(column: Column, width: int) -> list[str]:
+    """Return the lines of a heading, at most as wide as the column where its words allow it."""
+    return [
+        line
+        for text in (column.title, column.unit)
+        for line in textwrap.wrap(text, max(width, _HEADING), break_long_words=False)
+    ]

@@ -13,24 +13,22 @@ from agents.plan import RunPlan
 from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
-from recordings.record.monitor import RunMonitor
+from recordings.read.series import RunSeries, SeriesCollector
 from sim_plant.profile import Profile
 from studies.metrics import CommitmentMetrics, commitment_metrics
 
 
-def run_agents(plan: RunPlan, profile: Profile) -> RunMonitor:
+def run_agents(plan: RunPlan, profile: Profile) -> RunSeries:
     """Run a plan's agents in memory on a profile."""
-    monitor = RunMonitor()
-    for _ in MemoryRun(plan, profile, monitor.see).cycles():
+    collector = SeriesCollector(plan)
+    for _ in MemoryRun(plan, profile, collector.see).cycles():
         pass
-    return monitor
+    return collector.series("run")
 
 
-def metrics_of(monitor: RunMonitor) -> CommitmentMetrics:
+def metrics_of(run: RunSeries) -> CommitmentMetrics:
     """Figures of a run of 1 s cycles."""
-    return commitment_metrics(
-        monitor.plant.desired_kw, monitor.plant.possible_kw, monitor.plant.delivered_kw, 1.0
-    )
+    return commitment_metrics(run.desired_kw, run.possible_kw, run.delivered_kw, 1.0)
 
 
 def shortfall_free_delivery_kw(profile: Profile) -> NDArray[np.float64]:
@@ -45,7 +43,7 @@ def test_under_a_steady_sky_the_plant_delivers_the_least_of_asked_and_possible()
     steady_kw = np.repeat(rng.uniform(0.0, 470.0, (1, 17)), 40, axis=0)
     commitment_kw = np.linspace(400.0, 1.2 * steady_kw[0].sum(), 40)
     profile = Profile(steady_kw, commitment_kw)
-    delivered_kw = run_agents(plan, profile).plant.delivered_kw
+    delivered_kw = run_agents(plan, profile).delivered_kw
     # The smallest alpha is 0.05: no commitment here is small enough to be held up by it.
     np.testing.assert_allclose(delivered_kw, shortfall_free_delivery_kw(profile), rtol=0, atol=1e-6)
 
@@ -56,7 +54,7 @@ def test_a_shortfall_caused_by_control_is_the_change_of_the_sky_within_a_cycle()
     plan = prepare(scenario, RunOptions(duration="4", scheme="paper"), "one").plan
     sky_kw = np.array([400.0, 200.0, 300.0, 300.0])
     profile = Profile(np.repeat(sky_kw[:, None], 17, axis=1), np.full(4, 17 * 250.0))
-    delivered_kw = np.array(run_agents(plan, profile).plant.delivered_kw) / 17
+    delivered_kw = np.array(run_agents(plan, profile).delivered_kw) / 17
     by_hand_kw = [400 * 250 / 400, 200 * 250 / 400, 300 * 1.0, 300 * 250 / 300]
     np.testing.assert_allclose(delivered_kw, by_hand_kw, rtol=1e-12)
 

@@ -75,9 +75,13 @@ def compare(
     show: Annotated[
         str,
         typer.Option(
-            help="Figure of merit to show of many cases: satisfied, shortfall, unavoidable, "
-            "control-caused, over-delivered, rmse, mae, mileage, ramp, above-ramp-limit, regd, "
-            "score, or another name of those in the JSON.",
+            help="Figure of merit to show of many cases: desired-energy, possible-energy, "
+            "delivered-energy, satisfied, shortfall-energy, unavoidable-energy, "
+            "control-caused-energy, over-delivered-energy, shortfall, unavoidable, "
+            "control-caused, over-delivered, rmse, mae, mileage-total, mileage, "
+            "mileage-per-minute, headroom, mean-headroom, ancillary-potential, rise, fall, "
+            "ramp, ramp-limit, above-ramp-limit, capacity, offered, signal-mileage, "
+            "regd-strict, regd, accuracy, delay, precision, score.",
             metavar="FIGURE",
         ),
     ] = "control-caused",
@@ -160,8 +164,8 @@ def _one(case: Case, comparison: Comparison, page: Path | None, console: Console
 
     preparation = prepare(case.scenario, case.options, "compare")
     remarks = remarks_of(preparation)
-    say(console, *remarks)
     found = list(results_of(preparation, comparison))
+    say(console, *remarks)
     schemes = tuple(SchemeResult(label, metrics) for label, metrics, _ in found)
     plan = preparation.plan
     title = (

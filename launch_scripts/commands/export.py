@@ -26,8 +26,7 @@ from studies.tables import console_for
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from recordings.export.exporting import ExportSummary
-    from recordings.export.records import Selection
+    from recordings.export.exporting import ExportSummary, Selection
     from recordings.read.reader import RunReader
 
 EXAMPLE: Final = "heliarch export runs/oahu-20261121-120000-4711 --format csv --nodes c1/*"
@@ -61,9 +60,9 @@ def export(
     """Make a file for viewers, or tidy tables, of a recording."""
     from recordings.export.exporting import default_path
     from recordings.export.exporting import export as export_run
-    from recordings.export.unfinished import check_new
     from recordings.read.damage import damage_text
     from recordings.read.reader import RunReader
+    from recordings.read.whole_file import check_new
 
     if clock is not None and form != "json-mcap":
         raise InputError(f"--clock: expected --format json-mcap with it, got {form}")
@@ -83,7 +82,7 @@ def _selection(
     reader: RunReader, signals: str | None, nodes: str | None, start: str | None, end: str | None
 ) -> Selection:
     from bus_schemas.signals import SIGNALS
-    from recordings.export.records import Selection
+    from recordings.export.exporting import Selection
     from recordings.read.selection import find_nodes, find_signals
 
     recorded = tuple(row for row in SIGNALS if row.logged)

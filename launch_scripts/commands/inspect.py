@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
@@ -20,16 +19,11 @@ from studies.tables import console_for
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
-    from recordings.inspect.overview import Overview
     from recordings.inspect.story import NodeCycle
     from recordings.read.reader import RunReader
 
 EXAMPLE: Final = "heliarch inspect RUN --nodes c2/inv07 --from 13:49:00 --to 13:50:30"
-
-_SHOWN_GAPS: Final = 10
-_NAME_WIDTH: Final = 12
 
 
 def inspect(
@@ -53,7 +47,7 @@ def inspect(
     """Show what a recording holds, nodes cycle by cycle, or the whole plant in one cycle.
 
     Without --nodes and --cycle: scenario, duration, versions, messages and
-    rate of each signal, and what is missing in between.
+    rate of each signal, the health of the run, and what is missing.
     """
     from recordings.read.damage import damage_text
     from recordings.read.reader import RunReader
@@ -66,13 +60,19 @@ def inspect(
         if cycle is not None:
             _show_plant(reader, reader.clock.cycle(cycle), json, console)
         elif nodes is not None:
-            found = find_nodes(reader.plan.tree, [name.strip() for name in nodes.split(",")])
+            found = find_nodes(reader.plan.tree, nodes)
             _show_story(reader, found, reader.clock.span(start, end), json, console)
         else:
             part = None if start is None and end is None else reader.clock.span(start, end)
             _show_overview(reader, part, json, console)
         damage = damage_text(reader)
     return complain(damage, OK) if damage else OK
+
+
+def _width(console: Console) -> int:
+    from recordings.inspect.story_table import NARROWEST
+
+    return max(console.width, NARROWEST)
 
 
 # Nodes, cycle by cycle ----------------------------------------------------------------------
@@ -87,7 +87,7 @@ def _show_story(
 
     with json_rows(json) as listed:
         for node in nodes:
-            table = StoryTable(run.plan.tree, node, len(run.clock.text(0)))
+            table = StoryTable(run.plan.tree, node, len(run.clock.text(0)), _width(console))
             _print_lines(console, table.heading(), "bold")
             for rows in story(run, [node], cycles):
                 for row in rows:
@@ -117,7 +117,7 @@ def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) 
     central = found[0]
     _print_lines(console, [f"cycle {cycle}, {run.clock.local(cycle):%Y-%m-%d} {central.time}"])
     _print_lines(console, [_plant_text(central)])
-    heading, units, *lines = plant_lines(run.plan.tree, found)
+    heading, units, *lines = plant_lines(run.plan.tree, found, _width(console))
     _print_lines(console, ["", heading, units], "bold")
     _print_lines(console, lines)
     with json_rows(json) as listed:
@@ -150,92 +150,20 @@ def _show_overview(
     run: RunReader, cycles: range | None, json: str | None, console: Console
 ) -> None:
     from recordings.inspect.overview import read_overview
-    from recordings.inspect.story_table import WIDTH
+    from recordings.inspect.overview_text import overview_lines
 
     with progress_bar("reading") as follow:
         overview = read_overview(run, cycles, follow)
-    for name, value in _facts(overview):
-        first, *rest = textwrap.wrap(value, WIDTH - _NAME_WIDTH, break_long_words=False) or [""]
-        console.print(Text.assemble((name.ljust(_NAME_WIDTH), "bold"), first), soft_wrap=True)
-        _print_lines(console, (" " * _NAME_WIDTH + line for line in rest))
-    console.print(_signal_table(overview))
-    _print_lines(console, _gap_lines(run, overview))
+    _print_lines(console, overview_lines(overview, run.clock, _width(console)))
     _warn_if_cut(run, console)
     write_json(overview, json)
-
-
-def _facts(overview: Overview) -> Iterator[tuple[str, str]]:
-    yield "recording", f"{overview.path} ({overview.size_mb:,.1f} MB, {overview.chunks:,} chunks)"
-    yield "scenario", overview.title or overview.plant
-    yield "run", f"{overview.run_id}, heliarch {overview.driver}"
-    pace = "lockstep" if overview.lockstep else f"pace {overview.pace:g}"
-    yield "control", f"scheme {overview.scheme}, actuator {overview.actuator}, {pace}"
-    begin, end = (text.replace("T", " ")[:19] for text in (overview.start, overview.end))
-    yield "time", f"{begin} to {end}, {overview.timezone}"
-    yield (
-        "cycles",
-        f"{overview.first_cycle:,} to {overview.last_cycle:,} of {overview.cycle_s:g} s, "
-        f"{overview.complete_cycles:,} complete, {overview.planned_cycles:,} planned",
-    )
-    yield "duration", f"{overview.simulated_s:,.0f} s simulated in {overview.wall_s:,.1f} s"
-    origin = overview.origin
-    versions = [f"{name} {text}" for name, text in overview.versions.items()]
-    yield "versions", ", ".join([*versions, f"Python {origin.get('python', 'not stated')}"])
-    if "host" in origin:  # A run in memory does not depend on it.
-        cpus, kernel = origin.get("cpu_count", "?"), origin.get("kernel", "?")
-        yield "host", f"{origin['host']}, {cpus} CPUs, Linux {kernel}"
-    yield "file", f"{'whole' if overview.whole else 'cut'}{_recovered(overview)}"
-
-
-def _recovered(overview: Overview) -> str:
-    """Say that a file was recovered, and whether anything may be missing in it."""
-    if not overview.recovery:
-        return ""
-    lossless = overview.recovery.get("lossless") == "true"
-    return (
-        f", recovered from {overview.recovery.get('recovered_from', 'another file')}, "
-        f"{'nothing' if lossless else 'something'} is missing"
-    )
-
-
-def _signal_table(overview: Overview) -> Table:
-    from rich.table import Table
-
-    table = Table(title=f"{overview.messages:,} messages")
-    table.add_column("signal", no_wrap=True)
-    headings = ("nodes", "messages", "per cycle", "per s", "lost", "repeated", "cycles without")
-    for heading in headings:
-        table.add_column(heading, justify="right")
-    for count in overview.signals:
-        table.add_row(
-            count.signal,
-            f"{count.nodes:,}",
-            f"{count.messages:,}",
-            f"{count.per_cycle:,.2f}",
-            f"{count.per_s:,.1f}",
-            f"{count.lost:,}",
-            f"{count.repeated:,}",
-            f"{count.missing_cycles:,}",
-        )
-    return table
-
-
-def _gap_lines(run: RunReader, overview: Overview) -> Iterator[str]:
-    for gap in overview.gaps[:_SHOWN_GAPS]:
-        begin, end = run.clock.text(gap.first_cycle), run.clock.text(gap.last_cycle)
-        yield (
-            f"{gap.port}: none in {gap.cycles:,} cycles, {gap.first_cycle:,} to "
-            f"{gap.last_cycle:,} ({begin} to {end})"
-        )
-    rest = len(overview.gaps) - _SHOWN_GAPS + overview.more_gaps
-    if rest > 0:
-        yield f"and {rest:,} more gaps" + (" (--json has the first 100)" if rest else "")
 
 
 def _warn_if_cut(run: RunReader, console: Console) -> None:
     if not run.whole:
         text = (
-            f"{run.path} was cut, or is still being recorded: this is what it holds. "
+            f"{run.path} can be read up to byte {run.outline.readable_end:,} of "
+            f"{run.outline.size:,}: it was cut, is damaged there, or is still being recorded. "
             "`heliarch recover` makes a whole file of it."
         )
         console.print(Text(text, "yellow"))

@@ -14,7 +14,6 @@ from rich.console import Console
 from bus_schemas.errors import FailureError
 from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK, complain
 from launch_scripts.commands.output import say, write_json
-from launch_scripts.commands.report import write_run_report
 from launch_scripts.launcher.launch import launch
 from launch_scripts.launcher.live_view import View, view_for
 from launch_scripts.launcher.request import RunRequest, prepare_run
@@ -24,6 +23,7 @@ from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.summary_table import print_summary
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.scenarios.preparation import Preparation
+from studies.report.recorded_run import write_run_report
 from studies.tables import console_for
 
 Driver: TypeAlias = Callable[[Preparation, RunFolder, View, float], RunSummary]
@@ -53,7 +53,7 @@ def run_and_print(
         write_json(msgspec.Raw(summary.as_json()), json)
     if summary.recording_ended:
         return complain(f"{summary.recording_ended}; what it holds can be read", FAILED)
-    if summary.lost:
+    if summary.lost_by_processes:
         return complain(_lost_text(summary), FAILED)
     return INTERRUPTED if summary.interrupted else OK
 

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM during a run."""
+"""Ctrl-C during a run; SIGTERM is the command's affair."""
 
 from __future__ import annotations
 
@@ -27,23 +27,14 @@ class Interruption:
 
 @contextmanager
 def interruptible() -> Iterator[Interruption]:
-    """Count Ctrl-C instead of being thrown out by it; let SIGTERM leave through every `finally`.
-
-    A command that has an answer of its own to SIGTERM keeps it.
-    """
+    """Count Ctrl-C instead of being thrown out by it."""
     interruption = Interruption()
 
     def interrupt(signum: int, frame: FrameType | None) -> None:
         interruption.count += 1
 
-    def terminate(signum: int, frame: FrameType | None) -> None:
-        raise SystemExit(128 + signum)
-
-    before = signal.signal(signal.SIGINT, interrupt), signal.getsignal(signal.SIGTERM)
-    if not callable(before[1]):
-        signal.signal(signal.SIGTERM, terminate)
+    before = signal.signal(signal.SIGINT, interrupt)
     try:
         yield interruption
     finally:
-        signal.signal(signal.SIGINT, before[0])
-        signal.signal(signal.SIGTERM, before[1])
+        signal.signal(signal.SIGINT, before)

@@ -10,7 +10,6 @@ from typing import BinaryIO
 
 import msgspec
 
-from bus_schemas.errors import InputError
 from recordings.read.whole_file import whole_file
 
 
@@ -58,18 +57,3 @@ def json_rows(destination: str | None) -> Iterator[JsonRows]:
         rows = JsonRows(file)
         yield rows
         rows.finish()
-
-
-def check_json_destination(destination: str | None) -> None:
-    """Refuse a place where no JSON can be written, before any work is done.
-
-    Raises
-    ------
-    InputError
-        It is a folder, or it lies in none.
-    """
-    if destination in (None, "-"):
-        return
-    path = Path(str(destination))
-    if path.is_dir() or not path.absolute().parent.is_dir():
-        raise InputError(f"--json: expected a file in an existing folder, or -, got {path}")

@@ -304,4 +304,8 @@ def launch(
     agents = preparation.plan.links.listening
     with reserved_ports(agents, preparation.external.base_port) as tcp_ports:
         plan = folder.fill(preparation, tcp_ports)
-        return Launch(preparation, plan, folder, view, began_at, server).run()
+        try:
+            return Launch(preparation, plan, folder, view, began_at, server).run()
+        except RunFailure as failure:
+            folder.failure.write_text(f"{failure}\n", encoding="utf-8")
+            raise

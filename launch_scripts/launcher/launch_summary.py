@@ -17,7 +17,7 @@ from launch_scripts.launcher.summary import (
     count_messages,
     memory_use,
     merge_counts,
-    plant_metrics,
+    recorded_metrics,
     without_external,
 )
 from launch_scripts.launcher.supervision import Child, Memory
@@ -77,7 +77,7 @@ def launch_summary(
         Whether the user ended the run.
     """
     accounts = [child.finished for child in children if child.finished is not None]
-    team, cycles = _together(accounts), len(recorded.plant.desired_kw)
+    team, cycles = _together(accounts), recorded.cycles
     at_recorder = {"at the recorder": recorded.foreign} if recorded.foreign else {}
     return RunSummary(
         run_id=plan.run_id,
@@ -91,7 +91,7 @@ def launch_summary(
         wall_s=max(seen.ended_at - seen.armed_at, cycles * plan.cycle_wall_ns / 1e9),
         startup_s=seen.armed_at - seen.began_at,
         arming_rounds=seen.arming_rounds,
-        metrics=plant_metrics(plan, recorded.plant),
+        metrics=recorded_metrics(folder.recording),
         messages=count_messages(team.published, without_external(recorded)),
         dropped=_by_cause(accounts) | at_recorder,
         missing_inputs=team.missing_inputs,

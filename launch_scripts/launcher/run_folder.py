@@ -12,6 +12,7 @@ import msgspec
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from launch_scripts.scenarios.preparation import Preparation
+from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
 from recordings.read.run_file import RECORDING_NAME
 
 
@@ -39,7 +40,12 @@ class RunFolder:
     @property
     def summary(self) -> Path:
         """The summary as JSON."""
-        return self.path / "summary.json"
+        return self.path / SUMMARY_NAME
+
+    @property
+    def failure(self) -> Path:
+        """Why the launcher gave up, in words; there only if it did."""
+        return self.path / FAILURE_NAME
 
     def fill(self, preparation: Preparation, tcp_ports: dict[str, int]) -> RunPlan:
         """Write what the processes need; return the plan with its ports.

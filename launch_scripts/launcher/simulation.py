@@ -28,10 +28,9 @@ from bus_schemas.tree import PLANT, ROOT
 from launch_scripts.launcher.interruption import interruptible
 from launch_scripts.launcher.live_view import View
 from launch_scripts.launcher.run_folder import RunFolder
-from launch_scripts.launcher.summary import RunSummary, count_messages, memory_use, plant_metrics
+from launch_scripts.launcher.summary import RunSummary, count_messages, memory_use, recorded_metrics
 from launch_scripts.launcher.supervision import RunFailure, memory_of
 from launch_scripts.scenarios.preparation import Preparation
-from recordings.record.lasting_writer import LastingWriter
 from recordings.record.monitor import RunMonitor
 from recordings.record.writer import ClockAnchor, RunWriter
 from sim_plant.plant import Plant
@@ -133,8 +132,12 @@ def simulate(
     monitor = RunMonitor()
     # A virtual clock stands at 0 when the run begins.
     anchor = ClockAnchor(0, time.time_ns()) if plan.faults else ClockAnchor.now()
-    writer = LastingWriter(
-        RunWriter(folder.recording, plan, preparation.scenario.text, "simulate", anchor),
+    writer = RunWriter(
+        folder.recording,
+        plan,
+        preparation.scenario.text,
+        "simulate",
+        anchor,
         on_end=lambda text: view.say(f"{text}; the run goes on without it"),
     )
 
@@ -162,12 +165,12 @@ def simulate(
         driver="simulate",
         folder=str(folder.path),
         sim_start=preparation.local_start(),
-        cycles=len(monitor.plant.desired_kw),
+        cycles=monitor.cycles,
         cycle_s=plan.cycle_ns / 1e9,
         wall_s=wall_s,
         startup_s=started_at - began_at,
         arming_rounds=0,
-        metrics=plant_metrics(plan, monitor.plant),
+        metrics=recorded_metrics(folder.recording),
         messages=count_messages(run.bus.outbox.published, writer.recorded),
         dropped=dict(drops),
         missing_inputs=sum(loop.missing_inputs for loop in loops),
@@ -186,7 +189,7 @@ def simulate(
 
 
 def _follow(
-    run: MemoryRun, plan: RunPlan, monitor: RunMonitor, writer: LastingWriter, view: View
+    run: MemoryRun, plan: RunPlan, monitor: RunMonitor, writer: RunWriter, view: View
 ) -> bool:
     """Run to the end, or to Ctrl-C. Return whether it was interrupted."""
     began_at = status_at = time.monotonic()

@@ -5,14 +5,15 @@ from __future__ import annotations
 import statistics
 from collections import Counter
 from collections.abc import Mapping
+from pathlib import Path
 
 import msgspec
 
-from agents.events import ExternalAccount, PlantPower, Recorded
-from agents.plan import RunPlan
+from agents.events import ExternalAccount, Recorded
+from bus_schemas.errors import InputError
 from launch_scripts.launcher.supervision import Memory
 from launch_scripts.launcher.wrong_messages import WrongMessages
-from recordings.read.series import plant_series
+from recordings.read.series import read_plant_series
 from studies.metrics import RunMetrics, run_metrics
 from studies.metrics.figures_of_merit import figures_json
 
@@ -116,8 +117,27 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def lost(self) -> int:
-        """Messages that differ between what was published and what was recorded."""
+        """Messages that were published and not recorded, or recorded and not published.
+
+        Processes count what they publish. Of external agents the numbers of their messages tell.
+        """
+        return self.lost_by_processes + sum(account.lost for account in self.external)
+
+    @property
+    def lost_by_processes(self) -> int:
+        """Those of the launcher's own processes, which is a failure of the run."""
         return sum(abs(count.lost) for count in self.messages)
+
+    @property
+    def troubled(self) -> bool:
+        """Whether messages, inputs or agents were missing at some time."""
+        return bool(
+            self.lost
+            or self.missing_inputs
+            or self.skipped_cycles
+            or self.recording_ended
+            or any((self.dropped, self.faults, self.wrong))
+        )
 
     def as_json(self) -> bytes:
         """Return the summary as JSON, with the figures that follow from others."""
@@ -129,9 +149,12 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
         return msgspec.json.format(msgspec.json.encode(document), indent=2)
 
 
-def plant_metrics(plan: RunPlan, power: PlantPower) -> RunMetrics | None:
-    """Work out the figures of merit of a run; None of one without a complete cycle."""
-    return run_metrics(plant_series(plan, power)) if power.desired_kw else None
+def recorded_metrics(recording: Path) -> RunMetrics | None:
+    """Read the figures of merit from a closed recording; None if it has no complete cycle."""
+    try:
+        return run_metrics(read_plant_series(recording))
+    except InputError:
+        return None
 
 
 def count_messages(

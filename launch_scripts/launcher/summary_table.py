@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
 from typing import Final, TypeAlias
 
 from rich.console import Console
 
+from bus_schemas.errors import InputError
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.wrong_messages import one_line_each
+from recordings.read.reader import RunReader
 from studies.metrics import RunMetrics
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT, shown_in
+from studies.report.health_table import health_table
 from studies.tables import Cell, Column, Number, Table, key_column, print_table, word_column
 
 Row: TypeAlias = tuple[str, Cell, str, str]
@@ -32,8 +37,11 @@ _SHARES: Final = {
 
 
 def print_summary(summary: RunSummary, console: Console) -> None:
-    """Print the table."""
+    """Print the table, and where something went wrong the health of the run."""
     print_table(console, summary_table(summary))
+    if summary.troubled:
+        with suppress(InputError), RunReader(Path(summary.folder)) as run:
+            print_table(console, health_table(run))
 
 
 def summary_table(summary: RunSummary) -> Table:
@@ -84,7 +92,7 @@ def _message_rows(summary: RunSummary) -> Iterator[Row]:
     used_instead = f"{summary.old_inputs:,} older ones used instead" if summary.old_inputs else ""
     yield "Messages published", published, "", f"{help_calls:,} of them calls for help"
     yield "Messages recorded", recorded, "", ""
-    yield "Messages lost", summary.lost, "", ""
+    yield "Missing in the recording", summary.lost, "", ""
     yield "Messages dropped", sum(summary.dropped.values()), "", _listed(summary.dropped)
     yield "Inputs missed at deadlines", summary.missing_inputs, "", used_instead
     if summary.skipped_cycles:
@@ -92,7 +100,8 @@ def _message_rows(summary: RunSummary) -> Iterator[Row]:
         agent = max(skipped, key=skipped.__getitem__)
         yield "Cycles skipped", summary.skipped_cycles, "", f"most by {agent}: {skipped[agent]:,}"
     if summary.faults:
-        yield "Network faults", sum(summary.faults.values()), "", _listed(summary.faults)
+        injected = f"injected between agents: {_listed(summary.faults)}"
+        yield "Network faults", sum(summary.faults.values()), "", injected
 
 
 def _listed(counts: Mapping[str, int]) -> str:
@@ -102,7 +111,7 @@ def _listed(counts: Mapping[str, int]) -> str:
 def _external_rows(summary: RunSummary) -> Iterator[Row]:
     for account in summary.external:
         answered = f"answered {account.answered:,} of {account.expected:,} times"
-        lost = f"; {account.lost:,} lost or not decodable" if account.lost else ""
+        lost = f"; {account.lost:,} never came or could not be decoded" if account.lost else ""
         recorded = sum(account.recorded.values())
         yield f"External {account.agent}", recorded, "", f"messages recorded; {answered}{lost}"
 

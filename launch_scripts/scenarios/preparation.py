@@ -31,6 +31,7 @@ from launch_scripts.scenarios.power_sources import power_source
 from launch_scripts.scenarios.real_time import cycle_wall_ns, tier_deadlines_ns
 from launch_scripts.scenarios.scenario import (
     LARGEST_SEED,
+    CloudIrradiance,
     ControlTable,
     PlantTable,
     Scenario,
@@ -205,7 +206,14 @@ def _plan(
         correction=_corrects(control, options.scheme or control.scheme),
         available_bias=scenario.plant.available_bias,
         tier_deadlines_ns=deadlines_ns,
+        seed=_seed(scenario, options),
     )
+
+
+def _seed(scenario: Scenario, options: RunOptions) -> int | None:
+    if not isinstance(scenario.irradiance, CloudIrradiance):
+        return None
+    return scenario.irradiance.seed if options.seed is None else options.seed
 
 
 def _corrects(control: ControlTable, scheme: Scheme) -> bool:

@@ -42,7 +42,7 @@ def object_schema(signal: Signal[Message]) -> JsonObject:
 
 
 class JsonEncoder:
-    """Writes the messages of one signal as JSON.
+    """Writes messages as JSON.
 
     JSON has neither NaN nor infinity: a field that holds one is left out, and counted. No schema
     requires a field that could.
@@ -53,21 +53,16 @@ class JsonEncoder:
         Fields left out so far.
     """
 
-    def __init__(self, signal: Signal[Message]) -> None:
+    def __init__(self) -> None:
         self.left_out = 0
         self._encoder = msgspec.json.Encoder()
-        found = type_info(signal.type)
-        assert isinstance(found, StructType)
-        self._nested = any(_holds_structs(field.type) for field in found.fields)
-        self._optional = [f.name for f in found.fields if isinstance(f.type, UnionType)]
 
     def encode(self, message: Message) -> bytes:
         """Return a message as a JSON object."""
-        absent = any(getattr(message, name) is None for name in self._optional)
-        is_plain = self._nested or absent
-        text = self._encoder.encode(_plain(message) if is_plain else message)
+        fields = _plain(message)
+        text = self._encoder.encode(fields)
         if _NULL in text:  # Or the word stands in a text: then nothing is left out.
-            text = self._encoder.encode(self._finite(_plain(message)))
+            text = self._encoder.encode(self._finite(fields))
         return text
 
     def _finite(self, fields: JsonObject) -> JsonObject:
@@ -148,7 +143,3 @@ def _not_nil(kind: Type) -> Type:
         return kind
     (found,) = (member for member in kind.types if not isinstance(member, NoneType))
     return found
-
-
-def _holds_structs(kind: Type) -> bool:
-    return isinstance(kind, VarTupleType) and isinstance(kind.item_type, StructType)

@@ -1,16 +1,22 @@
-"""Which tidy tables a recording comes to: one row for each observation, one value in each cell.
+"""A recording as tidy tables in CSV or Parquet: one observation in a row, one value in a cell.
 
-Every signal has a table of its own, named after it. What is a list inside a message has one as
-well: help given, the inverters of a production, the inputs that were not due.
+Every signal has a table of its own, named after it. What is a list inside a message has one too:
+help given, the inverters of a production, the inputs that were not due. Both formats are written by
+pyarrow, a batch of rows at a time, so memory does not grow with the recording.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Final, Literal, TypeAlias
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Literal, TypeAlias
 
+import pyarrow as pa
+import pyarrow.compute as pc
 from msgspec.inspect import (
     FloatType,
     IntType,
@@ -23,6 +29,8 @@ from msgspec.inspect import (
     VarTupleType,
     type_info,
 )
+from pyarrow.csv import CSVWriter
+from pyarrow.parquet import ParquetWriter
 
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
@@ -30,21 +38,21 @@ from bus_schemas.messages import Message, Production, Setpoint
 from bus_schemas.missing import parse_missing
 from bus_schemas.signals import PRODUCTION, SETPOINT, Signal
 from bus_schemas.tree import agent_name
-from recordings.export.records import Record
+from recordings.read.reader import RecordedMessage
 from recordings.record.writer import ClockAnchor
 
-Cell: TypeAlias = int | float | str | None
-Row: TypeAlias = tuple[Cell, ...]
-Kind: TypeAlias = Literal["time", "integer", "number", "text"]
-"""What is in a column. A time is ns since 1970-01-01 UTC here, each format has its own form."""
+TableForm: TypeAlias = Literal["csv", "parquet"]
+Row: TypeAlias = tuple[int | float | str | None, ...]
+Rows: TypeAlias = Callable[[RecordedMessage, Message], Iterable[Row]]
 
+BATCH_ROWS: Final = 65_536
+"""Rows that are written at once: a row group of some megabytes in Parquet."""
 
-@dataclass(frozen=True, slots=True)
-class Column:
-    """A column of a table, with the unit in its name."""
-
-    name: str
-    kind: Kind
+_INT: Final = pa.int64()
+_NUMBER: Final = pa.float64()
+_TEXT: Final = pa.string()
+_TYPE_OF: Final = {FloatType: _NUMBER, IntType: _INT, StrType: _TEXT, LiteralType: _TEXT}
+_HEAD: Final = frozenset(Message.__struct_fields__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,51 +64,27 @@ class Table:
     name
         Also that of its file.
     columns
-        From left to right.
+        Name, with the unit in it, and type. The first two, `time` and `cycle`, are in every table.
     rows
-        Gives the rows of this table that a record comes to, none or more.
+        Gives the rows of this table that a message adds, none or more. Times are ns since
+        1970-01-01 UTC.
     """
 
     name: str
-    columns: tuple[Column, ...]
-    rows: Callable[[Record], Iterable[Row]]
+    columns: tuple[tuple[str, pa.DataType], ...]
+    rows: Rows
 
-
-_WHEN: Final = (Column("time", "time"), Column("cycle", "integer"))
-_SEQUENCE: Final = Column("sequence", "integer")
-_READY: Final = Column("ready_time_ns", "integer")
-_PUBLISHED: Final = Column("publish_time_ns", "integer")
-_LOGGED: Final = Column("log_time_ns", "integer")
-
-_HEAD: Final = frozenset(Message.__struct_fields__)
-
-_KIND_OF: Final[dict[type[Type], Kind]] = {
-    FloatType: "number",
-    IntType: "integer",
-    StrType: "text",
-    LiteralType: "text",
-}
+    def schema(self, plan: RunPlan) -> pa.Schema:
+        """Return the types of all columns, with the names of the run."""
+        columns = [("time", pa.timestamp("ns", tz=plan.timezone)), ("cycle", _INT), *self.columns]
+        metadata = {"heliarch.run_id": plan.run_id, "heliarch.plant": plan.plant}
+        return pa.schema(columns, metadata=metadata)
 
 
 def tables_of(
     signals: Sequence[Signal[Message]], plan: RunPlan, anchor: ClockAnchor
 ) -> dict[Signal[Message], tuple[Table, ...]]:
-    """Return the tables of some signals.
-
-    Parameters
-    ----------
-    signals
-        Those that are wanted.
-    plan
-        Of the run.
-    anchor
-        Of the recording's clocks.
-
-    Returns
-    -------
-    dict
-        By signal: the tables that its messages have rows in. The last one is the same for all.
-    """
+    """Return by signal the tables that its messages have rows in; the last is common to all."""
     missing = missing_inputs_table()
     details = {SETPOINT: (help_given_table(),), PRODUCTION: (inverters_table(plan),)}
     return {
@@ -112,88 +96,56 @@ def tables_of(
 def signal_table(signal: Signal[Message], anchor: ClockAnchor) -> Table:
     """Return the table of a signal: a row for each message, a column for each plain field.
 
-    `ready_time_ns`, `publish_time_ns` and `log_time_ns` are of the host's monotonic clock. The
+    `ready_time_ns`, `publish_time_ns` and `log_time_ns` are of the host's monotonic clock: the
     decision took the time between the first two, the way to the recorder that between the last two.
     """
     own = _own_columns(signal)
-    names = [column.name for column in own]
     when = attrgetter("sim_time_ns", "cycle")
-    rest = attrgetter(*names, "source", "sequence", "ready_time_ns", "publish_time_ns")
+    head = ("source", "sequence", "ready_time_ns", "publish_time_ns")
+    rest = attrgetter(*(name for name, _ in own), *head)
     monotonic_less_wall_ns = anchor.monotonic_ns - anchor.wall_ns
 
-    def rows(record: Record) -> Iterable[Row]:
-        message = record.message
-        return (
-            (
-                *when(message),
-                agent_name(record.port.node),
-                *rest(message),
-                record.log_time_ns + monotonic_less_wall_ns,
-            ),
-        )
+    def rows(record: RecordedMessage, message: Message) -> Iterable[Row]:
+        logged_ns = record.log_time_ns + monotonic_less_wall_ns
+        return ((*when(message), agent_name(record.port.node), *rest(message), logged_ns),)
 
-    columns = (
-        *_WHEN,
-        Column("node", "text"),
-        *own,
-        Column("source", "text"),
-        _SEQUENCE,
-        _READY,
-        _PUBLISHED,
-        _LOGGED,
-    )
-    return Table(signal.name, columns, rows)
+    numbers = [(name, _INT) for name in (*head[1:], "log_time_ns")]
+    return Table(signal.name, (("node", _TEXT), *own, ("source", _TEXT), *numbers), rows)
 
 
 def help_given_table() -> Table:
-    """Return the table of help: a row for each line of a setpoint's account.
+    """Return the table of help: a row for each entry of the setpoint of a donor."""
 
-    A setpoint is that of the donor; its number is `sequence`.
-    """
-
-    def rows(record: Record) -> Iterable[Row]:
-        setpoint = record.message
-        assert isinstance(setpoint, Setpoint)
-        when = (setpoint.sim_time_ns, setpoint.cycle, agent_name(record.port.node))
+    def rows(record: RecordedMessage, message: Message) -> Iterable[Row]:
+        assert isinstance(message, Setpoint)
+        when = (message.sim_time_ns, message.cycle, agent_name(record.port.node))
         return (
-            (*when, agent_name(line.needy), line.power_kw, setpoint.sequence)
-            for line in setpoint.help_given
+            (*when, agent_name(line.needy), line.power_kw, message.sequence)
+            for line in message.help_given
         )
 
-    columns = (
-        *_WHEN,
-        Column("donor", "text"),
-        Column("needy", "text"),
-        Column("power_kw", "number"),
-        _SEQUENCE,
-    )
+    columns = (("donor", _TEXT), ("needy", _TEXT), ("power_kw", _NUMBER), ("sequence", _INT))
     return Table("help_given", columns, rows)
 
 
 def inverters_table(plan: RunPlan) -> Table:
-    """Return the table of what each inverter could and did produce: a row for each, each cycle."""
+    """Return the table of what each inverter could produce and did: a row for each, each cycle."""
     leaves = plan.tree.leaves
 
-    def rows(record: Record) -> Iterable[Row]:
-        production = record.message
-        assert isinstance(production, Production)
-        mpp_kw, power_kw = production.inverter_mpp_kw, production.inverter_power_kw
+    def rows(_: RecordedMessage, message: Message) -> Iterable[Row]:
+        assert isinstance(message, Production)
+        mpp_kw, power_kw = message.inverter_mpp_kw, message.inverter_power_kw
         if not len(mpp_kw) == len(power_kw) == len(leaves):
             raise InputError(
-                f"production of cycle {production.cycle} lists {len(mpp_kw)} maxima and "
-                f"{len(power_kw)} powers, accepted is one for each of {len(leaves)} inverters"
+                f"production of cycle {message.cycle}: expected {len(leaves)} inverters, got "
+                f"{len(mpp_kw)} maxima and {len(power_kw)} powers"
             )
-        when = (production.sim_time_ns, production.cycle)
+        when = (message.sim_time_ns, message.cycle)
         powers = zip(leaves, mpp_kw, power_kw, strict=True)
-        return ((*when, *power, production.sequence) for power in powers)
+        return ((*when, *power, message.sequence) for power in powers)
 
-    columns = (
-        *_WHEN,
-        Column("inverter", "text"),
-        Column("mpp_kw", "number"),
-        Column("power_kw", "number"),
-        _SEQUENCE,
-    )
+    powers = (("mpp_kw", _NUMBER), ("power_kw", _NUMBER))
+    columns = (("inverter", _TEXT), *powers, ("sequence", _INT))
     return Table("production_inverters", columns, rows)
 
 
@@ -203,38 +155,143 @@ def missing_inputs_table() -> Table:
     `used_cycle` is the cycle of the older message that the sender used; empty if it used none.
     """
 
-    def rows(record: Record) -> Iterable[Row]:
-        message = record.message
+    def rows(record: RecordedMessage, message: Message) -> Iterable[Row]:
         if not message.missing:
             return ()
-        says = (agent_name(record.port.node), record.port.signal.name, message.sequence)
+        port = record.port
         when = (message.sim_time_ns, message.cycle)
-        return ((*when, *says, *parse_missing(entry)) for entry in message.missing)
+        which = (agent_name(port.node), port.signal.name, message.sequence)
+        return ((*when, *which, *parse_missing(entry)) for entry in message.missing)
 
-    columns = (
-        *_WHEN,
-        Column("node", "text"),
-        Column("signal", "text"),
-        _SEQUENCE,
-        Column("input", "text"),
-        Column("used_cycle", "integer"),
-    )
-    return Table("missing_inputs", columns, rows)
+    which = (("node", _TEXT), ("signal", _TEXT), ("sequence", _INT))
+    return Table("missing_inputs", (*which, ("input", _TEXT), ("used_cycle", _INT)), rows)
 
 
-def _own_columns(signal: Signal[Message]) -> tuple[Column, ...]:
+def _own_columns(signal: Signal[Message]) -> tuple[tuple[str, pa.DataType], ...]:
     """Columns for the fields of a signal's own kind, those that hold a list left out."""
     found = type_info(signal.type)
     assert isinstance(found, StructType)
     return tuple(
-        Column(field.name, _kind(field.type))
+        (field.name, _type(field.type))
         for field in found.fields
         if field.name not in _HEAD and not isinstance(field.type, VarTupleType)
     )
 
 
-def _kind(field: Type) -> Kind:
-    """Return what is in a field's column; a field that may be nil leaves its cell empty."""
+def _type(field: Type) -> pa.DataType:
+    """Return the type of a field's column; a field that may be nil leaves its cell empty."""
     if isinstance(field, UnionType):
         (field,) = (member for member in field.types if not isinstance(member, NoneType))
-    return _KIND_OF[type(field)]
+    return _TYPE_OF[type(field)]
+
+
+class TableFile:
+    """A table that is being written."""
+
+    def __init__(
+        self, path: Path, table: Table, form: TableForm, plan: RunPlan, batch_rows: int
+    ) -> None:
+        self.path = path.with_name(f"{path.name}.{form}")
+        self.rows = 0
+        self._schema = table.schema(plan)
+        self._waiting: list[Row] = []
+        self._batch_rows = batch_rows
+        self._is_csv = form == "csv"
+        self._writer: Any
+        if self._is_csv:
+            self._time_unit = _time_unit(plan)
+            self._writer = CSVWriter(self.path, self._schema.set(0, pa.field("time", _TEXT)))
+        else:
+            texts = [field.name for field in self._schema if field.type == _TEXT]
+            # Names repeat, numbers hardly do: a dictionary of them would cost size and time.
+            self._writer = ParquetWriter(
+                self.path, self._schema, compression="zstd", use_dictionary=texts
+            )
+
+    def add(self, rows: Iterable[Row]) -> None:
+        """Write some rows."""
+        self._waiting.extend(rows)
+        if len(self._waiting) >= self._batch_rows:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write the rows that wait."""
+        if not self._waiting:
+            return
+        columns = zip(*self._waiting, strict=True)
+        arrays = [
+            pa.array(cells, field.type) for cells, field in zip(columns, self._schema, strict=True)
+        ]
+        if self._is_csv:
+            arrays[0] = _iso_times(arrays[0], self._time_unit)
+            self._writer.write(pa.table(arrays, names=self._schema.names))
+        else:
+            self._writer.write(pa.table(arrays, schema=self._schema))
+        self.rows += len(self._waiting)
+        self._waiting = []
+
+    def close(self) -> None:
+        """Close the file."""
+        self._writer.close()
+
+
+def _time_unit(plan: RunPlan) -> str:
+    """Return the coarsest unit that gives the beginning of every cycle exactly."""
+    units = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+    times_ns = (plan.start_time_ns, plan.cycle_ns)
+    return next(unit for unit, ns in units.items() if not any(time % ns for time in times_ns))
+
+
+def _iso_times(times: pa.Array, unit: str) -> pa.Array:
+    """Return times as local ISO 8601 with the offset from UTC."""
+    encoded = times.dictionary_encode()  # The messages of a cycle all have its time.
+    distinct = encoded.dictionary
+    with suppress(pa.ArrowInvalid):  # A time between the cycles keeps all its digits.
+        distinct = distinct.cast(pa.timestamp(unit, tz=times.type.tz))
+    return pc.strftime(distinct, format="%Y-%m-%dT%H:%M:%S%Ez").take(encoded.indices)
+
+
+class TableFolder:
+    """A folder of tables that is being written."""
+
+    def __init__(
+        self,
+        folder: Path,
+        plan: RunPlan,
+        signals: Sequence[Signal[Message]],
+        anchor: ClockAnchor,
+        form: TableForm,
+        batch_rows: int = BATCH_ROWS,
+    ) -> None:
+        folder.mkdir()
+        self._tables = tables_of(signals, plan, anchor)
+        every = {table.name: table for tables in self._tables.values() for table in tables}
+        # Tables of signals first, the one that they share at the end.
+        names = [name for name in every if name != "missing_inputs"] + ["missing_inputs"]
+        with ExitStack() as opened:
+            self.files = {
+                name: opened.enter_context(
+                    closing(TableFile(folder / name, every[name], form, plan, batch_rows))
+                )
+                for name in names
+            }
+            self._opened = opened.pop_all()
+
+    def add(self, record: RecordedMessage, message: Message) -> None:
+        """Write the rows of a message."""
+        for table in self._tables[record.port.signal]:
+            self.files[table.name].add(table.rows(record, message))
+
+    def __enter__(self) -> TableFolder:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with self._opened:
+            if error is None:
+                for file in self.files.values():
+                    file.flush()

@@ -13,34 +13,22 @@ from mcap.writer import CompressionType, Writer
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port, Signal
 from recordings.export.json_messages import JsonEncoder, object_schema
-from recordings.export.records import Record, clock_anchor
-from recordings.read.reader import RunReader
+from recordings.read.reader import RecordedMessage, RunReader
+from recordings.record.writer import ClockAnchor
 
 Clock: TypeAlias = Literal["wall", "sim"]
-"""Which time a viewer shows: when a message was really sent, or the time of the plant."""
+"""Which time a viewer shows: the wall clock, or the simulated time of the cycle."""
 
 CLOCKS: Final[tuple[Clock, ...]] = get_args(Clock)
 
 EXPORT_METADATA: Final = "heliarch export"
-"""Name of the metadata. Not that of a recording, for which this file must not be taken."""
+"""Name of the metadata. Not that of a recording, which this file is not."""
 
 
 class ViewerFile:
     """A file for viewers that is being written.
 
     Keys, schema names, attachments and sequence numbers are those of the recording.
-
-    Parameters
-    ----------
-    path
-        File to write; there is none yet.
-    reader
-        The recording.
-    signals
-        Those that get channels.
-    clock
-        `wall`: log and publish times of the recording. `sim`: both are the simulated time at the
-        beginning of the message's cycle.
     """
 
     def __init__(
@@ -51,7 +39,7 @@ class ViewerFile:
         self._writer = Writer(self._file, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library=f"heliarch {version('heliarch')}")
         self._write_origin(reader, clock)
-        self._encoders = {signal: JsonEncoder(signal) for signal in signals}
+        self._encoder = JsonEncoder()
         self._schemas = {
             signal: self._writer.register_schema(
                 signal.type.__name__, "jsonschema", json.dumps(object_schema(signal)).encode()
@@ -64,17 +52,16 @@ class ViewerFile:
     @property
     def left_out(self) -> int:
         """Fields left out so far, since JSON has neither NaN nor infinity."""
-        return sum(encoder.left_out for encoder in self._encoders.values())
+        return self._encoder.left_out
 
-    def add(self, record: Record) -> None:
+    def add(self, record: RecordedMessage, message: Message) -> None:
         """Write one message."""
-        message = record.message
         self._writer.add_message(
             channel_id=self._channel(record.port),
             log_time=message.sim_time_ns if self._sim else record.log_time_ns,
             publish_time=message.sim_time_ns if self._sim else record.publish_time_ns,
             sequence=record.sequence,
-            data=self._encoders[record.port.signal].encode(message),
+            data=self._encoder.encode(message),
         )
 
     def __enter__(self) -> ViewerFile:
@@ -91,7 +78,7 @@ class ViewerFile:
                 self._writer.finish()
 
     def _channel(self, port: Port[Message]) -> int:
-        """Return the channel of a port; one that says nothing gets none."""
+        """Return the channel of a port; it is made with the port's first message."""
         channel = self._channels.get(port)
         if channel is None:
             channel = self._channels[port] = self._writer.register_channel(
@@ -103,15 +90,15 @@ class ViewerFile:
         return channel
 
     def _write_origin(self, reader: RunReader, clock: Clock) -> None:
-        created_ns = clock_anchor(reader).wall_ns
+        created_ns = ClockAnchor.of(reader.metadata).wall_ns
         for name, media_type, data in (
             ("scenario.toml", "application/toml", reader.scenario.encode()),
             ("plan.json", "application/json", reader.plan.as_json()),
         ):
             self._writer.add_attachment(created_ns, created_ns, name, media_type, data)
-        told = {
+        origin = {
             f"{name}.{key}": value
             for name, entries in reader.metadata.items()
             for key, value in entries.items()
         }
-        self._writer.add_metadata(EXPORT_METADATA, {"clock": clock, **told})
+        self._writer.add_metadata(EXPORT_METADATA, {"clock": clock, **origin})

@@ -105,27 +105,7 @@ class NodeCycle(msgspec.Struct, omit_defaults=True):
 
 
 def story(run: RunReader, nodes: Collection[str], cycles: range) -> Iterator[list[NodeCycle]]:
-    """Tell what happened to some nodes, cycle by cycle.
-
-    Parameters
-    ----------
-    run
-        The recording.
-    nodes
-        Their paths in the control tree.
-    cycles
-        Which cycles, in steps of 1.
-
-    Yields
-    ------
-    list of NodeCycle
-        For each cycle that there is a message of, the nodes in their given order.
-
-    Raises
-    ------
-    InputError
-        The file is damaged where it is read.
-    """
+    """Tell what happened to some nodes, cycle by cycle."""
     teller = _Teller(run, nodes)
     front = -1
     for port, message in run.on(_ports_about(run, nodes), cycles):

@@ -1,4 +1,4 @@
-"""A node's story as lines of text, and the plant in one cycle as a tree: columns that keep."""
+"""One node cycle by cycle, and the plant in one cycle as a tree, in columns of fixed width."""
 
 from __future__ import annotations
 
@@ -8,12 +8,17 @@ from dataclasses import dataclass
 from typing import Final
 
 from bus_schemas.missing import in_words
-from bus_schemas.tree import ROOT, ControlTree, agent_name
+from bus_schemas.tree import CENTRAL, ROOT, ControlTree, agent_name
 from recordings.inspect.story import HelpLine, NodeCycle
 
-WIDTH: Final = 100
+NARROWEST: Final = 80
+"""The tables are whole from this width on [characters]."""
+
 _GAP: Final = "  "
-"""Before what has no column of its own."""
+_LEAST_REMARK: Final = 20
+"""Remarks stand beside the columns if there is so much room, otherwise below them."""
+
+_INDENT: Final = 16
 
 _POWER_WIDTH: Final = 8
 _NOTHING: Final = "-"
@@ -21,7 +26,7 @@ _NOTHING: Final = "-"
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: its two lines of heading, its width, and what stands in it."""
+    """One column: its two lines of heading, its width, and the text of a cell."""
 
     name: str
     unit: str
@@ -59,25 +64,16 @@ _CENTRAL: Final = (
     _HELP_ASKED,
     _power("possible", "possible_kw"),
     _power("produced", "delivered_kw"),
-    _MOVED,
 )
 _TREE: Final = (_POWER, _IMPP, _REQUEST, _RESIDUAL, _HELP_ASKED, _SETPOINT, _ALPHA)
 
 
 class StoryTable:
-    """The lines of one node's story.
+    """The lines of one node's story."""
 
-    Parameters
-    ----------
-    tree
-        The control tree.
-    node
-        Path of the node: decides which columns there are.
-    time_width
-        Characters of a cycle's local time.
-    """
-
-    def __init__(self, tree: ControlTree, node: str, time_width: int) -> None:
+    def __init__(
+        self, tree: ControlTree, node: str, time_width: int, width: int = NARROWEST
+    ) -> None:
         powers: tuple[Column, ...]
         if node == ROOT:
             powers, last = _CENTRAL, ("children in need", "")
@@ -91,39 +87,34 @@ class StoryTable:
             *powers,
         )
         self._last = last
+        self._width = width
 
     def heading(self) -> list[str]:
         """Return the two lines above the columns."""
-        return _heading(self._columns, self._last)
+        return _heading(self._columns, self._last, self._width)
 
     def row(self, node: NodeCycle) -> list[str]:
-        """Return the lines of one cycle: one, and more where much help was given."""
+        """Return the lines of one cycle: its columns, and its remarks."""
         cells = " ".join(column.text(node).rjust(column.width) for column in self._columns)
-        return _with_remarks(cells, _remarks(node))
+        return _with_remarks(cells, _remarks(node), self._width)
 
 
-def plant_lines(tree: ControlTree, nodes: Sequence[NodeCycle]) -> Iterator[str]:
-    """Yield the plant in one cycle: its nodes as a tree, with the columns of a story.
-
-    Parameters
-    ----------
-    tree
-        The control tree.
-    nodes
-        All of its nodes in that cycle.
-    """
+def plant_lines(
+    tree: ControlTree, nodes: Sequence[NodeCycle], width: int = NARROWEST
+) -> Iterator[str]:
+    """Yield the plant in one cycle: its nodes as a tree, with the columns of a story."""
     by_path = {_path(node): node for node in nodes}
     branches = dict(_branches(tree, ROOT, ""))
-    width = max(len(branch) for branch in branches.values())
-    node_column = Column("node".ljust(width), "", width, lambda row: branches[_path(row)])
+    longest = max(len(branch) for branch in branches.values())
+    node_column = Column("node".ljust(longest), "", longest, lambda row: branches[_path(row)])
     columns = (node_column, *_TREE)
-    yield from _heading(columns, ("help given", "from or for whom, kW"))
+    yield from _heading(columns, ("help given", "from or for whom, kW"), width)
     for path, branch in branches.items():
         node = by_path[path]
         cells = " ".join(
-            [branch.ljust(width)] + [column.text(node).rjust(column.width) for column in _TREE]
+            [branch.ljust(longest)] + [column.text(node).rjust(column.width) for column in _TREE]
         )
-        yield from _with_remarks(cells, _remarks(node))
+        yield from _with_remarks(cells, _remarks(node), width)
 
 
 def _branches(tree: ControlTree, node: str, indent: str) -> Iterator[tuple[str, str]]:
@@ -137,23 +128,29 @@ def _branches(tree: ControlTree, node: str, indent: str) -> Iterator[tuple[str, 
         yield from _branches(tree, child, indent + ("   " if last else "│  "))
 
 
-def _heading(columns: Sequence[Column], last: tuple[str, str]) -> list[str]:
+def _heading(columns: Sequence[Column], last: tuple[str, str], width: int) -> list[str]:
     names = " ".join(column.name.rjust(column.width) for column in columns)
     units = " ".join(column.unit.rjust(column.width) for column in columns)
+    if width - len(names) - len(_GAP) < _LEAST_REMARK:
+        return [names.rstrip(), units.rstrip()]
     return [f"{names}{_GAP}{last[0]}".rstrip(), f"{units}{_GAP}{last[1]}".rstrip()]
 
 
-def _with_remarks(cells: str, remarks: str) -> list[str]:
+def _with_remarks(cells: str, remarks: str, width: int) -> list[str]:
     begin = len(cells) + len(_GAP)
-    first, *rest = textwrap.wrap(remarks, max(WIDTH - begin, 10)) or [""]
+    if width - begin < _LEAST_REMARK:
+        lines = textwrap.wrap(remarks, width - _INDENT)
+        return [cells.rstrip(), *(" " * _INDENT + line for line in lines)]
+    first, *rest = textwrap.wrap(remarks, width - begin) or [""]
     return [f"{cells}{_GAP}{first}".rstrip(), *(" " * begin + line for line in rest)]
 
 
 def _remarks(node: NodeCycle) -> str:
-    """Say in words what has no column: help and its givers, children in need, missing inputs."""
+    """Put in words what has no column: who gave help to whom, missing inputs, notices."""
     said = [
         _help_text("from", node.help_from),
         _help_text("for", node.help_for),
+        f"moved {node.moved_kw:.2f}" if node.node == CENTRAL and node.moved_kw else "",
         "need: " + ", ".join(map(_short, node.needy)) if node.needy else "",
         f"stale for {node.stale_cycles}" if node.stale_cycles else "",
         in_words(node.missing),

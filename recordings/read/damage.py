@@ -1,4 +1,4 @@
-"""What a reading that went on behind damaged chunks has missed, in one line."""
+"""What a reading has missed that went on behind damaged chunks, in one line."""
 
 from __future__ import annotations
 
@@ -13,30 +13,19 @@ _NAMED: Final = 3
 
 
 def damage_text(run: RunReader) -> str:
-    """Say which chunks have been passed over, and which attachments are damaged.
-
-    Parameters
-    ----------
-    run
-        A recording after what was wanted of it has been read.
-
-    Returns
-    -------
-    str
-        Empty where nothing was damaged.
-    """
+    """Say which chunks a reading has skipped, and which attachments are damaged; empty: none."""
     chunks = run.outline.chunks
     parts = [
         f"chunk at byte {place.offset:,}, {_cycles(run, chunks[:n], chunks[n + 1 :])}"
         for n, place in enumerate(chunks)
         if place.offset in run.damage
     ]
-    rest = len(parts) - _NAMED
-    told = parts[:_NAMED] + ([f"and {rest:,} more chunks"] if rest > 0 else [])
-    told += [f"attachment {name}" for name in run.outline.damaged_attachments]
-    if not told:
+    if len(parts) > _NAMED:
+        parts[_NAMED:] = [f"and {len(parts) - _NAMED:,} more chunks"]
+    parts += [f"attachment {name}" for name in run.outline.damaged_attachments]
+    if not parts:
         return ""
-    return f"{run.path}: a part of the file is damaged ({'; '.join(told)}): see heliarch recover"
+    return f"{run.path}: a part of the file is damaged ({'; '.join(parts)}): see heliarch recover"
 
 
 def _cycles(run: RunReader, before: list[ChunkPlace], behind: list[ChunkPlace]) -> str:
@@ -44,11 +33,11 @@ def _cycles(run: RunReader, before: list[ChunkPlace], behind: list[ChunkPlace]) 
     last, first = _nearest(run, reversed(before)), _nearest(run, behind)
     begin = last.stop - 1 if last is not None else 0
     if first is None:
-        return f"what came from cycle {begin:,} on is missing"
+        return f"messages from cycle {begin:,} on are missing"
     return f"cycles {begin:,} to {max(begin, first.start):,} missing"
 
 
 def _nearest(run: RunReader, places: Iterable[ChunkPlace]) -> range | None:
-    """Return the cycles of the first chunk that can be read."""
+    """Return the cycles of the first readable chunk."""
     found = (run.cycles_in(place) for place in places)
     return next((cycles for cycles in found if cycles is not None), None)

@@ -19,23 +19,7 @@ _HEAD: Final = frozenset(field.name for field in fields(Message))
 def message_frame(
     signal: Signal[Message], deliveries: Iterable[Delivery], timezone: str
 ) -> pd.DataFrame:
-    """Return messages of one signal as a table, one row each.
-
-    Parameters
-    ----------
-    signal
-        Of all messages.
-    deliveries
-        The messages with their ports.
-    timezone
-        Of the index, an IANA name.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Indexed by `time`, the simulated time at the beginning of the cycle, local. Columns
-        `cycle`, `node`, and the fields of the signal's own.
-    """
+    """Return messages of one signal as a table, one row each."""
     own = [field.name for field in fields(signal.type) if field.name not in _HEAD]
     times: list[int] = []
     columns: dict[str, list[Any]] = {name: [] for name in ("cycle", "node", *own)}

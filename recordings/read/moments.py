@@ -1,4 +1,8 @@
-"""Moments of a run in the user's words: local time, time since the start, or a cycle's number."""
+"""Moments of a run as a user writes them: local time, time since the start, or a cycle's number.
+
+Cycles are numbered from 0, and cycle k begins at `start + k * cycle length`: a moment belongs to
+the cycle that has begun by then. Every command uses this rule.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +18,8 @@ Moment: TypeAlias = str | int
 """`13:49:00` or `2010-04-01T13:49:00` (local time), `90s` or `1h30m` (since the start), or a
 cycle's number."""
 
-ACCEPTED: Final = (
-    "accepted are a local time (13:49:00, 2010-04-01T13:49:00), a time since the start (90s, "
+EXPECTED: Final = (
+    "expected a local time (13:49:00, 2010-04-01T13:49:00), a time since the start (90s, "
     "1h30m) or the number of a cycle"
 )
 
@@ -26,15 +30,7 @@ _TIME_OF_DAY: Final = re.compile(r"\d{1,2}:\d{2}(:\d{2}(\.\d{1,6})?)?")
 
 
 class RunClock:
-    """Turns moments of a run into cycles, and cycles into local time.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    last_cycle
-        The last cycle that there is; -1: none.
-    """
+    """Turns moments of a run into cycles, and cycles into local time."""
 
     def __init__(self, plan: RunPlan, last_cycle: int) -> None:
         self._plan = plan
@@ -42,13 +38,7 @@ class RunClock:
         self._last_cycle = last_cycle
 
     def cycle(self, moment: Moment) -> int:
-        """Return the cycle in which a moment lies.
-
-        Raises
-        ------
-        InputError
-            It cannot be understood, or lies outside the run.
-        """
+        """Return the cycle in which a moment lies."""
         text = str(moment).strip()
         cycle = int(text) if re.fullmatch(r"-?\d{1,18}", text) else self._cycle_at(text)
         if not 0 <= cycle <= self._last_cycle:
@@ -56,23 +46,17 @@ class RunClock:
         return cycle
 
     def span(self, start: Moment | None, end: Moment | None) -> range:
-        """Return the cycles from one moment to another, both included; None: from or to the end.
-
-        Raises
-        ------
-        InputError
-            See `cycle`; or the end comes before the start.
-        """
+        """Return the cycles from one moment to another, both included; None: from or to the end."""
         first = 0 if start is None else self.cycle(start)
         last = self._last_cycle if end is None else self.cycle(end)
         if start is not None and end is not None and last < first:
-            raise InputError(f"{end}: before {start}, accepted is a moment from there on")
+            raise InputError(f"{end}: before {start}, expected a later moment")
         return range(first, last + 1)
 
     def local(self, cycle: int) -> datetime:
         """Return the local time at the beginning of a cycle."""
         seconds, rest_ns = divmod(self._plan.sim_time_ns(cycle), _SECOND_NS)
-        # Not by adding: that would forget which of the two hours it is where clocks go back.
+        # Adding to a local time would be ambiguous where clocks are put back.
         return datetime.fromtimestamp(seconds, self._zone).replace(microsecond=rest_ns // 1000)
 
     def text(self, cycle: int) -> str:
@@ -81,7 +65,7 @@ class RunClock:
         return self.local(cycle).strftime("%H:%M:%S" if whole else "%H:%M:%S.%f")[:12]
 
     def extent(self) -> str:
-        """Say from when to when the run goes."""
+        """Say when the run begins and ends."""
         if self._last_cycle < 0:
             return "which has no cycle"
         first, last = self.local(0), self.local(self._last_cycle)
@@ -96,7 +80,7 @@ class RunClock:
         if text and since_start is not None:
             hours, minutes, seconds = (float(part or 0.0) for part in since_start.groups())
             since_s = hours * 3600 + minutes * 60 + seconds
-            # No run lasts for longer than a year: what does, is outside of any.
+            # Longer than any run.
             return int(min(since_s, _YEAR_S) * _SECOND_NS) // self._plan.cycle_ns
         try:
             if _TIME_OF_DAY.fullmatch(text):
@@ -105,7 +89,7 @@ class RunClock:
         except ValueError as error:
             if isinstance(error, InputError):
                 raise
-            raise InputError(f"{text[:40]}: not understood, {ACCEPTED}") from None
+            raise InputError(f"{text[:40]}: not understood, {EXPECTED}") from None
 
     def _cycle_at_time_of_day(self, text: str) -> int:
         """Return the cycle at a time of day: of the one day of the run on which there is one."""
@@ -120,7 +104,7 @@ class RunClock:
             day += timedelta(days=1)
         if len(found) > 1:
             raise InputError(
-                f"{text}: the run has {len(found)} of them, accepted is a date with it, "
+                f"{text}: the run has {len(found)} of them, expected a date with it, "
                 f"{self.local(found[0]):%Y-%m-%dT%H:%M:%S}"
             )
         return found[0] if found else first
@@ -137,10 +121,9 @@ class RunClock:
             return self._cycle_of_instant(first)
         # Clocks are put back or forward: the time of day comes twice, or not at all.
         if first.astimezone(UTC).astimezone(self._zone).replace(tzinfo=None) != moment:
-            raise InputError(f"{moment:%F %T}: clocks leap over it, {ACCEPTED}")
+            raise InputError(f"{moment:%F %T}: clocks are put forward over it, {EXPECTED}")
         raise InputError(
-            f"{moment:%F %T}: comes twice, accepted are {first.isoformat()} and "
-            f"{second.isoformat()}"
+            f"{moment:%F %T}: comes twice, expected {first.isoformat()} or {second.isoformat()}"
         )
 
     def _cycle_of_instant(self, instant: datetime) -> int:

@@ -1,21 +1,21 @@
 """What an MCAP file consists of: found by its index, or by walking from record to record.
 
-A file that was cut has no index. Its chunks are found all the same, without unpacking them, so a
-cut recording is read like a whole one, up to the cut.
+A file that was cut has no index. Its chunks are found by their lengths, without unpacking them, so
+a cut recording is read like a whole one, up to the cut.
 """
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
 from os import SEEK_END
-from struct import Struct, error
+from struct import Struct
 from typing import BinaryIO, Final, NamedTuple, TypeVar
 
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -30,25 +30,22 @@ from mcap.records import (
 )
 
 from recordings.read.chunks import (
+    BROKEN,
     RECORD_HEAD,
     ChunkPlace,
-    DamagedChunkError,
     chunk_at,
-    find_chunk,
-    is_chunk,
     others_in,
-    times_in,
     unpack_chunk,
 )
 
 MAGIC: Final = b"\x89MCAP0\r\n"
-_TIMES: Final = Struct("<QQ")
 _FOOTER_SIZE: Final = RECORD_HEAD.size + 20
 _CHECKSUM: Final = Struct("<I")
-_LARGEST_OPCODE: Final = Opcode.DATA_END
+_CHUNK_INDEX: Final = Struct("<QQQQ")
+"""Of the index of a chunk: first and last log time, where it begins, length of its record."""
+
+_OPCODES: Final = frozenset(Opcode)
 _BLOCK: Final = 1 << 20
-_BROKEN: Final = (error, McapError, ValueError, OverflowError, MemoryError)
-"""What a record that is not what was written can lead to when it is read."""
 
 R = TypeVar("R", bound=McapRecord)
 
@@ -79,12 +76,12 @@ class Outline:
     size
         Of the file [bytes].
     closed
-        Whether its writer came to the end of the messages. Otherwise it was cut, or is still being
-        written.
+        Whether its writer came to the end of the messages. Otherwise it was cut, is damaged at
+        `readable_end`, or is still being written.
     indexed
         Whether it has its index too.
     readable_end
-        First byte that belongs to no readable record of the data section.
+        First byte behind the last readable record of the data section.
     header
         None where not even that was written.
     attachments, metadata
@@ -92,11 +89,9 @@ class Outline:
     schemas, channels
         By their id.
     chunks
-        In the order of the file, those without a message left out. The last one may be cut. A
-        place where something else is than what was written is among them, it does not unpack.
+        In the order of the file. The last one may be cut.
     damaged_attachments
-        Names of those whose checksum is not that of their content; of one that cannot be read at
-        all, where it is.
+        Names of those whose checksum is wrong; of one that cannot be read, where it is.
     """
 
     size: int
@@ -118,13 +113,7 @@ class Outline:
 
 
 def read_outline(file: BinaryIO) -> Outline:
-    """Find out what an MCAP file consists of.
-
-    Raises
-    ------
-    NoMcapError
-        It does not begin as one.
-    """
+    """Find out what an MCAP file consists of."""
     size = file.seek(0, SEEK_END)
     file.seek(0)
     magic = file.read(len(MAGIC))
@@ -132,181 +121,96 @@ def read_outline(file: BinaryIO) -> Outline:
         raise NoMcapError(f"it begins with {magic!r}" if magic else "it is empty")
     try:
         outline = _by_index(file, size)
-    except _BROKEN:
-        outline = None  # Cut, or its index is damaged: what lies before the index may be sound.
+    except BROKEN:
+        outline = None  # The file was cut, or its index is damaged.
     return outline or _by_walking(file, size)
 
 
 def _by_index(file: BinaryIO, size: int) -> Outline | None:
-    """Read the index at the end of a file; None if it has none."""
-    file.seek(max(size - _FOOTER_SIZE - len(MAGIC), 0))
+    """Read the index at the end of a file; None if it has no sound one."""
+    end = size - _FOOTER_SIZE - len(MAGIC)
+    file.seek(max(end, 0))
     tail = file.read()
     if not tail.endswith(MAGIC) or tail[0] != Opcode.FOOTER:
         return None
     footer = _parse(Footer.read, tail[RECORD_HEAD.size :])
     begin = footer.summary_start
-    if not begin or not _is_sound(file, begin, size - len(MAGIC) - 4, footer.summary_crc):
+    if not begin or _checksum(file, begin, size - len(MAGIC) - 4) != footer.summary_crc:
         return None
     outline = Outline(size, closed=True, indexed=True, readable_end=begin)
-    attachments, metadata = [], []
-    for place in _walk(file, begin, size - _FOOTER_SIZE - len(MAGIC)):
+    elsewhere = [len(MAGIC)]  # Where the header, attachments and metadata lie.
+    for place in _walk(file, begin, end):
+        body = _body(file, place, size)
         match place.opcode:
             case Opcode.SCHEMA | Opcode.CHANNEL:
-                _declare(outline, place.opcode, _body(file, place, outline.size))
+                _declare(outline, place.opcode, body)
             case Opcode.CHUNK_INDEX:
-                outline.chunks.append(_indexed_chunk(_body(file, place, outline.size)))
+                # The library would make a dictionary of channels for each of 170,000 chunks a day.
+                first_ns, last_ns, offset, length = _CHUNK_INDEX.unpack_from(body)
+                place_of_chunk = ChunkPlace(offset, length - RECORD_HEAD.size, first_ns, last_ns)
+                outline.chunks.append(place_of_chunk)
             case Opcode.ATTACHMENT_INDEX:
-                attachments.append(
-                    _parse(AttachmentIndex.read, _body(file, place, outline.size)).offset
-                )
+                elsewhere.append(_parse(AttachmentIndex.read, body).offset)
             case Opcode.METADATA_INDEX:
-                metadata.append(_parse(MetadataIndex.read, _body(file, place, outline.size)).offset)
-    outline.header = _parse(Header.read, _body(file, _place_at(file, len(MAGIC)), size))
-    for offset in attachments:
-        _take_attachment(outline, file, _place_at(file, offset))
-    for offset in metadata:
-        outline.metadata.append(_parse(Metadata.read, _body(file, _place_at(file, offset), size)))
+                elsewhere.append(_parse(MetadataIndex.read, body).offset)
+    for offset in elsewhere:
+        _take(outline, file, _place_at(file, offset))
     return outline
 
 
-def _is_sound(file: BinaryIO, begin: int, end: int, expected: int) -> bool:
-    """Whether the bytes of the index have the checksum that stands behind them (0: none does)."""
+def _checksum(file: BinaryIO, begin: int, end: int) -> int:
     checksum = 0
     file.seek(begin)
-    while expected and begin < end:
+    while begin < end:
         block = file.read(min(end - begin, _BLOCK))
         checksum = zlib.crc32(block, checksum)
         begin += len(block)
-    return checksum == expected
-
-
-def _indexed_chunk(body: bytes) -> ChunkPlace:
-    # The library would make a dictionary of channels for each chunk: a real-time recording of a
-    # day has 170,000 chunks.
-    first_ns, last_ns = _TIMES.unpack_from(body)
-    offset, length = _TIMES.unpack_from(body, _TIMES.size)
-    return ChunkPlace(offset, length - RECORD_HEAD.size, first_ns, last_ns)
+    return checksum
 
 
 def _by_walking(file: BinaryIO, size: int) -> Outline:
     """Go from record to record, from the beginning to the end or to the cut."""
     outline = Outline(size)
-    offset = sure = len(MAGIC)  # All up to `sure` was what was written.
-    while offset + RECORD_HEAD.size <= size:
-        place = _place_at(file, offset)
-        if not _is_plausible(file, place, size):
-            # A record's length is not verified by anything: the one before may have led astray.
-            found = find_chunk(file, sure, size)
-            if found is not None:
-                _take_damage(outline, offset if found > offset else sure, found)
-                offset = found
-                continue
-        if not 0 < place.opcode <= _LARGEST_OPCODE:
-            break  # A disk that lost its power leaves zeros.
-        _take(outline, file, place)
-        if place.end > size:
+    for place in _walk(file, len(MAGIC), size):
+        with suppress(*BROKEN):  # A damaged record still tells where the next one begins.
+            _take(outline, file, place)
+        chunk_is_cut = bool(outline.chunks) and outline.chunks[-1].cut
+        if place.end > size or chunk_is_cut:
             break
-        outline.readable_end = offset = place.end
-        if place.opcode == Opcode.CHUNK:
-            sure = place.end
+        outline.readable_end = place.end
         if place.opcode == Opcode.DATA_END:
             outline.closed = True
             break
-    _mend_times(file, outline.chunks)
     return outline
 
 
-def _is_plausible(file: BinaryIO, place: _Place, size: int) -> bool:
-    """Whether a record can be what was written, as far as can be told without reading it."""
-    match place.opcode:
-        case Opcode.CHUNK:
-            return is_chunk(file, place.offset)
-        case Opcode.DATA_END:
-            return place.length == _CHECKSUM.size
-        case _:
-            return 0 < place.opcode <= _LARGEST_OPCODE and place.end <= size
-
-
 def _take(outline: Outline, file: BinaryIO, place: _Place) -> None:
-    try:
-        if place.opcode == Opcode.CHUNK:
-            _take_chunk(outline, file, place)
-        elif place.end <= outline.size:
-            _take_other(outline, file, place)
-    except _BROKEN:
-        pass  # One record is torn: where the next one begins is known all the same.
-
-
-def _take_chunk(outline: Outline, file: BinaryIO, place: _Place) -> None:
-    chunk = chunk_at(file, place.offset, place.length, outline.size)
-    if not outline.chunks:
-        # A recording declares all its channels before its first message.
-        for opcode, body in _declarations(file, chunk):
-            _declare(outline, opcode, body)
-    outline.chunks.append(chunk)
-
-
-def _take_damage(outline: Outline, begin: int, end: int) -> None:
-    """Note that from one byte to another there is nothing that can be read."""
-    length = max(end - begin - RECORD_HEAD.size, 0)
-    outline.chunks.append(ChunkPlace(begin, length, 0, 0))
-
-
-def _mend_times(file: BinaryIO, chunks: list[ChunkPlace]) -> None:
-    """Take the times of chunks from their messages, where they are not in the order of the file.
-
-    A chunk's checksum is that of its messages, so its times can be damaged in a sound chunk.
-    """
-    suspects = {n for n, place in enumerate(chunks) if place.first_ns > place.last_ns}
-    for n in range(1, len(chunks)):
-        if chunks[n - 1].last_ns > chunks[n].first_ns:
-            suspects |= {n - 1, n}
-    unknown = set()
-    for n in sorted(suspects):
-        try:
-            times_ns = times_in(unpack_chunk(file, chunks[n]))
-        except DamagedChunkError:
-            times_ns = None
-        if times_ns is None:
-            unknown.add(n)
-        else:
-            chunks[n] = chunks[n]._replace(first_ns=times_ns[0], last_ns=times_ns[1])
-    for n in sorted(unknown):
-        # What cannot be read lies between its neighbours.
-        behind = (chunks[m].first_ns for m in range(n + 1, len(chunks)) if m not in unknown)
-        end_ns = next(behind, 0)
-        begin_ns = chunks[n - 1].last_ns if n else end_ns
-        chunks[n] = chunks[n]._replace(first_ns=begin_ns, last_ns=max(begin_ns, end_ns))
-
-
-def _declarations(file: BinaryIO, chunk: ChunkPlace) -> Iterator[tuple[int, bytes]]:
-    try:
-        yield from others_in(unpack_chunk(file, chunk))
-    except DamagedChunkError:
+    """Enter a record into the outline."""
+    if place.opcode == Opcode.CHUNK:
+        chunk = chunk_at(file, place.offset, place.length, outline.size)
+        outline.chunks.append(chunk)
+        if len(outline.chunks) == 1:
+            # A recording declares all its channels before its first message.
+            for opcode, body in others_in(unpack_chunk(file, chunk)):
+                _declare(outline, opcode, body)
         return
-
-
-def _take_other(outline: Outline, file: BinaryIO, place: _Place) -> None:
     match place.opcode:
         case Opcode.HEADER:
             outline.header = _parse(Header.read, _body(file, place, outline.size))
         case Opcode.ATTACHMENT:
-            _take_attachment(outline, file, place)
+            _take_attachment(outline, place.offset, _body(file, place, outline.size))
         case Opcode.METADATA:
             outline.metadata.append(_parse(Metadata.read, _body(file, place, outline.size)))
-        case Opcode.SCHEMA | Opcode.CHANNEL:
-            _declare(outline, place.opcode, _body(file, place, outline.size))
 
 
-def _take_attachment(outline: Outline, file: BinaryIO, place: _Place) -> None:
-    body = _body(file, place, outline.size)
+def _take_attachment(outline: Outline, offset: int, body: bytes) -> None:
     try:
         attachment = _parse(Attachment.read, body)
         (checksum,) = _CHECKSUM.unpack(body[-_CHECKSUM.size :])
-    except _BROKEN:
-        outline.damaged_attachments.append(f"at byte {place.offset:,}")
+    except BROKEN:
+        outline.damaged_attachments.append(f"at byte {offset:,}")
         return
-    if checksum and zlib.crc32(body[: -_CHECKSUM.size]) != checksum:
+    if zlib.crc32(body[: -_CHECKSUM.size]) != checksum:
         outline.damaged_attachments.append(attachment.name)
     outline.attachments.append(attachment)
 
@@ -325,7 +229,7 @@ def _walk(file: BinaryIO, begin: int, end: int) -> Iterator[_Place]:
     offset = begin
     while offset + RECORD_HEAD.size <= end:
         place = _place_at(file, offset)
-        if not 0 < place.opcode <= _LARGEST_OPCODE:
+        if place.opcode not in _OPCODES:
             return  # A disk that lost its power leaves zeros.
         yield place
         offset = place.end

@@ -1,4 +1,4 @@
-"""Reads a recording back as typed messages: all of it, or some signals, nodes and cycles of it."""
+"""Reads a recording as typed messages: all of it, or some signals, nodes and cycles."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from recordings.read.selection import find_nodes, find_signals
 if TYPE_CHECKING:
     import pandas as pd
 
-_NOTHING: Final = "cut before it says what run it is of"
+_NOTHING: Final = "cut before the plan of its run"
 
 _LATEST_S: Final = 30.0
 """How much later than its cycle's turn a message may come and still be found by its cycle."""
@@ -43,7 +43,7 @@ _FURTHEST_CYCLES: Final = 1000
 
 
 class _Head(msgspec.Struct, gc=False):
-    """What must be known of a message to choose it; the rest of it is skipped."""
+    """What a reader needs to choose a message; the rest is skipped."""
 
     cycle: int
 
@@ -52,36 +52,16 @@ _head = msgspec.msgpack.Decoder(_Head).decode
 
 
 def cycle_of(payload: bytes) -> int:
-    """Return the cycle that a payload is of, without decoding the rest of it.
-
-    Raises
-    ------
-    msgspec.DecodeError
-        It says none.
-    """
+    """Return the cycle of a payload without decoding the rest; DecodeError if it has none."""
     return _head(payload).cycle
 
 
 class NothingRecordedError(InputError):
-    """A recording that was cut before it says what run it is of."""
+    """A recording that was cut before the plan of its run."""
 
 
 class RecordedMessage(NamedTuple):
-    """A message as it stands in the file.
-
-    Attributes
-    ----------
-    port
-        What its key names.
-    cycle
-        The cycle that it is of.
-    sequence
-        Its number on its key.
-    log_time_ns, publish_time_ns
-        When it was received and published, wall clock [ns since 1970-01-01 UTC].
-    payload
-        As it was on the wire.
-    """
+    """A message as it is in the file; times are wall clock [ns since 1970-01-01 UTC]."""
 
     port: Port[Message]
     cycle: int
@@ -90,34 +70,23 @@ class RecordedMessage(NamedTuple):
     publish_time_ns: int
     payload: bytes
 
+    def message(self) -> Message:
+        """Decode it; InputError if it is no message of its signal."""
+        return _decoded(self.port, self.sequence, self.payload)
 
-class Damage(NamedTuple):
-    """A chunk that could not be read.
 
-    Attributes
-    ----------
-    offset
-        Its first byte in the file.
-    reason
-        Why.
-    """
-
-    offset: int
-    reason: str
+def _decoded(port: Port[Message], sequence: int, payload: bytes) -> Message:
+    try:
+        return decode(port.signal, payload)
+    except msgspec.DecodeError as error:
+        expected = port.signal.type.__name__
+        raise InputError(f"{port} number {sequence}: expected a {expected}, got: {error}") from None
 
 
 class RunReader:
-    """A recording of a run; of one that was cut by a crash, all that is there up to the cut.
+    """A recording of a run; of one that was cut, everything up to the cut.
 
     Memory is bounded by the largest chunk, and some 300 bytes for each chunk of the file.
-
-    Parameters
-    ----------
-    path
-        The MCAP file, or the folder of a run.
-    skip_damaged
-        Whether to go on behind a chunk that is damaged. Who asks for that has to tell of `damage`
-        at the end. Otherwise such a chunk is an error where it is read.
 
     Attributes
     ----------
@@ -132,12 +101,7 @@ class RunReader:
     scenario, plan
         What the run was.
     damage
-        Chunks that were passed over so far, by their first byte.
-
-    Raises
-    ------
-    InputError
-        There is no such file, or it is no recording of a run.
+        Chunks that were skipped so far: why, by their first byte.
     """
 
     def __init__(self, path: Path, *, skip_damaged: bool = False) -> None:
@@ -146,13 +110,14 @@ class RunReader:
             self.file = self.path.open("rb")
         except FileNotFoundError:
             raise InputError(
-                f"{self.path}: no such file, accepted is a run's folder or its {RECORDING_NAME}"
+                f"{self.path}: no such file, expected a run's folder or its {RECORDING_NAME}"
             ) from None
         except OSError as error:
-            raise InputError(f"{self.path}: {error.strerror}, accepted is an MCAP file") from None
-        self.damage: dict[int, Damage] = {}
+            raise InputError(f"{self.path}: {error.strerror}, expected an MCAP file") from None
+        self.damage: dict[int, str] = {}
         self._skip_damaged = skip_damaged
         self._position = 0
+        self._first_cycles: dict[ChunkPlace, int | None] = {}
         try:
             self.outline = self._read_outline()
             self.metadata = {entry.name: entry.metadata for entry in self.outline.metadata}
@@ -171,22 +136,18 @@ class RunReader:
         nodes: str | Collection[str] = (),
         start: Moment | None = None,
         end: Moment | None = None,
-        by_time: bool = True,
     ) -> Iterator[Delivery]:
-        """Yield messages, each with its port.
+        """Yield messages with their ports, in the order in which they were recorded.
 
         Parameters
         ----------
         signals
             Which, or their names; none given: all.
         nodes
-            About which nodes, for instance `c1/inv07`, `c1` or `central`; none given: about all.
+            About which nodes, see `find_nodes`; none given: about all.
         start, end
             The first and the last cycle: local time (`13:49:00`), time since the start (`90s`) or
             number. Cycles outside of them are not read.
-        by_time
-            Whether in the order of their log time. Otherwise as they stand in the file, which for
-            a recording that was written here is the same.
 
         Raises
         ------
@@ -195,7 +156,7 @@ class RunReader:
         """
         ports = self.ports(*signals, nodes=nodes)
         cycles = None if start is None and end is None else self.clock.span(start, end)
-        return self.on(ports, cycles, by_time=by_time)
+        return self.on(ports, cycles)
 
     def ports(
         self, *signals: Signal[Message] | str, nodes: str | Collection[str] = ()
@@ -210,53 +171,22 @@ class RunReader:
         )
 
     def on(
-        self, ports: Collection[Port[Message]], cycles: range | None = None, *, by_time: bool = True
+        self, ports: Collection[Port[Message]], cycles: range | None = None
     ) -> Iterator[Delivery]:
-        """Yield the messages on some ports, of some cycles (in steps of 1) or of all.
-
-        Raises
-        ------
-        InputError
-            The file is damaged where it is read.
-        """
+        """Yield the messages on some ports, of some cycles (in steps of 1) or of all."""
         port_of = self._channels_of(ports)
-        for channel, _, log_time_ns, _, payload in self._raw(port_of, cycles, by_time):
+        for channel, sequence, _, _, payload in self._raw(port_of, cycles):
             port = port_of[channel]
-            try:
-                message = decode(port.signal, payload)
-            except msgspec.DecodeError as error:
-                raise InputError(
-                    f"{self.path}: {port} at log time {log_time_ns}: {error}, accepted is a "
-                    f"{port.signal.type.__name__}"
-                ) from None
+            message = _decoded(port, sequence, payload)
             if cycles is None or cycles.start <= message.cycle < cycles.stop:
                 yield port, message
 
     def records(
-        self,
-        ports: Collection[Port[Message]] | None = None,
-        cycles: range | None = None,
-        *,
-        by_time: bool = True,
+        self, ports: Collection[Port[Message]] | None = None, cycles: range | None = None
     ) -> Iterator[RecordedMessage]:
-        """Yield messages as they stand in the file, not decoded but for their cycle.
-
-        Parameters
-        ----------
-        ports
-            Of which ports; None: of all.
-        cycles
-            Of which cycles (in steps of 1); None: of all.
-        by_time
-            See `messages`.
-
-        Raises
-        ------
-        InputError
-            The file is damaged where it is read.
-        """
+        """Yield messages as they are in the file; only their cycle is decoded."""
         port_of = self._channels_of(self.ports() if ports is None else ports)
-        for raw in self._raw(port_of, cycles, by_time):
+        for raw in self._raw(port_of, cycles):
             channel, sequence, log_time_ns, publish_time_ns, payload = raw
             try:
                 cycle = _head(payload).cycle
@@ -293,7 +223,7 @@ class RunReader:
         InputError
             See `messages`.
         """
-        from recordings.read.frames import message_frame  # noqa: PLC0415 - pandas takes its time
+        from recordings.read.frames import message_frame  # noqa: PLC0415 - pandas loads slowly
 
         (found,) = find_signals([signal])
         deliveries = self.messages(found, nodes=nodes, start=start, end=end)
@@ -307,7 +237,7 @@ class RunReader:
     @cached_property
     def last_cycle(self) -> int:
         """The last cycle of which there is a message, -1 if there is none."""
-        # The plant's word that the run is over names the cycle after the last one.
+        # The plant's message that the run is over carries the cycle after the last one.
         ports = {port for port in self.ports() if port.signal.name != "run"}
         port_of = self._channels_of(ports)
         for place in reversed(self.outline.chunks):
@@ -320,7 +250,7 @@ class RunReader:
     def stop_cycle(self) -> int | None:
         """The cycle before which the plant ended the run; None: the recording does not tell."""
         cycles = range(max(self.last_cycle, 0), _ENDLESS)
-        for record in self.records([RUN.of(ROOT)], cycles, by_time=False):
+        for record in self.records([RUN.of(ROOT)], cycles):
             if decode(RUN, record.payload).state == "stop":
                 return record.cycle
         return None
@@ -359,40 +289,22 @@ class RunReader:
         return found
 
     def _raw(
-        self, channels: Mapping[int, Port[Message]], cycles: range | None, by_time: bool
+        self, channels: Mapping[int, Port[Message]], cycles: range | None
     ) -> Iterator[RawMessage]:
         """Yield the messages of the chunks that can hold some cycles."""
-        for group in self._groups(cycles, by_time):
-            if cycles is not None and self._begins_after(group[0], cycles.stop + self._slack):
-                return
-            found = [raw for place in group for raw in self._messages_of(place, channels)]
-            if by_time:
-                found.sort(key=lambda raw: raw[2])
-            yield from found
-
-    def _groups(self, cycles: range | None, by_time: bool) -> Iterator[list[ChunkPlace]]:
-        """Yield the chunks from some cycle on, those together that overlap in time."""
         begin = 0 if cycles is None else self._search(cycles.start)
-        chunks = self.outline.chunks[begin:]
-        if not by_time:
-            yield from ([place] for place in chunks)
-            return
-        group: list[ChunkPlace] = []
-        last_ns = 0
-        for place in sorted(chunks, key=lambda place: place.first_ns):
-            if group and place.first_ns > last_ns:
-                yield group
-                group = []
-            group.append(place)
-            last_ns = max(last_ns, place.last_ns)
-        if group:
-            yield group
+        for place in self.outline.chunks[begin:]:
+            if cycles is not None:
+                first = self._first_cycle(place)
+                if first is not None and first >= cycles.stop + self._slack:
+                    return
+            yield from self._messages_of(place, channels)
 
     def _search(self, cycle: int) -> int:
-        """Return the place of a chunk before which no message of a cycle stands.
+        """Return the number of a chunk before which there is no message of a cycle.
 
-        Messages stand nearly in the order of their cycles: none further behind the front than the
-        slack. So where a chunk begins that much before the cycle, the cycle has not begun.
+        Messages are nearly in the order of their cycles, at most `_slack` cycles behind. So where
+        a chunk begins more than that before the cycle, the cycle has not begun.
         """
         low, high = 0, len(self.outline.chunks)
         while high - low > 1:
@@ -404,17 +316,13 @@ class RunReader:
                 high = middle
         return low
 
-    def _begins_after(self, place: ChunkPlace, cycle: int) -> bool:
-        first = self._first_cycle(place)
-        return first is not None and first >= cycle
-
     def _first_cycle(self, place: ChunkPlace) -> int | None:
         """Return the cycle of a chunk's first message; None: nothing can be read of it."""
         if place not in self._first_cycles:
             try:
                 records = unpack_chunk(self.file, place)
             except DamagedChunkError:
-                records = b""  # It is no error before somebody wants to read it.
+                records = b""  # An error only for whoever reads its messages.
             raw = next(messages_in(records, self._all_channels), None)
             self._first_cycles[place] = None if raw is None else self._cycle_of(raw)
         return self._first_cycles[place]
@@ -428,13 +336,8 @@ class RunReader:
     def _without_cycle(self, raw: RawMessage, error: msgspec.DecodeError) -> InputError:
         topic = self.outline.channels[raw[0]].topic
         return InputError(
-            f"{self.path}: {topic} at log time {raw[2]}: {error}, accepted is a message with its "
-            "cycle"
+            f"{self.path}: {topic} at log time {raw[2]}: {error}, expected a message with its cycle"
         )
-
-    @cached_property
-    def _first_cycles(self) -> dict[ChunkPlace, int | None]:
-        return {}
 
     @cached_property
     def _all_channels(self) -> dict[int, Port[Message]]:
@@ -442,7 +345,7 @@ class RunReader:
 
     @cached_property
     def _slack(self) -> int:
-        """How many cycles behind the front of the run a message can stand in the file."""
+        """How many cycles behind the newest one a message can be in the file."""
         if self.metadata["run"].get("driver") == "simulate":
             return self.plan.periods.longest + 1
         if self.plan.lockstep:
@@ -457,7 +360,7 @@ class RunReader:
             records = unpack_chunk(self.file, place)
         except DamagedChunkError as error:
             if self._skip_damaged:
-                self.damage[place.offset] = Damage(place.offset, str(error))
+                self.damage[place.offset] = str(error)
                 return iter(())
             raise InputError(
                 f"{self.path}: chunk at byte {place.offset:,}: {error}; `heliarch recover` keeps "
@@ -473,7 +376,7 @@ class RunReader:
                 raise NothingRecordedError(f"{self.path}: {_NOTHING}, it is empty") from None
             raise InputError(f"{self.path}: not an MCAP file, {error}") from None
         except OSError as error:
-            raise InputError(f"{self.path}: {error.strerror}, accepted is an MCAP file") from None
+            raise InputError(f"{self.path}: {error.strerror}, expected an MCAP file") from None
 
     def _check_version(self) -> None:
         found = self.metadata.get("run", {}).get("schema_version")

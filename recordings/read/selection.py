@@ -9,74 +9,90 @@ from typing import Final
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS, Signal
-from bus_schemas.tree import CENTRAL, ROOT, ControlTree, agent_name
+from bus_schemas.tree import CENTRAL, PLANT, ROOT, ControlTree, agent_name
 
 _NEAR: Final = 4
-"""How many near names are listed."""
+"""How many similar names are listed."""
 
 _LISTED: Final = 12
-"""Up to so many names are listed where none is near."""
+"""Up to so many names are listed where none is similar."""
 
 _SUBTREE: Final = "/*"
 
 
-def find_signals(names: Iterable[Signal[Message] | str]) -> tuple[Signal[Message], ...]:
-    """Return the signals of these names, those that are recorded.
-
-    Raises
-    ------
-    InputError
-        There is no such signal, or it is never recorded.
-    """
+def find_signals(names: str | Iterable[Signal[Message] | str]) -> tuple[Signal[Message], ...]:
+    """Return the recorded signals of these names, or of one text with commas between them."""
     recorded = {signal.name: signal for signal in SIGNALS if signal.logged}
     found = []
-    for name in names:
+    for name in _words(names) if isinstance(names, str) else names:
         text = name if isinstance(name, str) else name.name
         if text not in recorded:
-            raise InputError(f"signal {text!r}: not in a recording, {_near(text, recorded)}")
+            raise InputError(f"signal {text!r}: not in a recording, {_expected(text, recorded)}")
         found.append(recorded[text])
     return tuple(found)
 
 
 def find_nodes(tree: ControlTree, names: str | Iterable[str]) -> tuple[str, ...]:
-    """Return the paths of these nodes; the central controller goes by its name too.
+    """Return the paths of some nodes: the one grammar of `--nodes`.
 
-    `c1/*` is `c1` and all below it, as for `heliarch verify`.
+    Parameters
+    ----------
+    tree
+        The control tree.
+    names
+        `c2/inv07`, `c1`, `central`, or `c1/*`: a node and all below it. One text may hold several
+        with commas between them.
 
     Raises
     ------
     InputError
         The control tree has no such node.
     """
-    found: list[str] = []
-    for name in [names] if isinstance(names, str) else names:
-        path = find_node(tree, name.removesuffix(_SUBTREE))
-        below = f"{path}/" if path != ROOT else ""
-        found.append(path)
-        if name.endswith(_SUBTREE):
-            found += [node for node in tree.nodes if node != path and node.startswith(below)]
-    return tuple(dict.fromkeys(found))
+    return tuple(ROOT if agent == CENTRAL else agent for agent in _agents(tree, names, ()))
+
+
+def find_agents(tree: ControlTree, names: str | Iterable[str]) -> tuple[str, ...]:
+    """Return the names of some agents: those of `find_nodes`, and `plant`."""
+    return _agents(tree, names, (PLANT,))
 
 
 def find_node(tree: ControlTree, name: str) -> str:
-    """Return the path of one node, see `find_nodes`.
-
-    Raises
-    ------
-    InputError
-        The control tree has no such node.
-    """
-    path = ROOT if name == CENTRAL else name
-    if path not in tree.nodes:
-        known = [agent_name(node) for node in tree.nodes]
-        raise InputError(f"node {name!r}: not in this run, {_near(name, known)}")
-    return path
+    """Return the path of one node."""
+    found = find_nodes(tree, name)
+    if len(found) != 1:
+        raise InputError(f"node {name!r}: expected one node, got {len(found)}")
+    return found[0]
 
 
-def _near(name: str, known: Iterable[str]) -> str:
+def _agents(
+    tree: ControlTree, names: str | Iterable[str], also: tuple[str, ...]
+) -> tuple[str, ...]:
+    team = (*also, *(agent_name(node) for node in tree.nodes))
+    if isinstance(names, str):
+        words = _words(names)
+    else:  # The path of the central controller is empty.
+        words = [word for name in names for word in _words(name) or [CENTRAL]]
+    found: list[str] = []
+    for name in words:
+        top = name.removesuffix(_SUBTREE)
+        if top not in team or (top != name and top in also):
+            raise InputError(f"node {name!r}: not in this run, {_expected(top, team)}")
+        found.append(top)
+        if top != name:
+            below = "" if top == CENTRAL else f"{top}/"
+            found += [agent_name(node) for node in tree.nodes if node.startswith(below)]
+    return tuple(dict.fromkeys(found))
+
+
+def _words(text: str) -> list[str]:
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def _expected(name: str, known: Iterable[str]) -> str:
     names = list(known)
     near = get_close_matches(name, names, n=_NEAR)
     if near:
-        return f"near are {', '.join(near)}"
+        return f"expected a known one, similar are {', '.join(near)}"
     rest = len(names) - _LISTED
-    return f"accepted are {', '.join(names[:_LISTED])}" + (f" and {rest} more" if rest > 0 else "")
+    more = f" and {rest} more" if rest > 0 else ""
+    return f"expected one of {', '.join(names[:_LISTED])}{more}"

@@ -1,12 +1,14 @@
-"""A run as arrays, one row a cycle: what metrics and figures are made from.
+"""A run as arrays, one row for each cycle: what metrics and figures are computed from.
 
-Wherever a run comes from (a recording, agents in memory, arrays), it becomes a `RunSeries`, so that
-one code computes its figures of merit.
+A recording, agents in memory and the array model all give a `RunSeries`, so there is one code for
+the figures of merit.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from array import array
+from collections.abc import Iterable
+from dataclasses import dataclass
 from math import nan
 from pathlib import Path
 from typing import Final
@@ -15,21 +17,20 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from agents.events import PlantPower
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Dispatch, Message, Production
 from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, RESIDUAL, Port, Signal
-from bus_schemas.tree import ROOT
 from recordings.read.reader import RunReader
 
 _OF_INVERTERS: Final[tuple[Signal[Message], ...]] = (IMPP, RESIDUAL, COMMAND)
-"""Signals that the series keeps of each inverter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunSeries:
     """T cycles of a plant of n inverters under one control scheme. All powers in kW.
+
+    A row stands for the cycle of its number. What no message says is NaN.
 
     Attributes
     ----------
@@ -55,10 +56,9 @@ class RunSeries:
     power_kw
         Power that each inverter delivered, shape (T, n).
     impp_kw
-        Maximum power that the controllers believed each inverter had when they decided, shape
-        (T, n). NaN where a scheme estimates none.
+        IMPP of each inverter, shape (T, n).
     residual_kw
-        IMPP less request, shape (T, n); NaN where a scheme has none.
+        IMPP less request, shape (T, n).
     alpha
         Curtailment level in [0, 1] that each inverter applied, shape (T, n).
     ramp_limit_percent_per_min
@@ -118,127 +118,110 @@ class RunSeries:
         return pd.date_range(first, periods=self.cycles, freq=pd.Timedelta(seconds=self.cycle_s))
 
 
-@dataclass(slots=True)
-class _History:
-    """What was said on one port: the cycle and the value of each message."""
+class _Values:
+    """The numbers of one port: of the first message of each cycle."""
 
-    cycle: list[int] = field(default_factory=list)
-    value: list[float] = field(default_factory=list)
+    def __init__(self) -> None:
+        self._cycles, self._values = array("q"), array("d")
+
+    def add(self, cycle: int, value: float) -> None:
+        self._cycles.append(cycle)
+        self._values.append(value)
+
+    def by_cycle(self, cycles: int) -> NDArray[np.float64]:
+        found = np.full(cycles, nan)
+        cycle, value = np.array(self._cycles), np.array(self._values)
+        kept = (cycle >= 0) & (cycle < cycles)
+        # Later entries overwrite earlier ones: backwards, so that the first message counts.
+        found[cycle[kept][::-1]] = value[kept][::-1]
+        return found
 
 
 class SeriesCollector:
-    """Turns the messages of a run, live or from a recording, into a `RunSeries`.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    """
+    """Turns the messages of a run, live or from a recording, into a `RunSeries`."""
 
     def __init__(self, plan: RunPlan) -> None:
         self._plan = plan
-        self._productions: list[Production] = []
-        self._dispatches: dict[int, Dispatch] = {}
+        leaves = plan.tree.leaves
         self._of_inverters = {
-            signal.of(leaf): _History() for signal in _OF_INVERTERS for leaf in plan.tree.leaves
+            signal.of(leaf): _Values() for signal in _OF_INVERTERS for leaf in leaves
         }
+        self._commitment_kw, self._regulation_kw = _Values(), _Values()
+        self._mpp_kw, self._power_kw = [_Values() for _ in leaves], [_Values() for _ in leaves]
+        self._cycles = 0
 
     def see(self, port: Port[Message], message: Message) -> None:
-        """Take in a message; others than those of the series do not matter."""
-        history = self._of_inverters.get(port)
-        if history is not None:
-            history.cycle.append(message.cycle)
-            history.value.append(message.alpha if port.signal is COMMAND else message.power_kw)  # type: ignore[attr-defined]
-        elif port.signal is PRODUCTION:
-            self._productions.append(message)  # type: ignore[arg-type]
+        """Take in a message; those that the series does not need are ignored."""
+        cycle = message.cycle
+        values = self._of_inverters.get(port)
+        if values is not None:
+            values.add(cycle, message.alpha if port.signal is COMMAND else message.power_kw)  # type: ignore[attr-defined]
         elif isinstance(message, Dispatch):
-            self._dispatches.setdefault(message.cycle, message)
+            self._commitment_kw.add(cycle, message.commitment_kw)
+            self._regulation_kw.add(cycle, message.regulation_kw)
+        elif isinstance(message, Production) and 0 <= cycle < self._plan.cycles:
+            self._cycles = max(self._cycles, cycle + 1)
+            powers = (
+                (self._mpp_kw, message.inverter_mpp_kw),
+                (
+                    self._power_kw,
+                    message.inverter_power_kw,
+                ),
+            )
+            for columns, row in powers:
+                # An external plant may list too few or too many inverters.
+                for column, value in zip(columns, row, strict=False):
+                    column.add(cycle, value)
 
     def series(self, label: str) -> RunSeries:
-        """Return the cycles that are complete so far.
-
-        Raises
-        ------
-        InputError
-            No cycle is complete.
-        """
-        cycles = len(self._productions)
+        """Return the cycles up to the last one that the plant completed."""
+        cycles = self._cycles
         if not cycles:
-            raise InputError("the run has no complete cycle, accepted is one with at least one")
+            raise InputError("expected a run with at least one complete cycle, got none")
         tree = self._plan.tree
-        dispatched = [message for cycle, message in self._dispatches.items() if 0 <= cycle < cycles]
-        return RunSeries(
+
+        def stacked(columns: Iterable[_Values]) -> NDArray[np.float64]:
+            return np.column_stack([column.by_cycle(cycles) for column in columns])
+
+        def of_inverters(signal: Signal[Message]) -> NDArray[np.float64]:
+            return stacked(self._of_inverters[signal.of(leaf)] for leaf in tree.leaves)
+
+        series = RunSeries(
             label=label,
             inverters=tree.leaves,
             rating_kw=np.array([tree.rating_kw(leaf) for leaf in tree.leaves]),
             timezone=self._plan.timezone,
             start_time_ns=self._plan.start_time_ns,
             cycle_s=self._plan.cycle_ns / 1e9,
-            commitment_kw=np.array([message.commitment_kw for message in dispatched]),
-            regulation_kw=np.array([message.regulation_kw for message in dispatched]),
+            commitment_kw=self._commitment_kw.by_cycle(cycles),
+            regulation_kw=self._regulation_kw.by_cycle(cycles),
             regulation_capacity_kw=self._plan.regulation_capacity_kw,
-            mpp_kw=np.array([message.inverter_mpp_kw for message in self._productions]),
-            power_kw=np.array([message.inverter_power_kw for message in self._productions]),
-            impp_kw=self._array(IMPP, cycles),
-            residual_kw=self._array(RESIDUAL, cycles),
-            alpha=self._array(COMMAND, cycles),
+            mpp_kw=stacked(self._mpp_kw),
+            power_kw=stacked(self._power_kw),
+            impp_kw=of_inverters(IMPP),
+            residual_kw=of_inverters(RESIDUAL),
+            alpha=of_inverters(COMMAND),
             ramp_limit_percent_per_min=self._plan.ramp_limit_percent_per_min,
         )
-
-    def _array(self, signal: Signal[Message], cycles: int) -> NDArray[np.float64]:
-        """Put what was said of each inverter into its cycle; NaN where nothing was."""
-        leaves = self._plan.tree.leaves
-        found = np.full((cycles, len(leaves)), nan)
-        for place, leaf in enumerate(leaves):
-            history = self._of_inverters[signal.of(leaf)]
-            cycle, value = np.array(history.cycle, dtype=np.int64), np.array(history.value)
-            kept = (cycle >= 0) & (cycle < cycles)
-            # An external agent may say several things in a cycle: the first one stands here.
-            found[cycle[kept][::-1], place] = value[kept][::-1]
-        return found
-
-
-def plant_series(plan: RunPlan, power: PlantPower) -> RunSeries:
-    """Return a run of which only the plant's power is known, as if it were one inverter."""
-    desired_kw, regulation_kw = np.array(power.desired_kw), np.array(power.regulation_kw)
-    unknown = np.full((len(desired_kw), 1), nan)
-    return RunSeries(
-        label=plan.run_id,
-        inverters=("plant",),
-        rating_kw=np.array([plan.tree.rating_kw(ROOT)]),
-        timezone=plan.timezone,
-        start_time_ns=plan.start_time_ns,
-        cycle_s=plan.cycle_ns / 1e9,
-        commitment_kw=desired_kw - regulation_kw,
-        regulation_kw=regulation_kw,
-        regulation_capacity_kw=plan.regulation_capacity_kw,
-        mpp_kw=np.array(power.possible_kw)[:, None],
-        power_kw=np.array(power.delivered_kw)[:, None],
-        impp_kw=unknown,
-        residual_kw=unknown,
-        alpha=unknown,
-        ramp_limit_percent_per_min=plan.ramp_limit_percent_per_min,
-    )
+        if not series.known.any():
+            raise InputError("expected a cycle with dispatch and production, got none")
+        return series
 
 
 def read_series(path: Path) -> RunSeries:
-    """Read a recording as a series.
+    """Read a recording as a series."""
+    return _read(path, DISPATCH, IMPP, RESIDUAL, COMMAND, PRODUCTION)
 
-    Parameters
-    ----------
-    path
-        The MCAP file, or the folder of a run.
 
-    Raises
-    ------
-    InputError
-        There is no such recording, or no cycle of it is complete.
-    """
+def read_plant_series(path: Path) -> RunSeries:
+    """Read what the figures of merit need of a recording: NaN stands for IMPP, residual, alpha."""
+    return _read(path, DISPATCH, PRODUCTION)
+
+
+def _read(path: Path, *signals: Signal[Message]) -> RunSeries:
     with RunReader(path) as reader:
         collector = SeriesCollector(reader.plan)
-        for port, message in reader.messages(
-            DISPATCH, IMPP, RESIDUAL, COMMAND, PRODUCTION, by_time=False
-        ):
+        for port, message in reader.messages(*signals):
             collector.see(port, message)
         try:
             return collector.series(reader.plan.run_id)

@@ -1,25 +1,23 @@
-"""A file of which nobody finds half."""
+"""Files that are there whole or not at all: they get their name when they are complete."""
 
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
+from bus_schemas.errors import InputError
+
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[BinaryIO]:
-    """Open a file to write to, under another name until it is complete.
+    """Open a file to write to, which replaces an older one when it is complete.
 
-    What is no plain file is written in place: a device, a pipe or a link must not be replaced.
+    A device, a pipe or a link is written in place: it must not be replaced by a plain file.
     `/dev/stdout` is a link, which leads to a file where standard output goes to one.
-
-    Raises
-    ------
-    OSError
-        It cannot be written. A plain file stays as it was.
     """
     try:
         with _written(path) as file:
@@ -34,10 +32,38 @@ def _written(path: Path) -> Iterator[BinaryIO]:
         with path.open("wb") as file:
             yield file
         return
-    beside = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
-    try:
+    with _beside(path) as beside:
         with beside.open("wb") as file:
             yield file
         beside.replace(path)
+
+
+def check_new(path: Path) -> None:
+    """Refuse a place where nothing new can be put."""
+    if path.exists() or path.is_symlink():
+        raise InputError(f"--out {path}: it exists already, expected a new name")
+    if not path.absolute().parent.is_dir():
+        raise InputError(f"--out {path}: expected a new name in an existing folder")
+
+
+@contextmanager
+def new_path(path: Path) -> Iterator[Path]:
+    """Give a name to write a new file or folder under; it gets `path` when it is complete."""
+    check_new(path)
+    with _beside(path) as beside:
+        yield beside
+        check_new(path)
+        beside.rename(path)
+
+
+@contextmanager
+def _beside(path: Path) -> Iterator[Path]:
+    """Give a temporary name in the same folder; what is left under it at the end is removed."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
+    try:
+        yield beside
     finally:
-        beside.unlink(missing_ok=True)
+        if beside.is_dir():
+            shutil.rmtree(beside)
+        else:
+            beside.unlink(missing_ok=True)

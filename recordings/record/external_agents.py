@@ -1,7 +1,4 @@
-"""What the recorder hears of external agents: nobody else can give an account of them.
-
-It is linked with everybody, so it sees whether they are there, and counts what they send.
-"""
+"""The recorder's account of external agents, which give none of themselves."""
 
 from __future__ import annotations
 
@@ -12,65 +9,50 @@ from agents.plan import RunPlan
 from bus_schemas.messages import Message
 from bus_schemas.signals import Occurrence, Port, ports
 from bus_schemas.tree import CENTRAL, ROOT, depth
+from recordings.read.gaps import SequenceGaps
 
 
 class ExternalAgents:
-    """The external agents of a run and their messages.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-
-    Attributes
-    ----------
-    heard
-        Their messages that belong into the recording.
-    """
+    """The external agents of a run and their messages."""
 
     def __init__(self, plan: RunPlan) -> None:
         self.heard = 0
         self._plan = plan
         self._agent_of = {plan.keys.alive_key(agent): agent for agent in plan.external}
         self._recorded: dict[str, Counter[str]] = {agent: Counter() for agent in plan.external}
-        self._lost: Counter[str] = Counter()
+        theirs = [port for port in ports(plan.tree) if port.publisher in plan.external]
+        self._gaps = {port: SequenceGaps() for port in theirs}
+        self._last_cycle = dict.fromkeys(theirs, -1)
         self._answers: Counter[Port[Message]] = Counter()
-        self._numbered: dict[Port[Message], tuple[int, int]] = {}  # Cycle, next number.
 
     def named(self, alive_key: str) -> str | None:
-        """Return which of them a liveliness token is of, if any."""
+        """Return whose liveliness token this is, if it is one of theirs."""
         return self._agent_of.get(alive_key)
 
-    def hear(self, port: Port[Message], message: Message, *, is_answer: bool) -> None:
-        """Count a message that is recorded, and those that its number shows to be missing before.
-
-        Of several messages in a cycle only the first is an answer. A lower number in a newer cycle
-        is that of a device which has begun anew.
-        """
-        agent = port.publisher
+    def hear(self, port: Port[Message], message: Message) -> bool:
+        """Count a message that is recorded; return whether it is the first of its cycle."""
         self.heard += 1
-        self._recorded[agent][port.signal.name] += 1
-        self._answers[port] += is_answer
-        newest, expected = self._numbered.get(port, (-1, 0))
-        if message.sequence < expected and message.cycle <= newest:
-            return
-        self._lost[agent] += max(message.sequence - expected, 0)
-        self._numbered[port] = max(message.cycle, newest), message.sequence + 1
+        self._recorded[port.publisher][port.signal.name] += 1
+        self._gaps[port].see(message.cycle, message.sequence)
+        is_first = message.cycle > self._last_cycle[port]
+        if is_first:
+            self._last_cycle[port] = message.cycle
+            self._answers[port] += 1
+        return is_first
 
     def accounts(self, cycles: int) -> tuple[ExternalAccount, ...]:
         """Return an account of each of them, after so many cycles."""
-        expected: Counter[str] = Counter()
-        answered: Counter[str] = Counter()
-        for port in ports(self._plan.tree):
-            if port.publisher in self._recorded:
-                due = self._due(port, cycles)
-                expected[port.publisher] += due
-                answered[port.publisher] += min(self._answers[port], due)
-        return tuple(
-            ExternalAccount(
-                agent, dict(recorded), self._lost[agent], expected[agent], answered[agent]
-            )
-            for agent, recorded in self._recorded.items()
+        return tuple(self._account(agent, cycles) for agent in self._recorded)
+
+    def _account(self, agent: str, cycles: int) -> ExternalAccount:
+        own = [port for port in self._gaps if port.publisher == agent]
+        due = {port: self._due(port, cycles) for port in own}
+        return ExternalAccount(
+            agent,
+            recorded=dict(self._recorded[agent]),
+            lost=sum(self._gaps[port].lost for port in own),
+            expected=sum(due.values()),
+            answered=sum(min(self._answers[port], due[port]) for port in own),
         )
 
     def _due(self, port: Port[Message], cycles: int) -> int:

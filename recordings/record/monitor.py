@@ -1,39 +1,31 @@
-"""Follows a run message by message: where it stands, and the plant's power so far."""
+"""Follows a run message by message: where it stands now, in bounded memory."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
-from agents.events import PlantPower, Status
-from bus_schemas.messages import Dispatch, Message, Production
+from agents.events import Status
+from bus_schemas.messages import Message, Production
 from bus_schemas.signals import HELP, Port
 
 
-@dataclass
 class RunMonitor:
-    """The run so far.
+    """The newest state of a run.
 
     Attributes
     ----------
-    plant
-        The plant's power, one entry for each complete cycle.
+    cycles
+        How many cycles the plant has completed.
     """
 
-    plant: PlantPower = field(default_factory=PlantPower)
-    _regulation_kw: dict[int, float] = field(default_factory=dict)
-    _last: Production | None = None
-    _needy: dict[str, int] = field(default_factory=dict)
+    def __init__(self) -> None:
+        self.cycles = 0
+        self._last: Production | None = None
+        self._needy: dict[str, int] = {}
 
     def see(self, port: Port[Message], message: Message) -> None:
         """Take in a message."""
         if isinstance(message, Production):
+            self.cycles += 1
             self._last = message
-            self.plant.desired_kw.append(message.desired_kw)
-            self.plant.regulation_kw.append(self._regulation_kw.pop(message.cycle, 0.0))
-            self.plant.possible_kw.append(message.possible_kw)
-            self.plant.delivered_kw.append(message.delivered_kw)
-        elif isinstance(message, Dispatch):
-            self._regulation_kw[message.cycle] = message.regulation_kw
         else:
             self.see_head(port, message.cycle)
 

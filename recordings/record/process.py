@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 from pathlib import Path
 
 from agents.drop_log import DropLog
-from agents.events import Joined
+from agents.events import Joined, RecordingEnded
 from agents.launcher_link import LauncherLink
 from agents.machine import stand_back
 from agents.plan import RunPlan
@@ -16,6 +17,8 @@ from bus_schemas.zenoh_bus import ZenohTap
 from recordings.read.run_file import RECORDING_NAME
 from recordings.record.recorder import Recorder, RecordingEnd
 from recordings.record.writer import RunWriter
+
+log = logging.getLogger(__name__)
 
 
 def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink, *, attached: bool) -> int:
@@ -28,7 +31,13 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink, *, attached: b
 
     def run() -> None:
         scenario = (folder / "scenario.toml").read_text(encoding="utf-8")
-        writer = RunWriter(folder / RECORDING_NAME, plan, scenario, driver="launch")
+
+        def on_end(text: str) -> None:
+            log.error("%s", text)
+            link.tell(RecordingEnded(text))
+
+        path = folder / RECORDING_NAME
+        writer = RunWriter(path, plan, scenario, driver="launch", on_end=on_end)
         with ZenohTap(RECORDER, plan.keys, session_settings(plan, RECORDER)) as tap:
             link.tell(Joined())
             if not plan.lockstep:

@@ -1,15 +1,12 @@
 """The recorder: hears everything on the bus of a run and writes it down. A process of its own.
 
-A full disk ends the recording, not the run: the recorder then goes on to hear, since publishers in
-lockstep wait for a listener who falls behind, and to say where the run stands.
-
-It knows best where the run stands, since it sees all of it, and tells the launcher; and in the
+If the disk is full it goes on to hear, because in lockstep publishers wait for a listener that
+falls behind. It sees the whole run, so it also tells the launcher where the run stands, and in the
 arming rounds it tells the plant that it hears everybody.
 """
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Collection
 from typing import Final
@@ -17,7 +14,7 @@ from typing import Final
 import msgspec
 from msgspec.structs import replace
 
-from agents.events import Armed, Over, Presence, Recorded, RecordingEnded
+from agents.events import Armed, Over, Presence, Recorded
 from agents.launcher_link import LauncherLink
 from agents.plan import RunPlan
 from bus_schemas.codec import decode
@@ -26,29 +23,26 @@ from bus_schemas.signals import DISPATCH, PRODUCTION, READY, RUN, Occurrence, Po
 from bus_schemas.tree import PLANT, RECORDER, ROOT
 from bus_schemas.zenoh_bus import ZenohTap
 from recordings.record.external_agents import ExternalAgents
-from recordings.record.lasting_writer import LastingWriter
 from recordings.record.message_complaints import ABSURD, REPEATED, Complaints
 from recordings.record.monitor import RunMonitor
-from recordings.record.plausibility import absurdities
+from recordings.record.plausibility import absurdity
 from recordings.record.writer import RunWriter
 
-log = logging.getLogger(__name__)
-
 FLUSH_S: Final = 0.5
-"""Time between flushes: as much as a crash can lose."""
+"""Time between flushes: the most that a crash can lose."""
 
 _NAP_S: Final = 0.005
 _STATUS_S: Final = 0.25
 _MOST_AT_ONCE: Final = 2000
 _QUIET_S: Final = 2.0
-"""How long nothing must have come before the recorder stops waiting for what it was told of."""
+"""How long nothing must come before the recorder stops waiting for announced messages."""
 
 _FAR_AHEAD: Final = 1000
 """A message this many cycles ahead of the dispatch is of a cycle that cannot be."""
 
 
 class Head(msgspec.Struct, gc=False):
-    """What the recorder must know of every message; the rest is written down unread."""
+    """What the recorder reads of every message; the rest is written down undecoded."""
 
     cycle: int
     source: str
@@ -78,31 +72,13 @@ class RecordingEnd:
         self.asked_at = self.asked_at or time.monotonic()
 
     def hear(self, word: str) -> None:
-        """Take in the launcher's word: `expect N` messages."""
+        """Take in what the launcher says: `expect N` messages."""
         self.expected = int(word.removeprefix("expect "))
         self.ask()
 
 
 class Recorder:
-    """Writes down a run.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    tap
-        The recorder's place on the bus.
-    writer
-        The file.
-    link
-        To the launcher.
-    end
-        Asked from outside.
-    on_wrong
-        Called with a line of text for each payload that is no message of the run.
-    attached
-        Whether a launcher says when to end. Otherwise the run's own stop does.
-    """
+    """Writes down a run."""
 
     def __init__(
         self,
@@ -118,17 +94,16 @@ class Recorder:
         self.complaints = Complaints(on_wrong, link.tell)
         self._plan = plan
         self._tap = tap
-        self._writer = LastingWriter(writer, self._tell_end)
+        self._writer = writer
         self._link = link
         self._end = end
         self._attached = attached
         self._external = ExternalAgents(plan)
         self._newest_cycle = -1
         self._stop_cycle: int | None = None
-        self._last_cycle: dict[Port[Message], int] = {}
         self._round = Round(plan)
         self._port_of = {plan.keys.key(port): port for port in plan.keys.ports}
-        # These are read, the others are only written down.
+        # These are decoded, the others are only written down.
         self._read = {
             port
             for port in plan.keys.ports
@@ -214,26 +189,24 @@ class Recorder:
     ) -> None:
         heard_ns = time.monotonic_ns()
         self._writer.add(port, head, payload, heard_ns)
-        is_first = head.cycle > self._last_cycle.get(port, -1)
-        self._last_cycle[port] = max(head.cycle, self._last_cycle.get(port, -1))
-        if message is not None:
-            self._follow(port, message, heard_ns, is_first=is_first)
-        else:
+        if message is None:
             self.monitor.see_head(port, head.cycle)
+        elif port.publisher not in self._plan.external or self._is_right(port, message, heard_ns):
+            self._follow(port, message)
 
-    def _follow(
-        self, port: Port[Message], message: Message, heard_ns: int, *, is_first: bool
-    ) -> None:
-        """Follow the run by the messages that say where it stands, and those of external agents."""
-        if port.publisher in self._plan.external:
-            self._external.hear(port, message, is_answer=is_first)
-            key = self._plan.keys.key(port)
-            if not is_first and port.signal.is_cyclic:
-                self.complaints.add(key, REPEATED, f"it came again for cycle {message.cycle}")
-                return
-            if absurd := absurdities(self._plan, port, message, heard_ns):
-                self.complaints.add(key, ABSURD, absurd)
-                return
+    def _is_right(self, port: Port[Message], message: Message, heard_ns: int) -> bool:
+        """Count a message of an external agent; complain if it came again or is absurd."""
+        is_first = self._external.hear(port, message)
+        key = self._plan.keys.key(port)
+        if not is_first and port.signal.is_cyclic:
+            self.complaints.add(key, REPEATED, f"it came again for cycle {message.cycle}")
+            return False
+        if absurd := absurdity(self._plan, port, message, heard_ns):
+            self.complaints.add(key, ABSURD, absurd)
+        return not absurd
+
+    def _follow(self, port: Port[Message], message: Message) -> None:
+        """Follow where the run stands."""
         if isinstance(message, Run):
             self._heed_run(message)
         elif port.signal is DISPATCH:
@@ -241,7 +214,7 @@ class Recorder:
         self.monitor.see(port, message)
 
     def _heed_run(self, message: Run) -> None:
-        """Follow the plant's word. What an external one says, the launcher hears from here."""
+        """Note the beginning or end of the run; tell the launcher if the plant is external."""
         if message.state == "stop":
             self._stop_cycle = message.cycle
             if not self._attached:
@@ -250,12 +223,8 @@ class Recorder:
             began = message.state == "start"
             self._link.tell(Armed(self._round.count) if began else Over(message.cycle))
 
-    def _tell_end(self, text: str) -> None:
-        log.error("%s", text)
-        self._link.tell(RecordingEnded(text))
-
     def _tell_presence(self) -> None:
-        """Say which external agents have come or gone. At the run's end all of them go."""
+        """Say which external agents have come or gone, until the run ends and all of them go."""
         for key, alive in self._tap.presence():
             agent = self._external.named(key)
             if agent is not None and self._stop_cycle is None:
@@ -273,7 +242,7 @@ class Recorder:
             Recorded(
                 recorded=dict(self._writer.recorded),
                 foreign=self.complaints.set_aside,
-                plant=self.monitor.plant,
+                cycles=self.monitor.cycles,
                 ended_early=self._writer.trouble,
                 external=self._external.accounts(cycles),
                 complaints=self.complaints.all(),
@@ -282,15 +251,7 @@ class Recorder:
 
 
 class Round:
-    """The arming round under way: which of the messages that always come have been heard.
-
-    Attributes
-    ----------
-    count
-        How many rounds have begun.
-    answered
-        Whether all of a round has been heard.
-    """
+    """The arming round under way: which of the messages that always come have been heard."""
 
     def __init__(self, plan: RunPlan) -> None:
         steady = {Occurrence.CYCLE, Occurrence.TURN}
@@ -302,10 +263,10 @@ class Round:
         self._last: dict[Port[Message], int] = {}
 
     def sees(self, port: Port[Message], cycle: int) -> bool:
-        """Take in a message of a round; return whether it was the last one that was missing.
+        """Take in a message of a round; return whether it completes the round.
 
-        Only the plant begins a round: what another one says of a later round is remembered, in case
-        it has overtaken the plant's messages.
+        Only the plant begins a round. A message of a later round is remembered, in case it has
+        overtaken the plant's messages.
         """
         if port.publisher == PLANT and (self._cycle is None or cycle > self._cycle):
             self._cycle = cycle
@@ -319,5 +280,5 @@ class Round:
         return not self._open
 
     def unheard(self, agents: Collection[str]) -> list[str]:
-        """Keys, without the plant's name, on which some agents have said nothing in this round."""
+        """Keys, without the plant's name, on which nothing of some agents came in this round."""
         return sorted(str(port) for port in self._open if port.publisher in agents)

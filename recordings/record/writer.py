@@ -1,7 +1,7 @@
 """Writes a run as an MCAP file: each message as it was on the wire, with its schema.
 
-Log and publish times are nanoseconds of the wall clock, derived from the host's monotonic clock
-by one pair of readings that the file's metadata keeps. So they never jump with the wall clock.
+Log and publish times are nanoseconds of the wall clock. They are derived from the host's monotonic
+clock by one pair of readings, which the metadata keeps, so they never jump with the wall clock.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import os
 import platform
 import time
 from collections import Counter
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -19,15 +20,17 @@ from typing import Final, Protocol
 from mcap.writer import CompressionType, Writer
 
 from agents.plan import RunPlan
+from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port, ports
+from recordings.read.reader import RunReader
 from recordings.read.run_file import SCHEMA_VERSION, channels, schemas
 
 _VERSIONED: Final = ("heliarch", "eclipse-zenoh", "msgspec", "mcap", "numpy", "pvlib")
 
 
 def _machine() -> dict[str, str]:
-    """Return what the timing of a run depends on."""
+    """Return the host that the timing of a run depends on."""
     return {
         "host": platform.node(),
         "kernel": platform.release(),
@@ -47,6 +50,17 @@ class ClockAnchor:
         """Read both clocks."""
         return cls(time.monotonic_ns(), time.time_ns())
 
+    @classmethod
+    def of(cls, metadata: Mapping[str, Mapping[str, str]]) -> ClockAnchor:
+        """Return the one that a recording keeps in its metadata; InputError if it has none."""
+        found = metadata.get("clock_anchor", {})
+        try:
+            return cls(int(found["monotonic_ns"]), int(found["wall_ns"]))
+        except (KeyError, ValueError):
+            raise InputError(
+                f"metadata clock_anchor: expected monotonic_ns and wall_ns, got {dict(found)}"
+            ) from None
+
     def wall(self, monotonic_ns: int) -> int:
         """Wall time of a monotonic time."""
         return monotonic_ns - self.monotonic_ns + self.wall_ns
@@ -63,6 +77,9 @@ class Numbered(Protocol):
 class RunWriter:
     """A recording that is being written.
 
+    A full disk ends the recording, not the run: later messages are counted and not kept. The file
+    then ends as if it had been cut; it can be read up to there, and `heliarch recover` repairs it.
+
     Parameters
     ----------
     path
@@ -74,8 +91,11 @@ class RunWriter:
     driver
         `launch` or `simulate`.
     anchor
-        What the messages' clock has to do with the wall clock. Default: it is this host's
-        monotonic clock.
+        How the messages' clock relates to the wall clock. Default: it is this host's monotonic
+        clock.
+    on_end
+        Called once, with a line of text, when the recording has to end early. None: the error is
+        raised instead.
 
     Raises
     ------
@@ -86,8 +106,12 @@ class RunWriter:
     ----------
     path
         The file.
+    heard
+        Messages that should have been written.
     recorded
-        Messages that were added, by signal.
+        Messages in the file, by signal. If the recording ended early, `close` counts them there.
+    trouble
+        Why the recording ended early; empty otherwise.
     """
 
     def __init__(
@@ -97,9 +121,14 @@ class RunWriter:
         scenario: str,
         driver: str,
         anchor: ClockAnchor | None = None,
+        on_end: Callable[[str], None] | None = None,
     ) -> None:
         self.path = path
+        self.heard = 0
         self.recorded: Counter[str] = Counter()
+        self.trouble = ""
+        self._on_end = on_end
+        self._cycle = 0
         self._anchor = anchor or ClockAnchor.now()
         self._file = path.open("xb")
         self._writer = Writer(self._file, compression=CompressionType.LZ4)
@@ -108,37 +137,55 @@ class RunWriter:
         self._channels = self._register(plan)
 
     def add(self, port: Port[Message], head: Numbered, payload: bytes, logged_ns: int) -> None:
-        """Write one message.
-
-        Parameters
-        ----------
-        port, head, payload
-            Its port, its publish time and number, and itself as it was on the wire.
-        logged_ns
-            Monotonic time at which it was received.
-        """
-        self._writer.add_message(
-            channel_id=self._channels[port],
-            log_time=self._anchor.wall(logged_ns),
-            publish_time=self._anchor.wall(head.publish_time_ns),
-            sequence=head.sequence,
-            data=payload,
-        )
-        self.recorded[port.signal.name] += 1
+        """Write one message."""
+        self.heard += 1
+        self._cycle = head.cycle
+        if self.trouble:
+            return
+        try:
+            self._writer.add_message(
+                channel_id=self._channels[port],
+                log_time=self._anchor.wall(logged_ns),
+                publish_time=self._anchor.wall(head.publish_time_ns),
+                sequence=head.sequence,
+                data=payload,
+            )
+        except OSError as error:
+            self._end(error)
+        else:
+            self.recorded[port.signal.name] += 1
 
     def flush(self) -> None:
         """Hand all that was added to the operating system, so that a crash does not lose it."""
-        self._writer.flush()
+        if not self.trouble:
+            try:
+                self._writer.flush()
+            except OSError as error:
+                self._end(error)
 
     def close(self) -> None:
         """Write the index and close the file."""
-        self._writer.finish()
-        self._file.close()
+        if not self.trouble:
+            try:
+                self._writer.finish()
+                self._file.close()
+            except OSError as error:
+                self._end(error)
+        if self.trouble:
+            self.recorded = _count(self.path)
 
     def abandon(self) -> None:
         """Close a file that cannot be written any more, as it is."""
         with suppress(OSError):  # It tries once more to write what it could not write before.
             self._file.close()
+
+    def _end(self, error: OSError) -> None:
+        self.abandon()
+        if self._on_end is None:
+            raise error
+        cycle, reason = self._cycle, error.strerror
+        self.trouble = f"the recording ended in cycle {cycle:,}: {self.path}: {reason}"
+        self._on_end(self.trouble)
 
     def _write_origin(self, plan: RunPlan, scenario: str, driver: str) -> None:
         now_ns = self._anchor.wall_ns
@@ -167,7 +214,7 @@ class RunWriter:
         )
 
     def _register(self, plan: RunPlan) -> dict[Port[Message], int]:
-        # The file gives them the same numbers, so a reader can do without what stands in it.
+        # The file gives them the same numbers: a reader can do without its first chunk.
         for schema in schemas():
             self._writer.register_schema(schema.name, schema.encoding, schema.data)
         for channel in channels(plan):
@@ -176,3 +223,12 @@ class RunWriter:
             )
         logged = (port for port in ports(plan.tree) if port.signal.logged)
         return {port: number for number, port in enumerate(logged, start=1)}
+
+
+def _count(path: Path) -> Counter[str]:
+    """Count the messages in a recording, by signal; none if it cannot be read."""
+    try:
+        with RunReader(path) as run:
+            return Counter(record.port.signal.name for record in run.records())
+    except InputError:
+        return Counter()

@@ -31,7 +31,7 @@ def in_publish_order(
     """
     margin = reader.plan.periods.longest + _LATE_CYCLES
     beyond = _ENDLESS if before_cycle is None else before_cycle + margin
-    records = reader.records(ports, range(first_cycle, beyond + 1), by_time=False)
+    records = reader.records(ports, range(first_cycle, beyond + 1))
     return _sorted(_until(records, before_cycle or _ENDLESS, beyond))
 
 

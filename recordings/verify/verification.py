@@ -15,7 +15,7 @@ from agents.team import controller
 from bus_schemas.errors import InputError
 from bus_schemas.tree import PLANT, agent_name
 from recordings.read.reader import RunReader
-from recordings.read.selection import find_nodes
+from recordings.read.selection import find_agents
 from recordings.verify.comparison import Comparison
 from recordings.verify.findings import Difference, Findings
 from recordings.verify.recorded_cycles import RecentMessages, RecordedCycles
@@ -96,7 +96,7 @@ def verify(
     with RunReader(run) as reader:
         plan, stop_cycle = reader.plan, reader.stop_cycle
         team, left_out = _team(plan, nodes, reader.path)
-        recorded = RecordedCycles(reader.messages(by_time=False), plan, stop_cycle)
+        recorded = RecordedCycles(reader.messages(), plan, stop_cycle)
         recent = RecentMessages(plan)
         reruns = [AgentRerun(name, make, plan, recent, comparison) for name, make in team.items()]
         cycles = 0
@@ -129,13 +129,7 @@ def select_agents(plan: RunPlan, nodes: Sequence[str]) -> tuple[str, ...]:
     A node is `plant`, `central`, or a path such as `c1/inv07`; `c2/*` is `c2` and all below it.
     """
     team = (PLANT, *(agent_name(path) for path in plan.tree.nodes))
-    if not nodes:
-        return team
-    try:
-        paths = find_nodes(plan.tree, [node for node in nodes if node != PLANT])
-    except InputError as error:
-        raise InputError(f"--nodes: {error}") from None
-    chosen = {agent_name(path) for path in paths} | {PLANT}.intersection(nodes)
+    chosen = find_agents(plan.tree, nodes) or team
     return tuple(name for name in team if name in chosen)
 
 

@@ -1,13 +1,11 @@
-"""Figures of merit of a run. `run_metrics` works all of them out; each part has its own file."""
+"""Figures of merit of a run. `run_metrics` computes all of them; docs/metrics.md defines them."""
 
-from studies.metrics.commitment import CommitmentMetrics, commitment_metrics
-from studies.metrics.headroom import HeadroomMetrics
-from studies.metrics.mileage import SupportMileage
+from studies.metrics.commitment import CommitmentMetrics, HeadroomMetrics, commitment_metrics
 from studies.metrics.performance import HourScore, PerformanceScore
 from studies.metrics.ramps import RampMetrics
 from studies.metrics.regulation import RegulationMetrics, RequestsFulfilled
 from studies.metrics.run import RunMetrics, run_metrics
-from studies.metrics.tracking import TrackingError
+from studies.metrics.tracking import SupportMileage, TrackingError
 
 __all__ = [
     "CommitmentMetrics",

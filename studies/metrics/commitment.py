@@ -1,7 +1,7 @@
-"""How well a plant kept its commitment, and who is to blame for what it missed.
+"""How well a plant kept its commitment, why it fell short, and what power was left.
 
-Symbols: desired P_d, possible P_MPP (sum of the inverters' true maxima), delivered P, all in kW;
-dt, the length of a cycle in hours.
+Symbols: desired P_d, possible P_MPP (sum of the inverters' true maximum powers), delivered P,
+commitment P_c (desired power without regulation), all in kW; dt, the length of a cycle in hours.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,14 +18,10 @@ class CommitmentMetrics:
 
     Attributes
     ----------
-    desired_kwh
-        sum P_d dt.
-    possible_kwh
-        sum P_MPP dt.
-    delivered_kwh
-        sum P dt.
+    desired_kwh, possible_kwh, delivered_kwh
+        sum P_d dt, sum P_MPP dt, sum P dt.
     unsatisfied_kwh
-        sum max(0, P_d - P) dt: the energy that support from elsewhere would have had to give.
+        Shortfall, sum max(0, P_d - P) dt: the energy that support from elsewhere had to give.
     unavoidable_kwh
         sum max(0, P_d - P_MPP) dt: the part of it that no controller could have met.
     control_caused_kwh
@@ -54,28 +50,18 @@ class CommitmentMetrics:
 
 
 def commitment_metrics(
-    desired_kw: ArrayLike,
-    possible_kw: ArrayLike,
-    delivered_kw: ArrayLike,
-    cycle_s: float,
+    desired_kw: ArrayLike, possible_kw: ArrayLike, delivered_kw: ArrayLike, cycle_s: float
 ) -> CommitmentMetrics:
-    """Work out how well a plant kept its commitment.
+    """Compute how well a plant kept its commitment.
 
     Parameters
     ----------
     desired_kw, possible_kw, delivered_kw
-        The plant cycle by cycle, shape (cycles,).
+        The plant cycle by cycle, shape (T,).
     cycle_s
         Length of a cycle [s].
-
-    Raises
-    ------
-    ValueError
-        The series differ in length.
     """
     desired, possible, delivered = map(np.asarray, (desired_kw, possible_kw, delivered_kw))
-    if not len(desired) == len(possible) == len(delivered):
-        raise ValueError("desired, possible and delivered power differ in length")
     hours = cycle_s / 3600.0
     unsatisfied = np.maximum(desired - delivered, 0.0)
     unavoidable = np.maximum(desired - possible, 0.0)
@@ -87,4 +73,38 @@ def commitment_metrics(
         unavoidable_kwh=float(unavoidable.sum()) * hours,
         control_caused_kwh=float((unsatisfied - unavoidable).sum()) * hours,
         over_delivered_kwh=float(np.maximum(delivered - desired, 0.0).sum()) * hours,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class HeadroomMetrics:
+    """What was left of the possible power.
+
+    Attributes
+    ----------
+    headroom_kwh, mean_headroom_kw
+        Headroom kept, sum max(0, P_MPP - P) dt, and its mean over the run.
+    ancillary_potential_kwh
+        sum max(0, P_MPP - P_c) dt: energy that regulation could have used. docs/metrics.md has
+        what the paper leaves open here.
+    """
+
+    headroom_kwh: float
+    mean_headroom_kw: float
+    ancillary_potential_kwh: float
+
+
+def headroom_metrics(
+    commitment_kw: NDArray[np.float64],
+    possible_kw: NDArray[np.float64],
+    delivered_kw: NDArray[np.float64],
+    cycle_s: float,
+) -> HeadroomMetrics:
+    """Compute the headroom of a run: arrays of shape (T,), T at least 1; a cycle's length [s]."""
+    hours = cycle_s / 3600.0
+    headroom_kw = np.maximum(possible_kw - delivered_kw, 0.0)
+    return HeadroomMetrics(
+        headroom_kwh=float(headroom_kw.sum()) * hours,
+        mean_headroom_kw=float(headroom_kw.mean()),
+        ancillary_potential_kwh=float(np.maximum(possible_kw - commitment_kw, 0.0).sum()) * hours,
     )

@@ -1,9 +1,8 @@
-"""How often inverters in need were helped by their own cluster, and how often central had to be.
+"""How often inverters in need got help inside their own cluster, and how often from above.
 
-An inverter is in need in a cycle if its residual (IMPP less request; paper, eq. 4) is negative. Its
-supervisor settles that among its own inverters as long as their residuals add up to no less than
-zero. If they add up to less, the supervisor asks its parent; what no parent below the central
-controller can settle reaches the central controller. So it all follows from the residuals.
+An inverter is in need if its residual (IMPP - request; paper, eq. 4) is negative. Its supervisor
+settles that while the residuals of its own inverters add up to zero or more. Otherwise it asks its
+parent, up to the central controller. So it all follows from the residuals.
 """
 
 from __future__ import annotations
@@ -40,20 +39,13 @@ class CallsForHelp:
 class HelpMetrics:
     """Where help was found. r(i, k) is the residual of inverter i in cycle k.
 
-    Counted in two ways, each for all cycles and for those in which the central controller could
-    help at all:
+    By the plant, cycle k is needy if r(i, k) < 0 for any inverter, and reaches the central
+    controller if the sum of r(i, k) over any cluster is below zero. By the cluster, the same is
+    counted for each cluster on its own and added up. A cluster is all that is below one child of
+    the central controller: what a tier in between has settled has not reached the top.
 
-    - By the plant: cycle k is needy if r(i, k) < 0 for any inverter i of the plant. It reaches the
-      central controller if sum of r(i, k) over i in C < 0 for at least one cluster C.
-    - By the cluster: cycle k of cluster C is needy if r(i, k) < 0 for any i in C. It reaches the
-      central controller if sum of r(i, k) over i in C < 0. Cycles of all clusters are added up.
-
-    The plant is sufficient in a cycle if sum of r(i, k) over all its inverters >= 0: by their own
-    estimates they have what is asked for. In all other cycles at least one cluster must lack,
-    however clusters are chosen, and the central controller has nothing to give.
-
-    A cluster is all that is below one child of the central controller. With more than three tiers
-    these are the largest ones: what a tier in between has settled has not reached the top.
+    The plant is sufficient in a cycle if the sum of r(i, k) over all inverters is not below zero.
+    In all other cycles some cluster must lack power, however clusters are chosen.
 
     Attributes
     ----------
@@ -62,7 +54,7 @@ class HelpMetrics:
     plant, clusters
         Counted by the plant and by the cluster, over all cycles.
     plant_sufficient, clusters_sufficient
-        The same over those cycles in which the plant is sufficient.
+        The same over the cycles in which the plant is sufficient.
     """
 
     cycles: int
@@ -89,14 +81,13 @@ def help_metrics(residual_kw: NDArray[np.float64], inverters: Sequence[str]) -> 
     """
     if residual_kw.ndim != 2 or residual_kw.shape[1] != len(inverters):
         raise ValueError(
-            f"residuals have the shape {residual_kw.shape}, accepted is a column for each of "
-            f"{len(inverters)} inverters"
+            f"residuals: expected shape (T, {len(inverters)}), got {residual_kw.shape}"
         )
     if not np.isfinite(residual_kw).all():
         row, column = np.argwhere(~np.isfinite(residual_kw))[0]
         raise ValueError(
-            f"residual of {inverters[column]} in cycle {row} is {residual_kw[row, column]}, "
-            "accepted is a finite number"
+            f"residual of {inverters[column]} in cycle {row}: expected a finite number, "
+            f"got {residual_kw[row, column]}"
         )
     needy, lacking = _by_cluster(residual_kw, inverters)
     plant_needy = np.logical_or.reduce(needy, axis=1)

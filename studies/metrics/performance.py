@@ -1,31 +1,15 @@
 """PJM's performance score of a regulating plant: accuracy, delay and precision, hour by hour.
 
 The rules are those of PJM Manual 12, section 4.5.6, as they stood when RegD was a product of its
-own (until 2025). The manual was not at hand. They are read from two public implementations that
-quote it: the regulation service of GMLC 1.4.2 (GitHub, GMLC-1-4-2/battery_interface) and
-`pjmScoringPassFailv5.m` of the University of Michigan's co-simulation testbed (2023). Where these
-differ or the manual leaves something open, the reading chosen here is marked READING.
+own (until 2025), read from two public implementations. docs/metrics.md names them, has all
+formulas, and says what was chosen where they differ.
 
-With signal S and response R in per unit of the capacity, both taken every 10 s, and a window w of
-30 samples (5 minutes of the clock):
-
-- For each shift d = 0, 10, ... 300 s, Corr(d) is Pearson's r of S over w and R over w shifted by d.
-- Delay(d) = 1 - d / 300 s. READING: for the 10 s that the manual grants the signal to travel,
-  Delay(10 s) = 1 as well.
-- d* is the shift at which Corr + Delay is greatest, the least such shift if there are several.
-  Accuracy(w) = Corr(d*), Delay(w) = Delay(d*).
-- A response that is constant at all shifts has no correlation: Accuracy(w) = Delay(w) = 0.
-- READING: where S is flat over w, its standard deviation below 0.01 (the manual names no number),
-  Accuracy(w) = 1 - |slope of S - slope of R| with the slopes of straight lines through w, per
-  sample, and Delay(w) = 1.
-- An hour's accuracy and delay are the means over its windows. Its precision is
-  1 - mean |R - S| / mean |S| over its samples. READING: over the hour as a whole, where one of the
-  implementations goes window by window.
-- Each is clipped to [0, 1], accuracy in each window; the hour's score is the mean of the three.
-  0.75 passes (qualification).
-
-READING: windows that are not wholly within the time offered are left out, and so are shifts that
-look beyond the end of the run. An hour may then have fewer than 12 windows.
+Signal S and response R are in per unit of the capacity, sampled every 10 s. A window is 30 samples,
+5 minutes of the clock. For each shift d = 0, 10, ... 300 s, Corr(d) is Pearson's r of S over the
+window and R over the shifted window, and Delay(d) = 1 - d / 300 s, but 1 at d = 10 s. Accuracy and
+delay of a window are Corr and Delay at the shift where their sum is greatest, the least such shift.
+A flat signal (standard deviation below 0.01) is scored by slopes instead. The precision of an hour
+is 1 - mean |R - S| / mean |S|.
 """
 
 from __future__ import annotations

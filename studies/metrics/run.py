@@ -5,15 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from recordings.read.series import RunSeries
-from studies.metrics.commitment import CommitmentMetrics, commitment_metrics
-from studies.metrics.headroom import HeadroomMetrics, headroom_metrics
-from studies.metrics.mileage import SupportMileage, support_mileage
+from studies.metrics.commitment import (
+    CommitmentMetrics,
+    HeadroomMetrics,
+    commitment_metrics,
+    headroom_metrics,
+)
 from studies.metrics.ramps import RampMetrics, ramp_metrics
 from studies.metrics.regulation import (
     RegulationMetrics,
     regulation_metrics,
 )
-from studies.metrics.tracking import TrackingError, tracking_error
+from studies.metrics.tracking import (
+    SupportMileage,
+    TrackingError,
+    support_mileage,
+    tracking_error,
+)
 
 
 @dataclass(frozen=True, slots=True)

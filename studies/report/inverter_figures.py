@@ -26,6 +26,7 @@ from studies.report.style import (
     name_px,
     plain,
     scheme_title,
+    share_axis,
     thinning_note,
     time_line,
 )
@@ -143,11 +144,12 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
         barmode="relative",
         bargap=0.25,
         hovermode="closest",
-        legend_y=1.0 + _TITLE_PX / plot_px,
-        margin_t=90,
+        legend_y=1.0 + (_TITLE_PX / plot_px if len(series) > 1 else 0.0),
+        margin_t=90 if len(series) > 1 else 46,
     )
     list_names(figure, len(names))
-    figure.update_xaxes(title_text="energy [kWh]", zeroline=True, matches="x")
+    figure.update_xaxes(title_text="energy [kWh]", zeroline=True)
+    share_axis(figure, "x")
     return ReportFigure(
         "help-energy",
         "Energy above and below the share, inverter by inverter",

@@ -20,7 +20,7 @@ from studies.report.style import (
     label_time_axis,
     plain,
     scheme_line,
-    share_vertical_axis,
+    share_axis,
     thinning_note,
     time_line,
 )
@@ -88,16 +88,17 @@ def delivered_and_support(series: Sequence[RunSeries]) -> ReportFigure:
         cols=1,
         shared_xaxes=True,
         vertical_spacing=0.18 / len(series),
-        subplot_titles=[plain(one.label) for one in series],
+        subplot_titles=[plain(one.label) if len(series) > 1 else "" for one in series],
     )
     for position, one in enumerate(series):
         for trace in _panel(one, _delivered(one, series), position):
             figure.add_trace(trace, row=position + 1, col=1)
     dress(figure, 110 + _PANEL_PX * len(series))
     figure.update_yaxes(title_text="power [kW]", range=_common_range_kw(series))
-    share_vertical_axis(figure)
+    share_axis(figure, "y")
     # Above the title of the first panel.
-    figure.update_layout(legend_y=1.0 + 24.0 / (_PANEL_PX * len(series)), margin_t=70)
+    if len(series) > 1:
+        figure.update_layout(legend_y=1.0 + 24.0 / (_PANEL_PX * len(series)), margin_t=70)
     label_time_axis(figure, series[0], rows=len(series))
     needed = "; ".join(
         f"{one.label} {np.nansum(one.support_kw) * one.cycle_s / 3600.0:,.1f} kWh" for one in series

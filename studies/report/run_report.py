@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,9 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from agents.plan import RunPlan
 from bus_schemas.errors import InputError
+from bus_schemas.tree import parent_of
 from recordings.read.series import RunSeries
 from recordings.read.whole_file import whole_file
 from studies.report.cloud_passage import clusters
@@ -22,13 +25,15 @@ from studies.report.style import ReportFigure
 from studies.report.tracking_figures import regulation, tracking_error
 from studies.tables import Table
 
+_MOST_SIZES: Final = 6
+"""Clusters whose sizes the first line lists one by one."""
+
 _WHY_ABSENT: Final = {
-    "regulation": "No regulation was asked for.",
-    "residuals": "No scheme here has residuals, so there is no figure of them.",
-    "neighbours": "There is no figure of two virtual neighbours: of no pair that is the least "
-    "correlated of its cluster in an hour does one fall below its request while the other has "
-    "power to spare.",
-    "correlation": "There is no figure of correlations: the power of no inverter varies.",
+    "regulation": "No regulation was requested.",
+    "residuals": "No figure of residuals: no scheme here has any.",
+    "neighbours": "No figure of two virtual neighbours: among the least correlated pairs of each "
+    "cluster and hour, no inverter fell below its request while the other had headroom.",
+    "correlation": "No figure of correlations: the power of no inverter varies.",
 }
 
 
@@ -38,6 +43,8 @@ def write_report(
     series: Sequence[RunSeries],
     tables: Sequence[Table] = (),
     notes: Sequence[str] = (),
+    *,
+    lead: str = "",
 ) -> None:
     """Write a report as one HTML file, which opens without a network.
 
@@ -53,6 +60,8 @@ def write_report(
         Tables to stand before the figures.
     notes
         Paragraphs after the first one, plain text.
+    lead
+        First line of the page; `run_line` gives it for a run.
 
     Raises
     ------
@@ -62,7 +71,7 @@ def write_report(
     check_destination(path)
     check_comparable(series)
     figures = report_figures(series)
-    text = [introduction(series), *notes, *_absent(figures)]
+    text = [lead or _plant_line(series), *_cycle_lines(series), *notes, *_absent(figures)]
     write_whole(path, html_page(title, text, [*tables, *figures]))
 
 
@@ -75,7 +84,7 @@ def check_destination(path: Path) -> None:
         It is a folder, or it lies in none.
     """
     if path.is_dir() or not path.parent.is_dir():
-        raise InputError(f"report {path}: accepted is a file in an existing folder")
+        raise InputError(f"report {path}: expected a file in an existing folder")
 
 
 def check_comparable(series: Sequence[RunSeries]) -> None:
@@ -88,42 +97,79 @@ def check_comparable(series: Sequence[RunSeries]) -> None:
         in its inverters or in its cycles.
     """
     if not series:
-        raise InputError("report: no run is given, accepted is one or more")
+        raise InputError("report: expected one run or more, got none")
     first = series[0]
     labels = [one.label for one in series]
     for one in series:
         if one.cycles == 0:
-            raise InputError(f"report: {one.label} has no cycle, accepted is a run of one or more")
+            raise InputError(f"report: {one.label}: expected one cycle or more, got none")
         if labels.count(one.label) > 1:
-            raise InputError(f"report: two runs are called {one.label!r}, labels must differ")
+            raise InputError(f"report: expected labels that differ, got {one.label!r} twice")
         if one.inverters != first.inverters:
             raise InputError(
-                f"report: the inverters of {one.label} are not those of {first.label},"
-                " accepted are runs of the same plant"
+                f"report: {one.label}: expected the inverters of {first.label}, got others"
             )
         if _clock(one) != _clock(first):
             raise InputError(
-                f"report: {one.label} has {_when(one)} and {first.label} has {_when(first)},"
-                " accepted are runs of the same cycles"
+                f"report: {one.label}: expected {_when(first)} as in {first.label}, "
+                f"got {_when(one)}"
             )
 
 
-def introduction(series: Sequence[RunSeries]) -> str:
-    """Return the first paragraph: what was run, when, and for how many cycles."""
+def run_line(plan: RunPlan, schemes: str = "") -> str:
+    """Return the first line of a report: what was run, and how.
+
+    Parameters
+    ----------
+    plan
+        Of the run.
+    schemes
+        Which schemes the page compares; by default the plan's own.
+    """
+    sizes = list(Counter(parent_of(leaf) for leaf in plan.tree.leaves).values())
+    clustered = f" in {len(sizes)} clusters ({_sizes(sizes)})" if len(sizes) > 1 else ""
+    pace = f"pace {plan.cycle_ns / plan.cycle_wall_ns:g}" if plan.cycle_wall_ns else "lockstep"
+    parts = (
+        f"Scenario {plan.plant}: {_count(len(plan.inverters), 'inverter')}{clustered}",
+        f"scheme {schemes or plan.scheme}",
+        f"actuator {plan.actuator}",
+        pace,
+        "measured irradiance" if plan.seed is None else f"seed {plan.seed}",
+    )
+    return ", ".join(parts) + "."
+
+
+def _sizes(sizes: Sequence[int]) -> str:
+    """Return the sizes of clusters: `6, 6 and 5`, `5 each`, or `10 of 5, 2 of 4`."""
+    counts = Counter(sizes)
+    if len(counts) == 1:
+        return f"{sizes[0]} each"
+    if len(sizes) > _MOST_SIZES:
+        return ", ".join(f"{count} of {size}" for size, count in counts.items())
+    return f"{', '.join(map(str, sizes[:-1]))} and {sizes[-1]}"
+
+
+def _plant_line(series: Sequence[RunSeries]) -> str:
+    """Return the first line where only the series are known."""
     first = series[0]
     named = [name for name in clusters(first) if name]
-    grouped = f" in {_count(len(named), 'cluster')} ({', '.join(named)})" if named else ""
-    schemes = (
-        f"under the control scheme {first.label}"
-        if len(series) == 1
-        else f"under one sky and {len(series)} control schemes in turn "
-        f"({'; '.join(one.label for one in series)})"
-    )
-    return (
-        f"A plant of {_count(len(first.inverters), 'inverter')}{grouped} with "
-        f"{first.rating_kw.sum():,.0f} kW of AC rating, {schemes}: {_when(first)}. "
-        f"Times are local ({first.timezone})."
-    )
+    grouped = f" in {_count(len(named), 'cluster')}" if named else ""
+    labels = "; ".join(one.label for one in series)
+    return f"{_count(len(first.inverters), 'inverter')}{grouped}, {labels}."
+
+
+def _cycle_lines(series: Sequence[RunSeries]) -> list[str]:
+    """Say which time the runs cover, and whether cycles of them are missing."""
+    first = series[0]
+    lines = [f"{first.rating_kw.sum():,.0f} kW AC rating. {_when(first)}, local time."]
+    for one in series:
+        missing = one.cycles - int(one.known.sum())
+        if missing:
+            lines.append(
+                f"{one.label}: {_count(missing, 'cycle')} without dispatch or production in the "
+                "recording. They are gaps in the figures and do not count in the tables."
+            )
+    return lines
 
 
 def report_figures(series: Sequence[RunSeries]) -> list[ReportFigure]:
@@ -185,7 +231,7 @@ def _when(one: RunSeries) -> str:
 
 
 def _count(number: int, noun: str) -> str:
-    return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import html
 import textwrap
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 import plotly.graph_objects as go
@@ -119,9 +119,9 @@ def plain(text: str) -> str:
 
 def scheme_title(label: str, panels: int) -> str:
     """Return the title of one of several panels beside each other, in lines that fit."""
-    if panels <= 2:
-        return plain(label)
-    return "<br>".join(plain(line) for line in textwrap.wrap(label, max(10, 60 // panels)))
+    if panels == 1:
+        return ""
+    return "<br>".join(plain(line) for line in textwrap.wrap(label, max(10, 72 // panels)))
 
 
 def clock_ms(series: RunSeries) -> NDArray[np.float64]:
@@ -241,12 +241,12 @@ def name_px(count: int) -> int:
     return _ROOMY_PX if count <= _FEW_NAMES else _TIGHT_PX
 
 
-def share_vertical_axis(figure: go.Figure) -> None:
-    """Make the panels of a figure keep the same vertical range, also when one is zoomed."""
-    # The first axis may not be said to match itself.
-    for axis in figure.select_yaxes():
-        if axis.plotly_name != "yaxis":
-            axis.matches = "y"
+def share_axis(figure: go.Figure, letter: Literal["x", "y"]) -> None:
+    """Make the panels of a figure keep the same range, also when one is zoomed."""
+    for axis in figure.select_xaxes() if letter == "x" else figure.select_yaxes():
+        # The first axis must not match itself.
+        if axis.plotly_name != f"{letter}axis":
+            axis.matches = letter
 
 
 def label_time_axis(figure: go.Figure, series: RunSeries, rows: int = 1) -> None:

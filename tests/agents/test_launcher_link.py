@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import msgspec
 
-from agents.events import Exited, PlantPower, Recorded
+from agents.events import Complaint, Exited, Recorded
 from agents.launcher_link import EventReader, packets, server_packet
 
-LONG = Recorded({"impp": 1}, 0, PlantPower(desired_kw=[1.5] * 50_000))
+LONG = Recorded({"impp": 1}, 0, 5, complaints=(Complaint("k", "absurd", 1, "x" * 200_000),))
 EXITED = Exited(-9, 1.0, 2, 3)
 
 

@@ -171,7 +171,12 @@ def test_the_longest_period_is_how_far_agents_may_part() -> None:
 
 @pytest.mark.parametrize(
     ("periods", "field"),
-    [((0,), "[0] is 0"), ((10, -1), "[1] is -1"), ((10, 3), "[0] is 10"), ((12, 4, 8), "[1] is 4")],
+    [
+        ((0,), "[0]: expected"),
+        ((10, -1), "[1]: expected"),
+        ((10, 3), "[0]: expected"),
+        ((12, 4, 8), "[1]: expected"),
+    ],
 )
 def test_periods_that_do_not_fit_are_refused(periods: tuple[int, ...], field: str) -> None:
     with pytest.raises(InputError) as caught:

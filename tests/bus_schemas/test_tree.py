@@ -92,7 +92,7 @@ def test_paths_and_ratings_must_be_equally_many() -> None:
 @pytest.mark.parametrize(
     ("inverters", "message"),
     [
-        ((), "control tree: it has no inverter, accepted is one or more"),
+        ((), "control tree: expected one inverter or more, got none"),
         (
             (("c1/a", 1.0), ("c1/a", 1.0)),
             "control tree: two nodes are named c1/a, names must differ",
@@ -103,40 +103,40 @@ def test_paths_and_ratings_must_be_equally_many() -> None:
         ),
         (
             (("c1/a", 0.0),),
-            "control tree, node c1/a: rating_kw is 0, accepted is a number above 0",
+            "control tree, node c1/a: rating_kw: expected a number above 0, got 0",
         ),
         (
             (("c1/a", -5.0),),
-            "control tree, node c1/a: rating_kw is -5, accepted is a number above 0",
+            "control tree, node c1/a: rating_kw: expected a number above 0, got -5",
         ),
         (
             (("c1/a", float("nan")),),
-            "control tree, node c1/a: rating_kw is nan, accepted is a number above 0",
+            "control tree, node c1/a: rating_kw: expected a number above 0, got nan",
         ),
         (
             (("c1/a", float("inf")),),
-            "control tree, node c1/a: rating_kw is inf, accepted is a number above 0",
+            "control tree, node c1/a: rating_kw: expected a number above 0, got inf",
         ),
         (
             (("", 1.0),),
-            "control tree, node '': name '', accepted are letters, digits, '_' and '-'",
+            "control tree, node '': name: expected letters, digits, '_' and '-', got ''",
         ),
         (
             (("c1//a", 1.0),),
-            "control tree, node 'c1//a': name '', accepted are letters, digits, '_' and '-'",
+            "control tree, node 'c1//a': name: expected letters, digits, '_' and '-', got ''",
         ),
         (
             (("c1/*", 1.0),),
-            "control tree, node 'c1/*': name '*', accepted are letters, digits, '_' and '-'",
+            "control tree, node 'c1/*': name: expected letters, digits, '_' and '-', got '*'",
         ),
         (
             (("c1/a\n", 1.0),),
-            "control tree, node 'c1/a\\n': name 'a\\n', accepted are letters, digits, '_' and '-'",
+            "control tree, node 'c1/a\\n': name: expected letters, digits, '_' and '-', got 'a\\n'",
         ),
         (
             (("plant/a", 1.0),),
-            "control tree, node 'plant/a': name 'plant' is reserved "
-            "(alive, central, plant, recorder, replayer), take another",
+            "control tree, node 'plant/a': name: expected one that is not reserved "
+            "(alive, central, plant, recorder, replayer), got 'plant'",
         ),
     ],
 )
@@ -150,19 +150,19 @@ def test_trees_that_cannot_be_are_refused(
 
 def test_a_tree_that_is_too_large_to_be_spoken_of_is_refused() -> None:
     names = [f"c{number // 10}/i{number}" for number in range(MOST_INVERTERS + 1)]
-    with pytest.raises(InputError, match="4,001 inverters, accepted are 4,000"):
+    with pytest.raises(InputError, match="up to 4,000 inverters, got 4,001"):
         as_ratings(names, [1.0] * len(names))
     assert len(as_ratings(names[:-1], [1.0] * (len(names) - 1)).leaves) == MOST_INVERTERS
 
 
 def test_a_parent_of_too_many_children_is_refused() -> None:
     names = [f"c1/i{number}" for number in range(MOST_CHILDREN + 1)]
-    with pytest.raises(InputError, match="c1 has 1,001 children, accepted are 1,000"):
+    with pytest.raises(InputError, match="c1: expected up to 1,000 children, got 1,001"):
         as_ratings(names, [1.0] * len(names))
     assert as_ratings(names[:-1], [1.0] * MOST_CHILDREN).children("c1") == tuple(names[:-1])
 
 
 def test_a_path_that_is_too_long_is_refused() -> None:
     assert as_ratings(["x" * LONGEST_PATH], [1.0]).height == 1
-    with pytest.raises(InputError, match="its path has 201 characters, accepted are 200"):
+    with pytest.raises(InputError, match="up to 200 characters, got 201"):
         as_ratings(["x" * (LONGEST_PATH + 1)], [1.0])

@@ -1,38 +1,101 @@
-"""The command line as a whole."""
+"""The command line as a whole: its help, its version and its completion."""
 
 from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import get_args
 
 import pytest
 from typer.testing import CliRunner
 
-from launch_scripts import cli
+from agents.plan import Actuator, Scheme
+from launch_scripts.cli import COMMANDS, app
+from studies.arrays.schemes import SCHEMES
+from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
+
+REPOSITORY = Path(__file__).parents[2]
+NAMES = [module.__name__.rpartition(".")[2] for some in COMMANDS.values() for module in some]
+HEAVY = {"numba", "pandas", "plotly", "pvlib", "scipy", "zenoh"}
 
 
-def test_ctrl_c_before_a_command_can_see_to_it_is_no_traceback(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def help_of(*words: str) -> str:
+    """Return the help of a command."""
+    found = CliRunner().invoke(app, [*words, "--help"])
+    assert found.exit_code == 0
+    return found.stdout
+
+
+def python(code: str, *words: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run Python code in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-c", code, *words],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY), **variables},
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help_at_80_columns_shows_an_example_and_cuts_no_word(
+    name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted() -> None:
-        raise KeyboardInterrupt
+    monkeypatch.setattr("typer.rich_utils.MAX_WIDTH", 80)
+    text = help_of(name)
+    assert f"heliarch {name}" in text
+    assert "Example: " in text
+    assert "…" not in text
+    assert max(map(len, text.splitlines())) <= 80
 
-    monkeypatch.setattr(cli, "app", interrupted)
-    with pytest.raises(SystemExit) as left:
-        cli.main()
-    assert left.value.code == 130
-    assert capsys.readouterr().err == "heliarch: interrupted\n"
+
+def test_every_command_has_its_heading_and_its_purpose() -> None:
+    text = help_of()
+    assert all(heading in text for heading in COMMANDS)
+    assert all(name in text for name in NAMES)
 
 
 @pytest.mark.parametrize(
-    "command",
+    ("command", "choices"),
     [
-        *("simulate", "launch", "timing", "compare", "clusters", "delays", "report"),
-        *("export", "verify", "inspect", "replay", "recover"),
+        ("launch", [*get_args(Scheme), *get_args(Actuator)]),
+        ("compare", [*SCHEMES, *FIGURES_OF_MERIT]),
+        ("export", ["json-mcap", "parquet", "csv", "wall", "sim"]),
+        ("replay", ["wall", "sim"]),
     ],
 )
-def test_no_word_of_the_help_is_cut_in_a_terminal_of_80_columns(
-    command: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("typer.rich_utils.MAX_WIDTH", 80)
-    found = CliRunner().invoke(cli.app, [command, "--help"])
+def test_every_choice_is_listed(command: str, choices: list[str]) -> None:
+    words = {word.strip("│,.:;[]<>()|") for word in help_of(command).replace("|", " ").split()}
+    assert set(choices) <= words
+
+
+@pytest.mark.parametrize("words", [["--help"], ["launch", "--help"], ["compare", "--help"]])
+def test_help_does_not_wait_for_what_a_run_needs(words: list[str]) -> None:
+    code = (
+        "import sys\nfrom launch_scripts.cli import main\ntry:\n    main()\n"
+        "except SystemExit:\n    print(*sys.modules, file=sys.stderr)"
+    )
+    found = python(code, *words)
+    assert not HEAVY & {module.partition(".")[0] for module in found.stderr.split()}
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    found = CliRunner().invoke(app, ["--version"])
     assert found.exit_code == 0
-    assert "Usage:" in found.output
-    assert "…" not in found.output
+    assert found.stdout.startswith("heliarch ")
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [("heliarch re", {"report", "replay", "recover"}), ("heliarch launch --sc", {"--scheme"})],
+)
+def test_the_shell_completes_commands_and_options(typed: str, offered: set[str]) -> None:
+    code = "import sys; sys.argv = ['heliarch']; from launch_scripts.cli import main; main()"
+    completion = {
+        "_HELIARCH_COMPLETE": "complete_bash",
+        "COMP_WORDS": typed,
+        "COMP_CWORD": str(typed.count(" ")),
+    }
+    assert set(python(code, **completion).stdout.split()) == offered

@@ -141,7 +141,7 @@ def test_the_nodes_in_the_commands_of_the_documents_are_those_of_the_scenario() 
         if path.suffix in {".md", ".py"}:
             text = path.read_text(encoding="utf-8")
             words = re.findall(r"--(?:external|node|nodes|live) ([a-z0-9/,]+)", text)
-            found |= {(path.name, node) for word in words for node in word.split(",")}
+            found |= {(path.name, node.rstrip("/")) for word in words for node in word.split(",")}
     found |= {
         ("cli.py", node) for node in re.findall(r"c\d/inv\d+", Path(cli.__file__).read_text())
     }

@@ -199,7 +199,7 @@ def test_a_device_that_does_everything_wrong_is_named_and_contained(
     assert found[f"{NODE}/impp", "other_cycle"] == 2
     assert found[f"{NODE}/impp", "duplicate"] > 10
     assert found[f"{NODE}/impp", "absurd"] == found[f"{NODE}/command", "absurd"] == 5
-    assert summary.lost == 0
+    assert summary.lost_by_processes == 0
     assert "is from 'central'" in (run.folder / "logs" / "c1.log").read_text()
     assert f"wrong message on small/{NODE}/impp: " in run.output.read_text()
     largest_mb = max(use.resident_median_mb for use in summary.memory)

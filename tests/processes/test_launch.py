@@ -28,7 +28,7 @@ def decisions(folder: Path) -> dict[tuple[str, int], Message]:
     """
     found: dict[tuple[str, int], Message] = {}
     with RunReader(folder) as reader:
-        for port, message in reader.messages(*DECIDED, by_time=False):
+        for port, message in reader.messages(*DECIDED):
             timeless = msgspec.structs.replace(message, publish_time_ns=0, ready_time_ns=0)
             found.setdefault((str(port), message.cycle), timeless)
     return found

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from launch_scripts.commands.recover_work import LOSSY, recover
 from running import Heliarch, assert_none_left, small_plant
 
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
+from launch_scripts.commands.recover import LOSSY, recover
 from recordings.read.reader import RunReader
 from recordings.record.recorder import FLUSH_S
 

@@ -20,7 +20,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.messages import Help, HelpGiven, Impp, Residual, Run, Setpoint
 from bus_schemas.signals import HELP, IMPP, RESIDUAL, RUN, SETPOINT, SIGNALS, ports
 from bus_schemas.tree import ROOT
-from recordings.read.reader import RunReader
+from recordings.read.reader import NothingRecordedError, RunReader
 from recordings.read.run_file import SCHEMA_VERSION
 from recordings.record.writer import ClockAnchor, RunWriter
 
@@ -97,14 +97,6 @@ def test_what_is_written_is_read_back(written: tuple[Path, list[Delivery]]) -> N
     path, deliveries = written
     with RunReader(path) as reader:
         assert list(reader.messages()) == deliveries
-
-
-def test_some_signals_can_be_read_alone(written: tuple[Path, list[Delivery]]) -> None:
-    path, deliveries = written
-    with RunReader(path) as reader:
-        found = list(reader.messages(HELP, SETPOINT))
-    assert found == [pair for pair in deliveries if pair[0].signal in {HELP, SETPOINT}]
-    assert len(found) == 6
 
 
 def test_a_run_can_be_named_by_its_folder(written: tuple[Path, list[Delivery]]) -> None:
@@ -229,10 +221,11 @@ def test_an_anchor_turns_one_clock_into_the_other() -> None:
 # No recording of a run ----------------------------------------------------------------------------
 
 
-def complaint(path: Path) -> str:
+def refused(path: Path) -> str:
     with pytest.raises(InputError) as caught:
         RunReader(path)
     message = str(caught.value)
+    assert message.startswith(f"{path}: ")
     assert "\n" not in message
     return message
 
@@ -251,69 +244,47 @@ def mcap_file(path: Path, *attached: str, **metadata: str) -> Path:
 
 
 def test_a_recording_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    accepted = "no such file, accepted is a run's folder or its run.mcap"
-    assert complaint(tmp_path / "x.mcap") == f"{tmp_path / 'x.mcap'}: {accepted}"
-    assert complaint(tmp_path) == f"{tmp_path / 'run.mcap'}: {accepted}"
+    refused(tmp_path / "x.mcap")
+    with pytest.raises(InputError, match=r"run\.mcap"):
+        RunReader(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("content", "found"),
-    [
-        (b"inverter,lat,lon\na,1,2\n" * 20, "it begins with b'inverter'"),
-        (b"\x89MCAP1\r\n", r"it begins with b'\x89MCAP1\r\n'"),
-        (b"short", "it begins with b'short'"),
-    ],
-)
-def test_a_file_that_is_no_mcap_is_refused_with_what_it_is(
-    tmp_path: Path, content: bytes, found: str
-) -> None:
+@pytest.mark.parametrize("content", [b"inverter,lat,lon\na,1,2\n" * 20, b"\x89MCAP1\r\n", b"short"])
+def test_a_file_that_is_no_mcap_is_refused_with_what_it_is(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(content)
-    assert complaint(path) == f"{path}: not an MCAP file, {found}"
+    assert repr(content[:8]) in refused(path)
 
 
-@pytest.mark.parametrize("rest", [b"", b"x", b"x" * 9, bytes(500)])
-def test_a_file_that_was_cut_before_it_says_what_it_is_is_refused(
-    tmp_path: Path, rest: bytes
-) -> None:
+@pytest.mark.parametrize("content", [b"", *(b"\x89MCAP0\r\n" + rest for rest in (b"", bytes(500)))])
+def test_a_file_that_was_cut_before_its_plan_holds_nothing(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "run.mcap"
-    path.write_bytes(b"\x89MCAP0\r\n" + rest)
-    assert complaint(path) == f"{path}: cut before it says what run it is of"
-
-
-def test_an_empty_file_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    path.touch()
-    assert complaint(path) == f"{path}: cut before it says what run it is of, it is empty"
+    path.write_bytes(content)
+    with pytest.raises(NothingRecordedError):
+        RunReader(path)
 
 
 @pytest.mark.parametrize(
-    ("attached", "lacking"), [((), "scenario.toml"), (("scenario.toml",), "plan.json")]
+    ("attached", "named"),
+    [
+        ((), "scenario.toml"),
+        (("scenario.toml",), "plan.json"),
+        (("scenario.toml", "plan.json"), "run_id"),
+    ],
 )
-def test_a_recording_without_its_origin_is_refused(
-    tmp_path: Path, attached: tuple[str, ...], lacking: str
+def test_a_recording_without_its_plan_is_refused(
+    tmp_path: Path, attached: tuple[str, ...], named: str
 ) -> None:
     path = mcap_file(tmp_path / "run.mcap", *attached, schema_version=SCHEMA_VERSION)
-    assert complaint(path) == f"{path}: recording without its attachment '{lacking}'"
+    assert named in refused(path)
 
 
-def test_a_recording_of_no_plan_is_refused(tmp_path: Path) -> None:
-    path = mcap_file(
-        tmp_path / "run.mcap", "scenario.toml", "plan.json", schema_version=SCHEMA_VERSION
-    )
-    assert complaint(path) == (
-        f"{path}: its attachments do not decode: Object missing required field `run_id`"
-    )
+def test_the_mcap_file_of_another_project_is_refused(tmp_path: Path) -> None:
+    assert "no recording" in refused(mcap_file(tmp_path / "robot.mcap"))
 
 
-def test_an_mcap_file_of_somebody_elses_is_refused(tmp_path: Path) -> None:
-    path = mcap_file(tmp_path / "robot.mcap")
-    assert complaint(path) == f"{path}: an MCAP file, but no recording of a heliarch run"
-
-
-def test_a_recording_of_another_version_is_refused(tmp_path: Path) -> None:
-    path = mcap_file(tmp_path / "run.mcap", schema_version="99")
-    told = complaint(path)
-    assert told.startswith(f"{path}: recorded with schema version 99")
-    assert SCHEMA_VERSION in told
-    assert "\n" not in told
+@pytest.mark.parametrize("found", ["2", "99"])
+def test_a_recording_of_another_version_is_refused(tmp_path: Path, found: str) -> None:
+    message = refused(mcap_file(tmp_path / "run.mcap", schema_version=found))
+    assert found in message
+    assert SCHEMA_VERSION in message

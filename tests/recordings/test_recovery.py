@@ -12,7 +12,6 @@ from mcap.records import Message
 from recordings_by_hand import whole_run, write_run
 
 from bus_schemas.bus import Delivery
-from bus_schemas.errors import InputError
 from recordings import open_run
 from recordings.recover import RECOVERY_METADATA, Recovery, is_sound, recover_run
 
@@ -129,35 +128,6 @@ def test_a_recovered_file_says_that_it_is_one(
             "cut_bytes": str(recovery.cut_bytes),
             "damaged_chunks": "0",
         }
-
-
-def test_nothing_that_is_there_is_replaced(
-    recording: tuple[Path, list[Delivery]], tmp_path: Path
-) -> None:
-    out = tmp_path / "new.mcap"
-    out.write_bytes(b"precious")
-    with open_run(recording[0]) as run, pytest.raises(InputError, match="exists already"):
-        recover_run(run, out)
-    assert out.read_bytes() == b"precious"
-    assert list(tmp_path.iterdir()) == [out]
-
-
-@pytest.mark.parametrize("zeroed", [40, 4096])
-def test_a_zeroed_chunk_is_not_whole(
-    recording: tuple[Path, list[Delivery]], tmp_path: Path, zeroed: int
-) -> None:
-    path, written = recording
-    with open_run(path) as run:
-        place = run.outline.chunks[1]
-    content = bytearray(path.read_bytes())
-    content[place.offset : place.offset + zeroed] = bytes(zeroed)
-    _, recovery = recovered(bytes(content), tmp_path)
-    with open_run(tmp_path / "run.mcap") as run:
-        assert not is_sound(run)
-    assert [damaged.offset for damaged in recovery.damaged] == [place.offset]
-    assert recovery.messages == len(written) - 1000
-    assert recovery.shortfall.lost > 0
-    assert not recovery.lossless
 
 
 def test_a_cut_file_whose_first_chunk_is_damaged_keeps_all_others(

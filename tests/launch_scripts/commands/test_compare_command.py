@@ -1,4 +1,4 @@
-"""`heliarch compare` as a user types it."""
+"""`heliarch compare`: its tables, its JSON, its page, and what it refuses."""
 
 from __future__ import annotations
 
@@ -6,118 +6,58 @@ import json
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
+from command_line import done, refusal
+from running import small_plant
 
-from launch_scripts.cli import app
-
-RUNNER = CliRunner()
-
-
-def compare(*words: str) -> tuple[int, str, str]:
-    found = RUNNER.invoke(app, ["compare", *words])
-    return found.exit_code, found.stdout, found.stderr
+GROUPS = ("--schemes", "paper,grouping", "--reference", "inv01,inv03")
 
 
-def test_one_case_gives_the_papers_table_a_row_a_scheme() -> None:
-    status, text, _ = compare("oahu", "--duration", "60", "--schemes", "paper,predictive")
-    assert status == 0
-    assert "60 cycles of 1 s, actuator fraction" in text
-    assert [line.split()[1] for line in text.splitlines() if line.startswith("│")] == [
-        "paper",
-        "predictive",
-    ]
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> str:
+    return small_plant(tmp_path_factory.mktemp("compare"))
 
 
-def test_a_reference_group_can_be_named() -> None:
-    status, text, _ = compare(
-        "oahu", "--duration", "60", "--schemes", "grouping", "--reference", "inv01,inv07"
-    )
-    assert status == 0
-    assert [line.split()[1] for line in text.splitlines() if line.startswith("│")] == ["grouping"]
+def test_one_case_has_a_row_for_each_scheme_and_a_page(small: str, tmp_path: Path) -> None:
+    page = tmp_path / "compare.html"
+    text = done("compare", small, "--duration", "60", *GROUPS, "--report", page)
+    names = [line.split(" ")[0] for line in text.splitlines()]
+    assert {"paper", "grouping"} <= set(names)
+    assert "Regulation signal" not in text
+    html = page.read_text(encoding="utf-8")
+    assert "paper" in html
+    assert "grouping" in html
 
 
-def test_a_regulation_signal_gives_the_second_table() -> None:
-    status, text, _ = compare(
-        "oahu-day", "--start", "10:00", "--duration", "10m", "--schemes", "paper"
-    )
-    assert status == 0
-    assert "Regulation signal" in text
+def test_a_regulation_signal_adds_the_second_table() -> None:
+    words = ("--from", "10:00", "--duration", "60", "--schemes", "paper")
+    assert "Regulation signal" in done("compare", "oahu-day", *words)
 
 
-def test_many_cases_give_one_figure_a_row_a_case(tmp_path: Path) -> None:
-    out = tmp_path / "rows.json"
-    status, text, _ = compare(
-        "oahu",
-        "--duration",
-        "60",
-        "--set",
-        "commitment.share=0.3,0.5",
-        "--schemes",
-        "paper,uniform-cap",
-        "--show",
-        "rmse",
-        "--json",
-        str(out),
-    )
-    assert status == 0
-    assert "rmse, kW" in text
-    rows = json.loads(out.read_text())
+def test_many_cases_show_one_figure_with_a_row_for_each(small: str, tmp_path: Path) -> None:
+    document = tmp_path / "rows.json"
+    settings = ("--set", "commitment.share=0.3,0.5", "--show", "rmse", "--json", document)
+    text = done("compare", small, "--duration", "60", *GROUPS, *settings)
+    assert all(f"share={share}" in text for share in ("0.3", "0.5"))
+    rows = json.loads(document.read_bytes())
     assert [(row["case"], row["scheme"]) for row in rows] == [
-        ("share=0.3", "paper"),
-        ("share=0.3", "uniform-cap"),
-        ("share=0.5", "paper"),
-        ("share=0.5", "uniform-cap"),
+        (f"share={share}", scheme) for share in ("0.3", "0.5") for scheme in ("paper", "grouping")
     ]
     assert all(row["control-caused"] >= 0.0 for row in rows)
 
 
-def test_json_on_standard_output_is_all_that_is_there() -> None:
-    status, text, _ = compare("oahu", "--duration", "20", "--schemes", "paper", "--json", "-")
-    assert status == 0
-    assert json.loads(text)[0]["scheme"] == "paper"
-
-
-def test_json_and_report_follow_a_link_and_leave_it_one(tmp_path: Path) -> None:
-    rows, page = tmp_path / "kept.json", tmp_path / "kept.html"
-    (tmp_path / "link.json").symlink_to(rows)
-    (tmp_path / "link.html").symlink_to(page)
-    links = ("--json", str(tmp_path / "link.json"), "--report", str(tmp_path / "link.html"))
-    status, _, _ = compare("oahu", "--duration", "20", "--schemes", "paper", *links)
-    assert status == 0
-    assert json.loads(rows.read_text())[0]["scheme"] == "paper"
-    assert "<html" in page.read_text()
-    assert all((tmp_path / name).is_symlink() for name in ("link.json", "link.html"))
-
-
-def test_a_report_holds_all_schemes(tmp_path: Path) -> None:
-    out = tmp_path / "report.html"
-    status, text, _ = compare(
-        "oahu", "--duration", "120", "--schemes", "paper,uniform-cap", "--report", str(out)
-    )
-    assert status == 0
-    assert str(out) in text.replace("\n", "")
-    page = out.read_text()
-    assert "uniform-cap" in page
-    assert "paper" in page
-
-
 @pytest.mark.parametrize(
-    ("words", "complaint"),
+    ("words", "named"),
     [
-        (["--schemes", "magic"], "--schemes magic: accepted are uncontrolled,"),
-        (["--show", "beauty"], "--show beauty: accepted are satisfied,"),
-        (["--workers", "0"], "--workers 0: accepted are 1 to 256"),
-        (["--reference", "few"], "--reference few: accepted are inv"),
-        (["--seeds", "x"], "--seeds x: accepted are whole numbers"),
-        (["--days", "x"], "--days x: accepted are dates"),
-        (["--set", "x"], "--set x: accepted is a field"),
-        (["--report", "/nowhere/at/all.html"], "/nowhere/at/all.html"),
-        (["--seeds", "1,2", "--report", "r.html"], "accepted with one case, the study has 2"),
-        (["--days", "2010-04-01", "--start", "2010-04-01T12:00"], "a time of day such as 12:30"),
+        (("--schemes", "magic"), "--schemes"),
+        (("--show", "beauty"), "--show"),
+        (("--workers", "0"), "--workers"),
+        (("--reference", "few"), "--reference"),
+        (("--seeds", "x"), "--seeds"),
+        (("--days", "x"), "--days"),
+        (("--set", "x"), "--set"),
+        (("--seeds", "1,2", "--report"), "--report"),
+        (("--days", "2010-04-01", "--from", "2010-04-01T12:00"), "--from"),
     ],
 )
-def test_bad_words_give_one_line(words: list[str], complaint: str) -> None:
-    status, text, error = compare("oahu", "--duration", "20", *words)
-    assert (status, text) == (2, "")
-    assert complaint in error
-    assert error.count("\n") == 1
+def test_what_it_cannot_compare_is_refused(words: tuple[str, ...], named: str, small: str) -> None:
+    assert named in refusal("compare", small, "--duration", "20", *words)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from typer.testing import CliRunner
 
 from launch_scripts.cli import app
 from recordings import open_run
+from recordings.read.outline import read_outline
 
 
 @pytest.fixture(scope="module")
@@ -43,34 +45,34 @@ def complaint(*words: str | Path) -> str:
 
 def test_a_recording_is_told_with_what_is_missing_in_it(recording: Path) -> None:
     text = shown(recording)
-    assert "scenario    Four inverters" in text
-    assert "time        2010-04-01 12:00:00 to 2010-04-01 12:01:59, Pacific/Honolulu" in text
-    assert "cycles      0 to 119 of 1 s, 120 complete, 1,000 planned" in text
-    assert "file        whole" in text
-    assert not any(line.startswith("host") for line in text.splitlines()), (
-        "a run in memory has none"
-    )
-    (row,) = [line for line in text.splitlines() if "│ impp " in line]
-    assert [cell.strip() for cell in row.split("│")][2:4] == ["7", "835"]
-    assert [cell.strip() for cell in row.split("│")][6:9] == ["5", "0", "5"]
-    assert "c1/a/impp: none in 5 cycles, 20 to 24 (12:00:20 to 12:00:24)" in text
-    assert all(len(line) <= 100 for line in text.splitlines() if "run.mcap" not in line)
+    facts = " ".join(text.split())
+    assert "scenario Four inverters" in facts
+    assert "time 2010-04-01 12:00:00 to 2010-04-01 12:01:59, Pacific/Honolulu" in facts
+    assert "cycles 0 to 119 of 1 s, 120 complete, 1,000 planned" in facts
+    assert "host" not in facts, "a run in memory does not depend on it"
+    (row,) = [line.split() for line in text.splitlines() if line.startswith("impp ")]
+    assert row[1:3] == ["7", "835"]
+    assert row[5:] == ["5", "0", "5"]
+    assert "lost 5 messages: c1/a/impp 5" in facts
+    assert "c1/a/impp: 5 from 20 to 24 (12:00:20 to 12:00:24)" in text
+    assert all(len(line) <= 80 for line in text.splitlines() if "run.mcap" not in line)
 
 
 def test_a_nodes_story_has_a_line_for_each_cycle_of_the_span(recording: Path) -> None:
-    text = shown(recording, "--node", "c1/a", "--from", "12:00:18", "--to", "26")
+    text = shown(recording, "--nodes", "c1/a", "--from", "12:00:18", "--to", "26")
     heading, units, *lines = text.splitlines()
     assert heading.split()[:4] == ["cycle", "time", "power", "IMPP"]
     assert units.split()[:4] == ["local", "kW", "kW", "kW"]
-    assert [line.split()[0] for line in lines] == [str(cycle) for cycle in range(18, 27)]
-    assert [line.split()[3] for line in lines] == ["40.00"] * 2 + ["-"] * 5 + ["40.00"] * 2
-    assert all(line.endswith("from b 20.00") for line in lines)
+    assert lines[1::2] == [" " * 16 + "from b 20.00"] * 9
+    assert [line.split()[0] for line in lines[::2]] == [str(cycle) for cycle in range(18, 27)]
+    impp = [line.split()[3] for line in lines[::2]]
+    assert impp == ["40.00"] * 2 + ["-"] * 5 + ["40.00"] * 2
 
 
 def test_the_plant_in_one_cycle_is_a_tree(recording: Path) -> None:
     text = shown(recording, "--cycle", "12:00:18")
     assert text.startswith("cycle 18, 2010-04-01 12:00:18\ndispatch 240.00 kW (commitment 230.00")
-    assert [line.split()[0] for line in text.splitlines()[5:]] == [
+    assert [line.split()[0] for line in text.splitlines()[5:] if not line.startswith("     ")] == [
         "central",
         "├─",
         "│",
@@ -88,7 +90,7 @@ def test_figures_come_as_json_too(recording: Path, tmp_path: Path) -> None:
         {"port": "c1/a/impp", "first_cycle": 20, "last_cycle": 24, "cycles": 5}
     ]
     out = tmp_path / "story.json"
-    shown(recording, "--node", "c1/b", "--from", "3", "--to", "5", "--json", out)
+    shown(recording, "--nodes", "c1/b", "--from", "3", "--to", "5", "--json", out)
     rows = json.loads(out.read_text())
     assert [(row["cycle"], row["help_for"]) for row in rows] == [
         (cycle, [{"node": "c1/a", "power_kw": 20.0}]) for cycle in (3, 4, 5)
@@ -108,8 +110,8 @@ def test_figures_come_as_json_too(recording: Path, tmp_path: Path) -> None:
 
 def test_a_part_of_a_recording_can_be_looked_at_alone(recording: Path) -> None:
     text = shown(recording, "--from", "30s", "--to", "39s")
-    assert "cycles      30 to 39 of 1 s, 10 complete" in text
-    assert "none in" not in text
+    assert "30 to 39 of 1 s, 10 complete" in text
+    assert "cycles without a message" not in text
 
 
 def test_a_recording_that_was_cut_is_shown_and_recover_is_named(
@@ -119,33 +121,10 @@ def test_a_recording_that_was_cut_is_shown_and_recover_is_named(
     content = recording.read_bytes()
     cut.write_bytes(content[: len(content) // 2])
     text = shown(cut)
-    assert "file        cut" in text
+    assert ["file", "cut"] in [line.split() for line in text.splitlines()]
     assert "`heliarch recover` makes a whole file of it" in " ".join(text.split())
-    assert "recover" in shown(cut, "--node", "c1/a", "--to", "3")
-    assert "outside the run" in complaint(cut, "--node", "c1/a", "--to", "12:01:59")
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--node", "c1/x"], "node 'c1/x': not in this run, near are c1/"),
-        (["--node", "c1/a", "--from", "13:49"], "13:49: outside the run, which goes from 2010-04"),
-        (["--node", "c1/a", "--from", "noonish"], "noonish: not understood, accepted are a local"),
-        (["--cycle", "120"], "120: outside the run"),
-        (["--cycle", "12", "--node", "c1"], "--cycle: the whole plant in one cycle"),
-        (["--json", "/no/such/folder/x.json"], "--json /no/such/folder/x.json: accepted is"),
-    ],
-)
-def test_what_cannot_be_shown_is_refused_in_one_line(
-    recording: Path, words: list[str], said: str
-) -> None:
-    assert said in complaint(recording, *words)
-
-
-def test_a_file_that_is_no_recording_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    path.write_text("cycle,power_kw\n")
-    assert "not an MCAP file, it begins with b'cycle,po'" in complaint(path)
+    assert "recover" in shown(cut, "--nodes", "c1/a", "--to", "3")
+    assert "outside the run" in complaint(cut, "--nodes", "c1/a", "--to", "12:01:59")
 
 
 @pytest.fixture
@@ -164,7 +143,7 @@ def damaged(recording: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    "words", [[], ["--node", "c1/a"], ["--node", "c1/a", "--from", "35", "--to", "45"]]
+    "words", [[], ["--nodes", "c1/a"], ["--nodes", "c1/a", "--from", "35", "--to", "45"]]
 )
 def test_a_damaged_part_is_told_in_one_line_at_the_end(damaged: Path, words: list[str]) -> None:
     result = CliRunner().invoke(app, ["inspect", str(damaged), *words])
@@ -179,16 +158,6 @@ def test_a_cycle_in_a_damaged_part_is_not_shown(damaged: Path) -> None:
     assert "a part of the file is damaged" in complaint(damaged, "--cycle", "40")
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
-@pytest.mark.parametrize("words", [[], ["--node", "c1/a"], ["--cycle", "3"]])
-def test_json_that_cannot_be_written_is_told_in_one_line(recording: Path, words: list[str]) -> None:
-    result = CliRunner().invoke(app, ["inspect", str(recording), *words, "--json", "/dev/full"])
-    assert result.exit_code == 1
-    assert result.stderr.count("\n") == 1
-    assert "No space left on device" in result.stderr
-    assert Path("/dev/full").is_char_device()
-
-
 @pytest.mark.parametrize("length", [2**64 - 1, 2**40])
 def test_a_huge_length_in_a_cut_file_is_no_trouble(
     recording: Path, tmp_path: Path, length: int
@@ -201,7 +170,13 @@ def test_a_huge_length_in_a_cut_file_is_no_trouble(
     path.write_bytes(content)
     result = CliRunner().invoke(app, ["inspect", str(path)])
     assert result.exit_code == 0, result.output
-    assert f"chunk at byte {place.offset:,}" in result.stderr
+    assert f"can be read up to byte {end_of_readable(bytes(content)):,}" in " ".join(
+        result.output.split()
+    )
+
+
+def end_of_readable(content: bytes) -> int:
+    return read_outline(BytesIO(content)).readable_end
 
 
 def test_a_damaged_attachment_is_named_or_refused(recording: Path, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,6 @@ from typer.testing import CliRunner, Result
 
 from launch_scripts.cli import app
 from recordings import open_run
-from recordings.recover import _Copy
 
 
 @pytest.fixture(scope="module")
@@ -91,30 +89,22 @@ def test_of_a_recording_cut_before_its_first_message_nothing_is_recovered(
         assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_is_no_recording_is_bad_input(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    path.write_text("nothing of the kind")
-    result = recover(path)
-    assert result.exit_code == 2
-    assert "not an MCAP file" in result.stderr
-    assert recover(tmp_path / "none.mcap").exit_code == 2
-
-
 @pytest.mark.parametrize("length", [2**64 - 1, 2**40])
-def test_a_huge_length_costs_one_chunk_alone(content: bytes, tmp_path: Path, length: int) -> None:
+def test_behind_a_chunk_of_a_wrong_length_nothing_is_kept(
+    content: bytes, tmp_path: Path, length: int
+) -> None:
     path, out = tmp_path / "run.mcap", tmp_path / "new.mcap"
     path.write_bytes(content)
     with open_run(path) as run:
         place, end = run.outline.chunks[3], run.outline.readable_end
-        messages = sum(1 for _ in run.records())
     torn = bytearray(content[: end - 20])
     torn[place.offset + 1 : place.offset + 9] = length.to_bytes(8, "little")
     path.write_bytes(torn)
     result = recover(path, "--out", out)
     assert result.exit_code == 3, result.output
-    assert f"missing: a damaged chunk at byte {place.offset:,}" in result.stdout
+    assert "missing: what came after" in result.stdout
     with open_run(out) as run:
-        assert sum(1 for _ in run.records()) == messages - 200
+        assert sum(1 for _ in run.records()) == 4 * 200
 
 
 def test_what_a_run_may_lack_at_its_end_is_counted(tmp_path: Path) -> None:
@@ -141,32 +131,3 @@ def test_messages_out_of_an_incomplete_chunk_are_called_unverified(
         first = run.outline.chunks[0]
     path.write_bytes(path.read_bytes()[: first.offset + first.length - 5])
     assert "they have no checksum and may be damaged" in " ".join(recover(path).stdout.split())
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
-def test_json_that_cannot_be_written_leaves_the_new_file(content: bytes, tmp_path: Path) -> None:
-    path, out = tmp_path / "run.mcap", tmp_path / "new.mcap"
-    path.write_bytes(content[:-40])
-    result = recover(path, "--out", out, "--json", "/dev/full")
-    assert result.exit_code == 1
-    assert result.stderr.count("\n") == 1
-    assert "--json: [Errno 28] No space left on device" in result.stderr
-    with open_run(out) as run:
-        assert run.whole
-
-
-def test_sigterm_leaves_nothing_unfinished(
-    content: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "run.mcap"
-    path.write_bytes(content[: len(content) // 2])
-
-    def terminated(*_: object) -> None:
-        assert list(tmp_path.glob(".*.unfinished"))
-        signal.raise_signal(signal.SIGTERM)
-
-    monkeypatch.setattr(_Copy, "add_chunk", terminated)
-    before = signal.getsignal(signal.SIGTERM)
-    assert recover(path).exit_code == 128 + signal.SIGTERM
-    assert list(tmp_path.iterdir()) == [path]
-    assert signal.getsignal(signal.SIGTERM) == before

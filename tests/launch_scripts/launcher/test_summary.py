@@ -11,18 +11,11 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from agents.events import ExternalAccount
-from launch_scripts.launcher.summary import (
-    MemoryUse,
-    MessageCount,
-    ProcessAccount,
-    RunSummary,
-)
-from launch_scripts.launcher.summary_table import print_summary
+from launch_scripts.launcher.summary import MemoryUse, MessageCount, ProcessAccount, RunSummary
+from launch_scripts.launcher.summary_table import print_summary, summary_table
 from launch_scripts.launcher.wrong_messages import WrongMessages
 from recordings.read.series import RunSeries
 from studies.metrics import RunMetrics, run_metrics
-
-WIDTH = 100
 
 
 def metrics_of(regulation: bool) -> RunMetrics:
@@ -74,65 +67,46 @@ def summary_of(metrics: RunMetrics | None) -> RunSummary:
     )
 
 
-def rows_of(metrics: RunMetrics | None) -> dict[str, list[str]]:
-    return rows_printed(summary_of(metrics))
+def rows_of(summary: RunSummary) -> dict[str, list[str]]:
+    return {name: cells for name, *cells in summary_table(summary).texts()}
 
 
-def rows_printed(summary: RunSummary) -> dict[str, list[str]]:
-    """Print a summary; return its rows by name, after checking that none is cut or too long."""
+@pytest.mark.parametrize("width", [80, 100])
+def test_every_row_is_printed_whole(width: int) -> None:
+    summary = summary_of(metrics_of(regulation=True))
     text = io.StringIO()
-    print_summary(summary, Console(file=text, width=200))
-    lines = text.getvalue().splitlines()
-    assert max(map(len, lines)) <= WIDTH
-    cells = [line.strip("│ ").split("│") for line in lines if line.startswith("│")]
-    names = [row[0].strip() for row in cells]
-    return {
-        name: [cell.strip() for row in cells if row[0].strip() == name for cell in row[1:]]
-        for name in names
-    }
+    print_summary(summary, Console(file=text, width=width))
+    assert max(map(len, text.getvalue().splitlines())) <= width
+    words = text.getvalue().split()
+    for row in summary_table(summary).texts():
+        assert all(word in words for cell in row for word in cell.split())
 
 
-def test_tracking_and_mileage_are_told() -> None:
-    rows = rows_of(metrics_of(regulation=False))
-    # Half of the cycles are 10,000 kW short: the root of half of 10,000 squared, and the half.
-    assert rows["tracking error"] == ["7,071.07 kW", "RMSE; mean absolute 5,000.00 kW"]
+def test_figures_of_merit_are_told_that_the_run_defines() -> None:
+    rows = rows_of(summary_of(metrics_of(regulation=False)))
+    # Half of the cycles are 10,000 kW short: the root of half of 10,000 squared.
+    assert rows["Tracking RMSE"][:2] == ["7,071.07", "kW"]
     # 3,599 steps of 10,000 kW in the hour
-    assert rows["support mileage"] == ["35,990,000 kW/h", "35,990,000 kW in all"]
-    assert "regulation requests" not in rows
+    assert rows["Mileage per hour"][:2] == ["35,990,000", "kW/h"]
+    assert rows["Shortfall"] == ["5,000.00", "kWh", "10.000 % of desired"]
     assert "PJM performance score" not in rows
-
-
-def test_requests_and_score_are_told_when_there_is_regulation() -> None:
-    rows = rows_of(metrics_of(regulation=True))
-    # Each request of 2 s has a second that is short.
-    assert rows["regulation requests"] == [
-        "0.00 %",
-        "of 1,800 fulfilled, to 0.1 % of the rating",
-        "0.00 %",
-        "of 1,800 fulfilled, to 1 % of the rating",
-    ]
-    score, note = rows["PJM performance score"]
-    # Of the seconds that are multiples of 10 none is short.
-    assert (score, note) == (
-        "1.000",
-        "accuracy 1.00, delay 1.00, precision 1.00",
-    )
+    regulated = rows_of(summary_of(metrics_of(regulation=True)))
+    # Each request of 2 s has a second that is short; of the multiples of 10 s none is.
+    assert regulated["Requests fulfilled to 1 %"][0] == "0.00"
+    assert regulated["PJM performance score"][0] == "1.000"
 
 
 def test_a_run_without_a_complete_cycle_has_no_figures_and_says_so() -> None:
-    rows = rows_of(None)
-    assert rows["energy"] == ["-", "no cycle was completed"]
-    assert "tracking error" not in rows
+    rows = rows_of(summary_of(None))
+    assert rows["Figures of merit"][0] == "-"
+    assert "Tracking RMSE" not in rows
 
 
-@pytest.mark.parametrize("regulation", [False, True])
-def test_the_json_has_all_metrics(regulation: bool) -> None:
-    document = json.loads(summary_of(metrics_of(regulation)).as_json())
+def test_the_json_has_all_metrics_and_the_figures_by_name() -> None:
+    document = json.loads(summary_of(metrics_of(regulation=True)).as_json())
+    assert document["figures"]["satisfied"] == pytest.approx(90.0, abs=0.1)
     assert document["metrics"]["tracking"]["mae_kw"] == pytest.approx(5000.0)
-    found = document["metrics"]["regulation"]
-    assert (found is not None) == regulation
-    if regulation:
-        assert found["performance"]["hours"][0]["windows"] == 12
+    assert document["metrics"]["regulation"]["performance"]["hours"][0]["windows"] == 12
 
 
 def test_a_run_over_processes_tells_what_it_took_and_which_cycles_were_skipped() -> None:
@@ -144,25 +118,21 @@ def test_a_run_over_processes_tells_what_it_took_and_which_cycles_were_skipped()
     found = replace(
         summary_of(None), processes=processes, missing_inputs=13, old_inputs=4, skipped_cycles=7
     )
-    rows = rows_printed(found)
-    assert rows["processor time per cycle"][0] == "2.00 ms"
-    assert rows["inputs missed at deadlines"][0] == "13"
-    assert "4" in rows["inputs missed at deadlines"][1]
-    assert rows["cycles skipped"][0] == "7"
-    assert "c1/b" in rows["cycles skipped"][1]
+    rows = rows_of(found)
+    assert rows["Processor time per cycle"][:2] == ["2.00", "ms"]
+    assert rows["Inputs missed at deadlines"][0] == "13"
+    assert "4" in rows["Inputs missed at deadlines"][2]
+    assert rows["Cycles skipped"][0] == "7"
+    assert "c1/b" in rows["Cycles skipped"][2]
+    assert "Cycles skipped" not in rows_of(summary_of(None))
 
 
-def test_a_run_in_one_process_skips_no_cycles() -> None:
-    assert "cycles skipped" not in rows_of(None)
-
-
-def test_messages_of_a_device_that_cannot_be_read_are_not_said_to_be_lost() -> None:
+def test_messages_of_a_device_that_were_lost_are_counted_as_lost() -> None:
     device = ExternalAccount("c1/inv01", {"impp": 5}, lost=100, expected=20, answered=5)
-    summary = replace(summary_of(None), external=(device,))
-    rows = rows_printed(summary)
-    assert rows["external c1/inv01"] == ["5", "messages recorded; answered 5 times of 20"]
-    assert rows["100"] == ["more never came or could not be decoded"], "a row without a name"
-    assert "0" not in rows_printed(replace(summary, external=(replace(device, lost=0),)))
+    rows = rows_of(replace(summary_of(None), external=(device,)))
+    assert rows["Missing in the recording"][0] == "100"
+    assert rows["External c1/inv01"][0] == "5"
+    assert "100" in rows["External c1/inv01"][2]
 
 
 def test_what_one_device_does_wrong_on_all_its_keys_is_one_row() -> None:
@@ -170,5 +140,5 @@ def test_what_one_device_does_wrong_on_all_its_keys_is_one_row() -> None:
         WrongMessages(f"c1/inv01/{signal}", "late", 2, "of a cycle that was over", "c1/inv01")
         for signal in ("impp", "residual", "help", "command")
     )
-    rows = rows_printed(replace(summary_of(None), wrong=wrong))
-    assert rows["wrong: c1/inv01/impp and 3 more"] == ["8", "late: of a cycle that was over"]
+    rows = rows_of(replace(summary_of(None), wrong=wrong))
+    assert rows["Wrong: c1/inv01/impp and 3 more"][0] == "8"

@@ -19,7 +19,6 @@ from recording_by_hand import PLAN, QUOTED, written
 from bus_schemas.errors import InputError
 from bus_schemas.signals import SIGNALS, Signal
 from recordings.export.json_messages import object_schema
-from recordings.export.records import Selection, records
 from recordings.export.viewer_file import Clock, ViewerFile
 from recordings.read.reader import RunReader
 
@@ -56,8 +55,8 @@ def viewer_file(run: Path, clock: Clock = "wall") -> tuple[Path, int]:
     """Export a recording; return the file, and how many fields were left out."""
     path = run.with_name("viewers.mcap")
     with RunReader(run) as reader, ViewerFile(path, reader, RECORDED, clock) as file:
-        for record in records(reader, Selection(RECORDED), lambda share: None):
-            file.add(record)
+        for record in reader.records():
+            file.add(record, record.message())
     return path, file.left_out
 
 

@@ -11,7 +11,8 @@ from recordings_by_hand import cycle_of_the_plant, whole_run, write_run
 
 from bus_schemas.bus import Delivery
 from recordings import open_run
-from recordings.inspect.overview import Gap, Overview, SignalCount, read_overview
+from recordings.inspect.overview import Overview, SignalCount, read_overview
+from recordings.read.gaps import Gap
 
 CYCLES = 60
 END = CYCLES - 1
@@ -141,9 +142,3 @@ def test_what_is_missing_at_the_end_is_counted_up_to_where_the_plant_ended_the_r
     gaps = {gap.port: (gap.first_cycle, gap.last_cycle, gap.cycles) for gap in overview.gaps}
     assert gaps["production"] == gaps["c1/a/impp"] == (50, END, 10)
     assert gaps["c1/setpoint"] == (50, END - 1, 5)
-
-
-def test_a_part_lacks_what_was_due_up_to_its_own_end(look: Callable[..., Overview]) -> None:
-    overview = look(is_kept=lambda pair: not 18 <= pair[1].cycle < 25, cycles=range(11, 21))
-    gaps = {gap.port: (gap.first_cycle, gap.last_cycle) for gap in overview.gaps}
-    assert gaps["production"] == (18, 20)

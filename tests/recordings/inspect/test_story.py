@@ -15,7 +15,7 @@ from bus_schemas.signals import IMPP, NOTICE, TELEMETRY
 from bus_schemas.tree import ROOT
 from recordings import open_run
 from recordings.inspect.story import HelpLine, NodeCycle, story
-from recordings.inspect.story_table import WIDTH, StoryTable, plant_lines
+from recordings.inspect.story_table import NARROWEST, StoryTable, plant_lines
 
 
 def told(path: Path, node: str, cycles: range) -> list[NodeCycle]:
@@ -108,7 +108,7 @@ def test_what_a_node_had_to_do_without_and_said_in_words_is_told(tmp_path: Path)
     (row,) = told(path, "c1/a", range(1))
     assert (row.power_kw, row.stale_cycles) == (None, 2)
     assert (row.missing, row.notices) == (["c1/a/telemetry"], ["no usable measurement"])
-    line = " ".join(StoryTable(PLAN.tree, "c1/a", 8).row(row)[0].split())
+    line = " ".join(StoryTable(PLAN.tree, "c1/a", 8, 120).row(row)[0].split())
     assert line.startswith("0 12:00:00 - 40.00 60.00 -20.00 20.00 40.00 0.8000 from b 20.00;")
 
 
@@ -129,12 +129,16 @@ def test_inputs_that_were_not_due_are_said_in_words(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("node", ["c1/a", "c1/b", "c1", ROOT])
-def test_a_storys_columns_keep_their_places_and_their_width(recording: Path, node: str) -> None:
-    table = StoryTable(PLAN.tree, node, 8)
+@pytest.mark.parametrize("width", [NARROWEST, 120])
+def test_a_storys_columns_keep_their_places_and_their_width(
+    recording: Path, node: str, width: int
+) -> None:
+    table = StoryTable(PLAN.tree, node, 12, width)
     names, units = table.heading()
+    assert max(len(names), len(units)) <= width
     for row in told(recording, node, range(20)):
         lines = table.row(row)
-        assert all(len(line) <= WIDTH for line in lines)
+        assert all(len(line) <= width for line in lines)
         for name in ("IMPP", "residual"):
             end = names.index(name) + len(name)
             assert units[:end].endswith("kW")
@@ -149,7 +153,7 @@ def test_much_help_goes_on_in_the_next_line() -> None:
     row = NodeCycle(3, "12:00:03", "c1/a", impp_kw=1.0, help_from=givers)
     lines = StoryTable(PLAN.tree, "c1/a", 8).row(row)
     assert len(lines) > 2
-    assert all(len(line) <= WIDTH for line in lines)
+    assert all(len(line) <= NARROWEST for line in lines)
     told_text = " ".join(" ".join(lines).split())
     assert all(f"inv{n:02} {10.0 + n:.2f}" in told_text for n in range(9))
 
@@ -157,7 +161,7 @@ def test_much_help_goes_on_in_the_next_line() -> None:
 def test_the_plant_in_one_cycle_is_a_tree_of_all_its_nodes(recording: Path) -> None:
     with open_run(recording) as run:
         (rows,) = story(run, PLAN.tree.nodes, range(10, 11))
-    lines = list(plant_lines(PLAN.tree, rows))[2:]
+    lines = list(plant_lines(PLAN.tree, rows, 120))[2:]
     assert [line[:6].rstrip() for line in lines] == [
         "centra",
         "├─ c1",

@@ -6,7 +6,7 @@ import pytest
 
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree
-from recordings.read.selection import find_nodes
+from recordings.read.selection import find_agents, find_node, find_nodes
 
 TREE = ControlTree((("c1/a", 1.0), ("c1/b", 1.0), ("c10/a", 1.0)))
 
@@ -19,6 +19,8 @@ TREE = ControlTree((("c1/a", 1.0), ("c1/b", 1.0), ("c10/a", 1.0)))
         (["c1/a", "c1/*"], {"c1", "c1/a", "c1/b"}),
         ("central", {""}),
         ("central/*", {"", "c1", "c1/a", "c1/b", "c10", "c10/a"}),
+        ("c1/a, c10/*", {"c1/a", "c10", "c10/a"}),
+        (["", "c10"], {"", "c10"}),
         ((), set()),
     ],
 )
@@ -28,8 +30,18 @@ def test_a_star_means_a_node_and_all_below_it(names: str | list[str], found: set
     assert len(nodes) == len(found), "each once"
 
 
-def test_an_unknown_node_before_a_star_is_named() -> None:
-    with pytest.raises(InputError) as caught:
-        find_nodes(TREE, "c2/*")
-    assert "node 'c2': not in this run" in str(caught.value)
-    assert "c1" in str(caught.value), "a name that is near"
+@pytest.mark.parametrize("name", ["c2/*", "c2", "plant"])
+def test_an_unknown_node_is_named_with_those_that_there_are(name: str) -> None:
+    with pytest.raises(InputError, match="c1") as caught:
+        find_nodes(TREE, name)
+    assert repr(name) in str(caught.value)
+
+
+def test_agents_are_the_nodes_and_the_plant() -> None:
+    assert find_agents(TREE, "plant,central,c10/*") == ("plant", "central", "c10", "c10/a")
+
+
+def test_where_one_node_is_wanted_several_are_refused() -> None:
+    assert find_node(TREE, "c1/a") == "c1/a"
+    with pytest.raises(InputError, match=r"c1/\*"):
+        find_node(TREE, "c1/*")

@@ -9,13 +9,12 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.writer import Writer
 from recordings_by_hand import PLAN, cycle_of_the_plant, whole_run, write_run
 
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
-from bus_schemas.signals import IMPP, PRODUCTION, RUN, SETPOINT, SIGNALS, TELEMETRY
+from bus_schemas.signals import PRODUCTION, RUN, SIGNALS, TELEMETRY
 from bus_schemas.tree import ROOT
 from recordings import open_run
 from recordings.read import reader
@@ -45,19 +44,17 @@ names = [signal.name for signal in SIGNALS if signal.logged]
     signals=st.lists(st.sampled_from(names), unique=True, max_size=3),
     nodes=st.lists(st.sampled_from(["central", "c1", "c2/d"]), unique=True),
     bounds=st.tuples(st.integers(0, CYCLES - 1), st.integers(0, CYCLES - 1)),
-    by_time=st.booleans(),
 )
 def test_signals_nodes_and_cycles_choose_from_all_messages(
     recording: tuple[Path, list[Delivery]],
     signals: list[str],
     nodes: list[str],
     bounds: tuple[int, int],
-    by_time: bool,
 ) -> None:
     path, written = recording
     start, end = sorted(bounds)
     with open_run(path) as run:
-        found = run.messages(*signals, nodes=nodes, start=start, end=end, by_time=by_time)
+        found = run.messages(*signals, nodes=nodes, start=start, end=end)
         paths = {"" if node == "central" else node for node in nodes}
         assert list(found) == [
             (port, message)
@@ -66,12 +63,6 @@ def test_signals_nodes_and_cycles_choose_from_all_messages(
             and (not nodes or port.node in paths)
             and start <= message.cycle <= end
         ]
-
-
-def test_signals_go_by_name_or_by_themselves(run: RunReader) -> None:
-    by_name = list(run.messages("impp", "setpoint", nodes="c1/a", end="10s"))
-    assert by_name == list(run.messages(IMPP, SETPOINT, nodes=["c1/a"], end="12:00:10"))
-    assert len(by_name) == 22
 
 
 def test_raw_records_are_the_messages_with_their_times_and_numbers(
@@ -83,9 +74,6 @@ def test_raw_records_are_the_messages_with_their_times_and_numbers(
     ]
     assert [(record.cycle, record.sequence) for record in records] == [
         (message.cycle, message.sequence) for _, message in recording[1]
-    ]
-    assert sorted(record.log_time_ns for record in records) == [
-        record.log_time_ns for record in records
     ]
     some = list(run.records(run.ports("impp"), range(7, 9)))
     assert [record for record in records if record in some] == some
@@ -108,7 +96,7 @@ def test_one_minute_is_found_without_reading_the_rest(
     assert len(unpacked) < 15, "some to search for the place, and those around it"
 
 
-def test_the_last_cycle_is_that_of_the_last_message_but_the_plants_farewell(
+def test_the_last_cycle_is_that_of_the_last_message_but_the_end_of_the_run(
     run: RunReader, tmp_path: Path
 ) -> None:
     assert run.last_cycle == CYCLES - 1
@@ -184,18 +172,12 @@ def test_a_frame_without_a_message_still_has_its_columns(run: RunReader) -> None
 @pytest.mark.parametrize(
     ("signals", "nodes", "start", "complaint"),
     [
-        (["imp"], [], None, "signal 'imp': not in a recording, near are impp"),
-        (["ready"], [], None, "signal 'ready': not in a recording, accepted are telemetry"),
-        (["xyz"], [], None, "signal 'xyz': not in a recording, accepted are telemetry, dispatch,"),
-        ([], ["c1/aa"], None, "node 'c1/aa': not in this run, near are c1/a"),
-        ([], ["centrl"], None, "node 'centrl': not in this run, near are central"),
-        ([], ["?"], None, "node '\\?': not in this run, accepted are central, c1, c2, c1/a"),
-        (
-            [],
-            [],
-            "13:49",
-            "13:49: outside the run, which goes from 2010-04-01 12:00:00 to 12:04:59",
-        ),
+        (["imp"], [], None, "signal 'imp': .*impp"),
+        (["ready"], [], None, "signal 'ready': .*telemetry"),
+        ([], ["c1/aa"], None, "node 'c1/aa': .*c1/a"),
+        ([], ["centrl"], None, "node 'centrl': .*central"),
+        ([], ["?"], None, "node '\\?': .*central, c1, c2, c1/a"),
+        ([], [], "13:49", "13:49: .*2010-04-01 12:00:00 to 12:04:59"),
     ],
 )
 def test_what_the_run_does_not_have_is_refused_with_what_it_has(
@@ -204,17 +186,6 @@ def test_what_the_run_does_not_have_is_refused_with_what_it_has(
     with pytest.raises(InputError, match=complaint) as caught:
         run.messages(*signals, nodes=nodes, start=start)
     assert "\n" not in str(caught.value)
-
-
-def test_an_older_recording_is_refused_with_its_version(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        writer.add_metadata("run", {"schema_version": "2"})
-        writer.finish()
-    with pytest.raises(InputError, match="schema version 2"):
-        open_run(path)
 
 
 def test_a_damaged_chunk_is_refused_where_it_is_read_and_not_before(
@@ -261,7 +232,7 @@ def test_who_asks_for_it_reads_on_behind_a_damaged_chunk_and_can_tell_which(
     assert told is not None
     assert begin - 1 <= int(told[1]) <= begin
     assert end <= int(told[2]) <= end + 1
-    with open_run(path) as run, pytest.raises(InputError, match="no chunk begins there"):
+    with open_run(path) as run, pytest.raises(InputError, match=f"{place.offset:,}"):
         list(run.messages())
 
 
@@ -269,25 +240,6 @@ def test_a_damaged_chunk_elsewhere_does_not_matter(damaged: tuple[Path, ChunkPla
     with RunReader(damaged[0], skip_damaged=True) as run:
         assert list(run.messages(start=0, end=5))
         assert (run.damage, damage_text(run)) == ({}, "")
-
-
-@pytest.mark.parametrize("first_ns", [0, 2**63])
-def test_damaged_times_in_a_cut_file_empty_no_span(
-    recording: tuple[Path, list[Delivery]], tmp_path: Path, first_ns: int
-) -> None:
-    path, written = recording
-    with open_run(path) as run:
-        places, end = run.outline.chunks, run.outline.readable_end
-    torn = bytearray(path.read_bytes()[: end - 20])
-    for place in (places[5], places[-3]):
-        torn[place.offset + 9 : place.offset + 17] = first_ns.to_bytes(8, "little")
-    cut = tmp_path / "run.mcap"
-    cut.write_bytes(torn)
-    with open_run(cut) as run:
-        assert list(run.messages(start=100, end=110)) == [
-            pair for pair in written if 100 <= pair[1].cycle <= 110
-        ]
-        assert list(run.messages()) == written
 
 
 def test_the_plan_of_a_recording_has_to_be_what_was_written(
@@ -301,7 +253,7 @@ def test_the_plan_of_a_recording_has_to_be_what_was_written(
         open_run(torn)
 
 
-def test_the_plants_farewell_tells_where_the_run_ended(run: RunReader, tmp_path: Path) -> None:
+def test_the_plants_last_message_tells_where_the_run_ended(run: RunReader, tmp_path: Path) -> None:
     assert run.stop_cycle == CYCLES
     path = tmp_path / "run.mcap"
     write_run(path, cycle_of_the_plant(0))

@@ -1,14 +1,21 @@
-"""A file is there whole or not at all, and what is no plain file is not replaced by one."""
+"""A file or folder is there whole or not at all."""
 
 from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 
-from recordings.read.whole_file import whole_file
+from bus_schemas.errors import InputError
+from recordings.read.whole_file import new_path, whole_file
+
+ENDINGS = pytest.mark.parametrize(
+    "ending", [OSError(28, "No space left on device"), KeyboardInterrupt(), SystemExit(143)]
+)
 
 
 def write(path: Path, document: bytes) -> None:
@@ -18,36 +25,53 @@ def write(path: Path, document: bytes) -> None:
 
 def test_a_file_is_replaced_when_it_is_complete(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
-    path.write_bytes(b"longer than what comes")
+    path.write_bytes(b"longer than the new one")
     with whole_file(path) as file:
         file.write(b"{}")
         file.flush()
-        assert path.read_bytes() == b"longer than what comes"
+        assert path.read_bytes() == b"longer than the new one"
     assert path.read_bytes() == b"{}"
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("end", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-def test_of_what_is_cut_short_there_is_no_half_file(tmp_path: Path, end: BaseException) -> None:
+def interrupted(
+    opened: Callable[[Path], AbstractContextManager[object]], path: Path, ending: BaseException
+) -> None:
+    def write_half() -> None:
+        with opened(path) as beside:
+            if isinstance(beside, Path):
+                beside.mkdir()
+                (beside / "half").write_text("half")
+            raise ending
+
+    with pytest.raises(type(ending)):
+        write_half()
+
+
+@ENDINGS
+def test_what_is_interrupted_leaves_the_file_as_it_was(
+    tmp_path: Path, ending: BaseException
+) -> None:
     path = tmp_path / "x.json"
     path.write_bytes(b"before")
-
-    def cut_short() -> None:
-        with whole_file(path) as file:
-            file.write(b"half")
-            raise end
-
-    with pytest.raises(type(end)):
-        cut_short()
+    interrupted(whole_file, path, ending)
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]
 
 
+@ENDINGS
+def test_nothing_is_left_of_a_new_folder_that_was_interrupted(
+    tmp_path: Path, ending: BaseException
+) -> None:
+    interrupted(new_path, tmp_path / "export", ending)
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("exists", [True, False])
-def test_a_link_stays_one_and_what_it_leads_to_is_written(tmp_path: Path, exists: bool) -> None:
+def test_a_link_stays_one_and_its_target_is_written(tmp_path: Path, exists: bool) -> None:
     kept, link = tmp_path / "kept.json", tmp_path / "link.json"
     if exists:
-        kept.write_bytes(b"longer than what comes")
+        kept.write_bytes(b"longer than the new one")
     link.symlink_to(kept)
     write(link, b"{}")
     assert link.is_symlink()
@@ -64,3 +88,35 @@ def test_a_pipe_stays_one_and_its_reader_gets_it(tmp_path: Path) -> None:
     reader.join()
     assert read == [b"{}"]
     assert pipe.is_fifo()
+
+
+def test_a_new_file_or_folder_gets_its_name_at_the_end(tmp_path: Path) -> None:
+    path, folder = tmp_path / "export.mcap", tmp_path / "export"
+    with new_path(path) as beside, new_path(folder) as folder_beside:
+        beside.write_text("all of it")
+        folder_beside.mkdir()
+        assert not path.exists()
+    assert path.read_text() == "all of it"
+    assert sorted(tmp_path.iterdir()) == [folder, path]
+
+
+@pytest.mark.parametrize("meanwhile", [True, False])
+def test_a_new_path_replaces_nothing(tmp_path: Path, meanwhile: bool) -> None:
+    path = tmp_path / "export.mcap"
+    if not meanwhile:
+        path.write_text("theirs")
+
+    def make() -> None:
+        with new_path(path) as beside:
+            beside.write_text("mine")
+            path.write_text("theirs")
+
+    with pytest.raises(InputError, match=str(path)):
+        make()
+    assert path.read_text() == "theirs"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_new_path_needs_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError), new_path(tmp_path / "missing" / "export.mcap"):
+        pytest.fail("it should not come to this")

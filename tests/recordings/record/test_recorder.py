@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
 
-import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -14,14 +13,13 @@ from agents.events import Event, Recorded
 from agents.launcher_link import LauncherLink
 from agents.plan import RunPlan
 from bus_schemas.codec import encode
-from bus_schemas.messages import Dispatch, Impp, Message
-from bus_schemas.signals import DISPATCH, IMPP, Port
+from bus_schemas.messages import Impp, Message
+from bus_schemas.signals import IMPP, Port
 from bus_schemas.zenoh_bus import ZenohTap
 from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.reader import RunReader
-from recordings.read.series import SeriesCollector
 from recordings.record.recorder import Recorder, RecordingEnd
 from recordings.record.writer import RunWriter
 
@@ -99,23 +97,6 @@ def recorded(
         return [message for port, message in reader.messages(IMPP) if port is PORT], account
 
 
-def test_of_several_messages_the_series_of_a_run_hold_the_first() -> None:
-    collector = SeriesCollector(IN_LOCKSTEP)
-    run = MemoryRun(IN_LOCKSTEP, PREPARED.profile, collector.see)
-    for _ in run.cycles():
-        pass
-    before = collector.series("once")
-    for cycle in range(CYCLES):
-        collector.see(PORT, impp(cycle, 0.25))
-    dispatch = Dispatch(
-        3, 0, "plant", (), power_kw=1.0, plant_rating_kw=1.0, commitment_kw=1.0, regulation_kw=0.0
-    )
-    collector.see(DISPATCH.of(""), dispatch)
-    after = collector.series("twice")
-    assert np.array_equal(after.impp_kw, before.impp_kw)
-    assert np.array_equal(after.commitment_kw, before.commitment_kw)
-
-
 def test_a_device_that_answers_ahead_is_recorded_with_both_messages_and_named(
     tmp_path: Path,
 ) -> None:
@@ -127,7 +108,7 @@ def test_a_device_that_answers_ahead_is_recorded_with_both_messages_and_named(
     assert [message.cycle for message in kept] == [0, 1, 6, 2, 3, 4, 5, 6, 7]
     assert account.foreign == 0
     assert "repeated" in {entry.cause for entry in account.complaints}
-    assert len(account.plant.desired_kw) == CYCLES
+    assert account.cycles == CYCLES
 
 
 def of_a_run(answers: list[tuple[int, int]], folder: Path) -> Recorded:

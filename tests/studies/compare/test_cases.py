@@ -88,8 +88,8 @@ def test_without_words_there_is_the_scenario_itself(oahu: ScenarioFile) -> None:
 @pytest.mark.parametrize(
     ("words", "wrong"),
     [
-        (("commitment.share",), "--set commitment.share"),
-        (("commitment.share=",), "--set commitment.share="),
+        (("commitment.share",), "--set: expected"),
+        (("commitment.share=",), "--set: expected"),
         (("commitment.share=two",), "commitment.share: expected"),
         (("plant.actuator=wheel",), "got 'wheel'"),
         (("nothing.at.all=1",), "got nothing"),

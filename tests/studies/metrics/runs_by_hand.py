@@ -52,6 +52,18 @@ def run_of(
     )
 
 
+def sine_of_an_hour(response: float = 1.0) -> RunSeries:
+    """Return an hour under a regulation signal, of which a share is given."""
+    signal_kw = 200.0 * np.sin(np.arange(3600) / 40.0 + 0.1)
+    return run_of(
+        np.full(3600, 400.0),
+        900.0,
+        400.0 + response * signal_kw,
+        regulation_kw=signal_kw,
+        capacity_kw=200.0,
+    )
+
+
 def long_run() -> RunSeries:
     """Return 15 hours of 17 inverters, as long as the paper's, that follow a signal all the time.
 

@@ -1,9 +1,7 @@
-"""All figures of merit of a run together."""
+"""All figures of merit of a run together, worked out by hand."""
 
 from __future__ import annotations
 
-import json
-import math
 from dataclasses import replace
 
 import msgspec
@@ -11,29 +9,44 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from runs_by_hand import CYCLES_OF_15_HOURS, long_run, run_of
+from runs_by_hand import CYCLES_OF_15_HOURS, long_run, run_of, sine_of_an_hour
 
-from studies.metrics import RunMetrics, run_metrics
+from recordings.read.series import RunSeries
+from studies.metrics import CommitmentMetrics, RunMetrics, commitment_metrics, run_metrics
 
 POWER = st.floats(0.0, 1000.0)
 CYCLES = st.lists(st.tuples(POWER, POWER, st.floats(0.0, 1.0)), min_size=1, max_size=30)
 
 
-def test_a_run_of_four_cycles_by_hand() -> None:
+def test_a_run_of_four_half_hours_by_hand() -> None:
     run = run_of(
+        #             met    short  dark   over
         commitment_kw=[100.0, 100.0, 100.0, 50.0],
         possible_kw=[150.0, 120.0, 30.0, 80.0],
         delivered_kw=[100.0, 90.0, 20.0, 70.0],
         cycle_s=1800.0,
     )
     found = run_metrics(replace(run, ramp_limit_percent_per_min=0.2))
-    assert found.commitment.unsatisfied_kwh == pytest.approx(45.0)
+    assert found.commitment == CommitmentMetrics(
+        desired_kwh=175.0,  # (100 + 100 + 100 + 50) / 2
+        possible_kwh=190.0,  # (150 + 120 + 30 + 80) / 2
+        delivered_kwh=140.0,  # (100 + 90 + 20 + 70) / 2
+        unsatisfied_kwh=45.0,  # (0 + 10 + 80 + 0) / 2
+        unavoidable_kwh=35.0,  # (0 + 0 + 70 + 0) / 2
+        control_caused_kwh=10.0,  # (0 + 10 + 10 + 0) / 2
+        over_delivered_kwh=10.0,  # (0 + 0 + 0 + 20) / 2
+    )
+    assert found.commitment.satisfied_percent == pytest.approx(100.0 * (1.0 - 45.0 / 175.0))
     assert found.tracking.mae_kw == pytest.approx(27.5)  # (0 + 10 + 80 + 20) / 4
+    assert found.tracking.rmse_kw == pytest.approx(np.sqrt(6900.0 / 4.0))
     assert found.support.total_kw == pytest.approx(160.0)  # 0, 10, 80, 0
+    assert found.support.per_hour_kw == pytest.approx(80.0)
+    assert found.support.per_minute_kw == pytest.approx(80.0 / 60.0)
     assert found.headroom.headroom_kwh == pytest.approx(50.0)  # (50 + 30 + 10 + 10) / 2
+    assert found.headroom.mean_headroom_kw == pytest.approx(25.0)
     assert found.headroom.ancillary_potential_kwh == pytest.approx(50.0)  # (50 + 20 + 30) / 2
     assert found.ramps is not None
-    assert found.ramps.largest_down_kw_per_min == pytest.approx(70.0 / 30.0)
+    assert found.ramps.largest_kw_per_min == pytest.approx(70.0 / 30.0)
     assert found.ramps.minutes_above_limit == 1
     assert found.regulation is None
 
@@ -55,16 +68,14 @@ def test_regulation_is_desired_but_no_part_of_the_ancillary_potential() -> None:
     assert found.regulation.requests[0].fulfilled == 1
 
 
-def test_all_of_it_can_be_written_as_json_and_read_back() -> None:
-    second = np.arange(3600)
-    signal_kw = 100.0 * np.sin(second / 40.0 + 0.1)
-    run = run_of(
-        np.full(3600, 400.0), 900.0, 400.0 + signal_kw, regulation_kw=signal_kw, capacity_kw=100.0
-    )
-    found = run_metrics(replace(run, ramp_limit_percent_per_min=10.0))
-    text = msgspec.json.encode(found)
-    assert msgspec.json.decode(text, type=RunMetrics) == found
-    assert json.loads(text)["regulation"]["performance"]["hours"][0]["windows"] == 12
+def test_where_nothing_was_desired_no_share_of_it_is_defined() -> None:
+    found = commitment_metrics([0.0, 0.0], [10.0, 10.0], [5.0, 5.0], 3600.0)
+    assert (found.satisfied_percent, found.percent(found.over_delivered_kwh)) == (None, None)
+
+
+def test_metrics_can_be_written_as_json_and_read_back() -> None:
+    found = run_metrics(replace(sine_of_an_hour(), ramp_limit_percent_per_min=10.0))
+    assert msgspec.json.decode(msgspec.json.encode(found), type=RunMetrics) == found
 
 
 def test_fifteen_hours_of_regulation_are_scored_hour_by_hour() -> None:
@@ -80,14 +91,41 @@ def test_fifteen_hours_of_regulation_are_scored_hour_by_hour() -> None:
     assert not found.regulation.performance.passed
 
 
-def test_a_run_without_cycles_is_refused() -> None:
-    with pytest.raises(ValueError, match="the run has no cycle"):
-        run_metrics(run_of([], [], []))
+def without(run: RunSeries, cycles: slice, *fields: str) -> RunSeries:
+    """Return a run as read from a recording that lacks messages of some cycles."""
+    arrays = {field: getattr(run, field).copy() for field in fields}
+    for values in arrays.values():
+        values[cycles] = np.nan
+    return replace(run, **arrays)
 
 
-def test_a_power_that_is_no_number_is_told_with_its_cycle() -> None:
-    with pytest.raises(ValueError, match="delivered power in cycle 1 is nan"):
-        run_metrics(run_of([1.0, 1.0], [1.0, 1.0], [1.0, math.nan]))
+DISPATCH = ("commitment_kw", "regulation_kw")
+PRODUCTION = ("mpp_kw", "power_kw")
+
+
+@pytest.mark.parametrize("fields", [DISPATCH, PRODUCTION, DISPATCH + PRODUCTION])
+def test_cycles_with_a_message_missing_do_not_count(fields: tuple[str, ...]) -> None:
+    whole = run_metrics(sine_of_an_hour(response=0.75))
+    found = run_metrics(without(sine_of_an_hour(response=0.75), slice(900, 910), *fields))
+    assert found.commitment.possible_kwh == pytest.approx(
+        whole.commitment.possible_kwh * 3590 / 3600
+    )
+    assert found.ramps is not None
+    assert whole.ramps is not None
+    assert found.ramps.largest_kw_per_min == pytest.approx(whole.ramps.largest_kw_per_min)
+    assert found.regulation is not None
+    assert found.regulation.requests[0].requests == 1795
+    assert found.regulation.performance is not None
+    # The window from 12:15 on has a gap, and the clock of the others does not move.
+    assert [hour.windows for hour in found.regulation.performance.hours] == [11]
+    assert found.regulation.performance.precision == pytest.approx(0.75)
+
+
+@pytest.mark.parametrize("fields", [(), PRODUCTION])
+def test_a_run_without_a_known_cycle_is_refused(fields: tuple[str, ...]) -> None:
+    run = without(run_of([1.0], [1.0], [1.0]), slice(None), *fields) if fields else run_of([], 1, 1)
+    with pytest.raises(ValueError, match="expected a cycle with dispatch and production, got none"):
+        run_metrics(run)
 
 
 @settings(max_examples=50)
@@ -107,3 +145,4 @@ def test_energies_balance_in_every_run(
     )
     missed_kwh = found.tracking.mae_kw * run.cycles * cycle_s / 3600.0
     assert missed_kwh == pytest.approx(energy.unsatisfied_kwh + energy.over_delivered_kwh, abs=1e-6)
+    assert found.tracking.mae_kw <= found.tracking.rmse_kw * (1.0 + 1e-12) + 1e-9

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from recordings.read.series import RunSeries
@@ -60,17 +62,9 @@ def without_estimates(run: RunSeries, label: str) -> RunSeries:
     n = len(run.inverters)
     power_kw = np.minimum(run.mpp_kw, run.desired_kw[:, None] / n)
     nothing = np.full_like(power_kw, np.nan)
-    return RunSeries(
+    return replace(
+        run,
         label=label,
-        inverters=run.inverters,
-        rating_kw=run.rating_kw,
-        timezone=run.timezone,
-        start_time_ns=run.start_time_ns,
-        cycle_s=run.cycle_s,
-        commitment_kw=run.commitment_kw,
-        regulation_kw=run.regulation_kw,
-        regulation_capacity_kw=run.regulation_capacity_kw,
-        mpp_kw=run.mpp_kw,
         power_kw=power_kw,
         impp_kw=nothing,
         residual_kw=nothing,

@@ -7,14 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from synthetic_runs import cloudy_run, without_estimates
+from synthetic_runs import cloudy_run
 
 from recordings.read.series import RunSeries
 from studies.report.cloud_passage import (
-    clusters,
     correlation_by_hour,
     find_cloud_passage,
-    inverters_by_cluster,
 )
 
 REQUEST_KW = 50.0
@@ -49,19 +47,6 @@ def test_the_shaded_one_and_the_one_with_headroom_are_told_apart() -> None:
     assert (found.shaded, found.helping) == (0, 1)
     assert found.bottom == SHADE_BEGINS + 20
     assert found.drop_kw == pytest.approx(60.0)
-
-
-def test_three_minutes_around_the_drop_are_shown() -> None:
-    found = find_cloud_passage(plant(a=shade(60.0), b=rising()))
-    assert found is not None
-    assert len(found.cycles) == 180
-    assert found.cycles.start == found.bottom - 90
-
-
-def test_at_the_beginning_of_a_run_the_three_minutes_begin_with_it() -> None:
-    found = find_cloud_passage(plant(a=shade(60.0, begins=5), b=rising()))
-    assert found is not None
-    assert found.cycles == range(180)
 
 
 def test_of_two_drops_the_larger_is_taken_whichever_cluster_it_is_in() -> None:
@@ -101,38 +86,10 @@ def test_of_a_cluster_only_the_least_correlated_pair_is_looked_at() -> None:
     assert found.correlation == pytest.approx(-1.0)
 
 
-def test_a_scheme_that_estimates_nothing_shows_no_passage() -> None:
-    assert find_cloud_passage(without_estimates(cloudy_run(), "no help")) is None
-
-
-def test_a_run_shorter_than_three_minutes_is_shown_whole() -> None:
-    run = plant(a=shade(60.0, begins=30), b=rising())
-    short = replace(
-        run,
-        **{
-            name: getattr(run, name)[:100]
-            for name in ("mpp_kw", "power_kw", "impp_kw", "residual_kw", "alpha")
-        },
-    )
-    found = find_cloud_passage(short)
-    assert found is not None
-    assert found.cycles == range(100)
-
-
-def test_a_run_of_one_cycle_has_no_passage() -> None:
-    assert find_cloud_passage(cloudy_run(cycles=1)) is None
-
-
 def test_cycles_longer_than_the_drop_are_looked_at_one_by_one() -> None:
     found = find_cloud_passage(cloudy_run(cycles=30, cycle_s=90.0))
     assert found is not None
     assert len(found.cycles) == 2
-
-
-def test_clusters_keep_the_order_of_the_plant() -> None:
-    run = cloudy_run()
-    assert clusters(run) == {"c1": [0, 2, 4], "c2": [1, 3]}
-    assert inverters_by_cluster(run) == [0, 2, 4, 1, 3]
 
 
 def test_an_hour_in_which_nothing_varies_has_no_correlation_to_show() -> None:

@@ -18,25 +18,6 @@ SERIES = arrays(
 )
 
 
-def test_a_dip_of_one_cycle_in_a_day_is_kept() -> None:
-    power_kw = np.full(54_000, 3000.0)
-    power_kw[41_234] = 12.0
-    rows = extremes(power_kw)
-    assert 41_234 in rows
-    assert len(rows) <= 3002
-
-
-def test_a_peak_and_a_dip_in_one_bucket_are_kept_in_their_order() -> None:
-    values = np.zeros(100)
-    values[[42, 47]] = -1.0, 1.0
-    assert {42, 47} <= set(extremes(values, buckets=10))
-    assert list(extremes(values, buckets=10)) == sorted(extremes(values, buckets=10))
-
-
-def test_a_short_series_is_kept_whole() -> None:
-    assert list(extremes(np.array([3.0, 1.0, 2.0]), buckets=2)) == [0, 1, 2]
-
-
 @given(SERIES, st.integers(1, 20))
 def test_every_bucket_keeps_its_extremes_and_the_ends_are_there(
     values: NDArray[np.float64], buckets: int
@@ -68,13 +49,6 @@ def test_the_least_of_each_bucket_of_several_series() -> None:
     assert rows == 2
     # The last bucket has one row only.
     assert cells.tolist() == [[4.0, 1.0], [8.0, -1.0], [7.0, 3.0]]
-
-
-def test_a_bucket_with_one_value_missing_shows_the_least_of_the_rest() -> None:
-    values = np.array([[np.nan, np.nan], [2.0, np.nan]])
-    cells, _ = least_per_bucket(values, buckets=1)
-    assert cells[0, 0] == 2.0
-    assert np.isnan(cells[0, 1])
 
 
 @pytest.mark.parametrize("cycles", [1, 899, 900, 901, 54_000])

@@ -14,6 +14,15 @@ from synthetic_runs import cloudy_run, without_estimates
 from studies.report.metrics_tables import metrics_tables
 from studies.report.run_report import write_report
 
+WIDTHS = """<script>addEventListener("load", () => {
+  const seen = document.documentElement.clientWidth;
+  const cut = [...document.querySelectorAll("table, p, h1, h2, .plot, svg text, .scroll")].filter(
+    (e) => e.getBoundingClientRect().right > seen + 1 ||
+      (e.className === "scroll" && e.scrollWidth > e.clientWidth + 1));
+  document.body.dataset.cut = cut.map((e) => e.tagName + " " + e.textContent.slice(0, 40)).join();
+})</script></body>"""
+"""Notes in the page what reaches beyond its right edge."""
+
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 QUIET = (
     "--headless",
@@ -43,9 +52,12 @@ def test_a_browser_draws_every_figure_without_a_complaint(
     browser: str, tmp_path: Path, width_px: int
 ) -> None:
     run = cloudy_run("a <b>label</b> & more", regulation=True)
-    runs = [run, without_estimates(run, "no help")]
+    others = ("no help", "grouping control, 4 inverters", "central dispatch", "a fifth scheme")
+    runs = [run, *(without_estimates(run, label) for label in others)]
     path = tmp_path / "report.html"
     write_report(path, "A run", runs, metrics_tables(runs))
+    measured = path.with_name("measured.html")
+    measured.write_text(path.read_text(encoding="utf-8").replace("</body>", WIDTHS), "utf-8")
     ended = subprocess.run(
         [
             browser,
@@ -53,7 +65,7 @@ def test_a_browser_draws_every_figure_without_a_complaint(
             f"--user-data-dir={tmp_path / 'browser'}",
             f"--window-size={width_px},1000",
             "--dump-dom",
-            path.as_uri(),
+            measured.as_uri(),
         ],
         capture_output=True,
         text=True,
@@ -62,6 +74,7 @@ def test_a_browser_draws_every_figure_without_a_complaint(
     )
     console = [line for line in ended.stderr.splitlines() if "CONSOLE" in line]
     assert console == []
+    assert 'data-cut=""' in ended.stdout, re.findall(r'data-cut="[^"]*"', ended.stdout)
     figures = read_page(path.read_text(encoding="utf-8")).figures()
     for anchor in figures:
         drawn = ended.stdout.split(f'id="{anchor}-plot"')[1].split("<figcaption>")[0]

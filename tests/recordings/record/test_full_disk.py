@@ -9,21 +9,21 @@ from pathlib import Path
 
 import pytest
 
-TESTS = Path(__file__).parent.parent
+TESTS = Path(__file__).parents[2]
 
 _PROGRAM = """
 import resource, sys, time
 from pathlib import Path
 from recordings_by_hand import PLAN, SCENARIO, whole_run
 from bus_schemas.codec import encode
-from recordings.record.lasting_writer import LastingWriter
+
 from recordings.read.reader import RunReader
 from recordings.record.writer import RunWriter
 
 path, most = Path(sys.argv[1]), int(sys.argv[2])
 resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
 told = []
-writer = LastingWriter(RunWriter(path, PLAN, SCENARIO, "simulate"), told.append)
+writer = RunWriter(path, PLAN, SCENARIO, "simulate", on_end=told.append)
 for number, (port, message) in enumerate(whole_run(200)):
     writer.add(port, message, encode(message), time.monotonic_ns())
     if number % 300 == 0:

@@ -1,0 +1,310 @@
+"""How a run fared: faults, lost and dropped messages, missed inputs, agents that left or died.
+
+Most of it follows from the recording itself. What only the launcher and the agents know is in
+`summary.json` and `failure.txt` beside it; without those files it is "not recorded".
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from agents.plan import RunPlan
+from bus_schemas.faults import FaultRule
+from bus_schemas.missing import parse_missing
+from bus_schemas.tree import PLANT
+from recordings.read.gaps import RunGaps, due_step
+from recordings.read.moments import RunClock
+from recordings.read.reader import RecordedMessage, RunReader
+
+SUMMARY_NAME: Final = "summary.json"
+FAILURE_NAME: Final = "failure.txt"
+_NAMED: Final = 5
+"""So many of each kind are named in the text, the rest is counted."""
+
+
+class Absence(msgspec.Struct, frozen=True):
+    """An agent of which nothing came for longer than an input is held, or that restarted.
+
+    Attributes
+    ----------
+    agent
+        Its name.
+    first_cycle, last_cycle
+        The cycles without a message of it; both None if it only restarted.
+    back_in
+        The cycle in which it was heard again; None: it was not.
+    restarted
+        Whether its messages were then numbered from 0 again.
+    """
+
+    agent: str
+    first_cycle: int | None
+    last_cycle: int | None
+    back_in: int | None
+    restarted: bool
+
+
+class Misses(msgspec.Struct, frozen=True):
+    """Inputs that an agent had to do without, or used in an older version."""
+
+    agent: str
+    inputs: int
+    first_cycle: int
+    last_cycle: int
+
+
+class WrongMessages(msgspec.Struct, frozen=True):
+    """Wrong messages of one key and cause."""
+
+    key: str
+    cause: str
+    count: int
+
+
+class LauncherAccount(msgspec.Struct, frozen=True):
+    """What the run summary says that a recording cannot."""
+
+    run_id: str
+    dropped: dict[str, int] = {}
+    faults: dict[str, int] = {}
+    skipped_cycles: int = 0
+    recording_ended: str = ""
+    wrong: tuple[WrongMessages, ...] = ()
+
+
+class Health(msgspec.Struct, frozen=True):
+    """How a run fared.
+
+    Attributes
+    ----------
+    fault_rules
+        The faults of the network that were set.
+    lost
+        Messages that the sequence numbers leave out, by port; most first.
+    repeated
+        Messages that came again.
+    misses
+        Missed inputs by agent, most first.
+    absences
+        Agents that were absent or restarted, in the order of time.
+    ended
+        Whether the recording goes up to the end of the run.
+    failure
+        Why the launcher gave up; empty if it did not.
+    launcher
+        What only the summary knows; None if there is none beside the recording.
+    """
+
+    fault_rules: tuple[FaultRule, ...]
+    lost: dict[str, int]
+    repeated: int
+    misses: tuple[Misses, ...]
+    absences: tuple[Absence, ...]
+    ended: bool
+    failure: str
+    launcher: LauncherAccount | None
+
+    @property
+    def messages_lost(self) -> int:
+        """Messages that the sequence numbers leave out."""
+        return sum(self.lost.values())
+
+
+class _Missing(msgspec.Struct, gc=False):
+    source: str
+    missing: tuple[str, ...] = ()
+
+
+_missing = msgspec.msgpack.Decoder(_Missing).decode
+
+
+class HealthWatch:
+    """Follows a recording message by message."""
+
+    def __init__(self, plan: RunPlan, cycles: range) -> None:
+        self.gaps = RunGaps(plan, cycles.start)
+        self._plan = plan
+        # The agents that publish in every turn, and after how many cycles they are absent.
+        steps: dict[str, int] = {}
+        for port in self.gaps.ports:
+            if step := due_step(plan, port):
+                steps[port.publisher] = min(step, steps.get(port.publisher, step))
+        self._patience = {agent: step * (plan.hold_cycles + 1) for agent, step in steps.items()}
+        self._last_cycle = dict.fromkeys(steps, cycles.start - 1)
+        self._restarted_in: dict[str, int] = {}
+        self._absences: list[Absence] = []
+        self._misses: Counter[str] = Counter()
+        self._missed_in: dict[str, tuple[int, int]] = {}
+        self._missed_now: dict[str, tuple[int, set[str]]] = {}
+
+    def see(self, record: RecordedMessage) -> None:
+        """Take in a message."""
+        port, cycle = record.port, record.cycle
+        sequence = self.gaps.ports[port].sequence
+        restarts = sequence.restarts
+        self.gaps.see(port, cycle, record.sequence)
+        agent = port.publisher
+        if agent in self._last_cycle:
+            self._see_agent(agent, cycle, restarted=sequence.restarts > restarts)
+        if b"missing\x90" not in record.payload:  # An empty list: it missed nothing.
+            self._see_missing(_missing(record.payload), cycle)
+
+    def end(self, cycle: int) -> None:
+        """Note what is missing up to the cycle before which the run ended."""
+        self.gaps.end(cycle)
+        for agent, last in self._last_cycle.items():
+            if cycle > last + self._patience[agent]:
+                self._absences.append(Absence(agent, last + 1, cycle - 1, None, False))
+
+    def health(self, run: RunReader) -> Health:
+        """Return how the run fared, with what lies beside its recording."""
+        sequences = {str(port): found.sequence for port, found in self.gaps.ports.items()}
+        lost = Counter({port: found.lost for port, found in sequences.items() if found.lost})
+        return Health(
+            fault_rules=self._plan.faults,
+            lost=dict(lost.most_common()),
+            repeated=sum(found.repeated for found in sequences.values()),
+            misses=tuple(
+                Misses(agent, count, *self._missed_in[agent])
+                for agent, count in self._misses.most_common()
+            ),
+            absences=tuple(self._absences),
+            ended=run.stop_cycle is not None,
+            failure=_failure(run.path.parent),
+            launcher=_launcher_account(run),
+        )
+
+    def _see_agent(self, agent: str, cycle: int, *, restarted: bool) -> None:
+        last = self._last_cycle[agent]
+        if cycle > last:
+            self._last_cycle[agent] = cycle
+        if cycle > last + self._patience[agent]:
+            self._absences.append(Absence(agent, last + 1, cycle - 1, cycle, False))
+        if restarted and cycle > self._restarted_in.get(agent, -1):
+            # All ports of an agent restart, maybe a cycle later where it publishes rarely.
+            self._restarted_in[agent] = cycle + self._patience[agent]
+            self._note_restart(agent, cycle)
+
+    def _note_restart(self, agent: str, cycle: int) -> None:
+        for number, absence in enumerate(self._absences):
+            if absence.agent == agent and absence.back_in == cycle:
+                self._absences[number] = msgspec.structs.replace(absence, restarted=True)
+                return
+        self._absences.append(Absence(agent, None, None, cycle, True))
+
+    def _see_missing(self, found: _Missing, cycle: int) -> None:
+        """Count an input once a cycle, however many messages of its agent name it."""
+        agent = found.source
+        if not found.missing:
+            return
+        now, counted = self._missed_now.get(agent, (-1, set()))
+        if cycle != now:
+            now, counted = self._missed_now[agent] = (cycle, set())
+        new = {parse_missing(entry).key for entry in found.missing} - counted
+        counted |= new
+        self._misses[agent] += len(new)
+        first, last = self._missed_in.get(agent, (cycle, cycle))
+        self._missed_in[agent] = min(first, cycle), max(last, cycle)
+
+
+def read_health(run: RunReader) -> Health:
+    """Go through a recording and say how its run fared."""
+    watch = HealthWatch(run.plan, range(run.last_cycle + 1))
+    for record in run.records():
+        watch.see(record)
+    watch.end(run.last_cycle + 1 if run.stop_cycle is None else run.stop_cycle)
+    return watch.health(run)
+
+
+def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
+    """Yield the health of a run as text: what is looked at, and what was found."""
+    launcher = health.launcher
+    unknown = f"not recorded: there is no {SUMMARY_NAME} beside the recording"
+    if health.fault_rules:
+        rules = f"{len(health.fault_rules)} rule{'s' if len(health.fault_rules) > 1 else ''}"
+        done = unknown if launcher is None else _counts(launcher.faults) or "none came about"
+        yield "faults", f"{rules} set for the network; {done}"
+    else:
+        yield "faults", "none injected"
+    worst = ", ".join(f"{port} {count:,}" for port, count in list(health.lost.items())[:_NAMED])
+    rest = f" and {len(health.lost) - _NAMED:,} more keys" if len(health.lost) > _NAMED else ""
+    yield "lost", f"{health.messages_lost:,} messages{': ' if worst else ''}{worst}{rest}"
+    if health.repeated:
+        yield "repeated", f"{health.repeated:,} messages came again"
+    yield "dropped", unknown if launcher is None else _dropped(launcher)
+    yield "inputs", _missed_text(health.misses, clock)
+    for absence in health.absences[:_NAMED]:
+        yield "absent", _absence_text(absence, clock)
+    if len(health.absences) > _NAMED:
+        yield "absent", f"and {len(health.absences) - _NAMED:,} times more"
+    if not health.absences:
+        yield "absent", "no agent left, restarted or died"
+    if health.failure:
+        yield "run", f"failed: {health.failure}"
+    else:
+        end = "ended in order" if health.ended else "the recording does not go up to its end"
+        yield "run", launcher.recording_ended if launcher and launcher.recording_ended else end
+
+
+def _dropped(launcher: LauncherAccount) -> str:
+    dropped = f"{sum(launcher.dropped.values()):,} messages that agents could not use"
+    causes = _counts(launcher.dropped)
+    wrong = [f"{w.count:,} {w.cause} on {w.key}" for w in launcher.wrong[:_NAMED]]
+    skipped = f"{launcher.skipped_cycles:,} cycles skipped" if launcher.skipped_cycles else ""
+    parts = [dropped + (f" ({causes})" if causes else ""), skipped]
+    parts += [f"wrong: {', '.join(wrong)}"] if wrong else []
+    return "; ".join(part for part in parts if part)
+
+
+def _counts(counts: dict[str, int]) -> str:
+    return ", ".join(f"{count:,} {name}" for name, count in counts.items())
+
+
+def _missed_text(misses: tuple[Misses, ...], clock: RunClock) -> str:
+    if not misses:
+        return "none missed at a deadline"
+    first, last = (
+        min(found.first_cycle for found in misses),
+        max(found.last_cycle for found in misses),
+    )
+    worst = ", ".join(f"{found.agent} {found.inputs:,}" for found in misses[:_NAMED])
+    total = sum(found.inputs for found in misses)
+    return f"{total:,} missed or old {_span(first, last, clock)}, most at {worst}"
+
+
+def _absence_text(absence: Absence, clock: RunClock) -> str:
+    if absence.first_cycle is None or absence.last_cycle is None:
+        return f"{absence.agent} restarted in cycle {absence.back_in:,}"
+    text = f"{absence.agent}: nothing {_span(absence.first_cycle, absence.last_cycle, clock)}"
+    if absence.back_in is None:
+        gone = "the run ended without it" if absence.agent != PLANT else "the run ended there"
+        return f"{text}; {gone}"
+    return f"{text}, then back{', numbered from 0 again' if absence.restarted else ''}"
+
+
+def _span(first: int, last: int, clock: RunClock) -> str:
+    if first == last:
+        return f"in cycle {first:,} ({clock.text(first)})"
+    return f"in cycles {first:,} to {last:,} ({clock.text(first)} to {clock.text(last)})"
+
+
+def _launcher_account(run: RunReader) -> LauncherAccount | None:
+    """Read the summary beside a recording, if it is of the same run."""
+    try:
+        document = (run.path.parent / SUMMARY_NAME).read_bytes()
+        found = msgspec.json.decode(document, type=LauncherAccount)
+    except (OSError, msgspec.DecodeError):
+        return None
+    return found if found.run_id == run.plan.run_id else None
+
+
+def _failure(folder: Path) -> str:
+    try:
+        return " ".join((folder / FAILURE_NAME).read_text(encoding="utf-8").split())
+    except (OSError, UnicodeDecodeError):
+        return ""

@@ -1,0 +1,135 @@
+"""What is missing in a recording: messages, told by their numbers, and cycles without a message.
+
+Every message has a number on its key, from 0 on. This is the one place that counts what the
+numbers leave out: `inspect`, `recover`, `verify` and the recorder all use it.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import msgspec
+
+from agents.plan import RunPlan
+from bus_schemas.messages import Message
+from bus_schemas.signals import Occurrence, Port
+
+LISTED_GAPS: Final = 100
+"""So many gaps are kept with their place; the rest is counted."""
+
+
+class SequenceGaps:
+    """Counts the messages that the numbers on one key leave out.
+
+    A lower number than expected in a newer cycle is that of a publisher that has restarted. In the
+    same or an older cycle it is a message that came again.
+
+    Attributes
+    ----------
+    lost
+        Messages that were published and did not come.
+    repeated
+        Messages whose number had come before.
+    restarts
+        How often the publisher began again from 0.
+    """
+
+    __slots__ = ("_cycle", "_expected", "lost", "repeated", "restarts")
+
+    def __init__(self, expected: int | None = 0) -> None:
+        self._expected = expected
+        self._cycle = -1
+        self.lost = self.repeated = self.restarts = 0
+
+    def see(self, cycle: int, sequence: int) -> int:
+        """Take in a message; return how many were lost before it, -1 if it came before."""
+        expected = sequence if self._expected is None else self._expected
+        if sequence < expected:
+            if cycle <= self._cycle:
+                self.repeated += 1
+                return -1
+            self.restarts += 1
+            expected = 0
+        lost = sequence - expected
+        self.lost += lost
+        self._expected = sequence + 1
+        self._cycle = max(cycle, self._cycle)
+        return lost
+
+
+class Gap(msgspec.Struct, frozen=True):
+    """Cycles without the message that was due in them."""
+
+    port: str
+    first_cycle: int
+    last_cycle: int
+    cycles: int
+
+
+def due_step(plan: RunPlan, port: Port[Message]) -> int:
+    """Return in every how many cycles a message is due; 0 where it comes when it is needed."""
+    comes_regularly = port.signal.occurrence in {Occurrence.CYCLE, Occurrence.TURN}
+    return plan.period(port) if comes_regularly else 0
+
+
+class PortGaps:
+    """The messages of one port, and what is missing between them."""
+
+    __slots__ = ("_cycle", "_step", "messages", "missing", "sequence")
+
+    def __init__(self, step: int, first_cycle: int) -> None:
+        self.sequence = SequenceGaps(0 if first_cycle == 0 else None)
+        self.messages = self.missing = 0
+        self._step = step
+        self._cycle = -(-first_cycle // step) * step - step if step else 0
+
+    def see(self, cycle: int, sequence: int) -> range:
+        """Take in a message; return the cycles before it in which one was due and none came."""
+        self.messages += 1
+        if self.sequence.see(cycle, sequence) < 0:
+            return range(0)
+        return self.end(cycle)
+
+    def end(self, cycle: int) -> range:
+        """Return the cycles up to just before one in which a message was due and none came."""
+        if not self._step or cycle <= self._cycle:
+            return range(0)
+        gap = range(self._cycle + self._step, cycle, self._step)
+        self._cycle = cycle
+        self.missing += len(gap)
+        return gap
+
+
+class RunGaps:
+    """What is missing in a run, port by port."""
+
+    def __init__(self, plan: RunPlan, first_cycle: int = 0) -> None:
+        logged = sorted((port for port in plan.keys.ports if port.signal.logged), key=str)
+        self.ports = {port: PortGaps(due_step(plan, port), first_cycle) for port in logged}
+        self.gaps: list[Gap] = []
+        self.more_gaps = 0
+
+    def see(self, port: Port[Message], cycle: int, sequence: int) -> None:
+        """Take in a message."""
+        gap = self.ports[port].see(cycle, sequence)
+        if gap:
+            self._note(port, gap)
+
+    def end(self, cycle: int) -> dict[Port[Message], range]:
+        """Note what was due before the cycle that the run ended with; return it by port."""
+        missing = {port: found.end(cycle) for port, found in self.ports.items()}
+        for port, gap in missing.items():
+            if gap:
+                self._note(port, gap)
+        return {port: gap for port, gap in missing.items() if gap}
+
+    @property
+    def lost(self) -> int:
+        """Messages that the numbers leave out."""
+        return sum(found.sequence.lost for found in self.ports.values())
+
+    def _note(self, port: Port[Message], gap: range) -> None:
+        if len(self.gaps) < LISTED_GAPS:
+            self.gaps.append(Gap(str(port), gap[0], gap[-1], len(gap)))
+        else:
+            self.more_gaps += 1

@@ -1,0 +1,74 @@
+"""The report of a recorded run: read from its recording, written beside it."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from rich.console import Console
+from rich.markup import escape
+
+from bus_schemas.errors import InputError
+from recordings.read.reader import RunReader
+from recordings.read.series import read_series
+from studies.report.health_table import health_table
+from studies.report.metrics_tables import metrics_tables
+from studies.report.run_report import check_destination, run_line, write_report
+
+REPORT_NAME: Final = "report.html"
+
+
+def write_run_report(run: Path, out: Path | None = None) -> Path:
+    """Write the report of a recorded run; return where it is.
+
+    Parameters
+    ----------
+    run
+        Folder of the run, or its MCAP file.
+    out
+        The HTML file; by default `report.html` beside the recording.
+
+    Raises
+    ------
+    InputError
+        There is no such run, no cycle of it is complete, or the report cannot be put there.
+    """
+    console = Console(stderr=True)
+    with RunReader(run) as reader:
+        path, plan = out or reader.path.with_name(REPORT_NAME), reader.plan
+        check_destination(path)
+        notes = _notes(reader)
+        size_mb = reader.path.stat().st_size / 1e6
+        with console.status(f"reading {size_mb:,.0f} MB of {escape(str(run))}"):
+            series = replace(read_series(run), label=f"hierarchical ({plan.scheme})")
+            tables = [health_table(reader), *metrics_tables([series])]
+    with console.status("drawing"):
+        title = f"{plan.plant}: run {plan.run_id}"
+        write_report(path, title, [series], tables, notes, lead=run_line(plan))
+    return path
+
+
+def _notes(reader: RunReader) -> list[str]:
+    """Return what the recording says about the run."""
+    scenario = _scenario(reader)
+    origin = reader.metadata.get("run", {})
+    notes = [
+        f"Scenario: {scenario.get('title', reader.plan.plant)}.",
+        f"Recorded by heliarch {origin.get('driver', '')}, "
+        f"version {origin.get('version heliarch', 'unknown')}, in {reader.path.name}.",
+    ]
+    if scenario.get("neighbours", {}).get("history") == "hindsight":
+        notes.append("Clusters and neighbours were chosen from the run's own data: hindsight.")
+    if not reader.whole:
+        notes.append("The recording is incomplete: the report shows the part that it holds.")
+    return notes
+
+
+def _scenario(reader: RunReader) -> dict[str, Any]:
+    """Return the scenario that the recording carries, as it stands in its file."""
+    try:
+        return tomllib.loads(reader.scenario)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{reader.path}: expected a scenario in TOML, got: {error}") from None

@@ -1,0 +1,93 @@
+"""`import heliarch`: what a script or a notebook needs."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from datetime import date
+from pathlib import Path
+
+import pytest
+from running import small_plant
+
+import heliarch
+from bus_schemas.errors import InputError
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> str:
+    return small_plant(tmp_path)
+
+
+def test_a_simulation_returns_its_summary_and_its_recording(small: str, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    run = heliarch.simulate(small, duration="20s", settings={"commitment.share": 0.4}, out=out)
+    assert (run.summary.cycles, run.folder) == (20, out)
+    assert run.summary.metrics is not None
+    with heliarch.open_run(run.folder) as recording:
+        assert len(recording.plan.inverters) == 4
+        assert "share = 0.4" in recording.scenario
+
+
+def test_a_simulation_prints_nothing(
+    small: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    heliarch.simulate(small, start="12:00", end="12:00:05", out=tmp_path / "run")
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_comparison_is_a_table_with_a_row_for_each_case_and_scheme(small: str) -> None:
+    table = heliarch.compare(
+        heliarch.load_scenario(small),
+        schemes=["paper", "uniform-cap"],
+        duration="30s",
+        days=[date(2010, 4, 1)],
+        seeds=[1],
+        settings={"commitment.share": [0.3, 0.5]},
+    )
+    assert list(table["scheme"]) == ["paper", "uniform-cap"] * 2
+    assert table["case"].nunique() == 2
+    assert table["control-caused"].ge(0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"), [({"no.such": 1}, "no"), ({"commitment.share": "much"}, "share")]
+)
+def test_bad_input_is_an_input_error(small: str, settings: dict[str, object], named: str) -> None:
+    with pytest.raises(InputError, match=named):
+        heliarch.simulate(small, settings=settings)
+
+
+def test_what_is_not_there_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="nonsense"):
+        heliarch.nonsense  # noqa: B018
+
+
+def python(code: str, cwd: Path) -> str:
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    words = [sys.executable, "-c", code]
+    return subprocess.run(
+        words, cwd=cwd, capture_output=True, text=True, check=True, env=environment
+    ).stdout
+
+
+def test_recordings_can_be_opened_where_there_has_been_a_first_run(
+    small: str, tmp_path: Path
+) -> None:
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    python(f"import heliarch; heliarch.simulate({small!r}, duration='5s')", empty)
+    assert [path.name for path in empty.iterdir()] == ["runs"]
+    code = (
+        "from pathlib import Path\nfrom heliarch import open_run\n"
+        "with open_run(next(Path('runs').iterdir())) as run:\n    print(run.plan.plant)"
+    )
+    assert python(code, empty) == "small\n"
+
+
+def test_importing_it_loads_nothing_heavy(tmp_path: Path) -> None:
+    modules = python("import heliarch, sys; print(*sys.modules)", tmp_path).split()
+    assert not {"numpy", "pandas", "zenoh"} & {name.partition(".")[0] for name in modules}

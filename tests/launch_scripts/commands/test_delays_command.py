@@ -1,0 +1,41 @@
+"""`heliarch delays`: tables, JSON and page agree."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from command_line import done, refusal
+from running import small_plant
+
+
+def test_tables_json_and_page_have_every_run(tmp_path: Path) -> None:
+    document, page = tmp_path / "delays.json", tmp_path / "delays.html"
+    scenario = small_plant(tmp_path / "plant")
+    words = ("--duration", "124", "--workers", "1", "--json", document, "--report", page)
+    text = done("delays", scenario, *words)
+    found = json.loads(document.read_bytes())
+    outcomes = found["outcomes"]
+    # 4 s count: of the central periods they hold two of 1 and two of 2 s.
+    assert len(outcomes) == 2 * (9 + 7 + 2)
+    assert {one["scheme"] for one in outcomes} == {"paper", "predictive"}
+    assert found["cycles"] == 124
+    html = page.read_text(encoding="utf-8")
+    for one in outcomes:
+        mileage = f"{one['figures']['mileage']:,.0f}"
+        assert mileage in text
+        assert mileage in html
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("--duration", "100"), "--duration"),
+        (("--workers", "0"), "--workers"),
+        (("--set", "commitment.share=0.3,0.4"), "--set commitment.share"),
+        (("no-such-scenario",), "no-such-scenario"),
+    ],
+)
+def test_what_it_cannot_study_is_refused(words: tuple[str, ...], named: str) -> None:
+    assert named in refusal("delays", *words)

@@ -1,0 +1,172 @@
+"""The tables of a recording hold all that its messages say, to the last bit."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from math import isnan
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from recording_by_hand import PLAN, RECORDER_LAG_NS, written
+
+from agents.plan import RunPlan
+from bus_schemas.bus import Delivery
+from bus_schemas.codec import encode
+from bus_schemas.errors import InputError
+from bus_schemas.messages import HelpGiven, Message, Production
+from bus_schemas.missing import Missing
+from bus_schemas.signals import PRODUCTION, SIGNALS, Signal
+from bus_schemas.tree import ROOT, agent_name
+from recordings.export.tables import TableFolder, TableForm, inverters_table, tables_of
+from recordings.read.reader import RecordedMessage, RunReader
+from recordings.record.writer import ClockAnchor
+
+RECORDED = tuple(signal for signal in SIGNALS if signal.logged)
+FORMS = pytest.mark.parametrize("form", ["parquet", "csv"])
+
+Frames = dict[str, list[dict[str, Any]]]
+
+
+def read(folder: Path, name: str, form: str) -> pd.DataFrame:
+    if form == "parquet":
+        return pd.read_parquet(folder / f"{name}.parquet")
+    return pd.read_csv(folder / f"{name}.csv", parse_dates=["time"], dtype={"regulation_kw": float})
+
+
+@pytest.fixture
+def said(tmp_path: Path) -> list[Delivery]:
+    """What is in the recording `run.mcap`."""
+    return written(tmp_path / "run.mcap")
+
+
+def write_tables(
+    run: Path, folder: Path, form: TableForm, plan: RunPlan = PLAN, batch_rows: int = 1000
+) -> dict[str, int]:
+    """Write all tables of a recording; return their numbers of rows."""
+    with RunReader(run) as reader:
+        anchor = ClockAnchor.of(reader.metadata)
+        with TableFolder(folder, plan, RECORDED, anchor, form, batch_rows) as tables:
+            for record in reader.records():
+                tables.add(record, record.message())
+    return {name: file.rows for name, file in tables.files.items()}
+
+
+def rebuilt(frames: Frames) -> Iterator[tuple[str, str, Message]]:
+    """Put the messages of a recording together again from its tables: signal, node, message."""
+    help_given, missing = defaultdict(list), defaultdict(list)
+    mpp_kw, power_kw = defaultdict(list), defaultdict(list)
+    for row in frames["help_given"]:
+        help_given[row["donor"], row["sequence"]].append(HelpGiven(row["needy"], row["power_kw"]))
+    for row in frames["missing_inputs"]:
+        missing[row["signal"], row["node"], row["sequence"]].append(
+            str(Missing(row["input"], None if isnan(row["used_cycle"]) else int(row["used_cycle"])))
+        )
+    for row in frames["production_inverters"]:
+        mpp_kw[row["sequence"]].append(row["mpp_kw"])
+        power_kw[row["sequence"]].append(row["power_kw"])
+    for signal in RECORDED:
+        for row in frames[signal.name]:
+            node, number = row.pop("node"), row["sequence"]
+            row["sim_time_ns"] = row.pop("time").value
+            row["missing"] = missing[signal.name, node, number]
+            assert row.pop("log_time_ns") - row["publish_time_ns"] == RECORDER_LAG_NS
+            if signal.name == "telemetry" and isnan(row["available_kw"]):
+                row["available_kw"] = None
+            if signal.name == "setpoint":
+                row["help_given"] = help_given[node, number]
+            if signal.name == "production":
+                row["inverter_mpp_kw"] = mpp_kw[number]
+                row["inverter_power_kw"] = power_kw[number]
+            yield signal.name, node, msgspec.convert(row, signal.type)
+
+
+@FORMS
+def test_every_message_can_be_put_together_again_from_the_tables(
+    said: list[Delivery], tmp_path: Path, form: TableForm
+) -> None:
+    rows = write_tables(tmp_path / "run.mcap", tmp_path / "tables", form)
+    frames: Frames = {}
+    for name, count in rows.items():
+        frame = read(tmp_path / "tables", name, form)
+        assert len(frame) == count
+        frame["time"] = frame["time"].astype("datetime64[ns, UTC]")
+        frames[name] = frame.to_dict("records")  # type: ignore[assignment]
+    found = {
+        (signal, node, message.sequence): encode(message)
+        for signal, node, message in rebuilt(frames)
+    }
+    expected = {
+        (port.signal.name, agent_name(port.node), message.sequence): encode(message)
+        for port, message in said
+    }
+    assert found == expected
+
+
+@FORMS
+def test_no_cell_holds_a_list(said: list[Delivery], tmp_path: Path, form: TableForm) -> None:
+    assert said
+    for name in write_tables(tmp_path / "run.mcap", tmp_path / "tables", form):
+        for cell in read(tmp_path / "tables", name, form).to_numpy().ravel():
+            assert not isinstance(cell, list | tuple | dict)
+
+
+@pytest.mark.parametrize("signal", RECORDED, ids=[signal.name for signal in RECORDED])
+def test_every_field_of_a_signal_has_a_column(signal: Signal[Message]) -> None:
+    tables = tables_of([signal], PLAN, ClockAnchor(0, 0))[signal]
+    columns = {name for table in tables for name in table.schema(PLAN).names}
+    fields = {name.removeprefix("inverter_") for name in signal.type.__struct_fields__}
+    under_other_names = {"sim_time_ns": "time", "missing": "input", "help_given": "donor"}
+    assert {under_other_names.get(name, name) for name in fields} <= columns
+
+
+def test_parquet_keeps_the_time_zone_and_the_batches(said: list[Delivery], tmp_path: Path) -> None:
+    rows = write_tables(tmp_path / "run.mcap", tmp_path / "tables", "parquet", batch_rows=5)
+    file = pq.ParquetFile(tmp_path / "tables" / "impp.parquet")
+    time = file.schema_arrow.field("time").type
+    assert (time.unit, time.tz) == ("ns", "Pacific/Honolulu")
+    groups = [file.metadata.row_group(place).num_rows for place in range(file.num_row_groups)]
+    assert max(groups) <= 5
+    assert sum(groups) == rows["impp"] == PLAN.cycles * len(PLAN.tree.nodes)
+    assert said
+
+
+@pytest.mark.usefixtures("said")
+@pytest.mark.parametrize(
+    ("changes", "first"),
+    [
+        ({}, "2010-04-01T12:00:00.500-10:00"),
+        ({"cycle_ns": 1_000_000_000}, "2010-04-01T12:00:00.500000000-10:00"),
+        ({"timezone": "Europe/Berlin"}, "2010-04-02T00:00:00.500+02:00"),
+    ],
+    ids=["half seconds", "between the cycles", "summer time"],
+)
+def test_csv_has_local_times_with_their_offset(
+    tmp_path: Path, changes: dict[str, Any], first: str
+) -> None:
+    plan = msgspec.structs.replace(PLAN, **changes)
+    write_tables(tmp_path / "run.mcap", tmp_path / "csv", "csv", plan)
+    lines = (tmp_path / "csv" / "dispatch.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0].startswith('"time","cycle","node","power_kw"')
+    assert lines[2].startswith(f'"{first}",1,"central",')
+
+
+def test_a_production_of_another_plant_is_refused() -> None:
+    production = Production(
+        7,
+        0,
+        "plant",
+        (),
+        desired_kw=1.0,
+        possible_kw=1.0,
+        delivered_kw=1.0,
+        inverter_mpp_kw=(1.0,),
+        inverter_power_kw=(1.0, 2.0),
+    )
+    record = RecordedMessage(PRODUCTION.of(ROOT), 7, 0, 0, 0, b"")
+    with pytest.raises(InputError, match="production of cycle 7: expected 3 inverters"):
+        list(inverters_table(PLAN).rows(record, production))

@@ -1,0 +1,137 @@
+"""The health of a run names what was lost, who was absent and what only the launcher knows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+from recordings_by_hand import PLAN, SCENARIO, whole_run, write_run
+
+from bus_schemas.bus import Delivery, Outbox
+from bus_schemas.codec import encode
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port
+from launch_scripts.launcher.simulation import MemoryRun
+from launch_scripts.scenarios.preparation import RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
+from recordings import open_run
+from recordings.inspect.health import (
+    FAILURE_NAME,
+    SUMMARY_NAME,
+    Absence,
+    Health,
+    health_lines,
+    read_health,
+)
+from recordings.inspect.overview import read_overview
+from recordings.record.writer import RunWriter
+
+CYCLES = 60
+DEVICE = "c2/c"
+
+
+def health_of(folder: Path) -> tuple[Health, str]:
+    with open_run(folder) as run:
+        health = read_health(run)
+        assert read_overview(run).health == health
+        return health, "\n".join(
+            f"{name}: {text}" for name, text in health_lines(health, run.clock)
+        )
+
+
+def written(
+    folder: Path,
+    is_published: Callable[[Delivery], bool] = lambda pair: True,
+    is_kept: Callable[[Delivery], bool] = lambda pair: True,
+) -> tuple[Health, str]:
+    write_run(folder / "run.mcap", filter(is_published, whole_run(CYCLES)), is_kept=is_kept)
+    return health_of(folder)
+
+
+def test_a_sound_run_has_nothing_to_report(tmp_path: Path) -> None:
+    health, text = written(tmp_path)
+    assert (health.messages_lost, health.repeated, health.misses, health.absences) == (0, 0, (), ())
+    assert (health.ended, health.failure, health.launcher) == (True, "", None)
+    assert "not recorded" in text, "how many messages were dropped, only the launcher knows"
+
+
+def test_a_process_that_died_is_absent_to_the_end(tmp_path: Path) -> None:
+    health, text = written(tmp_path, lambda pair: pair[1].source != DEVICE or pair[1].cycle < 40)
+    assert health.absences == (Absence(DEVICE, 40, CYCLES - 1, None, False),)
+    assert health.messages_lost == 0
+    assert "12:00:40" in text
+
+
+def with_a_restart() -> Iterator[Delivery]:
+    for port, message in whole_run(CYCLES):
+        if message.source != DEVICE or not 20 <= message.cycle < 30:
+            yield port, message
+
+
+def test_a_device_that_left_and_came_back_is_named_and_repeats_nothing(tmp_path: Path) -> None:
+    first, second = Outbox(), Outbox()
+    writer = RunWriter(tmp_path / "run.mcap", PLAN, SCENARIO, driver="launch")
+    for port, message in with_a_restart():
+        restarted = message.source == DEVICE and message.cycle >= 30
+        (second if restarted else first).stamp(port, message, 1)
+        writer.add(port, message, encode(message), 1)
+    writer.close()
+    health, text = health_of(tmp_path)
+    assert health.absences == (Absence(DEVICE, 20, 29, 30, True),)
+    assert (health.messages_lost, health.repeated) == (0, 0)
+    assert f"{DEVICE}: nothing in cycles 20 to 29 (12:00:20 to 12:00:29)" in text
+
+
+def test_lost_messages_are_counted_by_key(tmp_path: Path) -> None:
+    lost = {("c1/a/impp", 7), ("c1/a/impp", 8), ("c2/setpoint", 10)}
+    health, text = written(tmp_path, is_kept=lambda pair: (str(pair[0]), pair[1].cycle) not in lost)
+    assert health.lost == {"c1/a/impp": 2, "c2/setpoint": 1}
+    assert "3 messages: c1/a/impp 2" in text
+
+
+@pytest.mark.parametrize("run_id", [PLAN.run_id, "another-run"])
+def test_what_the_launcher_knows_is_read_beside_the_recording(tmp_path: Path, run_id: str) -> None:
+    summary: dict[str, Any] = {
+        "run_id": run_id,
+        "dropped": {"late": 3},
+        "faults": {"lost": 4},
+        "skipped_cycles": 2,
+        "wrong": [{"key": "c1/a/impp", "cause": "absurd", "count": 5, "example": "x"}],
+    }
+    (tmp_path / SUMMARY_NAME).write_text(json.dumps(summary))
+    (tmp_path / FAILURE_NAME).write_text("c1/a ended\nwith status 1\n")
+    health, text = written(tmp_path)
+    assert health.failure == "c1/a ended with status 1"
+    if run_id != PLAN.run_id:
+        assert health.launcher is None
+        return
+    assert health.launcher is not None
+    assert (health.launcher.dropped, health.launcher.faults) == ({"late": 3}, {"lost": 4})
+    assert "5 absurd on c1/a/impp" in text
+
+
+def test_inputs_missed_at_deadlines_are_those_that_the_agents_counted(tmp_path: Path) -> None:
+    options = RunOptions(duration="60", faults=("loss=2%",), pace=1.0)
+    prepared = prepare(load_scenario("oahu"), options, "lossy")
+    plan = replace(prepared.plan, cycle_wall_ns=prepared.plan.cycle_ns)
+    writer = RunWriter(tmp_path / "run.mcap", plan, SCENARIO, driver="simulate")
+
+    def record(port: Port[Message], message: Message) -> None:
+        if port.signal.logged:
+            writer.add(port, message, encode(message), message.publish_time_ns)
+
+    run = MemoryRun(plan, prepared.profile, record)
+    for _ in run.cycles():
+        pass
+    run.close()
+    writer.close()
+    health, text = health_of(tmp_path)
+    counted = sum(loop.missing_inputs for loop in run.loops.values())
+    assert counted > 10
+    assert sum(found.inputs for found in health.misses) == counted
+    assert health.fault_rules == plan.faults
+    assert "1 rule" in text

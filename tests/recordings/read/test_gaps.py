@@ -1,0 +1,33 @@
+"""Numbers tell which messages are lost, which came again, and whether their sender restarted."""
+
+from __future__ import annotations
+
+import pytest
+
+from recordings.read.gaps import SequenceGaps
+
+
+@pytest.mark.parametrize(
+    ("seen", "lost", "repeated", "restarts"),
+    [
+        ([(0, 0), (1, 1), (2, 2)], 0, 0, 0),
+        ([(2, 2), (3, 3), (6, 6)], 4, 0, 0),
+        ([(0, 0), (0, 1), (0, 2), (1, 4)], 1, 0, 0),
+        ([(0, 0), (1, 1), (1, 1), (2, 2), (2, 0), (3, 3)], 0, 2, 0),
+        ([(0, 0), (1, 1), (2, 2), (3, 3), (9, 0), (10, 1), (11, 3)], 1, 0, 1),
+        ([(0, 0), (1, 1), (9, 2), (10, 4)], 1, 0, 0),
+    ],
+    ids=["all", "lost", "several a cycle", "copies", "restarted", "silent and back"],
+)
+def test_gaps(seen: list[tuple[int, int]], lost: int, repeated: int, restarts: int) -> None:
+    gaps = SequenceGaps()
+    for cycle, sequence in seen:
+        gaps.see(cycle, sequence)
+    assert (gaps.lost, gaps.repeated, gaps.restarts) == (lost, repeated, restarts)
+
+
+def test_in_a_part_of_a_run_the_numbers_before_it_are_not_lost() -> None:
+    gaps = SequenceGaps(None)
+    for cycle, sequence in ((50, 50), (51, 51), (53, 53)):
+        gaps.see(cycle, sequence)
+    assert gaps.lost == 1
