@@ -32,14 +32,12 @@ class Periods:
     def __post_init__(self) -> None:
         for tier, period in enumerate(self.cycles):
             if period < 1:
-                raise InputError(
-                    f"control.period_cycles[{tier}] is {period}, accepted is 1 or more"
-                )
+                raise InputError(f"control.period_cycles[{tier}]: expected 1 or more, got {period}")
         for tier, (upper, lower) in enumerate(zip(self.cycles, self.cycles[1:], strict=False)):
             if upper % lower:
                 raise InputError(
-                    f"control.period_cycles[{tier}] is {upper}, accepted are multiples of the tier "
-                    f"below it ({lower})"
+                    f"control.period_cycles[{tier}]: expected a multiple of that of the tier below "
+                    f"it, {lower}, got {upper}"
                 )
 
     def is_turn(self, parent: str, cycle: int) -> bool:

@@ -57,13 +57,7 @@ Second: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12)]
 
 
 class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One way in which links are imperfect.
-
-    Raises
-    ------
-    ValueError
-        Fields contradict each other, or the rule does nothing.
-    """
+    """One way in which links are imperfect."""
 
     source: Annotated[
         str, Meta(description="Publishing agent: `plant`, `c1/inv07`, or a pattern such as `c1/*`.")
@@ -93,20 +87,6 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         tuple[tuple[Second, Second], ...],
         Meta(description="Intervals of simulated time since cycle 0 in which nothing arrives [s]."),
     ] = ()
-
-    def __post_init__(self) -> None:
-        if self.distribution == "fixed" and self.jitter_ms:
-            raise ValueError("jitter_ms: expected uniform or normal distribution, got fixed")
-        if self.reorder and not self.held_back_ms:
-            raise ValueError("reorder: expected reorder_ms or delay_ms above 0 with it")
-        for begin_s, end_s in self.silent:
-            if begin_s >= end_s:
-                raise ValueError(
-                    f"silent: expected an interval that ends after it begins, got {begin_s:g} s to "
-                    f"{end_s:g} s"
-                )
-        if not (self.acts_outside_silence or self.silent):
-            raise ValueError("expected a delay, jitter, loss, duplicate, reorder or silent")
 
     def __str__(self) -> str:
         """Return its fields as `--fault` would have them, without the defaults."""
@@ -343,7 +323,7 @@ def unmatched_rules(rules: tuple[FaultRule, ...], matched: Collection[int]) -> t
     return tuple(
         f"fault {rule}: no message of this run matched it"
         for number, rule in enumerate(rules)
-        if number not in matched
+        if number not in matched and rule.signal not in UNHEARD
     )
 
 
@@ -374,14 +354,36 @@ def check_rule(
     Raises
     ------
     InputError
-        An agent or a signal that the run does not have, or agents that never talk to each other.
+        Fields that contradict each other, or a rule that does nothing; an agent or a signal that
+        the run does not have, or agents that never talk to each other.
     """
+    _check_fields(rule, where)
     _check_ends(rule, tree, where)
     heard_by = [listener for port, listener in links(tree) if rule.acts_on(port, listener)]
     if heard_by and all(listener in external for listener in heard_by):
         raise InputError(
             f"{where}: expected a listener that Heliarch runs, where faults act, got external "
             f"agents alone ({', '.join(dict.fromkeys(heard_by))})"
+        )
+
+
+def _check_fields(rule: FaultRule, where: str) -> None:
+    """Check what the bounds of the fields do not say."""
+    if rule.distribution == "fixed" and rule.jitter_ms:
+        raise InputError(
+            f"{where}: distribution: expected uniform or normal with jitter, got fixed"
+        )
+    if rule.reorder and not rule.held_back_ms:
+        raise InputError(f"{where}: reorder_ms: expected a time above 0 with reorder, got none")
+    for begin_s, end_s in rule.silent:
+        if begin_s >= end_s:
+            raise InputError(
+                f"{where}: silent: expected an end after the beginning, got {begin_s:g} s to "
+                f"{end_s:g} s"
+            )
+    if not (rule.acts_outside_silence or rule.silent):
+        raise InputError(
+            f"{where}: expected a delay, jitter, loss, duplicate, reorder or silent, got none"
         )
 
 

@@ -63,7 +63,7 @@ class ControlTree:
 
     def __post_init__(self) -> None:
         if not self.inverters:
-            raise InputError("control tree: it has no inverter, accepted is one or more")
+            raise InputError("control tree: expected one inverter or more, got none")
         seen: set[str] = set()
         for path, rating_kw in self.inverters:
             _check_leaf(path, rating_kw)
@@ -78,13 +78,14 @@ class ControlTree:
         """Refuse a tree of which a message could not name all inputs that it lacks."""
         if len(self.inverters) > MOST_INVERTERS:
             raise InputError(
-                f"control tree: {len(self.inverters):,} inverters, accepted are {MOST_INVERTERS:,}"
+                f"control tree: expected up to {MOST_INVERTERS:,} inverters, got "
+                f"{len(self.inverters):,}"
             )
         for path, children in self._children_of.items():
             if len(children) > MOST_CHILDREN:
                 raise InputError(
-                    f"control tree: {agent_name(path)} has {len(children):,} children, accepted "
-                    f"are {MOST_CHILDREN:,}: more need a tier between"
+                    f"control tree: {agent_name(path)}: expected up to {MOST_CHILDREN:,} children, "
+                    f"got {len(children):,}: more need a tier between"
                 )
 
     @cached_property
@@ -194,10 +195,12 @@ def check_name(name: str, where: str) -> None:
         With `where` as the place of the name.
     """
     if not _NAME.fullmatch(name):
-        raise InputError(f"{where}: name {name!r}, accepted are letters, digits, '_' and '-'")
+        raise InputError(f"{where}: name: expected letters, digits, '_' and '-', got {name!r}")
     if name in RESERVED_NAMES:
         reserved = ", ".join(sorted(RESERVED_NAMES))
-        raise InputError(f"{where}: name {name!r} is reserved ({reserved}), take another")
+        raise InputError(
+            f"{where}: name: expected one that is not reserved ({reserved}), got {name!r}"
+        )
 
 
 def _check_leaf(path: str, rating_kw: float) -> None:
@@ -205,12 +208,12 @@ def _check_leaf(path: str, rating_kw: float) -> None:
         check_name(part, f"control tree, node {path!r}")
     if len(path) > LONGEST_PATH:
         raise InputError(
-            f"control tree, node {path[:40]}...: its path has {len(path):,} characters, accepted "
-            f"are {LONGEST_PATH}"
+            f"control tree, node {path[:40]}...: expected a path of up to {LONGEST_PATH} "
+            f"characters, got {len(path):,}"
         )
     if not 0.0 < rating_kw < float("inf"):
         raise InputError(
-            f"control tree, node {path}: rating_kw is {rating_kw:g}, accepted is a number above 0"
+            f"control tree, node {path}: rating_kw: expected a number above 0, got {rating_kw:g}"
         )
 
 

@@ -21,10 +21,10 @@ from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.scenarios.preparation import RunOptions
 from launch_scripts.scenarios.scenario import ScenarioFile, load_scenario
 from launch_scripts.scenarios.toml_text import toml_value
-from studies.arrays.schemes import DEFAULT_SCHEMES, SCHEMES
+from studies.arrays.schemes import SCHEMES
 from studies.compare.cases import cases, parse_setting, with_settings
 from studies.compare.study import Comparison, run_case
-from studies.compare.tables import rows
+from studies.compare.tables import json_rows
 from studies.workers import share_work
 
 
@@ -109,7 +109,7 @@ def simulate(
 def compare(
     scenario: str | ScenarioFile = "oahu-day",
     *,
-    schemes: Iterable[str] = DEFAULT_SCHEMES,
+    schemes: Iterable[str] = tuple(SCHEMES),
     start: str | None = None,
     end: str | None = None,
     duration: str | None = None,
@@ -157,7 +157,7 @@ def compare(
         tuple(seeds),
     )
     results = dict(share_work(partial(run_case, Comparison(names)), found, workers))
-    table = pd.DataFrame(rows([results[number] for number in sorted(results)]))
+    table = pd.DataFrame(json_rows([results[number] for number in sorted(results)]))
     return table.drop(columns=["metrics", "remarks"])
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -173,43 +175,37 @@ def read_csv(path: Path) -> CsvTable:
         The file cannot be read, is empty, or has rows of different widths.
     """
     try:
-        with path.open("rb") as file:
-            fields = text_fields(file, path.name)
+        # A spreadsheet may have put a byte order mark first.
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
-        raise InputError(f"{path}: expected a CSV file, got {error.strerror}") from error
-    header = tuple(str(name).strip() for name in fields.iloc[0])
+        raise InputError(f"{path}: expected a CSV file, got: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected UTF-8, got byte {error.start} that is not") from None
+    fields = text_fields(text, path.name)
+    header = tuple(name.strip() for name in fields.iloc[0])
     return CsvTable(path.name, header, fields.iloc[1:])
 
 
-def text_fields(file: BinaryIO, name: str) -> pd.DataFrame:
+def text_fields(text: str, name: str) -> pd.DataFrame:
     """Return the text of all fields; each line must have as many as the first.
 
     Raises
     ------
     InputError
-        It is empty or no CSV in UTF-8, or a line has another number of fields.
+        It is empty or no CSV, or a line has another number of fields.
     """
     try:
-        # A spreadsheet may have put a byte order mark first.
-        fields = pd.read_csv(
-            file,
-            header=None,
-            dtype=str,
-            keep_default_na=False,
-            skip_blank_lines=False,
-            encoding="utf-8-sig",
-        )
-    except ValueError as error:  # pandas names line and width of a line that is too long.
-        reason = " ".join(str(error).split())
-        raise InputError(f"{name}: expected a CSV file in UTF-8, got: {reason}") from error
-    short = fields.iloc[:, -1].isna().to_numpy()
-    if short.any():
-        line, width = int(short.argmax()), fields.shape[1]
-        there = int(fields.iloc[line].notna().sum())
-        raise InputError(
-            f"{name}: line {line + 1}: expected {width} fields, as in line 1, got {there}"
-        )
-    return fields
+        rows = list(csv.reader(StringIO(text.rstrip("\r\n"))))
+    except csv.Error as error:
+        raise InputError(f"{name}: expected a CSV file, got: {error}") from None
+    if not rows:
+        raise InputError(f"{name}: expected a CSV file with a header line, got nothing")
+    for line, row in enumerate(rows, start=1):
+        if len(row) != len(rows[0]):
+            raise InputError(
+                f"{name}: line {line}: expected {len(rows[0])} fields, as in line 1, got {len(row)}"
+            )
+    return pd.DataFrame(rows)
 
 
 def check_increasing(

@@ -18,7 +18,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date, timedelta, timezone
-from io import BytesIO
 from pathlib import Path
 from typing import Final
 from zipfile import BadZipFile, ZipFile
@@ -193,7 +192,7 @@ def _names_in(month: Path) -> list[str]:
 
 def _table(source: str, content: bytes) -> NDArray[np.float64]:
     """All fields as numbers, shape (lines, 23)."""
-    text = text_fields(BytesIO(content), source)
+    text = text_fields(content.decode("latin-1"), source)
     if text.shape[1] != len(_FIELDS):
         hint = ", as a file of AP2 has" if text.shape[1] == 7 else ""
         raise InputError(

@@ -77,9 +77,9 @@ def load_profile(path: Path) -> Profile:
                 archive["meter_error"],
             )
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file, accepted is the profile.npz of a run") from None
+        raise InputError(f"{path}: expected the profile.npz of a run, got no such file") from None
     except Exception as error:  # A damaged archive can fail in numpy, zip or anywhere below.
         reason = type(error).__name__
         raise InputError(
-            f"{path}: not readable ({reason}), accepted is the profile.npz of a run"
+            f"{path}: expected the profile.npz of a run, got one that is not readable ({reason})"
         ) from None

@@ -159,9 +159,9 @@ def _check_night_is_dark(
     if bad.size:
         row = bad[0]
         raise InputError(
-            f"irradiance: {row_max_wm2[row]:.1f} W/m2 at {times[row].isoformat()}, when the sun is"
-            f" {zenith_deg[row] - 90.0:.1f} degrees below the horizon of the plant; accepted: time"
-            " stamps whose offset from UTC is right, and the coordinates of the sensors"
+            "irradiance: expected time stamps whose offset from UTC is right, and the coordinates "
+            f"of the sensors, got {row_max_wm2[row]:.1f} W/m2 at {times[row].isoformat()} with the "
+            f"sun {zenith_deg[row] - 90.0:.1f} degrees below the horizon"
         )
 
 

@@ -126,10 +126,10 @@ def compare(
 
 def chosen_schemes(text: str | None) -> tuple[str, ...]:
     """Return the schemes of a text with commas; of None all."""
-    from studies.arrays.schemes import DEFAULT_SCHEMES, SCHEMES
+    from studies.arrays.schemes import SCHEMES
 
     if text is None:
-        return DEFAULT_SCHEMES
+        return tuple(SCHEMES)
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
     for name in names:
         if name not in SCHEMES:

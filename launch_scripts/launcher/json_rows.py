@@ -72,4 +72,4 @@ def check_json_destination(destination: str | None) -> None:
         return
     path = Path(str(destination))
     if path.is_dir() or not path.absolute().parent.is_dir():
-        raise InputError(f"--json {path}: accepted is a file in an existing folder, or -")
+        raise InputError(f"--json: expected a file in an existing folder, or -, got {path}")

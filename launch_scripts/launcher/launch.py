@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Final
 
 import msgspec
@@ -73,8 +72,6 @@ class Launch:
         Monotonic time at which the user asked for it [s]: start-up counts from there.
     server
         Starts the processes.
-    on_armed
-        Called when everybody is there: in real time just before cycle 0 begins.
     """
 
     def __init__(
@@ -85,7 +82,6 @@ class Launch:
         view: View,
         began_at: float,
         server: ForkServerProcess,
-        on_armed: Callable[[], None] = lambda: None,
     ) -> None:
         self._server = server
         self._preparation = preparation
@@ -93,7 +89,6 @@ class Launch:
         self._folder = folder
         self._view = view
         self._began_at = began_at
-        self._on_armed = on_armed
         self._patience_s = preparation.external.timeout_s if plan.external else 0.0
         self._armed_at = began_at
         self._watch = RunWatch(plan, view.say)
@@ -180,7 +175,6 @@ class Launch:
                 self._armed_at = now
                 self._watch.begin(now)
                 self._rounds = event.rounds
-                self._on_armed()
                 self._view.say(
                     f"armed: cycle 0 began {now - self._started_at:.2f} s after the processes were "
                     f"started, {now - self._began_at:.1f} s after the command"
@@ -290,13 +284,12 @@ def launch(
     view: View,
     began_at: float,
     server: ForkServerProcess,
-    on_armed: Callable[[], None] = lambda: None,
 ) -> RunSummary:
     """Run a plant as processes over Zenoh, recorded.
 
     Parameters
     ----------
-    preparation, folder, began_at, on_armed
+    preparation, folder, began_at
         See `Launch`.
     view
         Shows the run.
@@ -311,4 +304,4 @@ def launch(
     agents = preparation.plan.links.listening
     with reserved_ports(agents, preparation.external.base_port) as tcp_ports:
         plan = folder.fill(preparation, tcp_ports)
-        return Launch(preparation, plan, folder, view, began_at, server, on_armed).run()
+        return Launch(preparation, plan, folder, view, began_at, server).run()

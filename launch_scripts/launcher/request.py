@@ -68,8 +68,8 @@ def _check_faults(request: RunRequest, preparation: Preparation) -> None:
     if request.driver == "launch" and plan.lockstep and plan.faults:
         where = f"--fault {request.faults[0]}" if request.faults else "faults of the scenario"
         raise InputError(
-            f"{where}: a message that is lost in lockstep is waited for without end, accepted is "
-            "a --pace such as 1"
+            f"{where}: expected a --pace such as 1 with it, got lockstep, where a lost message is "
+            "waited for without end"
         )
 
 
@@ -83,6 +83,6 @@ def parse_pace(text: str | None) -> float | Literal["max"] | None:
         pace = 0.0
     if not SLOWEST_PACE <= pace <= FASTEST_PACE:
         raise InputError(
-            f"--pace {text}: accepted is a number from {SLOWEST_PACE:g} to {FASTEST_PACE:g}, or max"
+            f"--pace: expected {SLOWEST_PACE:g} to {FASTEST_PACE:g}, or max, got {text}"
         )
     return pace

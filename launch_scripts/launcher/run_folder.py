@@ -44,7 +44,7 @@ class RunFolder:
     def fill(self, preparation: Preparation, tcp_ports: dict[str, int]) -> RunPlan:
         """Write what the processes need; return the plan with its ports.
 
-        The plan comes last and at one blow: a device may be waiting for it to appear.
+        The plan comes last and complete: a device may be waiting for it to appear.
 
         Raises
         ------
@@ -66,7 +66,7 @@ class RunFolder:
 
 def _no_folder(path: Path, reason: str | None) -> InputError:
     return InputError(
-        f"--out {path}: no folder can be made there ({reason}), accepted is a new or empty folder"
+        f"--out: expected a new or empty folder, got {path}, where none can be made ({reason})"
     )
 
 
@@ -85,7 +85,7 @@ def run_folder(run_id: str, out: Path | None) -> RunFolder:
     """
     path = out or Path("runs") / run_id
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise InputError(f"--out {path}: it exists already, accepted is a new or empty folder")
+        raise InputError(f"--out: expected a new or empty folder, got {path}, which exists already")
     parent = next(folder for folder in path.absolute().parents if folder.exists())
     if not parent.is_dir() or not os.access(parent, os.W_OK):
         raise _no_folder(path, f"{parent} is no folder that may be written to")

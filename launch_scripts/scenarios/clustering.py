@@ -92,8 +92,8 @@ def _tiers_of_clusters(control: ControlTable) -> int:
     given = [value for value in (control.cluster_sizes, control.cluster_count) if value is not None]
     if len(given) != 1:
         raise InputError(
-            f"control.cluster_sizes and cluster_count: {'both' if given else 'neither'} given, "
-            "accepted is one of the two"
+            "control.cluster_sizes, cluster_count: expected one of the two, got "
+            f"{'both' if given else 'neither'}"
         )
     return len(given[0])
 
@@ -104,14 +104,14 @@ def _sizes(control: ControlTable, tier: int, members: int) -> tuple[int, ...]:
         sizes = control.cluster_sizes[tier]
         if sum(sizes) != members:
             raise InputError(
-                f"control.cluster_sizes[{tier}] adds up to {sum(sizes)}, accepted are sizes that "
-                f"add up to {members}"
+                f"control.cluster_sizes[{tier}]: expected sizes that add up to {members}, got "
+                f"{sum(sizes)}"
             )
         return sizes
     count = (control.cluster_count or ())[tier]
     if count > members:
         raise InputError(
-            f"control.cluster_count[{tier}] is {count}, accepted are 1 to {members} clusters"
+            f"control.cluster_count[{tier}]: expected 1 to {members} clusters, got {count}"
         )
     smaller, larger = divmod(members, count)
     return (smaller + 1,) * larger + (smaller,) * (count - larger)

@@ -1,7 +1,7 @@
-"""External agents: left out by the launcher, waited for, told where to find the bus.
+"""External agents: the launcher does not start them, but waits for them to appear.
 
-A device of the user's own takes the place of a process. What it is told is all in the run's
-`plan.json`, and what it must do in `docs/wire.md`.
+A device of the user's own takes the place of a process. It finds the bus by the run's `plan.json`;
+`docs/wire.md` says what it must do.
 """
 
 from __future__ import annotations
@@ -57,25 +57,25 @@ def check_externals(options: ExternalOptions, tree: ControlTree) -> tuple[str, .
     for agent in options.agents:
         if agent == RECORDER:
             raise InputError(
-                "--external recorder: the launcher follows the run through it, accepted are "
-                f"{', '.join(team[:4])} and other agents"
+                f"--external: expected {', '.join(team[:4])} or another agent, got recorder, which "
+                "the launcher follows the run through"
             )
         if agent not in team:
             near = get_close_matches(agent, team, n=4, cutoff=0.5) or team[:4]
             raise InputError(
-                f"--external {agent}: this run has no such agent, near it: {', '.join(near)}"
+                f"--external: expected an agent of this run such as {', '.join(near)}, got {agent}"
             )
     if not 0.0 < options.timeout_s <= _LONGEST_WAIT_S:
         raise InputError(
-            f"--external-timeout {options.timeout_s:g}: accepted is a number of seconds above 0, "
-            f"up to {_LONGEST_WAIT_S:g}"
+            f"--external-timeout: expected seconds above 0, up to {_LONGEST_WAIT_S:g}, got "
+            f"{options.timeout_s:g}"
         )
     if options.base_port is not None:
         last = options.base_port + len(explicit_links(tree).listening) - 1
         if options.base_port not in _PORTS or last not in _PORTS:
             raise InputError(
-                f"--base-port {options.base_port}: this run takes the ports "
-                f"{options.base_port} to {last}, accepted are {_PORTS[0]} to {_PORTS[-1]}"
+                f"--base-port: expected ports from {_PORTS[0]} to {_PORTS[-1]}, got "
+                f"{options.base_port} to {last}"
             )
     return tuple(agent for agent in team if agent in options.agents)
 

@@ -68,8 +68,7 @@ def _cpus(where: str, words: Iterable[str]) -> tuple[tuple[int, ...], dict[Kind,
         kind, equals, listed = word.rpartition("=")
         if equals and kind not in KINDS:
             raise InputError(
-                f"{where} {word}: there is no kind of process {kind!r}, accepted are "
-                f"{', '.join(KINDS)}"
+                f"{where} {word}: expected a kind of process ({', '.join(KINDS)}), got {kind!r}"
             )
         cpus = _cpu_list(f"{where} {word}", listed)
         if equals:
@@ -82,7 +81,7 @@ def _cpus(where: str, words: Iterable[str]) -> tuple[tuple[int, ...], dict[Kind,
 def _cpu_list(where: str, text: str) -> tuple[int, ...]:
     """Read a list of processors as the kernel writes it: `0`, `0-3` or `0,2-3`."""
     if not re.fullmatch(r"\d{1,4}(-\d{1,4})?(,\d{1,4}(-\d{1,4})?)*", text):
-        raise InputError(f"{where}: accepted are processors such as 0, 0-3 or plant=0")
+        raise InputError(f"{where}: expected processors such as 0, 0-3 or plant=0, got {text!r}")
     cpus: set[int] = set()
     for part in text.split(","):
         first, _, last = part.partition("-")
@@ -90,7 +89,7 @@ def _cpu_list(where: str, text: str) -> tuple[int, ...]:
     known = _own_cpus()
     if not cpus or not cpus <= known:
         listed = ", ".join(map(str, sorted(known)))
-        raise InputError(f"{where}: this machine does not give us these, accepted are {listed}")
+        raise InputError(f"{where}: expected processors of this machine, {listed}, got {text}")
     return tuple(sorted(cpus))
 
 
@@ -104,11 +103,11 @@ def _own_cpus() -> set[int]:
 def _priority(priority: int, lockstep: bool) -> int:
     if not LOWEST_PRIORITY <= priority <= HIGHEST_PRIORITY:
         raise InputError(
-            f"--priority {priority}: accepted is {LOWEST_PRIORITY} to {HIGHEST_PRIORITY}"
+            f"--priority: expected {LOWEST_PRIORITY} to {HIGHEST_PRIORITY}, got {priority}"
         )
     if lockstep:
         raise InputError(
-            f"--priority {priority}: in lockstep nothing can be late, accepted is it with a --pace "
-            "such as 1"
+            "--priority: expected a --pace such as 1 with it, got lockstep, where nothing can be "
+            "late"
         )
     return priority

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from datetime import datetime, time
 from typing import Final, Literal
@@ -20,6 +21,7 @@ from bus_schemas.tree import ControlTree, depth
 from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
 from launch_scripts.scenarios.externals import NO_EXTERNALS, ExternalOptions, check_externals
 from launch_scripts.scenarios.fault_rules import fault_remarks, fault_rules
+from launch_scripts.scenarios.fields import field_names
 from launch_scripts.scenarios.machine_table import (
     AS_THE_SCENARIO_SAYS,
     MachineOptions,
@@ -348,8 +350,12 @@ def _periods(scenario: Scenario, tree: ControlTree) -> Periods:
 
 def _with_file(scenario_file: ScenarioFile, text: str) -> str:
     """Name the scenario where the text speaks of one of its fields."""
-    tables = {"commitment", "control", "machine", "plant", "neighbours", "regulation", "time"}
-    of_a_field = text.split(".", 1)[0] in tables or text.startswith(
-        ("plant:", "stations:", "pace ")
-    )
-    return f"{scenario_file.path}: {text}" if of_a_field else text
+    place = re.match(r"(\w+)(?:\.(\w+))?\W", text)
+    names = field_names(Scenario, "") if place else ()
+    if (
+        place
+        and place[1] in names
+        and (not place[2] or place[2] in field_names(Scenario, place[1]))
+    ):
+        return f"{scenario_file.path}: {text}"
+    return text

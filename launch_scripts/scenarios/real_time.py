@@ -1,17 +1,14 @@
 """What a run in real time asks of the clock, checked before anything starts: cycle and deadlines.
 
 The period of a tier (`control.period_cycles`) says in which cycles it acts, its deadline when its
-last word must be out within such a cycle. So a setpoint that is in time is never older than
-period x cycle + deadline. A deadline longer than a cycle would leave the next one without its
-beginning: a controller that needs longer to decide has a period of several cycles, and what it says
-is taken up late.
+last message must be out within such a cycle. So a setpoint that is in time is never older than
+period x cycle + deadline. A controller that needs longer than a cycle to decide has a period of
+several cycles, and its late setpoints are used in the next decision.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Final, Literal
 
 from agents.cycle import stage_place
@@ -19,7 +16,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import CENTRAL, ControlTree
 
 SHORTEST_CYCLE_NS: Final = 100_000
-"""Below it no clock can pace a process: one that waits for a time is woken up to so much late."""
+"""A process that waits for a time is woken up to so much late: no clock can pace it faster."""
 
 _SHORTEST_SLICE_NS: Final = SHORTEST_CYCLE_NS
 """Nor can a stage keep a deadline that is less after that of the stage before it."""
@@ -27,8 +24,6 @@ _SHORTEST_SLICE_NS: Final = SHORTEST_CYCLE_NS
 SHORTEST_DEADLINE_MS: Final = SHORTEST_CYCLE_NS / 1e6
 LONGEST_DEADLINE_MS: Final = 3.6e9
 """A cycle of an hour at the slowest pace: a scenario may state deadlines and run in lockstep."""
-
-_DEADLINES: Final = "control.deadlines_ms"
 
 
 def cycle_wall_ns(cycle_s: float, pace: float | Literal["max"], where: str) -> int:
@@ -52,12 +47,9 @@ def cycle_wall_ns(cycle_s: float, pace: float | Literal["max"], where: str) -> i
         return 0
     length_ns = round(cycle_s / pace * 1e9)
     if length_ns < SHORTEST_CYCLE_NS:
-        resolution_ns = time.get_clock_info("monotonic").resolution * 1e9
         raise InputError(
-            f"{where} {pace:g}: a cycle of {cycle_s:g} s would last {length_ns / 1e3:g} us, beyond "
-            f"the clock's resolution (it counts in {resolution_ns:g} ns, but a process that waits "
-            f"for a time is woken some 100 us late), accepted are cycles of "
-            f"{SHORTEST_CYCLE_NS / 1e3:g} us or more"
+            f"{where} {pace:g}: expected cycles of {SHORTEST_CYCLE_NS / 1e3:g} us or more, as long "
+            f"as it may take to wake a process, got {cycle_s:g} s in {length_ns / 1e3:g} us"
         )
     return length_ns
 
@@ -75,75 +67,37 @@ def tier_deadlines_ns(
     tree
         The control tree.
     cycle_ns
-        Length of a cycle on the wall clock; 0 in lockstep, where deadlines lie idle.
+        Length of a cycle on the wall clock; 0 in lockstep, where deadlines are not used.
 
     Raises
     ------
     InputError
         They are not one for each tier, within the cycle, and so far apart that each stage has at
-        least as much time as a process is woken late.
+        least as much time as it may take to wake a process.
     """
     if deadlines_ms is None:
         return ()
-    tiers = tree.height + 1
-    if len(deadlines_ms) != tiers:
+    if len(deadlines_ms) != tree.height + 1:
         raise InputError(
-            f"{_DEADLINES} has {len(deadlines_ms)} entries, accepted is one for each of the "
-            f"{tiers} tiers, the central controller's first and the direct controllers' last"
+            f"control.deadlines_ms: expected {tree.height + 1} entries, one for each tier, the "
+            f"central controller's first, got {len(deadlines_ms)}"
         )
-    found = tuple(
-        _deadline_ns(tier, deadline_ms, cycle_ns) for tier, deadline_ms in enumerate(deadlines_ms)
-    )
-    for tier, (above_ns, below_ns) in enumerate(pairwise(found), start=1):
-        if below_ns - above_ns < _SHORTEST_SLICE_NS:
-            raise InputError(
-                f"{_stated(tier, deadlines_ms[tier])}, accepted is {SHORTEST_DEADLINE_MS:g} ms "
-                f"more than that of the tier above it ({deadlines_ms[tier - 1]:g} ms), or later: "
-                f"each tier acts after its parent"
-            )
-    _check_first_stages(found[0], tree)
-    if cycle_ns:
-        _check_plant(found[-1], cycle_ns, tiers - 1)
+    found = tuple(round(deadline_ms * 1e6) for deadline_ms in deadlines_ms)
+    # The stages up to the central controller's solve share the time before its deadline.
+    earliest_ns = stage_place(CENTRAL, "solve", tree) * _SHORTEST_SLICE_NS
+    for tier, deadline_ns in enumerate(found):
+        if deadline_ns < earliest_ns:
+            raise _misplaced(tier, deadline_ns, f"{earliest_ns / 1e6:.10g} ms or more")
+        earliest_ns = deadline_ns + _SHORTEST_SLICE_NS  # Each tier acts after its parent.
+    # The plant applies the commands halfway between the last deadline and its next tick.
+    latest_ns = cycle_ns - 2 * _SHORTEST_SLICE_NS
+    if cycle_ns and found[-1] > latest_ns:
+        wanted = f"at most {latest_ns / 1e6:.10g} ms in a cycle of {cycle_ns / 1e6:g} ms"
+        raise _misplaced(len(found) - 1, found[-1], wanted)
     return found
 
 
-def _deadline_ns(tier: int, deadline_ms: float, cycle_ns: int) -> int:
-    """Return the deadline of a tier; refuse one that there cannot be in a cycle."""
-    if not SHORTEST_DEADLINE_MS <= deadline_ms <= LONGEST_DEADLINE_MS:
-        raise InputError(
-            f"{_stated(tier, deadline_ms)}, accepted is a number from {SHORTEST_DEADLINE_MS:g} to "
-            f"{LONGEST_DEADLINE_MS:,.0f}"
-        )
-    deadline_ns = round(deadline_ms * 1e6)
-    if cycle_ns and deadline_ns >= cycle_ns:
-        raise InputError(
-            f"{_stated(tier, deadline_ms)}, accepted is less than the cycle on the wall clock, "
-            f"{cycle_ns / 1e6:g} ms"
-        )
-    return deadline_ns
-
-
-def _stated(tier: int, deadline_ms: float) -> str:
-    return f"{_DEADLINES}[{tier}] is {deadline_ms:.10g} ms"
-
-
-def _check_first_stages(central_ns: int, tree: ControlTree) -> None:
-    """Refuse a deadline of the central controller that leaves no time to the stages before it."""
-    stages = stage_place(CENTRAL, "solve", tree)
-    if central_ns < stages * _SHORTEST_SLICE_NS:
-        raise InputError(
-            f"{_stated(0, central_ns / 1e6)}: the {stages} stages from the tick to the central "
-            f"controller's solve share it, {central_ns / stages / 1e3:.3g} us each, expected "
-            f"{stages * _SHORTEST_SLICE_NS / 1e6:g} ms or more"
-        )
-
-
-def _check_plant(last_ns: int, cycle_ns: int, tier: int) -> None:
-    """Refuse a last deadline that leaves the plant no time to go on before its next tick."""
-    slice_ns = (cycle_ns - last_ns) / 2.0
-    if slice_ns < _SHORTEST_SLICE_NS:
-        latest_ms = (cycle_ns - 2 * _SHORTEST_SLICE_NS) / 1e6
-        raise InputError(
-            f"{_stated(tier, last_ns / 1e6)}: the plant's apply has half of the "
-            f"rest of the cycle, {slice_ns / 1e3:.3g} us, accepted is at most {latest_ms:.10g} ms"
-        )
+def _misplaced(tier: int, deadline_ns: int, expected: str) -> InputError:
+    return InputError(
+        f"control.deadlines_ms[{tier}]: expected {expected}, got {deadline_ns / 1e6:.10g} ms"
+    )

@@ -1,9 +1,8 @@
 """The whole hierarchy and its plant as one loop over the cycles of a run.
 
-It calls the functions of `agents.control` in the order in which the agents call them when all
-messages arrive, and is compiled by Numba together with them. So a study of thousands of days needs
-no second copy of the control law: what an agent works out in Python, the loop works out in machine
-code, bit for bit.
+It calls the functions of `agents.control` in the order in which agents call them when all messages
+arrive, and Numba compiles it together with them. So a study of thousands of days needs no second
+copy of the control law, and gives the same bits as the agents.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ LoopArrays: TypeAlias = tuple[Floats, Floats, Floats, Floats]
 
 
 class Settings(NamedTuple):
-    """What a run's agents agree on besides the control tree.
+    """The settings of a run besides its control tree.
 
     Attributes
     ----------
@@ -42,10 +41,6 @@ class Settings(NamedTuple):
         Whether inverters hold a power limit, or give a fraction of their maximum.
     is_corrected
         Whether the central controller corrects its target by the plant's meter.
-    alpha_min
-        Lowest curtailment level.
-    cycle_s
-        Length of a cycle [s].
     """
 
     is_forecast: bool
@@ -56,16 +51,16 @@ class Settings(NamedTuple):
 
 
 class Central(NamedTuple):
-    """What the central controller remembers.
+    """The state of the central controller.
 
     Attributes
     ----------
     dispatch_kw
-        The last usable dispatch; before the first the plant's rating, so that nothing is held back.
+        The last usable dispatch; before the first the plant's rating, so that nothing is curtailed.
     wanted_kw, correction_kw
-        The dispatch of its last turn, and the correction that it added then.
+        The dispatch of its last turn, and the correction added to it.
     metered_kw, metered_cycles
-        Sum of what the plant's meter has read since, and in how many cycles.
+        Sum of the plant's meter since then, and over how many cycles.
     """
 
     dispatch_kw: float
@@ -76,7 +71,7 @@ class Central(NamedTuple):
 
 
 class LoopResult(NamedTuple):
-    """What the inverters did and what was believed of them, each of shape (cycles, n)."""
+    """Power, estimates and commands of the inverters, each of shape (cycles, n)."""
 
     power_kw: Floats
     impp_kw: Floats
@@ -96,11 +91,9 @@ def run_loop(
     Parameters
     ----------
     plan, profile
-        The run. The plan's own scheme and actuator do not count.
-    scheme, actuator
-        How maxima are estimated, and what inverters do with a command.
+        The run; `scheme` and `actuator` replace the plan's own.
     constants
-        Other values of constants in `agents.control`, by name, to tell what they are worth.
+        Other values of constants in `agents.control`, by name.
     """
     loop = _compiled_loop(tuple(sorted((constants or {}).items())))
     return LoopResult(*loop(*loop_inputs(plan, profile, scheme, actuator)))
@@ -116,7 +109,7 @@ def _compiled_loop(
 def loop_inputs(
     plan: RunPlan, profile: Profile, scheme: Scheme, actuator: Actuator
 ) -> tuple[ControlArrays, Settings, Floats, Floats, Floats, Floats]:
-    """Return what `closed_loop` takes."""
+    """Return the arguments of `closed_loop`."""
     is_forecast, is_limited = scheme == "predictive", actuator == "limit"
     settings = Settings(
         is_forecast=is_forecast,
@@ -136,15 +129,12 @@ def loop_inputs(
 
 
 def is_corrected(plan: RunPlan, scheme: Scheme) -> bool:
-    """Whether a scheme corrects its target by the plant's meter.
-
-    The plan says so for its own scheme. Of others `predictive` does.
-    """
+    """Whether a scheme corrects its target by the meter: as the plan says, else `predictive`."""
     return plan.correction if scheme == plan.scheme else scheme == "predictive"
 
 
 def _available_kw(plan: RunPlan, profile: Profile) -> Floats:
-    """Return what each inverter states of the interval that ended: nothing, or with a bias."""
+    """Return the available power that each inverter states of the last interval, or NaN."""
     bias = plan.available_bias
     if bias is None:
         return np.full_like(profile.mpp_kw, np.nan)

@@ -26,28 +26,17 @@ SCHEMES: Final = {
 }
 """Name and one line of each scheme."""
 
-DEFAULT_SCHEMES: Final = (
-    "uncontrolled",
-    "uniform-cap",
-    "grouping",
-    "paper",
-    "predictive",
-    "physical-limit",
-)
-
 
 @dataclass(frozen=True, slots=True)
 class ReferenceGroups:
-    """Which reference groups grouping control is tried with.
+    """The reference groups that grouping control is tried with.
 
     Attributes
     ----------
     sizes
-        Numbers of inverters in the group.
+        Numbers of inverters in a group.
     choices
         How many groups of each size: every single inverter for size 1, else drawn at random.
-    seed
-        Of the draw.
     members
         Names of the inverters of one group, in place of all these.
     """
@@ -58,13 +47,7 @@ class ReferenceGroups:
     members: tuple[str, ...] = ()
 
     def groups(self, names: Sequence[str]) -> Iterator[NDArray[np.bool_]]:
-        """Yield each group as a mask over the inverters of these names.
-
-        Raises
-        ------
-        InputError
-            A group is the whole plant, or has a member that the plant does not have.
-        """
+        """Yield each group as a mask over the inverters of these names."""
         if self.members:
             yield self._named(names)
             return
@@ -73,7 +56,7 @@ class ReferenceGroups:
         for size in self.sizes:
             if not 0 < size < inverters:
                 raise InputError(
-                    f"--reference {size}: accepted are groups of 1 to {inverters - 1} inverters"
+                    f"--reference: expected groups of 1 to {inverters - 1} inverters, got {size}"
                 )
             for choice in range(inverters if size == 1 else self.choices):
                 members = [choice] if size == 1 else generator.choice(inverters, size, False)
@@ -84,10 +67,10 @@ class ReferenceGroups:
     def _named(self, names: Sequence[str]) -> NDArray[np.bool_]:
         for name in self.members:
             if name not in names:
-                raise InputError(f"--reference {name}: accepted are {', '.join(names)}")
+                raise InputError(f"--reference: expected {', '.join(names)}, got {name}")
         mask = np.isin(names, self.members)
         if mask.all():
-            raise InputError("--reference: accepted are fewer than all inverters")
+            raise InputError("--reference: expected fewer than all inverters")
         return mask
 
 
@@ -96,17 +79,7 @@ def run_scheme(
 ) -> list[RunSeries]:
     """Run one scheme; grouping control gives one series for each reference group.
 
-    Parameters
-    ----------
-    name
-        One of `SCHEMES`.
-    plan, profile
-        The run.
-    actuator
-        What the inverters of the hierarchical schemes do with a command. The uniform cap and
-        grouping control give power limits, whatever the actuator: so they are defined.
-    groups
-        Reference groups of grouping control.
+    The actuator is that of the hierarchical schemes; the others are defined with power limits.
 
     Raises
     ------
@@ -120,7 +93,7 @@ def run_scheme(
         return _grouping(plan, profile, groups)
     simple = _SIMPLE.get(name)
     if simple is None:
-        raise InputError(f"scheme {name!r} is not known, accepted: {', '.join(SCHEMES)}")
+        raise InputError(f"scheme: expected {', '.join(SCHEMES)}, got {name}")
     return [_series(name, plan, profile, _limited(profile, simple(plan, profile)))]
 
 
@@ -160,7 +133,7 @@ _SIMPLE: Final[dict[str, Callable[[RunPlan, Profile], NDArray[np.float64]]]] = {
     "uniform-cap": _uniform_cap,
     "physical-limit": _physical_limit,
 }
-"""Schemes that are a power limit for each inverter and need to know nothing of the last cycle."""
+"""Schemes that limit the power of each inverter without looking at the last cycle."""
 
 
 def _limited(profile: Profile, limits_kw: NDArray[np.float64]) -> LoopResult:
@@ -199,5 +172,5 @@ def _rating_kw(plan: RunPlan) -> NDArray[np.float64]:
 
 
 def _last_cycle(value: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what was true in the cycle before; before the first, the first."""
+    """Return the values of the cycle before; the first cycle repeats its own."""
     return np.concatenate([value[:1], value[:-1]])

@@ -36,17 +36,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One day with one choice of settings.
-
-    Attributes
-    ----------
-    label
-        What is particular to it; empty if it is the only one.
-    scenario
-        The scenario with its settings.
-    options
-        Start, duration and seed.
-    """
+    """One day with one choice of settings; its label is empty if it is the only case."""
 
     label: str
     scenario: ScenarioFile
@@ -54,18 +44,11 @@ class Case:
 
 
 def parse_setting(text: str) -> Setting:
-    """Read `commitment.share=0.5,0.7`: a field of the scenario, and its values as TOML.
-
-    Raises
-    ------
-    InputError
-        It is not of that form.
-    """
+    """Read `commitment.share=0.5,0.7`: a field of the scenario, and its values as TOML."""
     field, equals, values = text.partition("=")
     if not equals or not re.fullmatch(r"\w+(\.\w+)*", field.strip()) or not values.strip():
         raise InputError(
-            f"--set {text}: accepted is a field of the scenario and values, such as "
-            "commitment.share=0.5,0.7"
+            f"--set: expected a field and values such as commitment.share=0.5,0.7, got {text}"
         )
     return Setting(field.strip(), tuple(_split(values)))
 
@@ -89,35 +72,23 @@ def with_settings(scenario: ScenarioFile, texts: Sequence[str]) -> ScenarioFile:
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
-    """Read `1..5,9`.
-
-    Raises
-    ------
-    InputError
-        It is not a list of whole numbers and ranges.
-    """
+    """Read `1..5,9`."""
     if not re.fullmatch(r"\d+(\.\.\d+)?(,\d+(\.\.\d+)?)*", text):
-        raise InputError(f"--seeds {text}: accepted are whole numbers and ranges, such as 1..5,9")
+        raise InputError(f"--seeds: expected whole numbers and ranges such as 1..5,9, got {text}")
     ranges = []
     for part in text.split(","):
         first, _, last = part.partition("..")
         ranges.append(range(int(first), int(last or first) + 1))
-    # Counted before they are listed: a slip of the finger must not fill the memory.
+    # Count before listing: a typing error must not fill the memory.
     if not all(ranges) or sum(map(len, ranges)) > _MOST:
         raise InputError(
-            f"--seeds {text}: accepted are ranges from low to high, at most {_MOST:,} seeds in all"
+            f"--seeds: expected ranges from low to high, at most {_MOST:,} seeds, got {text}"
         )
     return tuple(dict.fromkeys(chain.from_iterable(ranges)))
 
 
 def parse_days(text: str) -> tuple[date, ...]:
-    """Read `2010-04-01`, `2010-04-01..2010-04-30`, or several of them with commas between.
-
-    Raises
-    ------
-    InputError
-        It is not a list of dates and ranges.
-    """
+    """Read `2010-04-01`, `2010-04-01..2010-04-30`, or several of them with commas."""
     found: list[date] = []
     try:
         for part in text.split(","):
@@ -129,7 +100,7 @@ def parse_days(text: str) -> tuple[date, ...]:
         found = []
     if not found:
         raise InputError(
-            f"--days {text}: accepted are dates and ranges, such as 2010-04-01..2010-04-30"
+            f"--days: expected dates and ranges such as 2010-04-01..2010-04-30, got {text}"
         )
     return tuple(found)
 
@@ -154,7 +125,7 @@ def cases(
     for choice in choices:
         count *= len(choice)
     if count > _MOST:
-        raise InputError(f"the study has {count:,} cases, accepted are at most {_MOST:,}")
+        raise InputError(f"--days, --seeds, --set: expected at most {_MOST:,} cases, got {count:,}")
     found = []
     for chosen in product(*choices):
         changed = _with_settings(scenario, chosen)
@@ -232,7 +203,7 @@ def _put(document: dict[str, Any], field: str, value: str) -> None:
         table = table[part]
         if not isinstance(table, dict):
             where = ".".join(tables[: depth + 1])
-            raise InputError(f"--set {field}: {where} is no table, accepted is a field of one")
+            raise InputError(f"--set {field}: expected a field of a table, but {where} is a value")
     table[name] = _toml(value)
 
 

@@ -11,13 +11,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from msgspec import DecodeError
+from msgspec import DecodeError, ValidationError, convert
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from bus_schemas.codec import decode, encode
 from bus_schemas.errors import InputError
-from bus_schemas.faults import FaultRule, FaultTally, NetworkFaults, check_rule, links
+from bus_schemas.faults import (
+    FaultRule,
+    FaultTally,
+    NetworkFaults,
+    check_rule,
+    links,
+    unmatched_rules,
+)
 from bus_schemas.messages import Impp, Run, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, IMPP, RUN, SETPOINT, TELEMETRY
 from bus_schemas.tree import CENTRAL, PLANT, ROOT, ControlTree
@@ -31,7 +38,7 @@ MANY = 20_000
 def at_work(*rules: FaultRule, seed: int = 1) -> NetworkFaults:
     for rule in rules:
         check_rule(rule, TREE, "rule")
-    return NetworkFaults(rules, seed, TREE, SECOND_NS)
+    return NetworkFaults(rules, seed, TREE, SECOND_NS, SECOND_NS)
 
 
 def impp(cycle: int) -> Impp:
@@ -148,9 +155,10 @@ def test_nothing_arrives_in_a_silent_interval_and_all_outside_of_it() -> None:
     assert silent == [3, 4, 8]
 
 
-def test_a_silent_interval_counts_on_the_clock_of_the_cycles() -> None:
+@pytest.mark.parametrize("pace", [0.5, 1.0, 10.0])
+def test_a_silent_interval_is_in_simulated_time_at_any_pace(pace: float) -> None:
     rule = FaultRule(silent=((1.0, 2.0),))
-    faults = NetworkFaults((rule,), 0, TREE, SECOND_NS // 10)
+    faults = NetworkFaults((rule,), 0, TREE, SECOND_NS // 10, round(SECOND_NS / 10 / pace))
     silent = [cycle for cycle, fate in enumerate(fates(faults, 40)) if not fate]
     assert silent == list(range(10, 20))
 
@@ -240,7 +248,7 @@ HOUR = FaultRule(delay_ms=3_600_000.0)
 def test_as_many_messages_can_be_under_way_as_are_sent_in_the_longest_delay(
     rules: tuple[FaultRule, ...], cycle_ns: int, expected: int
 ) -> None:
-    assert NetworkFaults(rules, 1, TREE, cycle_ns).most_under_way("c1") == expected
+    assert NetworkFaults(rules, 1, TREE, cycle_ns, cycle_ns).most_under_way("c1") == expected
 
 
 @given(
@@ -255,7 +263,7 @@ def test_no_delay_is_longer_than_the_longest(
     rule = FaultRule(
         delay_ms=delay_ms, jitter_ms=jitter_ms, distribution=distribution, reorder=0.5, loss=0.01
     )
-    network = NetworkFaults((rule,), 1, TREE, SECOND_NS)
+    network = NetworkFaults((rule,), 1, TREE, SECOND_NS, SECOND_NS)
     for delay_ns in network.fates(IMPP.of("c1/a"), "c1", impp(cycle)):
         assert delay_ns <= rule.longest_ms * 1e6 + 1
 
@@ -269,55 +277,52 @@ def test_a_tally_counts_what_the_faults_did() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rule", "complaint"),
+    ("rule", "field"),
     [
-        (FaultRule(loss=1.2), "rule: loss is 1.2, accepted is a share from 0 to 1"),
-        (FaultRule(loss=nan), "rule: loss is nan, accepted is a share from 0 to 1"),
-        (FaultRule(duplicate=-0.1), "rule: duplicate is -0.1, accepted is a share from 0 to 1"),
-        (FaultRule(delay_ms=-1.0), "rule: delay_ms is -1, accepted is 0 to 3600000"),
-        (FaultRule(delay_ms=nan), "rule: delay_ms is nan, accepted is 0 to 3600000"),
-        (FaultRule(delay_ms=4e6), "rule: delay_ms is 4e\\+06, accepted is 0 to 3600000"),
-        (
-            FaultRule(delay_ms=1.0, jitter_ms=2.0, distribution="fixed"),
-            "jitter_ms is 2 with a fixed delay, accepted are uniform and normal",
-        ),
-        (FaultRule(reorder=0.5), "reorder without a time to hold back for"),
-        (FaultRule(silent=((90.0, 60.0),)), "silent from 90 s to 60 s, accepted is an interval"),
-        (FaultRule(silent=((-1.0, 60.0),)), "silent from -1 s to 60 s, accepted is an interval"),
-        (FaultRule(silent=((1.0, nan),)), "silent from 1 s to nan s, accepted is an interval"),
-        (FaultRule(source="c1/*"), "rule: it does nothing, accepted is a rule with a delay"),
-        (
-            FaultRule(source="c9/*", loss=0.1),
-            "source 'c9/\\*' is no agent of this run, accepted: plant, central, c1, c2, c1/a",
-        ),
-        (FaultRule(listener="inv01", loss=0.1), "listener 'inv01' is no agent of this run"),
-        (FaultRule(listener="recorder", loss=0.1), "listener is the recorder, which hears"),
-        (
-            FaultRule(signal="imp", loss=0.1),
-            "signal 'imp' is not known, accepted: telemetry, dispatch, meter, impp, residual, "
-            "setpoint, command",
-        ),
-        (FaultRule(signal="run", loss=0.1), "signal 'run' is not cyclic, accepted: telemetry"),
-        (
-            FaultRule(source="c1/a", listener="c2", loss=0.1),
-            "c1/a never sends anything to c2, accepted from c1/a: impp to c1, residual to c1, "
-            "command to plant",
-        ),
-        (
-            FaultRule(source="plant", signal="impp", loss=0.1),
-            "plant never sends impp to \\*, accepted from plant: telemetry to c1/a",
-        ),
+        (FaultRule(delay_ms=1.0, jitter_ms=2.0, distribution="fixed"), "distribution: "),
+        (FaultRule(reorder=0.5), "reorder_ms: "),
+        (FaultRule(silent=((90.0, 60.0),)), "silent: "),
+        (FaultRule(source="c1/*"), ""),
+        (FaultRule(source="c9/*", loss=0.1), "source: "),
+        (FaultRule(listener="inv01", loss=0.1), "listener: "),
+        (FaultRule(listener="recorder", loss=0.1), "listener: "),
+        (FaultRule(signal="imp", loss=0.1), "signal: "),
+        (FaultRule(signal="run", loss=0.1), "signal: "),
+        (FaultRule(source="c1/a", listener="c2", loss=0.1), ""),
+        (FaultRule(source="plant", signal="impp", loss=0.1), ""),
     ],
 )
-def test_a_rule_that_cannot_be_meant_is_refused(rule: FaultRule, complaint: str) -> None:
-    with pytest.raises(InputError, match=complaint):
+def test_a_rule_that_does_not_fit_the_run_is_refused(rule: FaultRule, field: str) -> None:
+    with pytest.raises(InputError, match=f"^rule: {field}expected"):
         check_rule(rule, TREE, "rule")
+
+
+@pytest.mark.parametrize("field", ["loss", "duplicate", "reorder", "delay_ms", "jitter_ms"])
+@pytest.mark.parametrize("value", [-0.1, nan, 4e6])
+def test_shares_and_times_have_bounds(field: str, value: float) -> None:
+    with pytest.raises(ValidationError, match=field):
+        convert({field: value}, FaultRule)
+
+
+def test_a_rule_that_no_message_matched_is_named() -> None:
+    rules = (
+        FaultRule(loss=0.1),
+        FaultRule(silent=((20.0, 30.0),)),
+        FaultRule(source="c2/d", delay_ms=1.0),
+        FaultRule(silent=((3.0, 4.0),), source="c1/a"),
+    )
+    faults = at_work(*rules)
+    fates(faults, 10)
+    assert faults.matched == {0, 3}
+    one, other = unmatched_rules(rules, faults.matched)
+    assert "silent" in one
+    assert "source=c2/d" in other
 
 
 def test_a_rule_for_what_comes_in_at_external_agents_alone_is_refused() -> None:
     external = ("c1/a", "c1/b")
     rule = FaultRule(listener="c1/*", signal="telemetry", delay_ms=5.0)
-    with pytest.raises(InputError, match=r"at external agents alone \(c1/a, c1/b\)"):
+    with pytest.raises(InputError, match=r"^rule: expected .* \(c1/a, c1/b\)$"):
         check_rule(rule, TREE, "rule", external)
     check_rule(FaultRule(signal="telemetry", delay_ms=5.0), TREE, "rule", external)
     check_rule(FaultRule(source="c1/*", delay_ms=5.0), TREE, "rule", external)
@@ -334,4 +339,4 @@ def test_telemetry_to_all_below_a_cluster_is_one_rule() -> None:
 def test_a_rule_on_what_no_agent_hears_is_accepted_and_takes_nothing_from_anybody() -> None:
     rule = FaultRule(signal="help", loss=1.0)
     check_rule(rule, TREE, "rule")
-    assert not any(NetworkFaults((rule,), 1, TREE, 1).concern(agent) for agent in TREE.agents())
+    assert not any(NetworkFaults((rule,), 1, TREE, 1, 1).concern(agent) for agent in TREE.agents())

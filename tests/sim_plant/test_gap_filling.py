@@ -112,10 +112,8 @@ def test_where_no_sensor_has_a_value_each_draws_a_line_in_time() -> None:
 def test_a_silence_too_long_or_at_an_end_is_refused(first: int, after: int, lines: str) -> None:
     ghi_wm2 = np.full((100, 2), 500.0)
     ghi_wm2[first:after] = NAN
-    assert refusal(line_of_sensors(ghi_wm2, [0.0, 100.0])) == (
-        f"day.txt: lines {lines}: no sensor has a value; accepted: at most 60 such lines between"
-        " lines with values"
-    )
+    found = refusal(line_of_sensors(ghi_wm2, [0.0, 100.0]))
+    assert found.startswith(f"day.txt: lines {lines}: expected at most 60 lines")
 
 
 def test_a_silence_of_sixty_values_is_not_too_long() -> None:

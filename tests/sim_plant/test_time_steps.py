@@ -102,20 +102,14 @@ def test_measurements_shorter_than_the_run_are_refused(
 ) -> None:
     with pytest.raises(InputError) as caught:
         brought(TWO, "1s", stamps(count, cycle, offset_s=offset_s))
-    assert str(caught.value) == (
-        f"data.csv: does not cover 2010-04-01T{message};"
-        " it covers 2010-04-01T22:00:00Z to 2010-04-01T22:00:12Z"
-    )
+    assert f"2010-04-01T{message}" in str(caught.value)
 
 
 @pytest.mark.parametrize(("step", "cycle", "found"), [("2s", "3s", "3"), ("1s", "1500ms", "1.5")])
 def test_a_longer_cycle_that_is_no_multiple_is_refused(step: str, cycle: str, found: str) -> None:
     with pytest.raises(InputError) as caught:
         brought(TWO, step, stamps(2, cycle))
-    assert str(caught.value) == (
-        f"data.csv: a value every {step[0]} s; accepted is a time.cycle_s that is a multiple of it,"
-        f" or shorter, found {found} s"
-    )
+    assert str(caught.value).endswith(f"{step[0]} s, or shorter, got {found} s")
 
 
 def test_what_was_done_is_told() -> None:

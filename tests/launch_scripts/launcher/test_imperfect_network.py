@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
@@ -27,6 +30,7 @@ from bus_schemas.signals import (
     Port,
 )
 from bus_schemas.tree import ROOT
+from launch_scripts.cli import app
 from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
@@ -281,3 +285,26 @@ def test_from_the_first_cycle_on_the_plant_gives_about_what_is_desired(scheme: s
     shares = [made.delivered_kw / made.desired_kw for made in production]
     assert max(shares[5:]) < 1.05
     assert sum(shares) / len(shares) < 1.03
+
+
+def test_a_silence_is_in_simulated_time_at_any_pace_and_a_rule_without_messages_is_named(
+    tmp_path: Path,
+) -> None:
+    words = [
+        "simulate",
+        "oahu",
+        "--duration",
+        "5",
+        "--pace",
+        "5",
+        "--json",
+        str(tmp_path / "s.json"),
+    ]
+    faults = ["--fault", "signal=impp,silent=2s..4s", "--fault", "silent=50s..60s"]
+    result = CliRunner().invoke(app, [*words, *faults, "--out", str(tmp_path / "run")])
+    assert result.exit_code == 0, result.output
+    summary = json.loads((tmp_path / "s.json").read_text())
+    assert summary["faults"] == {"lost": 2 * (17 + 3)}
+    (line,) = [remark for remark in summary["remarks"] if "fault" in remark]
+    assert "silent=((50.0, 60.0),)" in line
+    assert line in result.output

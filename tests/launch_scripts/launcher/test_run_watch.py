@@ -11,7 +11,7 @@ from launch_scripts.launcher.run_watch import RunWatch
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 
-PLAN = prepare(load_scenario("oahu"), RunOptions(duration="5"), "pulse").plan
+PLAN = prepare(load_scenario("oahu"), RunOptions(duration="5"), "watch").plan
 
 
 def real_time(cycle_s: float = 0.05) -> RunPlan:
@@ -60,12 +60,12 @@ def test_in_real_time_it_is_told_once_and_is_a_fault_after_ten_seconds() -> None
 @pytest.mark.parametrize("first_word", [7, 90])
 def test_the_plant_is_not_blamed_for_what_its_recorder_did_not_tell(first_word: int) -> None:
     run = Watched(real_time())
-    run.pulse.hear(7, 101.0)
+    run.watch.hear(7, 101.0)
     assert run.blamed(103.5, 108.9) == []
     # The first word after the silence may be an old one.
-    run.pulse.hear(first_word, 109.0)
+    run.watch.hear(first_word, 109.0)
     assert run.blamed(109.1) == []
-    run.pulse.hear(91, 110.0)
+    run.watch.hear(91, 110.0)
     assert run.blamed(110.1) == []
     assert len(run.told) == 1
     run.blamed(113.0)
@@ -79,7 +79,7 @@ def test_a_plant_that_does_not_go_on_is_found_while_its_recorder_speaks(
     run = Watched(real_time(cycle_s))
     for tenth in range(1, 400):
         now_s = 100.0 + tenth / 10
-        run.pulse.hear(3, now_s)
+        run.watch.hear(3, now_s)
         if blamed := run.blamed(now_s):
             break
     assert blamed == [PLANT]
@@ -90,22 +90,22 @@ def test_a_plant_that_does_not_go_on_is_found_while_its_recorder_speaks(
 def test_a_launcher_that_stood_still_itself_blames_nobody_for_it(plan: RunPlan) -> None:
     run = Watched(plan)
     assert run.blamed(101.0) == []
-    assert run.pulse.check(131.0) is None, "stopped for 30 s, and nothing heard meanwhile"
+    assert run.watch.check(131.0) is None, "stopped for 30 s, and nothing heard meanwhile"
     assert run.told == []
-    run.pulse.hear(7, 131.1)
-    assert run.pulse.check(131.2) is None
+    run.watch.hear(7, 131.1)
+    assert run.watch.check(131.2) is None
 
 
 def test_after_it_stood_still_it_waits_as_long_as_was_left() -> None:
     run = Watched(PLAN)
     assert run.blamed(101.5) == []
     times_s = [120.0 + tenth / 10 for tenth in range(10)]
-    found = [time_s for time_s in times_s if run.pulse.check(time_s)]
+    found = [time_s for time_s in times_s if run.watch.check(time_s)]
     assert found[0] == pytest.approx(120.5)
 
 
 def test_a_launcher_that_is_always_slow_finds_the_silent_one_too() -> None:
     run = Watched(PLAN)
-    found = [run.pulse.check(100.0 + 0.6 * look) for look in range(30)]
+    found = [run.watch.check(100.0 + 0.6 * look) for look in range(30)]
     assert found[-1] is not None
     assert found[-1][0] == RECORDER

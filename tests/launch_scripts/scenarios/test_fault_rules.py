@@ -18,7 +18,7 @@ from launch_scripts.scenarios.fault_rules import parse_fault
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 
-SHIPPED = Path(__file__).parents[2] / "launch_scripts" / "scenarios"
+SHIPPED = Path(__file__).parents[3] / "launch_scripts" / "scenarios"
 
 
 @pytest.mark.parametrize(
@@ -37,7 +37,6 @@ SHIPPED = Path(__file__).parents[2] / "launch_scripts" / "scenarios"
         ),
         ("delay=0.05s, listener=central", FaultRule(listener="central", delay_ms=50.0)),
         ("delay=250us", FaultRule(delay_ms=0.25)),
-        ("delay=.5s,jitter=1.s", FaultRule(delay_ms=500.0, jitter_ms=1000.0)),
         ("loss=0.5%", FaultRule(loss=0.005)),
         ("loss=0.125,duplicate=1", FaultRule(loss=0.125, duplicate=1.0)),
         ("reorder=10%,reorder-by=1500ms", FaultRule(reorder=0.1, reorder_ms=1500.0)),
@@ -55,23 +54,18 @@ def test_the_words_of_an_option_become_a_rule(text: str, rule: FaultRule) -> Non
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    ("text", "place"),
     [
-        ("", "--fault : '', accepted is such as source=c1/\\*,signal=impp,delay=50ms"),
-        ("delay", "--fault delay: 'delay', accepted is such as"),
-        ("delay=50", "delay is '50', accepted is a time with its unit such as 50ms, 0.05s or 2m"),
-        ("delay=-5ms", "delay is '-5ms', accepted is a time with its unit"),
-        ("jitter=nanms", "jitter is 'nanms', accepted is a time with its unit"),
-        ("loss=two", "loss is 'two', accepted is a share such as 2% or 0.02"),
-        ("silent=60s", "silent is '60s', accepted is an interval such as 60s..90s"),
-        ("silent=60..90", "silent is '60', accepted is a time with its unit"),
-        ("lost=2%", "'lost' is not known, accepted: source, listener, signal, distribution, delay"),
-        ("delay=1s,delay=2s", "delay twice, accepted is once"),
-        ("delay=1s,distribution=pareto", "Invalid enum value 'pareto'"),
+        *((text, "") for text in ("", "delay", "lost=2%", "delay=1s,delay=2s")),
+        *((f"delay={text}", "delay: ") for text in ("50", "-5ms", "nanms", "0.5")),
+        *((f"silent={text}", "silent: ") for text in ("60s", "60..90", "60s..", "..90s")),
+        ("loss=two", "loss: "),
+        ("loss=200%", "loss: "),
+        ("delay=1s,distribution=pareto", "distribution: "),
     ],
 )
-def test_words_that_are_no_rule_are_refused(text: str, complaint: str) -> None:
-    with pytest.raises(InputError, match=complaint):
+def test_words_that_are_no_rule_are_refused(text: str, place: str) -> None:
+    with pytest.raises(InputError, match=f"^--fault {text}: {place}expected"):
         parse_fault(text)
 
 
@@ -113,12 +107,12 @@ def test_a_scenario_without_faults_has_none(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "complaint"),
     [
-        ("[[faults]]\nloss = 2\n", "imperfect.toml: faults\\[0\\]: loss is 2, accepted is"),
+        ("[[faults]]\nloss = 2\n", "imperfect.toml: faults\\[0\\].loss: expected"),
         (
             TABLES + "[[faults]]\nsource = 'c9'\nloss = 1\n",
-            "faults\\[2\\]: source 'c9' is no agent",
+            "faults\\[2\\]: source: expected",
         ),
-        ("[[faults]]\nlos = 0.2\n", "imperfect.toml: faults\\[0\\]: .*unknown field `los`"),
+        ("[[faults]]\nlos = 0.2\n", "imperfect.toml: faults\\[0\\]: expected .*got los"),
     ],
 )
 def test_a_bad_rule_of_a_scenario_is_named_with_file_and_place(
@@ -129,7 +123,7 @@ def test_a_bad_rule_of_a_scenario_is_named_with_file_and_place(
 
 
 def test_a_bad_rule_of_an_option_is_named_with_its_words(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--fault source=c9/\\*,loss=1%: source 'c9/\\*' is no"):
+    with pytest.raises(InputError, match=r"--fault source=c9/\*,loss=1%: source: expected"):
         prepared(tmp_path, "", faults=("source=c9/*,loss=1%",))
 
 
@@ -167,6 +161,5 @@ def test_launch_in_lockstep_with_faults_is_refused(tmp_path: Path) -> None:
     ]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 2
-    assert "--fault loss=1%: a message that is lost in lockstep is waited for" in result.output
-    assert "accepted is a --pace" in result.output
+    assert "--fault loss=1%: expected a --pace" in result.output
     assert not (tmp_path / "r").exists()

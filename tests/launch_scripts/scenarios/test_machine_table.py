@@ -44,35 +44,21 @@ def test_kinds_may_have_processors_of_their_own() -> None:
 
 
 @pytest.mark.parametrize(
-    ("word", "text"),
-    [
-        ("0-2", "--cpus 0-2: this machine does not give us these, accepted are 0, 1, 3"),
-        ("7", "--cpus 7: this machine does not give us these, accepted are 0, 1, 3"),
-        ("3-1", "--cpus 3-1: this machine does not give us these, accepted are 0, 1, 3"),
-        ("inverter=0", "--cpus inverter=0: there is no kind of process 'inverter', accepted are "),
-        ("=0", "--cpus =0: there is no kind of process '', accepted are "),
-        ("plant=", "--cpus plant=: accepted are processors such as 0, 0-3 or plant=0"),
-        ("0,", "--cpus 0,: accepted are processors"),
-        ("-1", "--cpus -1: accepted are processors"),
-        ("all", "--cpus all: accepted are processors"),
-        ("", "--cpus : accepted are processors"),
-        ("0-99999999", "--cpus 0-99999999: accepted are processors"),
-    ],
+    "word", ["0-2", "7", "3-1", "inverter=0", "=0", "plant=", "0,", "-1", "all", "", "0-99999999"]
 )
-def test_other_words_are_refused(word: str, text: str) -> None:
-    with pytest.raises(InputError) as caught:
+def test_other_words_are_refused(word: str) -> None:
+    with pytest.raises(InputError, match=f"^--cpus {word}: expected"):
         settings(word)
-    assert str(caught.value).startswith(text)
 
 
 @pytest.mark.parametrize("priority", [-1, 0, 100])
 def test_a_priority_is_1_to_99(priority: int) -> None:
-    with pytest.raises(InputError, match=f"--priority {priority}: accepted is 1 to 99"):
+    with pytest.raises(InputError, match="--priority: expected 1 to 99"):
         settings(priority=priority)
 
 
 def test_a_priority_needs_a_clock() -> None:
-    with pytest.raises(InputError, match="in lockstep nothing can be late"):
+    with pytest.raises(InputError, match="--priority: expected a --pace"):
         settings(priority=20, lockstep=True)
 
 
@@ -86,7 +72,7 @@ def test_a_scenario_says_the_same_and_the_command_line_goes_before_it() -> None:
 
 
 def test_a_wrong_scenario_names_its_field() -> None:
-    with pytest.raises(InputError, match=r"machine\.cpus: 9: this machine does not"):
+    with pytest.raises(InputError, match=r"machine\.cpus: 9: expected"):
         settings(table='cpus = ["9"]')
     with pytest.raises(msgspec.ValidationError, match="priority"):
         settings(table="priority = 100")

@@ -76,29 +76,21 @@ def test_a_synthetic_signal_needs_no_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("regulation", "message"),
+    ("regulation", "place"),
     [
-        (
-            'kind = "synthetic"\ncapacity_kw = -1.0',
-            "{folder}/small.toml: regulation.capacity_kw: Expected `float` > 0.0",
-        ),
+        ('kind = "synthetic"\ncapacity_kw = -1.0', "small.toml: regulation.capacity_kw"),
         (
             'kind = "synthetic"\ncapacity_kw = 1\nfrom = 09:00:00\nto = 09:00:00',
-            "{folder}/small.toml: regulation.from and regulation.to are both 09:00:00;"
-            " accepted: two times of day, or neither for the whole day",
+            "small.toml: regulation.from, regulation.to",
         ),
-        (
-            'kind = "file"\npath = "regd.csv"\ncapacity_kw = 1',
-            "{folder}/regd.csv: no such file; accepted: --data with the folder that holds it",
-        ),
+        ('kind = "file"\npath = "regd.csv"\ncapacity_kw = 1', "regd.csv"),
     ],
 )
-def test_a_bad_table_is_told_with_file_and_field(
-    tmp_path: Path, regulation: str, message: str
+def test_a_bad_table_is_refused_with_file_and_field(
+    tmp_path: Path, regulation: str, place: str
 ) -> None:
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=f"^{tmp_path / place}: expected"):
         prepared(tmp_path, f"[regulation]\n{regulation}")
-    assert str(caught.value) == message.format(folder=tmp_path)
 
 
 def test_a_signal_of_another_step_than_pjms_is_taken_and_told(tmp_path: Path) -> None:

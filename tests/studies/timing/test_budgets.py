@@ -129,6 +129,7 @@ def test_a_table_of_a_scenario_is_read_with_its_types() -> None:
     table = msgspec.toml.decode(text, type=TimingTable).budgets
     assert (table.loop_p99_ms, table.missed_deadlines) == (25, 3)
     assert table.hop_p99_ms == {"setpoint": 5.5}
+    assert TimingTable().budgets == BudgetTable()
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The document for foreign programs says what is on the wire."""
+"""The documents say what the code says: derived tables, and the rules around them."""
 
 from __future__ import annotations
 
@@ -11,32 +11,77 @@ import pytest
 
 from agents.plan import RunPlan
 from bus_schemas.codec import decode
+from bus_schemas.faults import FaultRule
 from bus_schemas.messages import LONGEST_MISSING, MOST_MISSING
 from bus_schemas.signals import RESIDUAL, SIGNALS
 from bus_schemas.tree import LONGEST_PATH
 from launch_scripts import cli
+from launch_scripts.documents import DOCUMENTS, filled, scenario_tables, table
+from launch_scripts.scenarios.fault_rules import parse_fault
+from launch_scripts.scenarios.fields import description
+from launch_scripts.scenarios.machine_table import MachineTable
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
-from launch_scripts.wire_document import wire_document
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "wire.md"
+HOUSE = Path(__file__).parents[2]
+WIRE = (HOUSE / "docs" / "wire.md").read_text(encoding="utf-8")
+SCENARIOS = (HOUSE / "docs" / "scenarios.md").read_text(encoding="utf-8")
 
 
-def test_the_file_is_what_the_code_writes() -> None:
-    assert DOCUMENT.read_text(encoding="utf-8") == wire_document(), (
-        "python -m launch_scripts.wire_document > docs/wire.md"
-    )
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_derived_parts_are_what_the_code_writes(name: str) -> None:
+    text = (HOUSE / name).read_text(encoding="utf-8")
+    assert text == filled(text), "python -m launch_scripts.documents"
+
+
+# Scenarios ----------------------------------------------------------------------------------------
+
+
+def test_every_table_of_a_scenario_is_in_the_document() -> None:
+    marked = set(re.findall("<!-- table: scenario (.*) -->", SCENARIOS))
+    assert marked == scenario_tables().keys() - {"timing"}, "[timing] has nothing but its budgets"
+
+
+def test_every_field_but_a_table_has_a_description() -> None:
+    for name, struct in scenario_tables().items():
+        for field in struct.fields:
+            inside = {f"{name}.{field.encode_name}", field.encode_name}
+            is_table = any(part.split(" ")[0] in inside for part in scenario_tables())
+            assert is_table or description(field.type), f"{name}: {field.encode_name}"
+
+
+def test_bounds_and_defaults_are_those_of_the_structs() -> None:
+    assert "| `priority` | whole number from 0 up to 99 | 0 |" in table("scenario machine")
+    assert "| `cycle_s` | number from 0.001 up to 3600 | 1 |" in table("scenario time")
+    assert "| `start` | date and time | required |" in table("scenario time")
+    assert '| `pace` | number from 0.001 up to 1000000 or "max" | "max" |' in table("scenario file")
+    names = [field.encode_name for field in msgspec.structs.fields(FaultRule)]
+    assert re.findall(r"^\| `(\w+)`", table("scenario faults"), re.MULTILINE) == names
+
+
+def test_the_examples_are_scenarios_that_are_accepted(tmp_path: Path) -> None:
+    examples = re.findall(r"```toml\n(.*?)```", SCENARIOS, re.DOTALL)
+    whole = load_scenario("oahu").path.read_text(encoding="utf-8") + "\n" + "\n".join(examples)
+    path = tmp_path / "own.toml"
+    path.write_text(whole, encoding="utf-8")
+    found = load_scenario(str(path)).scenario
+    assert found.machine == MachineTable(cpus=("0-1", "recorder=1"), priority=20, lock_memory=True)
+    assert found.timing.budgets.decision_p99_ms == {"direct": 4}
+    option = "source=c1/*,signal=impp,delay=50ms,jitter=10ms,loss=2%,silent=60s..90s"
+    assert found.faults == (parse_fault(option),)
+
+
+# On the wire --------------------------------------------------------------------------------------
 
 
 def test_every_signal_and_type_is_there() -> None:
-    text = wire_document()
     for signal in SIGNALS:
-        assert f"/{signal.name}` | {signal.type.__name__} |" in text
-        assert f"### {signal.type.__name__}\n" in text
+        assert f"/{signal.name}` | {signal.type.__name__} |" in WIRE
+        assert f"### {signal.type.__name__}\n" in WIRE
 
 
 def test_the_examples_are_whole_messages_that_any_msgpack_reader_takes_apart() -> None:
-    examples = wire_document().split("| bytes (hex) |")[1:]
+    examples = WIRE.split("| bytes (hex) |")[1:]
     found = []
     for example in examples:
         rows = example.split("\n\n")[0]
@@ -73,37 +118,24 @@ def test_what_it_says_of_payloads_is_what_the_codec_does() -> None:
             decode(RESIDUAL, refused)
 
 
-def test_what_a_docstring_says_of_fields_stands_in_the_table_and_not_as_a_heading() -> None:
-    text = wire_document()
-    assert "Attributes" not in text
-    assert not re.search(r"^-{3,}$", text, re.MULTILINE), "an underlined line renders as a heading"
-    row = re.search(r"^\| `ready_time_ns` \| integer \| (.+) \|$", text, re.MULTILINE)
-    assert row
-    assert row[1].startswith("Monotonic clock of the sending host")
-
-
 def test_the_bounds_of_texts_are_those_that_are_kept() -> None:
-    text = wire_document()
-    assert f"At most {LONGEST_PATH} characters." in text
-    assert f"At most {MOST_MISSING:,} entries of up to {LONGEST_MISSING} characters." in text
-    rules = text.partition("\n## Rules")[2]
+    rules = WIRE.partition("\n## Rules")[2]
     assert f"`source` and paths {LONGEST_PATH} characters" in rules
     assert f"`missing` {MOST_MISSING:,} entries of {LONGEST_MISSING}\n" in rules
 
 
 def test_each_stage_says_what_it_publishes() -> None:
-    text = wire_document()
     states = "impp, residual, `help` if it is negative"
-    assert f"| estimate | dispatch, telemetry |  | {states} |" in text
-    assert "| actuate | setpoint | dispatch | command |" in text
-    assert f"| report | dispatch, impp, residual |  | {states} |" in text
-    assert "| apply | command |  | production |" in text
+    assert f"| estimate | dispatch, telemetry |  | {states} |" in WIRE
+    assert "| actuate | setpoint | dispatch | command |" in WIRE
+    assert f"| report | dispatch, impp, residual |  | {states} |" in WIRE
+    assert "| apply | command |  | production |" in WIRE
 
 
 def test_the_nodes_in_the_commands_of_the_documents_are_those_of_the_scenario() -> None:
     plan = prepare(load_scenario("oahu"), RunOptions(duration="10"), "run-1").plan
     known = {*plan.tree.agents(), *(node for node in plan.tree.nodes if node)}
-    folder = DOCUMENT.parents[1]
+    folder = HOUSE
     found = set()
     for path in (*folder.glob("*.md"), *folder.glob("docs/*.md"), *folder.glob("examples/*")):
         if path.suffix in {".md", ".py"}:
@@ -113,12 +145,12 @@ def test_the_nodes_in_the_commands_of_the_documents_are_those_of_the_scenario() 
     found |= {
         ("cli.py", node) for node in re.findall(r"c\d/inv\d+", Path(cli.__file__).read_text())
     }
-    found |= {("wire.md", node) for node in re.findall(r"c\d/inv\d+", wire_document())}
+    found |= {("wire.md", node) for node in re.findall(r"c\d/inv\d+", WIRE)}
     assert {name for name, _ in found} >= {"README.md", "wire.md", "direct_controller.py"}
     assert [(name, node) for name, node in sorted(found) if node not in known] == []
 
 
 def test_every_field_of_the_plan_is_in_the_document() -> None:
-    opening = wire_document().partition("## Signals")[0]
+    opening = WIRE.partition("## Signals")[0]
     named = set(re.findall(r"`([a-z_]+)`", opening))
     assert {field.name for field in msgspec.structs.fields(RunPlan)} <= named
