@@ -129,7 +129,7 @@ def test_the_figures_are_had_as_json(run: Path) -> None:
     folder = run / "run-csv"
     assert figures["path"] == str(folder)
     assert figures["whole"] is True
-    assert (figures["first_cycle"], figures["last_cycle"]) == (0, CYCLES)
+    assert (figures["first_cycle"], figures["last_cycle"]) == (0, CYCLES - 1)
     assert figures["size_bytes"] == sum(path.stat().st_size for path in folder.iterdir())
     rows = {part["name"]: part["rows"] for part in figures["parts"]}
     assert rows["run"] == 2

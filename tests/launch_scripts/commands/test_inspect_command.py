@@ -53,7 +53,7 @@ def test_a_recording_is_told_with_what_is_missing_in_it(recording: Path) -> None
     (row,) = [line.split() for line in text.splitlines() if line.startswith("impp ")]
     assert row[1:3] == ["7", "835"]
     assert row[5:] == ["5", "0", "5"]
-    assert "lost 5 messages: c1/a/impp 5" in facts
+    assert "5 messages not recorded: c1/a/impp 5" in facts
     assert "c1/a/impp: 5 from 20 to 24 (12:00:20 to 12:00:24)" in text
     assert all(len(line) <= 80 for line in text.splitlines() if "run.mcap" not in line)
 

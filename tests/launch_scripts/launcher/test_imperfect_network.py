@@ -306,5 +306,5 @@ def test_a_silence_is_in_simulated_time_at_any_pace_and_a_rule_without_messages_
     summary = json.loads((tmp_path / "s.json").read_text())
     assert summary["faults"] == {"lost": 2 * (17 + 3)}
     (line,) = [remark for remark in summary["remarks"] if "fault" in remark]
-    assert "silent=((50.0, 60.0),)" in line
+    assert "silent=50s..60s" in line
     assert line in result.output
