@@ -22,11 +22,13 @@ settings.load_profile("any machine")
 
 
 def pytest_configure() -> None:
-    """Let Ctrl-C be heard, and by the commands under test too, where a shell has turned it off.
+    """Make the surroundings the same wherever the tests run.
 
-    A shell without job control starts what runs in the background with SIGINT ignored, and a
-    process hands that on to those that it starts.
+    Tables are those of a terminal of 80 columns. Ctrl-C is heard, by the commands under test too: a
+    shell without job control starts what runs in the background with SIGINT ignored, and a process
+    hands that on to those that it starts.
     """
+    os.environ["COLUMNS"] = "80"
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -37,7 +37,7 @@ QUICK: Final[dict[str, tuple[str, ...]]] = {
     "inspect": (RUN, "--nodes", "c1"),
     "verify": (RUN,),
     "replay": (RUN, "--pace", "max"),
-    "compare": ("small.toml", "--duration", "20", "--schemes", "paper"),
+    "compare": ("small.toml", "--duration", "5", "--schemes", "paper"),
     "clusters": ("small.toml", "--duration", "20", "--random", "1"),
     "delays": ("small.toml", "--duration", "130", "--set", "time.cycle_s=5", "--workers", "1"),
     "export": (RUN, "--format", "csv"),
