@@ -89,10 +89,14 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     ] = ()
 
     def __str__(self) -> str:
-        """Return its fields as `--fault` would have them, without the defaults."""
+        """Return the rule as `--fault` reads it, without the defaults."""
         default = {field.name: field.default for field in msgspec.structs.fields(self)}
-        given = msgspec.structs.asdict(self).items()
-        return ",".join(f"{name}={value}" for name, value in given if value != default[name])
+        given = msgspec.structs.asdict(self)
+        del given["silent"]
+        words = [_option(name, value) for name, value in given.items() if value != default[name]]
+        return ",".join(
+            words + [f"silent={begin:.15g}s..{end:.15g}s" for begin, end in self.silent]
+        )
 
     @property
     def held_back_ms(self) -> float:
@@ -123,6 +127,14 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             and fnmatchcase(port.publisher, self.source)
             and fnmatchcase(listener, self.listener)
         )
+
+
+def _option(field: str, value: object) -> str:
+    """Write a field of a rule as `--fault` reads it: `delay=50.0ms` for `delay_ms` of 50.0."""
+    if field.endswith("_ms"):
+        name = "reorder-by" if field == "reorder_ms" else field.removesuffix("_ms")
+        return f"{name}={value}ms"
+    return f"{field}={value}"
 
 
 @dataclass(slots=True)

@@ -292,8 +292,8 @@ def _start(
     if isinstance(moment, datetime) and _FIRST_YEAR <= moment.year <= _LAST_YEAR:
         return moment if moment.tzinfo else moment.replace(tzinfo=scheduled.tzinfo)
     raise InputError(
-        f"{name}: expected a local time such as 12:30 or 2010-04-01T12:30:00, {_FIRST_YEAR} to "
-        f"{_LAST_YEAR}, got {option}"
+        f"{name}: expected a local time such as 12:30 or 2010-04-01T12:30:00, "
+        f"year {_FIRST_YEAR} to {_LAST_YEAR}, got {option}"
     )
 
 

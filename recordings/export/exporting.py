@@ -83,7 +83,7 @@ def export(
     """Export a recording."""
     began_at = time.monotonic()
     counts: Counter[str] = Counter()
-    cycles = (1 << 62, -(1 << 62))
+    cycles: set[int] = set()
     ports = reader.ports(*selection.signals, nodes=selection.nodes)
     with new_path(path) as beside:
         out = _open(reader, form, beside, selection, clock)
@@ -94,7 +94,8 @@ def export(
                         progress(reader.read_share)
                     out.add(record, record.message())
                     counts[record.port.signal.name] += 1
-                    cycles = min(cycles[0], record.cycle), max(cycles[1], record.cycle)
+                    if record.port.signal.is_cyclic:  # The end of a run names the cycle after it.
+                        cycles.add(record.cycle)
         except InputError as error:
             raise InputError(f"{reader.path}: {error}") from None
         parts = _parts(out, selection, counts)
@@ -104,8 +105,8 @@ def export(
         form=form,
         path=str(path),
         whole=reader.whole,
-        first_cycle=cycles[0] if counts else None,
-        last_cycle=cycles[1] if counts else None,
+        first_cycle=min(cycles, default=None),
+        last_cycle=max(cycles, default=None),
         messages=counts.total(),
         left_out=out.left_out if isinstance(out, ViewerFile) else 0,
         size_bytes=sum(part.size_bytes for part in parts) or path.stat().st_size,

@@ -14,7 +14,7 @@ from typing import Final
 import msgspec
 
 from agents.plan import RunPlan
-from bus_schemas.faults import FaultRule
+from bus_schemas.faults import FaultRule, unmatched_rules
 from bus_schemas.missing import parse_missing
 from bus_schemas.tree import PLANT
 from recordings.read.gaps import RunGaps, due_step
@@ -75,6 +75,7 @@ class LauncherAccount(msgspec.Struct, frozen=True):
     skipped_cycles: int = 0
     recording_ended: str = ""
     wrong: tuple[WrongMessages, ...] = ()
+    remarks: tuple[str, ...] = ()
 
 
 class Health(msgspec.Struct, frozen=True):
@@ -229,11 +230,19 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
         rules = f"{len(health.fault_rules)} rule{'s' if len(health.fault_rules) > 1 else ''}"
         done = unknown if launcher is None else _counts(launcher.faults) or "none came about"
         yield "faults", f"{rules} set for the network; {done}"
+        for rule in health.fault_rules[:_NAMED]:
+            never = launcher and set(unmatched_rules((rule,), ())) & set(launcher.remarks)
+            yield "fault", f"{rule}{': no message of this run matched it' if never else ''}"
+        if len(health.fault_rules) > _NAMED:
+            yield "fault", f"and {len(health.fault_rules) - _NAMED:,} more"
     else:
         yield "faults", "none injected"
     worst = ", ".join(f"{port} {count:,}" for port, count in list(health.lost.items())[:_NAMED])
     rest = f" and {len(health.lost) - _NAMED:,} more keys" if len(health.lost) > _NAMED else ""
-    yield "lost", f"{health.messages_lost:,} messages{': ' if worst else ''}{worst}{rest}"
+    yield (
+        "missing",
+        (f"{health.messages_lost:,} messages not recorded{': ' if worst else ''}{worst}{rest}"),
+    )
     if health.repeated:
         yield "repeated", f"{health.repeated:,} messages came again"
     yield "dropped", unknown if launcher is None else _dropped(launcher)

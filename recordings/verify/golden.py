@@ -31,8 +31,8 @@ GOLDEN: Final = Path(__file__).parents[1] / "golden"
 RUNS: Final = {
     "oahu-predictive": "oahu --duration 24s",
     "oahu-limit": "oahu --actuator limit --duration 20s",
-    "oahu-day-paper": "oahu-day --scheme paper --start 12:13:08 --duration 16s",
-    "valley-periods": f"{GOLDEN / 'valley-periods.toml'} --start 13:02:00 --duration 8s",
+    "oahu-day-paper": "oahu-day --scheme paper --from 12:13:08 --duration 16s",
+    "valley-periods": f"{GOLDEN / 'valley-periods.toml'} --from 13:02:00 --duration 8s",
 }
 """Arguments of `heliarch simulate` for each golden run."""
 

@@ -120,5 +120,5 @@ def complaint_about(line: str, in_prose: bool) -> str:
     except typer.BadParameter as error:
         return "" if in_prose else str(error)  # in prose an argument may be left out
     except USAGE_ERROR as error:
-        return str(error)
+        return "" if in_prose and "argument" in str(error) else str(error)
     return ""

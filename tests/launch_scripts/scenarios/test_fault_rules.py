@@ -22,6 +22,18 @@ SHIPPED = Path(__file__).parents[3] / "launch_scripts" / "scenarios"
 
 
 @pytest.mark.parametrize(
+    "rule",
+    [
+        FaultRule(source="c1/*", signal="impp", delay_ms=50.0, jitter_ms=0.25, loss=0.02),
+        FaultRule(reorder=0.1, reorder_ms=20.0, duplicate=1e-3, distribution="normal"),
+        FaultRule(silent=((60.0, 90.0), (1234567.5, 1234568.0))),
+    ],
+)
+def test_a_rule_is_named_as_the_option_reads_it(rule: FaultRule) -> None:
+    assert parse_fault(str(rule)) == rule
+
+
+@pytest.mark.parametrize(
     ("text", "rule"),
     [
         (

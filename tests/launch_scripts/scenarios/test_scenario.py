@@ -443,7 +443,7 @@ def test_a_bad_option_is_refused_in_one_short_line(
     folder: Folder, option: str, value: object
 ) -> None:
     complaint = folder.complaint(**{option: value})
-    assert complaint.startswith(f"--{option}: expected ")
+    assert complaint.startswith(f"--{'from' if option == 'start' else option}: expected ")
     assert len(complaint) < 200
 
 
@@ -480,7 +480,7 @@ def test_the_first_and_the_last_day_that_a_run_can_start_on(folder: Folder, day:
             (("simulate", "oahu", "--pace", pace), "--pace: expected")
             for pace in ("0", "1e7", "nan", "fast", "")
         ),
-        (("simulate", "oahu", "--start", "noon"), "--start: expected"),
+        (("simulate", "oahu", "--from", "noon"), "--from: expected"),
         (("simulate", "oahu", "--duration", "soon"), "--duration: expected"),
         (("simulate", "oahu", "--out", "../taken"), "--out"),
     ],

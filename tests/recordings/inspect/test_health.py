@@ -13,6 +13,7 @@ from recordings_by_hand import PLAN, SCENARIO, whole_run, write_run
 
 from bus_schemas.bus import Delivery, Outbox
 from bus_schemas.codec import encode
+from bus_schemas.faults import FaultRule, unmatched_rules
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from launch_scripts.launcher.simulation import MemoryRun
@@ -24,10 +25,12 @@ from recordings.inspect.health import (
     SUMMARY_NAME,
     Absence,
     Health,
+    LauncherAccount,
     health_lines,
     read_health,
 )
 from recordings.inspect.overview import read_overview
+from recordings.read.moments import RunClock
 from recordings.record.writer import RunWriter
 
 CYCLES = 60
@@ -90,7 +93,18 @@ def test_lost_messages_are_counted_by_key(tmp_path: Path) -> None:
     lost = {("c1/a/impp", 7), ("c1/a/impp", 8), ("c2/setpoint", 10)}
     health, text = written(tmp_path, is_kept=lambda pair: (str(pair[0]), pair[1].cycle) not in lost)
     assert health.lost == {"c1/a/impp": 2, "c2/setpoint": 1}
-    assert "3 messages: c1/a/impp 2" in text
+    assert "missing: 3 messages" in text
+    assert "c1/a/impp 2" in text
+
+
+def test_each_fault_is_named_and_whether_it_ever_matched() -> None:
+    rules = (FaultRule(loss=0.02), FaultRule(source="c2/c", silent=((900.0, 990.0),)))
+    account = LauncherAccount("run", faults={"lost": 4}, remarks=unmatched_rules(rules, {0}))
+    health = Health(rules, {}, 0, (), (), True, "", account)
+    one, other = [text for name, text in health_lines(health, RunClock(PLAN, 9)) if name == "fault"]
+    assert one == "loss=0.02"
+    assert other.startswith("source=c2/c,silent=900s..990s")
+    assert "matched" in other
 
 
 @pytest.mark.parametrize("run_id", [PLAN.run_id, "another-run"])

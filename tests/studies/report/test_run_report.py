@@ -269,7 +269,7 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> N
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))  # As a disk that fills up.
     try:
-        with pytest.raises(InputError, match="File too large"):
+        with pytest.raises(OSError, match="File too large"):
             write_report(path, "A run", [cloudy_run()])
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
