@@ -1,1 +1,1 @@
-"""Who decides: the agents, the mathematics they use, and the runtime that runs any of them."""
+"""The agents, the mathematics that they use, and the loop and driver that run them."""

@@ -22,7 +22,7 @@ S = TypeVar("S")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stage:
-    """A part of a cycle that an agent does in one go.
+    """One step of an agent in a cycle.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Stage:
     awaits
         Ports of which it needs the message of this cycle.
     uses
-        Ports of which it uses the newest message besides.
+        Ports of which it also uses the newest message.
     timed
         In real time the stage closes at its deadline and never before: the clock drives it.
     """
@@ -43,7 +43,7 @@ class Stage:
 
 
 class Turn(msgspec.Struct, frozen=True, gc=False):
-    """What an agent sees when a stage closes, and all it sees.
+    """All that an agent sees when a stage closes.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Agent(Protocol[S]):
     Attributes
     ----------
     may_skip
-        Whether it may leave out cycles that are over. The plant may not: its sky goes on.
+        Whether it may skip cycles that are over. The plant may not: its clouds move on.
     """
 
     may_skip: bool
@@ -94,5 +94,5 @@ class Agent(Protocol[S]):
     def step(self, state: S, turn: Turn) -> tuple[S, list[Delivery]]:
         """Close one stage: from state and inputs to the next state and the messages to send.
 
-        A stage that changes the state always sends something, so that a recording tells.
+        A stage that changes the state always sends something, so that a recording shows it.
         """

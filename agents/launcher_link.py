@@ -1,7 +1,7 @@
-"""The link between a process of a run and the launcher: events go out, words come in.
+"""The link between a process of a run and the launcher: events go out, messages come in.
 
-It needs no bus, so it works while the bus does not. A process that was started by hand prints its
-events as lines of JSON and gets no words.
+It needs no bus, so it works even if the bus does not. A process that was started by hand prints its
+events as lines of JSON and receives no messages.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class LauncherLink:
         self._pending = b""
 
     def heed_sigterm(self) -> None:
-        """Take SIGTERM for the launcher's wish to end in order."""
+        """Treat SIGTERM as the launcher's request to end in order."""
         signal.signal(signal.SIGTERM, self._dismiss)
 
     def _dismiss(self, *_: object) -> None:
@@ -64,7 +64,7 @@ class LauncherLink:
             sys.stdout.buffer.write(data + b"\n")
             sys.stdout.buffer.flush()
             return
-        # A launcher that stands still must not hold up the run: its view can wait.
+        # A launcher that stands still must not delay the run: its view can wait.
         flags = socket.MSG_DONTWAIT if isinstance(event, Status) else 0
         # Without a launcher nobody is told; the recorder still closes its file.
         with suppress(BrokenPipeError, ConnectionResetError, BlockingIOError):

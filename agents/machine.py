@@ -98,7 +98,7 @@ def refusals(settings: MachineSettings, *, lockstep: bool) -> tuple[str, ...]:
 
 
 def wake_precisely() -> None:
-    """Ask the kernel to end this thread's sleeps on time: by default Linux adds up to 50 µs."""
+    """Ask the kernel to wake this thread on time: by default Linux adds up to 50 µs."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_SET_TIMER_SLACK, 1)
 
@@ -132,12 +132,12 @@ def _run_on(cpus: tuple[int, ...]) -> str | None:
 
 
 def stand_back() -> None:
-    """Let others go first, in this thread alone: those that bring messages must not wait."""
+    """Lower the priority of this thread, but not of the threads that receive messages."""
     os.setpriority(os.PRIO_PROCESS, 0, os.getpriority(os.PRIO_PROCESS, 0) + _RECORDER_NICE)
 
 
 def _let_others_finish() -> None:
-    """Interrupt nobody when woken: who is running has more to send, which then goes out at once."""
+    """Do not interrupt the running process when woken: it may have more messages to send."""
     if sys.platform == "linux":
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 

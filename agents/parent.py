@@ -156,7 +156,7 @@ class Children:
 
 
 class Supervisor:
-    """Settles need and headroom within its cluster, and asks its parent for what remains.
+    """Balances need and headroom within its cluster, and asks its parent for the rest.
 
     Parameters
     ----------

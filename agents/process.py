@@ -32,7 +32,7 @@ _SET_PARENT_DEATH_SIGNAL: Final = 1
 
 
 _STOP_PATIENCE_S: Final = 10.0
-"""How long a controller that is through its last cycle waits for the plant to end the run."""
+"""How long a controller waits after its last cycle for the plant to end the run."""
 
 
 def die_with_parent(death_signal: signal.Signals = signal.SIGKILL) -> None:
@@ -54,7 +54,7 @@ def run_guarded(
 ) -> int:
     """Run an agent; tell the launcher if it gives up. Returns the exit status.
 
-    The text of an `expected` error says all that there is to say.
+    The text of an `expected` error is enough for the user: no traceback is logged.
     """
     try:
         run()

@@ -12,7 +12,7 @@ from agents.plan import RunPlan
 from bus_schemas.tree import CENTRAL, agent_name
 
 Controller: TypeAlias = Agent[Any]
-"""An agent whose state is its own business."""
+"""An agent; only the agent itself knows the type of its state."""
 
 
 def controller(plan: RunPlan, name: str) -> Controller:

@@ -70,7 +70,7 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     ] = 0.0
     distribution: Annotated[
         Literal["fixed", "uniform", "normal"],
-        Meta(description="Of the delay: within ± `jitter_ms`, or with it as standard deviation."),
+        Meta(description="Of the delay; `jitter_ms` is its range (±) or standard deviation."),
     ] = "uniform"
     loss: Annotated[Share, Meta(description="Share of the messages that do not arrive.")] = 0.0
     duplicate: Annotated[
@@ -81,7 +81,7 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     ] = 0.0
     reorder_ms: Annotated[
         Milliseconds | None,
-        Meta(description="For how much longer it is held back [ms]. Default: one more `delay_ms`."),
+        Meta(description="Extra delay when held back [ms]. Default: one more `delay_ms`."),
     ] = None
     silent: Annotated[
         tuple[tuple[Second, Second], ...],

@@ -122,7 +122,9 @@ class CloudSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     evolution_s: Annotated[
         Evolution, Meta(description="Time after which groups of clouds have changed entirely [s].")
     ] = 1200.0
-    linke_turbidity: Annotated[Turbidity, Meta(description="Of the clear sky.")] = 3.0
+    linke_turbidity: Annotated[Turbidity, Meta(description="Linke turbidity of the clear sky.")] = (
+        3.0
+    )
 
 
 def clear_sky_ghi(

@@ -38,7 +38,7 @@ _LOOK_S: Final = 0.005
 """Time between two looks at who is there."""
 
 _MOST_NAMED: Final = 3
-"""One agent that does not answer holds up all: more names than that say nothing more."""
+"""One agent that does not answer delays all others, so only so many names are listed."""
 
 _LEAD_S: Final = 0.2
 """In real time: how long before cycle 0 everybody is told when it begins."""
@@ -51,8 +51,8 @@ class ArmingError(Exception):
 def longest_round_s(number: int) -> float:
     """Return how long an arming round, counted from 1, may take before the next one is tried [s].
 
-    Most that fail do so because a link is not up yet, and the next one is soon tried. On a machine
-    so slow that a whole round does not fit, later ones have more time.
+    Most rounds fail because a link is not up yet, so the next one is tried soon. Later rounds have
+    more time, for machines on which a whole round takes longer.
     """
     growth: float = _ROUND_GROWTH ** min(number - 1, 20)
     return min(_FIRST_ROUND_S * growth, _LONGEST_ROUND_S)

@@ -20,8 +20,8 @@ from bus_schemas.errors import InputError
 
 _SAPM = temperature.TEMPERATURE_MODEL_PARAMETERS["sapm"]["open_rack_glass_polymer"]
 
-# Daylight is over when the sun is 6 degrees below the horizon (civil twilight): what is brighter
-# than this then is not the sun, but a time stamp in another time zone.
+# Daylight is over when the sun is 6 degrees below the horizon (civil twilight). A brighter value
+# then means that the time stamp is in another time zone.
 _TWILIGHT_ZENITH_DEG = 96.0
 _TWILIGHT_MAX_WM2 = 50.0
 

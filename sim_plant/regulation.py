@@ -1,8 +1,8 @@
 """Regulation: the power that the market asks for, up and down, on top of the commitment.
 
 A regulation signal in per unit of the offered capacity, measured (a file) or synthetic, is held
-from each of its values to the next and read at the beginning of every cycle. What a dispatch below
-0 or above the plant's rating comes to is the controllers' business, not that of this module.
+from each of its values to the next and read at the beginning of every cycle. The controllers, not
+this module, handle a dispatch below 0 or above the plant's rating.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class _Offer(
         time | None, Meta(description="Local time from which it is offered. Default: midnight.")
     ] = msgspec.field(default=None, name="from")
     offered_to: Annotated[
-        time | None, Meta(description="Local time until then; before `from`: on the next day.")
+        time | None, Meta(description="Local time of its end; if before `from`, on the next day.")
     ] = msgspec.field(default=None, name="to")
 
 

@@ -20,7 +20,7 @@ _LEAST_GAIN = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class ClusterSearch:
-    """What a search for clusters found, and how sure one may be of it.
+    """The clusters that a search found, and what each of its starts found.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class ClusterSearch:
 
     @property
     def starts_at_best(self) -> int:
-        """How many starts came to clusters as good as the best, but for rounding."""
+        """How many starts found clusters as good as the best, apart from rounding."""
         best = min(self.correlation_of_starts)
         # Written so that NaN, of clusters of one, is as good as NaN.
         return sum(not value > best + _LEAST_GAIN for value in self.correlation_of_starts)
@@ -46,7 +46,7 @@ class ClusterSearch:
 def search_clusters(
     correlation: NDArray[np.float64], sizes: Sequence[int], seed: int = 0, restarts: int = 20
 ) -> ClusterSearch:
-    """Partition the inverters as `choose_clusters` does, and tell what every start came to.
+    """Partition the inverters as `choose_clusters` does, and return what every start found.
 
     Parameters
     ----------
@@ -103,14 +103,14 @@ def choose_clusters(
 
 
 def random_clusters(sizes: Sequence[int], seed: int) -> Clusters:
-    """Partition the inverters by lot, to compare `choose_clusters` with.
+    """Partition the inverters at random, for comparison with `choose_clusters`.
 
     Parameters
     ----------
     sizes : sequence of int
         How many inverters each cluster takes, together N.
     seed : int
-        Seed of the lot. Every partition is as likely as every other.
+        Seed of the random choice. All partitions are equally likely.
 
     Returns
     -------
@@ -130,7 +130,7 @@ def random_clusters(sizes: Sequence[int], seed: int) -> Clusters:
 def geographic_clusters(
     x_m: NDArray[np.float64], y_m: NDArray[np.float64], sizes: Sequence[int]
 ) -> Clusters:
-    """Partition the inverters into compact neighbourhoods, to compare `choose_clusters` with.
+    """Partition the inverters into compact neighbourhoods, for comparison with `choose_clusters`.
 
     The sum of the squared distances of all pairs inside the clusters is made least, with the same
     descent and a fixed seed, so that the result depends on the positions alone.

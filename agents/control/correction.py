@@ -1,7 +1,7 @@
-"""The integral correction: what the plant's meter shows to be missing is asked for on top.
+"""The integral correction: adds to the target the power that the plant's meter shows to be missing.
 
-A power plant controller has a meter at the point of interconnection. Its reading shows whatever the
-estimates got wrong, delays and losses included. The central controller adds a correction to its
+A power plant controller has a meter at the point of interconnection. Its reading shows the effect
+of all errors: of estimates, delays and losses. The central controller adds a correction to its
 target until the reading is what was desired.
 """
 
@@ -38,7 +38,7 @@ def corrected(
         Power wanted of the plant, without a correction, in the interval that ended, and what its
         meter read. NaN, where one of them is missing, leaves the correction as it is.
     is_free
-        Whether every inverter is asked for all it has: nothing can be added then.
+        Whether every inverter is asked for all it has. Then nothing can be added.
     rating_kw
         Rating of the plant.
     cycle_s

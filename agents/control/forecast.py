@@ -1,19 +1,19 @@
 """Step 1, ahead of the paper: the IMPP as a forecast of the interval that is about to begin.
 
-The paper's IMPP is the maximum of the interval that just ended. A cloud's edge moves on meanwhile,
-and what it takes in one cycle is the shortfall that the paper's rule causes. Three things mend it,
-all of them within the direct controller:
+The paper's IMPP is the maximum of the interval that just ended. Meanwhile the edge of a cloud moves
+on, and the power that it takes in one cycle is the shortfall that the paper's rule causes. The
+direct controller reduces it in three ways:
 
 * the maximum is extrapolated along its last change (damped trend: Gardner and McKenzie, Management
   Science 31 (1985), doi:10.1287/mnsc.31.10.1237);
-* of that forecast its own mean error is taken off in part, so that a sky that changes is trusted
-  less than one that does not. In place of the symmetric error of a best estimate there is then a
-  little more delivered than asked for, and much less missing (newsvendor rule);
+* a part of the forecast's own mean error is subtracted, so that a changing sky is trusted less
+  than a steady one. Then a little more is delivered than asked for, and much less is missing, than
+  with the symmetric error of a best estimate (newsvendor rule);
 * where the inverter holds a power limit below its maximum, the maximum cannot be measured. Unless
   the inverter states what it could give, it is then assumed to grow from the last value that was
   seen, so that the inverter is asked for more and more until it shows what it has: a slow probe,
-  as in extremum seeking. Whether the limit or a cloud holds an inverter is told by its own meter,
-  whose error is learned.
+  as in extremum seeking. The inverter's own meter, whose error is learned,
+  shows whether the limit or a cloud holds it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ ERROR_MEMORY_S: Final = 20.0
 
 HIDDEN_GROWTH_PER_S: Final = 0.01
 """Share by which a hidden maximum is assumed to grow in a second. Without growth a rising sun is
-not seen, until all inverters are believed to lack power and are let free at once."""
+not seen until all inverters seem to lack power and are released at once."""
 
 HIDDEN_ALPHA_MIN: Final = 1e-3
 """Lowest curtailment level where a limit hides the maximum in any case: there is nothing to keep
@@ -49,22 +49,23 @@ BOUND_TOLERANCE: Final = 0.005
 inverters hold theirs."""
 
 BOUND_SPREADS: Final = 10.0
-"""So does one that is nearer than so many times what its meter read above its limits on the mean.
-What lies above a limit can only be the meter's error, while below it a cloud may be. Of normal
-errors that is 4 standard deviations."""
+"""An inverter also counts as held if it is nearer than this many times its mean reading above its
+limits. What lies above a limit can only be the meter's error, while below it a cloud may be. Of
+normal errors that is 4 standard deviations."""
 
 METER_MEMORY_S: Final = 100.0
 """Time constant of that mean [s]."""
 
 METER_READINGS: Final = 30.0
-"""Readings that it is taken of at least: that of fewer says too little of a noisy meter."""
+"""Least number of readings for that mean: fewer say too little about a noisy meter."""
 
 WIDEST_BOUND_TOLERANCE: Final = 0.25
-"""However bad the meter, what is further from its limit is not held by it."""
+"""An inverter that is further from its limit is not held by it, however bad its meter."""
 
 LOW_READING: Final = 0.08
-"""Up to this share a held inverter may read below its limit. That it did is learned from what it
-gives once it is free: without, an error of 1 % let all inverters free again and again."""
+"""A held inverter may read below its limit by up to this share. The controller learns it from the
+power of the released inverter. Without this rule, an error of 1 % released all inverters again and
+again."""
 
 RELEASE_JUMP: Final = 1.1
 """A reading below the limit was wrong if the free inverter then gives so many times as much."""

@@ -46,7 +46,7 @@ def clusters(
     learn: Annotated[
         str | None,
         typer.Option(
-            help="Choose clusters from the first part of the run, as long as this; run the rest.",
+            help="Choose clusters from a first part of the run, of this length; run the rest.",
             metavar="TIME",
         ),
     ] = None,
@@ -55,7 +55,7 @@ def clusters(
     data: DataOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Show what virtual neighbours are worth beside geographic and random clusters."""
+    """Compare virtual neighbours with geographic and random clusters."""
     from bus_schemas.times import parse_duration_s
     from launch_scripts.scenarios.preparation import RunOptions, prepare
     from launch_scripts.scenarios.scenario import load_scenario

@@ -75,7 +75,7 @@ def compare(
     show: Annotated[
         str,
         typer.Option(
-            help="Figure of merit to show of many cases: desired-energy, possible-energy, "
+            help="Figure of merit to show for many cases: desired-energy, possible-energy, "
             "delivered-energy, satisfied, shortfall-energy, unavoidable-energy, "
             "control-caused-energy, over-delivered-energy, shortfall, unavoidable, "
             "control-caused, over-delivered, rmse, mae, mileage-total, mileage, "
@@ -93,9 +93,9 @@ def compare(
     report: ReportOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Put control schemes side by side: the paper's tables, for any day or for many.
+    """Put control schemes side by side: the paper's tables, for one day or many.
 
-    Of one case, --report writes a page, compare.html by default.
+    With a single case, --report writes a page, compare.html by default.
     """
     from launch_scripts.scenarios.preparation import RunOptions
     from launch_scripts.scenarios.scenario import load_scenario

@@ -62,10 +62,10 @@ def delays(
     report: ReportOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Show how much delay and loss the control survives, and how slow a central controller.
+    """Measure what delays, losses and a slow central controller cost.
 
-    Runs in memory, each scheme with delays and losses of its own. --report writes delays.html by
-    default.
+    Everything runs in memory: each scheme with each delay, share of losses and central period.
+    --report writes delays.html by default.
     """
     from launch_scripts.scenarios.preparation import RunOptions
     from launch_scripts.scenarios.scenario import load_scenario

@@ -57,7 +57,7 @@ def export(
     ] = None,
     json: JsonOption = None,
 ) -> int:
-    """Make a file for viewers, or tidy tables, of a recording."""
+    """Make a file for viewers, or tidy tables, from a recording."""
     from recordings.export.exporting import default_path
     from recordings.export.exporting import export as export_run
     from recordings.read.damage import damage_text

@@ -40,7 +40,9 @@ def inspect(
     end: LastOption = None,
     cycle: Annotated[
         str | None,
-        typer.Option(help="Show the whole plant in one cycle, likewise.", metavar="MOMENT"),
+        typer.Option(
+            help="Show the whole plant in this cycle; same forms as --from.", metavar="MOMENT"
+        ),
     ] = None,
     json: JsonOption = None,
 ) -> int:
@@ -97,7 +99,7 @@ def _show_story(
 
 
 def _style(row: NodeCycle) -> str:
-    """Let those stand out who need help, and those who had to go without something."""
+    """Highlight nodes that need help, and nodes with missing inputs."""
     return "red" if row.help_asked_kw else "yellow" if row.missing or row.stale_cycles else ""
 
 

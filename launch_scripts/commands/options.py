@@ -59,7 +59,7 @@ SchemeOption: TypeAlias = Annotated[
     Scheme | None, typer.Option(help="How maximum powers are estimated.")
 ]
 ActuatorOption: TypeAlias = Annotated[
-    Actuator | None, typer.Option(help="What a command gives to an inverter.")
+    Actuator | None, typer.Option(help="A command is a fraction of the maximum, or a limit.")
 ]
 SettingsOption: TypeAlias = Annotated[
     list[str] | None,
@@ -73,7 +73,7 @@ FaultOption: TypeAlias = Annotated[
     list[str] | None,
     typer.Option(
         "--fault",
-        # Words of more letters than these are cut in a terminal of 80 columns.
+        # In a terminal of 80 columns, longer words than these would be cut.
         help="Make links imperfect: source=c1/*,delay=50ms,loss=2% (fields: source, listener, "
         "signal, delay, jitter, distribution, loss, duplicate, reorder, reorder-by, "
         "silent=60s..90s). May be given several times.",
@@ -136,19 +136,19 @@ FirstOption: TypeAlias = Annotated[
     typer.Option("--from", help="First cycle: 13:49:00, 90s, or its number.", metavar="MOMENT"),
 ]
 LastOption: TypeAlias = Annotated[
-    str | None, typer.Option("--to", help="Last cycle, likewise.", metavar="MOMENT")
+    str | None, typer.Option("--to", help="Last cycle, in the same forms.", metavar="MOMENT")
 ]
 NodesOption: TypeAlias = Annotated[
     str | None,
     typer.Option(
         "--nodes",
-        help="Only these: c2/inv07,c1/*,central (c1/*: c1 and all below it).",
+        help="Only these nodes: c2/inv07,c1/*,central (c1/*: c1 and all below it).",
         metavar="NODES",
     ),
 ]
 SignalsOption: TypeAlias = Annotated[
     str | None,
-    typer.Option(help="Only these, with commas between: impp,residual.", metavar="NAMES"),
+    typer.Option(help="Only these signals, separated by commas: impp,residual.", metavar="NAMES"),
 ]
 
 # What comes out of it ----------------------------------------------------------------------------
@@ -161,7 +161,7 @@ ReportOption: TypeAlias = Annotated[
     str | None,
     typer.Option(
         "--report",
-        help="Write an HTML page: FILE.html, or the default one, whose place is printed.",
+        help="Write an HTML page to FILE.html, or to a default path, which is printed.",
         metavar="[FILE]",
         callback=_file_in_folder,
         show_default=False,

@@ -39,7 +39,7 @@ def recover(
     ] = None,
     json: JsonOption = None,
 ) -> int:
-    """Make a whole recording of one that a crash or a full disk has cut.
+    """Repair a recording that a crash or a full disk cut short.
 
     Exit status: 0 if nothing is missing, 3 if something is or may be,
     1 if there is nothing to recover.
@@ -97,14 +97,14 @@ def _lines(run: RunReader, recovery: Recovery) -> Iterator[str]:
     if recovery.cut_bytes:
         yield (
             f"the last {recovery.cut_bytes:,} bytes are an incomplete record; "
-            f"{recovery.cut_messages:,} messages could be read of it"
-            f"{', they have no checksum and may be damaged' if recovery.cut_messages else ''}"
+            f"{recovery.cut_messages:,} messages in it could be read"
+            f"{'; they have no checksum and may be damaged' if recovery.cut_messages else ''}"
         )
     if recovery.damaged_attachments:
         yield f"damaged: attachment {', '.join(recovery.damaged_attachments)}, kept as it is"
     shortfall = recovery.shortfall
     if shortfall.lost:
-        yield f"may be missing: {shortfall.lost:,} messages, their sequence numbers are left out"
+        yield f"may be missing: {shortfall.lost:,} messages, by the gaps in the sequence numbers"
     if shortfall.early_ports:
         yield (
             f"may be missing: the last messages of {shortfall.early_ports:,} keys, "
@@ -114,12 +114,12 @@ def _lines(run: RunReader, recovery: Recovery) -> Iterator[str]:
         yield "missing: nothing, the recording goes up to the end of the run"
     elif not recovery.closed:
         yield (
-            f"missing: what came after {_wall_time(recovery.last_ns)}, wall clock; of what the "
-            f"recorder had heard, that is the last {FLUSH_S:g} s if it was killed"
+            f"missing: everything after {_wall_time(recovery.last_ns)}, wall clock; if the "
+            f"recorder was killed, at most its last {FLUSH_S:g} s"
         )
     if not recovery.ended:
         yield (
-            f"the run was planned for {recovery.planned_cycles:,} cycles; nothing tells of those "
+            f"the run was planned for {recovery.planned_cycles:,} cycles; the recording has none "
             f"after cycle {recovery.last_cycle:,}"
         )
 

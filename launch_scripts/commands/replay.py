@@ -49,9 +49,10 @@ def replay(
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
     signals: SignalsOption = None,
     exclude: Annotated[
-        str | None, typer.Option(help="All but these; clock too may be one.", metavar="NAMES")
+        str | None,
+        typer.Option(help="All signals but these; clock is allowed too.", metavar="NAMES"),
     ] = None,
-    wait: Annotated[bool, typer.Option("--wait", help="Begin when a subscriber is there.")] = False,
+    wait: Annotated[bool, typer.Option("--wait", help="Begin when somebody subscribes.")] = False,
     listen: Annotated[
         str | None,
         typer.Option(
@@ -61,9 +62,7 @@ def replay(
     ] = None,
     live: Annotated[
         str | None,
-        typer.Option(
-            help="Controllers that run live, and are compared: c1/inv01,c2.", metavar="NODES"
-        ),
+        typer.Option(help="Controllers to run live and to compare: c1/inv01,c2.", metavar="NODES"),
     ] = None,
     plan: Annotated[
         Path | None,

@@ -62,8 +62,8 @@ def timing(
     scenario: Annotated[
         str,
         typer.Argument(
-            help="A shipped scenario or a TOML file; or the folder or run.mcap of a run that was "
-            "in real time: then nothing is run."
+            help="A shipped scenario or a TOML file; or the folder or run.mcap of a real-time "
+            "run, to report on it without a new run."
         ),
     ] = "oahu",
     rate: Annotated[

@@ -1,4 +1,4 @@
-"""Ctrl-C during a run; SIGTERM is the command's affair."""
+"""Ctrl-C during a run. The command itself handles SIGTERM."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Interruption:
 
 @contextmanager
 def interruptible() -> Iterator[Interruption]:
-    """Count Ctrl-C instead of being thrown out by it."""
+    """Count Ctrl-C instead of raising KeyboardInterrupt."""
     interruption = Interruption()
 
     def interrupt(signum: int, frame: FrameType | None) -> None:

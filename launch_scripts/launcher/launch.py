@@ -142,7 +142,7 @@ class Launch:
             return msgspec.structs.replace(summary, remarks=(*summary.remarks, *unmatched))
 
     def _follow_or_explain(self, children: Children) -> None:
-        """Follow the run; where it fails, say what external agents may have to do with it."""
+        """Follow the run; if it fails, say which external agents may be the reason."""
         try:
             self._follow(children)
         except RunFailure as failure:
@@ -161,7 +161,7 @@ class Launch:
                 self._ask_stop(children)
 
     def _is_over(self, children: Children) -> bool:
-        """Whether the run is over: of an external plant the recorder says so."""
+        """Whether the run is over; for an external plant the recorder says so."""
         if PLANT in children.by_agent:
             return children[PLANT].finished is not None
         # Nobody can stop an external plant: after Ctrl-C the controllers end by themselves.
@@ -241,7 +241,7 @@ class Launch:
         children.ask_to_end([child.agent for child in children.controllers()])
 
     def _finish(self, children: Children) -> Recorded:
-        """Let everybody end; then let the recorder close its file with all that was published."""
+        """Wait until all agents have ended; then let the recorder close its file."""
         longest_s = _PATIENCE_S + _PER_PROCESS_S * len(children.by_agent)
         late = children.await_exit(children.controllers(), longest_s)
         if late and all(child.finished for child in late):
@@ -260,7 +260,7 @@ class Launch:
         return recorder.recorded
 
     def _account(self, children: Children, refused: tuple[str, ...]) -> LaunchAccount:
-        """Say what was seen of the run, which has just come to its end."""
+        """Return what was seen of the run, which has just ended."""
         ended_at = time.monotonic()
         return LaunchAccount(
             began_at=self._began_at,
@@ -285,7 +285,7 @@ def launch(
     began_at: float,
     server: ForkServerProcess,
 ) -> RunSummary:
-    """Run a plant as processes over Zenoh, recorded.
+    """Run and record a plant as processes over Zenoh.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What one sees while a run goes on: a live panel in a terminal, plain lines elsewhere."""
+"""The view of a run in progress: a live panel in a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the user asks of a run: from the command line's words to a prepared run and its folder."""
+"""What the user asks of a run: from command-line values to a prepared run and its folder."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from launch_scripts.scenarios.scenario import FASTEST_PACE, SLOWEST_PACE, Scenar
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """The words of the command line, None where the user said nothing."""
+    """The values of the command line; None where the user gave none."""
 
     driver: Literal["launch", "simulate"]
     scenario: ScenarioFile
@@ -36,12 +36,12 @@ class RunRequest:
 
 
 def prepare_run(request: RunRequest) -> tuple[Preparation, RunFolder]:
-    """Work out the run and its folder, of which nothing is made yet.
+    """Work out the run and the path of its folder; write nothing yet.
 
     Raises
     ------
     InputError
-        The words of the command line, the scenario and its data do not go together.
+        The options, the scenario and its data do not fit together.
     """
     run_id = new_run_id(request.scenario.scenario.name)
     folder = run_folder(run_id, request.out)

@@ -1,8 +1,8 @@
 """Whether a run is alive: when its recorder was last heard of, and when its plant went on.
 
-The launcher sees the plant through the recorder. So while the recorder is silent nothing is known
-of the plant, and nothing is held against it. Nor is a time in which the launcher itself stood still
-held against anybody.
+The launcher sees the plant through the recorder. While the recorder is silent, the plant counts as
+alive, since nothing is known of it. A time in which the launcher itself stood still does not count
+either.
 """
 
 from __future__ import annotations
@@ -14,26 +14,27 @@ from agents.plan import RunPlan
 from bus_schemas.tree import PLANT, RECORDER
 
 PATIENCE_S: Final = 10.0
-"""How long the recorder may stand still in real time: what is published meanwhile waits for it."""
+"""How long the recorder may stand still in real time: messages queue up for it meanwhile."""
 
 HEARTBEAT_S: Final = 2.0
-"""The recorder speaks a few times a second: silence for this long is a fault."""
+"""The recorder reports a few times a second: silence for this long is a fault."""
 
 PLANT_S: Final = 5.0
-"""How long a cycle of the plant may take, if its length on the wall clock does not ask for more."""
+"""How long a cycle of the plant may take; cycles that are long on the wall clock get more."""
 
 _OWN_PAUSE_S: Final = 0.5
 """If the launcher has not looked for so long, it stood still itself."""
 
 _LOOK_S: Final = 0.1
-"""How often it looks otherwise. So much of a pause counts, lest one always slow find nobody."""
+"""How often it looks otherwise. This much of each pause counts, so that a launcher that is always
+slow still finds faults."""
 
 
 class RunWatch:
     """The signs of life of one run, from its first cycle on.
 
-    In lockstep everybody soon waits for a recorder that stands still, so that the run would stall.
-    In real time nobody does: what is said meanwhile waits on its way, and is recorded later.
+    In lockstep every agent soon waits for a recorder that stands still, and the run stalls. In
+    real time none does: the messages queue up and are recorded later.
 
     Parameters
     ----------
@@ -56,17 +57,17 @@ class RunWatch:
         self._heard_at = self._went_on_at = self._looked_at = now_s
 
     def hear(self, cycle: int, now_s: float) -> None:
-        """Take in the recorder's word on where the run stands."""
+        """Take in the recorder's report on where the run stands."""
         self._heard_at = now_s
         if cycle != self._cycle or self._is_silent:
-            # What it says first after a silence is what it knew before.
+            # The first report after a silence is from before the silence.
             self._cycle, self._went_on_at = cycle, now_s
         self._is_silent = False
 
     def check(self, now_s: float) -> tuple[str, str] | None:
         """Return who has been silent for too long, and what to say of it.
 
-        A silence that can be lived with is only told. To be called several times a second.
+        A tolerable silence is only reported. To be called several times a second.
         """
         self._leave_out_own_pause(now_s)
         silent_s = now_s - self._heard_at
@@ -83,7 +84,7 @@ class RunWatch:
         return None
 
     def _leave_out_own_pause(self, now_s: float) -> None:
-        """Put off what is being waited for by as long as nobody has looked for it."""
+        """Extend all time-outs by the time in which nobody has looked."""
         pause_s = now_s - self._looked_at
         self._looked_at = now_s
         if pause_s > _OWN_PAUSE_S:

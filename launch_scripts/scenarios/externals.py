@@ -25,7 +25,7 @@ _PORTS: Final = range(1024, 65_536)
 
 @dataclass(frozen=True, slots=True)
 class ExternalOptions:
-    """What the user says of his devices.
+    """The options for external agents.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ def check_externals(options: ExternalOptions, tree: ControlTree) -> tuple[str, .
 
 
 class ExternalWatch:
-    """Which external agents are there, and what is said of them.
+    """Which external agents are present, and the messages to the user about them.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class ExternalWatch:
         }
 
     def directions(self) -> Iterator[str]:
-        """Yield lines that say what each of them has to do to join."""
+        """Yield lines that say how each of them can join."""
         if not self._plan.external:
             return
         names = ", ".join(self._plan.external)
@@ -129,7 +129,7 @@ class ExternalWatch:
             yield f"  {agent}: {self._place(agent)}"
 
     def hear(self, event: Presence, now: float, *, running: bool) -> str:
-        """Take in that one has come or gone; return what is to be said of it."""
+        """Note that an agent has come or gone; return a message about it."""
         agent, name = event.agent, f"{event.agent} (external)"
         if agent == PLANT:
             self.plant_gone_at = None if event.alive else now
@@ -149,11 +149,11 @@ class ExternalWatch:
         return f"{name} is gone in cycle {event.cycle}{rest}"
 
     def note(self, status: Status) -> None:
-        """Keep what the recorder says of an arming round."""
+        """Keep the recorder's report on an arming round."""
         self._unheard = status.unheard
 
     def late(self, now: float) -> str:
-        """Say who has not come in time, empty while it is too early or none is missing."""
+        """Say who has not come in time; empty if it is too early or none is missing."""
         if self.complete_at is not None or now <= self._began_at + self._timeout_s:
             return ""
         absent = [agent for agent in self._plan.external if agent in self._never_seen]
@@ -168,7 +168,7 @@ class ExternalWatch:
             self._complaints.setdefault(complaint.key, complaint.example)
 
     def explain(self, failure: str, *, running: bool) -> str:
-        """Say what external agents have to do with a run that does not begin or go on.
+        """Say how external agents may explain a run that does not begin or go on.
 
         Before cycle 0 one that does not answer is the likely reason, and named first.
         """

@@ -23,7 +23,7 @@ class MachineTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         Meta(description='Processors of all processes, `"0-1"`, or of one kind, `"plant=0"`.'),
     ] = ()
     priority: Annotated[
-        int, Meta(ge=0, le=HIGHEST_PRIORITY, description="Under SCHED_FIFO; 0: the normal policy.")
+        int, Meta(ge=0, le=HIGHEST_PRIORITY, description="SCHED_FIFO priority; 0: normal policy.")
     ] = 0
     lock_memory: Annotated[
         bool, Meta(description="Whether the memory of plant and controllers is never paged out.")
@@ -31,7 +31,7 @@ class MachineTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class MachineOptions(msgspec.Struct, frozen=True):
-    """What the command line says instead; None and nothing leave the scenario as it is."""
+    """The options of the command line; None and an empty list leave the scenario as it is."""
 
     cpus: tuple[str, ...] = ()
     priority: int | None = None

@@ -65,7 +65,7 @@ class PlantTable(_Table, frozen=True):
 
     inverters: Annotated[
         str | None,
-        Meta(description="CSV: `inverter, lat, lon`, maybe `rating_kw`. Only for `clouds`."),
+        Meta(description="CSV: `inverter, lat, lon[, rating_kw]`. Only for `clouds`."),
     ] = None
     rating_kw: Annotated[
         Rating | None,
@@ -169,14 +169,14 @@ class ControlTable(_Table, frozen=True):
     clusters_seed: Annotated[Seed, Meta(description="Seed of `random` clusters.")] = 0
     period_cycles: Annotated[
         tuple[Positive, ...] | None,
-        Meta(description="Each tier acts every so many cycles, the central controller's first."),
+        Meta(description="Cycles from turn to turn of each tier, the central controller's first."),
     ] = None
     alpha_min: Annotated[AlphaMin, Meta(description="Lowest curtailment level.")] = 0.05
     hold_cycles: Annotated[
         NotNegative, Meta(description="An input that is older than this is silent [cycles].")
     ] = 10
     stall_timeout_s: Annotated[
-        Patience, Meta(description="In lockstep: how long a stalled cycle is waited for [s].")
+        Patience, Meta(description="In lockstep: how long a cycle may stall [s].")
     ] = 3.0
     correction: Annotated[
         bool | None,
@@ -201,7 +201,7 @@ class Scenario(_Table, frozen=True):
     """A run, as its file describes it."""
 
     name: Annotated[str, Meta(description="First part of every key on the bus.")]
-    title: Annotated[str, Meta(description="What it is, in words: heads tables and reports.")]
+    title: Annotated[str, Meta(description="Description: the heading of tables and reports.")]
     time: TimeTable
     plant: PlantTable
     irradiance: Irradiance

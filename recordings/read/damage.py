@@ -1,4 +1,4 @@
-"""What a reading has missed that went on behind damaged chunks, in one line."""
+"""One line about what is missing when a reader has skipped damaged chunks."""
 
 from __future__ import annotations
 

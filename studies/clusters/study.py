@@ -1,4 +1,4 @@
-"""The study of clusters: virtual neighbours beside other ways to choose clusters."""
+"""The study of clusters: virtual neighbours compared with other ways to choose clusters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What clusters are worth: one day again and again, its inverters clustered in different ways."""
+"""What clusters are worth: one day run many times, its inverters clustered in different ways."""
 
 from __future__ import annotations
 
