@@ -258,6 +258,6 @@ def _check_tiers(plan: RunPlan) -> None:
         )
     if len(plan.tier_deadlines_ns) not in {0, plan.tree.height + 1}:
         raise InputError(
-            f"tier_deadlines_ns has {len(plan.tier_deadlines_ns)} entries, accepted is one for "
+            f"tier_deadlines_ns has {len(plan.tier_deadlines_ns)} entries, expected one for "
             f"each of the {plan.tree.height + 1} tiers, or none"
         )

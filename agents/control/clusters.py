@@ -244,5 +244,5 @@ def _check_sizes(sizes: Sequence[int], count: int) -> None:
     if not sizes or min(sizes) < 1 or sum(sizes) != count:
         raise ValueError(
             f"cluster sizes {tuple(sizes)} are given for {count} inverters;"
-            f" accepted: sizes of at least 1 that add up to {count}"
+            f" expected sizes of at least 1 that add up to {count}"
         )

@@ -177,7 +177,7 @@ def _membership(
     member = np.zeros((size, len(groups)))
     for column, group in enumerate(groups):
         if not group or min(group) < 0 or max(group) >= size:
-            raise ValueError(f"group {column} is {tuple(group)}; accepted: members 0 to {size - 1}")
+            raise ValueError(f"group {column} is {tuple(group)}, expected members 0 to {size - 1}")
         member[list(group), column] = 1.0
     return member
 
