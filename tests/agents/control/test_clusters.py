@@ -198,7 +198,7 @@ def test_mean_correlation_counts_each_pair_once() -> None:
         (np.array([[1.0, 0.2], [0.3, 1.0]]), (2,), 1, "must be finite and symmetric"),
         (np.full((2, 2), np.nan), (2,), 1, "must be finite and symmetric"),
         (np.eye(4), (2, 1), 1, r"cluster sizes \(2, 1\) are given for 4 inverters"),
-        (np.eye(4), (4, 0), 1, "accepted: sizes of at least 1 that add up to 4"),
+        (np.eye(4), (4, 0), 1, "expected sizes of at least 1 that add up to 4"),
         (np.eye(4), (2, 2), 0, "at least one restart is needed, not 0"),
     ],
 )

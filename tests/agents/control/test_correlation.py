@@ -121,9 +121,9 @@ def test_a_history_that_does_not_fit_is_refused(
 @pytest.mark.parametrize(
     ("groups", "message"),
     [
-        ([(0, 1), ()], r"group 1 is \(\); accepted: members 0 to 2"),
-        ([(0, 3)], r"group 0 is \(0, 3\); accepted: members 0 to 2"),
-        ([(-1,)], r"group 0 is \(-1,\); accepted: members 0 to 2"),
+        ([(0, 1), ()], r"group 1 is \(\), expected members 0 to 2"),
+        ([(0, 3)], r"group 0 is \(0, 3\), expected members 0 to 2"),
+        ([(-1,)], r"group 0 is \(-1,\), expected members 0 to 2"),
     ],
 )
 def test_a_group_of_unknown_members_is_refused(groups: list[tuple[int, ...]], message: str) -> None:
