@@ -90,7 +90,8 @@ def clusters(
     study = study_clusters(
         question, remarks, workers, lambda done, total: counted(done, "clusters", total, console)
     )
+    # The file first: whoever reads the table may leave before its end.
+    write_json(study_json(study), json)
     say(console, *study.remarks)
     print_table(console, clusters_table(study))
     say(console, *study_lines(study))
-    write_json(study_json(study), json)

@@ -121,11 +121,12 @@ def compare(
     console = console_for(json)
     if len(found) == 1:
         page = None if report is None else Path(report or PAGE_NAME)
-        results = [_one(found[0], comparison, page, console)]
+        _one(found[0], comparison, page, json, console)
     else:
         results = _many(found, comparison, workers, scheduler, console)
+        # The file first: whoever reads the table may leave before its end.
+        write_json(json_rows(results), json)
         _print_many(results, show, console)
-    write_json(json_rows(results), json)
 
 
 def chosen_schemes(text: str | None) -> tuple[str, ...]:
@@ -154,32 +155,35 @@ def _groups(text: str | None) -> ReferenceGroups:
     return ReferenceGroups(members=names)
 
 
-def _one(case: Case, comparison: Comparison, page: Path | None, console: Console) -> CaseResult:
-    """Run one case and print the paper's tables; write a page of it if asked for."""
+def _one(
+    case: Case, comparison: Comparison, page: Path | None, json: str | None, console: Console
+) -> None:
+    """Run one case and print the paper's tables; write a page and JSON of it if asked for."""
     from launch_scripts.scenarios.preparation import prepare
     from studies.compare.study import CaseResult, SchemeResult, remarks_of, results_of
-    from studies.compare.tables import case_tables
+    from studies.compare.tables import case_tables, json_rows
     from studies.report.metrics_tables import metrics_tables
     from studies.report.run_report import write_report
 
     preparation = prepare(case.scenario, case.options, "compare")
     remarks = remarks_of(preparation)
     found = list(results_of(preparation, comparison))
-    say(console, *remarks)
     schemes = tuple(SchemeResult(label, metrics) for label, metrics, _ in found)
     plan = preparation.plan
     title = (
         f"{plan.plant} from {preparation.local_start()}, {plan.cycles:,} cycles of "
         f"{plan.cycle_ns / 1e9:g} s, actuator {plan.actuator}"
     )
-    for table in case_tables(title, schemes):
-        print_table(console, table)
+    write_json(json_rows([CaseResult(case.label, schemes, 0.0, 0.0, remarks)]), json)
     if page is not None:
         notes = [f"Scenario: {preparation.scenario.scenario.title}.", *remarks]
         series = [one for _, _, one in found]
         write_report(page, title, series, metrics_tables(series), notes)
+    say(console, *remarks)
+    for table in case_tables(title, schemes):
+        print_table(console, table)
+    if page is not None:
         say(console, f"report: {page}")
-    return CaseResult(case.label, schemes, 0.0, 0.0, remarks)
 
 
 def _many(

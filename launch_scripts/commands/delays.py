@@ -84,11 +84,6 @@ def delays(
     changed = with_settings(load_scenario(scenario, data), changes)
     preparation = _prepared(changed, RunOptions(start, duration, seed=seed, end=end))
     outcomes = _outcomes(preparation, workers, console)
-    print_study(preparation, outcomes, console)
-    if report is not None:
-        page = Path(report or PAGE_NAME)
-        write_page(study_page(preparation, outcomes), page)
-        say(console, f"report: {page}")
     document: dict[str, Any] = {
         "scenario": preparation.plan.plant,
         "start": preparation.local_start(),
@@ -98,7 +93,14 @@ def delays(
         "remarks": remarks_of(preparation),
         "outcomes": outcomes,
     }
+    # Files first: whoever reads the tables may leave before their end.
     write_json(document, json)
+    page = Path(report or PAGE_NAME)
+    if report is not None:
+        write_page(study_page(preparation, outcomes), page)
+    print_study(preparation, outcomes, console)
+    if report is not None:
+        say(console, f"report: {page}")
 
 
 def _prepared(scenario: ScenarioFile, options: RunOptions) -> Preparation:

@@ -45,12 +45,12 @@ def run_and_print(
     """
     console = console_for(json)
     summary, folder = run(request, console, began_at)
+    if json is not None:
+        write_json(msgspec.Raw(summary.as_json()), json)
     print_summary(summary, console)
     say(console, f"recording: {folder.recording}")
     if report is not None and summary.cycles:
         say(console, f"report: {write_run_report(folder.path, Path(report) if report else None)}")
-    if json is not None:
-        write_json(msgspec.Raw(summary.as_json()), json)
     if summary.recording_ended:
         return complain(f"{summary.recording_ended}; what it holds can be read", FAILED)
     if summary.lost_by_processes:

@@ -172,11 +172,12 @@ def _print_one(reported: Reported, run: Path, output: _Output) -> int:
     from studies.timing.tables import print_report
 
     report = reported.report
-    print_report(report, output.console, processes=output.by_agent)
-    say(output.console, f"recording: {run}")
     folder = run if run.is_dir() else run.parent
-    _write_page(lambda: run_page(reported), folder / PAGE_NAME, output)
+    # Files first: whoever reads the tables may leave before their end.
+    page = _write_page(lambda: run_page(reported), folder / PAGE_NAME, output)
     write_json(report.document(), output.json)
+    print_report(report, output.console, processes=output.by_agent)
+    say(output.console, f"recording: {run}", *page)
     if report.interrupted:
         return INTERRUPTED
     return OK if report.passed else FAILED
@@ -204,19 +205,21 @@ def _time_several(rates: Rates, duration: str, request: RunRequest, output: _Out
         return reports[-1]
 
     found = sweep(rates, timed)
-    print_sweep(found, output.console)
-    say(output.console, f"recordings: {folder}")
+    page: list[str] = []
     if reports:
-        _write_page(lambda: sweep_page(found, reports[-1]), folder / PAGE_NAME, output)
+        page = _write_page(lambda: sweep_page(found, reports[-1]), folder / PAGE_NAME, output)
     write_json(found, output.json)
+    print_sweep(found, output.console)
+    say(output.console, f"recordings: {folder}", *page)
     if found.interrupted:
         return INTERRUPTED
     return FAILED if found.highest_clean_hz is None else OK
 
 
-def _write_page(html: Callable[[], str], default: Path, output: _Output) -> None:
+def _write_page(html: Callable[[], str], default: Path, output: _Output) -> list[str]:
+    """Write the page if it is wanted; return the line that says where it is."""
     if output.report is None:
-        return
+        return []
     page = Path(output.report) if output.report else default
     write_page(html(), page)
-    say(output.console, f"report: {page}")
+    return [f"report: {page}"]

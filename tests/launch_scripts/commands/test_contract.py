@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -279,6 +280,15 @@ def test_a_reader_who_leaves_is_no_error_message(name: str, folder: Path) -> Non
     _, errors = found.communicate(timeout=120)
     assert errors == ""
     assert found.returncode == 1
+
+
+@pytest.mark.parametrize("name", ["timing", "compare", "clusters", "delays"])
+def test_what_was_measured_is_written_before_a_reader_can_leave(name: str, folder: Path) -> None:
+    found = process(*words_of(name, folder), "--json", "figures.json", cwd=folder)
+    assert found.stdout is not None
+    found.stdout.close()
+    found.communicate(timeout=120)
+    assert json.loads((folder / "figures.json").read_text())
 
 
 # Ctrl-C and SIGTERM -------------------------------------------------------------------------------
