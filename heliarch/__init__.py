@@ -1,18 +1,19 @@
 """Heliarch for Python: what scripts and notebooks need.
 
-from heliarch import compare, open_run, simulate
-
-run = simulate("oahu", duration="10m", out="runs/first")
-print(run.summary.metrics)
-with open_run(run.folder) as recording:
-print(recording.plan.inverters)
-table = compare("oahu", schemes=["paper", "uniform-cap"], seeds=range(1, 6))
+Examples
+--------
+>>> from heliarch import compare, open_run, simulate
+>>> run = simulate("oahu", duration="10m", out="runs/first")
+>>> print(run.summary.metrics)
+>>> with open_run(run.folder) as recording:
+...     print(recording.plan.inverters)
+>>> table = compare("oahu", schemes=["paper", "uniform-cap"], seeds=range(1, 6))
 """
 
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from heliarch.runs import SimulatedRun, compare, simulate
@@ -30,11 +31,12 @@ _MODULES = {
 }
 
 
-def __getattr__(name: str) -> Any:  # noqa: ANN401
+def __getattr__(name: str) -> object:
     """Import what is asked for when it is first used: `import heliarch` alone is quick."""
     if name not in _MODULES:
         raise AttributeError(f"module 'heliarch' has no attribute {name!r}")
-    return getattr(import_module(_MODULES[name]), name)
+    found: object = getattr(import_module(_MODULES[name]), name)
+    return found
 
 
 def __dir__() -> list[str]:

@@ -35,7 +35,7 @@ def plan_of(
     *,
     cycles: int = 12,
     period_cycles: tuple[int, ...] = (1, 1),
-    **fields: Any,  # noqa: ANN401 - whatever a plan has
+    **fields: Any,
 ) -> RunPlan:
     """Plan of a run, from the path and rating of each inverter; in lockstep by default."""
     settings: dict[str, Any] = {
@@ -68,7 +68,7 @@ def faulty_plan(
     ratings_kw: dict[str, float] = TWO_TIERS,
     seed: int = 1,
     cycles: int = 25,
-    **fields: Any,  # noqa: ANN401 - whatever a plan has
+    **fields: Any,
 ) -> RunPlan:
     """Plan of a run in real time over an imperfect network; by default a bad one."""
     faults = rules or (FaultRule(loss=0.05, duplicate=0.05, delay_ms=12.0, jitter_ms=12.0),)

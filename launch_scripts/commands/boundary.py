@@ -39,7 +39,7 @@ _UsageError: Final[Any] = typer.BadParameter.__mro__[1]
 class CommandLine(TyperGroup):
     """The command line. Its commands return their exit status, or None for success."""
 
-    def main(self, *args: Any, **options: Any) -> NoReturn:  # noqa: ANN401
+    def main(self, *args: Any, **options: Any) -> NoReturn:
         """Run the command that the user named, and leave with its exit status."""
         options["standalone_mode"] = False
         with boundary():
@@ -51,7 +51,7 @@ class CommandLine(TyperGroup):
 class Command(TyperCommand):
     """One command, whose `--report` may be followed by a file."""
 
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - Typer's type is private
         """Read the words after the command."""
         return super().parse_args(ctx, _with_report_value(args))
 

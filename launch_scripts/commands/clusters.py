@@ -1,8 +1,5 @@
 """`heliarch clusters`: what virtual neighbours are worth beside other ways to choose clusters."""
 
-# What does the work is imported when it runs: `--help` does not wait for it.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
 from typing import Annotated, Final

@@ -1,8 +1,5 @@
 """`heliarch compare`: control schemes side by side, on one day or on many."""
 
-# What does the work is imported when it runs: `--help` does not wait for it.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
 from collections.abc import Sequence

@@ -1,8 +1,5 @@
 """`heliarch delays`: how much delay and loss the control survives."""
 
-# What does the work is imported when it runs: `--help` does not wait for it.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
 from functools import partial

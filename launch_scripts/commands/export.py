@@ -1,8 +1,5 @@
 """`heliarch export`: a recording as a file for viewers, or as tables."""
 
-# What does the work is imported when it runs: `--help` does not wait for it.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
 from pathlib import Path

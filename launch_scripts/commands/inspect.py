@@ -1,8 +1,5 @@
 """`heliarch inspect`: what a recording holds, the story of nodes, or the plant in one cycle."""
 
-# What does the work is imported when it runs: `--help` does not wait for it.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence

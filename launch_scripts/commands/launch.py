@@ -1,8 +1,5 @@
 """`heliarch launch`: a plant as a team of processes over Zenoh."""
 
-# What does the work is imported when it runs: `--help` does not wait for it.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
 from typing import Final

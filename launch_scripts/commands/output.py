@@ -71,7 +71,7 @@ def write_json(content: object, destination: str | None) -> None:
 
 
 def _write(content: bytes, path: Path) -> None:
-    from recordings.read.whole_file import whole_file  # noqa: PLC0415 - `--help` need not wait
+    from recordings.read.whole_file import whole_file
 
     with whole_file(path) as file:
         file.write(content)

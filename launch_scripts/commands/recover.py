@@ -1,8 +1,5 @@
 """`heliarch recover`: a whole recording out of one that was cut."""
 
-# What does the work is imported when it runs: `--help` does not wait for it.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
 import textwrap

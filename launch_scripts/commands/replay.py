@@ -1,8 +1,5 @@
 """`heliarch replay`: a recording back on the bus, with or without live controllers."""
 
-# What does the work is imported when it runs: `--help` does not wait for it.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
 import re

@@ -1,8 +1,5 @@
 """`heliarch report`: the page with a run's figures and tables."""
 
-# What does the work is imported when it runs: `--help` does not wait for it.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
 from pathlib import Path

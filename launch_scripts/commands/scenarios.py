@@ -11,7 +11,7 @@ EXAMPLE: Final = "heliarch scenarios"
 
 def scenarios() -> None:
     """List the scenarios that come with Heliarch."""
-    from launch_scripts.scenarios.scenario import (  # noqa: PLC0415
+    from launch_scripts.scenarios.scenario import (
         load_scenario,
         shipped_scenarios,
     )

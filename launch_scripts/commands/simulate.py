@@ -1,8 +1,5 @@
 """`heliarch simulate`: the agents of a plant in one process."""
 
-# What does the work is imported when it runs: `--help` does not wait for it.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
 from typing import Final

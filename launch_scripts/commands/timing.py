@@ -1,8 +1,5 @@
 """`heliarch timing`: whether a plant meets its deadlines in real time, and by how much."""
 
-# What does the work is imported when it runs: `--help` does not wait for it.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping

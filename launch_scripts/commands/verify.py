@@ -1,8 +1,5 @@
 """`heliarch verify`: runs agents again on recorded inputs and compares what they publish."""
 
-# What does the work is imported when it runs: `--help` does not wait for it.
-# ruff: noqa: PLC0415
-
 from __future__ import annotations
 
 import time

@@ -37,10 +37,10 @@ _SHARES: Final = {
 
 
 def print_summary(summary: RunSummary, console: Console) -> None:
-    """Print the table, and where something went wrong the health of the run."""
+    """Print the table, and the health of a run with faults or where something went wrong."""
     print_table(console, summary_table(summary))
-    if summary.troubled:
-        with suppress(InputError), RunReader(Path(summary.folder)) as run:
+    with suppress(InputError), RunReader(Path(summary.folder)) as run:
+        if summary.troubled or run.plan.faults:
             print_table(console, health_table(run))
 
 

@@ -308,3 +308,10 @@ def test_a_silence_is_in_simulated_time_at_any_pace_and_a_rule_without_messages_
     (line,) = [remark for remark in summary["remarks"] if "fault" in remark]
     assert "silent=50s..60s" in line
     assert line in result.output
+
+
+def test_a_run_with_rules_shows_its_health_although_none_came_about(tmp_path: Path) -> None:
+    words = ["simulate", "oahu", "--duration", "5", "--fault", "silent=50s..60s"]
+    result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "run")])
+    assert result.exit_code == 0, result.output
+    assert "Health" in result.output
