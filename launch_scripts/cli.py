@@ -9,6 +9,7 @@ from typing import Annotated, Final
 import typer
 
 from launch_scripts.commands import (
+    campaign,
     clusters,
     compare,
     delays,
@@ -28,7 +29,7 @@ from launch_scripts.commands.boundary import BAD_INPUT, Command, CommandLine
 COMMANDS: Final[dict[str, tuple[ModuleType, ...]]] = {
     "Run": (launch, simulate, timing, scenarios),
     "Look": (report, inspect, verify, replay),
-    "Compare": (compare, clusters, delays),
+    "Compare": (compare, clusters, delays, campaign),
     "Files": (export, recover),
 }
 """The commands under the headings of `heliarch --help`."""

@@ -18,7 +18,7 @@ from launch_scripts.scenarios.fields import readable
 from launch_scripts.scenarios.scenario import ScenarioFile
 
 _EXAMPLE: Final = "source=c1/*,signal=impp,delay=50ms,jitter=10ms,loss=2%,silent=60s..90s"
-_WORDS: Final = ("source", "listener", "signal", "distribution")
+_WORDS: Final = ("source", "listener", "signal", "distribution", "partition", "kill", "freeze")
 _TIMES: Final = {"delay": "delay_ms", "jitter": "jitter_ms", "reorder-by": "reorder_ms"}
 _SHARES: Final = ("loss", "duplicate", "reorder")
 
@@ -74,6 +74,10 @@ def parse_fault(text: str) -> FaultRule:
             interval_s = [_duration_s(end, f"{where}: silent") for end in ends]
             values.setdefault("silent", []).append(interval_s)
             continue
+        if word == "at":
+            ends = split_range(value, f"{where}: at") if ".." in value else (value,)
+            values["at"] = [_duration_s(end, f"{where}: at") for end in ends]
+            continue
         name, read = _field(word, value, where)
         if name in values:
             raise InputError(f"{where}: expected {word} once, got it twice")
@@ -91,7 +95,7 @@ def _field(word: str, value: str, where: str) -> tuple[str, str | float]:
         return _TIMES[word], _duration_s(value, f"{where}: {word}") * 1e3
     if word in _SHARES:
         return word, _share(value, f"{where}: {word}")
-    accepted = ", ".join((*_WORDS, *_TIMES, *_SHARES, "silent"))
+    accepted = ", ".join((*_WORDS, *_TIMES, *_SHARES, "silent", "at"))
     raise InputError(f"{where}: expected {accepted}, got {word!r}")
 
 

@@ -205,6 +205,8 @@ def _plan(
         machine=machine_settings(scenario.machine, options.machine, lockstep=pace == "max"),
         correction=_corrects(control, options.scheme or control.scheme),
         available_bias=scenario.plant.available_bias,
+        revert=scenario.plant.revert,
+        restart=scenario.restart,
         tier_deadlines_ns=deadlines_ns,
         seed=_seed(scenario, options),
     )
