@@ -75,8 +75,10 @@ def parse_fault(text: str) -> FaultRule:
             values.setdefault("silent", []).append(interval_s)
             continue
         if word == "at":
-            ends = split_range(value, f"{where}: at") if ".." in value else (value,)
-            values["at"] = [_duration_s(end, f"{where}: at") for end in ends]
+            times: tuple[str, ...] = (value,)
+            if ".." in value:
+                times = split_range(value, f"{where}: at")
+            values["at"] = [_duration_s(time, f"{where}: at") for time in times]
             continue
         name, read = _field(word, value, where)
         if name in values:

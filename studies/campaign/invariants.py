@@ -113,7 +113,7 @@ def violations(
 def _bounded_above(
     plan: RunPlan, trace: Trace, healthy: Trace, longest: int
 ) -> Iterator[Violation]:
-    """Over-delivery does not last."""
+    """Check that over-delivery does not last."""
     allowed_kw = np.maximum(trace.desired_kw, healthy.delivered_kw)
     over_kw = trace.delivered_kw - allowed_kw
     limit_kw = OVER_SHARE * plan.tree.rating_kw("")
@@ -121,7 +121,7 @@ def _bounded_above(
 
 
 def _bounded_below(plan: RunPlan, trace: Trace, longest: int) -> Iterator[Violation]:
-    """Nor is there less, for long, than each inverter's own share would give."""
+    """Check that not for long less is given than each inverter by itself would give."""
     rating_kw = np.array([plan.tree.rating_kw(leaf) for leaf in plan.tree.leaves])
     mpp_kw = np.array([one.inverter_mpp_kw for one in trace.produced])
     desired_kw = np.clip(trace.desired_kw, 0.0, rating_kw.sum())
@@ -144,7 +144,7 @@ def _lasting(
 
 
 def _settled(plan: RunPlan, trace: Trace, healthy: Trace, begin: int) -> Iterator[Violation]:
-    """Some time after the last fault everything is as if there had been none."""
+    """Check that some time after the last fault all is as if there had been none."""
     apart_kw = np.abs(trace.delivered_kw - healthy.delivered_kw)[begin:]
     wrong = np.flatnonzero(apart_kw > SETTLED_SHARE * plan.tree.rating_kw(""))
     if len(wrong):
@@ -153,7 +153,7 @@ def _settled(plan: RunPlan, trace: Trace, healthy: Trace, begin: int) -> Iterato
 
 
 def _reverted(plan: RunPlan, trace: Trace) -> Iterator[Violation]:
-    """No command stays in force for longer than the revert time: then its limit to revert to is."""
+    """Check that no command stays in force for longer than the revert time."""
     if plan.revert is None:
         return
     # A cycle more, for what is sent and under way.
@@ -173,7 +173,7 @@ def _reverted(plan: RunPlan, trace: Trace) -> Iterator[Violation]:
 
 
 def _shared_out(plan: RunPlan, trace: Trace) -> Iterator[Violation]:
-    """What a parent gives its children adds up to its own setpoint at most, if nothing is old."""
+    """Check that a parent gives its children no more than its own setpoint, if nothing is old."""
     tree = plan.tree
     for parent in filter(None, tree.parents):
         children = [trace.setpoints.get(SETPOINT.of(child), {}) for child in tree.children(parent)]

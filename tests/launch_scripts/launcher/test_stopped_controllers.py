@@ -139,8 +139,11 @@ def test_inverters_that_hear_nothing_revert_to_their_share_of_the_last_dispatch(
 
 def test_inverters_may_be_set_to_release_or_to_a_share_of_their_rating(oahu: Preparation) -> None:
     rating_kw = np.array([rating for _, rating in oahu.plan.inverters])
-    for to, limit_kw in (("release", rating_kw), (0.25, 0.25 * rating_kw)):
-        changes = {"restart": NEVER, "revert": Revert(after_s=5.0, to=to)}
+    for revert, limit_kw in (
+        (Revert(after_s=5.0, to="release"), rating_kw),
+        (Revert(after_s=5.0, to=0.25), 0.25 * rating_kw),
+    ):
+        changes = {"restart": NEVER, "revert": revert}
         _, trace = run_with(oahu, f"kill=*,at={KILLED_AT}s", **changes)
         expected_kw = np.minimum(oahu.profile.mpp_kw, limit_kw)
         np.testing.assert_array_equal(

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from agents import parent
 from agents.agent import Turn
+from agents.control import allocation
 from agents.direct import DirectController, DirectState
 from agents.loop import AgentLoop
 from agents.parent import Children, Report, Supervisor
@@ -63,8 +64,8 @@ def silence_counts_as_zero(patch: Patch) -> None:
     """A parent gives the share of a silent child to others."""
     right = Children._report
 
-    def wrong(self: Children, turn: Turn, child: Any, dispatch: Dispatch | None) -> Report:
-        report = right(self, turn, child, dispatch)
+    def wrong(self: Children, turn: Turn, child: object, dispatch: Dispatch | None) -> Report:
+        report = right(self, turn, child, dispatch)  # type: ignore[arg-type]
         return report._replace(impp_kw=0.0, is_silent=False) if report.is_silent else report
 
     patch.setattr(Children, "_report", wrong)
@@ -85,9 +86,9 @@ def nobody_joins_later(patch: Patch) -> None:
 
 
 def more_is_shared_out_than_there_is(patch: Patch) -> None:
-    right = parent.allocate
+    right = allocation.allocate
 
-    def wrong(target_kw: float, *rest: Any) -> tuple[Any, ...]:  # noqa: ANN401 - passed on
+    def wrong(target_kw: float, *rest: Any) -> tuple[Any, ...]:
         return right(1.2 * target_kw + 200.0, *rest)
 
     patch.setattr(parent, "allocate", wrong)
