@@ -23,8 +23,7 @@ from studies.tables import console_for
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from recordings.export.exporting import ExportSummary, Selection
-    from recordings.read.reader import RunReader
+    from recordings.export.exporting import ExportSummary
 
 EXAMPLE: Final = "heliarch export runs/oahu-20261121-120000-4711 --format csv --nodes c1/*"
 
@@ -55,10 +54,11 @@ def export(
     json: JsonOption = None,
 ) -> int:
     """Make a file for viewers, or tidy tables, from a recording."""
+    from bus_schemas.signals import SIGNALS
     from recordings.export.exporting import default_path
     from recordings.export.exporting import export as export_run
-    from recordings.read.damage import damage_text
     from recordings.read.reader import RunReader
+    from recordings.read.selection import find_signals
     from recordings.read.whole_file import check_new
 
     if clock is not None and form != "json-mcap":
@@ -66,33 +66,17 @@ def export(
     with RunReader(run, skip_damaged=True) as reader:
         path = out or default_path(reader.path, form)
         check_new(path)
-        selection = _selection(reader, signals, nodes, start, end)
+        wanted = find_signals(signals or "")
+        rows = tuple(row for row in SIGNALS if row.logged and (not wanted or row in wanted))
+        cycles = None if start is None and end is None else reader.clock.span(start, end)
         with progress_bar(f"{form} {path.name}") as follow:
-            summary = export_run(reader, form, path, selection, clock or "wall", follow)
-        damage = damage_text(reader)
+            summary = export_run(
+                reader, form, path, rows, nodes or "", cycles, clock or "wall", follow
+            )
+        damage = reader.damage_text()
     _print(summary, console_for(json))
     write_json(summary, json)
     return complain(damage, OK) if damage else OK
-
-
-def _selection(
-    reader: RunReader, signals: str | None, nodes: str | None, start: str | None, end: str | None
-) -> Selection:
-    from bus_schemas.signals import SIGNALS
-    from recordings.export.exporting import Selection
-    from recordings.read.selection import find_nodes, find_signals
-
-    recorded = tuple(row for row in SIGNALS if row.logged)
-    wanted = find_signals(_names(signals)) or recorded
-    rows = tuple(row for row in recorded if row in wanted)
-    found = find_nodes(reader.plan.tree, _names(nodes))
-    if start is None and end is None:
-        return Selection(rows, found)
-    return Selection(rows, found, reader.clock.span(start, end))
-
-
-def _names(text: str | None) -> list[str]:
-    return [] if text is None else [name.strip() for name in text.split(",")]
 
 
 def _print(summary: ExportSummary, console: Console) -> None:

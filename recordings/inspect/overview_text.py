@@ -8,7 +8,7 @@ from typing import Final
 
 from recordings.inspect.health import health_lines
 from recordings.inspect.overview import Overview, SignalCount
-from recordings.read.moments import RunClock
+from recordings.read.run_clock import RunClock
 
 _NAME_WIDTH: Final = 11
 _SHOWN_GAPS: Final = 10

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from math import isfinite
 from typing import Any, Final
 
@@ -11,9 +12,9 @@ import msgspec
 
 from bus_schemas.messages import Message
 from bus_schemas.missing import in_words
-from recordings.read.moments import RunClock
+from recordings.read.run_clock import RunClock
 from recordings.verify.comparison import NOT_COMPARED, Comparison, Value
-from recordings.verify.findings import KINDS, Difference, Findings
+from recordings.verify.findings import KINDS, Difference, Findings, Kind
 from recordings.verify.verification import Verification
 
 _WIDTH: Final = 100
@@ -30,30 +31,49 @@ def verification_lines(found: Verification, comparison: Comparison, wall_s: floa
     )
     yield f"{wall_s:.1f} s, {speed:,.0f} x simulated time"
     yield from _remarks(found)
-    clock = RunClock(found.plan, found.plan.cycles - 1)
-    for name, findings in found.agents.items():
-        if findings.first is not None:
-            yield ""
-            yield from finding_lines(name, findings, clock)
+    yield from finding_lines(found.agents, RunClock(found.plan, found.plan.cycles - 1))
     yield _verdict(found, comparison)
 
 
-def finding_lines(name: str, findings: Findings, clock: RunClock) -> Iterator[str]:
-    """Yield what was found of an agent that has differences."""
-    first, failure = findings.first, findings.failure
-    if first is None:
-        return
-    counts = ", ".join(f"{count:,} {kind}" for kind, count in findings.differences.items())
-    yield f"{name}: {counts}; the first in cycle {first.cycle} ({clock.text(first.cycle)})"
-    yield from _difference_lines(name, first)
+def finding_lines(found: Mapping[str, Findings], clock: RunClock) -> Iterator[str]:
+    """Yield what was found of agents; those that differ alike, say in a lost input, together."""
+    alike: dict[object, dict[str, Findings]] = {}
+    for name, findings in found.items():
+        if findings.first is not None:
+            alike.setdefault(_kind_of(name, findings), {})[name] = findings
+    for group in alike.values():
+        yield ""
+        yield from _group_lines(group, clock)
+
+
+def _kind_of(name: str, findings: Findings) -> object:
+    """Return what agents that differ alike have in common: a name if no other can be alike."""
+    first = findings.first
+    fails_later = findings.failure is not None and findings.failure is not first
+    if first is None or first.content is not None or fails_later:
+        return name
+    return first.kind, first.cycle, first.message, first.text
+
+
+def _group_lines(group: Mapping[str, Findings], clock: RunClock) -> Iterator[str]:
+    names, every = list(group), list(group.values())
+    first, failure = every[0].first, every[0].failure
+    assert first is not None
+    counts = sum((findings.differences for findings in every), Counter[Kind]())
+    texts = [f"{count:,} {KINDS[kind][1 if count == 1 else 2]}" for kind, count in counts.items()]
+    last_cycle = max(findings.last_cycle for findings in every)
+    agents = ", ".join(names)
+    when = clock.span_text(first.cycle, last_cycle)
+    yield from _wrapped(f"{agents}: {', '.join(texts)} {when}")
+    yield from _difference_lines(names[0], first)
     if failure is not None and failure is not first:
-        yield f"{name}: fails in cycle {failure.cycle} ({clock.text(failure.cycle)})"
-        yield from _difference_lines(name, failure)
-    if findings.not_compared:
-        yield (
-            f"{name}: {findings.not_compared:,} messages not compared, "
-            f"from cycle {findings.not_compared_from} on"
-        )
+        yield f"{agents}: fails {clock.span_text(failure.cycle, failure.cycle)}"
+        yield from _difference_lines(names[0], failure)
+    not_compared = sum(findings.not_compared for findings in every)
+    if not_compared:
+        begin = min(found.not_compared_from or 0 for found in every if found.not_compared)
+        who = agents if len(names) == 1 else "all of these"
+        yield f"{who}: {not_compared:,} messages not compared, from cycle {begin} on"
 
 
 def verification_data(found: Verification, comparison: Comparison, wall_s: float) -> dict[str, Any]:
@@ -74,13 +94,13 @@ def verification_data(found: Verification, comparison: Comparison, wall_s: float
         "cut_off": found.cut_off,
         "left_out": found.left_out,
         "wall_s": wall_s,
-        "agents": [finding_data(name, findings) for name, findings in found.agents.items()],
+        "agents": finding_data(found.agents),
     }
 
 
-def finding_data(name: str, findings: Findings) -> dict[str, Any]:
-    """Return the findings of one agent as plain data."""
-    return {"agent": name, **msgspec.to_builtins(findings)}
+def finding_data(found: Mapping[str, Findings]) -> list[dict[str, Any]]:
+    """Return the findings of agents as plain data."""
+    return [{"agent": name, **msgspec.to_builtins(findings)} for name, findings in found.items()]
 
 
 def json_ready(value: Value) -> Value:
@@ -129,37 +149,30 @@ def _agents(count: int) -> str:
     return f"{count:,} agent" + "s" * (count != 1)
 
 
+def _wrapped(line: str) -> list[str]:
+    indent = " " * (len(line) - len(line.lstrip()) + 8)
+    return textwrap.wrap(line, _WIDTH, subsequent_indent=indent, break_on_hyphens=False)
+
+
 def _difference_lines(agent: str, difference: Difference) -> Iterator[str]:
-    lines = [*_what_lines(difference)]
-    if difference.inputs or difference.missing:
-        lines += [f"  inputs of {agent} in cycle {difference.cycle}", *_input_lines(difference)]
-    for line in lines:
-        indent = " " * (len(line) - len(line.lstrip()) + 8)
-        yield from textwrap.wrap(
-            line, _WIDTH, subsequent_indent=indent, drop_whitespace=True, break_on_hyphens=False
-        )
-
-
-def _what_lines(difference: Difference) -> Iterator[str]:
     stage = f" (stage {difference.stage})" if difference.stage else ""
     content = difference.text
     if difference.content is not None and difference.kind != "differs":
         content = _content(difference.content)
-    what = KINDS[difference.kind] + (f": {content}" if content else "")
-    yield f"  {difference.message or 'the agent'}{stage}: {what}"
+    what = KINDS[difference.kind][0] + (f": {content}" if content else "")
+    yield from _wrapped(f"  {difference.message or 'the agent'}{stage}: {what}")
     width = max((len(entry.field) for entry in difference.fields), default=0)
     for entry in difference.fields:
-        yield f"    {entry.field:{width}}  recorded  {_value(entry.recorded)}"
-        yield f"    {'':{width}}  new       {_value(entry.new)}"
-
-
-def _input_lines(difference: Difference) -> Iterator[str]:
+        yield from _wrapped(f"    {entry.field:{width}}  recorded  {_value(entry.recorded)}")
+        yield from _wrapped(f"    {'':{width}}  new       {_value(entry.new)}")
+    if difference.inputs or difference.missing:
+        yield f"  inputs of {agent} in cycle {difference.cycle}"
     named = sorted(difference.inputs.items())
     width = max((len(key) for key, _ in named), default=0)
     for key, message in named:
-        yield f"    {key:{width}}  {_content(message)}"
+        yield from _wrapped(f"    {key:{width}}  {_content(message)}")
     if difference.missing:
-        yield f"    {in_words(difference.missing)}"
+        yield from _wrapped(f"    {in_words(difference.missing)}")
 
 
 def _content(message: Message) -> str:
