@@ -18,7 +18,7 @@ from launch_scripts.commands.options import (
     SignalsOption,
 )
 from launch_scripts.commands.output import progress_bar, say, write_json
-from studies.tables import console_for
+from studies.tables import Column, Table, console_for, key_column, print_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -80,27 +80,24 @@ def export(
 
 
 def _print(summary: ExportSummary, console: Console) -> None:
-    from rich.table import Table
-
-    tables = summary.form != "json-mcap"
-    table = Table("table" if tables else "signal")
-    table.add_column("rows" if tables else "messages", justify="right")
-    if tables:
-        table.add_column("size", justify="right")
-    for part in summary.parts:
-        size = [f"{part.size_bytes / 1e6:,.2f} MB"] if tables else []
-        table.add_row(part.name, f"{part.rows:,}", *size)
-    console.print(table)
+    rows: tuple[tuple[str | int | float, ...], ...]
+    if summary.form == "json-mcap":
+        columns = (key_column("signal"), Column("messages"))
+        rows = tuple((part.name, part.rows) for part in summary.parts)
+    else:
+        columns = (key_column("table"), Column("rows"), Column("size", "MB", 2))
+        rows = tuple((part.name, part.rows, part.size_bytes / 1e6) for part in summary.parts)
+    notes = []
+    if not summary.whole:
+        notes.append("the recording was cut short, or is still written: this is what it holds")
+    if summary.left_out:
+        notes.append(f"{summary.left_out:,} fields left out: JSON has neither NaN nor infinity")
     extent = ""
     if summary.first_cycle is not None:
-        extent = f", cycles {summary.first_cycle} to {summary.last_cycle},"
-    say(
-        console,
+        extent = f", cycles {summary.first_cycle:,} to {summary.last_cycle:,},"
+    title = (
         f"{summary.messages:,} messages{extent} in {summary.wall_s:.1f} s, "
-        f"{summary.size_bytes / 1e6:,.1f} MB",
+        f"{summary.size_bytes / 1e6:,.1f} MB"
     )
-    if not summary.whole:
-        say(console, "the recording was cut short, or is still written: this is what it holds")
-    if summary.left_out:
-        say(console, f"{summary.left_out:,} fields left out: JSON has neither NaN nor infinity")
+    print_table(console, Table(title, columns, rows, tuple(notes)))
     say(console, f"{summary.form}: {summary.path}")

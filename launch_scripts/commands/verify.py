@@ -91,14 +91,15 @@ def _verify(
     end: str | None,
     console: Console,
 ) -> tuple[Verification, dict[str, Any]]:
-    from recordings.verify.report import verification_data, verification_lines
+    from recordings.verify.report import verification_data, verification_lines, wrapped
     from recordings.verify.verification import verify as verify_run
 
     began_at = time.monotonic()
     with progress_bar("verify") as follow:
         found = verify_run(run, nodes, comparison, follow, start, end)
     wall_s = time.monotonic() - began_at
-    say(console, *verification_lines(found, comparison, wall_s))
+    say(console, str(found.recording))
+    say(console, *wrapped(verification_lines(found, comparison, wall_s), console.width))
     return found, verification_data(found, comparison, wall_s)
 
 

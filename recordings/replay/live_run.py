@@ -28,7 +28,7 @@ from recordings.replay.live import LiveReplay
 from recordings.replay.live_bus import LiveBus, live_plan
 from recordings.replay.publish_order import complete_cycles
 from recordings.replay.timing import TimingFigures
-from recordings.verify.report import finding_data, finding_lines, json_ready
+from recordings.verify.report import finding_data, finding_lines, json_ready, wrapped
 
 _OTHERS: Final = "others"
 _SHARED: Final = (
@@ -119,7 +119,8 @@ def replay_live(
     )
     if figures.timing_error is not None:
         say(out, figures.timing_error.text())
-    for text in finding_lines(findings, RunClock(plan, replay.cycles - 1)):
+    lines = finding_lines(findings, RunClock(plan, replay.cycles - 1))
+    for text in wrapped(lines, shutil.get_terminal_size((100, 0)).columns):
         say(out, text)
     counts = [f"{agent} {count:,}" for agent, count in figures.differing.items()]
     say(out, f"differences: {', '.join(counts) or 'none'}")

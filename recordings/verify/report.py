@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from math import isfinite
 from typing import Any, Final
 
@@ -17,14 +17,12 @@ from recordings.verify.comparison import NOT_COMPARED, Comparison, Value
 from recordings.verify.findings import KINDS, Difference, Findings, Kind
 from recordings.verify.verification import Verification
 
-_WIDTH: Final = 100
 _HEAD: Final = frozenset(Message.__struct_fields__)
 
 
 def verification_lines(found: Verification, comparison: Comparison, wall_s: float) -> Iterator[str]:
-    """Yield the result in lines of at most 100 columns (paths excepted)."""
+    """Yield the result line by line, see `wrapped`."""
     speed = found.cycles * found.plan.cycle_ns / 1e9 / max(wall_s, 1e-9)
-    yield f"{found.recording}"
     yield (
         f"{found.cycles:,} cycles, {_agents(len(found.agents))} run again, "
         f"{found.total('compared'):,} of {found.recorded:,} messages compared"
@@ -32,7 +30,16 @@ def verification_lines(found: Verification, comparison: Comparison, wall_s: floa
     yield f"{wall_s:.1f} s, {speed:,.0f} x simulated time"
     yield from _remarks(found)
     yield from finding_lines(found.agents, RunClock(found.plan, found.plan.cycles - 1))
+    if found.first is not None:
+        yield ""
     yield _verdict(found, comparison)
+
+
+def wrapped(lines: Iterable[str], width: int) -> Iterator[str]:
+    """Wrap long lines; what follows stands further to the right."""
+    for line in lines:
+        indent = " " * (len(line) - len(line.lstrip()) + 8)
+        yield textwrap.fill(line, width, subsequent_indent=indent, break_on_hyphens=False)
 
 
 def finding_lines(found: Mapping[str, Findings], clock: RunClock) -> Iterator[str]:
@@ -64,7 +71,7 @@ def _group_lines(group: Mapping[str, Findings], clock: RunClock) -> Iterator[str
     last_cycle = max(findings.last_cycle for findings in every)
     agents = ", ".join(names)
     when = clock.span_text(first.cycle, last_cycle)
-    yield from _wrapped(f"{agents}: {', '.join(texts)} {when}")
+    yield f"{agents}: {', '.join(texts)} {when}"
     yield from _difference_lines(names[0], first)
     if failure is not None and failure is not first:
         yield f"{agents}: fails {clock.span_text(failure.cycle, failure.cycle)}"
@@ -115,7 +122,8 @@ def json_ready(value: Value) -> Value:
 def _remarks(found: Verification) -> Iterator[str]:
     for name, why in found.left_out.items():
         yield f"{name}: left out, {why}"
-    if missing := found.total("missing_inputs"):
+    missing = found.total("missing_inputs")
+    if missing and not found.plan.lockstep:
         yield (
             f"{missing:,} inputs were missing at their deadlines, {found.total('old_inputs'):,} "
             "older ones were used"
@@ -134,7 +142,7 @@ def _verdict(found: Verification, comparison: Comparison) -> str:
     if found.first is not None:
         name, first = found.first
         return (
-            f"\nNOT equal: {found.differences:,} differences of {_agents(count)}, the first: "
+            f"NOT equal: {found.differences:,} differences of {_agents(count)}, the first: "
             f"{first.message or first.text}, by {name} in cycle {first.cycle}"
         )
     if not found.equal:
@@ -149,30 +157,25 @@ def _agents(count: int) -> str:
     return f"{count:,} agent" + "s" * (count != 1)
 
 
-def _wrapped(line: str) -> list[str]:
-    indent = " " * (len(line) - len(line.lstrip()) + 8)
-    return textwrap.wrap(line, _WIDTH, subsequent_indent=indent, break_on_hyphens=False)
-
-
 def _difference_lines(agent: str, difference: Difference) -> Iterator[str]:
     stage = f" (stage {difference.stage})" if difference.stage else ""
     content = difference.text
     if difference.content is not None and difference.kind != "differs":
         content = _content(difference.content)
     what = KINDS[difference.kind][0] + (f": {content}" if content else "")
-    yield from _wrapped(f"  {difference.message or 'the agent'}{stage}: {what}")
+    yield f"  {difference.message or 'the agent'}{stage}: {what}"
     width = max((len(entry.field) for entry in difference.fields), default=0)
     for entry in difference.fields:
-        yield from _wrapped(f"    {entry.field:{width}}  recorded  {_value(entry.recorded)}")
-        yield from _wrapped(f"    {'':{width}}  new       {_value(entry.new)}")
+        yield f"    {entry.field:{width}}  recorded  {_value(entry.recorded)}"
+        yield f"    {'':{width}}  new       {_value(entry.new)}"
     if difference.inputs or difference.missing:
         yield f"  inputs of {agent} in cycle {difference.cycle}"
     named = sorted(difference.inputs.items())
     width = max((len(key) for key, _ in named), default=0)
     for key, message in named:
-        yield from _wrapped(f"    {key:{width}}  {_content(message)}")
+        yield f"    {key:{width}}  {_content(message)}"
     if difference.missing:
-        yield from _wrapped(f"    {in_words(difference.missing)}")
+        yield f"    {in_words(difference.missing)}"
 
 
 def _content(message: Message) -> str:
