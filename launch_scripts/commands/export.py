@@ -80,6 +80,7 @@ def export(
 
 
 def _print(summary: ExportSummary, console: Console) -> None:
+    columns: tuple[Column, ...]
     rows: tuple[tuple[str | int | float, ...], ...]
     if summary.form == "json-mcap":
         columns = (key_column("signal"), Column("messages"))
