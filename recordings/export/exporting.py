@@ -82,17 +82,17 @@ def export(
         else:
             anchor = ClockAnchor.of(reader.metadata)
             out = TableFolder(beside, reader.plan, signals, anchor, form)
-        try:
-            with out:
-                for number, record in enumerate(reader.records(ports, cycles)):
-                    if number % _FOLLOW_EVERY == 0:
-                        progress(reader.read_share)
+        with out:
+            for number, record in enumerate(reader.records(ports, cycles)):
+                if number % _FOLLOW_EVERY == 0:
+                    progress(reader.read_share)
+                try:
                     out.add(record, record.message())
-                    counts[record.port.signal.name] += 1
-                    if record.port.signal.is_cyclic:  # The end of a run names the cycle after it.
-                        exported.add(record.cycle)
-        except InputError as error:
-            raise InputError(f"{reader.path}: {error}") from None
+                except InputError as error:
+                    raise InputError(f"{reader.path}: {error}") from None
+                counts[record.port.signal.name] += 1
+                if record.port.signal.is_cyclic:  # The end of a run names the cycle after it.
+                    exported.add(record.cycle)
         if isinstance(out, ViewerFile):
             parts = [Part(signal.name, counts[signal.name], 0) for signal in signals]
         else:

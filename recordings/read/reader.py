@@ -189,7 +189,10 @@ class RunReader:
         port_of = self._channels_of(ports)
         for channel, sequence, _, _, payload in self._raw(port_of, cycles):
             port = port_of[channel]
-            message = _decoded(port, sequence, payload)
+            try:
+                message = _decoded(port, sequence, payload)
+            except InputError as error:
+                raise InputError(f"{self.path}: {error}") from None
             if cycles is None or cycles.start <= message.cycle < cycles.stop:
                 yield port, message
 
