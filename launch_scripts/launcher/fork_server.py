@@ -33,7 +33,7 @@ from agents.process import die_with_parent, run_controller, session_settings
 from agents.team import controller
 from bus_schemas.tree import RECORDER, agent_name
 from launch_scripts.launcher.fork_requests import Expect, Request, Signal, Start, log_name
-from recordings.record.process import run_recorder
+from recordings.record.recorder import run_recorder
 from sim_plant.process import run_plant
 from sim_plant.profile import load_profile
 
@@ -180,7 +180,7 @@ def _run(agent: str, plan: RunPlan, link: LauncherLink, request: Start) -> int:
     folder = Path(request.plan).parent
     match kind_of(agent, plan.tree):
         case "recorder":
-            return run_recorder(plan, folder, link, attached=True)
+            return run_recorder(plan, folder, link)
         case "plant":
             return run_plant(plan, load_profile(folder / "profile.npz"), link, request.patience_s)
         case _:
