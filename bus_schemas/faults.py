@@ -20,7 +20,7 @@ References
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from hashlib import blake2b
@@ -228,6 +228,21 @@ class FaultTally:
         return {name: count for name, count in counts.items() if count}
 
 
+@dataclass(slots=True)
+class RuleActs:
+    """Messages to which a rule did something on the way to a listener, and in which cycles."""
+
+    messages: int = 0
+    first_cycle: int | None = None
+    last_cycle: int | None = None
+
+    def add(self, cycle: int) -> None:
+        """Count one message; cycles may come in any order."""
+        self.messages += 1
+        self.first_cycle = cycle if self.first_cycle is None else min(self.first_cycle, cycle)
+        self.last_cycle = cycle if self.last_cycle is None else max(self.last_cycle, cycle)
+
+
 class NetworkFaults:
     """The rules of a run, at work on its links.
 
@@ -247,9 +262,8 @@ class NetworkFaults:
 
     Attributes
     ----------
-    matched
-        Numbers of the rules that a message has met so far: on one of its links, and, if the rule
-        has nothing but `silent`, in one of those intervals.
+    acts
+        What each rule has done so far.
     """
 
     def __init__(
@@ -260,7 +274,7 @@ class NetworkFaults:
         cycle_ns: int,
         cycle_wall_ns: int,
     ) -> None:
-        self.matched: set[int] = set()
+        self.acts = tuple(RuleActs() for _ in rules)
         self._links = {
             (port, listener): _Link(numbered, seed, port, listener, cycle_ns, cycle_wall_ns)
             for port, listener in links(tree)
@@ -295,7 +309,7 @@ class NetworkFaults:
         link = self._links.get((port, listener))
         if link is None or message.cycle < 0:
             return UNHARMED
-        return link.fate(message.cycle, self.matched)
+        return link.fate(message.cycle, self.acts)
 
 
 class _Link:
@@ -317,22 +331,25 @@ class _Link:
         self._cycle_s = cycle_ns / 1e9
         self._cycle_wall_s = cycle_wall_ns / 1e9
 
-    def fate(self, cycle: int, matched: set[int]) -> tuple[int, ...]:
-        """Return the delays [ns] of the copies that arrive; note which rules the message met."""
+    def fate(self, cycle: int, acts: Sequence[RuleActs]) -> tuple[int, ...]:
+        """Return the delays [ns] of the copies that arrive; note which rules did something."""
         time_s = cycle * self._cycle_s
         active = [
             (number, stretch)
             for (number, rule), stretch in zip(self._rules, self._stretches, strict=True)
             if rule.acts_outside_silence and rule.is_active(time_s)
         ]
-        matched.update(number for number, _ in active)
         silent = [number for number, rule in self._rules if rule.is_silent(time_s)]
+        for number in silent:
+            acts[number].add(cycle)
         if silent:
-            matched.update(silent)
             return _LOST
         delays_ms = [0.0]
-        for _, stretch in active:
-            delays_ms = stretch.pass_on(cycle, delays_ms)
+        for number, stretch in active:
+            before_ms = delays_ms
+            delays_ms = stretch.pass_on(cycle, before_ms)
+            if delays_ms != before_ms:
+                acts[number].add(cycle)
         return tuple(round(delay_ms * 1e6) for delay_ms in delays_ms)
 
     def most_under_way(self) -> int:
@@ -401,15 +418,6 @@ class _Stretch:
 
 _NUMBERS: Final = struct.Struct("<qq")
 _WORDS: Final = struct.Struct("<8Q")
-
-
-def unmatched_rules(rules: tuple[FaultRule, ...], matched: Collection[int]) -> tuple[str, ...]:
-    """Name the rules that no message of a run has met, a line each."""
-    return tuple(
-        f"fault {rule}: no message of this run matched it"
-        for number, rule in enumerate(rules)
-        if number not in matched and rule.stops is None and rule.signal not in UNHEARD
-    )
 
 
 def links(tree: ControlTree) -> list[tuple[Port[Message], str]]:
