@@ -18,8 +18,9 @@ from agents.plan import RunPlan
 from bus_schemas.signals import SIGNALS, listeners, ports
 from bus_schemas.tree import CENTRAL, PLANT, RECORDER
 from launch_scripts.scenarios.budget_table import BudgetTable
-from studies.timing.processes import TierTiming, total
-from studies.timing.run_timing import LOOP, WHOLE_LOOP, Times, tier_of
+from studies.timing.durations import Times
+from studies.timing.measures import LOOP, WHOLE_LOOP
+from studies.timing.processes import TierTiming, tier_of, total
 
 _PAPER_MS: Final = {"direct": 1_000.0, "supervisor": 10_000.0, CENTRAL: 60_000.0}
 

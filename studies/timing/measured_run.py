@@ -19,27 +19,38 @@ from launch_scripts.launcher.request import RunRequest, prepare_run
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.scenarios.preparation import Preparation
-from studies.timing.rates import cycles_per_s
 from studies.timing.report import Reported, report_on
+from studies.timing.tables import cycles_per_s
 
 _REAL_TIME: Final = "1"
 
 
+def run_length_s(request: RunRequest, default: str) -> float:
+    """Return how long a run lasts: up to `--to`, or for `--duration` or its default [s]."""
+    if request.end is None:
+        return parse_duration_s(request.duration or default, "--duration")
+    plan = prepare_run(request)[0].plan
+    return plan.cycles * plan.cycle_ns / 1e9
+
+
 def prepare_at(
-    rate_hz: float, duration: str, request: RunRequest, out: Path | None
+    rate_hz: float, length_s: float, request: RunRequest, out: Path | None
 ) -> tuple[Preparation, RunFolder]:
-    """Prepare a run at a rate, its duration rounded to whole cycles. Nothing is written yet.
+    """Prepare a run at a rate, its length rounded to whole cycles. Nothing is written yet.
 
     Raises
     ------
     InputError
         Command line, scenario and data do not fit together.
     """
+    if length_s * rate_hz < 1.0:
+        raise InputError(
+            f"--duration {length_s:g} s: shorter than one cycle, expected {1.0 / rate_hz:g} s or "
+            f"more at {cycles_per_s(rate_hz)}"
+        )
     cycle_s = 1.0 / rate_hz
-    duration_s = whole_cycles(rate_hz, duration) * cycle_s
-    timed = replace(
-        request, pace=_REAL_TIME, cycle_s=cycle_s, duration=f"{duration_s:.9f}", out=out
-    )
+    duration = f"{round(length_s * rate_hz) * cycle_s:.9f}"
+    timed = replace(request, pace=_REAL_TIME, cycle_s=cycle_s, duration=duration, end=None, out=out)
     try:
         return prepare_run(timed)
     except OSError as error:
@@ -82,14 +93,3 @@ def measured_run(
 
 def _load_average() -> float:
     return float(psutil.getloadavg()[0])
-
-
-def whole_cycles(rate_hz: float, duration: str) -> int:
-    """Return how many cycles a duration holds; refuse one without a whole cycle."""
-    duration_s = parse_duration_s(duration, "--duration")
-    if duration_s * rate_hz < 1.0:
-        raise InputError(
-            f"--duration {duration}: shorter than one cycle, expected {1.0 / rate_hz:g} s or "
-            f"more at {cycles_per_s(rate_hz)}"
-        )
-    return round(duration_s * rate_hz)

@@ -11,12 +11,9 @@ from rich.console import Console
 from launch_scripts.launcher.wrong_messages import one_line_each
 from studies.tables import Cell, Column, Table, cell_text, key_column, print_table, word_column
 from studies.timing.budgets import Verdict
-from studies.timing.durations import Distribution
-from studies.timing.host import Host
+from studies.timing.durations import Distribution, Times
 from studies.timing.processes import ProcessTiming, TierTiming
-from studies.timing.rates import cycles_per_s
-from studies.timing.report import TimingReport
-from studies.timing.run_timing import Times
+from studies.timing.report import Host, TimingReport
 
 MEANINGS: Final = {
     "loop": "from the plant's scheduled tick to its last command; each command: to its publishing",
@@ -58,6 +55,11 @@ def print_lines(console: Console, lines: Iterable[str]) -> None:
     """Print lines of plain text."""
     for line in lines:
         console.print(line, highlight=False, markup=False)
+
+
+def cycles_per_s(rate_hz: float) -> str:
+    """Say a rate: `20 cycles/s`."""
+    return f"{rate_hz:.4g} cycle{'' if rate_hz == 1.0 else 's'}/s"
 
 
 def header_lines(report: TimingReport) -> list[str]:

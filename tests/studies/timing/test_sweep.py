@@ -14,9 +14,31 @@ from timed_recordings import cycle
 
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.supervision import RunFailure
-from studies.timing.rates import Rates
 from studies.timing.report import TimingReport
-from studies.timing.sweep import Sweep, conclusion, print_sweep, rate_row, sweep
+from studies.timing.sweep import Rates, Sweep, conclusion, parse_rates, print_sweep, rate_row, sweep
+
+
+@pytest.mark.parametrize(
+    ("text", "rates"),
+    [
+        ("20", Rates(listed_hz=(20.0,))),
+        ("0.5", Rates(listed_hz=(0.5,))),
+        ("5,10,20", Rates(listed_hz=(5.0, 10.0, 20.0))),
+        ("1..200", Rates(search_hz=(1.0, 200.0))),
+        ("auto", Rates(search_hz=(5.0, 1000.0))),
+    ],
+)
+def test_rates_are_read(text: str, rates: Rates) -> None:
+    assert parse_rates(text) == rates
+    assert rates.single_hz == (rates.listed_hz[0] if text in {"20", "0.5"} else None)
+
+
+@pytest.mark.parametrize(
+    "text", ["0", "-5", "nan", "fast", "5,,10", "1001", "inf", "20..10", "5,5", "10..2000", ""]
+)
+def test_what_is_no_rate_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="--rate: expected"):
+        parse_rates(text)
 
 
 class Machine:
@@ -113,6 +135,17 @@ def test_a_rate_that_was_interrupted_is_neither_clean_nor_not_clean(reports: Rep
     (row,) = found.rows
     assert (row.clean, row.outcome, found.interrupted) == (False, "interrupted", True)
     assert "not clean" not in printed(found)
+
+
+@pytest.mark.parametrize(
+    ("late_cycles", "cycles", "lost", "clean"),
+    [(0, 5, 0, True), (1, 5, 0, False), (4, 400, 0, True), (5, 400, 0, False), (0, 400, 1, False)],
+)
+def test_one_cycle_in_a_hundred_may_be_late_at_a_clean_rate(
+    late_cycles: int, cycles: int, lost: int, clean: bool, reports: Reports
+) -> None:
+    found = replace(reports[0], cycles=cycles, late_cycles=late_cycles, lost_messages=lost)
+    assert rate_row(found).clean == clean
 
 
 def test_of_a_rate_that_is_not_clean_the_tier_is_named(reports: Reports) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import re
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from rich.console import Console
 from timed_recordings import PLAN, cycle, recorded
 
 from agents.events import ExternalAccount
+from agents.machine import MachineSettings
 from launch_scripts.launcher.wrong_messages import WrongMessages
 from studies.timing.report import TimingReport, report_on
 from studies.timing.tables import counts_table, print_report, times_tables
@@ -86,6 +88,36 @@ def test_the_summary_beside_a_recording_is_used_if_it_is_of_that_run(tmp_path: P
     assert (later.tiers, later.processes) == (live.tiers, live.processes)
     (folder / "summary.json").write_bytes(summary.replace(b"by-hand-2", b"another"))
     assert report_on(folder / "run.mcap").report.tiers[0].cpu_percent is None
+
+
+@pytest.mark.parametrize(
+    ("machine", "remarks", "scheduling", "locked"),
+    [
+        (MachineSettings(), (), "normal", False),
+        (MachineSettings(priority=20), (), "SCHED_FIFO 20", False),
+        (MachineSettings(priority=20), ("priority 20: no SCHED_FIFO here",), "normal", False),
+        (MachineSettings(cpus=(0, 1)), (), "normal, all on CPU 0, 1", False),
+        (
+            MachineSettings(cpus=(0,), cpus_of={"direct": (1,)}, priority=7),
+            (),
+            "SCHED_FIFO 7, direct on CPU 1, others on CPU 0",
+            False,
+        ),
+        (MachineSettings(lock_memory=True), (), "normal", True),
+        (MachineSettings(lock_memory=True), ("memory: not locked",), "normal", False),
+    ],
+)
+def test_the_host_tells_what_was_asked_for_and_not_refused(
+    machine: MachineSettings,
+    remarks: tuple[str, ...],
+    scheduling: str,
+    locked: bool,
+    tmp_path: Path,
+) -> None:
+    recorded(tmp_path, cycle(0), plan=replace(PLAN, machine=machine))
+    host = report_on(tmp_path, replace(summary_of(tmp_path), remarks=remarks)).report.host
+    assert (host.scheduling, host.memory_locked) == (scheduling, locked)
+    assert (host.cpus, host.load_before) == (os.cpu_count(), None)
 
 
 def test_locked_memory_and_a_busy_machine_are_mentioned(tmp_path: Path) -> None:
