@@ -19,8 +19,8 @@ from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.series import RunSeries
 from studies.metrics import run_metrics
-from studies.report.metrics_tables import metrics_tables
 from studies.report.run_report import run_line, write_report
+from studies.report.tables import metrics_tables
 from studies.tables import Column, Table, key_column
 
 NASTY = "a <b>bold</b> & <script>alert('x')</script> label"
