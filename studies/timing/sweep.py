@@ -11,11 +11,11 @@ from rich.console import Console
 
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.supervision import RunFailure
-from studies.tables import Cell, Column, Table, key_column, print_table, word_column
+from studies.tables import Cell, Column, Table, key_column, print_lines, print_table, word_column
 from studies.timing.measures import LOOP, WHOLE_LOOP
 from studies.timing.processes import total
 from studies.timing.report import Host, TimingReport
-from studies.timing.tables import cycles_per_s, host_lines, how_often, print_lines
+from studies.timing.tables import cycles_per_s, host_lines, how_often
 
 HIGHEST_HZ: Final = 1000.0
 LOWEST_HZ: Final = 1.0 / 3600.0

@@ -9,7 +9,16 @@ from typing import Final
 from rich.console import Console
 
 from launch_scripts.launcher.wrong_messages import one_line_each
-from studies.tables import Cell, Column, Table, cell_text, key_column, print_table, word_column
+from studies.tables import (
+    Cell,
+    Column,
+    Table,
+    cell_text,
+    key_column,
+    print_lines,
+    print_table,
+    word_column,
+)
 from studies.timing.budgets import Verdict
 from studies.timing.durations import Distribution, Times
 from studies.timing.processes import ProcessTiming, TierTiming
@@ -49,12 +58,6 @@ def print_report(report: TimingReport, console: Console, *, processes: bool) -> 
     style = "green" if report.passed else "bold red"
     console.print(verdict_line(report), style=style, highlight=False, markup=False)
     print_lines(console, [f"  not kept: {line}" for line in failures(report)])
-
-
-def print_lines(console: Console, lines: Iterable[str]) -> None:
-    """Print lines of plain text."""
-    for line in lines:
-        console.print(line, highlight=False, markup=False)
 
 
 def cycles_per_s(rate_hz: float) -> str:
