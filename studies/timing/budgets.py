@@ -127,17 +127,13 @@ def _time_verdicts(
 ) -> Iterator[Verdict]:
     for row in times:
         own_ms = limits_ms[row.measure]
-        limit_ms = own_ms.get(row.of, own_ms.get(row.kind))
-        if limit_ms is not None:
-            yield _verdict(row, "p99", row.times.p99_us, limit_ms)
-        if row.of == WHOLE_LOOP and loop_max_ms is not None:
-            yield _verdict(row, "max", row.times.max_us, loop_max_ms)
-
-
-def _verdict(row: Times, statistic: str, value_us: float, limit_ms: float) -> Verdict:
-    line = f"{row.measure} {row.of} {statistic}"
-    value_ms = value_us / 1e3
-    return Verdict(line, row.measure, row.of, value_ms, limit_ms, "ms", value_ms <= limit_ms)
+        judged = [("p99", row.times.p99_us / 1e3, own_ms.get(row.of, own_ms.get(row.kind)))]
+        if row.of == WHOLE_LOOP:
+            judged.append(("max", row.times.max_us / 1e3, loop_max_ms))
+        for name, value_ms, limit_ms in judged:
+            if limit_ms is not None:
+                line, kept = f"{row.measure} {row.of} {name}", value_ms <= limit_ms
+                yield Verdict(line, row.measure, row.of, value_ms, limit_ms, "ms", kept)
 
 
 def _expected(plan: RunPlan, table: BudgetTable, limits_ms: Limits) -> set[tuple[str, str]]:

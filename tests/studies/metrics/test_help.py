@@ -67,21 +67,6 @@ def test_without_need_there_is_no_share() -> None:
     assert found.plant.central_percent is None
 
 
-@pytest.mark.parametrize(
-    ("residual_kw", "message"),
-    [
-        (np.ones((2, 3)), r"expected shape \(T, 4\), got \(2, 3\)"),
-        (np.ones(4), r"expected shape \(T, 4\), got \(4,\)"),
-        (np.array([[1.0, 1.0, np.nan, 1.0]]), "c2/c in cycle 0: expected a finite number, got nan"),
-    ],
-)
-def test_residuals_that_cannot_be_counted_are_refused(
-    residual_kw: np.ndarray, message: str
-) -> None:
-    with pytest.raises(ValueError, match=message):
-        help_metrics(residual_kw, INVERTERS)
-
-
 def test_on_the_measured_hour_of_melpitz_virtual_clusters_call_less_often_than_geographic_ones(
     data_folder: Path,
 ) -> None:
