@@ -174,9 +174,3 @@ def test_a_sweep_shows_its_rates_and_the_machine(reports: Reports) -> None:
     document = json.loads(msgspec.json.encode(found))
     assert document["highest_clean_hz"] == 5.0
     assert [row["clean"] for row in document["rows"]] == [True, False]
-
-
-def test_a_narrow_terminal_never_loses_the_rate(reports: Reports) -> None:
-    found = sweep(Rates(listed_hz=(5.0, 10.0)), Machine(*reports, 5.0).run)
-    rows = [line for line in printed(found, 50).splitlines() if line.startswith(("5 ", "10 "))]
-    assert len(rows) >= 4

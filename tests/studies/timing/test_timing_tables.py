@@ -19,11 +19,11 @@ from agents.events import ExternalAccount
 from agents.machine import MachineSettings
 from launch_scripts.launcher.wrong_messages import WrongMessages
 from studies.timing.report import TimingReport, report_on
-from studies.timing.tables import counts_table, print_report, times_tables
+from studies.timing.tables import print_report
 
 
-def printed(found: TimingReport, *, processes: bool = False, width: int = 100) -> str:
-    console = Console(file=io.StringIO(), width=width)
+def printed(found: TimingReport, *, processes: bool = False) -> str:
+    console = Console(file=io.StringIO(), width=100)
     print_report(found, console, processes=processes)
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue()
@@ -40,19 +40,6 @@ def test_each_row_has_its_figures_its_budget_and_its_verdict(tmp_path: Path) -> 
     assert (count, limit_ms, verdict) == ("6", "0.450", "FAIL")
     assert [float(time) for time in times_ms] == pytest.approx([0.3, 0.4, 0.5, 0.5, 0.5], rel=0.01)
     assert row(text, "central solve")[-2:] == ["15.000", "PASS"]
-
-
-@pytest.mark.parametrize("width", [60, 80, 100, 200])
-def test_no_figure_and_no_name_is_cut_in_a_narrow_terminal(width: int, tmp_path: Path) -> None:
-    report = reported(tmp_path).report
-    text = printed(report, width=width)
-    assert "…" not in text
-    assert max(map(len, text.splitlines())) <= max(width, 100)
-    tables = [*times_tables(report), counts_table(report.tiers)]
-    names = {cells[0] for table in tables for cells in table.texts()}
-    figures = {figure for table in tables for cells in table.texts() for figure in cells[1:]}
-    assert all(name in text for name in names)
-    assert all(figure in text for figure in figures)
 
 
 def test_the_verdict_names_each_budget_that_was_not_kept(tmp_path: Path) -> None:
