@@ -21,7 +21,13 @@ from recordings.read.reader import RunReader
 from studies.timing.cycle_waits import CycleWaits, cycle_waits
 from studies.timing.durations import Distribution, Times, distribution
 from studies.timing.processes import ProcessTiming, tier_of
-from studies.timing.stage_times import MessageTimes, StageTimes, read_message_times, stage_times
+from studies.timing.stage_times import (
+    NEVER,
+    MessageTimes,
+    StageTimes,
+    read_message_times,
+    stage_times,
+)
 
 LOOP: Final = "loop"
 WHOLE_LOOP: Final = "all commands"
@@ -32,8 +38,6 @@ MEASURES: Final = (LOOP, "decision", "hop", "lateness", "jitter", "age", "respon
 
 SLOWEST: Final = 3
 """How many of the slowest cycles are looked into."""
-
-_NEVER: Final = np.iinfo(np.int64).max
 
 Durations: TypeAlias = NDArray[np.int64]
 
@@ -139,13 +143,14 @@ class _Measures:
             self._add_stage("decision", stage, decision_ns)
             slowest_ns = max(slowest_ns, int(decision_ns.max(initial=0)))
             overran = self._see_deadline(stage)
-            self._see_age(stage)
+            known = stage.closed & (stage.oldest_ns < NEVER)
+            self._add_stage("age", stage, (stage.ready_ns - stage.oldest_ns)[known])
             self._see_hops(stage, before)
             for place, port in enumerate(stage.inputs):
                 missing[str(port)] += int(stage.without[:, place].sum())
             missed[stage.name] += int(stage.lacking.sum())
             overruns[stage.name] += int(overran.sum())
-            old_inputs += int((stage.late & (stage.used_cycle >= 0)).sum())
+            old_inputs += stage.old_inputs
             self.late |= stage.lacking | overran
         silent = ~np.logical_or.reduce([stage.closed for stage in stages])
         self.late |= silent
@@ -173,11 +178,6 @@ class _Measures:
         grace_ns = deadlines.slice_ns(stage.agent, stage.name) if stage.timed else 0
         overran: NDArray[np.bool_] = stage.last_ns > deadline_ns + grace_ns
         return overran & stage.closed & ~stage.lacking
-
-    def _see_age(self, stage: StageTimes) -> None:
-        oldest_ns = np.where(stage.used_ns > 0, stage.used_ns, _NEVER).min(axis=1, initial=_NEVER)
-        known = stage.closed & (oldest_ns < _NEVER)
-        self._add_stage("age", stage, (stage.ready_ns - oldest_ns)[known])
 
     def _see_hops(self, stage: StageTimes, before_ns: Durations) -> None:
         """Measure the hop of the input that completed a stage, if the agent was waiting for it."""

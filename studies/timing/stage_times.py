@@ -11,6 +11,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -26,6 +27,8 @@ from bus_schemas.missing import parse_missing
 from bus_schemas.signals import COMMAND, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, ROOT
 from recordings.read.reader import RunReader
+
+NEVER: Final = np.iinfo(np.int64).max
 
 
 class _Head(msgspec.Struct, gc=False):
@@ -52,7 +55,7 @@ class MessageTimes:
     ready_ns, publish_ns
         As the messages state them [ns], shape (T, P); 0 where there is no message.
     missing
-        By column and cycle, what a message says of inputs that were older than due.
+        By port and cycle, what a message says of inputs that were older than due.
     """
 
     plan: RunPlan
@@ -60,7 +63,7 @@ class MessageTimes:
     tick_ns: NDArray[np.int64]
     ready_ns: NDArray[np.int64]
     publish_ns: NDArray[np.int64]
-    missing: dict[int, dict[int, tuple[str, ...]]]
+    missing: dict[Port[Message], dict[int, tuple[str, ...]]]
 
     def published_ns(self, port: Port[Message]) -> NDArray[np.int64]:
         """Return when the messages of a port went out, shape (T,); 0 where there is none."""
@@ -72,31 +75,27 @@ class StageTimes:
 
     Attributes
     ----------
-    inputs
-        The A ports that it awaits or uses.
+    inputs, outputs
+        The A ports that it awaits or uses, and those on which it publishes.
     timed
         Whether the clock alone closes it.
-    awaited
-        Which inputs it awaits in each cycle, shape (T, A).
-    late
-        Which inputs were older than due where it closed, shape (T, A).
+    awaited, without, lacking
+        Which inputs it awaits in each cycle, and which of these had not come when it closed, shape
+        (T, A); and whether any had not come, shape (T,).
     input_ns
         When the message of this cycle of each input went out, shape (T, A); 0 if there is none.
-    used_cycle
-        Cycle of the message of each input that it used, shape (T, A); -1 if it used none.
-    used_ns
-        When that message went out, shape (T, A); 0 if it is not known.
-    closed
-        Whether it published anything, shape (T,).
-    without, lacking
-        Which awaited inputs had not come when it closed, shape (T, A), and whether any, shape (T,).
-    ready_ns, first_ns, last_ns
-        When it could close, and when its first and its last message went out, shape (T,).
-    last
-        Which port it published on last: a place in `outputs`, shape (T,).
     completed_ns, cause
         When the awaited input went out that was published last of those that came in time, 0 for
         none; and which it is, a place in `inputs`. Shape (T,).
+    oldest_ns
+        When the oldest message went out that it used, shape (T,); `NEVER` if it used none.
+    old_inputs
+        How many of the messages that it used were older than due.
+    closed
+        Whether it published anything, shape (T,).
+    ready_ns, first_ns, last_ns, last
+        When it could close, when its first and its last message went out, and which that was, a
+        place in `outputs`. Shape (T,).
     """
 
     def __init__(
@@ -122,31 +121,35 @@ class StageTimes:
         self.closed = there.any(axis=1) & np.array([stage is not None for stage in pattern])[turn]
         self.last = publish_ns.argmax(axis=1)
         self.last_ns = publish_ns.max(axis=1)
-        self.first_ns = np.where(there, publish_ns, np.iinfo(np.int64).max).min(axis=1)
+        self.first_ns = np.where(there, publish_ns, NEVER).min(axis=1)
         self.ready_ns = messages.ready_ns[cycle, np.take(columns, self.last)]
-        self._see_inputs(messages, columns)
+        self._see_inputs(messages)
 
-    def _see_inputs(self, messages: MessageTimes, columns: list[int]) -> None:
-        cycle = np.arange(len(messages.tick_ns))
+    def _see_inputs(self, messages: MessageTimes) -> None:
+        """Find which messages it used, and which one it waited for last."""
+        cycles = len(messages.tick_ns)
         periods = np.array([messages.plan.period(port) for port in self.inputs], dtype=np.int64)
-        self.used_cycle = cycle[:, None] - cycle[:, None] % periods
-        self.late = np.zeros(self.awaited.shape, dtype=bool)
+        used = np.arange(cycles)[:, None] // periods * periods
+        late = np.zeros(self.awaited.shape, dtype=bool)
         places = {str(port): place for place, port in enumerate(self.inputs)}
-        for output, column in enumerate(columns):
-            for at, entries in messages.missing.get(column, {}).items():
-                if at >= len(cycle) or self.last[at] != output or not self.closed[at]:
+        for output, port in enumerate(self.outputs):
+            for cycle, entries in messages.missing.get(port, {}).items():
+                # A stage's last message speaks for it.
+                if cycle >= cycles or not self.closed[cycle] or self.last[cycle] != output:
                     continue
-                for key, used in map(parse_missing, entries):
+                for key, of_cycle in map(parse_missing, entries):
                     if key in places:
-                        self.late[at, places[key]] = True
-                        self.used_cycle[at, places[key]] = -1 if used is None else used
-        self.input_ns = messages.publish_ns[:, [messages.columns[port] for port in self.inputs]]
-        known = (self.used_cycle >= 0) & (self.used_cycle < len(cycle))
-        rows = np.where(known, self.used_cycle, 0)
-        self.used_ns = np.where(known, np.take_along_axis(self.input_ns, rows, axis=0), 0)
-        self.without = self.awaited & self.late
+                        late[cycle, places[key]] = True
+                        used[cycle, places[key]] = -1 if of_cycle is None else of_cycle
+        self.old_inputs = int((late & (used >= 0)).sum())
+        self.without = self.awaited & late
         self.lacking = self.without.any(axis=1)
-        in_time = self.awaited & ~self.late & (self.input_ns < self.last_ns[:, None])
+        self.input_ns = messages.publish_ns[:, [messages.columns[port] for port in self.inputs]]
+        known = (used >= 0) & (used < cycles)
+        used_ns = np.take_along_axis(self.input_ns, np.where(known, used, 0), axis=0)
+        used_ns[~known | (used_ns == 0)] = NEVER
+        self.oldest_ns = used_ns.min(axis=1, initial=NEVER)
+        in_time = self.awaited & ~late & (self.input_ns < self.last_ns[:, None])
         in_time_ns = np.where(in_time, self.input_ns, 0)
         self.completed_ns = in_time_ns.max(axis=1, initial=0)
         self.cause = in_time_ns.argmax(axis=1) if self.inputs else self.last
@@ -163,7 +166,7 @@ def read_message_times(reader: RunReader) -> MessageTimes:
     plan, start_ns = reader.plan, _start_ns(reader)
     columns = {port: column for column, port in enumerate(_timed_ports(plan))}
     cycles, places, readies, publishes = (array("q") for _ in range(4))
-    missing: dict[int, dict[int, tuple[str, ...]]] = {}
+    missing: dict[Port[Message], dict[int, tuple[str, ...]]] = {}
     for record in reader.records(columns, range(_end_cycle(reader))):
         try:
             head = _decode_head(record.payload)
@@ -176,13 +179,12 @@ def read_message_times(reader: RunReader) -> MessageTimes:
         earliest_ns = max(start_ns + (record.cycle - 1) * plan.cycle_wall_ns, 1)
         if record.publish_time_ns > record.log_time_ns or head.publish_time_ns < earliest_ns:
             continue
-        column = columns[record.port]
         cycles.append(record.cycle)
-        places.append(column)
+        places.append(columns[record.port])
         readies.append(head.ready_time_ns)
         publishes.append(head.publish_time_ns)
         if head.missing:
-            missing.setdefault(column, {}).setdefault(record.cycle, head.missing)
+            missing.setdefault(record.port, {}).setdefault(record.cycle, head.missing)
     # Turned round, so that of a message that came twice the first one stays.
     cycle, column = np.array(cycles)[::-1], np.array(places)[::-1]
     ended = cycle[column == columns[PRODUCTION.of(ROOT)]]
