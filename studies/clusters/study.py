@@ -53,8 +53,6 @@ class ClusterStudy:
 
     Attributes
     ----------
-    title
-        What was run.
     periods_s
         Periods of the central controller [s].
     ways
@@ -63,8 +61,6 @@ class ClusterStudy:
         Results for each order of help in the virtual clusters.
     search
         How the virtual clusters were found.
-    remarks
-        What a reader must know about the data.
     """
 
     title: str
@@ -91,7 +87,7 @@ def study_clusters(
     question: ClusterQuestion,
     remarks: tuple[str, ...],
     workers: int,
-    watch: Callable[[Iterator[Done], int], Iterator[Done]] = lambda done, total: done,
+    watch: Callable[[Iterator[Done], int], Iterator[Done]],
 ) -> ClusterStudy:
     """Run all ways to choose clusters; `watch` passes their results on, to show progress."""
     scheme, periods, control = question.scheme, question.periods, question.control
