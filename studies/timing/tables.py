@@ -70,7 +70,7 @@ def header_lines(report: TimingReport) -> list[str]:
     cycles = f"{report.cycles:,} cycle{'' if report.cycles == 1 else 's'}"
     return [
         f"{report.scenario} at {cycles_per_s(report.rate_hz)} in real time: {cycles} in "
-        f"{report.wall_s:.1f} s, {report.late_cycles:,} of them late"
+        f"{report.wall_s:.1f} s, {report.late_cycles:,} late"
         f"{', interrupted' if report.interrupted else ''}",
         *host_lines(report.host),
         *report.remarks,
