@@ -98,7 +98,6 @@ def study_figure(curves: Sequence[StudyCurve]) -> ReportFigure:
         )
         figure.update_yaxes(row=row, col=1, title_text=FIGURES_OF_MERIT[curve.figure].heading)
     figure = dress(figure, _FRAME_PX + _ROW_PX * len(rows))
-    figure.update_layout(hovermode="closest")
     return ReportFigure("study", "What each trouble costs", _CAPTION, figure)
 
 

@@ -74,11 +74,11 @@ def residuals(series: RunSeries) -> ReportFigure | None:
     figure.add_trace(_residual_map(series, map_px), row=1, col=1)
     figure.add_trace(line, row=2, col=1)
     dress(figure, map_px + 230, legend=False)
-    figure.update_layout(hovermode="closest")
     list_names(figure, count, row=1, col=1)
     figure.update_yaxes(title_text="worst [kW]", row=2, col=1)
     figure.add_hline(y=0.0, line={"color": BLACK, "width": 1}, row=2, col=1)
     label_time_axis(figure, series, rows=2)
+    figure.update_layout(hovermode="closest")
     needy = 100.0 * np.mean(worst_kw[np.isfinite(worst_kw)] < 0.0)
     cells = " Each cell shows the least residual of the cycles that it covers."
     return ReportFigure(
@@ -150,7 +150,6 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
     figure.update_layout(
         barmode="relative",
         bargap=0.25,
-        hovermode="closest",
         legend_y=1.0 + (_TITLE_PX / plot_px if len(series) > 1 else 0.0),
         margin_t=90 if len(series) > 1 else 46,
     )
@@ -291,7 +290,6 @@ def correlation_matrices(series: RunSeries) -> ReportFigure | None:
     dress(figure, height_px + 60, legend=False)
     _square_up(figure)
     figure.update_layout(
-        hovermode="closest",
         margin={"b": 20, "t": 40},
         coloraxis={
             "colorscale": diverging_scale(-1.0, 1.0),

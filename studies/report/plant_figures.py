@@ -167,7 +167,6 @@ def tracking_error(series: Sequence[RunSeries]) -> ReportFigure:
             )
         )
     dress(figure, 380)
-    figure.update_layout(hovermode="closest")
     figure.update_xaxes(title_text="delivered less desired power [kW]", zeroline=True)
     figure.update_yaxes(title_text="share of cycles [%]", type="log", dtick=1)
     exact = "; ".join(f"{one.label} {_exact_percent(one):.1f} %" for one in series)

@@ -169,7 +169,7 @@ def dress(figure: go.Figure, height_px: int, *, legend: bool = True) -> go.Figur
         margin={"l": 70, "r": 20, "t": 46 if legend else 30, "b": 50},
         paper_bgcolor="white",
         plot_bgcolor="white",
-        hovermode="x",
+        hovermode="closest",
         showlegend=legend,
         legend={"orientation": "h", "x": 0, "xanchor": "left", "y": 1, "yanchor": "bottom"},
     )
@@ -220,8 +220,9 @@ def share_axis(figure: go.Figure, letter: Literal["x", "y"]) -> None:
 def label_time_axis(figure: go.Figure, series: RunSeries, rows: int = 1) -> None:
     """Make the horizontal axes of panels below each other show the time of a run.
 
-    The lowest one says which clock it is.
+    The lowest one says which clock it is, and what all lines show at a time is named together.
     """
+    figure.update_layout(hovermode="x")
     figure.update_xaxes(type="date", range=clock_range_ms(series, range(series.cycles)))
     last = {} if rows == 1 else {"row": rows, "col": 1}
     figure.update_xaxes(title_text=plain(f"local time ({series.times[0]:%Z})"), **last)

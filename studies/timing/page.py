@@ -130,7 +130,7 @@ def waits_figure(anchor: str, cycle: CycleWaits, tree: ControlTree) -> ReportFig
     figure.add_trace(_links(cycle.chain))
     height_px = _FRAME_PX + _ROW_PX * len(rows)
     figure = dress(figure, height_px)
-    figure.update_layout(barmode="overlay", hovermode="closest", bargap=0.25)
+    figure.update_layout(barmode="overlay", bargap=0.25)
     figure.update_yaxes(
         categoryorder="array",
         categoryarray=rows,
@@ -205,7 +205,7 @@ def percentile_figure(
     _add_budgets(figure, verdicts, [(row.measure, row.of) for row in rows], [1.0, 100.0])
     least = min(share for shares, _ in curves for share in shares)
     figure = dress(figure, _CURVES_PX)
-    figure.update_layout(hovermode="closest", margin_t=46 + 22 * (len(figure.data) // 4))
+    figure.update_layout(margin_t=46 + 22 * (len(figure.data) // 4))
     figure.update_xaxes(
         type="log",
         # Up to the next whole percentile that is shown.
@@ -276,7 +276,6 @@ def rate_figure(rows: Sequence[RateRow]) -> ReportFigure:
         )
     )
     figure = dress(figure, _CURVES_PX)
-    figure.update_layout(hovermode="closest")
     figure.update_xaxes(
         type="log",
         title_text="rate [cycles/s]",
