@@ -87,10 +87,3 @@ def test_the_page_of_a_sweep_draws_loop_time_against_rate(tmp_path: Path) -> Non
     assert names(drawn) == ["loop p50", "loop p99", "loop max", "length of a cycle"]
     assert list(drawn["data"][0]["marker"]["symbol"]) == ["circle", "x"]
     assert list(drawn["data"][0]["x"]) == [5.0, 80.0]
-
-
-def test_the_page_of_a_sweep_that_was_interrupted_at_once_has_no_figure(tmp_path: Path) -> None:
-    row = RateRow(5.0, 75, 0, 9e3, 10e3, 12e3, interrupted=True)
-    page = sweep_page(Sweep((row,), None, interrupted=True), reported(tmp_path).report)
-    assert "interrupted before a rate was found to be clean" in page
-    assert "rates-plot-data" not in page
