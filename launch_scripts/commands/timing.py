@@ -183,7 +183,10 @@ def _time_several(rates: Rates, length_s: float, request: RunRequest, output: _O
     reports: list[TimingReport] = []
 
     def prepared(rate_hz: float) -> Callable[[], Reported]:
-        preparation, place = prepare_at(rate_hz, length_s, request, folder / f"rate-{rate_hz:g}")
+        name = f"rate-{rate_hz:g}"
+        if (folder / name).exists():
+            name = f"{name}-again"
+        preparation, place = prepare_at(rate_hz, length_s, request, folder / name)
         return lambda: measured_run(preparation, place, output.console)
 
     # All listed rates are prepared before the first one runs, so that none is refused then.

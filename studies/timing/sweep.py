@@ -21,6 +21,8 @@ HIGHEST_HZ: Final = 1000.0
 LOWEST_HZ: Final = 1.0 / 3600.0
 _AUTO_FROM_HZ: Final = 5.0
 
+NOT_CLEAN: Final = "not clean"
+
 _CLOSE_ENOUGH: Final = 1.1
 """The search ends where the lowest rate that fails is no further above the highest clean one."""
 
@@ -80,7 +82,7 @@ class RateRow(msgspec.Struct, frozen=True):
             return "interrupted"
         if self.failed:
             return "failed"
-        return "clean" if self.clean else "not clean"
+        return "clean" if self.clean else NOT_CLEAN
 
 
 class Sweep(msgspec.Struct, frozen=True):
@@ -98,7 +100,7 @@ class Sweep(msgspec.Struct, frozen=True):
             (
                 row.rate_hz
                 for row in self.rows
-                if row.rate_hz > clean_hz and row.outcome in {"failed", "not clean"}
+                if row.rate_hz > clean_hz and row.outcome in {"failed", NOT_CLEAN}
             ),
             None,
         )
@@ -138,8 +140,9 @@ def _rate_hz(part: str, text: str) -> float:
 def sweep(rates: Rates, timed: Callable[[float], TimingReport]) -> Sweep:
     """Run at the listed rates; or search for the highest clean one, doubling, then halving steps.
 
-    A rate of a search may be refused because stated deadlines do not fit into its cycle, or its
-    run may fail: that rate has failed, and the others still count.
+    A search runs a rate that was not clean once more, and the second run counts: one stall of the
+    machine must not end it. A rate of a search may be refused because stated deadlines do not fit
+    into its cycle, or its run may fail: that rate has failed, and the others still count.
 
     Raises
     ------
@@ -149,18 +152,25 @@ def sweep(rates: Rates, timed: Callable[[float], TimingReport]) -> Sweep:
     rows: dict[float, RateRow] = {}
     for rate_hz in _search(rates.search_hz, rows) if rates.search_hz else rates.listed_hz:
         try:
-            rows[rate_hz] = rate_row(timed(rate_hz))
-        except KeyboardInterrupt:
-            rows[rate_hz] = RateRow(rate_hz, interrupted=True)
+            rows[rate_hz] = _row(rate_hz, timed)
+            if rates.search_hz and rows[rate_hz].outcome == NOT_CLEAN:
+                rows[rate_hz] = _row(rate_hz, timed)
         except InputError as error:
             if not rows:
                 raise
             rows[rate_hz] = RateRow(rate_hz, failed=str(error))
-        except RunFailure as failure:
-            rows[rate_hz] = RateRow(rate_hz, failed=str(failure).splitlines()[0])
         if rows[rate_hz].interrupted:
             break
     return _found(rows)
+
+
+def _row(rate_hz: float, timed: Callable[[float], TimingReport]) -> RateRow:
+    try:
+        return rate_row(timed(rate_hz))
+    except KeyboardInterrupt:
+        return RateRow(rate_hz, interrupted=True)
+    except RunFailure as failure:
+        return RateRow(rate_hz, failed=str(failure).splitlines()[0])
 
 
 def _found(rows: dict[float, RateRow]) -> Sweep:
