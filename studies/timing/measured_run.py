@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
 
 import psutil
 from rich.console import Console
@@ -22,14 +21,12 @@ from launch_scripts.scenarios.preparation import Preparation
 from studies.timing.report import Reported, report_on
 from studies.timing.tables import cycles_per_s
 
-_REAL_TIME: Final = "1"
-
 
 def run_length_s(request: RunRequest, default: str) -> float:
     """Return how long a run lasts: up to `--to`, or for `--duration` or its default [s]."""
     if request.end is None:
         return parse_duration_s(request.duration or default, "--duration")
-    plan = prepare_run(request)[0].plan
+    plan = _prepared(request)[0].plan
     return plan.cycles * plan.cycle_ns / 1e9
 
 
@@ -50,9 +47,13 @@ def prepare_at(
         )
     cycle_s = 1.0 / rate_hz
     duration = f"{round(length_s * rate_hz) * cycle_s:.9f}"
-    timed = replace(request, pace=_REAL_TIME, cycle_s=cycle_s, duration=duration, end=None, out=out)
+    timed = replace(request, pace="1", cycle_s=cycle_s, duration=duration, end=None, out=out)
+    return _prepared(timed)
+
+
+def _prepared(request: RunRequest) -> tuple[Preparation, RunFolder]:
     try:
-        return prepare_run(timed)
+        return prepare_run(request)
     except OSError as error:
         # A file that must not be read, or a name that no file can have.
         raise InputError(str(error)) from None
@@ -74,7 +75,7 @@ def measured_run(
     """
     plan, scenario = preparation.plan, preparation.scenario.scenario
     duration_s = plan.cycles * plan.cycle_wall_ns / 1e9
-    began_at, load_before = time.monotonic(), _load_average()
+    began_at, load_before = time.monotonic(), psutil.getloadavg()[0]
     with (
         ForkServerProcess() as server,
         view_for(console, plan, scenario.time.timezone) as view,
@@ -84,12 +85,8 @@ def measured_run(
         summary = launch(preparation, folder, view, began_at, server)
         with interruptible():  # The run is over: Ctrl-C throws nothing away any more.
             folder.summary.write_bytes(summary.as_json() + b"\n")
-    load = load_before, _load_average()
+    load = load_before, psutil.getloadavg()[0]
     try:
         return report_on(folder.path, summary, load, by_agent=by_agent)
     except InputError as error:  # The disk was full, for instance.
         raise RunFailure(f"{summary.recording_ended or 'not measured'}: {error}") from None
-
-
-def _load_average() -> float:
-    return float(psutil.getloadavg()[0])
