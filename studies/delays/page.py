@@ -53,7 +53,7 @@ class StudyCurve:
 
 
 def study_page(preparation: Preparation, outcomes: Sequence[Outcome]) -> str:
-    """Return the page."""
+    """Return the page: the figure, and a table for each trouble."""
     title = f"{study_title(preparation)}: delay, loss and a slow central controller"
     figure = study_figure(study_curves(outcomes))
     notes = [*study_notes(preparation), *survived(outcomes)]
