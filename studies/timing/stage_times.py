@@ -142,8 +142,8 @@ class StageTimes:
                         late[cycle, places[key]] = True
                         used[cycle, places[key]] = -1 if of_cycle is None else of_cycle
         self.old_inputs = int((late & (used >= 0)).sum())
-        self.without = self.awaited & late
-        self.lacking = self.without.any(axis=1)
+        self.without: NDArray[np.bool_] = self.awaited & late
+        self.lacking: NDArray[np.bool_] = self.without.any(axis=1)
         self.input_ns = messages.publish_ns[:, [messages.columns[port] for port in self.inputs]]
         known = (used >= 0) & (used < cycles)
         used_ns = np.take_along_axis(self.input_ns, np.where(known, used, 0), axis=0)
@@ -202,8 +202,10 @@ def stage_times(messages: MessageTimes) -> list[StageTimes]:
     plan = messages.plan
     commands = tuple(COMMAND.of(leaf) for leaf in plan.tree.leaves)
     cycles = range(plan.periods.longest)
-    patterns = {PLANT: [(Stage("sense", (), timed=True), Stage("apply", commands))]}
-    patterns |= {one.name: [one.stages(cycle) for cycle in cycles] for one in controllers(plan)}
+    patterns: dict[str, list[tuple[Stage, ...]]] = {}
+    patterns[PLANT] = [(Stage("sense", (), timed=True), Stage("apply", commands))]
+    for one in controllers(plan):
+        patterns[one.name] = [one.stages(cycle) for cycle in cycles]
     outputs: dict[tuple[str, str], list[Port[Message]]] = {}
     for port in messages.columns:
         outputs.setdefault((port.publisher, stage_of(port, plan.tree)), []).append(port)
