@@ -68,6 +68,8 @@ def clusters(
         ClusterQuestion,
         central_periods,
         clusters_table,
+        members_table,
+        orders_table,
         study_clusters,
         study_json,
         study_lines,
@@ -101,7 +103,8 @@ def clusters(
     if report is not None:
         write_page(study_page(study), page)
     print_lines(console, study.remarks)
-    print_table(console, clusters_table(study))
+    for table in (clusters_table(study), orders_table(study), members_table(study)):
+        print_table(console, table)
     print_lines(console, study_lines(study))
     if report is not None:
         say(console, f"report: {page}")

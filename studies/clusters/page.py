@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from statistics import fmean
 
 import plotly.graph_objects as go
 
-from studies.clusters.study import ClusterStudy, clusters_table, study_lines
+from studies.clusters.study import (
+    ClusterStudy,
+    clusters_table,
+    members_table,
+    orders_table,
+    study_lines,
+)
 from studies.report.page import html_page
 from studies.report.style import BLACK, SCHEMES, ReportFigure, dress
 
@@ -17,7 +24,12 @@ def study_page(study: ClusterStudy) -> str:
     return html_page(
         "Virtual neighbours and other clusters",
         paragraphs,
-        [_shortfall_figure(study), clusters_table(study)],
+        [
+            _shortfall_figure(study),
+            replace(clusters_table(study), title="Ways to choose clusters"),
+            orders_table(study),
+            members_table(study),
+        ],
     )
 
 

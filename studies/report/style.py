@@ -184,6 +184,7 @@ def dress(figure: go.Figure, height_px: int, *, legend: bool = True) -> go.Figur
         "title_standoff": 8,
         "automargin": True,
         "separatethousands": True,
+        "exponentformat": "none",
     }
     figure.update_xaxes(**axis)
     figure.update_yaxes(**axis)

@@ -155,13 +155,13 @@ def how_often(count: int) -> str:
 
 
 def times_tables(report: TimingReport) -> list[Table]:
-    """Return a table of durations for each measure."""
+    """Return a table of durations for each measure, with its budgets if it has any."""
     tables = []
     for measure, found in groupby(report.times, lambda row: row.measure):
         rows = [(_name(row), *_figures(row.times), *_limit(row, report.verdicts)) for row in found]
-        tables.append(
-            Table(f"{measure.capitalize()} [ms]", _JUDGED, tuple(rows), (MEANINGS[measure],))
-        )
+        columns = _JUDGED if any(row[-1] != "" for row in rows) else _TIMES
+        cut = tuple(row[: len(columns)] for row in rows)
+        tables.append(Table(f"{measure.capitalize()} [ms]", columns, cut, (MEANINGS[measure],)))
     return tables
 
 

@@ -41,9 +41,10 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Found:
 
 def test_every_way_to_choose_clusters_has_its_row(found: Found) -> None:
     ways = ["virtual", "geographic", "random, mean of 3", "- least", "- most", "most alike"]
-    assert list(found.rows) == ways
+    orders = ["least alike first", "as listed", "most alike first"]
+    assert list(found.rows) == ways + orders
     # Two correlations, two shares, three periods and what of the last began with the plant lacking.
-    assert {len(row) for row in found.rows.values()} == {8}
+    assert [len(row) for row in found.rows.values()] == [8] * 6 + [3] * 3
     assert "Search for virtual clusters: " in found.text
     assert "Order of help in the virtual clusters" in found.text
     lines = [line for line in found.text.splitlines() if not line.startswith("report: ")]
