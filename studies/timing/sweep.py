@@ -246,7 +246,7 @@ def sweep_table(found: Sweep) -> Table:
         Column("loop p50", "ms"),
         Column("loop p99", "ms"),
         Column("loop max", "ms"),
-        *map(Column, ("late cycles", "missed deadlines", "overruns", "lost")),
+        *map(Column, ("late cycles", "lost")),
         Column("CPU", "%", 0),
         word_column(""),
     )
@@ -260,8 +260,7 @@ def _cells(row: RateRow) -> tuple[Cell, ...]:
         row.cycles,
         1e3 / row.rate_hz,
         *(None if value_us is None else value_us / 1e3 for value_us in loop_us),
-        *(row.late_cycles, row.missed_deadlines, row.overruns, row.lost_messages),
-        row.cpu_percent,
+        *(row.late_cycles, row.lost_messages, row.cpu_percent),
         row.outcome,
     )
 
