@@ -142,7 +142,7 @@ class StageTimes:
                         late[cycle, places[key]] = True
                         used[cycle, places[key]] = -1 if of_cycle is None else of_cycle
         self.old_inputs = int((late & (used >= 0)).sum())
-        self.without: NDArray[np.bool_] = self.awaited & late
+        self.without: NDArray[np.bool_] = np.logical_and(self.awaited, late)
         self.lacking: NDArray[np.bool_] = self.without.any(axis=1)
         self.input_ns = messages.publish_ns[:, [messages.columns[port] for port in self.inputs]]
         known = (used >= 0) & (used < cycles)
