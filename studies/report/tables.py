@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from recordings.inspect.health import health_lines, read_health
-from recordings.read.moments import RunClock
 from recordings.read.reader import RunReader
+from recordings.read.run_clock import RunClock
 from recordings.read.series import RunSeries
 from studies.metrics import run_metrics
 from studies.metrics.figures_of_merit import runs_as_columns, shown_in
