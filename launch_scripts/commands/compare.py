@@ -159,8 +159,8 @@ def _one(
     from launch_scripts.scenarios.preparation import prepare
     from studies.compare.study import CaseResult, SchemeResult, remarks_of, results_of
     from studies.compare.tables import case_tables, json_rows
-    from studies.report.metrics_tables import metrics_tables
     from studies.report.run_report import write_report
+    from studies.report.tables import metrics_tables
 
     preparation = prepare(case.scenario, case.options, "compare")
     remarks = remarks_of(preparation)

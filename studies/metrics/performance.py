@@ -35,7 +35,7 @@ _NS: Final = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class HourScore:
-    """Score of one hour of the clock, all parts from 0 to 1.
+    """Score of one hour of the clock.
 
     Attributes
     ----------
@@ -43,10 +43,8 @@ class HourScore:
         Local time at which the hour begins, ISO 8601.
     windows
         Windows of 5 minutes that were scored, at most 12.
-    accuracy, delay, precision
-        See the module.
-    score
-        Their mean.
+    accuracy, delay, precision, score
+        See the module; `score` is the mean of the three, and all are from 0 to 1.
     passed
         Whether the score is at least 0.75.
     """
@@ -64,14 +62,7 @@ class HourScore:
 class PerformanceScore:
     """Scores of the hours of a run, and their means, each hour weighted with its windows.
 
-    Attributes
-    ----------
-    hours
-        Hour by hour.
-    accuracy, delay, precision, score
-        Means over the hours.
-    passed
-        Whether the mean score is at least 0.75.
+    `passed` says whether the mean score is at least 0.75.
     """
 
     hours: tuple[HourScore, ...]
@@ -217,16 +208,8 @@ def _slopes(windows: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _mean_score(hours: tuple[HourScore, ...]) -> PerformanceScore:
     weights = [hour.windows for hour in hours]
-
-    def mean(values: list[float]) -> float:
-        return float(np.average(values, weights=weights))
-
-    score = mean([hour.score for hour in hours])
-    return PerformanceScore(
-        hours=hours,
-        accuracy=mean([hour.accuracy for hour in hours]),
-        delay=mean([hour.delay for hour in hours]),
-        precision=mean([hour.precision for hour in hours]),
-        score=score,
-        passed=score >= PASSING_SCORE,
+    accuracy, delay, precision, score = (
+        float(np.average([getattr(hour, part) for hour in hours], weights=weights))
+        for part in ("accuracy", "delay", "precision", "score")
     )
+    return PerformanceScore(hours, accuracy, delay, precision, score, score >= PASSING_SCORE)
