@@ -19,11 +19,10 @@ from recordings.read.whole_file import whole_file
 from studies.report.cloud_passage import clusters
 from studies.report.inverter_figures import help_energy, residuals
 from studies.report.neighbour_figures import correlation_matrices, virtual_neighbours
-from studies.report.page import html_page
+from studies.report.page import Content, html_page
 from studies.report.plant_figures import delivered_and_support, possible_power
 from studies.report.style import ReportFigure
 from studies.report.tracking_figures import regulation, tracking_error
-from studies.tables import Table
 
 _MOST_SIZES: Final = 6
 """Clusters whose sizes the first line lists one by one."""
@@ -41,7 +40,7 @@ def write_report(
     path: Path,
     title: str,
     series: Sequence[RunSeries],
-    tables: Sequence[Table] = (),
+    content: Sequence[Content] = (),
     notes: Sequence[str] = (),
     *,
     lead: str = "",
@@ -56,8 +55,8 @@ def write_report(
         Heading of the page, plain text.
     series
         One run; or several of the same plant in the same cycles, each with a label of its own.
-    tables
-        Tables to stand before the figures.
+    content
+        Tables and figures to stand before the figures of the runs.
     notes
         Paragraphs after the first one, plain text.
     lead
@@ -72,7 +71,7 @@ def write_report(
     check_comparable(series)
     figures = report_figures(series)
     text = [lead or _plant_line(series), *_cycle_lines(series), *notes, *_absent(figures)]
-    write_whole(path, html_page(title, text, [*tables, *figures]))
+    write_whole(path, html_page(title, text, content, figures))
 
 
 def check_destination(path: Path) -> None:
