@@ -133,10 +133,10 @@ WorkersOption: TypeAlias = Annotated[
 
 FirstOption: TypeAlias = Annotated[
     str | None,
-    typer.Option("--from", help="First cycle: 13:49:00, 90s, or its number.", metavar="MOMENT"),
+    typer.Option("--from", help="First cycle: 13:49:00, 90s, or its number.", metavar="TIME"),
 ]
 LastOption: TypeAlias = Annotated[
-    str | None, typer.Option("--to", help="Last cycle, in the same forms.", metavar="MOMENT")
+    str | None, typer.Option("--to", help="Last cycle, in the same forms.", metavar="TIME")
 ]
 NodesOption: TypeAlias = Annotated[
     str | None,

@@ -33,7 +33,7 @@ from agents.process import die_with_parent, run_controller, session_settings
 from agents.team import controller
 from bus_schemas.tree import PLANT, RECORDER, agent_name
 from launch_scripts.launcher.fork_requests import Request, Signal, Start, Tell, log_name
-from recordings.record.process import run_recorder
+from recordings.record.recorder import run_recorder
 from sim_plant.process import run_plant
 from sim_plant.profile import Profile, load_profile
 
@@ -193,7 +193,7 @@ def _run(
 ) -> int:
     match kind_of(agent, plan.tree):
         case "recorder":
-            return run_recorder(plan, Path(request.plan).parent, link, attached=True)
+            return run_recorder(plan, Path(request.plan).parent, link)
         case "plant":
             assert profile is not None
             return run_plant(plan, profile, link, request.patience_s)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from datetime import datetime
-from typing import Final, Protocol
+from typing import IO, Final, Protocol
 from zoneinfo import ZoneInfo
 
 from rich.console import Console, Group
@@ -18,7 +18,7 @@ from agents.events import Status
 from agents.plan import RunPlan
 
 _PLAIN_S: Final = 2.0
-"""Time between plain lines."""
+_IN_PLACE_S: Final = 0.1
 
 _BAR_WIDTH: Final = 50
 _NAMED: Final = 6
@@ -53,6 +53,34 @@ def local_time(sim_time_ns: int, timezone: str) -> str:
     return f"{datetime.fromtimestamp(sim_time_ns / 1e9, ZoneInfo(timezone)):%H:%M:%S}"
 
 
+class StatusLine:
+    """Where a run or a replay stands, as one line: renewed in place, or printed every 2 s."""
+
+    def __init__(self, stream: IO[str], *, in_place: bool) -> None:
+        self._stream = stream
+        self._in_place = in_place
+        self._next_at = 0.0
+        self._shown = ""
+
+    def is_due(self, *, now: bool = False) -> bool:
+        """Whether the shown line is old enough, or is to be renewed in place now."""
+        return time.monotonic() >= self._next_at or (now and self._in_place)
+
+    def show(self, text: str) -> None:
+        """Show a line, if it is a new one."""
+        self._next_at = time.monotonic() + (_IN_PLACE_S if self._in_place else _PLAIN_S)
+        if text != self._shown:
+            self._stream.write(f"\r\x1b[K{text}" if self._in_place else f"{text}\n")
+            self._stream.flush()
+            self._shown = text
+
+    def end(self) -> None:
+        """Leave the line as it is, and go on below it."""
+        if self._shown and self._in_place:
+            self._stream.write("\n")
+            self._stream.flush()
+
+
 class PlainLines:
     """A line every now and then."""
 
@@ -60,7 +88,7 @@ class PlainLines:
         self._console = console
         self._plan = plan
         self._timezone = timezone
-        self._next_at = 0.0
+        self._line = StatusLine(console.file, in_place=False)
 
     def __enter__(self) -> PlainLines:
         return self
@@ -74,10 +102,9 @@ class PlainLines:
 
     def show(self, status: Status) -> None:
         """Print a line if the last one is old enough."""
-        if status.cycle < 0 or time.monotonic() < self._next_at:
+        if status.cycle < 0 or not self._line.is_due():
             return
-        self._next_at = time.monotonic() + _PLAIN_S
-        self.say(
+        self._line.show(
             f"{local_time(status.sim_time_ns, self._timezone)} "
             f"cycle {status.cycle + 1}/{self._plan.cycles} "
             f"desired {status.desired_kw:.0f} kW, delivered {status.delivered_kw:.0f} kW, "

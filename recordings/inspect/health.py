@@ -15,11 +15,12 @@ import msgspec
 
 from agents.plan import RunPlan
 from bus_schemas.faults import FaultRule, unmatched_rules
+from bus_schemas.messages import Message
 from bus_schemas.missing import parse_missing
 from bus_schemas.tree import PLANT
 from recordings.read.gaps import RunGaps, due_step
-from recordings.read.moments import RunClock
 from recordings.read.reader import RecordedMessage, RunReader
+from recordings.read.run_clock import RunClock
 
 SUMMARY_NAME: Final = "summary.json"
 FAILURE_NAME: Final = "failure.txt"
@@ -116,14 +117,6 @@ class Health(msgspec.Struct, frozen=True):
         return sum(self.lost.values())
 
 
-class _Missing(msgspec.Struct, gc=False):
-    source: str
-    missing: tuple[str, ...] = ()
-
-
-_missing = msgspec.msgpack.Decoder(_Missing).decode
-
-
 class HealthWatch:
     """Follows a recording message by message."""
 
@@ -153,7 +146,7 @@ class HealthWatch:
         if agent in self._last_cycle:
             self._see_agent(agent, cycle, restarted=sequence.restarts > restarts)
         if b"missing\x90" not in record.payload:  # An empty list: it missed nothing.
-            self._see_missing(_missing(record.payload), cycle)
+            self._see_missing(record.message())
 
     def end(self, cycle: int) -> None:
         """Note what is missing up to the cycle before which the run ended."""
@@ -198,15 +191,15 @@ class HealthWatch:
                 return
         self._absences.append(Absence(agent, None, None, cycle, True))
 
-    def _see_missing(self, found: _Missing, cycle: int) -> None:
+    def _see_missing(self, message: Message) -> None:
         """Count an input once a cycle, however many messages of its agent name it."""
-        agent = found.source
-        if not found.missing:
+        agent, cycle = message.source, message.cycle
+        if not message.missing:
             return
         now, counted = self._missed_now.get(agent, (-1, set()))
         if cycle != now:
             now, counted = self._missed_now[agent] = (cycle, set())
-        new = {parse_missing(entry).key for entry in found.missing} - counted
+        new = {parse_missing(entry).key for entry in message.missing} - counted
         counted |= new
         self._misses[agent] += len(new)
         first, last = self._missed_in.get(agent, (cycle, cycle))
@@ -239,10 +232,8 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
         yield "faults", "none injected"
     worst = ", ".join(f"{port} {count:,}" for port, count in list(health.lost.items())[:_NAMED])
     rest = f" and {len(health.lost) - _NAMED:,} more keys" if len(health.lost) > _NAMED else ""
-    yield (
-        "missing",
-        (f"{health.messages_lost:,} messages not recorded{': ' if worst else ''}{worst}{rest}"),
-    )
+    lost = f"{health.messages_lost:,} messages not recorded{': ' if worst else ''}{worst}{rest}"
+    yield "missing", lost
     if health.repeated:
         yield "repeated", f"{health.repeated:,} messages came again"
     yield "dropped", unknown if launcher is None else _dropped(launcher)
@@ -277,29 +268,22 @@ def _counts(counts: dict[str, int]) -> str:
 def _missed_text(misses: tuple[Misses, ...], clock: RunClock) -> str:
     if not misses:
         return "none missed at a deadline"
-    first, last = (
-        min(found.first_cycle for found in misses),
-        max(found.last_cycle for found in misses),
-    )
+    first = min(found.first_cycle for found in misses)
+    last = max(found.last_cycle for found in misses)
     worst = ", ".join(f"{found.agent} {found.inputs:,}" for found in misses[:_NAMED])
     total = sum(found.inputs for found in misses)
-    return f"{total:,} missed or old {_span(first, last, clock)}, most at {worst}"
+    return f"{total:,} missed or old {clock.span_text(first, last)}, most at {worst}"
 
 
 def _absence_text(absence: Absence, clock: RunClock) -> str:
     if absence.first_cycle is None or absence.last_cycle is None:
         return f"{absence.agent} restarted in cycle {absence.back_in:,}"
-    text = f"{absence.agent}: nothing {_span(absence.first_cycle, absence.last_cycle, clock)}"
+    when = clock.span_text(absence.first_cycle, absence.last_cycle)
+    text = f"{absence.agent}: nothing {when}"
     if absence.back_in is None:
         gone = "the run ended without it" if absence.agent != PLANT else "the run ended there"
         return f"{text}; {gone}"
     return f"{text}, then back{', numbered from 0 again' if absence.restarted else ''}"
-
-
-def _span(first: int, last: int, clock: RunClock) -> str:
-    if first == last:
-        return f"in cycle {first:,} ({clock.text(first)})"
-    return f"in cycles {first:,} to {last:,} ({clock.text(first)} to {clock.text(last)})"
 
 
 def _launcher_account(run: RunReader) -> LauncherAccount | None:

@@ -30,7 +30,7 @@ from recordings.inspect.health import (
     read_health,
 )
 from recordings.inspect.overview import read_overview
-from recordings.read.moments import RunClock
+from recordings.read.run_clock import RunClock
 from recordings.record.writer import RunWriter
 
 CYCLES = 60

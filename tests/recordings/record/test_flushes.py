@@ -84,7 +84,6 @@ def test_it_flushes_every_half_second_however_much_comes(
         cast("LauncherLink", SilentLink()),
         end,
         lambda text: None,
-        attached=True,
     ).run()
     # What it takes in at once, 2000 messages, is all that can come between.
     longest_s = FLUSH_S + 2000 * MESSAGE_S
