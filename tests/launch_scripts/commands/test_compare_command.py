@@ -114,22 +114,23 @@ def test_what_it_cannot_compare_is_refused(words: tuple[str, ...], named: str, s
 # Two recorded runs --------------------------------------------------------------------------------
 
 
-def with_less_power(cycles: int) -> Iterator[Delivery]:
-    """A run by hand in which `c2/c` gives 55 in place of 60 kW in cycle 7."""
+def with_production(cycles: int, cycle: int, **fields: tuple[float, ...]) -> Iterator[Delivery]:
+    """A run by hand with another production in one cycle."""
     for port, message in whole_run(cycles):
-        if isinstance(message, Production) and message.cycle == 7:
-            message.inverter_power_kw = (40.0, 80.0, 55.0, 59.0)
+        if isinstance(message, Production) and message.cycle == cycle:
+            message = msgspec.structs.replace(message, **fields)  # noqa: PLW2901
         yield port, message
 
 
 @pytest.fixture
 def runs(tmp_path: Path) -> tuple[Path, Path]:
-    """Two recordings that differ in one power."""
+    """Two recordings: in the second `c2/c` gives 55 in place of 60 kW in cycle 7."""
     first, second = tmp_path / "first", tmp_path / "second"
     for folder in (first, second):
         folder.mkdir()
     write_run(first / "run.mcap", whole_run(20))
-    write_run(second / "run.mcap", with_less_power(20))
+    less = with_production(20, 7, inverter_power_kw=(40.0, 80.0, 55.0, 59.0))
+    write_run(second / "run.mcap", less)
     return first, second
 
 
@@ -150,6 +151,16 @@ def test_two_runs_stand_side_by_side_with_their_first_difference(
     html = page.read_text(encoding="utf-8")
     assert "delivered, A" in html
     assert "delivered, B" in html
+
+
+def test_a_reader_is_told_that_the_sky_differs(runs: tuple[Path, Path], tmp_path: Path) -> None:
+    document, other = tmp_path / "runs.json", tmp_path / "other.mcap"
+    write_run(other, with_production(20, 3, inverter_mpp_kw=(40.0, 95.0, 75.0, 75.0)))
+    assert "Sky or dispatch differ" in done("compare", runs[1], other)
+    done("compare", runs[1], other, "--json", document)
+    first, second = json.loads(document.read_bytes())["differences"]
+    assert (first["message"], first["node"], first["cycle"]) == ("production, maximum", "c1/b", 3)
+    assert (second["message"], second["cycle"]) == ("production, power", 7)
 
 
 def test_a_run_is_the_same_as_itself(runs: tuple[Path, Path]) -> None:
