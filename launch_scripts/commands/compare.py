@@ -44,7 +44,8 @@ def compare(
         str,
         typer.Argument(
             help="A shipped scenario (see `heliarch scenarios`) or a TOML file; or a recorded run, "
-            "its folder or run.mcap."
+            "its folder or run.mcap.",
+            metavar="SCENARIO",
         ),
     ] = "oahu-day",
     other: Annotated[

@@ -74,7 +74,7 @@ def replay(
     the pace, arrows seek (left and right 10 s, up and down 1 min of simulated
     time), q ends.
     """
-    from launch_scripts.launcher.request import parse_pace
+    from launch_scripts.scenarios.real_time import parse_pace
     from recordings.read.reader import RunReader
     from recordings.replay.bus import selected_ports
     from recordings.replay.keyboard import has_keyboard

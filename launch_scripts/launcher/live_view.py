@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from datetime import datetime
-from typing import IO, Final, Protocol
+from typing import IO, Final, Self
 from zoneinfo import ZoneInfo
 
 from rich.console import Console, Group
@@ -25,14 +25,14 @@ _NAMED: Final = 6
 """How many nodes in need are named before the rest is counted."""
 
 
-class View(Protocol):
-    """Shows a run."""
+class View:
+    """Shows a run; this one shows nothing."""
 
-    def __enter__(self) -> View:
-        """Begin to show."""
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(self, *error: object) -> None:
-        """End."""
+        pass
 
     def say(self, text: str) -> None:
         """Show a line that stays."""
@@ -43,14 +43,8 @@ class View(Protocol):
 
 def view_for(console: Console, plan: RunPlan, timezone: str) -> View:
     """Choose the live panel for a terminal, plain lines for anything else."""
-    if console.is_terminal:
-        return LivePanel(console, plan, timezone)
-    return PlainLines(console, plan, timezone)
-
-
-def local_time(sim_time_ns: int, timezone: str) -> str:
-    """Local time of day of a simulated time."""
-    return f"{datetime.fromtimestamp(sim_time_ns / 1e9, ZoneInfo(timezone)):%H:%M:%S}"
+    kind = LivePanel if console.is_terminal else PlainLines
+    return kind(console, plan, timezone)
 
 
 class StatusLine:
@@ -81,20 +75,18 @@ class StatusLine:
             self._stream.flush()
 
 
-class PlainLines:
+class PlainLines(View):
     """A line every now and then."""
 
     def __init__(self, console: Console, plan: RunPlan, timezone: str) -> None:
         self._console = console
         self._plan = plan
-        self._timezone = timezone
+        self._zone = ZoneInfo(timezone)
         self._line = StatusLine(console.file, in_place=False)
 
-    def __enter__(self) -> PlainLines:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
+    def local_time(self, status: Status) -> str:
+        """Return the local time of day."""
+        return f"{datetime.fromtimestamp(status.sim_time_ns / 1e9, self._zone):%H:%M:%S}"
 
     def say(self, text: str) -> None:
         """Print a line."""
@@ -105,20 +97,17 @@ class PlainLines:
         if status.cycle < 0 or not self._line.is_due():
             return
         self._line.show(
-            f"{local_time(status.sim_time_ns, self._timezone)} "
-            f"cycle {status.cycle + 1}/{self._plan.cycles} "
+            f"{self.local_time(status)} cycle {status.cycle + 1}/{self._plan.cycles} "
             f"desired {status.desired_kw:.0f} kW, delivered {status.delivered_kw:.0f} kW, "
             f"possible {status.possible_kw:.0f} kW; help: {_needy(status)}"
         )
 
 
-class LivePanel:
+class LivePanel(PlainLines):
     """A panel that is drawn anew a few times a second."""
 
     def __init__(self, console: Console, plan: RunPlan, timezone: str) -> None:
-        self._console = console
-        self._plan = plan
-        self._timezone = timezone
+        super().__init__(console, plan, timezone)
         self._rating_kw = sum(rating_kw for _, rating_kw in plan.inverters)
         self._progress = Progress(
             TextColumn("cycle"),
@@ -131,16 +120,12 @@ class LivePanel:
         self._task = self._progress.add_task("run", total=plan.cycles)
         self._live = Live(console=console, refresh_per_second=8, transient=True)
 
-    def __enter__(self) -> LivePanel:
+    def __enter__(self) -> Self:
         self._live.start()
         return self
 
     def __exit__(self, *error: object) -> None:
         self._live.stop()
-
-    def say(self, text: str) -> None:
-        """Print a line above the panel."""
-        self._console.print(text, highlight=False, markup=False)
 
     def show(self, status: Status) -> None:
         """Draw the panel anew."""
@@ -158,7 +143,7 @@ class LivePanel:
         ):
             powers.add_row(name, f"{power_kw:,.0f} kW", self._bar(power_kw, style))
         needy = Text(f"needs help: {_needy(status)}", style="red" if status.needy else "dim")
-        title = f"{self._plan.plant} {local_time(status.sim_time_ns, self._timezone)}"
+        title = f"{self._plan.plant} {self.local_time(status)}"
         subtitle = f"{status.recorded:,} messages recorded"
         body = Group(powers, needy, self._progress)
         self._live.update(Panel(body, title=title, subtitle=subtitle, width=90))

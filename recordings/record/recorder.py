@@ -107,9 +107,9 @@ class RecordingEnd:
         """Let the recording end once nothing comes any more, or soon if something always does."""
         self.asked_at = self.asked_at or time.monotonic()
 
-    def hear(self, word: str) -> None:
-        """Take in what the launcher says: `expect N` messages."""
-        self.expected = int(word.removeprefix("expect "))
+    def expect(self, messages: int) -> None:
+        """Let the recording end with so many messages."""
+        self.expected = messages
         self.ask()
 
 
@@ -169,8 +169,9 @@ class Recorder:
         self._report()
 
     def _heed_launcher(self) -> None:
-        for word in self._link.words():
-            self._end.hear(word)
+        expected = self._link.expected_messages()
+        if expected is not None:
+            self._end.expect(expected)
 
     def _may_end(self, quiet_s: float) -> bool:
         asked_at, expected = self._end.asked_at, self._end.expected
