@@ -23,7 +23,7 @@ from studies.report.inverter_figures import (
     residuals,
     virtual_neighbours,
 )
-from studies.report.page import html_page
+from studies.report.page import Content, html_page
 from studies.report.plant_figures import (
     delivered_and_support,
     possible_power,
@@ -31,7 +31,6 @@ from studies.report.plant_figures import (
     tracking_error,
 )
 from studies.report.style import ReportFigure
-from studies.tables import Table
 
 _MOST_SIZES: Final = 6
 """Clusters whose sizes the first line lists one by one."""
@@ -49,7 +48,7 @@ def write_report(
     path: Path,
     title: str,
     series: Sequence[RunSeries],
-    tables: Sequence[Table] = (),
+    content: Sequence[Content] = (),
     notes: Sequence[str] = (),
     *,
     lead: str = "",
@@ -62,8 +61,10 @@ def write_report(
         The file. It appears whole or not at all; one that is there is replaced.
     series
         One run; or several of the same plant in the same cycles, each with a label of its own.
-    tables, notes
-        What stands before the figures: tables, and paragraphs of plain text.
+    content
+        Tables and figures to stand before the figures of the runs.
+    notes
+        Paragraphs after the first one, plain text.
     lead
         First line of the page; `run_line` gives it for a run.
 
@@ -73,11 +74,11 @@ def write_report(
         There is nothing to report, or the runs do not belong together.
     """
     check_destination(path)
-    _check_comparable(series)
+    check_comparable(series)
     figures = _figures(series)
     text = [lead or _plant_line(series), *_cycle_lines(series), *notes, *_absent(figures)]
     with whole_file(path) as file:
-        file.write(html_page(title, text, [*tables, *figures]).encode())
+        file.write(html_page(title, text, [*content, *figures]).encode())
 
 
 def check_destination(path: Path) -> None:
@@ -86,7 +87,7 @@ def check_destination(path: Path) -> None:
         raise InputError(f"report {path}: expected a file in an existing folder")
 
 
-def _check_comparable(series: Sequence[RunSeries]) -> None:
+def check_comparable(series: Sequence[RunSeries]) -> None:
     """Refuse runs that one report cannot show side by side."""
     if not series:
         raise InputError("report: expected one run or more, got none")
