@@ -235,6 +235,7 @@ def simulate(
         remarks=preparation.remarks,
         interrupted=interrupted,
         recording_ended=writer.trouble,
+        restarts=dict(run.restarts),
     )
 
 
