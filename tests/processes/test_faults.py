@@ -34,7 +34,8 @@ INVERTER = "c2/inv03"
 
 def long_run(heliarch: Start, scenario: str) -> Heliarch:
     """A run that would go on for long, in its first cycles, of which some are on disk."""
-    command = heliarch("launch", scenario, "--duration", "1h", "--pace", "20")
+    words = ("--duration", "1h", "--pace", "20", "--set", "restart.when=never")
+    command = heliarch("launch", scenario, *words)
     command.until(lambda: recorded_cycles(command) > 0, "cycles that can be read on disk")
     return command
 
