@@ -1,17 +1,12 @@
-"""Running `heliarch` in tests of commands: in this process, or as one of its own."""
+"""Running `heliarch` in tests of commands, in this process."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 from typer.testing import CliRunner, Result
 
 from launch_scripts.cli import app
-
-REPOSITORY = Path(__file__).parents[3]
 
 
 def heliarch(*words: str | Path) -> Result:
@@ -34,16 +29,3 @@ def refusal(*words: str | Path, status: int = 2) -> str:
     (line,) = result.stderr.splitlines()
     assert line.startswith("heliarch: ")
     return line
-
-
-def process(*words: str | Path, cwd: Path, stdout: int = subprocess.PIPE) -> subprocess.Popen[str]:
-    """Start a command as a process."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "launch_scripts", *map(str, words)],
-        stdout=stdout,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=cwd,
-        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
-        process_group=0,
-    )
