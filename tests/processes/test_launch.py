@@ -8,9 +8,11 @@ from pathlib import Path
 import msgspec
 import pytest
 from running import Heliarch, assert_none_left, small_plant
+from typer.testing import CliRunner
 
 from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS
+from launch_scripts.cli import app
 from launch_scripts.launcher.summary import RunSummary
 from recordings.read.reader import RunReader
 
@@ -32,6 +34,13 @@ def decisions(folder: Path) -> dict[tuple[str, int], Message]:
             timeless = msgspec.structs.replace(message, publish_time_ns=0, ready_time_ns=0)
             found.setdefault((str(port), message.cycle), timeless)
     return found
+
+
+def simulated(folder: Path, *words: str) -> dict[tuple[str, int], Message]:
+    """All that the same agents decide in one process: in this one."""
+    result = CliRunner().invoke(app, ["simulate", *words, "--out", str(folder)])
+    assert result.exit_code == 0, result.output
+    return decisions(folder)
 
 
 def summary_of(folder: Path) -> RunSummary:
@@ -57,24 +66,22 @@ def launched(plant: str, lasting_heliarch: Start) -> Heliarch:
 
 
 def test_processes_decide_bit_for_bit_what_one_process_decides(
-    launched: Heliarch, plant: str, heliarch: Start
+    launched: Heliarch, plant: str, tmp_path: Path
 ) -> None:
-    simulated = heliarch("simulate", plant, "--duration", str(CYCLES))
-    assert simulated.wait() == 0, simulated.error_text()
     ours = decisions(launched.folder)
     assert len(ours) > CYCLES * (3 + 4 + 2 * 7 + 6 + 4)
-    assert ours == decisions(simulated.folder)
+    assert ours == simulated(tmp_path / "simulated", plant, "--duration", str(CYCLES))
     assert_none_left(launched.folder)
 
 
-def test_so_do_they_by_the_clock(plant: str, heliarch: Start) -> None:
-    words = (plant, "--duration", "5", "--pace", "1")
-    launched, simulated = heliarch("launch", *words), heliarch("simulate", *words)
+def test_so_do_they_by_the_clock(plant: str, heliarch: Start, tmp_path: Path) -> None:
+    words = (plant, "--duration", "4", "--pace", "0.5")
+    launched = heliarch("launch", *words)
     assert launched.wait() == 0, launched.error_text()
-    assert simulated.wait() == 0, simulated.error_text()
     summary = summary_of(launched.folder)
     assert (summary.missing_inputs, summary.skipped_cycles, summary.lost) == (0, 0, 0)
-    assert decisions(launched.folder) == decisions(simulated.folder)
+    ours = simulated(tmp_path / "simulated", plant, "--duration", "4")
+    assert decisions(launched.folder) == ours
 
 
 def test_so_does_a_deeper_plant_whose_tiers_act_more_and_more_rarely(
@@ -85,10 +92,9 @@ def test_so_does_a_deeper_plant_whose_tiers_act_more_and_more_rarely(
         "cluster_sizes = [[1, 1, 2], [2, 1]]\nperiod_cycles = [6, 3, 1]",
     )
     words = (small_plant(tmp_path / "deep", deep), "--duration", "20")
-    launched, simulated = heliarch("launch", *words), heliarch("simulate", *words)
+    launched = heliarch("launch", *words)
     assert launched.wait() == 0, launched.error_text()
-    assert simulated.wait() == 0, simulated.error_text()
-    assert decisions(launched.folder) == decisions(simulated.folder)
+    assert decisions(launched.folder) == simulated(tmp_path / "simulated", *words)
 
 
 def test_every_message_that_was_published_is_in_the_recording(launched: Heliarch) -> None:

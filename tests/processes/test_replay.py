@@ -20,7 +20,7 @@ import psutil
 import pytest
 import zenoh
 from mcap.reader import make_reader
-from running import Heliarch
+from running import Heliarch, small_plant
 from typer.testing import CliRunner
 
 from agents.plan import RunPlan, load_plan
@@ -315,9 +315,10 @@ def test_no_live_agent_outlives_its_replay(
 
 
 def test_in_real_time_live_agents_have_the_inputs_and_deadlines_of_the_run(
-    replay: Callable[..., Replay], heliarch: Callable[..., Heliarch]
+    replay: Callable[..., Replay], heliarch: Callable[..., Heliarch], tmp_path: Path
 ) -> None:
-    launched = heliarch("launch", "oahu", "--duration", "10", "--pace", "5")
+    plant = small_plant(tmp_path / "plant")
+    launched = heliarch("launch", plant, "--duration", "10", "--pace", "5")
     launched.wait()  # On a slow machine messages may get lost: then the run says so.
     plan = load_plan(launched.folder / "plan.json")
     leaf = plan.tree.leaves[0]

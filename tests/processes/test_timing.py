@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from running import Heliarch, assert_none_left
+from running import Heliarch, assert_none_left, small_plant
 
 from bus_schemas.signals import PRODUCTION
 from launch_scripts.launcher.summary import RunSummary
@@ -97,8 +97,9 @@ def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(
     assert missing == {process.agent: process.missing_inputs for process in summary.processes}
 
 
-def test_what_was_measured_up_to_an_interruption_is_told(heliarch: Start) -> None:
-    run = heliarch("timing", "oahu", "--rate", "10", "--duration", "10m")
+def test_what_was_measured_up_to_an_interruption_is_told(heliarch: Start, tmp_path: Path) -> None:
+    plant = small_plant(tmp_path / "plant")
+    run = heliarch("timing", plant, "--rate", "10", "--duration", "10m")
     run.until_running()
     run.process.send_signal(signal.SIGINT)
     assert run.wait() == 130, run.error_text()
