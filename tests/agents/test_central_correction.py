@@ -8,7 +8,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from plants_by_hand import REAL_TIME, AtWork, Heard, dispatch, hear_profile, meter, plan_of, report
+from plans_by_hand import REAL_TIME, plan_of
+from plants_by_hand import AtWork, Heard, dispatch, hear_profile, meter, report
 
 from agents.plan import RunPlan, Scheme
 from bus_schemas.messages import Setpoint

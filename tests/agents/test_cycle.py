@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plants_by_hand import plan_of
+from plans_by_hand import plan_of
 
 from agents.agent import Agent
 from agents.cycle import KINDS, STAGES, USED_SHARE, Deadlines, Kind, kind_of, stage_place

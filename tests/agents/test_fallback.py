@@ -6,17 +6,8 @@ import math
 from collections.abc import Mapping
 
 import pytest
-from plants_by_hand import (
-    REAL_TIME,
-    AtWork,
-    at,
-    dispatch,
-    impp,
-    plan_of,
-    report,
-    setpoint,
-    telemetry,
-)
+from plans_by_hand import REAL_TIME, plan_of
+from plants_by_hand import AtWork, at, dispatch, impp, report, setpoint, telemetry
 
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import HelpGiven, Message, Setpoint

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plants_by_hand import REAL_TIME, AtWork, at, dispatch, impp, plan_of, setpoint
+from plans_by_hand import REAL_TIME, plan_of
+from plants_by_hand import AtWork, at, dispatch, impp, setpoint
 
 from agents.agent import Stage, Turn
 from agents.loop import AgentLoop

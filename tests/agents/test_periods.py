@@ -7,7 +7,8 @@ from math import fsum
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plants_by_hand import Heard, hear, plan_of
+from plans_by_hand import plan_of
+from plants_by_hand import Heard, hear
 
 from agents.periods import Periods
 from bus_schemas.errors import InputError

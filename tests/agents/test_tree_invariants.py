@@ -9,7 +9,8 @@ from typing import NamedTuple
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plants_by_hand import Heard, hear, plan_of
+from plans_by_hand import plan_of
+from plants_by_hand import Heard, hear
 
 from agents.plan import Neighbourhood, NodeNeighbourhoods, RunPlan
 from bus_schemas.signals import HELP, IMPP, NOTICE, RESIDUAL, SETPOINT

@@ -135,7 +135,7 @@ def index_by_quantile(power: NDArray[np.float64], quantile: float = 0.95) -> NDA
 def rotated(
     east_m: NDArray[np.float64], north_m: NDArray[np.float64], towards_deg: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the coordinates along a direction (clockwise from north), and across it, to its left."""
+    """Return the coordinates along a direction, clockwise from north, and to the left of it."""
     towards = np.deg2rad(towards_deg)
     along_m = east_m * np.sin(towards) + north_m * np.cos(towards)
     return along_m, north_m * np.sin(towards) - east_m * np.cos(towards)
