@@ -24,7 +24,7 @@ CLUSTER = plan_of(
 """Two inverters below one supervisor."""
 
 Sent = Mapping[Port[Message], Message]
-ABSURD_KW = [math.nan, math.inf, -math.inf, -1.0, 1.7e308]
+ABSURD_KW = [math.nan, math.inf, -1.0]
 
 
 def setpoints_kw(sent: Sent) -> tuple[float, ...]:
@@ -238,7 +238,7 @@ def test_a_residual_without_impp_is_silence() -> None:
     ("impp_kw", "residual_kw", "left_kw"),
     [
         *[(absurd_kw, 0.0, 30.0) for absurd_kw in (*ABSURD_KW, 100.1)],
-        *[(50.0, absurd_kw, -10.0) for absurd_kw in (math.nan, math.inf, 1.7e308, 100.1, -100.1)],
+        *[(50.0, absurd_kw, -10.0) for absurd_kw in (math.nan, 100.1, -100.1)],
     ],
 )
 def test_an_absurd_number_in_a_report_is_not_used(
