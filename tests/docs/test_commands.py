@@ -13,8 +13,8 @@ import pytest
 import typer
 import typer.core
 import typer.main
+from command_line import heliarch
 from documents import DOCUMENTS, REPOSITORY, Block, blocks_of, heliarch_lines, words_of
-from typer.testing import CliRunner
 
 from bus_schemas.errors import InputError
 from launch_scripts.cli import app
@@ -43,8 +43,8 @@ def reader(tmp_path: Path) -> Path:
     programs.mkdir(parents=True)
     python = f'#!/bin/sh\nexec "{sys.executable}" "$@"\n'
     command = "from launch_scripts.cli import main; raise SystemExit(main())"
-    heliarch = f'#!/bin/sh\nexec "{sys.executable}" -c \'{command}\' "$@"\n'
-    for name, text in (("python", python), ("heliarch", heliarch)):
+    script = f'#!/bin/sh\nexec "{sys.executable}" -c \'{command}\' "$@"\n'
+    for name, text in (("python", python), ("heliarch", script)):
         (programs / name).write_text(text, encoding="utf-8")
         (programs / name).chmod(0o755)
     for name in ("examples", "recordings/golden"):
@@ -80,7 +80,7 @@ def run(block: Block) -> tuple[int, str]:
     if not all(re.fullmatch(r"heliarch [^&|<>;]*(#.*)?", line) for line in lines):
         return run_in_shell(block.commands)
     for line in lines:
-        result = CliRunner().invoke(app, words_of(line))
+        result = heliarch(*words_of(line))
         if result.exit_code:
             return result.exit_code, result.output
     return 0, ""

@@ -19,15 +19,14 @@ import msgspec
 import psutil
 import pytest
 import zenoh
+from command_line import done
 from mcap.reader import make_reader
 from running import Heliarch, small_plant
-from typer.testing import CliRunner
 
 from agents.plan import RunPlan, load_plan
 from bus_schemas.codec import decode, encode
 from bus_schemas.messages import Telemetry
 from bus_schemas.signals import RUN
-from launch_scripts.cli import app
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.reader import RunReader
 from recordings.record.writer import RunWriter
@@ -46,9 +45,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scenario = folder.with_suffix(".toml")
     before, control, after = load_scenario("oahu").text.partition("[control]\n")
     scenario.write_text(f"{before}{control}stall_timeout_s = {PATIENCE_S}\n{after}")
-    words = ["simulate", str(scenario), "--duration", str(CYCLES), "--out", str(folder)]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 0, result.output
+    done("simulate", scenario, "--duration", str(CYCLES), "--out", folder)
     return folder
 
 
