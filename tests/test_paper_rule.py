@@ -48,7 +48,7 @@ def test_a_shortfall_caused_by_control_is_the_change_of_the_sky_within_a_cycle()
     np.testing.assert_allclose(delivered_kw, by_hand_kw, rtol=1e-12)
 
 
-def hope_hour(folder: Path, share: float, noise: float = 0.0) -> tuple[RunPlan, Profile]:
+def hope_hour(folder: Path, share: float) -> tuple[RunPlan, Profile]:
     """The HOPE hour with P = GHI / 1000 x 470 kW x 0.96 in place of the PV model."""
     plan = prepare(load_scenario("hope-melpitz", folder), RunOptions(scheme="paper"), "hope").plan
     stations = [leaf.rpartition("/inv")[2] for leaf in plan.tree.leaves]
@@ -56,8 +56,7 @@ def hope_hour(folder: Path, share: float, noise: float = 0.0) -> tuple[RunPlan, 
         ghi_wm2 = np.array([[float(row[s]) for s in stations] for row in csv.DictReader(file)])
     mpp_kw = np.minimum(ghi_wm2 / 1000.0 * 470.0 * 0.96, 8000.0 / 17.0)
     commitment_kw = np.full(len(mpp_kw), share * np.median(mpp_kw.sum(axis=1)))
-    error = noise * np.random.default_rng(0).standard_normal(mpp_kw.shape)
-    return plan, Profile(mpp_kw, commitment_kw, meter_error=error)
+    return plan, Profile(mpp_kw, commitment_kw)
 
 
 @pytest.mark.parametrize(
