@@ -71,11 +71,8 @@ def test_a_direct_controller_goes_down_the_ladder_and_up_again() -> None:
     assert alpha_in(work, 11, setpoint_kw=20.0) == 0.25
 
 
-def test_from_cycle_0_on_an_inverter_keeps_to_its_own_share_of_the_dispatch() -> None:
+def test_before_a_setpoint_its_own_share_is_commanded_and_before_the_dispatch_nothing() -> None:
     assert alpha_in(direct(), 0) == 0.625
-
-
-def test_before_dispatch_and_setpoint_an_inverter_is_left_to_itself() -> None:
     assert alpha_in(direct(), 0, dispatch_kw=None) is None
 
 
