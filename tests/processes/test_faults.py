@@ -66,8 +66,13 @@ def test_an_agent_that_sigterm_ends_is_named_and_its_run_is_no_success(
     assert_none_left(run.folder)
 
 
-def test_a_killed_fork_server_ends_the_run_and_is_named(run: Heliarch) -> None:
+def test_the_fork_server_is_the_parent_of_all_agents_and_killed_it_is_named(run: Heliarch) -> None:
     server = run.fork_server()
+    assert server.ppid() == run.process.pid
+    agents = [found for found in run.processes() if found != server]
+    assert len(agents) == 9
+    assert {agent.ppid() for agent in agents} == {server.pid}
+    assert len(list((run.folder / "logs").glob("*.log"))) == 9
     server.send_signal(signal.SIGKILL)
     assert run.wait() == 1
     assert f"fork server (process {server.pid})" in run.error_text()
@@ -110,15 +115,6 @@ def test_a_launcher_killed_while_it_starts_processes_leaves_none(
     run.process.send_signal(signal.SIGKILL)
     run.wait()
     assert_none_left(run.folder)
-
-
-def test_the_fork_server_is_the_launchers_child_and_the_agents_are_its_own(run: Heliarch) -> None:
-    server = run.fork_server()
-    assert server.ppid() == run.process.pid
-    agents = [found for found in run.processes() if found != server]
-    assert len(agents) == 9
-    assert {agent.ppid() for agent in agents} == {server.pid}
-    assert len(list((run.folder / "logs").glob("*.log"))) == 9
 
 
 # Told to end --------------------------------------------------------------------------------------
