@@ -13,7 +13,7 @@ from plants_by_hand import AtWork, Heard, dispatch, hear_profile, meter, report
 
 from agents.plan import RunPlan, Scheme
 from bus_schemas.messages import Setpoint
-from bus_schemas.signals import METER, PRODUCTION, SETPOINT
+from bus_schemas.signals import PRODUCTION, SETPOINT
 from bus_schemas.tree import ROOT
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
@@ -60,16 +60,6 @@ def test_where_all_there_is_falls_short_nothing_is_added() -> None:
     assert target_kw(heard, CYCLES - 1) <= 120.0 + 1e-9
 
 
-def test_the_correction_is_a_tenth_of_the_rating_at_most_and_never_negative() -> None:
-    central = AtWork(central_plan(), "central")
-    for cycle in range(100):
-        over_kw = cycle_with_meter(central, cycle, 100.0)
-    assert over_kw == pytest.approx(50.0), "too much is not taken back"
-    for cycle in range(100, 200):
-        short_kw = cycle_with_meter(central, cycle, 0.0)
-    assert short_kw == pytest.approx(50.0 + 20.0)
-
-
 @pytest.mark.parametrize("absurd_kw", [math.nan, math.inf, -math.inf, -100.0, 1e9])
 def test_an_absurd_meter_leaves_no_trace(absurd_kw: float) -> None:
     central = AtWork(central_plan(), "central")
@@ -113,14 +103,6 @@ def cycle_with_meter(central: AtWork, cycle: int, metered_kw: float | None) -> f
     else:
         sent |= central.hear(meter(cycle, metered_kw))
     return sum(message.power_kw for message in sent.values() if isinstance(message, Setpoint))
-
-
-def test_the_meter_reads_what_was_delivered() -> None:
-    plan = plan_of({"a": 100.0, "b": 100.0}, cycles=4)
-    mpp_kw = np.array([[80.0, 60.0], [50.0, 60.0], [90.0, 90.0], [90.0, 90.0]])
-    _, heard = hear_profile(plan, Profile(mpp_kw, np.array([100.0, 120.0, 0.0, 500.0])))
-    read_kw = [heard.get(cycle, METER.of(ROOT)).power_kw for cycle in range(1, 4)]
-    assert read_kw == [heard.get(cycle, PRODUCTION.of(ROOT)).delivered_kw for cycle in range(3)]
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ from agents.loop import AgentLoop
 from bus_schemas.messages import Command, Message, Production
 from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY, Port
 from bus_schemas.tree import ROOT
-from sim_plant.inverter import delivered_power_kw
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
 
@@ -176,15 +175,3 @@ def test_inverters_state_their_available_power_with_a_bias_up_to_the_rating_or_n
     # What was available in cycle 0, curtailed or not.
     sent = plant.command(0.5, 0.5)
     assert tuple(sent[TELEMETRY.of(leaf)].available_kw for leaf in LEAVES) == stated_kw
-
-
-def test_an_inverter_delivers_its_fraction_of_what_is_there() -> None:
-    found = delivered_power_kw(
-        np.array([80.0, 60.0, 0.0]), np.array([0.5, 1.0, 0.3]), np.full(3, 100.0)
-    )
-    assert found.tolist() == [40.0, 60.0, 0.0]
-
-
-def test_an_inverter_with_a_limit_holds_it_and_gives_all_it_has_below_it() -> None:
-    found = delivered_power_kw(np.array([80.0, 60.0, 20.0]), np.ones(3), np.full(3, 60.0))
-    assert found.tolist() == [60.0, 60.0, 20.0]

@@ -11,7 +11,6 @@ import pytest
 
 from bus_schemas.errors import InputError
 from sim_plant.regulation import (
-    RegulationFile,
     RegulationSettings,
     SyntheticRegulation,
     read_signal,
@@ -205,22 +204,8 @@ def test_settings_out_of_range_are_refused(toml: str, field: str) -> None:
         read(toml)
 
 
-def test_settings_as_the_paper_has_them() -> None:
-    settings = read(
-        'kind = "file"\npath = "regd.csv"\ncapacity_kw = 800\nfrom = 09:00:00\nto = 17:00:00'
-    )
-    assert isinstance(settings, RegulationFile)
-    assert (settings.offered_from, settings.offered_to) == (
-        pd.Timestamp("09:00").time(),
-        pd.Timestamp("17:00").time(),
-    )
-
-
-@pytest.mark.parametrize(
-    "name", ["pjm-regd-2s/regd_2020-07-16.csv", "pjm-regd-2s/regd_2020-07-22.csv"]
-)
-def test_a_real_day_is_held_on_a_whole_day_of_cycles(data_folder: Path, name: str) -> None:
-    path = data_folder / name
+def test_a_real_day_is_held_on_a_whole_day_of_cycles(data_folder: Path) -> None:
+    path = data_folder / "pjm-regd-2s" / "regd_2020-07-16.csv"
     found = np.array(asked_kw(path, cycles("2010-04-01", 86_400)))
     table = np.loadtxt(path, delimiter=",", skiprows=1)
     np.testing.assert_array_equal(found, CAPACITY_KW * np.repeat(table[:, 1], 2))
