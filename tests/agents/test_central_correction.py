@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from plans_by_hand import REAL_TIME, plan_of
 from plants_by_hand import AtWork, Heard, dispatch, hear_profile, meter, report
+from running import small_plant
 
 from agents.plan import RunPlan, Scheme
 from bus_schemas.messages import Setpoint
@@ -117,11 +118,7 @@ def cycle_with_meter(central: AtWork, cycle: int, metered_kw: float | None) -> f
 def test_it_goes_with_the_scheme_unless_the_scenario_says_otherwise(
     tmp_path: Path, scheme: Scheme, said: str | None, corrects: bool
 ) -> None:
-    oahu = load_scenario("oahu")
-    text = oahu.text
-    if said is not None:
-        text = text.replace("[control]", f"[control]\ncorrection = {said}")
-    path = tmp_path / "scenario.toml"
-    path.write_text(text)
-    plan = prepare(load_scenario(str(path)), RunOptions(duration="1", scheme=scheme), "any").plan
+    said_so = () if said is None else (("[control]", f"[control]\ncorrection = {said}"),)
+    scenario = load_scenario(small_plant(tmp_path, *said_so))
+    plan = prepare(scenario, RunOptions(duration="1", scheme=scheme), "any").plan
     assert plan.correction is corrects
