@@ -32,17 +32,11 @@ CYCLE_WALL_NS: Final = 50_000_000
 
 
 def plan_of(
-    ratings_kw: dict[str, float] = TWO_TIERS,
-    *,
-    cycles: int = 12,
-    period_cycles: tuple[int, ...] = (1, 1),
-    **fields: object,
+    ratings_kw: dict[str, float] = TWO_TIERS, *, cycles: int = 12, **fields: object
 ) -> RunPlan:
     """Plan of a run, from the path and rating of each inverter; in lockstep by default."""
     predictive = {"scheme": "predictive", "correction": True}
-    return plan_at_noon(
-        ratings_kw, cycles=cycles, period_cycles=period_cycles, **(predictive | fields)
-    )
+    return plan_at_noon(ratings_kw, cycles=cycles, **(predictive | fields))
 
 
 def faulty_plan(
