@@ -1,9 +1,13 @@
-"""Running `heliarch` in tests of commands, in this process."""
+"""Running `heliarch` in tests of commands: in this process, or as one of its own."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
+from running import REPOSITORY
 from typer.testing import CliRunner, Result
 
 from launch_scripts.cli import app
@@ -29,3 +33,16 @@ def refusal(*words: str | Path, status: int = 2) -> str:
     (line,) = result.stderr.splitlines()
     assert line.startswith("heliarch: ")
     return line
+
+
+def process(*words: str | Path, cwd: Path) -> subprocess.Popen[str]:
+    """Start a command as a process."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "launch_scripts", *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+        process_group=0,
+    )

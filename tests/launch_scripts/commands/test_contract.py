@@ -17,10 +17,10 @@ from typing import Final, TextIO
 
 import psutil
 import pytest
-from command_line import heliarch, refusal
+from command_line import heliarch, process, refusal
 from recordings_by_hand import whole_run, write_run
 from replayed_runs import run_in_memory, write
-from running import REPOSITORY, small_plant
+from running import small_plant
 from timed_recordings import cycle, recorded
 from typer.testing import CliRunner
 
@@ -82,19 +82,6 @@ def folder(master: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     shutil.copytree(master, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def process(*words: str, cwd: Path) -> subprocess.Popen[str]:
-    """Start a command as a process."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "launch_scripts", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=cwd,
-        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
-        process_group=0,
-    )
 
 
 def words_of(name: str, folder: Path) -> list[str]:
