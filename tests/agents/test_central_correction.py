@@ -12,6 +12,7 @@ from plans_by_hand import REAL_TIME, plan_of
 from plants_by_hand import AtWork, Heard, dispatch, hear_profile, meter, report
 from running import small_plant
 
+from agents.control.correction import HIGHEST_GAIN
 from agents.plan import RunPlan, Scheme
 from bus_schemas.messages import Setpoint
 from bus_schemas.signals import PRODUCTION, SETPOINT
@@ -85,8 +86,8 @@ def test_a_controller_that_acts_rarely_corrects_by_the_mean_of_its_readings() ->
     # In cycle 0 there was no dispatch before that could have been missed.
     assert set_kw[0] == pytest.approx(50.0)
     assert set_kw[1:5] == [0.0] * 4
-    assert set_kw[5] == pytest.approx(50.0 + 0.5 * 5.0)
-    assert set_kw[10] == pytest.approx(50.0 + 0.5 * 5.0 * 2)
+    assert set_kw[5] == pytest.approx(50.0 + HIGHEST_GAIN * 5.0)
+    assert set_kw[10] == pytest.approx(50.0 + HIGHEST_GAIN * 5.0 * 2)
 
 
 def central_plan(**changes: object) -> RunPlan:
