@@ -158,7 +158,7 @@ class _Launch:
             case Armed():
                 self._armed_at = now
                 self._watch.begin(now)
-                self._restarts.begin(now)
+                self._restarts.begin(event.start_time_ns / 1e9)
                 self._rounds = event.rounds
                 self._view.say(
                     f"armed: cycle 0 began {now - self._started_at:.2f} s after the processes were "

@@ -17,6 +17,8 @@ from launch_scripts.launcher.supervision import Child, Children
 _LOOK_S: Final = 0.5
 """Time between two looks at who stands still."""
 
+_SAME_CLOCK_S: Final = 10.0
+
 _SIGNALS: Final = {"kill": signal.SIGKILL, "freeze": signal.SIGSTOP, "thaw": signal.SIGCONT}
 
 
@@ -53,9 +55,11 @@ class Restarts:
         self._wall_per_s = plan.cycle_wall_ns / plan.cycle_ns
         self._began_at: float | None = None
 
-    def begin(self, now: float) -> None:
-        """Replace controllers and let rules act from now on: cycle 0 begins."""
-        self._began_at = now
+    def begin(self, start_s: float) -> None:
+        """Replace controllers and let rules act from the beginning of cycle 0 on."""
+        now = time.monotonic()
+        # An external plant on another host has another clock.
+        self._began_at = start_s if abs(start_s - now) < _SAME_CLOCK_S else now
 
     def end(self) -> None:
         """Replace nobody any more: the run is over, and who ends now has nothing left to do."""
