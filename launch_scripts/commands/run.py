@@ -2,64 +2,89 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import ExitStack
-from functools import partial
+from dataclasses import asdict
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any
 
 import msgspec
 from rich.console import Console
 
-from bus_schemas.errors import FailureError
-from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK, complain
+from bus_schemas.errors import FailureError, InputError
+from launch_scripts.commands.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
+from launch_scripts.commands.options import FileOptions, PlantOptions, ProcessOptions, SpanOptions
 from launch_scripts.commands.output import say, write_json
 from launch_scripts.launcher.launch import launch
-from launch_scripts.launcher.live_view import View, view_for
+from launch_scripts.launcher.live_view import view_for
 from launch_scripts.launcher.request import RunRequest, prepare_run
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.simulation import simulate
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.summary_table import print_summary
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
-from launch_scripts.scenarios.preparation import Preparation
-from studies.report.recorded_run import write_run_report
+from launch_scripts.scenarios.preparation import RunOptions
+from launch_scripts.scenarios.scenario import load_scenario
+from studies.compare.cases import with_settings
 from studies.tables import console_for
 
-Driver: TypeAlias = Callable[[Preparation, RunFolder, View, float], RunSummary]
+
+def run_request(
+    scenario: str,
+    files: FileOptions,
+    *groups: PlantOptions | SpanOptions | ProcessOptions,
+    **span: str | None,
+) -> RunRequest:
+    """Return what the options of a command ask for."""
+    given: dict[str, Any] = dict(span)
+    for group in groups:
+        given |= asdict(group)
+    settings = given.pop("settings") or ()
+    scenario_file = with_settings(load_scenario(scenario, files.data), settings)
+    return RunRequest(scenario_file, RunOptions(**given), files.out)
 
 
 def run_and_print(
-    request: RunRequest, json: str | None, report: str | None, began_at: float
+    request: RunRequest, files: FileOptions, server: ForkServerProcess | None = None
 ) -> int:
-    """Run what was asked for and print its result. Returns the exit status.
-
-    Parameters
-    ----------
-    request
-        What to run.
-    json, report
-        Values of the options.
-    began_at
-        Monotonic time at which the command began [s].
-    """
-    console = console_for(json)
-    summary, folder = run(request, console, began_at)
-    if json is not None:
-        write_json(msgspec.Raw(summary.as_json()), json)
+    """Run what was asked for and print its result. Returns the exit status."""
+    console = console_for(files.json)
+    summary, folder = run(request, console, BEGAN_AT, server)
+    if files.json is not None:
+        write_json(msgspec.Raw(summary.as_json()), files.json)
     print_summary(summary, console)
     say(console, f"recording: {folder.recording}")
-    if report is not None and summary.cycles:
-        say(console, f"report: {write_run_report(folder.path, Path(report) if report else None)}")
+    if files.report is not None and summary.cycles:
+        from studies.report.recorded_run import write_run_report  # Plotly is slow to import.
+
+        page = Path(files.report) if files.report else None
+        say(console, f"report: {write_run_report(folder.path, page)}")
     if summary.recording_ended:
         return complain(f"{summary.recording_ended}; what it holds can be read", FAILED)
     if summary.lost_by_processes:
-        return complain(_lost_text(summary), FAILED)
+        lost = "; ".join(
+            f"{count.signal}: {count.published:,} published, {count.recorded:,} recorded"
+            for count in summary.messages
+            if count.lost
+        )
+        return complain(f"messages were lost: {lost}", FAILED)
     return INTERRUPTED if summary.interrupted else OK
 
 
-def run(request: RunRequest, console: Console, began_at: float) -> tuple[RunSummary, RunFolder]:
+def run(
+    request: RunRequest,
+    console: Console,
+    began_at: float,
+    server: ForkServerProcess | None = None,
+) -> tuple[RunSummary, RunFolder]:
     """Run a plant, recorded, and write its summary; show it meanwhile.
+
+    Parameters
+    ----------
+    request, console
+        What to run, and where it is shown.
+    began_at
+        Monotonic time at which the user asked for it [s].
+    server
+        Starts the processes. None: the run stays in this process.
 
     Raises
     ------
@@ -68,30 +93,26 @@ def run(request: RunRequest, console: Console, began_at: float) -> tuple[RunSumm
     FailureError
         The run could not go on.
     """
-    with ExitStack() as stack:
-        driver: Driver = simulate
-        if request.driver == "launch":
-            # It imports what the processes need while the run is worked out.
-            driver = partial(launch, server=stack.enter_context(ForkServerProcess()))
-        preparation, folder = prepare_run(request)
-        scenario = preparation.scenario.scenario
-        try:
-            with view_for(console, preparation.plan, scenario.time.timezone) as view:
-                for line in (scenario.title, *preparation.remarks):
-                    view.say(line)
-                summary = driver(preparation, folder, view, began_at)
-        except RunFailure as failure:
-            if not folder.recording.exists():
-                raise
-            raise FailureError(f"{failure}\nrecording up to there: {folder.recording}") from failure
+    preparation, folder = prepare_run(request)
+    plan, scenario = preparation.plan, preparation.scenario.scenario
+    if server is not None and plan.lockstep and plan.faults:
+        given = request.options.faults
+        where = f"--fault {given[0]}" if given else "faults of the scenario"
+        raise InputError(
+            f"{where}: expected a --pace such as 1 with it, got lockstep, where a lost message is "
+            "waited for without end"
+        )
+    try:
+        with view_for(console, plan, scenario.time.timezone) as view:
+            for line in (scenario.title, *preparation.remarks):
+                view.say(line)
+            if server is None:
+                summary = simulate(preparation, folder, view, began_at)
+            else:
+                summary = launch(preparation, folder, view, began_at, server)
+    except RunFailure as failure:
+        if not folder.recording.exists():
+            raise
+        raise FailureError(f"{failure}\nrecording up to there: {folder.recording}") from failure
     folder.summary.write_bytes(summary.as_json() + b"\n")
     return summary, folder
-
-
-def _lost_text(summary: RunSummary) -> str:
-    lines = [
-        f"{count.signal}: {count.published:,} published, {count.recorded:,} recorded"
-        for count in summary.messages
-        if count.lost
-    ]
-    return "messages were lost: " + "; ".join(lines)

@@ -4,22 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
-from launch_scripts.commands.boundary import BEGAN_AT
 from launch_scripts.commands.options import (
-    ActuatorOption,
-    DataOption,
-    DurationOption,
-    EndOption,
-    FaultOption,
-    JsonOption,
-    OutOption,
-    PaceOption,
-    ReportOption,
+    FileOptions,
+    PlantOptions,
     ScenarioArgument,
-    SchemeOption,
-    SeedOption,
-    SettingsOption,
-    StartOption,
+    SpanOptions,
 )
 
 EXAMPLE: Final = "heliarch simulate valley --seed 8 --set commitment.share=0.4 --report"
@@ -27,37 +16,12 @@ EXAMPLE: Final = "heliarch simulate valley --seed 8 --set commitment.share=0.4 -
 
 def simulate(
     scenario: ScenarioArgument = "oahu",
-    start: StartOption = None,
-    end: EndOption = None,
-    duration: DurationOption = None,
-    pace: PaceOption = None,
-    seed: SeedOption = None,
-    scheme: SchemeOption = None,
-    actuator: ActuatorOption = None,
-    settings: SettingsOption = None,
-    fault: FaultOption = None,
-    data: DataOption = None,
-    out: OutOption = None,
-    report: ReportOption = None,
-    json: JsonOption = None,
+    *,
+    span: SpanOptions,
+    plant: PlantOptions,
+    files: FileOptions,
 ) -> int:
     """Run the same agents in one process, with the same messages and recording."""
-    from launch_scripts.commands.run import run_and_print
-    from launch_scripts.launcher.request import RunRequest
-    from launch_scripts.scenarios.scenario import load_scenario
-    from studies.compare.cases import with_settings
+    from launch_scripts.commands.run import run_and_print, run_request
 
-    request = RunRequest(
-        "simulate",
-        with_settings(load_scenario(scenario, data), settings or ()),
-        start,
-        end,
-        duration,
-        pace,
-        seed,
-        scheme,
-        actuator,
-        out,
-        faults=tuple(fault or ()),
-    )
-    return run_and_print(request, json, report, BEGAN_AT)
+    return run_and_print(run_request(scenario, files, plant, span), files)
