@@ -10,10 +10,10 @@ epoch (so that the weather at an instant does not depend on where a run begins):
 1. f is a Gaussian random field with zero mean, unit variance and the power spectrum
    ``(1 + (k L)^2)^(-5/4) exp(-(k l)^2)``: flat above the outer scale ``L = 14 cloud sizes``, for
    clouds come in groups; below it a power law, -3/2 along a line and so -5/2 in the plane, a little
-   less steep than the one that turbulence gives to what it mixes, -5/3 [1]_, as it was measured
-   under broken clouds [2]_; smooth within ``l = 25 m``, for a sensor sees the half shadow of an edge
-   and the light of a part of the sky. Distances across the drift count 1.5 times, so clouds are
-   1.5 times as long along the wind as across it.
+   less steep than the -5/3 that turbulence gives to what it mixes [1]_, as it was measured under
+   broken clouds [2]_; smooth within ``l = 25 m``, for a sensor sees the half shadow of an edge and
+   the light of a part of the sky. Distances across the drift count 1.5 times, so clouds are 1.5
+   times as long along the wind as across it.
 2. f is the sum of a coarse and a fine layer, which take the shares ``exp(-(k c)^2)`` and
    ``1 - exp(-(k c)^2)`` of that power, ``c = 500 m`` being how far around a sensor clouds lend it
    light. Each layer is periodic, so that the clouds never run out, and blends from one piece of
