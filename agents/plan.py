@@ -112,6 +112,9 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         What the processes may take of the machine.
     seed
         Seed of the synthetic clouds; None where the irradiance is measured.
+    positions_m
+        Where each inverter stands: metres east and north of a point that is the same for all of
+        them. Empty: not known.
     """
 
     run_id: str
@@ -141,6 +144,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     tier_deadlines_ns: tuple[int, ...] = ()
     machine: MachineSettings = MachineSettings()
     seed: int | None = None
+    positions_m: tuple[tuple[float, float], ...] = ()
 
     @cached_property
     def tree(self) -> ControlTree:

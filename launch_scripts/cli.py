@@ -22,12 +22,13 @@ from launch_scripts.commands import (
     simulate,
     timing,
     verify,
+    view,
 )
 from launch_scripts.commands.boundary import BAD_INPUT, Command, CommandLine
 
 COMMANDS: Final[dict[str, tuple[ModuleType, ...]]] = {
     "Run": (launch, simulate, timing, scenarios),
-    "Look": (report, inspect, verify, replay),
+    "Look": (view, report, inspect, verify, replay),
     "Compare": (compare, clusters, delays),
     "Files": (export, recover),
 }

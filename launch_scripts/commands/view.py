@@ -1,0 +1,47 @@
+"""`heliarch view`: a recording, or the runs in a folder, in a browser."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+from bus_schemas.errors import InputError
+
+EXAMPLE: Final = "heliarch view runs/oahu-20261121-120000-4711"
+
+
+def view(
+    path: Annotated[
+        Path,
+        typer.Argument(help="Folder of a run, its run.mcap, or a folder of runs."),
+    ] = Path("runs"),
+    page_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of the page; 0 is any that is free.")
+    ] = 0,
+    page_address: Annotated[
+        str, typer.Option(help="Address of the page; other hosts reach it on 0.0.0.0.")
+    ] = "127.0.0.1",
+) -> None:
+    """Show a run in a browser: play, pause and scrub it, also while it is being recorded.
+
+    Of a folder it lists the runs with their figures. Ends with Ctrl-C.
+    """
+    from live_page.server import PageServer, open_place
+    from recordings.read.reader import RunReader
+    from recordings.read.run_file import RECORDING_NAME
+
+    several = path.is_dir() and not any(
+        (path / name).exists() for name in (RECORDING_NAME, "plan.json")
+    )
+    if several and not any(path.glob(f"**/{RECORDING_NAME}")):
+        raise InputError(f"{path}: expected a run or a folder with runs, got neither")
+    if not several and not (path / "plan.json").exists():
+        RunReader(path).close()  # Refuses what is no recording.
+    place = open_place(page_address, page_port)
+    typer.echo(f"page: {place.address}   (Ctrl-C ends it)")
+    with suppress(KeyboardInterrupt):
+        asyncio.run(PageServer(path, place, several=several).serve())
