@@ -18,7 +18,7 @@ from typing import Final
 
 import msgspec
 
-from live_page.server import PageServer, Place
+from live_page.server import PageServer, Place, open_place
 
 _NICE: Final = 10
 _RELOAD_S: Final = 3.0
@@ -35,41 +35,30 @@ class PageSettings(msgspec.Struct):
 
 
 class PageProcess:
-    """The page's process, as its launcher sees it.
+    """The page's process, as its launcher sees it. It ends with the context.
 
     Parameters
     ----------
-    path, several
-        The folder of the run, or that of several runs; it may be made later.
-    place
-        Where to serve it.
+    address, port
+        Where to serve the page, see `open_place`.
     """
 
-    def __init__(self, path: Path, place: Place, *, several: bool = False) -> None:
-        number = place.socket.fileno()
+    def __init__(self, address: str | None, port: int | None) -> None:
+        self._place = open_place(address, port)
         self._process = subprocess.Popen(
             (sys.executable, "-P", "-m", "live_page.process"),
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-            pass_fds=(number,),
+            pass_fds=(self._place.socket.fileno(),),
             process_group=0,  # Ctrl-C in a terminal is for the launcher.
         )
-        place.socket.close()
-        self._tell(msgspec.json.encode(PageSettings(str(path), several, number, place.token)))
 
-    def let_end(self, say: Callable[[str], None]) -> None:
-        """Wait until nobody looks at the page any more, or until Ctrl-C."""
-        self._tell(b"over")
-        with suppress(KeyboardInterrupt):
-            try:
-                self._process.wait(_RELOAD_S)
-            except subprocess.TimeoutExpired:
-                say("page: still open in a browser; close it there or press Ctrl-C to end")
-                self._process.wait()
+    def __enter__(self) -> PageProcess:
+        return self
 
-    def end(self) -> None:
-        """End it at once."""
+    def __exit__(self, *error: object) -> None:
+        self._place.socket.close()
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):
             self._process.stdin.close()
@@ -78,6 +67,26 @@ class PageProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+    def show(self, path: Path, *, several: bool = False) -> str:
+        """Serve the run in a folder, or the `several` runs there; return the address to open.
+
+        The folder may be made later.
+        """
+        number, token = self._place.socket.fileno(), self._place.token
+        settings = PageSettings(str(path.absolute()), several, number, token)
+        self._tell(msgspec.json.encode(settings))
+        return self._place.address
+
+    def let_end(self, say: Callable[[str], None]) -> None:
+        """Wait until nobody looks at the page any more, or until Ctrl-C."""
+        self._tell(b"over")
+        with suppress(KeyboardInterrupt):
+            try:
+                self._process.wait(_RELOAD_S / 2)
+            except subprocess.TimeoutExpired:
+                say("page: still open in a browser; close it there or press Ctrl-C to end")
+                self._process.wait()
 
     def _tell(self, line: bytes) -> None:
         assert self._process.stdin is not None

@@ -73,8 +73,8 @@ class Place:
         return f"http://{host}:{port}/" + (f"?token={self.token}" if self.token else "")
 
 
-def open_place(address: str, port: int) -> Place:
-    """Take an address and a port for a page; port 0 is any that is free.
+def open_place(address: str | None, port: int | None) -> Place:
+    """Take an address and a port for a page: by default the loopback address, and any free port.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def open_place(address: str, port: int) -> Place:
         They cannot be had.
     """
     try:
-        ip = ipaddress.ip_address("127.0.0.1" if address == "localhost" else address)
+        ip = ipaddress.ip_address("127.0.0.1" if address in {None, "localhost"} else address)
     except ValueError:
         raise InputError(
             f"--page-address: expected an IP address such as 127.0.0.1 or 0.0.0.0, got {address}"
@@ -91,7 +91,7 @@ def open_place(address: str, port: int) -> Place:
     listener = socket.socket(family, socket.SOCK_STREAM)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((str(ip), port))
+        listener.bind((str(ip), port or 0))
         listener.listen(100)
     except OSError as error:
         listener.close()

@@ -18,6 +18,9 @@ from launch_scripts.commands.options import (
     JsonOption,
     OutOption,
     PaceOption,
+    PageAddressOption,
+    PageOption,
+    PagePortOption,
     PriorityOption,
     ReportOption,
     ScenarioArgument,
@@ -47,6 +50,9 @@ def launch(
     cpus: CpusOption = None,
     priority: PriorityOption = None,
     data: DataOption = None,
+    page: PageOption = False,
+    page_port: PagePortOption = None,
+    page_address: PageAddressOption = None,
     out: OutOption = None,
     report: ReportOption = None,
     json: JsonOption = None,
@@ -56,7 +62,7 @@ def launch(
     Starts the plant simulator, a direct controller for each inverter, the supervisors, the central
     controller and the recorder, each as a process of its own; ends them all; prints the result.
     """
-    from launch_scripts.commands.run import run_and_print
+    from launch_scripts.commands.run import page_process, run_and_print
     from launch_scripts.launcher.request import RunRequest
     from launch_scripts.scenarios.externals import ExternalOptions
     from launch_scripts.scenarios.machine_table import MachineOptions
@@ -78,4 +84,5 @@ def launch(
         external=ExternalOptions(tuple(external or ()), external_timeout, base_port),
         machine=MachineOptions(tuple(cpus or ()), priority),
     )
-    return run_and_print(request, json, report, BEGAN_AT)
+    with page_process(page, page_address, page_port) as shown:
+        return run_and_print(request, json, report, BEGAN_AT, shown)

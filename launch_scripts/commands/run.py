@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TypeAlias
@@ -11,7 +11,7 @@ from typing import TypeAlias
 import msgspec
 from rich.console import Console
 
-from bus_schemas.errors import FailureError
+from bus_schemas.errors import FailureError, InputError
 from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK, complain
 from launch_scripts.commands.output import say, write_json
 from launch_scripts.launcher.launch import launch
@@ -23,14 +23,34 @@ from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.summary_table import print_summary
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.scenarios.preparation import Preparation
+from live_page.process import PageProcess
 from studies.report.recorded_run import write_run_report
 from studies.tables import console_for
 
 Driver: TypeAlias = Callable[[Preparation, RunFolder, View, float], RunSummary]
 
 
+@contextmanager
+def page_process(
+    wanted: bool, address: str | None, port: int | None
+) -> Iterator[PageProcess | None]:
+    """Start the page of a run if it is wanted, before anything else is done."""
+    if wanted:
+        with PageProcess(address, port) as page:
+            yield page
+        return
+    for option, given in (("--page-address", address), ("--page-port", port)):
+        if given is not None:
+            raise InputError(f"{option}: expected --page with it")
+    yield None
+
+
 def run_and_print(
-    request: RunRequest, json: str | None, report: str | None, began_at: float
+    request: RunRequest,
+    json: str | None,
+    report: str | None,
+    began_at: float,
+    page: PageProcess | None = None,
 ) -> int:
     """Run what was asked for and print its result. Returns the exit status.
 
@@ -42,15 +62,19 @@ def run_and_print(
         Values of the options.
     began_at
         Monotonic time at which the command began [s].
+    page
+        Shows the run until nobody looks at it any more.
     """
     console = console_for(json)
-    summary, folder = run(request, console, began_at)
+    summary, folder = run(request, console, began_at, page)
     if json is not None:
         write_json(msgspec.Raw(summary.as_json()), json)
     print_summary(summary, console)
     say(console, f"recording: {folder.recording}")
     if report is not None and summary.cycles:
         say(console, f"report: {write_run_report(folder.path, Path(report) if report else None)}")
+    if page is not None:
+        page.let_end(partial(say, console))
     if summary.recording_ended:
         return complain(f"{summary.recording_ended}; what it holds can be read", FAILED)
     if summary.lost_by_processes:
@@ -58,7 +82,9 @@ def run_and_print(
     return INTERRUPTED if summary.interrupted else OK
 
 
-def run(request: RunRequest, console: Console, began_at: float) -> tuple[RunSummary, RunFolder]:
+def run(
+    request: RunRequest, console: Console, began_at: float, page: PageProcess | None = None
+) -> tuple[RunSummary, RunFolder]:
     """Run a plant, recorded, and write its summary; show it meanwhile.
 
     Raises
@@ -79,6 +105,8 @@ def run(request: RunRequest, console: Console, began_at: float) -> tuple[RunSumm
             with view_for(console, preparation.plan, scenario.time.timezone) as view:
                 for line in (scenario.title, *preparation.remarks):
                     view.say(line)
+                if page is not None:
+                    view.say(f"page: {page.show(folder.path)}")
                 summary = driver(preparation, folder, view, began_at)
         except RunFailure as failure:
             if not folder.recording.exists():

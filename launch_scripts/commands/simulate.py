@@ -14,6 +14,9 @@ from launch_scripts.commands.options import (
     JsonOption,
     OutOption,
     PaceOption,
+    PageAddressOption,
+    PageOption,
+    PagePortOption,
     ReportOption,
     ScenarioArgument,
     SchemeOption,
@@ -37,12 +40,15 @@ def simulate(
     settings: SettingsOption = None,
     fault: FaultOption = None,
     data: DataOption = None,
+    page: PageOption = False,
+    page_port: PagePortOption = None,
+    page_address: PageAddressOption = None,
     out: OutOption = None,
     report: ReportOption = None,
     json: JsonOption = None,
 ) -> int:
     """Run the same agents in one process, with the same messages and recording."""
-    from launch_scripts.commands.run import run_and_print
+    from launch_scripts.commands.run import page_process, run_and_print
     from launch_scripts.launcher.request import RunRequest
     from launch_scripts.scenarios.scenario import load_scenario
     from studies.compare.cases import with_settings
@@ -60,4 +66,5 @@ def simulate(
         out,
         faults=tuple(fault or ()),
     )
-    return run_and_print(request, json, report, BEGAN_AT)
+    with page_process(page, page_address, page_port) as shown:
+        return run_and_print(request, json, report, BEGAN_AT, shown)

@@ -10,6 +10,7 @@ from typing import Annotated, Final
 import typer
 
 from bus_schemas.errors import InputError
+from launch_scripts.commands.options import PageAddressOption, PagePortOption
 
 EXAMPLE: Final = "heliarch view runs/oahu-20261121-120000-4711"
 
@@ -19,12 +20,8 @@ def view(
         Path,
         typer.Argument(help="Folder of a run, its run.mcap, or a folder of runs."),
     ] = Path("runs"),
-    page_port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port of the page; 0 is any that is free.")
-    ] = 0,
-    page_address: Annotated[
-        str, typer.Option(help="Address of the page; other hosts reach it on 0.0.0.0.")
-    ] = "127.0.0.1",
+    page_port: PagePortOption = None,
+    page_address: PageAddressOption = None,
 ) -> None:
     """Show a run in a browser: play, pause and scrub it, also while it is being recorded.
 

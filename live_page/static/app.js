@@ -9,8 +9,8 @@ const $ = id => document.getElementById(id);
 const WINDOWS = [["2 min", 120], ["10 min", 600], ["1 h", 3600], ["all", Infinity]];
 const POWERS = [
   {label: "possible", color: "--possible", fill: "--possible-fill", width: 1},
-  {label: "desired", color: "--desired", dash: [7, 4], width: 2},
   {label: "delivered", color: "--delivered", width: 2},
+  {label: "desired", color: "--desired", dash: [7, 4], width: 2},
 ];
 const NODE_POWERS = [
   {label: "possible", name: "mpp", color: "--possible", fill: "--possible-fill", width: 1},
@@ -62,14 +62,14 @@ function showRun(plan) {
   let span = WINDOWS[1][1], frame = null, selected = null;
   let power = {cycle: [], possible: [], desired: [], delivered: [], unavoidable: [], control_caused: []};
   let history = {cycle: []};
-  let overview = {}, overviewCycles = -1;
+  let overview = {}, overviewCycles = -1, dragged = null;
 
   const seek = target => { live = false; playing = false; go(target); };
   const chart = (id, lines, height, cursorKey) => timeChart($(id), lines, {height, timezone: plan.timezone, cursorKey, onPick: at => seek((at - seconds(0)) / plan.cycle_s)});
-  const powerChart = chart("power-chart", POWERS, 230, "plant");
-  const shortfallChart = chart("shortfall-chart", [{label: "all", color: "--control", fill: "--control", width: 0}, {label: "unavoidable", color: "--unavoidable", fill: "--unavoidable", width: 0}], 96, "plant");
-  const nodeChart = chart("node-chart", NODE_POWERS, 210, "node");
-  const helpChart = chart("help-chart", [{label: "help", color: "--help", fill: "--help", width: 1}], 96, "node");
+  const powerChart = chart("power-chart", POWERS, 240, "plant");
+  const shortfallChart = chart("shortfall-chart", [{label: "all", color: "--control", fill: "--control", width: 0}, {label: "unavoidable", color: "--unavoidable", fill: "--unavoidable", width: 0}], 100, "plant");
+  const nodeChart = chart("node-chart", NODE_POWERS, 260, "node");
+  const helpChart = chart("help-chart", [{label: "help", color: "--help", fill: "--help", width: 1}], 110, "node");
   const map = plantMap($("map"), $("map-note"), plan, select);
   const tree = controlTree($("tree"), plan, select);
   const events = eventList($("events"), timeOf, seek);
@@ -84,7 +84,7 @@ function showRun(plan) {
 
   function drawPower() {
     const {from, to} = shown(), x = power.cycle.map(seconds);
-    powerChart.show([x, power.possible, power.desired, power.delivered], seconds(from), seconds(to));
+    powerChart.show([x, ...POWERS.map(line => power[line.label])], seconds(from), seconds(to));
     const all = power.control_caused.map((value, row) => value === null ? null : value + power.unavoidable[row]);
     shortfallChart.show([x, all, power.unavoidable], seconds(from), seconds(to));
     const last = name => power.cycle.at(-1) === cycle ? power[name].at(-1) : null;
@@ -204,7 +204,7 @@ function showRun(plan) {
     events.dim(cycle);
     $("clock").textContent = timeOf(cycle);
     $("clock").title = day.format(new Date(seconds(cycle) * 1e3));
-    $("position").value = cycle;
+    if (dragged === null) $("position").value = cycle;
     $("position-text").textContent = `cycle ${(cycle + 1).toLocaleString("en")} of ${Math.max(plan.cycles, cycles).toLocaleString("en")}`;
     if (selected === null) select(0);
   }
@@ -228,10 +228,10 @@ function showRun(plan) {
     connect();
   }
   function newest() { live = true; playing = false; connect(); }
-  let dragged = null;
   $("position").addEventListener("input", event => {
+    const target = +event.target.value;
     clearTimeout(dragged);
-    dragged = setTimeout(() => seek(+event.target.value), 60);
+    dragged = setTimeout(() => { dragged = null; seek(target); }, 60);
   });
   $("play").onclick = play;
   $("step").onclick = () => step(1);

@@ -21,8 +21,8 @@ export function timeChart(element, lines, {height, timezone, onPick, cursorKey})
     cursor: {points: {size: 6}, drag: {x: false, y: false}, sync: {key: cursorKey}, y: false},
     scales: {y: {range: (self, low, high) => low == null ? [0, 1] : [Math.min(low, 0), high > 0 ? high * 1.06 : low < 0 ? 0 : 1]}},
     axes: [
-      {...axis, space: 70, values: "{HH}:{mm}:{ss}"},
-      {...axis, size: 62, label: "kW", labelSize: 16, labelFont: "12px system-ui, sans-serif", labelGap: 0, space: 34},
+      {...axis, size: 26, space: 70, values: "{HH}:{mm}:{ss}"},
+      {...axis, size: 62, label: "kW", labelSize: 16, labelFont: "12px system-ui, sans-serif", labelGap: 0, space: Math.min(34, height / 5)},
     ],
     series: [{}, ...lines.map(line => ({
       label: line.label,

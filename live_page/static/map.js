@@ -4,6 +4,7 @@ import {kw} from "./chart.js";
 
 const NS = "http://www.w3.org/2000/svg";
 const RAMP = ["#00224e", "#123570", "#3b496c", "#575d6d", "#707173", "#8a8678", "#a59c74", "#c3b369", "#e1cc55", "#fee838"];
+const CLUSTERS = ["#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#8c7ae6", "#b0a030"];
 const MOST_LINES = 400;
 
 // Cividis: it rises evenly in brightness, also for the colour-blind.
@@ -21,21 +22,21 @@ function make(name, attributes, parent) {
   return element;
 }
 
-function hull(points) {
-  const sorted = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]);
-  const half = list => {
-    const found = [];
-    for (const p of list) {
-      while (found.length > 1) {
-        const [a, b] = found.slice(-2);
-        if ((b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]) > 0) break;
-        found.pop();
-      }
-      found.push(p);
+// The shortest lines that join all points (Prim): they show what belongs together without covering it.
+function joined(points) {
+  const far = points.map(() => Infinity), from = points.map(() => 0), open = new Set(points.keys());
+  const lines = [];
+  far[0] = 0;
+  while (open.size) {
+    const next = [...open].reduce((best, i) => far[i] < far[best] ? i : best);
+    open.delete(next);
+    if (far[next] > 0) lines.push(`M${points[from[next]]}L${points[next]}`);
+    for (const i of open) {
+      const length = Math.hypot(points[i][0] - points[next][0], points[i][1] - points[next][1]);
+      if (length < far[i]) [far[i], from[i]] = [length, next];
     }
-    return found.slice(0, -1);
-  };
-  return sorted.length < 2 ? sorted : [...half(sorted), ...half(sorted.reverse())];
+  }
+  return lines.join("");
 }
 
 // Where nobody knows where the inverters stand, a row for each cluster.
@@ -53,11 +54,11 @@ export function plantMap(svg, note, plan, select) {
   const metres = known ? plan.positions_m : inRows(plan.nodes);
   const [xs, ys] = [0, 1].map(axis => metres.map(point => point[axis]));
   const [left, right, low, high] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
-  const width = 1000, margin = 70;
-  const scale = Math.min((width - 2 * margin) / Math.max(right - left, 1e-9), 620 / Math.max(high - low, 1e-9));
-  const height = Math.max((high - low) * scale + 2 * margin, 300) + 40;
+  const width = 720, margin = 52;
+  const scale = Math.min((width - 2 * margin) / Math.max(right - left, 1e-9), 470 / Math.max(high - low, 1e-9));
+  const height = Math.max((high - low) * scale + 2 * margin, 240) + 16;
   const middle = [(left + right) / 2, (low + high) / 2];
-  const at = metres.map(([x, y]) => [width / 2 + (x - middle[0]) * scale, (height - 40) / 2 - (y - middle[1]) * scale]);
+  const at = metres.map(([x, y]) => [width / 2 + (x - middle[0]) * scale, (height - 16) / 2 - (y - middle[1]) * scale]);
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
   svg.replaceChildren();
   make("path", {d: "M0 0L8 4L0 8z"}, make("marker", {id: "arrow", viewBox: "0 0 8 8", refX: 7, refY: 4, markerWidth: 9, markerHeight: 9, markerUnits: "userSpaceOnUse", orient: "auto"}, make("defs", {}, svg)));
@@ -65,7 +66,7 @@ export function plantMap(svg, note, plan, select) {
   const nearest = at.map((p, i) => Math.min(...at.map((q, j) => i === j ? Infinity : Math.hypot(p[0] - q[0], p[1] - q[1]))));
   const typical = [...nearest].sort((a, b) => a - b)[Math.floor(nearest.length * 0.3)];
   const largest = Math.max(...inverters.map(node => node.rating_kw));
-  const size = Math.min(Math.max(typical * 0.4, 4), 26);
+  const size = Math.min(Math.max(typical * 0.45, 3), 24);
   const radius = node => size * Math.sqrt(node.rating_kw / largest);
 
   const centre = new Map(inverters.map((node, i) => [node.place, at[i]]));
@@ -80,29 +81,30 @@ export function plantMap(svg, note, plan, select) {
   const shapes = new Map();  // What is drawn for each node, by its place.
   const back = make("g", {}, svg), helpLayer = make("g", {}, svg), front = make("g", {}, svg);
   const clusters = [...members.keys()].filter(place => inverters.some(node => node.parent === place) && place !== 0);
-  for (const place of clusters) {
-    const outline = make("path", {class: "hull", "stroke-width": 2 * size + 10, d: `M${hull(members.get(place)).join("L")}Z`}, back);
+  clusters.forEach((place, number) => {
+    const outline = make("g", {class: "cluster"}, back);
+    make("path", {d: joined(members.get(place)), stroke: CLUSTERS[number % CLUSTERS.length], "stroke-width": Math.max(size * (clusters.length > 6 ? 0.4 : 0.7), 3)}, outline);
     outline.addEventListener("click", () => select(place));
     shapes.set(place, outline);
     make("title", {}, outline).textContent = plan.nodes[place].path;
-  }
+  });
 
-  const roomy = size >= 13;
+  const roomy = size >= 11;
   const drawn = inverters.map((node, i) => {
     const [x, y] = at[i], r = radius(node);
     const group = make("g", {class: "inverter", transform: `translate(${x},${y})`, tabindex: -1}, front);
-    const thick = Math.max(r * 0.32, 2), around = r - thick / 2;
+    const thick = Math.max(r * 0.27, 1.5), around = r - thick / 2;
     make("circle", {class: "chosen", r: r + 3}, group);
     const body = make("circle", {class: "body", r: r - thick - 0.5}, group);
     make("circle", {class: "track", r: around, "stroke-width": thick}, group);
     const ring = make("circle", {class: "ring", r: around, "stroke-width": thick, pathLength: 100, transform: "rotate(-90)"}, group);
-    if (roomy) make("text", {y: r + 13, "font-size": 12}, group).textContent = node.path.split("/").pop();
+    if (roomy) make("text", {y: r + 13, "font-size": 12.5}, group).textContent = node.path.split("/").pop();
     const title = make("title", {}, group);
     group.addEventListener("click", () => select(node.place));
     shapes.set(node.place, group);
     return {node, body, ring, title};
   });
-  drawLegend(svg, width, height, known ? scale : null);
+  if (known) drawScale(svg, width, height, scale);
   note.textContent = known ? "" : "The recording does not say where the inverters stand: a row for each cluster.";
 
   let selected = null;
@@ -131,7 +133,7 @@ export function plantMap(svg, note, plan, select) {
         const gap = Math.min(size + 2, length / 3), from = [a[0] + dx / length * gap, a[1] + dy / length * gap], to = [b[0] - dx / length * gap, b[1] - dy / length * gap];
         const bend = [(from[0] + to[0]) / 2 - dy * 0.12, (from[1] + to[1]) / 2 + dx * 0.12];
         line.setAttribute("d", `M${from}Q${bend} ${to}`);
-        line.setAttribute("stroke-width", Math.min(1 + 11 * power_kw / largest, 14).toFixed(1));
+        line.setAttribute("stroke-width", Math.min(1 + 12 * power_kw / largest, 14).toFixed(1));
         line.setAttribute("marker-end", "url(#arrow)");
       });
       return frame.help.length - shown.length;
@@ -139,22 +141,9 @@ export function plantMap(svg, note, plan, select) {
   };
 }
 
-function drawLegend(svg, width, height, scale) {
-  const legend = make("g", {transform: `translate(20,${height - 26})`, "font-size": 15}, svg);
-  RAMP.forEach((colour, step) => make("rect", {x: 84 + step * 14, y: -2, width: 14, height: 14, fill: colour}, legend));
-  const words = (x, text, anchor = "start") => { make("text", {x, y: 11, class: "soft", "text-anchor": anchor}, legend).textContent = text; };
-  words(78, "possible  0", "end");
-  words(230, "100 % of rating");
-  const ring = make("g", {class: "inverter", transform: "translate(372,5)"}, legend);
-  make("circle", {class: "track", r: 8, "stroke-width": 5}, ring);
-  make("circle", {class: "ring", r: 8, "stroke-width": 5, pathLength: 100, "stroke-dasharray": "65 200", transform: "rotate(-90)"}, ring);
-  words(388, "delivered, of rating");
-  make("path", {class: "help", d: "M544 5H586", "stroke-width": 4, "marker-end": "url(#arrow)"}, legend);
-  words(596, "help");
-  if (scale === null) return;
-  const metres = [10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000].filter(step => step * scale < 220).pop() ?? 10;
-  const long = metres * scale;
-  make("path", {d: `M${940 - long} 2v6h${long}v-6`, fill: "none", stroke: "currentColor", opacity: .6}, legend);
-  words(932 - long, metres < 1000 ? `${metres} m` : `${metres / 1000} km`, "end");
-  make("path", {d: "M960 12V-6m-5 6l5-7 5 7", fill: "none", stroke: "currentColor", opacity: .6}, legend);
+function drawScale(svg, width, height, scale) {
+  const metres = [10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000].filter(step => step * scale < 160).pop() ?? 10;
+  const long = metres * scale, y = height - 6;
+  make("path", {class: "scale", d: `M${width - 30 - long} ${y - 6}v6h${long}v-6M${width - 12} ${y}v-20m-5 7l5-7l5 7`}, svg);
+  make("text", {x: width - 36 - long, y, class: "soft", "text-anchor": "end"}, svg).textContent = metres < 1000 ? `${metres} m` : `${metres / 1000} km`;
 }
