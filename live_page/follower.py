@@ -12,6 +12,7 @@ import time
 from bisect import bisect_right
 from collections import Counter
 from contextlib import suppress
+from math import ceil
 from pathlib import Path
 from typing import Final, Literal, TypeAlias
 
@@ -40,6 +41,10 @@ _SILENT_S: Final = 5.0
 
 MOST_CHUNKS: Final = 20
 """To look at for the state in one cycle."""
+
+_LATEST_S: Final = 1.0
+"""So late a message may come in real time and still be found. In lockstep it may come among those
+of the next cycle."""
 
 _POWERS: Final = ("commitment", "regulation", "possible", "delivered")
 
@@ -72,6 +77,8 @@ class RunFollower:
         self.start_time_ns: int | None = None
         self._stop_cycle: int | None = None
         self._failed = False
+        wall_s = self.plan.cycle_wall_ns / 1e9
+        self._disorder = ceil(_LATEST_S / wall_s) if wall_s else 1
         self._firsts: list[int] = []
         self._lasts: list[int] = []
         self.ports: dict[int, Port[Message]] = {}
@@ -116,12 +123,10 @@ class RunFollower:
         return len(self._firsts) / max(len(self.run.outline.chunks), 1)
 
     def chunks_with(self, cycle: int, before: int = 1) -> list[ChunkPlace]:
-        """Return the chunks that can hold messages of a cycle and of some cycles before it.
-
-        Messages are in the order of their cycles but for those of neighbouring cycles.
-        """
-        end = begin = bisect_right(self._firsts, cycle + 1)
-        while begin > max(end - MOST_CHUNKS, 0) and self._lasts[begin - 1] >= cycle - before:
+        """Return the chunks that can hold messages of a cycle and of some cycles before it."""
+        end = begin = bisect_right(self._firsts, cycle + self._disorder)
+        first = cycle - before - self._disorder
+        while begin > max(end - MOST_CHUNKS, 0) and self._lasts[begin - 1] >= first:
             begin -= 1
         return self.run.outline.chunks[begin:end]
 
@@ -176,7 +181,7 @@ class RunFollower:
 
     @property
     def _desired_kw(self) -> NDArray[np.float64]:
-        return self._power_kw["commitment"] + self._power_kw["regulation"]
+        return np.asarray(self._power_kw["commitment"] + self._power_kw["regulation"])
 
     def _next_chunk(self) -> ChunkPlace | None:
         """Return the next chunk that is there as a whole."""

@@ -11,7 +11,7 @@ import msgspec
 from agents.cycle import kind_of, stage_of, stage_place
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message, Production, Setpoint
-from bus_schemas.missing import parse_missing
+from bus_schemas.missing import Missing, parse_missing
 from bus_schemas.signals import (
     COMMAND,
     DISPATCH,
@@ -120,27 +120,31 @@ class NodeStates:
         `input_age`: how old the oldest of them was. `loop_ms`: from the last input of a stage to
         its message.
         """
-        rows = {agent: [0, 0, 0, None] for agent in self.agents}
+        waits: dict[str, list[Missing]] = {agent: [] for agent in self.agents}
+        loop_ms: dict[str, float] = {}
         for message in found.values():
-            if message.cycle != cycle or message.source not in rows:
+            agent = message.source
+            if message.cycle != cycle or agent not in waits:
                 continue
-            row = rows[message.source]
-            for missing in map(parse_missing, message.missing):
-                if missing.cycle is None:
-                    row[0] += 1
-                else:
-                    row[1] += 1
-                    row[2] = max(row[2], cycle - missing.cycle)
+            waits[agent] += map(parse_missing, message.missing)
             if message.ready_time_ns:
-                loop_ms = (message.publish_time_ns - message.ready_time_ns) / 1e6
-                row[3] = round(max(row[3] or 0.0, loop_ms), 3)
-        columns: dict[str, Column] = {
+                took_ms = (message.publish_time_ns - message.ready_time_ns) / 1e6
+                loop_ms[agent] = max(round(took_ms, 3), loop_ms.get(agent, 0.0))
+        ages = [
+            [cycle - missing.cycle for missing in waits[agent] if missing.cycle is not None]
+            for agent in self.agents
+        ]
+        return {
             "age": [cycle - newest[agent] if agent in newest else None for agent in self.agents],
+            "absent": [
+                len(waits[agent]) - len(older)
+                for agent, older in zip(self.agents, ages, strict=True)
+            ],
+            "older": [len(older) for older in ages],
+            "input_age": [max(older, default=0) for older in ages],
+            "loop_ms": [loop_ms.get(agent) for agent in self.agents],
             "restarts": [self._follower.restarts[agent] for agent in self.agents],
         }
-        for number, name in enumerate(("absent", "older", "input_age", "loop_ms")):
-            columns[name] = [row[number] for row in rows.values()]
-        return columns
 
     def _timing(self, cycle: int, found: Messages) -> list[dict[str, object]]:
         """Return when the messages of each stage went out, after the beginning of the cycle [ms].

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
 from math import ceil
 from pathlib import Path
 from typing import Any, Final
@@ -30,10 +31,23 @@ _CATCH_UP: Final = 5
 
 _FIGURES_S: Final = 2.0
 _HEARTBEAT_S: Final = 2.0
+_WAITING_S: Final = 0.5
+_UPDATE_POINTS: Final = 60
 _MOST_POINTS: Final = 2000
 _NODE_POINTS: Final = 240
 _NODE_MESSAGES: Final = 300_000
 """Messages to read at most for the history of a node."""
+
+
+@dataclass
+class _Sent:
+    """What a browser has been told, and when."""
+
+    state: dict[str, Any] = field(default_factory=dict)
+    cycle: int = -1
+    revision: int = 0
+    figures_at: float = 0.0
+    at: float = 0.0
 
 
 class RunView:
@@ -147,44 +161,58 @@ class RunView:
     async def _messages(
         self, position: float | None, speed: float
     ) -> AsyncIterator[dict[str, Any]]:
+        sent = _Sent()
         shown = position
-        last: dict[str, Any] = {}
-        revision, sent_at, figures_at = 0, 0.0, 0.0
         now = time.monotonic()
         while True:
             follower = self.open()
-            if follower is None or self._states is None:
+            if follower is None:
                 yield {"state": "waiting"}
-                await asyncio.sleep(0.5)
+                await asyncio.sleep(_WAITING_S)
                 continue
             up_to_date = follower.advance(_READING_S)
             before, now = now, time.monotonic()
             newest = follower.cycles - 1
-            if position is None:
-                shown = newest if shown is None else shown + ceil((newest - shown) / _CATCH_UP)
-            elif shown is not None and shown < newest:
+            if shown is None:
+                shown = newest
+            elif position is None:
+                shown += ceil((newest - shown) / _CATCH_UP)
+            elif shown < newest:
                 shown = min(shown + speed * (now - before) * 1e9 / follower.plan.cycle_ns, newest)
             self._work_out_figures(follower, now)
-            state = {
-                "state": follower.state,
-                "cycles": follower.cycles,
-                "cycle": min(int(shown or 0), newest),
-                "reading": None if up_to_date else round(follower.read_share, 3),
-            }
-            news = state != last or follower.events.revision > revision
-            if news or self._figures_at > figures_at or now > sent_at + _HEARTBEAT_S:
-                message = {**state, "events": follower.events.since(revision)}
-                cycle, was = state["cycle"], last.get("cycle")
-                if cycle >= 0 and cycle != was:
-                    message["frame"] = self._states.frame(cycle)
-                    begin = cycle if was is None or was > cycle else was + 1
-                    message["plant"] = follower.powers(range(begin, cycle + 1), 60)
-                if self._figures_at > figures_at:
-                    message["figures"] = self._figures
-                last, revision, sent_at = state, follower.events.revision, now
-                figures_at = self._figures_at
-                yield message
+            read_share = None if up_to_date else round(follower.read_share, 3)
+            news = self._news(follower, min(int(shown), newest), read_share, sent)
+            if news:
+                sent.at = now
+                yield news
             await asyncio.sleep(UPDATE_S if up_to_date else _READING_S / 3)
+
+    def _news(
+        self, follower: RunFollower, cycle: int, read_share: float | None, sent: _Sent
+    ) -> dict[str, Any]:
+        """Return what a browser does not know yet; nothing if it was told all and recently."""
+        state: dict[str, Any] = {
+            "state": follower.state,
+            "cycles": follower.cycles,
+            "reading": read_share,
+        }
+        is_new = (state, cycle) != (sent.state, sent.cycle) or self._figures_at > sent.figures_at
+        if not (
+            is_new
+            or follower.events.revision > sent.revision
+            or time.monotonic() > sent.at + _HEARTBEAT_S
+        ):
+            return {}
+        message = {**state, "cycle": cycle, "events": follower.events.since(sent.revision)}
+        if cycle >= 0 and cycle != sent.cycle and self._states is not None:
+            begin = sent.cycle + 1 if 0 <= sent.cycle < cycle else cycle
+            message["frame"] = self._states.frame(cycle)
+            message["plant"] = follower.powers(range(begin, cycle + 1), _UPDATE_POINTS)
+        if self._figures_at > sent.figures_at:
+            message["figures"] = self._figures
+        sent.state, sent.cycle = state, cycle
+        sent.revision, sent.figures_at = follower.events.revision, self._figures_at
+        return message
 
     def _work_out_figures(self, follower: RunFollower, now: float) -> None:
         """Work out the figures of merit so far, unless that was just done."""

@@ -24,7 +24,7 @@ from starlette.middleware import Middleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import Request
 from starlette.responses import FileResponse, PlainTextResponse, Response, StreamingResponse
-from starlette.routing import Mount, Route
+from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -162,7 +162,7 @@ class PageServer:
             Route("/node", self._node),
             Route("/stream", self._stream),
         ]
-        routes = [Mount("/static", StaticFiles(directory=_STATIC))]
+        routes: list[BaseRoute] = [Mount("/static", StaticFiles(directory=_STATIC))]
         if self._list is None:
             routes += of_run
         else:

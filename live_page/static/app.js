@@ -103,26 +103,31 @@ function showRun(plan) {
     if (frame && selected !== null) values($("node-values"), [...NODE_POWERS, {label: "help", name: "help", color: "--help"}].map(line => ({...line, value: frame.nodes[line.name][selected]})));
   }
 
-  async function loadPower() {
-    const {from, to} = shown();
-    power = await json(`window?from=${Math.floor(from)}&to=${to}&points=1500`);
-    drawPower();
+  // What came while older cycles were asked for stays behind them.
+  function joined(loaded, newer) {
+    const last = loaded.cycle.at(-1) ?? -1, kept = newer.cycle.map(value => value > last && value <= cycle);
+    for (const name in newer) loaded[name] = (loaded[name] ?? []).concat(newer[name].filter((_, row) => kept[row]));
+    return loaded;
   }
 
-  // A history takes the server a while: of several that are asked for, the last one counts.
+  // Of several that are asked for, the last one counts.
   let asked = 0;
-  async function loadNode() {
-    if (selected === null) return;
-    const {from, to} = shown(), number = ++asked;
-    const found = await json(`node?path=${encodeURIComponent(plan.nodes[selected].path)}&from=${Math.floor(from)}&to=${to}`);
+  async function load() {
+    const {from, to} = shown(), part = `from=${Math.floor(from)}&to=${to}`, number = ++asked, place = selected;
+    const plant = await json(`window?${part}&points=1500`);
     if (number !== asked) return;
-    history = found;
+    power = joined(plant, power);
+    drawPower();
+    if (place === null) return;
+    const node = await json(`node?path=${encodeURIComponent(plan.nodes[place].path)}&${part}`);
+    if (number !== asked || place !== selected) return;
+    history = joined(node, history);
     drawNode();
   }
   let waiting = null;
   const reload = () => {
     clearTimeout(waiting);
-    waiting = setTimeout(() => { loadPower(); loadNode(); }, 80);
+    waiting = setTimeout(load, 80);
   };
 
   async function redrawBar() {
@@ -144,7 +149,7 @@ function showRun(plan) {
     tree.select(place);
     history = {cycle: []};
     drawNode();
-    loadNode();
+    reload();
   }
 
   // Updates --------------------------------------------------------------------------------------
