@@ -61,15 +61,15 @@ function showRun(plan) {
   let live = true, playing = false, cycle = -1, cycles = 0, over = false, source = null;
   let span = WINDOWS[1][1], frame = null, selected = null;
   let power = {cycle: [], possible: [], desired: [], delivered: [], unavoidable: [], control_caused: []};
-  let history = {cycle: []};
+  let history = {cycle: []}, current = {};
   let overview = {}, overviewCycles = -1, dragged = null;
 
   const seek = target => { live = false; playing = false; go(target); };
   const chart = (id, lines, height, cursorKey) => timeChart($(id), lines, {height, timezone: plan.timezone, cursorKey, onPick: at => seek((at - seconds(0)) / plan.cycle_s)});
   const powerChart = chart("power-chart", POWERS, 240, "plant");
   const shortfallChart = chart("shortfall-chart", [{label: "all", color: "--control", fill: "--control", width: 0}, {label: "unavoidable", color: "--unavoidable", fill: "--unavoidable", width: 0}], 100, "plant");
-  const nodeChart = chart("node-chart", NODE_POWERS, 260, "node");
-  const helpChart = chart("help-chart", [{label: "help", color: "--help", fill: "--help", width: 1}], 110, "node");
+  const nodeChart = chart("node-chart", NODE_POWERS, 300, "node");
+  const helpChart = chart("help-chart", [{label: "help", color: "--help", fill: "--help", width: 1}], 130, "node");
   const map = plantMap($("map"), $("map-note"), plan, select);
   const tree = controlTree($("tree"), plan, select);
   const events = eventList($("events"), timeOf, seek);
@@ -84,22 +84,21 @@ function showRun(plan) {
 
   function drawPower() {
     const {from, to} = shown(), x = power.cycle.map(seconds);
-    powerChart.show([x, ...POWERS.map(line => power[line.label])], seconds(from), seconds(to));
+    powerChart.show([x, ...POWERS.map(line => power[line.label])], seconds(from), seconds(to), seconds(cycle));
     const all = power.control_caused.map((value, row) => value === null ? null : value + power.unavoidable[row]);
-    shortfallChart.show([x, all, power.unavoidable], seconds(from), seconds(to));
-    const last = name => power.cycle.at(-1) === cycle ? power[name].at(-1) : null;
+    shortfallChart.show([x, all, power.unavoidable], seconds(from), seconds(to), seconds(cycle));
     values($("values"), [
-      ...POWERS.map(line => ({...line, value: last(line.label)})),
-      {label: "shortfall, unavoidable", value: last("unavoidable")},
-      {label: "shortfall, control-caused", value: last("control_caused")},
+      ...POWERS.map(line => ({...line, value: current[line.label]})),
+      {label: "shortfall, unavoidable", value: current.unavoidable},
+      {label: "shortfall, control-caused", value: current.control_caused},
     ]);
   }
 
   function drawNode() {
     const {from, to} = shown(), x = history.cycle.map(seconds);
     const column = name => history[name] ?? x.map(() => null);
-    nodeChart.show([x, ...NODE_POWERS.map(line => column(line.name))], seconds(from), seconds(to));
-    helpChart.show([x, column("help")], seconds(from), seconds(to));
+    nodeChart.show([x, ...NODE_POWERS.map(line => column(line.name))], seconds(from), seconds(to), seconds(cycle));
+    helpChart.show([x, column("help")], seconds(from), seconds(to), seconds(cycle));
     if (frame && selected !== null) values($("node-values"), [...NODE_POWERS, {label: "help", name: "help", color: "--help"}].map(line => ({...line, value: frame.nodes[line.name][selected]})));
   }
 
@@ -179,7 +178,10 @@ function showRun(plan) {
     $("state").textContent = live || over ? state : `${state}, ${playing ? "playing" : "paused"}`;
     $("state").className = `badge ${news.state}`;
     if (news.events?.length) events.add(news.events);
-    if (news.figures) figures($("figures"), news.figures);
+    if (news.figures) {
+      figures($("figures"), news.figures);
+      $("figures-about").textContent = `${cycles.toLocaleString("en")} cycles`;
+    }
     if (news.frame) showFrame(news, fresh);
     if (!live && playing && cycle >= cycles - 1) { playing = false; connect(); }
     redrawBar();
@@ -190,6 +192,7 @@ function showRun(plan) {
     const before = cycle;
     cycle = frame.cycle;
     const columns = news.plant;
+    for (const name in columns) current[name] = columns[name].at(-1);
     const follows = !fresh && before < cycle && columns.cycle[0] > (power.cycle.at(-1) ?? -1);
     if (follows && power.cycle.length + columns.cycle.length < LONGEST) {
       const first = shown().from, drop = power.cycle.findIndex(value => value >= first);
@@ -211,7 +214,7 @@ function showRun(plan) {
     $("clock").title = day.format(new Date(seconds(cycle) * 1e3));
     if (dragged === null) $("position").value = cycle;
     $("position-text").textContent = `cycle ${(cycle + 1).toLocaleString("en")} of ${Math.max(plan.cycles, cycles).toLocaleString("en")}`;
-    if (selected === null) select(0);
+    if (selected === null) select(plan.nodes.findIndex(node => node.inverter));
   }
 
   // Controls -------------------------------------------------------------------------------------

@@ -14,7 +14,16 @@ export function redrawCharts() {
 // `lines`: {label, color, width?, dash?, fill?} each, colours as names of CSS variables.
 export function timeChart(element, lines, {height, timezone, onPick, cursorKey}) {
   const axis = {stroke: () => css("--quiet"), grid: {stroke: () => css("--grid"), width: 1}, ticks: {show: false}, font: "12px system-ui, sans-serif"};
+  let now = null;
+  // A line at the moment shown, where the chart goes on behind it.
+  const markNow = self => {
+    const x = Math.round(self.valToPos(now, "x", true)), {left, top, width, height} = self.bbox;
+    if (now === null || x > left + width - 2) return;
+    self.ctx.fillStyle = css("--ink");
+    self.ctx.fillRect(x, top, devicePixelRatio, height);
+  };
   const chart = new uPlot({
+    hooks: {draw: [markNow]},
     width: element.clientWidth, height,
     tzDate: seconds => uPlot.tzDate(new Date(seconds * 1e3), timezone),
     legend: {show: false},
@@ -37,7 +46,8 @@ export function timeChart(element, lines, {height, timezone, onPick, cursorKey})
     if (chart.cursor.left >= 0) onPick(chart.posToVal(chart.cursor.left, "x"));
   });
   return {
-    show(columns, from, to) {
+    show(columns, from, to, moment) {
+      now = moment;
       chart.batch(() => { chart.setData(columns, true); chart.setScale("x", {min: from, max: to}); });
     },
   };

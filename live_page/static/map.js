@@ -61,13 +61,15 @@ export function plantMap(svg, note, plan, select) {
   const at = metres.map(([x, y]) => [width / 2 + (x - middle[0]) * scale, (height - 16) / 2 - (y - middle[1]) * scale]);
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
   svg.replaceChildren();
-  make("path", {d: "M0 0L8 4L0 8z"}, make("marker", {id: "arrow", viewBox: "0 0 8 8", refX: 7, refY: 4, markerWidth: 9, markerHeight: 9, markerUnits: "userSpaceOnUse", orient: "auto"}, make("defs", {}, svg)));
-
   const nearest = at.map((p, i) => Math.min(...at.map((q, j) => i === j ? Infinity : Math.hypot(p[0] - q[0], p[1] - q[1]))));
   const typical = [...nearest].sort((a, b) => a - b)[Math.floor(nearest.length * 0.3)];
   const largest = Math.max(...inverters.map(node => node.rating_kw));
   const size = Math.min(Math.max(typical * 0.45, 3), 24);
   const radius = node => size * Math.sqrt(node.rating_kw / largest);
+
+  const head = Math.min(Math.max(size * 0.6, 4), 9);
+  const arrow = make("marker", {id: "arrow", viewBox: "0 0 8 8", refX: 7, refY: 4, markerWidth: head, markerHeight: head, markerUnits: "userSpaceOnUse", orient: "auto"}, make("defs", {}, svg));
+  make("path", {d: "M0 0L8 4L0 8z"}, arrow);
 
   const centre = new Map(inverters.map((node, i) => [node.place, at[i]]));
   const members = new Map();
@@ -79,7 +81,7 @@ export function plantMap(svg, note, plan, select) {
   for (const [place, points] of members) centre.set(place, [0, 1].map(axis => points.reduce((sum, p) => sum + p[axis], 0) / points.length));
 
   const shapes = new Map();  // What is drawn for each node, by its place.
-  const back = make("g", {}, svg), helpLayer = make("g", {}, svg), front = make("g", {}, svg);
+  const back = make("g", {}, svg), helpLayer = make("g", {}, svg), front = make("g", {}, svg), labels = make("g", {class: "labels"}, svg);
   const clusters = [...members.keys()].filter(place => inverters.some(node => node.parent === place) && place !== 0);
   clusters.forEach((place, number) => {
     const outline = make("g", {class: "cluster"}, back);
@@ -89,7 +91,7 @@ export function plantMap(svg, note, plan, select) {
     make("title", {}, outline).textContent = plan.nodes[place].path;
   });
 
-  const roomy = size >= 11;
+  const roomy = typical >= 38;
   const drawn = inverters.map((node, i) => {
     const [x, y] = at[i], r = radius(node);
     const group = make("g", {class: "inverter", transform: `translate(${x},${y})`, tabindex: -1}, front);
@@ -98,7 +100,7 @@ export function plantMap(svg, note, plan, select) {
     const body = make("circle", {class: "body", r: r - thick - 0.5}, group);
     make("circle", {class: "track", r: around, "stroke-width": thick}, group);
     const ring = make("circle", {class: "ring", r: around, "stroke-width": thick, pathLength: 100, transform: "rotate(-90)"}, group);
-    if (roomy) make("text", {y: r + 13, "font-size": 12.5}, group).textContent = node.path.split("/").pop();
+    if (roomy) make("text", {x, y: y + r + 13, "font-size": 12.5}, labels).textContent = node.path.split("/").pop();
     const title = make("title", {}, group);
     group.addEventListener("click", () => select(node.place));
     shapes.set(node.place, group);
@@ -133,7 +135,7 @@ export function plantMap(svg, note, plan, select) {
         const gap = Math.min(size + 2, length / 3), from = [a[0] + dx / length * gap, a[1] + dy / length * gap], to = [b[0] - dx / length * gap, b[1] - dy / length * gap];
         const bend = [(from[0] + to[0]) / 2 - dy * 0.12, (from[1] + to[1]) / 2 + dx * 0.12];
         line.setAttribute("d", `M${from}Q${bend} ${to}`);
-        line.setAttribute("stroke-width", Math.min(1 + 12 * power_kw / largest, 14).toFixed(1));
+        line.setAttribute("stroke-width", Math.min(1 + size * power_kw / largest, 14).toFixed(1));
         line.setAttribute("marker-end", "url(#arrow)");
       });
       return frame.help.length - shown.length;

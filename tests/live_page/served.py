@@ -46,9 +46,11 @@ class Served:
 
 
 @contextmanager
-def served(path: Path, *, several: bool = False, address: str = "127.0.0.1") -> Iterator[Served]:
+def served(
+    path: Path, *, several: bool = False, address: str = "127.0.0.1", port: int = 0
+) -> Iterator[Served]:
     """Serve a run, or several."""
-    place = open_place(address, 0)
+    place = open_place(address, port)
     server = PageServer(path, place, several=several)
     thread = threading.Thread(target=lambda: asyncio.run(server.serve()))
     thread.start()
