@@ -55,9 +55,7 @@ class NodeStates:
         self._below = [tree.leaves_below(node) for node in tree.nodes]
         self.agents = (PLANT, *(agent_name(node) for node in tree.nodes))
         self._parsed = lru_cache(MOST_CHUNKS + 4)(self._parse)
-        self._stages = {
-            port: _Stage(*self._stage(port)) for port in plan.keys.ports if port.signal.is_cyclic
-        }
+        self._stages = self._stages_of(port for port in plan.keys.ports if port.signal.is_cyclic)
         self.frame = lru_cache(32)(self._frame)
 
     def series(self, node: str, cycle: int) -> dict[str, float | None]:
@@ -176,15 +174,24 @@ class NodeStates:
             for stage in sorted(times, key=lambda stage: stage.place)
         ]
 
-    def _stage(self, port: Port[Message]) -> tuple[int, str, float | None]:
-        agent, stage = port.publisher, stage_of(port, self._tree)
-        kind = kind_of(agent, self._tree)
-        place = stage_place(agent, stage, self._tree)
-        who = f"{kind} tier {depth(agent)}" if kind == "supervisor" else kind
-        label = f"{stage}, {who if self._tree.height > 2 else kind}"
-        if self._plan.lockstep:
-            return place, label, None
-        return place, label, round(self._plan.deadlines.deadline_ns(agent, stage) / 1e6, 3)
+    def _stages_of(self, ports: Iterable[Port[Message]]) -> dict[Port[Message], _Stage]:
+        """Return the stage of each port. Its deadline is when those close that wait for it."""
+        plan, tree = self._plan, self._tree
+        stages: dict[Port[Message], tuple[int, str]] = {}
+        closes_ns: dict[int, int] = {}
+        for port in ports:
+            agent, stage = port.publisher, stage_of(port, tree)
+            kind = kind_of(agent, tree)
+            several = kind == "supervisor" and tree.height > 2
+            label = f"{stage}, {kind} tier {depth(agent)}" if several else f"{stage}, {kind}"
+            place = stage_place(agent, stage, tree)
+            stages[port] = place, label
+            closes_ns[place] = plan.deadlines.deadline_ns(agent, stage)
+        closes_ns[max(closes_ns) + 1] = plan.cycle_wall_ns
+        return {
+            port: _Stage(place, label, None if plan.lockstep else closes_ns[place + 1] / 1e6)
+            for port, (place, label) in stages.items()
+        }
 
     def _messages_at(
         self, cycle: int, ports: Collection[Port[Message]] | None
