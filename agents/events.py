@@ -62,8 +62,6 @@ class Finished(Event, frozen=True):
         Cycles that were over before the agent came to them.
     faults
         What an imperfect network did to messages on their way to it.
-    matched_rules
-        Numbers of the fault rules that messages on their way to it have met.
     dismissed
         Whether SIGTERM ended it before the run was over.
     """
@@ -74,7 +72,6 @@ class Finished(Event, frozen=True):
     old_inputs: int = 0
     skipped_cycles: int = 0
     faults: dict[str, int] = msgspec.field(default_factory=dict)
-    matched_rules: tuple[int, ...] = ()
     dismissed: bool = False
 
 

@@ -1,7 +1,7 @@
-"""The link between a process of a run and the launcher: events go out, messages come in.
+"""The link between a process of a run and the launcher.
 
 It needs no bus, so it works even if the bus does not. A process that was started by hand prints its
-events as lines of JSON and receives no messages.
+events as lines of JSON.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class LauncherLink:
         Name of the agent in the process.
     events
         Socket that keeps packets apart, shared with the other processes of the run.
-    words
-        Pipe from which the launcher's words can be read without waiting.
+    expected
+        Pipe on which the launcher tells the recorder how many messages to expect.
 
     Attributes
     ----------
@@ -42,13 +42,12 @@ class LauncherLink:
     """
 
     def __init__(
-        self, agent: str, events: socket.socket | None = None, words: int | None = None
+        self, agent: str, events: socket.socket | None = None, expected: int | None = None
     ) -> None:
         self.dismissed = False
         self._agent = agent
         self._events = events
-        self._words = words
-        self._pending = b""
+        self._expected = expected
 
     def heed_sigterm(self) -> None:
         """Treat SIGTERM as the launcher's request to end in order."""
@@ -71,16 +70,13 @@ class LauncherLink:
             for packet in packets(self._agent, data):
                 self._events.send(packet, flags)
 
-    def words(self) -> list[str]:
-        """Return the words that have come."""
-        if self._words is None:
-            return []
-        try:
-            self._pending += os.read(self._words, 4096)
-        except BlockingIOError:
-            return []
-        *lines, self._pending = self._pending.split(b"\n")
-        return [line.decode() for line in lines]
+    def expected_messages(self) -> int | None:
+        """Return how many messages of the run were published in all; None: not known yet."""
+        if self._expected is None:
+            return None
+        with suppress(BlockingIOError, ValueError):  # Nothing yet, or the server is gone.
+            return int(os.read(self._expected, 32))
+        return None
 
 
 def packets(agent: str, data: bytes) -> list[bytes]:

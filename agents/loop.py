@@ -145,6 +145,11 @@ class AgentLoop(Generic[S]):
         return self._stages[self._place].name if self._place < len(self._stages) else ""
 
     @property
+    def needs(self) -> list[tuple[str, str]]:
+        """Key and publisher of each message that the open stage still awaits."""
+        return [(str(port), port.publisher) for port in sorted(self.waiting, key=str)]
+
+    @property
     def finished(self) -> bool:
         """Whether the run has ended for this agent."""
         return self.cycle >= self.end_cycle

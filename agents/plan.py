@@ -181,6 +181,10 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     @cached_property
     def network_faults(self) -> NetworkFaults:
         """The faults of the network, at work."""
+        return self.faults_at_work()
+
+    def faults_at_work(self) -> NetworkFaults:
+        """Return the faults of the network, with nothing done yet."""
         return NetworkFaults(
             self.faults, self.faults_seed, self.tree, self.cycle_ns, self.cycle_wall_ns
         )

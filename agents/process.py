@@ -70,22 +70,22 @@ def run_guarded(
 
 
 def _run_controller(plan: RunPlan, name: str, link: LauncherLink) -> None:
-    with Seat(plan, controller(plan, name), link) as seat:
+    with AgentProcess(plan, controller(plan, name), link) as process:
         log.info("%s is on the bus", name)
-        for _ in seat.drive():
+        for _ in process.drive():
             if link.dismissed:
                 break
         # Nobody ends a controller that was started by hand, should the plant have died.
         give_up_at = time.monotonic() + _STOP_PATIENCE_S + 2.0 * plan.cycle_wall_ns / 1e9
-        while not seat.loop.stop_heard and not link.dismissed:
-            seat.driver.turn(longest_ns=round(give_up_at * 1e9))
+        while not process.loop.stop_heard and not link.dismissed:
+            process.driver.turn(longest_ns=round(give_up_at * 1e9))
             if time.monotonic() > give_up_at:
                 log.warning("%s ends: the plant did not say that the run is over", name)
                 break
-        seat.report()
+        process.report()
 
 
-class Seat:
+class AgentProcess:
     """An agent's place in a run: its loop and driver on the bus, and its link to the launcher.
 
     Parameters
@@ -118,7 +118,7 @@ class Seat:
         self.watch_alive = self._bus.watch_alive
         link.tell(Joined())
 
-    def __enter__(self) -> Seat:
+    def __enter__(self) -> AgentProcess:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -129,8 +129,7 @@ class Seat:
         loop = self.loop
         for arrivals in self.driver.run():
             if not arrivals and self.plan.lockstep and loop.waiting and loop.cycle >= 0:
-                needs = [(str(port), port.publisher) for port in sorted(loop.waiting, key=str)]
-                self.link.tell(Waiting(loop.cycle, loop.stage, needs))
+                self.link.tell(Waiting(loop.cycle, loop.stage, loop.needs))
             yield
 
     def report(self) -> None:
@@ -151,7 +150,6 @@ class Seat:
                 old_inputs=loop.old_inputs,
                 skipped_cycles=loop.skipped_cycles,
                 faults=self._faults.tally.as_counts() if self._faults else {},
-                matched_rules=tuple(self.plan.network_faults.matched),
                 dismissed=self.link.dismissed and loop.cycle < self.plan.cycles,
             )
         )

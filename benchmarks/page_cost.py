@@ -71,7 +71,7 @@ def measure(browsers: int | None, scenario: str, pace: str, seconds: int) -> Cos
                 reader.kill()
             with suppress(psutil.Error):
                 for child in psutil.Process(launched.pid).children():
-                    if "live_page.process" in child.cmdline():
+                    if "live_page" in child.cmdline():
                         page_s = sum(child.cpu_times()[:2])
                         if began_s is None and "armed: " in text:
                             began_s = page_s

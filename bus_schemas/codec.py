@@ -32,6 +32,8 @@ def decode(signal: Signal[M], payload: bytes) -> M:
         return _decoders[signal.type].decode(payload)  # type: ignore[return-value]
     except UnicodeDecodeError as error:
         raise msgspec.DecodeError(f"invalid UTF-8 in a string: {error.reason}") from None
+    except RecursionError:
+        raise msgspec.DecodeError("lists or maps are nested too deep") from None
 
 
 def json_schema(signal: Signal[Message]) -> dict[str, object]:

@@ -20,7 +20,7 @@ References
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from hashlib import blake2b
@@ -159,6 +159,21 @@ class FaultTally:
         return {name: count for name, count in counts.items() if count}
 
 
+@dataclass(slots=True)
+class RuleActs:
+    """Messages to which a rule did something on the way to a listener, and in which cycles."""
+
+    messages: int = 0
+    first_cycle: int | None = None
+    last_cycle: int | None = None
+
+    def add(self, cycle: int) -> None:
+        """Count one message; cycles may come in any order."""
+        self.messages += 1
+        self.first_cycle = cycle if self.first_cycle is None else min(self.first_cycle, cycle)
+        self.last_cycle = cycle if self.last_cycle is None else max(self.last_cycle, cycle)
+
+
 class NetworkFaults:
     """The rules of a run, at work on its links.
 
@@ -178,9 +193,8 @@ class NetworkFaults:
 
     Attributes
     ----------
-    matched
-        Numbers of the rules that a message has met so far: on one of its links, and, if the rule
-        has nothing but `silent`, in one of those intervals.
+    acts
+        What each rule has done so far.
     """
 
     def __init__(
@@ -191,7 +205,7 @@ class NetworkFaults:
         cycle_ns: int,
         cycle_wall_ns: int,
     ) -> None:
-        self.matched: set[int] = set()
+        self.acts = tuple(RuleActs() for _ in rules)
         self._links = {
             (port, listener): _Link(numbered, seed, port, listener, cycle_ns, cycle_wall_ns)
             for port, listener in links(tree)
@@ -226,7 +240,7 @@ class NetworkFaults:
         link = self._links.get((port, listener))
         if link is None or message.cycle < 0:
             return UNHARMED
-        return link.fate(message.cycle, self.matched)
+        return link.fate(message.cycle, self.acts)
 
 
 class _Link:
@@ -245,21 +259,23 @@ class _Link:
         self._stretches = [
             _Stretch(rule, f"{seed} {number} {port} {listener}") for number, rule in rules
         ]
-        self._always = {number for number, rule in rules if rule.acts_outside_silence}
         self._cycle_s = cycle_ns / 1e9
         self._cycle_wall_s = cycle_wall_ns / 1e9
 
-    def fate(self, cycle: int, matched: set[int]) -> tuple[int, ...]:
-        """Return the delays [ns] of the copies that arrive; note which rules the message met."""
-        matched |= self._always
+    def fate(self, cycle: int, acts: Sequence[RuleActs]) -> tuple[int, ...]:
+        """Return the delays [ns] of the copies that arrive; note which rules did something."""
         time_s = cycle * self._cycle_s
         silent = [number for number, rule in self._rules if rule.is_silent(time_s)]
+        for number in silent:
+            acts[number].add(cycle)
         if silent:
-            matched.update(silent)
             return _LOST
         delays_ms = [0.0]
-        for stretch in self._stretches:
-            delays_ms = stretch.pass_on(cycle, delays_ms)
+        for (number, _), stretch in zip(self._rules, self._stretches, strict=True):
+            before_ms = delays_ms
+            delays_ms = stretch.pass_on(cycle, before_ms)
+            if delays_ms != before_ms:
+                acts[number].add(cycle)
         return tuple(round(delay_ms * 1e6) for delay_ms in delays_ms)
 
     def most_under_way(self) -> int:
@@ -328,15 +344,6 @@ class _Stretch:
 
 _NUMBERS: Final = struct.Struct("<qq")
 _WORDS: Final = struct.Struct("<8Q")
-
-
-def unmatched_rules(rules: tuple[FaultRule, ...], matched: Collection[int]) -> tuple[str, ...]:
-    """Name the rules that no message of a run has met, a line each."""
-    return tuple(
-        f"fault {rule}: no message of this run matched it"
-        for number, rule in enumerate(rules)
-        if number not in matched and rule.signal not in UNHEARD
-    )
 
 
 def links(tree: ControlTree) -> list[tuple[Port[Message], str]]:

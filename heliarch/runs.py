@@ -89,18 +89,9 @@ def simulate(
     InputError
         Scenario, options and data do not go together.
     """
-    request = RunRequest(
-        "simulate",
-        with_settings(_loaded(scenario), _texts(settings)),
-        start,
-        end,
-        duration,
-        seed=seed,
-        scheme=scheme,
-        actuator=actuator,
-        out=None if out is None else Path(out),
-        faults=tuple(faults),
-    )
+    options = RunOptions(start, duration, end, None, seed, scheme, actuator, tuple(faults))
+    scenario_file = with_settings(_loaded(scenario), _texts(settings))
+    request = RunRequest(scenario_file, options, None if out is None else Path(out))
     with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
         summary, folder = run(request, Console(file=nowhere), time.monotonic())
     return SimulatedRun(summary, folder.path)

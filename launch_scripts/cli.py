@@ -25,6 +25,7 @@ from launch_scripts.commands import (
     view,
 )
 from launch_scripts.commands.boundary import BAD_INPUT, Command, CommandLine
+from launch_scripts.commands.options import with_groups
 
 COMMANDS: Final[dict[str, tuple[ModuleType, ...]]] = {
     "Run": (launch, simulate, timing, scenarios),
@@ -66,7 +67,7 @@ for _heading, _modules in COMMANDS.items():
             cls=Command,
             rich_help_panel=_heading,
             epilog=f"Example: {_module.EXAMPLE}",
-        )(getattr(_module, _name))
+        )(with_groups(getattr(_module, _name)))
 
 
 def main() -> None:

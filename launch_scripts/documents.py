@@ -9,16 +9,15 @@ the parts between `<!-- table: NAME -->` and `<!-- end -->` with the code.
 from __future__ import annotations
 
 import re
-import struct
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, Final, cast
 
-import numpy as np
+import msgpack
 from msgspec import NODEFAULT, inspect
 
 from agents.agent import Agent, Stage, Turn
-from agents.plan import RunPlan
 from agents.team import controllers
 from bus_schemas import messages
 from bus_schemas.bounds import BOUNDS, LARGEST, Bound
@@ -27,33 +26,20 @@ from bus_schemas.messages import Dispatch, Message
 from bus_schemas.signals import DISPATCH, HELP, RESIDUAL, SIGNALS
 from bus_schemas.tree import CENTRAL, PLANT, ROOT
 from launch_scripts.scenarios.fields import description, members, takes
-from launch_scripts.scenarios.scenario import Scenario
+from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.scenario import Scenario, load_scenario
 from sim_plant.plant import Plant
-from sim_plant.profile import Profile
 
 DOCUMENTS: Final = ("docs/scenarios.md", "docs/wire.md")
 INVERTER: Final = "c2/inv07"
 
 _MARKED: Final = re.compile(r"(<!-- table: (.*?) -->\n).*?(<!-- end -->)", re.DOTALL)
-_PLAN: Final = RunPlan(
-    run_id="example",
-    plant="oahu",
-    inverters=(("c1/inv01", 470.0), ("c2/inv05", 470.0), (INVERTER, 470.0)),
-    start_time_ns=0,
-    cycle_ns=1_000_000,
-    cycles=1,
-    timezone="UTC",
-    regulation_capacity_kw=0.0,
-    cycle_wall_ns=1_000_000,
-    period_cycles=(1, 1),
-    scheme="paper",
-    actuator="fraction",
-    alpha_min=0.05,
-    hold_cycles=3,
-    stall_timeout_s=1.0,
-    neighbourhoods=(),
-    tcp_ports={},
-)
+
+
+@cache
+def _example() -> Preparation:
+    """Return a run in real time, for what depends on a plant."""
+    return prepare(load_scenario("oahu"), RunOptions(duration="1", pace=1.0), "example")
 
 
 def filled(text: str) -> str:
@@ -135,11 +121,12 @@ def _default(field: inspect.Field) -> str:
 
 
 def _signals() -> Iterator[str]:
+    tree = _example().plan.tree
     return _rows(
         ("key", "type", "about", "published by", "heard by", "how often", "recorded"),
         (
             (
-                f"`<plant>/{'' if row.nodes(_PLAN.tree) == (ROOT,) else '<path>/'}{row.name}`",
+                f"`<plant>/{'' if row.nodes(tree) == (ROOT,) else '<path>/'}{row.name}`",
                 row.type.__name__,
                 row.about.value,
                 row.publisher.value,
@@ -210,18 +197,17 @@ def _stages() -> Iterator[str]:
 
 
 def _deadline_share(agent: Agent[Any], stage: Stage) -> float:
-    return _PLAN.deadlines.deadline_ns(agent.name, stage.name) / _PLAN.cycle_wall_ns
+    plan = _example().plan
+    return plan.deadlines.deadline_ns(agent.name, stage.name) / plan.cycle_wall_ns
 
 
-def _team() -> tuple[tuple[str, Agent[Any]], ...]:
-    team: dict[str, Agent[Any]] = {agent.name: agent for agent in controllers(_PLAN)}
-    one = np.zeros((1, len(_PLAN.tree.leaves)))
-    return (
-        ("plant", Plant(_PLAN, Profile(mpp_kw=one, commitment_kw=one[:, 0]))),
-        ("direct controller", team[INVERTER]),
-        ("supervisor", team["c2"]),
-        ("central controller", team[CENTRAL]),
-    )
+def _team() -> Iterator[tuple[str, Agent[Any]]]:
+    plan, profile = _example().plan, _example().profile
+    team = {agent.name: agent for agent in (Plant(plan, profile), *controllers(plan))}
+    yield "plant", team[PLANT]
+    yield "direct controller", team[INVERTER]
+    yield "supervisor", team["c2"]
+    yield "central controller", team[CENTRAL]
 
 
 def _published(agent: Agent[Any], stage: Stage) -> Iterator[str]:
@@ -300,42 +286,37 @@ _EXAMPLES: Final[dict[str, Message]] = {
     ),
 }
 
-_FIXED: Final = {
-    0xCB: (">d", "float 64"),
-    0xCC: (">B", "unsigned integer of 1 byte"),
-    0xCD: (">H", "unsigned integer of 2 bytes"),
-    0xCE: (">I", "unsigned integer of 4 bytes"),
-    0xCF: (">Q", "unsigned integer of 8 bytes"),
-    0xD2: (">i", "signed integer of 4 bytes"),
-}
-
 
 def _parts(payload: bytes) -> Iterator[tuple[str, str]]:
     """Take a message apart: its head, then names, values and entries as they follow each other."""
-    yield f"`{payload[:1].hex()}`", f"a map of {payload[0] & 0x0F} entries"
-    place = 1
-    while place < len(payload):
-        length, meaning = _value(payload[place:])
-        yield f"`{payload[place : place + length].hex(' ')}`", meaning
-        place += length
+    unpacker = msgpack.Unpacker()
+    unpacker.feed(payload)
+    begin, meaning = 0, f"a map of {unpacker.read_map_header()} entries"
+    while begin < len(payload):
+        end = unpacker.tell()
+        yield f"`{payload[begin:end].hex(' ')}`", meaning
+        begin = end
+        if begin < len(payload):
+            meaning = _meaning(unpacker, payload[begin])
 
 
-def _value(data: bytes) -> tuple[int, str]:
-    """Return the length of the value that begins here, and what it is."""
-    first = data[0]
-    if first in _FIXED:
-        layout, name = _FIXED[first]
-        return 1 + struct.calcsize(layout), f"{name}: {struct.unpack_from(layout, data, 1)[0]!r}"
-    if first < 0x80:
-        return 1, f"integer {first}"
-    if 0xA0 <= first < 0xC0:
-        length = 1 + (first & 0x1F)
-        return length, f'string "{data[1:length].decode()}"'
-    if first == 0xC0:
-        return 1, "nil"
+def _meaning(unpacker: msgpack.Unpacker, first: int) -> str:
+    """Read the value that begins with this byte; say what it is."""
     if 0x90 <= first < 0xA0:
-        return 1, f"an array of {first & 0x0F} entries"
-    raise ValueError(f"no example has the msgpack type {first:#x}")
+        return f"an array of {unpacker.read_array_header()} entries"
+    begin, value = unpacker.tell(), unpacker.unpack()
+    size = unpacker.tell() - begin - 1
+    match value:
+        case None:
+            return "nil"
+        case str():
+            return f'string "{value}"'
+        case float():
+            return f"float 64: {value!r}"
+    if not size:
+        return f"integer {value}"
+    sign, plural = "signed" if value < 0 else "unsigned", "s" if size > 1 else ""
+    return f"{sign} integer of {size} byte{plural}: {value}"
 
 
 def main() -> None:

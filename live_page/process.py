@@ -6,9 +6,7 @@ process then ends as soon as nobody looks on; when the launcher is gone, at once
 
 from __future__ import annotations
 
-import asyncio
 import os
-import socket
 import subprocess
 import sys
 from collections.abc import Callable
@@ -18,11 +16,9 @@ from typing import Final
 
 import msgspec
 
-from live_page.server import PageServer, Place, open_place
+from live_page.place import open_place
 
-_NICE: Final = 10
-_RELOAD_S: Final = 3.0
-"""A browser that reloads the page is away for a moment."""
+_ENDING_S: Final = 3.0
 
 
 class PageSettings(msgspec.Struct):
@@ -46,7 +42,7 @@ class PageProcess:
     def __init__(self, address: str | None, port: int | None) -> None:
         self._place = open_place(address, port)
         self._process = subprocess.Popen(
-            (sys.executable, "-P", "-m", "live_page.process"),
+            (sys.executable, "-P", "-m", "live_page"),
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
@@ -63,7 +59,7 @@ class PageProcess:
         with suppress(BrokenPipeError):
             self._process.stdin.close()
         try:
-            self._process.wait(_RELOAD_S)
+            self._process.wait(_ENDING_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -83,7 +79,7 @@ class PageProcess:
         self._tell(b"over")
         with suppress(KeyboardInterrupt):
             try:
-                self._process.wait(_RELOAD_S / 2)
+                self._process.wait(_ENDING_S)
             except subprocess.TimeoutExpired:
                 say("page: still open in a browser; close it there or press Ctrl-C to end")
                 self._process.wait()
@@ -93,41 +89,3 @@ class PageProcess:
         with suppress(BrokenPipeError):
             self._process.stdin.write(line + b"\n")
             self._process.stdin.flush()
-
-
-async def _serve(settings: PageSettings, over: asyncio.StreamReader) -> None:
-    place = Place(socket.socket(fileno=settings.socket), settings.token)
-    server = PageServer(Path(settings.path), place, several=settings.several)
-    serving = asyncio.create_task(server.serve())
-    if await over.readline():
-        gone = asyncio.create_task(over.read())
-        clock = asyncio.get_running_loop().time
-        while not gone.done():
-            audience = server.audience
-            if not audience.streams and clock() > audience.left_at + _RELOAD_S:
-                break
-            await asyncio.sleep(0.1)
-        gone.cancel()
-    server.end()
-    await serving
-
-
-async def _main() -> None:
-    reader = asyncio.StreamReader()
-    protocol = asyncio.StreamReaderProtocol(reader)
-    await asyncio.get_running_loop().connect_read_pipe(lambda: protocol, sys.stdin)
-    settings = await reader.readline()
-    if settings:
-        await _serve(msgspec.json.decode(settings, type=PageSettings), reader)
-
-
-def main() -> None:
-    """Serve a page beside a run, behind the run's own processes."""
-    os.nice(_NICE)
-    if sys.platform == "linux":
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-    asyncio.run(_main())
-
-
-if __name__ == "__main__":
-    main()

@@ -16,8 +16,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import parent_of
 from live_page.follower import RunFollower
 from live_page.nodes import NodeStates
-from recordings.read.reader import NothingRecordedError
-from recordings.read.run_file import RECORDING_NAME
+from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
 from studies.metrics.figures_of_merit import shown_in
 
 UPDATE_S: Final = 0.1

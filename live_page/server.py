@@ -7,9 +7,7 @@ has room for it; what it has not taken by then is left out. It can ask, but not 
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 import secrets
-import socket
 from collections import OrderedDict
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
@@ -29,6 +27,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from bus_schemas.errors import InputError
+from live_page.place import Place
 from live_page.run_list import RunList
 from live_page.run_view import RunView
 
@@ -46,59 +45,6 @@ _HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",
 }
 _COOKIE: Final = "heliarch-page"
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where the page is served.
-
-    Attributes
-    ----------
-    socket
-        Listens already, so that a browser may come before the server is up.
-    token
-        What a browser must know; empty on the loopback address, which nobody else can reach.
-    """
-
-    socket: socket.socket
-    token: str
-
-    @property
-    def address(self) -> str:
-        """What to open in a browser."""
-        host, port = self.socket.getsockname()[:2]
-        if ipaddress.ip_address(host).is_unspecified:
-            host = socket.gethostname()
-        host = f"[{host}]" if ":" in host else host
-        return f"http://{host}:{port}/" + (f"?token={self.token}" if self.token else "")
-
-
-def open_place(address: str | None, port: int | None) -> Place:
-    """Take an address and a port for a page: by default the loopback address, and any free port.
-
-    Raises
-    ------
-    InputError
-        They cannot be had.
-    """
-    try:
-        ip = ipaddress.ip_address("127.0.0.1" if address in {None, "localhost"} else address)
-    except ValueError:
-        raise InputError(
-            f"--page-address: expected an IP address such as 127.0.0.1 or 0.0.0.0, got {address}"
-        ) from None
-    family = socket.AF_INET6 if ip.version == 6 else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((str(ip), port or 0))
-        listener.listen(100)
-    except OSError as error:
-        listener.close()
-        raise InputError(
-            f"--page-port {port}: expected a free port on {ip}, got: {error.strerror}"
-        ) from None
-    return Place(listener, "" if ip.is_loopback else secrets.token_urlsafe(16))
 
 
 @dataclass

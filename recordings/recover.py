@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, TypeAlias
 
 import msgspec
 from mcap.writer import CompressionType, Writer
@@ -36,23 +36,13 @@ class DamagedChunk(msgspec.Struct, frozen=True):
     reason: str
 
 
-class Shortfall(msgspec.Struct, frozen=True):
-    """What is missing of a run: lost between others, and due at the end of some ports."""
-
-    lost: int = 0
-    early_ports: int = 0
-    early_messages: int = 0
-
-    def __bool__(self) -> bool:
-        return bool(self.lost or self.early_ports)
-
-
 class Recovery(msgspec.Struct, frozen=True):
     """The result of a recovery.
 
     `closed`: the recorder had come to its end. `ended`: the recording goes up to the end of the
     run. `cut_bytes` at the end of the file make up no whole record; `cut_messages` could be read of
-    them, and no checksum verifies those.
+    them, and no checksum verifies those. `lost` messages are missing between others; on
+    `early_ports`, `early_messages` were due up to the end of the run.
     """
 
     source: str
@@ -66,22 +56,23 @@ class Recovery(msgspec.Struct, frozen=True):
     last_ns: int
     cut_bytes: int
     cut_messages: int
-    shortfall: Shortfall
+    lost: int
+    early_ports: int
+    early_messages: int
     damaged: tuple[DamagedChunk, ...]
     damaged_attachments: tuple[str, ...]
 
     @property
     def lossless(self) -> bool:
         """Whether nothing that was recorded can be missing."""
-        there = (self.closed or self.ended) and not self.shortfall
-        return there and not self.damaged and not self.damaged_attachments
+        missing = self.lost or self.early_ports or self.damaged or self.damaged_attachments
+        return (self.closed or self.ended) and not missing
 
 
-def _ignore(share: float) -> None:
-    """Follow nothing."""
+_Follow: TypeAlias = Callable[[float], None]
 
 
-def is_sound(run: RunReader, follow: Callable[[float], None] = _ignore) -> bool:
+def is_sound(run: RunReader, follow: _Follow = lambda share: None) -> bool:
     """Whether a recording was closed in order and all of it can be read.
 
     `follow` is called now and then with the share that has been read, 0 to 1.
@@ -97,7 +88,7 @@ def is_sound(run: RunReader, follow: Callable[[float], None] = _ignore) -> bool:
     return True
 
 
-def recover_run(run: RunReader, out: Path, follow: Callable[[float], None] = _ignore) -> Recovery:
+def recover_run(run: RunReader, out: Path, follow: _Follow = lambda share: None) -> Recovery:
     """Copy everything that can be read of a recording into a new one.
 
     Attachments, metadata, schemas and channels are the same; so are the messages, byte for byte,
@@ -150,7 +141,6 @@ class _Copy:
         """Write where the file is from, and its index."""
         run = self._run
         early = {} if self._end_cycle is None else self._gaps.end(self._end_cycle)
-        early_messages = sum(map(len, early.values()))
         recovery = Recovery(
             source=str(run.path),
             out=str(out),
@@ -163,7 +153,9 @@ class _Copy:
             last_ns=self._last_ns,
             cut_bytes=0 if run.outline.closed else run.outline.size - run.outline.readable_end,
             cut_messages=self._cut_messages,
-            shortfall=Shortfall(self._gaps.lost, len(early), early_messages),
+            lost=self._gaps.lost,
+            early_ports=len(early),
+            early_messages=sum(map(len, early.values())),
             damaged=tuple(self._damaged),
             damaged_attachments=tuple(run.outline.damaged_attachments),
         )

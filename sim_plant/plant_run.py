@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import Final, Literal
 
 from agents.events import Armed
-from agents.process import Seat
+from agents.process import AgentProcess
 from bus_schemas.bus import Arrival
 from bus_schemas.messages import Message
 from bus_schemas.signals import READY, RUN, Port
@@ -73,16 +73,16 @@ class PlantRun:
 
     Parameters
     ----------
-    seat
+    process
         The plant's.
     patience_s
         How long to wait for everybody before giving up.
     """
 
-    def __init__(self, seat: Seat, patience_s: float = 30.0) -> None:
-        self._seat = seat
-        self._loop = seat.loop
-        self._plan = seat.plan
+    def __init__(self, process: AgentProcess, patience_s: float = 30.0) -> None:
+        self._process = process
+        self._loop = process.loop
+        self._plan = process.plan
         self._patience_s = patience_s
         self._recorded_round = FIRST_ROUND - 1
 
@@ -94,7 +94,7 @@ class PlantRun:
         ArmingError
             Somebody did not appear, or no arming round came back; the message names who.
         """
-        seat, loop = self._seat, self._loop
+        process, loop = self._process, self._loop
         give_up_at = time.monotonic() + self._patience_s
         self._await_everybody(give_up_at)
         # Who is there answers soon: an external agent may have been waited for much longer.
@@ -102,19 +102,19 @@ class PlantRun:
         lead_s = 0.0 if self._plan.lockstep else _LEAD_S
         start_time_ns = time.monotonic_ns() + round(lead_s * 1e9)
         self._publish_run("start", 0, start_time_ns)
-        seat.link.tell(Armed(rounds))
+        process.link.tell(Armed(rounds))
         log.info("armed after %d rounds", rounds)
         loop.begin(start_time_ns, time.monotonic_ns())
-        for _ in seat.drive():
-            if seat.link.dismissed:
+        for _ in process.drive():
+            if process.link.dismissed:
                 loop.end_before(loop.cycle + 1)
         self._publish_run("stop", loop.cycle, start_time_ns)
-        seat.report()
+        process.report()
 
     def _await_everybody(self, give_up_at: float) -> None:
         alive_key = self._plan.keys.alive_key
         others = {alive_key(agent): agent for agent in self._plan.tree.agents() if agent != PLANT}
-        alive = self._seat.watch_alive()
+        alive = self._process.watch_alive()
         while not others.keys() <= alive():
             if time.monotonic() > give_up_at:
                 absent = [agent for key, agent in others.items() if key not in alive()]
@@ -126,7 +126,7 @@ class PlantRun:
         for number in range(1, -FIRST_ROUND):
             cycle = FIRST_ROUND + number
             self._loop.enter(cycle, time.monotonic_ns())
-            self._seat.driver.go_on(self._loop)
+            self._process.driver.go_on(self._loop)
             longest_s = longest_round_s(number) + _ROUND_PER_AGENT_S * len(self._plan.tree.nodes)
             if self._round_closes(cycle, time.monotonic() + longest_s):
                 return number
@@ -137,7 +137,7 @@ class PlantRun:
 
     def _round_closes(self, cycle: int, until: float) -> bool:
         while time.monotonic() < until:
-            self._note_recorder(self._seat.driver.turn(longest_ns=round(until * 1e9)))
+            self._note_recorder(self._process.driver.turn(longest_ns=round(until * 1e9)))
             if not self._loop.stage and self._recorded_round == cycle:
                 return True
         return False
@@ -149,4 +149,4 @@ class PlantRun:
 
     def _publish_run(self, state: Literal["start", "stop"], cycle: int, start_time_ns: int) -> None:
         message = self._plan.run_message(state, cycle, start_time_ns)
-        self._seat.driver.publish(RUN.of(ROOT), message)
+        self._process.driver.publish(RUN.of(ROOT), message)

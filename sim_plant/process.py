@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from agents.launcher_link import LauncherLink
 from agents.plan import RunPlan
-from agents.process import Seat, run_guarded
+from agents.process import AgentProcess, run_guarded
 from bus_schemas.tree import PLANT
 from sim_plant.plant import Plant
 from sim_plant.plant_run import ArmingError, PlantRun
@@ -15,7 +15,7 @@ def run_plant(plan: RunPlan, profile: Profile, link: LauncherLink, patience_s: f
     """Join the bus and lead the run. Returns the exit status."""
 
     def run() -> None:
-        with Seat(plan, Plant(plan, profile), link) as seat:
-            PlantRun(seat, patience_s).run()
+        with AgentProcess(plan, Plant(plan, profile), link) as process:
+            PlantRun(process, patience_s).run()
 
     return run_guarded(PLANT, link, run, expected=(ArmingError,))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import time
@@ -39,6 +40,10 @@ _UsageError: Final[Any] = typer.BadParameter.__mro__[1]
 class CommandLine(TyperGroup):
     """The command line. Its commands return their exit status, or None for success."""
 
+    def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401 - Typer's type is private
+        """Return the options, with plain types in the help."""
+        return _with_plain_types(super().get_params(ctx), ctx)
+
     def main(self, *args: Any, **options: Any) -> NoReturn:
         """Run the command that the user named, and leave with its exit status."""
         options["standalone_mode"] = False
@@ -51,18 +56,31 @@ class CommandLine(TyperGroup):
 class Command(TyperCommand):
     """One command, whose `--report` may be followed by a file."""
 
+    def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401 - Typer's type is private
+        """Return arguments and options, with plain types in the help."""
+        return _with_plain_types(super().get_params(ctx), ctx)
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - Typer's type is private
-        """Read the words after the command."""
-        return super().parse_args(ctx, _with_report_value(args))
+        """Read the options; a bare `--report` gets an empty value.
+
+        The argument after it is its file if it ends in .html.
+        """
+        found = []
+        for arg, following in zip(args, [*args[1:], ""], strict=False):
+            is_bare = arg == "--report" and not following.endswith(".html")
+            found.append("--report=" if is_bare else arg)
+        return super().parse_args(ctx, found)
 
 
-def _with_report_value(args: list[str]) -> list[str]:
-    """Give a bare `--report` an empty value. The word after it is its file if it ends in .html."""
-    found = []
-    for word, following in zip(args, [*args[1:], ""], strict=False):
-        is_bare = word == "--report" and not following.endswith(".html")
-        found.append("--report=" if is_bare else word)
-    return found
+def _with_plain_types(params: list[Any], ctx: object) -> list[Any]:
+    """Let the help show NUMBER in place of `<int>`, and nothing for arguments and flags."""
+    for param in params:
+        shown = str(param.display_type_rich(ctx))
+        if shown.startswith(("<int", "<float")):
+            param.metavar = "NUMBER"
+        elif param.param_type_name == "argument" or shown == "<bool>":
+            param.display_type_rich = lambda ctx: ""
+    return params
 
 
 @contextmanager
@@ -89,7 +107,7 @@ def boundary() -> Iterator[None]:
     except (KeyboardInterrupt, typer.Abort):
         _end("interrupted", INTERRUPTED)
     except _UsageError as error:
-        _end(error.format_message(), BAD_INPUT)
+        _end(_usage_text(error), BAD_INPUT)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -110,6 +128,19 @@ def _text(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error)
+
+
+def _usage_text(error: Any) -> str:  # noqa: ANN401 - Typer's type is private
+    """Say what is wrong with an option as `OPTION: expected X, got Y`."""
+    details = getattr(error.__cause__, "errors", None)
+    if details is None or error.param is None:
+        return str(error.format_message())
+    detail = details()[0]
+    what = re.sub(r"Value error, .* is (?:not )?(.*?)\.?$", r"expected \1", str(detail["msg"]))
+    what = what.partition(", unable to")[0].replace("Input should be", "expected")
+    what = re.sub(r"expected (?=greater|less)", "expected a number ", what)
+    option = error.param.get_error_hint().strip("'")
+    return f"{option}: {what}, got {detail['input']}"
 
 
 def _end(text: str, status: int) -> NoReturn:

@@ -18,13 +18,12 @@ from launch_scripts.commands.options import (
     SignalsOption,
 )
 from launch_scripts.commands.output import progress_bar, say, write_json
-from studies.tables import console_for
+from studies.tables import Column, Table, console_for, key_column, print_table
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from recordings.export.exporting import ExportSummary, Selection
-    from recordings.read.reader import RunReader
+    from recordings.export.exporting import ExportSummary
 
 EXAMPLE: Final = "heliarch export runs/oahu-20261121-120000-4711 --format csv --nodes c1/*"
 
@@ -55,10 +54,11 @@ def export(
     json: JsonOption = None,
 ) -> int:
     """Make a file for viewers, or tidy tables, from a recording."""
+    from bus_schemas.signals import SIGNALS
     from recordings.export.exporting import default_path
     from recordings.export.exporting import export as export_run
-    from recordings.read.damage import damage_text
     from recordings.read.reader import RunReader
+    from recordings.read.selection import find_signals
     from recordings.read.whole_file import check_new
 
     if clock is not None and form != "json-mcap":
@@ -66,57 +66,39 @@ def export(
     with RunReader(run, skip_damaged=True) as reader:
         path = out or default_path(reader.path, form)
         check_new(path)
-        selection = _selection(reader, signals, nodes, start, end)
+        wanted = find_signals(signals or "")
+        rows = tuple(row for row in SIGNALS if row.logged and (not wanted or row in wanted))
+        cycles = None if start is None and end is None else reader.clock.span(start, end)
         with progress_bar(f"{form} {path.name}") as follow:
-            summary = export_run(reader, form, path, selection, clock or "wall", follow)
-        damage = damage_text(reader)
+            summary = export_run(
+                reader, form, path, rows, nodes or "", cycles, clock or "wall", follow
+            )
+        damage = reader.damage_text()
     _print(summary, console_for(json))
     write_json(summary, json)
     return complain(damage, OK) if damage else OK
 
 
-def _selection(
-    reader: RunReader, signals: str | None, nodes: str | None, start: str | None, end: str | None
-) -> Selection:
-    from bus_schemas.signals import SIGNALS
-    from recordings.export.exporting import Selection
-    from recordings.read.selection import find_nodes, find_signals
-
-    recorded = tuple(row for row in SIGNALS if row.logged)
-    wanted = find_signals(_names(signals)) or recorded
-    rows = tuple(row for row in recorded if row in wanted)
-    found = find_nodes(reader.plan.tree, _names(nodes))
-    if start is None and end is None:
-        return Selection(rows, found)
-    return Selection(rows, found, reader.clock.span(start, end))
-
-
-def _names(text: str | None) -> list[str]:
-    return [] if text is None else [name.strip() for name in text.split(",")]
-
-
 def _print(summary: ExportSummary, console: Console) -> None:
-    from rich.table import Table
-
-    tables = summary.form != "json-mcap"
-    table = Table("table" if tables else "signal")
-    table.add_column("rows" if tables else "messages", justify="right")
-    if tables:
-        table.add_column("size", justify="right")
-    for part in summary.parts:
-        size = [f"{part.size_bytes / 1e6:,.2f} MB"] if tables else []
-        table.add_row(part.name, f"{part.rows:,}", *size)
-    console.print(table)
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[str | int | float, ...], ...]
+    if summary.form == "json-mcap":
+        columns = (key_column("signal"), Column("messages"))
+        rows = tuple((part.name, part.rows) for part in summary.parts)
+    else:
+        columns = (key_column("table"), Column("rows"), Column("size", "MB", 2))
+        rows = tuple((part.name, part.rows, part.size_bytes / 1e6) for part in summary.parts)
+    notes = []
+    if not summary.whole:
+        notes.append("the recording was cut short, or is still written: this is what it holds")
+    if summary.left_out:
+        notes.append(f"{summary.left_out:,} fields left out: JSON has neither NaN nor infinity")
     extent = ""
     if summary.first_cycle is not None:
-        extent = f", cycles {summary.first_cycle} to {summary.last_cycle},"
-    say(
-        console,
+        extent = f", cycles {summary.first_cycle:,} to {summary.last_cycle:,},"
+    title = (
         f"{summary.messages:,} messages{extent} in {summary.wall_s:.1f} s, "
-        f"{summary.size_bytes / 1e6:,.1f} MB",
+        f"{summary.size_bytes / 1e6:,.1f} MB"
     )
-    if not summary.whole:
-        say(console, "the recording was cut short, or is still written: this is what it holds")
-    if summary.left_out:
-        say(console, f"{summary.left_out:,} fields left out: JSON has neither NaN nor infinity")
+    print_table(console, Table(title, columns, rows, tuple(notes)))
     say(console, f"{summary.form}: {summary.path}")

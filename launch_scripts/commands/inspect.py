@@ -1,4 +1,4 @@
-"""`heliarch inspect`: what a recording holds, the story of nodes, or the plant in one cycle."""
+"""`heliarch inspect`: what a recording holds, nodes cycle by cycle, or the plant in one cycle."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from studies.tables import console_for
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from recordings.inspect.story import NodeCycle
+    from recordings.inspect.timeline import NodeCycle
     from recordings.read.reader import RunReader
 
 EXAMPLE: Final = "heliarch inspect RUN --nodes c2/inv07 --from 13:49:00 --to 13:50:30"
@@ -38,7 +38,7 @@ def inspect(
     cycle: Annotated[
         str | None,
         typer.Option(
-            help="Show the whole plant in this cycle; same forms as --from.", metavar="MOMENT"
+            help="Show the whole plant in this cycle; same forms as --from.", metavar="TIME"
         ),
     ] = None,
     json: JsonOption = None,
@@ -48,7 +48,6 @@ def inspect(
     Without --nodes and --cycle: scenario, duration, versions, messages and
     rate of each signal, the health of the run, and what is missing.
     """
-    from recordings.read.damage import damage_text
     from recordings.read.reader import RunReader
     from recordings.read.selection import find_nodes
 
@@ -57,19 +56,19 @@ def inspect(
     console = console_for(json)
     with RunReader(run, skip_damaged=True) as reader:
         if cycle is not None:
-            _show_plant(reader, reader.clock.cycle(cycle), json, console)
+            _show_plant(reader, reader.clock.cycle(cycle, "--cycle"), json, console)
         elif nodes is not None:
             found = find_nodes(reader.plan.tree, nodes)
-            _show_story(reader, found, reader.clock.span(start, end), json, console)
+            _show_nodes(reader, found, reader.clock.span(start, end), json, console)
         else:
             part = None if start is None and end is None else reader.clock.span(start, end)
             _show_overview(reader, part, json, console)
-        damage = damage_text(reader)
+        damage = reader.damage_text()
     return complain(damage, OK) if damage else OK
 
 
 def _width(console: Console) -> int:
-    from recordings.inspect.story_table import NARROWEST
+    from recordings.inspect.timeline_table import NARROWEST
 
     return max(console.width, NARROWEST)
 
@@ -77,18 +76,18 @@ def _width(console: Console) -> int:
 # Nodes, cycle by cycle ----------------------------------------------------------------------
 
 
-def _show_story(
+def _show_nodes(
     run: RunReader, nodes: Sequence[str], cycles: range, json: str | None, console: Console
 ) -> None:
     from launch_scripts.launcher.json_rows import json_rows
-    from recordings.inspect.story import story
-    from recordings.inspect.story_table import StoryTable
+    from recordings.inspect.timeline import timeline
+    from recordings.inspect.timeline_table import TimelineTable
 
     with json_rows(json) as listed:
         for node in nodes:
-            table = StoryTable(run.plan.tree, node, len(run.clock.text(0)), _width(console))
+            table = TimelineTable(run.plan.tree, node, len(run.clock.text(0)), _width(console))
             _print_lines(console, table.heading(), "bold")
-            for rows in story(run, [node], cycles):
+            for rows in timeline(run, [node], cycles):
                 for row in rows:
                     _print_lines(console, table.row(row), _style(row))
                     listed.write(row)
@@ -105,14 +104,13 @@ def _style(row: NodeCycle) -> str:
 
 def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) -> None:
     from launch_scripts.launcher.json_rows import json_rows
-    from recordings.inspect.story import story
-    from recordings.inspect.story_table import plant_lines
-    from recordings.read.damage import damage_text
+    from recordings.inspect.timeline import timeline
+    from recordings.inspect.timeline_table import plant_lines
 
-    found = next(story(run, run.plan.tree.nodes, range(cycle, cycle + 1)), None)
+    found = next(timeline(run, run.plan.tree.nodes, range(cycle, cycle + 1)), None)
     if found is None:
         nothing = f"{run.path}: there is no message of cycle {cycle}, {run.clock.extent()}"
-        raise InputError(damage_text(run) or nothing)
+        raise InputError(run.damage_text() or nothing)
     central = found[0]
     _print_lines(console, [f"cycle {cycle}, {run.clock.local(cycle):%Y-%m-%d} {central.time}"])
     _print_lines(console, [_plant_text(central)])

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import typer
 
@@ -22,10 +25,14 @@ def _file_in_folder(option: typer.CallbackParam, value: str | None) -> str | Non
 
 
 RunArgument: TypeAlias = Annotated[
-    Path, typer.Argument(help="Folder of a run, or its run.mcap.", show_default=False)
+    Path,
+    typer.Argument(help="Folder of a run, or its run.mcap.", metavar="RUN", show_default=False),
 ]
 ScenarioArgument: TypeAlias = Annotated[
-    str, typer.Argument(help="A shipped scenario (see `heliarch scenarios`) or a TOML file.")
+    str,
+    typer.Argument(
+        help="A shipped scenario (see `heliarch scenarios`) or a TOML file.", metavar="SCENARIO"
+    ),
 ]
 
 # What is run -------------------------------------------------------------------------------------
@@ -48,18 +55,9 @@ DurationOption: TypeAlias = Annotated[
         help="Simulated time, in place of --to: seconds, or 90s, 15m, 1h30m.", metavar="TIME"
     ),
 ]
-PaceOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        help="Simulated seconds per second: 1 is real time, max is lockstep.", metavar="PACE"
-    ),
-]
 SeedOption: TypeAlias = Annotated[int | None, typer.Option(help="Seed of the synthetic clouds.")]
 SchemeOption: TypeAlias = Annotated[
     Scheme | None, typer.Option(help="How maximum powers are estimated.")
-]
-ActuatorOption: TypeAlias = Annotated[
-    Actuator | None, typer.Option(help="A command is a fraction of the maximum, or a limit.")
 ]
 SettingsOption: TypeAlias = Annotated[
     list[str] | None,
@@ -67,58 +65,6 @@ SettingsOption: TypeAlias = Annotated[
         "--set",
         help="Change a field of the scenario: commitment.share=0.5. May be given several times.",
         metavar="FIELD=VALUE",
-    ),
-]
-FaultOption: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--fault",
-        # In a terminal of 80 columns, longer words than these would be cut.
-        help="Make links imperfect: source=c1/*,delay=50ms,loss=2% (fields: source, listener, "
-        "signal, delay, jitter, distribution, loss, duplicate, reorder, reorder-by, "
-        "silent=60s..90s). May be given several times.",
-        metavar="RULE",
-    ),
-]
-ExternalOption: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--external",
-        help="Do not start this agent; wait for a device of your own: c2/inv07, c2, central or "
-        "plant. May be given several times.",
-        metavar="AGENT",
-    ),
-]
-ExternalTimeoutOption: TypeAlias = Annotated[
-    float,
-    typer.Option(
-        help="How long to wait for external agents. Once all are there, they have 30 s to answer "
-        "the arming rounds.",
-        metavar="SECONDS",
-    ),
-]
-BasePortOption: TypeAlias = Annotated[
-    int | None,
-    typer.Option(
-        help="Listen on this port and those after it, with the plant's name as namespace, so "
-        "that a device is configured once.",
-        metavar="PORT",
-    ),
-]
-CpusOption: TypeAlias = Annotated[
-    list[str] | None,
-    typer.Option(
-        help="Run the processes on these processors: 0-1, or plant=0 for one kind (recorder, "
-        "plant, central, supervisor, direct). May be given several times.",
-        metavar="CPUS",
-    ),
-]
-PriorityOption: TypeAlias = Annotated[
-    int | None,
-    typer.Option(
-        help="In real time: run plant and controllers under SCHED_FIFO with this priority, 1 to "
-        "99, if the machine permits it.",
-        metavar="PRIORITY",
     ),
 ]
 DataOption: TypeAlias = Annotated[
@@ -133,10 +79,10 @@ WorkersOption: TypeAlias = Annotated[
 
 FirstOption: TypeAlias = Annotated[
     str | None,
-    typer.Option("--from", help="First cycle: 13:49:00, 90s, or its number.", metavar="MOMENT"),
+    typer.Option("--from", help="First cycle: 13:49:00, 90s, or its number.", metavar="TIME"),
 ]
 LastOption: TypeAlias = Annotated[
-    str | None, typer.Option("--to", help="Last cycle, in the same forms.", metavar="MOMENT")
+    str | None, typer.Option("--to", help="Last cycle, in the same forms.", metavar="TIME")
 ]
 NodesOption: TypeAlias = Annotated[
     str | None,
@@ -153,9 +99,6 @@ SignalsOption: TypeAlias = Annotated[
 
 # The page of a run -------------------------------------------------------------------------------
 
-PageOption: TypeAlias = Annotated[
-    bool, typer.Option("--page", help="Show the run in a browser, while it goes on.")
-]
 PagePortOption: TypeAlias = Annotated[
     int | None,
     typer.Option(
@@ -173,10 +116,6 @@ PageAddressOption: TypeAlias = Annotated[
 
 # What comes out of it ----------------------------------------------------------------------------
 
-OutOption: TypeAlias = Annotated[
-    Path | None,
-    typer.Option(help="Folder of the run; default runs/NAME-TIME.", metavar="DIR"),
-]
 ReportOption: TypeAlias = Annotated[
     str | None,
     typer.Option(
@@ -198,3 +137,137 @@ JsonOption: TypeAlias = Annotated[
         callback=_file_in_folder,
     ),
 ]
+
+# Groups, for the commands that run a plant -------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class SpanOptions:
+    """Which part of a scenario is run, and how fast."""
+
+    start: StartOption = None
+    end: EndOption = None
+    duration: DurationOption = None
+    pace: Annotated[
+        str | None,
+        typer.Option(
+            help="Simulated seconds per second: 1 is real time, max is lockstep.", metavar="PACE"
+        ),
+    ] = None
+
+
+@dataclass(frozen=True, slots=True)
+class PlantOptions:
+    """What is different from the scenario."""
+
+    seed: SeedOption = None
+    scheme: SchemeOption = None
+    actuator: Annotated[
+        Actuator | None, typer.Option(help="A command is a fraction of the maximum, or a limit.")
+    ] = None
+    settings: SettingsOption = None
+    faults: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fault",
+            # In a terminal of 80 columns, longer unbroken text would be cut.
+            help="Make links imperfect: source=c1/*,delay=50ms,loss=2% (fields: source, listener, "
+            "signal, delay, jitter, distribution, loss, duplicate, reorder, reorder-by, "
+            "silent=60s..90s). May be given several times.",
+            metavar="RULE",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessOptions:
+    """External agents, and what the processes take of the machine."""
+
+    external: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Do not start this agent; wait for a device of your own: c2/inv07, c2, central or "
+            "plant. May be given several times.",
+            metavar="AGENT",
+        ),
+    ] = None
+    external_timeout_s: Annotated[
+        float,
+        typer.Option(
+            "--external-timeout",
+            help="How long to wait for external agents. Once all are there, they have 30 s to "
+            "answer the arming rounds.",
+            metavar="SECONDS",
+        ),
+    ] = 60.0
+    base_port: Annotated[
+        int | None,
+        typer.Option(
+            help="Listen on this port and those after it, with the plant's name as namespace, so "
+            "that a device is configured once.",
+            metavar="PORT",
+        ),
+    ] = None
+    cpus: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Run the processes on these processors: 0-1, or plant=0 for one kind (recorder, "
+            "plant, central, supervisor, direct). May be given several times.",
+            metavar="CPUS",
+        ),
+    ] = None
+    priority: Annotated[
+        int | None,
+        typer.Option(
+            help="In real time: run plant and controllers under SCHED_FIFO with this priority, 1 "
+            "to 99, if the machine permits it.",
+            metavar="PRIORITY",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True, slots=True)
+class PageOptions:
+    """The page that shows a run."""
+
+    page: Annotated[
+        bool, typer.Option("--page", help="Show the run in a browser, while it goes on.")
+    ] = False
+    page_port: PagePortOption = None
+    page_address: PageAddressOption = None
+
+
+@dataclass(frozen=True, slots=True)
+class FileOptions:
+    """Where data come from and results go."""
+
+    data: DataOption = None
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the run; default runs/NAME-TIME.", metavar="DIR"),
+    ] = None
+    report: ReportOption = None
+    json: JsonOption = None
+
+
+def with_groups(command: Callable[..., int | None]) -> Callable[..., int | None]:
+    """Return a command that takes each field of its dataclass parameters as an option."""
+    taken = inspect.signature(command, eval_str=True).parameters.values()
+    groups: dict[str, Any] = {
+        taker.name: taker.annotation for taker in taken if is_dataclass(taker.annotation)
+    }
+
+    def expanded(**given: Any) -> int | None:
+        for name, group in groups.items():
+            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
+        return command(**given)
+
+    options: list[inspect.Parameter] = []
+    for taker in taken:
+        group = groups.get(taker.name)
+        options += inspect.signature(group, eval_str=True).parameters.values() if group else [taker]
+    keyword = [option.replace(kind=inspect.Parameter.KEYWORD_ONLY) for option in options]
+    expanded.__signature__ = inspect.Signature(keyword)  # type: ignore[attr-defined]
+    expanded.__annotations__ = {option.name: option.annotation for option in keyword}
+    expanded.__doc__ = command.__doc__
+    return expanded

@@ -41,7 +41,8 @@ def recover(
     Exit status: 0 if nothing is missing, 3 if something is or may be,
     1 if there is nothing to recover.
     """
-    from recordings.read.reader import NothingRecordedError, RunReader
+    from recordings.read.reader import RunReader
+    from recordings.read.run_file import NothingRecordedError
 
     try:
         with RunReader(run) as reader:
@@ -75,7 +76,7 @@ def _recover(run: RunReader, out: Path, json: str | None) -> int:
 
 def _lines(run: RunReader, recovery: Recovery) -> Iterator[str]:
     """Say what there is and what is missing."""
-    from recordings.read.moments import RunClock
+    from recordings.read.run_clock import RunClock
     from recordings.record.recorder import FLUSH_S
 
     yield f"recovered: {recovery.out}"
@@ -99,13 +100,12 @@ def _lines(run: RunReader, recovery: Recovery) -> Iterator[str]:
         )
     if recovery.damaged_attachments:
         yield f"damaged: attachment {', '.join(recovery.damaged_attachments)}, kept as it is"
-    shortfall = recovery.shortfall
-    if shortfall.lost:
-        yield f"may be missing: {shortfall.lost:,} messages, by the gaps in the sequence numbers"
-    if shortfall.early_ports:
+    if recovery.lost:
+        yield f"may be missing: {recovery.lost:,} messages, by the gaps in the sequence numbers"
+    if recovery.early_ports:
         yield (
-            f"may be missing: the last messages of {shortfall.early_ports:,} keys, "
-            f"{shortfall.early_messages:,} were due up to the end of the run"
+            f"may be missing: the last messages of {recovery.early_ports:,} keys, "
+            f"{recovery.early_messages:,} were due up to the end of the run"
         )
     if recovery.lossless:
         yield "missing: nothing, the recording goes up to the end of the run"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -16,6 +15,7 @@ from launch_scripts.commands.options import (
     FirstOption,
     JsonOption,
     LastOption,
+    NodesOption,
     RunArgument,
     SignalsOption,
 )
@@ -44,6 +44,7 @@ def replay(
         bool, typer.Option("--start-paused", help="Wait for the space bar.")
     ] = False,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    nodes: NodesOption = None,
     signals: SignalsOption = None,
     exclude: Annotated[
         str | None,
@@ -73,11 +74,12 @@ def replay(
     the pace, arrows seek (left and right 10 s, up and down 1 min of simulated
     time), q ends.
     """
-    from launch_scripts.launcher.request import parse_pace
+    from launch_scripts.scenarios.real_time import parse_pace
     from recordings.read.reader import RunReader
+    from recordings.replay.bus import selected_ports
     from recordings.replay.keyboard import has_keyboard
-    from recordings.replay.live_run import LiveRequest, replay_live
-    from recordings.replay.playback_run import PlaybackRequest, replay_recording
+    from recordings.replay.live_run import replay_live
+    from recordings.replay.playback import replay_recording
 
     out = sys.stderr if json == "-" else sys.stdout
     if listen is not None and not _ENDPOINT.fullmatch(listen):
@@ -90,32 +92,31 @@ def replay(
         options = {
             "--from": start, "--pace": pace != "1", "--clock": clock, "--loop": loop,
             "--start-paused": start_paused, "--signals": signals, "--exclude": exclude,
+            "--nodes": nodes,
         }  # fmt: skip
-        _check_live(options)
+        for option, given in options.items():
+            if given:
+                raise InputError(f"{option}: not possible with --live, which begins with the run")
         with RunReader(run) as reader:
-            found = replay_live(LiveRequest(live, plan, end, wait, listen), reader, out)
+            found = replay_live(
+                reader, out, live, plan_file=plan, end=end, wait=wait, listen=listen
+            )
         write_json(found, json)
         return INTERRUPTED if found.interrupted else FAILED if found.differing else OK
     speed = parse_pace(pace)
-    request = PlaybackRequest(
-        start,
-        end,
-        speed if isinstance(speed, float) else 0.0,
-        clock,
-        start_paused,
-        loop,
-        signals,
-        exclude,
-        wait,
-        listen,
-    )
     with RunReader(run) as reader:
-        figures = replay_recording(request, reader, out)
+        figures = replay_recording(
+            reader,
+            out,
+            selected_ports(reader.plan, signals, exclude, nodes),
+            start=start,
+            end=end,
+            rate=speed if isinstance(speed, float) else 0.0,
+            clock=clock,
+            start_paused=start_paused,
+            loop=loop,
+            wait=wait,
+            listen=listen,
+        )
     write_json(figures, json)
     return INTERRUPTED if figures.interrupted else OK
-
-
-def _check_live(options: Mapping[str, object]) -> None:
-    for option, given in options.items():
-        if given:
-            raise InputError(f"{option}: not possible with --live, which begins with the run")

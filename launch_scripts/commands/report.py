@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 
 import typer
 
-from launch_scripts.commands.options import RunArgument
+from launch_scripts.commands.options import ReportOption, RunArgument
 
 EXAMPLE: Final = "heliarch report runs/oahu-20261121-120000-4711"
 
 
-def report(
-    run: RunArgument,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="The HTML file; default report.html in the run's folder.", metavar="FILE"
-        ),
-    ] = None,
-) -> None:
+def report(run: RunArgument, page: ReportOption = None) -> None:
     """Write the figures and tables of a run as one HTML page, which opens without a network."""
     from studies.report.recorded_run import write_run_report
 
-    typer.echo(f"report: {write_run_report(run, out)}")
+    typer.echo(f"report: {write_run_report(run, Path(page) if page else None)}")

@@ -2,90 +2,110 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from functools import partial
+from dataclasses import asdict
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any
 
 import msgspec
 from rich.console import Console
 
 from bus_schemas.errors import FailureError, InputError
-from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK, complain
+from launch_scripts.commands.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
+from launch_scripts.commands.options import (
+    FileOptions,
+    PageOptions,
+    PlantOptions,
+    ProcessOptions,
+    SpanOptions,
+)
 from launch_scripts.commands.output import say, write_json
+from launch_scripts.commands.page import page_beside
 from launch_scripts.launcher.launch import launch
-from launch_scripts.launcher.live_view import View, view_for
+from launch_scripts.launcher.live_view import view_for
 from launch_scripts.launcher.request import RunRequest, prepare_run
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.simulation import simulate
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.summary_table import print_summary
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
-from launch_scripts.scenarios.preparation import Preparation
+from launch_scripts.scenarios.preparation import RunOptions
+from launch_scripts.scenarios.scenario import load_scenario
 from live_page.process import PageProcess
-from studies.report.recorded_run import write_run_report
+from studies.compare.cases import with_settings
 from studies.tables import console_for
 
-Driver: TypeAlias = Callable[[Preparation, RunFolder, View, float], RunSummary]
 
-
-@contextmanager
-def page_process(
-    wanted: bool, address: str | None, port: int | None
-) -> Iterator[PageProcess | None]:
-    """Start the page of a run if it is wanted, before anything else is done."""
-    if wanted:
-        with PageProcess(address, port) as page:
-            yield page
-        return
-    for option, given in (("--page-address", address), ("--page-port", port)):
-        if given is not None:
-            raise InputError(f"{option}: expected --page with it")
-    yield None
+def run_request(
+    scenario: str,
+    files: FileOptions,
+    *groups: PlantOptions | SpanOptions | ProcessOptions,
+    start: str | None = None,
+) -> RunRequest:
+    """Return what the options of a command ask for."""
+    given: dict[str, Any] = {"start": start}
+    for group in groups:
+        given |= asdict(group)
+    settings = given.pop("settings") or ()
+    scenario_file = with_settings(load_scenario(scenario, files.data), settings)
+    return RunRequest(scenario_file, RunOptions(**given), files.out)
 
 
 def run_and_print(
     request: RunRequest,
-    json: str | None,
-    report: str | None,
-    began_at: float,
-    page: PageProcess | None = None,
+    files: FileOptions,
+    pages: PageOptions,
+    server: ForkServerProcess | None = None,
 ) -> int:
-    """Run what was asked for and print its result. Returns the exit status.
+    """Run what was asked for and print its result. Returns the exit status."""
+    console = console_for(files.json)
+    with page_beside(pages, console) as page:
+        summary, folder = run(request, console, BEGAN_AT, server, page)
+        return _print_result(summary, folder, files, console)
 
-    Parameters
-    ----------
-    request
-        What to run.
-    json, report
-        Values of the options.
-    began_at
-        Monotonic time at which the command began [s].
-    page
-        Shows the run until nobody looks at it any more.
-    """
-    console = console_for(json)
-    summary, folder = run(request, console, began_at, page)
-    if json is not None:
-        write_json(msgspec.Raw(summary.as_json()), json)
+
+def _print_result(
+    summary: RunSummary, folder: RunFolder, files: FileOptions, console: Console
+) -> int:
+    if files.json is not None:
+        write_json(msgspec.Raw(summary.as_json()), files.json)
     print_summary(summary, console)
     say(console, f"recording: {folder.recording}")
-    if report is not None and summary.cycles:
-        say(console, f"report: {write_run_report(folder.path, Path(report) if report else None)}")
-    if page is not None:
-        page.let_end(partial(say, console))
+    if files.report is not None and summary.cycles:
+        from studies.report.recorded_run import write_run_report  # Plotly is slow to import.
+
+        page = Path(files.report) if files.report else None
+        say(console, f"report: {write_run_report(folder.path, page)}")
     if summary.recording_ended:
         return complain(f"{summary.recording_ended}; what it holds can be read", FAILED)
     if summary.lost_by_processes:
-        return complain(_lost_text(summary), FAILED)
+        lost = "; ".join(
+            f"{count.signal}: {count.published:,} published, {count.recorded:,} recorded"
+            for count in summary.messages
+            if count.lost
+        )
+        return complain(f"messages were lost: {lost}", FAILED)
     return INTERRUPTED if summary.interrupted else OK
 
 
 def run(
-    request: RunRequest, console: Console, began_at: float, page: PageProcess | None = None
+    request: RunRequest,
+    console: Console,
+    began_at: float,
+    server: ForkServerProcess | None = None,
+    page: PageProcess | None = None,
 ) -> tuple[RunSummary, RunFolder]:
     """Run a plant, recorded, and write its summary; show it meanwhile.
+
+    Parameters
+    ----------
+    request, console
+        What to run, and where it is shown.
+    began_at
+        Monotonic time at which the user asked for it [s].
+    server
+        Starts the processes. None: the run stays in this process.
+    page
+        Shows the run in a browser.
 
     Raises
     ------
@@ -94,32 +114,28 @@ def run(
     FailureError
         The run could not go on.
     """
-    with ExitStack() as stack:
-        driver: Driver = simulate
-        if request.driver == "launch":
-            # It imports what the processes need while the run is worked out.
-            driver = partial(launch, server=stack.enter_context(ForkServerProcess()))
-        preparation, folder = prepare_run(request)
-        scenario = preparation.scenario.scenario
-        try:
-            with view_for(console, preparation.plan, scenario.time.timezone) as view:
-                for line in (scenario.title, *preparation.remarks):
-                    view.say(line)
-                if page is not None:
-                    view.say(f"page: {page.show(folder.path)}")
-                summary = driver(preparation, folder, view, began_at)
-        except RunFailure as failure:
-            if not folder.recording.exists():
-                raise
-            raise FailureError(f"{failure}\nrecording up to there: {folder.recording}") from failure
+    preparation, folder = prepare_run(request)
+    plan, scenario = preparation.plan, preparation.scenario.scenario
+    if server is not None and plan.lockstep and plan.faults:
+        given = request.options.faults
+        where = f"--fault {given[0]}" if given else "faults of the scenario"
+        raise InputError(
+            f"{where}: expected a --pace such as 1 with it, got lockstep, where a lost message is "
+            "waited for without end"
+        )
+    try:
+        with view_for(console, plan, scenario.time.timezone) as view:
+            for line in (scenario.title, *preparation.remarks):
+                view.say(line)
+            if page is not None:
+                view.say(f"page: {page.show(folder.path)}")
+            if server is None:
+                summary = simulate(preparation, folder, view, began_at)
+            else:
+                summary = launch(preparation, folder, view, began_at, server)
+    except RunFailure as failure:
+        if not folder.recording.exists():
+            raise
+        raise FailureError(f"{failure}\nrecording up to there: {folder.recording}") from failure
     folder.summary.write_bytes(summary.as_json() + b"\n")
     return summary, folder
-
-
-def _lost_text(summary: RunSummary) -> str:
-    lines = [
-        f"{count.signal}: {count.published:,} published, {count.recorded:,} recorded"
-        for count in summary.messages
-        if count.lost
-    ]
-    return "messages were lost: " + "; ".join(lines)

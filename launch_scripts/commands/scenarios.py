@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import Final
 
-import typer
+from launch_scripts.commands.options import JsonOption
+from launch_scripts.commands.output import say, write_json
+from studies.tables import console_for
 
 EXAMPLE: Final = "heliarch scenarios"
 
 
-def scenarios() -> None:
+def scenarios(json: JsonOption = None) -> None:
     """List the scenarios that come with Heliarch."""
-    from launch_scripts.scenarios.scenario import (
-        load_scenario,
-        shipped_scenarios,
-    )
+    from launch_scripts.scenarios.scenario import load_scenario, shipped_scenarios
 
-    for name in shipped_scenarios():
-        typer.echo(f"{name:14} {load_scenario(name).scenario.title}")
+    titles = {name: load_scenario(name).scenario.title for name in shipped_scenarios()}
+    write_json([{"name": name, "title": title} for name, title in titles.items()], json)
+    say(console_for(json), *(f"{name:14} {title}" for name, title in titles.items()))

@@ -4,25 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
-from launch_scripts.commands.boundary import BEGAN_AT
 from launch_scripts.commands.options import (
-    ActuatorOption,
-    DataOption,
-    DurationOption,
-    EndOption,
-    FaultOption,
-    JsonOption,
-    OutOption,
-    PaceOption,
-    PageAddressOption,
-    PageOption,
-    PagePortOption,
-    ReportOption,
+    FileOptions,
+    PageOptions,
+    PlantOptions,
     ScenarioArgument,
-    SchemeOption,
-    SeedOption,
-    SettingsOption,
-    StartOption,
+    SpanOptions,
 )
 
 EXAMPLE: Final = "heliarch simulate valley --seed 8 --set commitment.share=0.4 --report"
@@ -30,41 +17,13 @@ EXAMPLE: Final = "heliarch simulate valley --seed 8 --set commitment.share=0.4 -
 
 def simulate(
     scenario: ScenarioArgument = "oahu",
-    start: StartOption = None,
-    end: EndOption = None,
-    duration: DurationOption = None,
-    pace: PaceOption = None,
-    seed: SeedOption = None,
-    scheme: SchemeOption = None,
-    actuator: ActuatorOption = None,
-    settings: SettingsOption = None,
-    fault: FaultOption = None,
-    data: DataOption = None,
-    page: PageOption = False,
-    page_port: PagePortOption = None,
-    page_address: PageAddressOption = None,
-    out: OutOption = None,
-    report: ReportOption = None,
-    json: JsonOption = None,
+    *,
+    span: SpanOptions,
+    plant: PlantOptions,
+    page: PageOptions,
+    files: FileOptions,
 ) -> int:
     """Run the same agents in one process, with the same messages and recording."""
-    from launch_scripts.commands.run import page_process, run_and_print
-    from launch_scripts.launcher.request import RunRequest
-    from launch_scripts.scenarios.scenario import load_scenario
-    from studies.compare.cases import with_settings
+    from launch_scripts.commands.run import run_and_print, run_request
 
-    request = RunRequest(
-        "simulate",
-        with_settings(load_scenario(scenario, data), settings or ()),
-        start,
-        end,
-        duration,
-        pace,
-        seed,
-        scheme,
-        actuator,
-        out,
-        faults=tuple(fault or ()),
-    )
-    with page_process(page, page_address, page_port) as shown:
-        return run_and_print(request, json, report, BEGAN_AT, shown)
+    return run_and_print(run_request(scenario, files, plant, span), files, page)

@@ -12,20 +12,10 @@ import typer
 from bus_schemas.errors import InputError
 from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK
 from launch_scripts.commands.options import (
-    ActuatorOption,
-    BasePortOption,
-    CpusOption,
-    DataOption,
-    ExternalOption,
-    ExternalTimeoutOption,
-    FaultOption,
-    JsonOption,
-    OutOption,
-    PriorityOption,
-    ReportOption,
-    SchemeOption,
-    SeedOption,
-    SettingsOption,
+    FileOptions,
+    PageOptions,
+    PlantOptions,
+    ProcessOptions,
     StartOption,
 )
 from launch_scripts.commands.output import say, write_json, write_page
@@ -35,6 +25,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from launch_scripts.launcher.request import RunRequest
+    from live_page.process import PageProcess
     from studies.timing.rates import Rates
     from studies.timing.report import Reported, TimingReport
 
@@ -63,6 +54,7 @@ def timing(
             "run, to report on it without a new run."
         ),
     ] = "oahu",
+    *,
     rate: Annotated[
         str | None,
         typer.Option(
@@ -80,23 +72,13 @@ def timing(
             metavar="TIME",
         ),
     ] = None,
-    seed: SeedOption = None,
-    scheme: SchemeOption = None,
-    actuator: ActuatorOption = None,
-    settings: SettingsOption = None,
-    fault: FaultOption = None,
-    external: ExternalOption = None,
-    external_timeout: ExternalTimeoutOption = 60.0,
-    base_port: BasePortOption = None,
-    cpus: CpusOption = None,
-    priority: PriorityOption = None,
+    plant: PlantOptions,
+    machine: ProcessOptions,
     processes: Annotated[
         bool, typer.Option("--processes", help="Show each process as well as the tiers.")
     ] = False,
-    data: DataOption = None,
-    out: OutOption = None,
-    report: ReportOption = None,
-    json: JsonOption = None,
+    page: PageOptions,
+    files: FileOptions,
 ) -> int:
     """Run a plant in real time and report whether every tier meets its deadlines, and by how much.
 
@@ -105,39 +87,28 @@ def timing(
     Exit status 1: a budget was not kept, or the run failed. A scenario states its own budgets in
     its table timing.budgets; see docs/timing.md.
     """
-    from launch_scripts.launcher.request import RunRequest
-    from launch_scripts.scenarios.externals import ExternalOptions
-    from launch_scripts.scenarios.machine_table import MachineOptions
-    from launch_scripts.scenarios.scenario import load_scenario
-    from studies.compare.cases import with_settings
+    from launch_scripts.commands.page import page_beside
+    from launch_scripts.commands.run import run_request
     from studies.timing.rates import parse_rates
 
-    output = _Output(console_for(json), json, report, processes)
+    output = _Output(console_for(files.json), files.json, files.report, processes)
     if (path := Path(scenario)).is_dir() or path.suffix == ".mcap":
         options = {
-            "--rate": rate, "--duration": duration, "--out": out, "--from": start, "--seed": seed,
-            "--scheme": scheme, "--actuator": actuator, "--set": settings, "--fault": fault,
-            "--external": external, "--base-port": base_port, "--cpus": cpus,
-            "--priority": priority,
+            "--rate": rate, "--duration": duration, "--out": files.out, "--from": start,
+            "--seed": plant.seed, "--scheme": plant.scheme, "--actuator": plant.actuator,
+            "--set": plant.settings, "--fault": plant.faults, "--external": machine.external,
+            "--base-port": machine.base_port, "--cpus": machine.cpus,
+            "--priority": machine.priority, "--page": page.page or None,
+            "--page-port": page.page_port, "--page-address": page.page_address,
         }  # fmt: skip
         _check_recorded(path, options)
         return _time_recorded(path, output)
     rates = parse_rates(_RATE if rate is None else rate)
-    request = RunRequest(
-        "launch",
-        with_settings(load_scenario(scenario, data), settings or ()),
-        start,
-        seed=seed,
-        scheme=scheme,
-        actuator=actuator,
-        out=out,
-        faults=tuple(fault or ()),
-        external=ExternalOptions(tuple(external or ()), external_timeout, base_port),
-        machine=MachineOptions(tuple(cpus or ()), priority),
-    )
-    if rates.single_hz is not None:
-        return _time_one(rates.single_hz, duration or _DURATION, request, output)
-    return _time_several(rates, duration or _SWEEP_DURATION, request, output)
+    request = run_request(scenario, files, plant, machine, start=start)
+    with page_beside(page, output.console) as shown:
+        if rates.single_hz is not None:
+            return _time_one(rates.single_hz, duration or _DURATION, request, output, shown)
+        return _time_several(rates, duration or _SWEEP_DURATION, request, output, shown)
 
 
 def _check_recorded(path: Path, options: Mapping[str, object]) -> None:
@@ -155,10 +126,14 @@ def _time_recorded(path: Path, output: _Output) -> int:
     return _print_one(report_on(path, by_agent=output.by_agent), path, output)
 
 
-def _time_one(rate_hz: float, duration: str, request: RunRequest, output: _Output) -> int:
+def _time_one(
+    rate_hz: float, duration: str, request: RunRequest, output: _Output, shown: PageProcess | None
+) -> int:
     from studies.timing.measured_run import measured_run, prepare_at
 
     preparation, folder = prepare_at(rate_hz, duration, request, request.out)
+    if shown is not None:
+        say(output.console, f"page: {shown.show(folder.path)}")
     reported = measured_run(preparation, folder, output.console, by_agent=output.by_agent)
     return _print_one(reported, folder.path, output)
 
@@ -180,7 +155,9 @@ def _print_one(reported: Reported, run: Path, output: _Output) -> int:
     return OK if report.passed else FAILED
 
 
-def _time_several(rates: Rates, duration: str, request: RunRequest, output: _Output) -> int:
+def _time_several(
+    rates: Rates, duration: str, request: RunRequest, output: _Output, shown: PageProcess | None
+) -> int:
     from launch_scripts.launcher.run_folder import new_run_id, run_folder
     from studies.timing.measured_run import measured_run, prepare_at
     from studies.timing.page import PAGE_NAME, sweep_page
@@ -195,6 +172,9 @@ def _time_several(rates: Rates, duration: str, request: RunRequest, output: _Out
 
     # All listed rates are prepared before the first one runs, so that none is refused then.
     listed = {rate_hz: prepared(rate_hz) for rate_hz in rates.listed_hz}
+
+    if shown is not None:
+        say(output.console, f"page: {shown.show(folder, several=True)}")
 
     def timed(rate_hz: float) -> TimingReport:
         run = listed.get(rate_hz) or prepared(rate_hz)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from math import inf
 from pathlib import Path
@@ -13,7 +13,7 @@ import typer
 
 from bus_schemas.errors import FailureError, InputError
 from launch_scripts.commands.boundary import FAILED, OK
-from launch_scripts.commands.options import JsonOption, NodesOption
+from launch_scripts.commands.options import FirstOption, JsonOption, LastOption, NodesOption
 from launch_scripts.commands.output import progress_bar, say, write_json
 from studies.tables import console_for
 
@@ -34,6 +34,8 @@ def verify(
         ),
     ],
     nodes: NodesOption = None,
+    start: FirstOption = None,
+    end: LastOption = None,
     tolerance: Annotated[
         float, typer.Option(help="Largest difference of two equal floats.", metavar="X")
     ] = 0.0,
@@ -50,15 +52,17 @@ def verify(
     """Run the agents of a recording again on the inputs that they used, and compare the outputs.
 
     Exit status 1: they differ. The first difference of each agent is shown
-    with its inputs.
+    with its inputs. Agents run from cycle 0 on; --from and --to say which
+    cycles are compared.
     """
     from recordings.verify.report import json_ready
 
     console = console_for(json)
-    comparison = _comparison(tolerance, _names(ignored))
+    names = [name.strip() for name in (ignored or "").split(",") if name.strip()]
+    comparison = _comparison(tolerance, names)
     if accept:
-        _check_accept(runs, nodes)
-    results = [_verify(run, _names(nodes), comparison, console) for run in runs]
+        _check_accept(runs, {"--nodes": nodes, "--from": start, "--to": end})
+    results = [_verify(run, nodes or "", comparison, start, end, console) for run in runs]
     equal = all(found.equal for found, _ in results)
     write_json(json_ready({"equal": equal, "runs": [data for _, data in results]}), json)
     if accept:
@@ -79,29 +83,34 @@ def _comparison(tolerance: float, ignored: Sequence[str]) -> Comparison:
     return Comparison(tolerance, frozenset(ignored))
 
 
-def _names(text: str | None) -> list[str]:
-    return [name.strip() for name in (text or "").split(",") if name.strip()]
-
-
 def _verify(
-    run: Path, nodes: Sequence[str], comparison: Comparison, console: Console
+    run: Path,
+    nodes: str,
+    comparison: Comparison,
+    start: str | None,
+    end: str | None,
+    console: Console,
 ) -> tuple[Verification, dict[str, Any]]:
-    from recordings.verify.report import verification_data, verification_lines
+    from recordings.verify.report import verification_data, verification_lines, wrapped
     from recordings.verify.verification import verify as verify_run
 
     began_at = time.monotonic()
     with progress_bar("verify") as follow:
-        found = verify_run(run, nodes, comparison, follow)
+        found = verify_run(run, nodes, comparison, follow, start, end)
     wall_s = time.monotonic() - began_at
-    say(console, *verification_lines(found, comparison, wall_s))
+    say(console, str(found.recording))
+    say(console, *wrapped(verification_lines(found, comparison, wall_s), console.width))
     return found, verification_data(found, comparison, wall_s)
 
 
-def _check_accept(runs: Sequence[Path], nodes: str | None) -> None:
+def _check_accept(runs: Sequence[Path], parts: Mapping[str, str | None]) -> None:
     from recordings.verify.golden import origin
 
-    if nodes is not None:
-        raise InputError("--accept: expected no --nodes with it: the whole run is recorded again")
+    for option, given in parts.items():
+        if given is not None:
+            raise InputError(
+                f"--accept: expected no {option} with it: the whole run is recorded again"
+            )
     for run in runs:
         origin(run)
 

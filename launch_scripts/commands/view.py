@@ -27,7 +27,8 @@ def view(
 
     Of a folder it lists the runs with their figures. Ends with Ctrl-C.
     """
-    from live_page.server import PageServer, open_place
+    from live_page.place import open_place
+    from live_page.server import PageServer
     from recordings.read.reader import RunReader
     from recordings.read.run_file import RECORDING_NAME
 

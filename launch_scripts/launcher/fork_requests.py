@@ -26,10 +26,10 @@ class Start(msgspec.Struct, frozen=True, tag=True):
     patience_s: float
 
 
-class Tell(msgspec.Struct, frozen=True, tag=True):
-    """Send a word to the recorder."""
+class Expect(msgspec.Struct, frozen=True, tag=True):
+    """Tell the recorder how many messages of the run were published in all."""
 
-    word: str
+    messages: int
 
 
 class Signal(msgspec.Struct, frozen=True, tag=True):
@@ -39,7 +39,7 @@ class Signal(msgspec.Struct, frozen=True, tag=True):
     number: int
 
 
-Request: TypeAlias = Start | Tell | Signal
+Request: TypeAlias = Start | Expect | Signal
 
 
 def log_name(agent: str) -> str:

@@ -31,33 +31,26 @@ from agents.loop import AgentLoop
 from agents.plan import RunPlan, load_plan
 from agents.process import die_with_parent, run_controller, session_settings
 from agents.team import controller
-from bus_schemas.tree import PLANT, RECORDER, agent_name
-from launch_scripts.launcher.fork_requests import Request, Signal, Start, Tell, log_name
-from recordings.record.process import run_recorder
+from bus_schemas.tree import RECORDER, agent_name
+from launch_scripts.launcher.fork_requests import Expect, Request, Signal, Start, log_name
+from recordings.record.recorder import run_recorder
 from sim_plant.process import run_plant
-from sim_plant.profile import Profile, load_profile
+from sim_plant.profile import load_profile
 
 _LARGEST: Final = 1 << 20
 _LAST_WAIT_S: Final = 5.0
 """How long the recorder may take to close its file when the launcher has hung up."""
 
-
 _decoder = msgspec.json.Decoder(Request)
 
 
 class ForkServer:
-    """The server.
-
-    Parameters
-    ----------
-    control
-        Its end of the socket.
-    """
+    """The server, at its end of the socket."""
 
     def __init__(self, control: socket.socket) -> None:
         self._control = control
         self._pids: dict[int, str] = {}
-        self._words: int | None = None
+        self._to_recorder: int | None = None
         self._pid = os.getpid()
         self._ended, self._wake = os.pipe()
         os.set_blocking(self._wake, False)
@@ -97,10 +90,10 @@ class ForkServer:
         match request:
             case Start():
                 self._start(request)
-            case Tell():
-                if self._words is not None:
-                    with suppress(BrokenPipeError):  # The recorder has ended: the launcher is told.
-                        os.write(self._words, f"{request.word}\n".encode())
+            case Expect():
+                if self._to_recorder is not None:
+                    with suppress(BrokenPipeError):  # The recorder has ended.
+                        os.write(self._to_recorder, str(request.messages).encode())
             case Signal():
                 for pid, agent in self._pids.items():
                     if agent in request.agents:
@@ -108,9 +101,6 @@ class ForkServer:
 
     def _start(self, request: Start) -> None:
         plan = load_plan(Path(request.plan))
-        profile = None
-        if PLANT in request.agents:
-            profile = load_profile(Path(request.plan).with_name("profile.npz"))
         # What all of them need is worked out once, before there are many.
         for node in plan.tree.nodes[-1:]:
             AgentLoop(controller(plan, agent_name(node)), plan)
@@ -119,31 +109,29 @@ class ForkServer:
         gc.collect()
         gc.freeze()
         for agent in request.agents:
-            self._fork(agent, plan, profile, request)
+            self._fork(agent, plan, request)
 
-    def _fork(self, agent: str, plan: RunPlan, profile: Profile | None, request: Start) -> None:
-        words = None
+    def _fork(self, agent: str, plan: RunPlan, request: Start) -> None:
+        expected = None
         if agent == RECORDER:
-            words, self._words = os.pipe()
-            os.set_blocking(words, False)
+            expected, self._to_recorder = os.pipe()
+            os.set_blocking(expected, False)
         pid = os.fork()
         if pid == 0:
-            self._become(agent, plan, profile, request, words)
-        if words is not None:
-            os.close(words)
+            self._become(agent, plan, request, expected)
+        if expected is not None:
+            os.close(expected)
         self._pids[pid] = agent
         self._tell(agent, Started(pid))
 
-    def _become(
-        self, agent: str, plan: RunPlan, profile: Profile | None, request: Start, words: int | None
-    ) -> NoReturn:
+    def _become(self, agent: str, plan: RunPlan, request: Start, expected: int | None) -> NoReturn:
         """Be the process of an agent."""
         status = 1
         try:
             self._set_up(agent, Path(request.logs) / log_name(agent))
-            link = LauncherLink(agent, self._control, words)
+            link = LauncherLink(agent, self._control, expected)
             link.heed_sigterm()
-            status = _run(agent, plan, profile, link, request)
+            status = _run(agent, plan, link, request)
         except BaseException:
             logging.exception("%s gives up", agent)
         finally:
@@ -159,8 +147,8 @@ class ForkServer:
             os._exit(1)
         os.close(self._ended)
         os.close(self._wake)
-        if self._words is not None:
-            os.close(self._words)
+        if self._to_recorder is not None:
+            os.close(self._to_recorder)
         log_file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
         for stream in (1, 2):
             os.dup2(log_file, stream)
@@ -188,15 +176,13 @@ class ForkServer:
             self._control.send(server_packet(agent, msgspec.json.encode(event)))
 
 
-def _run(
-    agent: str, plan: RunPlan, profile: Profile | None, link: LauncherLink, request: Start
-) -> int:
+def _run(agent: str, plan: RunPlan, link: LauncherLink, request: Start) -> int:
+    folder = Path(request.plan).parent
     match kind_of(agent, plan.tree):
         case "recorder":
-            return run_recorder(plan, Path(request.plan).parent, link, attached=True)
+            return run_recorder(plan, folder, link)
         case "plant":
-            assert profile is not None
-            return run_plant(plan, profile, link, request.patience_s)
+            return run_plant(plan, load_profile(folder / "profile.npz"), link, request.patience_s)
         case _:
             return run_controller(plan, agent, link)
 

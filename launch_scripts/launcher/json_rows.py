@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import BinaryIO
 
@@ -14,46 +14,34 @@ from recordings.read.whole_file import whole_file
 
 
 class JsonRows:
-    """A JSON list under way, a row a line.
-
-    Parameters
-    ----------
-    file
-        Where it goes; None: nowhere.
-    """
+    """A JSON list under way, a row a line; without a file it goes nowhere."""
 
     def __init__(self, file: BinaryIO | None) -> None:
         self._file = file
-        self._begun = False
+        self._between = b"[\n"
 
     def write(self, row: msgspec.Struct) -> None:
         """Add a row."""
         if self._file is not None:
-            self._file.write((b",\n" if self._begun else b"[\n") + msgspec.json.encode(row))
-            self._begun = True
+            self._file.write(self._between + msgspec.json.encode(row))
+            self._between = b",\n"
 
     def finish(self) -> None:
         """End the list."""
         if self._file is not None:
-            self._file.write(b"\n]\n" if self._begun else b"[]\n")
+            self._file.write(b"[]\n" if self._between == b"[\n" else b"\n]\n")
             self._file.flush()
 
 
 @contextmanager
 def json_rows(destination: str | None) -> Iterator[JsonRows]:
-    """Give a list to add rows to. A file gets its name when the list is complete.
-
-    Parameters
-    ----------
-    destination
-        What followed `--json`: a path, `-` for standard output, or None.
-    """
+    """Give a list for `--json`. A file gets its name when the list is complete."""
+    place: AbstractContextManager[BinaryIO | None]
     if destination in (None, "-"):
-        rows = JsonRows(sys.stdout.buffer if destination == "-" else None)
-        yield rows
-        rows.finish()
-        return
-    with whole_file(Path(str(destination))) as file:
+        place = nullcontext(sys.stdout.buffer if destination == "-" else None)
+    else:
+        place = whole_file(Path(str(destination)))
+    with place as file:
         rows = JsonRows(file)
         yield rows
         rows.finish()

@@ -5,8 +5,6 @@ from __future__ import annotations
 import time
 from typing import Final
 
-import msgspec
-
 from agents.events import (
     AnyEvent,
     Armed,
@@ -20,24 +18,33 @@ from agents.events import (
 )
 from agents.machine import refusals
 from agents.plan import RunPlan
-from bus_schemas.faults import unmatched_rules
 from bus_schemas.tree import PLANT, RECORDER, some_of
 from launch_scripts.launcher.fork_requests import Start
 from launch_scripts.launcher.interruption import Interruption, interruptible
-from launch_scripts.launcher.launch_summary import LaunchAccount, launch_summary
 from launch_scripts.launcher.live_view import View
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.run_watch import HEARTBEAT_S, RunWatch
-from launch_scripts.launcher.summary import RunSummary, merge_counts
+from launch_scripts.launcher.summary import (
+    RunSummary,
+    count_messages,
+    dropped_by_cause,
+    memory_use,
+    merge_counts,
+    process_account,
+    recorded_metrics,
+    without_external,
+)
 from launch_scripts.launcher.supervision import (
     Children,
     ForkServerProcess,
+    Memory,
     RunFailure,
     blame,
     explain_stall,
     with_log,
 )
 from launch_scripts.launcher.tcp_ports import reserved_ports
+from launch_scripts.launcher.wrong_messages import wrong_messages
 from launch_scripts.scenarios.externals import ExternalWatch
 from launch_scripts.scenarios.preparation import Preparation
 
@@ -47,7 +54,7 @@ _PLANT_PATIENCE_S: Final = 30.0
 _PER_PROCESS_S: Final = 0.1
 
 _GATHER_S: Final = 0.5
-"""After the first word of a stall: time for the others to say what they wait for."""
+"""After the first event of a stall: time for the others to say what they wait for."""
 
 _ARMING_S: Final = 60.0
 """How long it may take from the command to cycle 0, and more for each process. The plant gives up
@@ -57,22 +64,8 @@ _PATIENCE_S: Final = 5.0
 """How long processes may take to end once the run is over, and more for each process."""
 
 
-class Launch:
-    """One run over processes.
-
-    Parameters
-    ----------
-    preparation, plan
-        The run.
-    folder
-        Where it goes.
-    view
-        Shows it.
-    began_at
-        Monotonic time at which the user asked for it [s]: start-up counts from there.
-    server
-        Starts the processes.
-    """
+class _Launch:
+    """One run over processes, see `launch`."""
 
     def __init__(
         self,
@@ -89,7 +82,7 @@ class Launch:
         self._folder = folder
         self._view = view
         self._began_at = began_at
-        self._patience_s = preparation.external.timeout_s if plan.external else 0.0
+        self._patience_s = preparation.options.external_timeout_s if plan.external else 0.0
         self._armed_at = began_at
         self._watch = RunWatch(plan, view.say)
         self._stalled_at: float | None = None
@@ -102,13 +95,7 @@ class Launch:
         self._interruption = Interruption()
 
     def run(self) -> RunSummary:
-        """Start the processes, see them through the run, compare what they say at its end.
-
-        Raises
-        ------
-        RunFailure
-            A process died or gave up, a cycle stalled, or messages got lost.
-        """
+        """Start the processes, see them through the run, compare what they say at its end."""
         plan, view = self._plan, self._view
         refused = refusals(plan.machine, lockstep=plan.lockstep)
         for refusal in refused:
@@ -124,30 +111,14 @@ class Launch:
             self._started_at = time.monotonic()
             logs, patience_s = str(self._folder.logs), self._plant_patience_s(len(agents))
             self._server.ask(Start(str(self._folder.plan), agents, logs, patience_s))
-            self._follow_or_explain(children)
-            seen = self._account(children, refused)
+            try:
+                self._follow(children)
+            except RunFailure as failure:
+                text = self._external.explain(str(failure), running=bool(self._rounds))
+                raise RunFailure(text) from failure
+            ended_at = time.monotonic()
             recorded = self._finish(children)
-            summary = launch_summary(
-                self._preparation,
-                plan,
-                self._folder,
-                list(children),
-                recorded,
-                seen,
-                interrupted=bool(self._interruption),
-            )
-            unmatched = unmatched_rules(plan.faults, _matched_rules(children))
-            for line in unmatched:
-                view.say(line)
-            return msgspec.structs.replace(summary, remarks=(*summary.remarks, *unmatched))
-
-    def _follow_or_explain(self, children: Children) -> None:
-        """Follow the run; if it fails, say which external agents may be the reason."""
-        try:
-            self._follow(children)
-        except RunFailure as failure:
-            text = self._external.explain(str(failure), running=bool(self._rounds))
-            raise RunFailure(text) from failure
+            return self._summary(children, recorded, ended_at, refused)
 
     def _follow(self, children: Children) -> None:
         """Show the run until the plant says that it is over."""
@@ -254,28 +225,57 @@ class Launch:
             [child.finished.published for child in children if child.finished is not None]
         )
         recorder = children[RECORDER]
-        children.tell_recorder(f"expect {sum(published.values())}")
+        children.end_recorder(sum(published.values()))
         if children.await_exit([recorder], 2.0 * longest_s) or recorder.recorded is None:
             raise RunFailure(with_log(recorder, "the recorder did not close its file"))
         return recorder.recorded
 
-    def _account(self, children: Children, refused: tuple[str, ...]) -> LaunchAccount:
-        """Return what was seen of the run, which has just ended."""
-        ended_at = time.monotonic()
-        return LaunchAccount(
-            began_at=self._began_at,
-            armed_at=self._armed_at,
-            ended_at=ended_at,
+    def _summary(
+        self, children: Children, recorded: Recorded, ended_at: float, refused: tuple[str, ...]
+    ) -> RunSummary:
+        """Bring together what processes, recorder and launcher know of the run."""
+        plan, cycles = self._plan, recorded.cycles
+        accounts = [child.finished for child in children if child.finished is not None]
+        dropped = dropped_by_cause(accounts)
+        if recorded.foreign:
+            dropped["at the recorder"] = recorded.foreign
+        memory: dict[str, list[Memory]] = {}
+        for child in children:
+            memory.setdefault(child.kind, []).append(child.memory)
+        published = merge_counts([account.published for account in accounts])
+        return RunSummary(
+            run_id=plan.run_id,
+            scenario=plan.plant,
+            driver="launch",
+            folder=str(self._folder.path),
+            sim_start=self._preparation.local_start(),
+            cycles=cycles,
+            cycle_s=plan.cycle_ns / 1e9,
+            # In real time the last cycle lasts to its end, though all have done their part before.
+            wall_s=max(ended_at - self._armed_at, cycles * plan.cycle_wall_ns / 1e9),
+            startup_s=self._armed_at - self._began_at,
             arming_rounds=self._rounds,
-            started_at=self._started_at,
-            cpu_at_start_s=self._cpu_at_start_s,
-            refusals=refused,
+            metrics=recorded_metrics(self._folder.recording),
+            messages=count_messages(published, without_external(recorded)),
+            dropped=dropped,
+            missing_inputs=sum(account.missing_inputs for account in accounts),
+            memory=memory_use(memory),
+            hindsight_neighbours=self._preparation.hindsight,
+            remarks=(*self._preparation.remarks, *refused),
+            interrupted=bool(self._interruption),
+            recording_ended=recorded.ended_early,
+            faults=merge_counts([account.faults for account in accounts]),
+            old_inputs=sum(account.old_inputs for account in accounts),
+            skipped_cycles=sum(account.skipped_cycles for account in accounts),
+            processes_startup_s=self._armed_at - self._started_at,
+            processes=tuple(
+                process_account(child, self._cpu_at_start_s.get(child.agent)) for child in children
+            ),
+            external=recorded.external,
+            wrong=wrong_messages(
+                plan, recorded.complaints, [account.dropped for account in accounts]
+            ),
         )
-
-
-def _matched_rules(children: Children) -> set[int]:
-    ended = [child.finished for child in children if child.finished is not None]
-    return {number for account in ended for number in account.matched_rules}
 
 
 def launch(
@@ -289,23 +289,23 @@ def launch(
 
     Parameters
     ----------
-    preparation, folder, began_at
-        See `Launch`.
-    view
-        Shows the run.
+    preparation, folder, view
+        The run, where it goes, and what shows it.
+    began_at
+        Monotonic time at which the user asked for it [s]: start-up counts from there.
     server
         Starts the processes.
 
     Raises
     ------
     RunFailure
-        See `Launch.run`.
+        A process died or gave up, a cycle stalled, or messages got lost.
     """
     agents = preparation.plan.links.listening
-    with reserved_ports(agents, preparation.external.base_port) as tcp_ports:
+    with reserved_ports(agents, preparation.options.base_port) as tcp_ports:
         plan = folder.fill(preparation, tcp_ports)
         try:
-            return Launch(preparation, plan, folder, view, began_at, server).run()
+            return _Launch(preparation, plan, folder, view, began_at, server).run()
         except RunFailure as failure:
             folder.failure.write_text(f"{failure}\n", encoding="utf-8")
             raise

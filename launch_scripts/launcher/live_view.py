@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from datetime import datetime
-from typing import Final, Protocol
+from typing import IO, Final, Self
 from zoneinfo import ZoneInfo
 
 from rich.console import Console, Group
@@ -18,21 +18,21 @@ from agents.events import Status
 from agents.plan import RunPlan
 
 _PLAIN_S: Final = 2.0
-"""Time between plain lines."""
+_IN_PLACE_S: Final = 0.1
 
 _BAR_WIDTH: Final = 50
 _NAMED: Final = 6
 """How many nodes in need are named before the rest is counted."""
 
 
-class View(Protocol):
-    """Shows a run."""
+class View:
+    """Shows a run; this one shows nothing."""
 
-    def __enter__(self) -> View:
-        """Begin to show."""
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(self, *error: object) -> None:
-        """End."""
+        pass
 
     def say(self, text: str) -> None:
         """Show a line that stays."""
@@ -43,30 +43,50 @@ class View(Protocol):
 
 def view_for(console: Console, plan: RunPlan, timezone: str) -> View:
     """Choose the live panel for a terminal, plain lines for anything else."""
-    if console.is_terminal:
-        return LivePanel(console, plan, timezone)
-    return PlainLines(console, plan, timezone)
+    kind = LivePanel if console.is_terminal else PlainLines
+    return kind(console, plan, timezone)
 
 
-def local_time(sim_time_ns: int, timezone: str) -> str:
-    """Local time of day of a simulated time."""
-    return f"{datetime.fromtimestamp(sim_time_ns / 1e9, ZoneInfo(timezone)):%H:%M:%S}"
+class StatusLine:
+    """Where a run or a replay stands, as one line: renewed in place, or printed every 2 s."""
+
+    def __init__(self, stream: IO[str], *, in_place: bool) -> None:
+        self._stream = stream
+        self._in_place = in_place
+        self._next_at = 0.0
+        self._shown = ""
+
+    def is_due(self, *, now: bool = False) -> bool:
+        """Whether the shown line is old enough, or is to be renewed in place now."""
+        return time.monotonic() >= self._next_at or (now and self._in_place)
+
+    def show(self, text: str) -> None:
+        """Show a line, if it is a new one."""
+        self._next_at = time.monotonic() + (_IN_PLACE_S if self._in_place else _PLAIN_S)
+        if text != self._shown:
+            self._stream.write(f"\r\x1b[K{text}" if self._in_place else f"{text}\n")
+            self._stream.flush()
+            self._shown = text
+
+    def end(self) -> None:
+        """Leave the line as it is, and go on below it."""
+        if self._shown and self._in_place:
+            self._stream.write("\n")
+            self._stream.flush()
 
 
-class PlainLines:
+class PlainLines(View):
     """A line every now and then."""
 
     def __init__(self, console: Console, plan: RunPlan, timezone: str) -> None:
         self._console = console
         self._plan = plan
-        self._timezone = timezone
-        self._next_at = 0.0
+        self._zone = ZoneInfo(timezone)
+        self._line = StatusLine(console.file, in_place=False)
 
-    def __enter__(self) -> PlainLines:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
+    def local_time(self, status: Status) -> str:
+        """Return the local time of day."""
+        return f"{datetime.fromtimestamp(status.sim_time_ns / 1e9, self._zone):%H:%M:%S}"
 
     def say(self, text: str) -> None:
         """Print a line."""
@@ -74,24 +94,20 @@ class PlainLines:
 
     def show(self, status: Status) -> None:
         """Print a line if the last one is old enough."""
-        if status.cycle < 0 or time.monotonic() < self._next_at:
+        if status.cycle < 0 or not self._line.is_due():
             return
-        self._next_at = time.monotonic() + _PLAIN_S
-        self.say(
-            f"{local_time(status.sim_time_ns, self._timezone)} "
-            f"cycle {status.cycle + 1}/{self._plan.cycles} "
+        self._line.show(
+            f"{self.local_time(status)} cycle {status.cycle + 1}/{self._plan.cycles} "
             f"desired {status.desired_kw:.0f} kW, delivered {status.delivered_kw:.0f} kW, "
             f"possible {status.possible_kw:.0f} kW; help: {_needy(status)}"
         )
 
 
-class LivePanel:
+class LivePanel(PlainLines):
     """A panel that is drawn anew a few times a second."""
 
     def __init__(self, console: Console, plan: RunPlan, timezone: str) -> None:
-        self._console = console
-        self._plan = plan
-        self._timezone = timezone
+        super().__init__(console, plan, timezone)
         self._rating_kw = sum(rating_kw for _, rating_kw in plan.inverters)
         self._progress = Progress(
             TextColumn("cycle"),
@@ -104,16 +120,12 @@ class LivePanel:
         self._task = self._progress.add_task("run", total=plan.cycles)
         self._live = Live(console=console, refresh_per_second=8, transient=True)
 
-    def __enter__(self) -> LivePanel:
+    def __enter__(self) -> Self:
         self._live.start()
         return self
 
     def __exit__(self, *error: object) -> None:
         self._live.stop()
-
-    def say(self, text: str) -> None:
-        """Print a line above the panel."""
-        self._console.print(text, highlight=False, markup=False)
 
     def show(self, status: Status) -> None:
         """Draw the panel anew."""
@@ -131,7 +143,7 @@ class LivePanel:
         ):
             powers.add_row(name, f"{power_kw:,.0f} kW", self._bar(power_kw, style))
         needy = Text(f"needs help: {_needy(status)}", style="red" if status.needy else "dim")
-        title = f"{self._plan.plant} {local_time(status.sim_time_ns, self._timezone)}"
+        title = f"{self._plan.plant} {self.local_time(status)}"
         subtitle = f"{status.recorded:,} messages recorded"
         body = Group(powers, needy, self._progress)
         self._live.update(Panel(body, title=title, subtitle=subtitle, width=90))

@@ -36,12 +36,7 @@ class RunWatch:
     In lockstep every agent soon waits for a recorder that stands still, and the run stalls. In
     real time none does: the messages queue up and are recorded later.
 
-    Parameters
-    ----------
-    plan
-        Of the run.
-    say
-        Called with a line for the user.
+    `say` is called with a line for the user.
     """
 
     def __init__(self, plan: RunPlan, say: Callable[[str], None]) -> None:

@@ -16,11 +16,11 @@ import msgspec
 
 from agents.agent import Agent
 from agents.driver import Driver
+from agents.events import Waiting
 from agents.loop import AgentLoop
 from agents.plan import RunPlan
 from agents.team import controllers
 from bus_schemas.codec import encode
-from bus_schemas.faults import unmatched_rules
 from bus_schemas.memory_bus import MemoryBus, VirtualClock
 from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, Port
@@ -29,7 +29,7 @@ from launch_scripts.launcher.interruption import interruptible
 from launch_scripts.launcher.live_view import View
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.summary import RunSummary, count_messages, memory_use, recorded_metrics
-from launch_scripts.launcher.supervision import RunFailure, memory_of
+from launch_scripts.launcher.supervision import RunFailure, memory_of, who_waits
 from launch_scripts.scenarios.preparation import Preparation
 from recordings.record.monitor import RunMonitor
 from recordings.record.writer import ClockAnchor, RunWriter
@@ -89,7 +89,12 @@ class MemoryRun:
                 yield done
                 done += 1
             if not arrivals and self._clock is None:
-                raise RunFailure(f"stalled in cycle {plant.cycle}: {self._who_waits()}")
+                waiting = {
+                    name: Waiting(loop.cycle, loop.stage, loop.needs)
+                    for name, loop in self.loops.items()
+                    if loop.waiting
+                }
+                raise RunFailure(who_waits(waiting)[0])
         while done < plant.cycle:
             yield done
             done += 1
@@ -107,13 +112,6 @@ class MemoryRun:
 
     def _publish_run(self, message: Message) -> None:
         self._driver.publish(RUN.of(ROOT), message)
-
-    def _who_waits(self) -> str:
-        return "; ".join(
-            f"{name} waits for {', '.join(sorted(map(str, loop.waiting)))}"
-            for name, loop in self.loops.items()
-            if loop.waiting
-        )
 
 
 def simulate(
@@ -159,7 +157,7 @@ def simulate(
     for loop in loops:
         for (_, cause), number in loop.dropped.items():
             drops[cause] += number
-    summary = RunSummary(
+    return RunSummary(
         run_id=plan.run_id,
         scenario=plan.plant,
         driver="simulate",
@@ -182,10 +180,6 @@ def simulate(
         interrupted=interrupted,
         recording_ended=writer.trouble,
     )
-    unmatched = unmatched_rules(plan.faults, run.plan.network_faults.matched)
-    for line in unmatched:
-        view.say(line)
-    return msgspec.structs.replace(summary, remarks=(*summary.remarks, *unmatched))
 
 
 def _follow(

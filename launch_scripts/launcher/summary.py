@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 
-from agents.events import ExternalAccount, Recorded
+from agents.events import ExternalAccount, Finished, Recorded
 from bus_schemas.errors import InputError
-from launch_scripts.launcher.supervision import Memory
+from launch_scripts.launcher.supervision import Child, Memory
 from launch_scripts.launcher.wrong_messages import WrongMessages
 from recordings.read.series import read_plant_series
 from studies.metrics import RunMetrics, run_metrics
@@ -197,3 +197,27 @@ def merge_counts(counts: list[dict[str, int]]) -> dict[str, int]:
     for count in counts:
         total.update(count)
     return dict(total)
+
+
+def dropped_by_cause(accounts: Sequence[Finished]) -> dict[str, int]:
+    """Add up the messages that processes did not use."""
+    return merge_counts([causes for account in accounts for causes in account.dropped.values()])
+
+
+def process_account(child: Child, cpu_at_start_s: float | None) -> ProcessAccount:
+    """Return the account of a process that has ended.
+
+    `cpu_at_start_s` is its processor time when cycle 0 began [s].
+    """
+    finished, cpu_s = child.finished, child.cpu_s()
+    return ProcessAccount(
+        child.agent,
+        child.kind,
+        dropped=dropped_by_cause([finished]) if finished else {},
+        resident_mb=child.memory.resident_mb,
+        missing_inputs=finished.missing_inputs if finished else 0,
+        old_inputs=finished.old_inputs if finished else 0,
+        skipped_cycles=finished.skipped_cycles if finished else 0,
+        cpu_s=None if cpu_at_start_s is None or cpu_s is None else cpu_s - cpu_at_start_s,
+        voluntary_switches=child.exited.voluntary_switches if child.exited else 0,
+    )

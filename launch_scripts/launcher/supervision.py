@@ -8,8 +8,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,9 +31,8 @@ from agents.events import (
 from agents.launcher_link import EventReader
 from agents.plan import RunPlan
 from bus_schemas.errors import FailureError
-from bus_schemas.tree import RECORDER
-from bus_schemas.zenoh_bus import ZENOH_RUNTIME
-from launch_scripts.launcher.fork_requests import Request, Signal, Tell, log_name
+from bus_schemas.tree import RECORDER, some_of
+from launch_scripts.launcher.fork_requests import Expect, Request, Signal, log_name
 
 _LOG_LINES: Final = 5
 """Lines of a log that are shown when its process is to blame."""
@@ -93,7 +91,6 @@ class ForkServerProcess:
                 stdin=subprocess.DEVNULL,
                 env={
                     **os.environ,
-                    "ZENOH_RUNTIME": os.environ.get("ZENOH_RUNTIME", ZENOH_RUNTIME),
                     "PYTHONUNBUFFERED": "1",
                     # An import must start no thread: this library would.
                     "OPENBLAS_NUM_THREADS": "1",
@@ -137,15 +134,7 @@ class ForkServerProcess:
 
 @dataclass
 class Child:
-    """One process of a run.
-
-    Attributes
-    ----------
-    finished
-        Its account at the end; None while it runs.
-    waiting
-        What it last said it waited for.
-    """
+    """One process of a run, with the newest event of each kind that it sent."""
 
     agent: str
     kind: Kind
@@ -203,19 +192,7 @@ class Child:
 
 
 class Children:
-    """All processes of a run. Leaving the context ends those that are left.
-
-    Parameters
-    ----------
-    server
-        Starts them.
-    plan
-        Of the run.
-    agents
-        Those that are processes of this run.
-    logs
-        Folder of the log files.
-    """
+    """The processes of some agents of a run. Leaving the context ends those that still run."""
 
     def __init__(
         self, server: ForkServerProcess, plan: RunPlan, agents: Sequence[str], logs: Path
@@ -266,21 +243,20 @@ class Children:
                 self._server_gone = True
                 break
             control.settimeout(0.0)
-            told = self._reader.feed(packet)
-            if told is not None:
-                self._note(*told, heard)
+            if (event := self._reader.feed(packet)) is not None:
+                self._note(*event, heard)
         self._sample_memory()
         self._check()
         return heard
 
     def controllers(self) -> list[Child]:
-        """Return all but the recorder."""
+        """Return all processes but the recorder."""
         return [child for child in self if child.agent != RECORDER]
 
-    def tell_recorder(self, word: str) -> None:
-        """Send a word to the recorder."""
+    def end_recorder(self, messages: int) -> None:
+        """Let the recorder close its file once it has so many messages."""
         self._asked_to_end.add(RECORDER)
-        self.server.ask(Tell(word))
+        self.server.ask(Expect(messages))
 
     def ask_to_end(self, agents: Sequence[str]) -> None:
         """Let agents end in order."""
@@ -370,24 +346,35 @@ def blame(children: Children, agent: str, text: str) -> str:
     return f"{text} ({agent} is external)"
 
 
-def explain_stall(children: Children) -> str:
-    """Say who is waited for and does not answer, and who waits for which message.
+def who_waits(waiting: Mapping[str, Waiting], stopped: Sequence[str] = ()) -> tuple[str, list[str]]:
+    """Say in one line who waits for whom in a run that stalls; return it with those to blame.
 
-    A process that a signal has stopped is to blame; else those that others wait for and that do not
-    wait themselves.
+    To blame is a process that a signal has stopped; else one that others wait for and that does not
+    wait itself; else one that has gone on without sending what others wait for.
     """
-    waiting = {child.agent: child.waiting for child in children if child.waiting is not None}
+    first = min(event.cycle for event in waiting.values())
     needed: dict[str, list[str]] = {}
     for agent, event in waiting.items():
-        for port, publisher in event.needs:
+        for port, publisher in event.needs if event.cycle == first else ():
             needed.setdefault(publisher, []).append(f"{agent} waits for {port}")
+    silent = [agent for agent in needed if agent not in waiting]
+    ahead = [agent for agent in needed if agent in waiting and waiting[agent].cycle > first]
+    if stopped:
+        to_blame, what = list(stopped), "stopped by a signal:"
+    elif silent:
+        to_blame, what = silent, "nothing more came from"
+    elif ahead:
+        to_blame, what = ahead, "no usable dispatch, so nothing was sent by"
+    else:
+        to_blame, what = list(needed), "all wait for each other:"
+    waits = [line for agent in to_blame for line in needed.get(agent, ())]
+    line = f"stalled in cycle {first}: {what} {some_of(to_blame)}"
+    return "; ".join(filter(None, (line, some_of(waits)))), to_blame
+
+
+def explain_stall(children: Children) -> str:
+    """Say who is to blame for a stall, with the last lines of their logs."""
+    waiting = {child.agent: child.waiting for child in children if child.waiting is not None}
     stopped = [child.agent for child in children if child.is_stopped()]
-    culprits = stopped or [agent for agent in needed if agent not in waiting] or list(needed)
-    cycle = max(event.cycle for event in waiting.values())
-    what = "stopped by a signal: " if stopped else "nothing more came from "
-    lines = [f"stalled in cycle {cycle}: {what}{', '.join(culprits) or 'the bus'}"]
-    for agent in culprits:
-        reasons = Counter(needed.get(agent, ()))
-        lines += [f"  {reason}" for reason in list(reasons)[:4]]
-        lines[-1] = blame(children, agent, lines[-1])
-    return "\n".join(lines)
+    line, to_blame = who_waits(waiting, stopped)
+    return blame(children, to_blame[0], line)

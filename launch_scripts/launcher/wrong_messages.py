@@ -25,7 +25,7 @@ _LISTENERS_CAUSES: Final = {
     "foreign": "not from who may publish there",
     "flooded": "more than can be looked at",
 }
-"""What agents' words for a cause mean."""
+"""Texts for the causes that agents name."""
 
 
 class WrongMessages(msgspec.Struct, frozen=True):
@@ -51,11 +51,11 @@ def wrong_messages(
     Parameters
     ----------
     plan
-        Of the run. Keys are told without the plant's name.
+        Plan of the run.
     complaints
-        The recorder's.
+        Complaints of the recorder. The plant's name is left out of their keys.
     dropped_ports
-        The agents' counts, by port and cause. Only ports of external agents count here: what comes
+        What agents dropped, by port and cause. Only ports of external agents count here: what comes
         late from a process is the machine's fault.
     """
     publishers = {str(port): port.publisher for port in ports(plan.tree)}

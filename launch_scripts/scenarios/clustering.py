@@ -29,14 +29,12 @@ def control_tree(
 
     Parameters
     ----------
-    control
-        Sizes of the clusters, and how their members are chosen.
-    sites
-        The inverters.
+    control, sites
+        Sizes of the clusters and how their members are chosen; the inverters.
     covariance
-        Of the inverters' power in the past, hour by hour.
+        Covariance of the inverters' power in the past, hour by hour.
     hours
-        The hours whose mean correlation decides.
+        Hours whose mean correlation decides.
 
     Raises
     ------
@@ -63,10 +61,8 @@ def neighbourhoods(
 
     Parameters
     ----------
-    tree
-        The control tree.
-    covariance
-        Of the inverters' power in the past, in the order of the tree's leaves.
+    tree, covariance
+        The control tree, and the covariance of the inverters' power in the order of its leaves.
     began_ns
         For each hour of the run the simulated time from which it counts.
     """

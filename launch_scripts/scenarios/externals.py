@@ -6,8 +6,7 @@ A device of the user's own takes the place of a process. It finds the bus by the
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
@@ -23,30 +22,18 @@ _LONGEST_WAIT_S: Final = 86_400.0
 _PORTS: Final = range(1024, 65_536)
 
 
-@dataclass(frozen=True, slots=True)
-class ExternalOptions:
-    """The options for external agents.
-
-    Attributes
-    ----------
-    agents
-        Names of the agents that the launcher must not start.
-    timeout_s
-        How long it waits for them to appear [s]; arming then takes 30 s at most.
-    base_port
-        Port of the first agent that listens; the next ones follow it. None: free ports.
-    """
-
-    agents: tuple[str, ...] = ()
-    timeout_s: float = 60.0
-    base_port: int | None = None
-
-
-NO_EXTERNALS: Final = ExternalOptions()
-
-
-def check_externals(options: ExternalOptions, tree: ControlTree) -> tuple[str, ...]:
+def check_externals(
+    external: Sequence[str], timeout_s: float, base_port: int | None, tree: ControlTree
+) -> tuple[str, ...]:
     """Return the external agents, in the order of the tree.
+
+    Parameters
+    ----------
+    external, timeout_s, base_port
+        Their names, how long they are waited for [s], and the port of the first agent that
+        listens; the others get the next ones.
+    tree
+        Control tree of the run.
 
     Raises
     ------
@@ -54,7 +41,7 @@ def check_externals(options: ExternalOptions, tree: ControlTree) -> tuple[str, .
         There is no such agent, or it cannot be external; a time-out or port that makes no sense.
     """
     team = tuple(agent for agent in tree.agents() if agent != RECORDER)
-    for agent in options.agents:
+    for agent in external:
         if agent == RECORDER:
             raise InputError(
                 f"--external: expected {', '.join(team[:4])} or another agent, got recorder, which "
@@ -65,34 +52,25 @@ def check_externals(options: ExternalOptions, tree: ControlTree) -> tuple[str, .
             raise InputError(
                 f"--external: expected an agent of this run such as {', '.join(near)}, got {agent}"
             )
-    if not 0.0 < options.timeout_s <= _LONGEST_WAIT_S:
+    if not 0.0 < timeout_s <= _LONGEST_WAIT_S:
         raise InputError(
             f"--external-timeout: expected seconds above 0, up to {_LONGEST_WAIT_S:g}, got "
-            f"{options.timeout_s:g}"
+            f"{timeout_s:g}"
         )
-    if options.base_port is not None:
-        last = options.base_port + len(explicit_links(tree).listening) - 1
-        if options.base_port not in _PORTS or last not in _PORTS:
+    if base_port is not None:
+        last = base_port + len(explicit_links(tree).listening) - 1
+        if base_port not in _PORTS or last not in _PORTS:
             raise InputError(
                 f"--base-port: expected ports from {_PORTS[0]} to {_PORTS[-1]}, got "
-                f"{options.base_port} to {last}"
+                f"{base_port} to {last}"
             )
-    return tuple(agent for agent in team if agent in options.agents)
+    return tuple(agent for agent in team if agent in external)
 
 
 class ExternalWatch:
     """Which external agents are present, and the messages to the user about them.
 
-    Parameters
-    ----------
-    plan
-        Of the run.
-    plan_path
-        Where it lies.
-    timeout_s
-        How long they are waited for [s].
-    began_at
-        Monotonic time from which they are waited for [s].
+    They are waited for from the monotonic time `began_at` on, for `timeout_s` [s].
 
     Attributes
     ----------
@@ -153,7 +131,7 @@ class ExternalWatch:
         self._unheard = status.unheard
 
     def late(self, now: float) -> str:
-        """Say who has not come in time; empty if it is too early or none is missing."""
+        """Name the agents that did not come in time; empty if none is missing yet."""
         if self.complete_at is not None or now <= self._began_at + self._timeout_s:
             return ""
         absent = [agent for agent in self._plan.external if agent in self._never_seen]
@@ -163,7 +141,7 @@ class ExternalWatch:
         )
 
     def complain(self, complaint: Complaint) -> None:
-        """Keep what is wrong with messages of theirs: the first of each key."""
+        """Keep the first complaint about each key of an external agent."""
         if complaint.key.removeprefix(f"{self._plan.plant}/") in self._publisher_of:
             self._complaints.setdefault(complaint.key, complaint.example)
 

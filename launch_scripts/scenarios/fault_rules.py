@@ -18,7 +18,7 @@ from launch_scripts.scenarios.fields import readable
 from launch_scripts.scenarios.scenario import ScenarioFile
 
 _EXAMPLE: Final = "source=c1/*,signal=impp,delay=50ms,jitter=10ms,loss=2%,silent=60s..90s"
-_WORDS: Final = ("source", "listener", "signal", "distribution")
+_NAMES: Final = ("source", "listener", "signal", "distribution")
 _TIMES: Final = {"delay": "delay_ms", "jitter": "jitter_ms", "reorder-by": "reorder_ms"}
 _SHARES: Final = ("loss", "duplicate", "reorder")
 
@@ -55,28 +55,28 @@ def fault_remarks(rules: Sequence[FaultRule]) -> tuple[str, ...]:
 
 
 def parse_fault(text: str) -> FaultRule:
-    """Read a rule from its words, each with its value; `silent` may come several times.
+    """Read a rule, `FIELD=VALUE,...`; `silent` may come several times.
 
     Whether it fits the run is checked by `check_rule`.
 
     Raises
     ------
     InputError
-        A word or a value is not accepted.
+        A field or a value is not accepted.
     """
     where, values = f"--fault {text}", dict[str, Any]()
     for part in text.split(","):
-        word, _, value = (piece.strip() for piece in part.partition("="))
+        field, _, value = (piece.strip() for piece in part.partition("="))
         if not value:
-            raise InputError(f"{where}: expected words such as {_EXAMPLE}, got {part.strip()!r}")
-        if word == "silent":
+            raise InputError(f"{where}: expected fields such as {_EXAMPLE}, got {part.strip()!r}")
+        if field == "silent":
             ends = split_range(value, f"{where}: silent")
             interval_s = [_duration_s(end, f"{where}: silent") for end in ends]
             values.setdefault("silent", []).append(interval_s)
             continue
-        name, read = _field(word, value, where)
+        name, read = _field(field, value, where)
         if name in values:
-            raise InputError(f"{where}: expected {word} once, got it twice")
+            raise InputError(f"{where}: expected {field} once, got it twice")
         values[name] = read
     try:
         return msgspec.convert(values, FaultRule)
@@ -84,15 +84,15 @@ def parse_fault(text: str) -> FaultRule:
         raise InputError(f"{where}: {readable(error, FaultRule, values)}") from None
 
 
-def _field(word: str, value: str, where: str) -> tuple[str, str | float]:
-    if word in _WORDS:
-        return word, value
-    if word in _TIMES:
-        return _TIMES[word], _duration_s(value, f"{where}: {word}") * 1e3
-    if word in _SHARES:
-        return word, _share(value, f"{where}: {word}")
-    accepted = ", ".join((*_WORDS, *_TIMES, *_SHARES, "silent"))
-    raise InputError(f"{where}: expected {accepted}, got {word!r}")
+def _field(field: str, value: str, where: str) -> tuple[str, str | float]:
+    if field in _NAMES:
+        return field, value
+    if field in _TIMES:
+        return _TIMES[field], _duration_s(value, f"{where}: {field}") * 1e3
+    if field in _SHARES:
+        return field, _share(value, f"{where}: {field}")
+    accepted = ", ".join((*_NAMES, *_TIMES, *_SHARES, "silent"))
+    raise InputError(f"{where}: expected {accepted}, got {field!r}")
 
 
 def _duration_s(text: str, where: str) -> float:

@@ -20,7 +20,7 @@ def readable(error: msgspec.ValidationError, struct: type[Any], document: object
     Parameters
     ----------
     error
-        What msgspec objects to.
+        The error that msgspec raised.
     struct
         The struct that the document should be.
     document
@@ -145,7 +145,7 @@ def _keys(kind: inspect.Type) -> tuple[inspect.Type, ...]:
 
 
 def _inside(outer: inspect.Type, part: str) -> Iterator[inspect.Type]:
-    """Yield the types that one part of a path leads to; a tag's are its words."""
+    """Yield the types that one part of a path leads to; for a tag, its value."""
     match outer:
         case inspect.StructType() if part == outer.tag_field:
             yield inspect.LiteralType((outer.tag,))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable
-from typing import Annotated, Final, cast
+from collections.abc import Iterable, Sequence
+from typing import Annotated, cast
 
 import msgspec
 from msgspec import Meta
@@ -30,20 +30,10 @@ class MachineTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     ] = False
 
 
-class MachineOptions(msgspec.Struct, frozen=True):
-    """The options of the command line; None and an empty list leave the scenario as it is."""
-
-    cpus: tuple[str, ...] = ()
-    priority: int | None = None
-
-
-AS_THE_SCENARIO_SAYS: Final = MachineOptions()
-
-
 def machine_settings(
-    table: MachineTable, options: MachineOptions, *, lockstep: bool
+    table: MachineTable, cpus: Sequence[str], priority: int | None, *, lockstep: bool
 ) -> MachineSettings:
-    """Return what the processes of a run may take.
+    """Return what the processes of a run may take, by the scenario and the command line.
 
     Raises
     ------
@@ -51,26 +41,26 @@ def machine_settings(
         There is no such processor or kind of process, the priority is none, or there is no clock
         that would make one useful.
     """
-    where, words = ("--cpus", options.cpus) if options.cpus else ("machine.cpus:", table.cpus)
-    everywhere, of_kind = _cpus(where, words)
+    everywhere, of_kind = _cpus(*(("--cpus", cpus) if cpus else ("machine.cpus:", table.cpus)))
+    if priority is not None:
+        _check_priority(priority, lockstep)
     return MachineSettings(
-        everywhere,
-        of_kind,
-        _priority(options.priority, lockstep) if options.priority is not None else table.priority,
-        table.lock_memory,
+        everywhere, of_kind, table.priority if priority is None else priority, table.lock_memory
     )
 
 
-def _cpus(where: str, words: Iterable[str]) -> tuple[tuple[int, ...], dict[Kind, tuple[int, ...]]]:
+def _cpus(
+    where: str, entries: Iterable[str]
+) -> tuple[tuple[int, ...], dict[Kind, tuple[int, ...]]]:
     everywhere: tuple[int, ...] = ()
     of_kind: dict[Kind, tuple[int, ...]] = {}
-    for word in words:
-        kind, equals, listed = word.rpartition("=")
+    for entry in entries:
+        kind, equals, listed = entry.rpartition("=")
         if equals and kind not in KINDS:
             raise InputError(
-                f"{where} {word}: expected a kind of process ({', '.join(KINDS)}), got {kind!r}"
+                f"{where} {entry}: expected a kind of process ({', '.join(KINDS)}), got {kind!r}"
             )
-        cpus = _cpu_list(f"{where} {word}", listed)
+        cpus = _cpu_list(f"{where} {entry}", listed)
         if equals:
             of_kind[cast("Kind", kind)] = cpus
         else:
@@ -100,7 +90,7 @@ def _own_cpus() -> set[int]:
     return set(range(os.cpu_count() or 1))
 
 
-def _priority(priority: int, lockstep: bool) -> int:
+def _check_priority(priority: int, lockstep: bool) -> None:
     if not LOWEST_PRIORITY <= priority <= HIGHEST_PRIORITY:
         raise InputError(
             f"--priority: expected {LOWEST_PRIORITY} to {HIGHEST_PRIORITY}, got {priority}"
@@ -110,4 +100,3 @@ def _priority(priority: int, lockstep: bool) -> int:
             "--priority: expected a --pace such as 1 with it, got lockstep, where nothing can be "
             "late"
         )
-    return priority

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, time
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -19,21 +20,15 @@ from bus_schemas.errors import InputError
 from bus_schemas.times import parse_duration_s, read_time
 from bus_schemas.tree import ControlTree, depth
 from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
-from launch_scripts.scenarios.externals import NO_EXTERNALS, ExternalOptions, check_externals
+from launch_scripts.scenarios.externals import check_externals
 from launch_scripts.scenarios.fault_rules import fault_remarks, fault_rules
 from launch_scripts.scenarios.fields import field_names
-from launch_scripts.scenarios.machine_table import (
-    AS_THE_SCENARIO_SAYS,
-    MachineOptions,
-    machine_settings,
-)
+from launch_scripts.scenarios.machine_table import machine_settings
 from launch_scripts.scenarios.power_sources import power_source
-from launch_scripts.scenarios.real_time import cycle_wall_ns, tier_deadlines_ns
+from launch_scripts.scenarios.real_time import cycle_wall_ns, parse_pace, tier_deadlines_ns
 from launch_scripts.scenarios.scenario import (
     LARGEST_SEED,
     CloudIrradiance,
-    ControlTable,
-    PlantTable,
     Scenario,
     ScenarioFile,
     TimeTable,
@@ -52,19 +47,35 @@ _LAST_YEAR: Final = 2200
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """What the command line may change about a scenario. None leaves it as it is."""
+    """What the user may change about a scenario. None and an empty list leave it as it is.
+
+    Attributes
+    ----------
+    start, duration, end, pace, seed, scheme, actuator, faults
+        As the options of `heliarch launch` say.
+    external, external_timeout_s, base_port
+        Agents that the launcher must not start, how long it waits for them to appear [s], and the
+        port of the first agent that listens; None: free ports.
+    cpus, priority
+        What the processes take of the machine.
+    cycle_s
+        Length of a cycle [s].
+    """
 
     start: str | None = None
     duration: str | None = None
-    pace: float | Literal["max"] | None = None
+    end: str | None = None
+    pace: str | float | None = None
     seed: int | None = None
     scheme: Scheme | None = None
     actuator: Actuator | None = None
+    faults: Sequence[str] | None = None
+    external: Sequence[str] | None = None
+    external_timeout_s: float = 60.0
+    base_port: int | None = None
+    cpus: Sequence[str] | None = None
+    priority: int | None = None
     cycle_s: float | None = None
-    faults: tuple[str, ...] = ()
-    external: ExternalOptions = NO_EXTERNALS
-    machine: MachineOptions = AS_THE_SCENARIO_SAYS
-    end: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +85,9 @@ class Preparation:
     plan: RunPlan
     profile: Profile
     scenario: ScenarioFile
+    options: RunOptions
     hindsight: bool
     remarks: tuple[str, ...]
-    external: ExternalOptions = NO_EXTERNALS
 
     def local_start(self) -> str:
         """Return the local time of cycle 0, to be read."""
@@ -86,7 +97,7 @@ class Preparation:
 
 @dataclass(frozen=True, slots=True)
 class _Day:
-    """What sun and market do in a run, inverter by inverter, and the tree that the past suggests.
+    """Power and commitment of a run, and its control tree.
 
     Inverters are in the order of the source here; `order` brings them into that of the tree, since
     clusters may have mixed them up.
@@ -123,38 +134,43 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
     """
     if options.seed is not None and not 0 <= options.seed <= LARGEST_SEED:
         raise InputError(f"--seed: expected 0 to {LARGEST_SEED}, got {options.seed}")
-    scenario = _with_cycle(scenario_file.scenario, options.cycle_s)
+    scenario = scenario_file.scenario
+    if options.cycle_s is not None:
+        scenario = replace(scenario, time=replace(scenario.time, cycle_s=options.cycle_s))
+    offer = scenario.regulation
     try:
         day = _day(scenario_file, scenario, options)
         plan = _plan(scenario_file, scenario, options, run_id, day)
-        regulation = _regulation_kw(scenario_file, day.times)
+        regulation, remarks = np.zeros(len(day.times)), [*day.source.remarks(day.times)]
+        if offer is not None:
+            zone, data_path = scenario.time.timezone, scenario_file.data_path
+            regulation = regulation_kw(offer, day.times, zone, data_path)
     except InputError as error:
         raise InputError(_with_file(scenario_file, str(error))) from None
+    if of_commitment := hindsight(scenario.commitment):
+        remarks.append(of_commitment)
+    if offer is not None:
+        remarks += regulation_remarks(offer, scenario_file.data_path)
+    meter = np.random.default_rng(scenario.plant.meter_seed)  # The same errors in each run.
     profile = Profile(
         np.ascontiguousarray(day.possible_kw[:, day.order]),
         day.commitment_kw,
         regulation,
         plan.regulation_capacity_kw,
-        meter_error=_meter_error(scenario.plant, day.possible_kw.shape),
+        meter_error=scenario.plant.meter_noise * meter.standard_normal(day.possible_kw.shape),
     )
-    of_commitment = hindsight(scenario.commitment)
     return Preparation(
         plan,
         profile,
         scenario_file,
+        options,
         hindsight=scenario.neighbours.history == "hindsight",
-        remarks=(
-            *day.source.remarks(day.times),
-            *(() if of_commitment is None else (of_commitment,)),
-            *_regulation_remarks(scenario_file),
-            *fault_remarks(plan.faults),
-        ),
-        external=options.external,
+        remarks=(*remarks, *fault_remarks(plan.faults)),
     )
 
 
 def _day(scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions) -> _Day:
-    """Work out what sun and market do, and the control tree.
+    """Work out power, commitment and control tree.
 
     Clusters and neighbours are those of the scenario's own times and cycle, whatever the options.
     """
@@ -170,8 +186,10 @@ def _day(scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions) -
         scenario_file.data_path,
     )
     covariance = _covariance(own, source, times)
-    hours = _hours_of(_times(own, RunOptions()), covariance, own)
-    tree = control_tree(scenario.control, source.sites, covariance, hours)
+    of_scenario = _local_hours(_times(own, RunOptions()), own.time.timezone)
+    # Hours without a past cannot decide on clusters, unless there are no others.
+    hours = sorted(set(of_scenario.tolist()).intersection(covariance.hours))
+    tree = control_tree(scenario.control, source.sites, covariance, hours or list(covariance.hours))
     return _Day(times, source, possible_kw, commitment, covariance, tree)
 
 
@@ -179,11 +197,17 @@ def _plan(
     scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions, run_id: str, day: _Day
 ) -> RunPlan:
     """Return what all agents of the run agree on."""
-    control, pace = scenario.control, options.pace or scenario.pace
+    control, pace = scenario.control, parse_pace(options.pace) or scenario.pace
     periods = _periods(scenario, day.tree)
     wall_ns = cycle_wall_ns(scenario.time.cycle_s, pace, "--pace" if options.pace else "pace")
     deadlines_ns = tier_deadlines_ns(control.deadlines_ms, day.tree, wall_ns)
-    external = check_externals(options.external, day.tree)
+    external = check_externals(
+        options.external or (), options.external_timeout_s, options.base_port, day.tree
+    )
+    scheme = options.scheme or control.scheme
+    seed = options.seed
+    if seed is None and isinstance(scenario.irradiance, CloudIrradiance):
+        seed = scenario.irradiance.seed
     return RunPlan(
         run_id=run_id,
         plant=scenario.name,
@@ -195,7 +219,7 @@ def _plan(
         regulation_capacity_kw=scenario.regulation.capacity_kw if scenario.regulation else 0.0,
         cycle_wall_ns=wall_ns,
         period_cycles=periods.cycles,
-        scheme=options.scheme or control.scheme,
+        scheme=scheme,
         actuator=options.actuator or scenario.plant.actuator,
         alpha_min=control.alpha_min,
         hold_cycles=control.hold_cycles,
@@ -203,58 +227,22 @@ def _plan(
         neighbourhoods=neighbourhoods(
             day.tree, in_order(day.covariance, day.order), _beginnings_ns(day.times, scenario)
         ),
-        tcp_ports={},
+        tcp_ports={},  # The launcher chooses them.
         ramp_limit_percent_per_min=scenario.plant.ramp_limit_percent_per_min,
         external=external,
-        # Where the ports stay the same from run to run, all that a device is told does.
-        namespace=scenario.name if options.external.base_port is not None else "",
-        faults=fault_rules(scenario_file, options.faults, day.tree, external),
+        # With fixed ports the namespace is fixed too, so that a device is configured once.
+        namespace=scenario.name if options.base_port is not None else "",
+        faults=fault_rules(scenario_file, options.faults or (), day.tree, external),
         faults_seed=scenario.faults_seed,
-        machine=machine_settings(scenario.machine, options.machine, lockstep=pace == "max"),
-        correction=_corrects(control, options.scheme or control.scheme),
+        machine=machine_settings(
+            scenario.machine, options.cpus or (), options.priority, lockstep=pace == "max"
+        ),
+        correction=scheme == "predictive" if control.correction is None else control.correction,
         available_bias=scenario.plant.available_bias,
         tier_deadlines_ns=deadlines_ns,
-        seed=_seed(scenario, options),
+        seed=seed,
         positions_m=day.positions_m,
     )
-
-
-def _seed(scenario: Scenario, options: RunOptions) -> int | None:
-    if not isinstance(scenario.irradiance, CloudIrradiance):
-        return None
-    return scenario.irradiance.seed if options.seed is None else options.seed
-
-
-def _corrects(control: ControlTable, scheme: Scheme) -> bool:
-    """Whether the central controller corrects by the meter: as the scenario says, or the scheme."""
-    return scheme == "predictive" if control.correction is None else control.correction
-
-
-def _regulation_kw(scenario_file: ScenarioFile, times: pd.DatetimeIndex) -> NDArray[np.float64]:
-    """Return what the market asks for on top of the commitment, 0 where it asks for nothing."""
-    scenario = scenario_file.scenario
-    if scenario.regulation is None:
-        return np.zeros(len(times))
-    return regulation_kw(
-        scenario.regulation, times, scenario.time.timezone, scenario_file.data_path
-    )
-
-
-def _regulation_remarks(scenario_file: ScenarioFile) -> tuple[str, ...]:
-    settings = scenario_file.scenario.regulation
-    return () if settings is None else regulation_remarks(settings, scenario_file.data_path)
-
-
-def _meter_error(plant: PlantTable, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Relative errors of the inverters' meters: normal, independent, the same for each run."""
-    generator = np.random.default_rng(plant.meter_seed)
-    return plant.meter_noise * generator.standard_normal(shape)
-
-
-def _with_cycle(scenario: Scenario, cycle_s: float | None) -> Scenario:
-    if cycle_s is None:
-        return scenario
-    return replace(scenario, time=replace(scenario.time, cycle_s=cycle_s))
 
 
 def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
@@ -264,25 +252,18 @@ def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
     if options.duration is not None:
         where, duration_s = "--duration", parse_duration_s(options.duration, "--duration")
     if options.end is not None:
-        where, duration_s = "--to", _until_end_s(start, table, options)
+        if options.duration is not None:
+            raise InputError("--to: expected no --duration with it")
+        end = _start(table, options.end, "--to", start)
+        where, duration_s = "--to", (end - start).total_seconds()
     cycles = round(duration_s / table.cycle_s)
     if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:
         raise InputError(
-            f"{where}: expected a multiple of the cycle, {table.cycle_s:g} s, got {duration_s:g} s"
+            f"{where}: expected one or more cycles of {table.cycle_s:g} s, got {duration_s:g} s"
         )
     step = pd.Timedelta(seconds=table.cycle_s)
     first = pd.Timestamp(start).tz_convert("UTC")
     return pd.date_range(first, periods=cycles, freq=step, unit="ns")
-
-
-def _until_end_s(start: datetime, table: TimeTable, options: RunOptions) -> float:
-    """Return the time from the start to the end that the user asked for [s]."""
-    duration_s = (_start(table, options.end, "--to", start) - start).total_seconds()
-    if options.duration is not None:
-        raise InputError("--to: expected no --duration with it")
-    if duration_s <= 0.0:
-        raise InputError(f"--to: expected a time after {start}, got {options.end}")
-    return duration_s
 
 
 def _start(
@@ -342,12 +323,6 @@ def _local_hours(times: pd.DatetimeIndex, timezone: str) -> NDArray[np.int64]:
     return (local.as_unit("ns").asi8 // _HOUR_NS).astype(np.int64)
 
 
-def _hours_of(times: pd.DatetimeIndex, covariance: HourlyMatrices, scenario: Scenario) -> list[int]:
-    """Hours of these times of which there is a past; all there are if there is none."""
-    hours = {int(hour) for hour in _local_hours(times, scenario.time.timezone)}
-    return sorted(hours.intersection(covariance.hours)) or list(covariance.hours)
-
-
 def _beginnings_ns(times: pd.DatetimeIndex, scenario: Scenario) -> dict[int, int]:
     """For each hour of the run the simulated time at which it begins [ns]."""
     hours, first = np.unique(_local_hours(times, scenario.time.timezone), return_index=True)
@@ -366,13 +341,10 @@ def _periods(scenario: Scenario, tree: ControlTree) -> Periods:
 
 
 def _with_file(scenario_file: ScenarioFile, text: str) -> str:
-    """Name the scenario where the text speaks of one of its fields."""
-    place = re.match(r"(\w+)(?:\.(\w+))?\W", text)
-    names = field_names(Scenario, "") if place else ()
-    if (
-        place
-        and place[1] in names
-        and (not place[2] or place[2] in field_names(Scenario, place[1]))
-    ):
+    """Name the scenario where the text begins with one of its fields."""
+    found = re.match(r"(\w+)(?:\.(\w+))?\W", text)
+    table, field = found.groups() if found else ("", None)
+    is_field = table in field_names(Scenario, "")
+    if is_field and (field is None or field in field_names(Scenario, table)):
         return f"{scenario_file.path}: {text}"
     return text

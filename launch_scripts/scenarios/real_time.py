@@ -15,6 +15,9 @@ from agents.cycle import stage_place
 from bus_schemas.errors import InputError
 from bus_schemas.tree import CENTRAL, ControlTree
 
+SLOWEST_PACE: Final = 1e-3
+FASTEST_PACE: Final = 1e6
+
 SHORTEST_CYCLE_NS: Final = 100_000
 """A process that waits for a time is woken up to so much late: no clock can pace it faster."""
 
@@ -24,6 +27,21 @@ _SHORTEST_SLICE_NS: Final = SHORTEST_CYCLE_NS
 SHORTEST_DEADLINE_MS: Final = SHORTEST_CYCLE_NS / 1e6
 LONGEST_DEADLINE_MS: Final = 3.6e9
 """A cycle of an hour at the slowest pace: a scenario may state deadlines and run in lockstep."""
+
+
+def parse_pace(pace: str | float | None) -> float | Literal["max"] | None:
+    """Read the value of `--pace`."""
+    if pace is None or pace == "max":
+        return "max" if pace else None
+    try:
+        found = float(pace)
+    except ValueError:
+        found = 0.0
+    if not SLOWEST_PACE <= found <= FASTEST_PACE:
+        raise InputError(
+            f"--pace: expected {SLOWEST_PACE:g} to {FASTEST_PACE:g}, or max, got {pace}"
+        )
+    return found
 
 
 def cycle_wall_ns(cycle_s: float, pace: float | Literal["max"], where: str) -> int:
@@ -65,7 +83,7 @@ def tier_deadlines_ns(
         The scenario's, the central controller's first and the direct controllers' last. None: each
         stage gets its share of the cycle, and nothing is returned.
     tree
-        The control tree.
+        Control tree of the run.
     cycle_ns
         Length of a cycle on the wall clock; 0 in lockstep, where deadlines are not used.
 

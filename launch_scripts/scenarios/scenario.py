@@ -19,14 +19,17 @@ from bus_schemas.tree import check_name
 from launch_scripts.scenarios.budget_table import TimingTable
 from launch_scripts.scenarios.fields import readable
 from launch_scripts.scenarios.machine_table import MachineTable
-from launch_scripts.scenarios.real_time import LONGEST_DEADLINE_MS, SHORTEST_DEADLINE_MS
+from launch_scripts.scenarios.real_time import (
+    FASTEST_PACE,
+    LONGEST_DEADLINE_MS,
+    SHORTEST_DEADLINE_MS,
+    SLOWEST_PACE,
+)
 from sim_plant.clouds import CloudSettings
 from sim_plant.commitment import CommitmentSettings
 from sim_plant.pv import PvSettings
 from sim_plant.regulation import RegulationSettings
 
-SLOWEST_PACE: Final = 1e-3
-FASTEST_PACE: Final = 1e6
 LARGEST_SEED: Final = 2**32
 
 Rating: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e7)]

@@ -5,9 +5,8 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal, TypeAlias, get_args
+from typing import Final, Literal, TypeAlias
 
 import msgspec
 
@@ -23,8 +22,6 @@ from recordings.record.writer import ClockAnchor
 Form: TypeAlias = Literal["json-mcap", "parquet", "csv"]
 """A file for viewers of MCAP, or a folder with a file for each table."""
 
-FORMS: Final[tuple[Form, ...]] = get_args(Form)
-
 _ENDING: Final[dict[Form, str]] = {
     "json-mcap": ".json.mcap",
     "parquet": "-parquet",
@@ -32,15 +29,6 @@ _ENDING: Final[dict[Form, str]] = {
 }
 _FOLLOW_EVERY: Final = 4096
 """Messages between two calls of `progress`."""
-
-
-@dataclass(frozen=True, slots=True)
-class Selection:
-    """The part of a recording that is wanted: no nodes or cycles given means all."""
-
-    signals: tuple[Signal[Message], ...]
-    nodes: tuple[str, ...] = ()
-    cycles: range | None = None
 
 
 class Part(msgspec.Struct, frozen=True):
@@ -64,7 +52,7 @@ class ExportSummary(msgspec.Struct, frozen=True, kw_only=True):
     left_out: int
     size_bytes: int
     wall_s: float
-    parts: tuple[Part, ...]
+    parts: list[Part]
 
 
 def default_path(recording: Path, form: Form) -> Path:
@@ -76,59 +64,50 @@ def export(
     reader: RunReader,
     form: Form,
     path: Path,
-    selection: Selection,
+    signals: tuple[Signal[Message], ...],
+    nodes: str,
+    cycles: range | None,
     clock: Clock,
     progress: Callable[[float], None],
 ) -> ExportSummary:
-    """Export a recording."""
+    """Export some signals, nodes and cycles of a recording; no nodes or cycles given means all."""
     began_at = time.monotonic()
     counts: Counter[str] = Counter()
-    cycles: set[int] = set()
-    ports = reader.ports(*selection.signals, nodes=selection.nodes)
+    exported: set[int] = set()
+    ports = reader.ports(*signals, nodes=nodes)
     with new_path(path) as beside:
-        out = _open(reader, form, beside, selection, clock)
-        try:
-            with out:
-                for number, record in enumerate(reader.records(ports, selection.cycles)):
-                    if number % _FOLLOW_EVERY == 0:
-                        progress(reader.read_share)
+        out: ViewerFile | TableFolder
+        if form == "json-mcap":
+            out = ViewerFile(beside, reader, signals, clock)
+        else:
+            anchor = ClockAnchor.of(reader.metadata)
+            out = TableFolder(beside, reader.plan, signals, anchor, form)
+        with out:
+            for number, record in enumerate(reader.records(ports, cycles)):
+                if number % _FOLLOW_EVERY == 0:
+                    progress(reader.read_share)
+                try:
                     out.add(record, record.message())
-                    counts[record.port.signal.name] += 1
-                    if record.port.signal.is_cyclic:  # The end of a run names the cycle after it.
-                        cycles.add(record.cycle)
-        except InputError as error:
-            raise InputError(f"{reader.path}: {error}") from None
-        parts = _parts(out, selection, counts)
+                except InputError as error:
+                    raise InputError(f"{reader.path}: {error}") from None
+                counts[record.port.signal.name] += 1
+                if record.port.signal.is_cyclic:  # The end of a run names the cycle after it.
+                    exported.add(record.cycle)
+        if isinstance(out, ViewerFile):
+            parts = [Part(signal.name, counts[signal.name], 0) for signal in signals]
+        else:
+            parts = [Part(name, f.rows, f.path.stat().st_size) for name, f in out.files.items()]
     progress(1.0)
     return ExportSummary(
         run_id=reader.plan.run_id,
         form=form,
         path=str(path),
         whole=reader.whole,
-        first_cycle=min(cycles, default=None),
-        last_cycle=max(cycles, default=None),
+        first_cycle=min(exported, default=None),
+        last_cycle=max(exported, default=None),
         messages=counts.total(),
         left_out=out.left_out if isinstance(out, ViewerFile) else 0,
         size_bytes=sum(part.size_bytes for part in parts) or path.stat().st_size,
         wall_s=time.monotonic() - began_at,
         parts=parts,
-    )
-
-
-def _open(
-    reader: RunReader, form: Form, path: Path, selection: Selection, clock: Clock
-) -> ViewerFile | TableFolder:
-    if form == "json-mcap":
-        return ViewerFile(path, reader, selection.signals, clock)
-    anchor = ClockAnchor.of(reader.metadata)
-    return TableFolder(path, reader.plan, selection.signals, anchor, form)
-
-
-def _parts(
-    out: ViewerFile | TableFolder, selection: Selection, counts: Counter[str]
-) -> tuple[Part, ...]:
-    if isinstance(out, ViewerFile):
-        return tuple(Part(signal.name, counts[signal.name], 0) for signal in selection.signals)
-    return tuple(
-        Part(name, file.rows, file.path.stat().st_size) for name, file in out.files.items()
     )

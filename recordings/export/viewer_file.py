@@ -6,7 +6,7 @@ import json
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Literal, TypeAlias, get_args
+from typing import Final, Literal, TypeAlias
 
 from mcap.writer import CompressionType, Writer
 
@@ -18,8 +18,6 @@ from recordings.record.writer import ClockAnchor
 
 Clock: TypeAlias = Literal["wall", "sim"]
 """Which time a viewer shows: the wall clock, or the simulated time of the cycle."""
-
-CLOCKS: Final[tuple[Clock, ...]] = get_args(Clock)
 
 EXPORT_METADATA: Final = "heliarch export"
 """Name of the metadata. Not that of a recording, which this file is not."""

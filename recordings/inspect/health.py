@@ -14,12 +14,14 @@ from typing import Final
 import msgspec
 
 from agents.plan import RunPlan
-from bus_schemas.faults import FaultRule, unmatched_rules
+from bus_schemas.faults import UNHEARD, FaultRule, FaultTally
+from bus_schemas.messages import Message
 from bus_schemas.missing import parse_missing
+from bus_schemas.signals import Port
 from bus_schemas.tree import PLANT
 from recordings.read.gaps import RunGaps, due_step
-from recordings.read.moments import RunClock
 from recordings.read.reader import RecordedMessage, RunReader
+from recordings.read.run_clock import RunClock
 
 SUMMARY_NAME: Final = "summary.json"
 FAILURE_NAME: Final = "failure.txt"
@@ -58,6 +60,18 @@ class Misses(msgspec.Struct, frozen=True):
     last_cycle: int
 
 
+class FaultAct(msgspec.Struct, frozen=True):
+    """What a rule for the network did: to how many messages, and in which cycles.
+
+    A message counts once for each listener that it was lost, delayed or doubled for.
+    """
+
+    rule: FaultRule
+    messages: int
+    first_cycle: int | None
+    last_cycle: int | None
+
+
 class WrongMessages(msgspec.Struct, frozen=True):
     """Wrong messages of one key and cause."""
 
@@ -71,11 +85,9 @@ class LauncherAccount(msgspec.Struct, frozen=True):
 
     run_id: str
     dropped: dict[str, int] = {}
-    faults: dict[str, int] = {}
     skipped_cycles: int = 0
     recording_ended: str = ""
     wrong: tuple[WrongMessages, ...] = ()
-    remarks: tuple[str, ...] = ()
 
 
 class Health(msgspec.Struct, frozen=True):
@@ -83,8 +95,10 @@ class Health(msgspec.Struct, frozen=True):
 
     Attributes
     ----------
-    fault_rules
-        The faults of the network that were set.
+    fault_acts
+        What each rule for the network did.
+    faults
+        What all of them did to messages, by kind.
     lost
         Messages that the sequence numbers leave out, by port; most first.
     repeated
@@ -101,7 +115,8 @@ class Health(msgspec.Struct, frozen=True):
         What only the summary knows; None if there is none beside the recording.
     """
 
-    fault_rules: tuple[FaultRule, ...]
+    fault_acts: tuple[FaultAct, ...]
+    faults: dict[str, int]
     lost: dict[str, int]
     repeated: int
     misses: tuple[Misses, ...]
@@ -116,20 +131,15 @@ class Health(msgspec.Struct, frozen=True):
         return sum(self.lost.values())
 
 
-class _Missing(msgspec.Struct, gc=False):
-    source: str
-    missing: tuple[str, ...] = ()
-
-
-_missing = msgspec.msgpack.Decoder(_Missing).decode
-
-
 class HealthWatch:
     """Follows a recording message by message."""
 
     def __init__(self, plan: RunPlan, cycles: range) -> None:
         self.gaps = RunGaps(plan, cycles.start)
         self._plan = plan
+        # What became of a message follows from its link and cycle: it is worked out once more here.
+        self._faults = plan.faults_at_work()
+        self._tally = FaultTally()
         # The agents that publish in every turn, and after how many cycles they are absent.
         steps: dict[str, int] = {}
         for port in self.gaps.ports:
@@ -152,8 +162,10 @@ class HealthWatch:
         agent = port.publisher
         if agent in self._last_cycle:
             self._see_agent(agent, cycle, restarted=sequence.restarts > restarts)
+        if self._plan.faults and port.signal.is_cyclic:
+            self._see_faults(port, record.message())
         if b"missing\x90" not in record.payload:  # An empty list: it missed nothing.
-            self._see_missing(_missing(record.payload), cycle)
+            self._see_missing(record.message())
 
     def end(self, cycle: int) -> None:
         """Note what is missing up to the cycle before which the run ended."""
@@ -167,7 +179,11 @@ class HealthWatch:
         sequences = {str(port): found.sequence for port, found in self.gaps.ports.items()}
         lost = Counter({port: found.lost for port, found in sequences.items() if found.lost})
         return Health(
-            fault_rules=self._plan.faults,
+            fault_acts=tuple(
+                FaultAct(rule, acts.messages, acts.first_cycle, acts.last_cycle)
+                for rule, acts in zip(self._plan.faults, self._faults.acts, strict=True)
+            ),
+            faults=self._tally.as_counts(),
             lost=dict(lost.most_common()),
             repeated=sum(found.repeated for found in sequences.values()),
             misses=tuple(
@@ -179,6 +195,12 @@ class HealthWatch:
             failure=_failure(run.path.parent),
             launcher=_launcher_account(run),
         )
+
+    def _see_faults(self, port: Port[Message], message: Message) -> None:
+        """Work out what became of a message on the way to each listener whose end is ours."""
+        for listener in self._plan.wiring.listeners[port]:
+            if listener not in self._plan.external:
+                self._tally.count(self._faults.fates(port, listener, message))
 
     def _see_agent(self, agent: str, cycle: int, *, restarted: bool) -> None:
         last = self._last_cycle[agent]
@@ -198,15 +220,15 @@ class HealthWatch:
                 return
         self._absences.append(Absence(agent, None, None, cycle, True))
 
-    def _see_missing(self, found: _Missing, cycle: int) -> None:
+    def _see_missing(self, message: Message) -> None:
         """Count an input once a cycle, however many messages of its agent name it."""
-        agent = found.source
-        if not found.missing:
+        agent, cycle = message.source, message.cycle
+        if not message.missing:
             return
         now, counted = self._missed_now.get(agent, (-1, set()))
         if cycle != now:
             now, counted = self._missed_now[agent] = (cycle, set())
-        new = {parse_missing(entry).key for entry in found.missing} - counted
+        new = {parse_missing(entry).key for entry in message.missing} - counted
         counted |= new
         self._misses[agent] += len(new)
         first, last = self._missed_in.get(agent, (cycle, cycle))
@@ -226,23 +248,18 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
     """Yield the health of a run as text: what is looked at, and what was found."""
     launcher = health.launcher
     unknown = f"not recorded: there is no {SUMMARY_NAME} beside the recording"
-    if health.fault_rules:
-        rules = f"{len(health.fault_rules)} rule{'s' if len(health.fault_rules) > 1 else ''}"
-        done = unknown if launcher is None else _counts(launcher.faults) or "none came about"
-        yield "faults", f"{rules} set for the network; {done}"
-        for rule in health.fault_rules[:_NAMED]:
-            never = launcher and set(unmatched_rules((rule,), ())) & set(launcher.remarks)
-            yield "fault", f"{rule}{': no message of this run matched it' if never else ''}"
-        if len(health.fault_rules) > _NAMED:
-            yield "fault", f"and {len(health.fault_rules) - _NAMED:,} more"
+    if health.fault_acts:
+        number = len(health.fault_acts)
+        rules = f"{number} rule{'s' if number > 1 else ''} for the network"
+        yield "faults", f"{rules}: {_counts(health.faults) or 'none acted'}"
+        for act in health.fault_acts:
+            yield "fault", f"{act.rule}: {_act_text(act, clock)}"
     else:
         yield "faults", "none injected"
     worst = ", ".join(f"{port} {count:,}" for port, count in list(health.lost.items())[:_NAMED])
     rest = f" and {len(health.lost) - _NAMED:,} more keys" if len(health.lost) > _NAMED else ""
-    yield (
-        "missing",
-        (f"{health.messages_lost:,} messages not recorded{': ' if worst else ''}{worst}{rest}"),
-    )
+    lost = f"{health.messages_lost:,} messages not recorded{': ' if worst else ''}{worst}{rest}"
+    yield "missing", lost
     if health.repeated:
         yield "repeated", f"{health.repeated:,} messages came again"
     yield "dropped", unknown if launcher is None else _dropped(launcher)
@@ -258,6 +275,15 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
     else:
         end = "ended in order" if health.ended else "the recording does not go up to its end"
         yield "run", launcher.recording_ended if launcher and launcher.recording_ended else end
+
+
+def _act_text(act: FaultAct, clock: RunClock) -> str:
+    if act.rule.signal in UNHEARD:
+        return f"changed nothing: no agent acts on {act.rule.signal}"
+    if act.first_cycle is None or act.last_cycle is None:
+        return "never acted on a message of this run"
+    when = clock.span_text(act.first_cycle, act.last_cycle)
+    return f"acted on {act.messages:,} messages {when}"
 
 
 def _dropped(launcher: LauncherAccount) -> str:
@@ -277,29 +303,22 @@ def _counts(counts: dict[str, int]) -> str:
 def _missed_text(misses: tuple[Misses, ...], clock: RunClock) -> str:
     if not misses:
         return "none missed at a deadline"
-    first, last = (
-        min(found.first_cycle for found in misses),
-        max(found.last_cycle for found in misses),
-    )
+    first = min(found.first_cycle for found in misses)
+    last = max(found.last_cycle for found in misses)
     worst = ", ".join(f"{found.agent} {found.inputs:,}" for found in misses[:_NAMED])
     total = sum(found.inputs for found in misses)
-    return f"{total:,} missed or old {_span(first, last, clock)}, most at {worst}"
+    return f"{total:,} missed or old {clock.span_text(first, last)}, most at {worst}"
 
 
 def _absence_text(absence: Absence, clock: RunClock) -> str:
     if absence.first_cycle is None or absence.last_cycle is None:
         return f"{absence.agent} restarted in cycle {absence.back_in:,}"
-    text = f"{absence.agent}: nothing {_span(absence.first_cycle, absence.last_cycle, clock)}"
+    when = clock.span_text(absence.first_cycle, absence.last_cycle)
+    text = f"{absence.agent}: nothing {when}"
     if absence.back_in is None:
         gone = "the run ended without it" if absence.agent != PLANT else "the run ended there"
         return f"{text}; {gone}"
     return f"{text}, then back{', numbered from 0 again' if absence.restarted else ''}"
-
-
-def _span(first: int, last: int, clock: RunClock) -> str:
-    if first == last:
-        return f"in cycle {first:,} ({clock.text(first)})"
-    return f"in cycles {first:,} to {last:,} ({clock.text(first)} to {clock.text(last)})"
 
 
 def _launcher_account(run: RunReader) -> LauncherAccount | None:

@@ -75,19 +75,6 @@ class Overview(msgspec.Struct, frozen=True):
         return sum(count.messages for count in self.signals)
 
 
-class _Counting:
-    """What has been counted so far."""
-
-    def __init__(self, run: RunReader, cycles: range) -> None:
-        self.watch = HealthWatch(run.plan, cycles)
-        self.first_ns = self.last_ns = self.complete_cycles = 0
-
-    @property
-    def wall_s(self) -> float:
-        """Time between the first and the last message [s]."""
-        return (self.last_ns - self.first_ns) / 1e9
-
-
 def read_overview(
     run: RunReader,
     cycles: range | None = None,
@@ -95,26 +82,23 @@ def read_overview(
 ) -> Overview:
     """Go through a recording, message by message but without decoding them, and count."""
     wanted = range(max(run.last_cycle + 1, run.stop_cycle or 0)) if cycles is None else cycles
-    counting = _Counting(run, wanted)
+    watch = HealthWatch(run.plan, wanted)
+    first_ns = last_ns = complete_cycles = 0
     last_production = wanted.start - 1
     for number, record in enumerate(run.records(cycles=cycles)):
-        counting.watch.see(record)
-        counting.first_ns = counting.first_ns or record.log_time_ns
-        counting.last_ns = record.log_time_ns
+        watch.see(record)
+        first_ns = first_ns or record.log_time_ns
+        last_ns = record.log_time_ns
         if record.port.signal is PRODUCTION:
-            counting.complete_cycles += 1
+            complete_cycles += 1
             last_production = max(last_production, record.cycle)
         if number % _FOLLOW_EVERY == 0:
             follow(run.read_share)
     # If the run's end was not recorded, the cycles up to the last production were due.
     end = last_production + 1 if run.stop_cycle is None else min(run.stop_cycle, wanted.stop)
-    counting.watch.end(end)
-    return _overview(run, wanted, counting)
-
-
-def _overview(run: RunReader, cycles: range, counting: _Counting) -> Overview:
-    plan, origin = run.plan, run.metadata["run"]
-    gaps, wall_s, lockstep = counting.watch.gaps, counting.wall_s, plan.lockstep
+    watch.end(end)
+    plan, origin, gaps = run.plan, run.metadata["run"], watch.gaps
+    wall_s = (last_ns - first_ns) / 1e9
     return Overview(
         path=str(run.path),
         run_id=plan.run_id,
@@ -124,20 +108,20 @@ def _overview(run: RunReader, cycles: range, counting: _Counting) -> Overview:
         whole=run.whole,
         size_mb=run.outline.size / 1e6,
         chunks=len(run.outline.chunks),
-        start=run.clock.local(cycles.start).isoformat(),
-        end=run.clock.local(max(cycles.stop - 1, cycles.start)).isoformat(),
+        start=run.clock.local(wanted.start).isoformat(),
+        end=run.clock.local(max(wanted.stop - 1, wanted.start)).isoformat(),
         timezone=plan.timezone,
-        first_cycle=cycles.start,
-        last_cycle=cycles.stop - 1,
+        first_cycle=wanted.start,
+        last_cycle=wanted.stop - 1,
         planned_cycles=plan.cycles,
-        complete_cycles=counting.complete_cycles,
+        complete_cycles=complete_cycles,
         cycle_s=plan.cycle_ns / 1e9,
-        simulated_s=len(cycles) * plan.cycle_ns / 1e9,
+        simulated_s=len(wanted) * plan.cycle_ns / 1e9,
         wall_s=wall_s,
         scheme=plan.scheme,
         actuator=plan.actuator,
-        lockstep=lockstep,
-        pace=0.0 if lockstep else plan.cycle_ns / plan.cycle_wall_ns,
+        lockstep=plan.lockstep,
+        pace=0.0 if plan.lockstep else plan.cycle_ns / plan.cycle_wall_ns,
         versions={
             name.removeprefix("version "): text
             for name, text in origin.items()
@@ -146,11 +130,11 @@ def _overview(run: RunReader, cycles: range, counting: _Counting) -> Overview:
         origin={name: text for name, text in origin.items() if not name.startswith("version ")},
         recovery=run.metadata.get(RECOVERY_METADATA, {}),
         signals=tuple(
-            _count(signal, gaps, len(cycles), wall_s) for signal in SIGNALS if signal.logged
+            _count(signal, gaps, len(wanted), wall_s) for signal in SIGNALS if signal.logged
         ),
         gaps=tuple(gaps.gaps),
         more_gaps=gaps.more_gaps,
-        health=counting.watch.health(run),
+        health=watch.health(run),
     )
 
 

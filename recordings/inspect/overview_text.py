@@ -8,7 +8,7 @@ from typing import Final
 
 from recordings.inspect.health import health_lines
 from recordings.inspect.overview import Overview, SignalCount
-from recordings.read.moments import RunClock
+from recordings.read.run_clock import RunClock
 
 _NAME_WIDTH: Final = 11
 _SHOWN_GAPS: Final = 10
@@ -78,7 +78,8 @@ def _cells(count: SignalCount) -> list[str]:
 
 
 def _facts(overview: Overview) -> Iterator[tuple[str, str]]:
-    yield "recording", f"{overview.path} ({overview.size_mb:,.1f} MB, {overview.chunks:,} chunks)"
+    chunks = f"{overview.chunks:,} chunk{'s' if overview.chunks != 1 else ''}"
+    yield "recording", f"{overview.path} ({overview.size_mb:,.1f} MB, {chunks})"
     yield "scenario", overview.title or overview.plant
     yield "run", f"{overview.run_id}, heliarch {overview.driver}"
     pace = "lockstep" if overview.lockstep else f"pace {overview.pace:g}"

@@ -7,22 +7,22 @@ channels that nobody asked for (docs/recordings.md has the measurement).
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Container, Iterator
-from io import BytesIO
 from struct import Struct
 from struct import error as StructError  # noqa: N812
 from typing import BinaryIO, Final, NamedTuple, TypeAlias
 
 import lz4.frame
 import zstandard
-from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Chunk
-from mcap.stream_reader import get_chunk_data_stream
 
 RawMessage: TypeAlias = tuple[int, int, int, int, bytes]
 """Channel, sequence number, log time [ns], publish time [ns], payload."""
+
+LARGEST_CHUNK: Final = 1 << 26
+"""A chunk that unpacks to more bytes is damaged; those of a recording have about 1 MiB."""
 
 RECORD_HEAD: Final = Struct("<BQ")
 """Of every record: opcode, length of what follows."""
@@ -90,27 +90,38 @@ def unpack_chunk(file: BinaryIO, place: ChunkPlace) -> bytes:
     """Return the records in a chunk; of a cut one, those that can still be unpacked, unverified."""
     file.seek(place.offset)
     head = file.read(RECORD_HEAD.size)
-    if place.cut:
-        return _unpack_cut(file.read())
-    if head != RECORD_HEAD.pack(Opcode.CHUNK, place.length):
+    if not place.cut and head != RECORD_HEAD.pack(Opcode.CHUNK, place.length):
         raise DamagedChunkError("no chunk begins there")
     try:
-        stream = ReadDataStream(BytesIO(file.read(place.length)))
-        chunk = Chunk.read(stream)
-        records, size = get_chunk_data_stream(chunk, validate_crc=True)
-        return bytes(records.read(size))
+        body = file.read(LARGEST_CHUNK if place.cut else min(place.length, LARGEST_CHUNK))
+        *_, size, checksum, name_length = _CHUNK_HEAD.unpack_from(body)
+        packed_at = _CHUNK_HEAD.size + name_length + _LENGTH.size
+        codec, packed = body[_CHUNK_HEAD.size : packed_at - _LENGTH.size], body[packed_at:]
+        if place.cut:
+            # Block after block: the blocks before a cut are all there.
+            return _unpack(b"lz4", packed, LARGEST_CHUNK)
+        if size > LARGEST_CHUNK:
+            raise ValueError(f"expected at most {LARGEST_CHUNK:,} bytes, got {size:,}")
+        records = _unpack(codec, packed, size + 1)
+        if len(records) != size or (checksum and zlib.crc32(records) != checksum):
+            raise ValueError("its checksum or its length is wrong")
     except BROKEN as reason:
+        if place.cut:
+            return b""
         raise DamagedChunkError(f"it does not unpack ({reason})") from None
+    return records
 
 
-def _unpack_cut(body: bytes) -> bytes:
-    try:
-        *_, name_length = _CHUNK_HEAD.unpack_from(body)
-        packed = body[_CHUNK_HEAD.size + name_length + _LENGTH.size :]
-        # Block after block: the blocks before a cut are all there.
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed))
-    except BROKEN:
-        return b""
+def _unpack(codec: bytes, packed: bytes, most: int) -> bytes:
+    """Return what is packed, up to a number of bytes."""
+    match codec:
+        case b"lz4":
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=most))
+        case b"zstd":
+            return zstandard.ZstdDecompressor().stream_reader(packed).read(most)
+        case b"":
+            return packed
+    raise ValueError(f"expected lz4 or zstd, got {codec!r}")
 
 
 def messages_in(records: bytes, channels: Container[int]) -> Iterator[RawMessage]:

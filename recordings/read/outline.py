@@ -63,7 +63,7 @@ class _Place(NamedTuple):
 
     @property
     def end(self) -> int:
-        """First byte behind it."""
+        """The first byte behind the record."""
         return self.offset + RECORD_HEAD.size + self.length
 
 
@@ -74,7 +74,7 @@ class Outline:
     Attributes
     ----------
     size
-        Of the file [bytes].
+        Size of the file [bytes].
     closed
         Whether its writer came to the end of the messages. Otherwise it was cut, is damaged at
         `readable_end`, or is still being written.
@@ -83,11 +83,11 @@ class Outline:
     readable_end
         First byte behind the last readable record of the data section.
     header
-        None where not even that was written.
+        None if the file was cut before it.
     attachments, metadata
         In the order of the file.
     schemas, channels
-        By their id.
+        Schemas and channels by their id.
     chunks
         In the order of the file. The last one may be cut.
     damaged_attachments

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 import msgspec
 
-from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import decode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, SIGNALS, Port, Signal
-from bus_schemas.tree import ROOT
+from bus_schemas.tree import ROOT, agent_name
 from recordings.read.chunks import (
     ChunkPlace,
     DamagedChunkError,
@@ -23,29 +22,38 @@ from recordings.read.chunks import (
     messages_in,
     unpack_chunk,
 )
-from recordings.read.moments import Moment, RunClock
 from recordings.read.outline import NoMcapError, Outline, read_outline
-from recordings.read.run_file import RECORDING_NAME, SCHEMA_VERSION, declare
+from recordings.read.run_clock import RunClock
+from recordings.read.run_file import (
+    RECORDING_NAME,
+    NothingRecordedError,
+    declare,
+    read_origin,
+)
 from recordings.read.selection import find_nodes, find_signals
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_NOTHING: Final = "cut before the plan of its run"
+_HEAD_FIELDS: Final = frozenset(Message.__struct_fields__)
 
 _LATEST_S: Final = 30.0
 """How much later than its cycle's turn a message may come and still be found by its cycle."""
 
-_ENDLESS: Final = 1 << 62
-
 _FURTHEST_CYCLES: Final = 1000
 """The same in lockstep over processes, where a link can fall behind: as the recorder allows."""
+
+_MOST_CYCLES: Final = 1 << 40
+"""No run has as many."""
+
+_NAMED: Final = 3
+"""So many damaged chunks are named, the rest is counted."""
 
 
 class _Head(msgspec.Struct, gc=False):
     """What a reader needs to choose a message; the rest is skipped."""
 
-    cycle: int
+    cycle: Annotated[int, msgspec.Meta(ge=0, lt=_MOST_CYCLES)]
 
 
 _head = msgspec.msgpack.Decoder(_Head).decode
@@ -53,11 +61,12 @@ _head = msgspec.msgpack.Decoder(_Head).decode
 
 def cycle_of(payload: bytes) -> int:
     """Return the cycle of a payload without decoding the rest; DecodeError if it has none."""
-    return _head(payload).cycle
-
-
-class NothingRecordedError(InputError):
-    """A recording that was cut before the plan of its run."""
+    try:
+        return _head(payload).cycle
+    except UnicodeDecodeError as error:
+        raise msgspec.DecodeError(f"invalid UTF-8 in a string: {error.reason}") from None
+    except RecursionError:
+        raise msgspec.DecodeError("lists or maps are nested too deep") from None
 
 
 class RecordedMessage(NamedTuple):
@@ -77,10 +86,13 @@ class RecordedMessage(NamedTuple):
 
 def _decoded(port: Port[Message], sequence: int, payload: bytes) -> Message:
     try:
-        return decode(port.signal, payload)
+        message = decode(port.signal, payload)
     except msgspec.DecodeError as error:
         expected = port.signal.type.__name__
         raise InputError(f"{port} number {sequence}: expected a {expected}, got: {error}") from None
+    if not 0 <= message.cycle < _MOST_CYCLES:
+        raise InputError(f"{port} number {sequence} cycle: expected from 0 on, got {message.cycle}")
+    return message
 
 
 class RunReader:
@@ -91,15 +103,15 @@ class RunReader:
     Attributes
     ----------
     path, file
-        The MCAP file, and the same as it is open.
+        Path of the MCAP file, and the open file.
     whole
         Whether the file was closed in order and has its index.
     outline
-        What the file consists of.
+        The parts that the file consists of.
     metadata
-        By name: versions, host, clock anchor.
+        Metadata by name: versions, host, clock anchor.
     scenario, plan
-        What the run was.
+        Text of the scenario file, and plan of the run.
     damage
         Chunks that were skipped so far: why, by their first byte.
     """
@@ -121,8 +133,7 @@ class RunReader:
         try:
             self.outline = self._read_outline()
             self.metadata = {entry.name: entry.metadata for entry in self.outline.metadata}
-            self._check_version()
-            self.scenario, self.plan = self._read_origin()
+            self.scenario, self.plan = read_origin(self.outline, self.path)
             if self.outline.chunks and not self.outline.channels:
                 declare(self.outline, self.plan)  # The first chunk had them, and is damaged.
         except BaseException:
@@ -134,8 +145,8 @@ class RunReader:
         self,
         *signals: Signal[Message] | str,
         nodes: str | Collection[str] = (),
-        start: Moment | None = None,
-        end: Moment | None = None,
+        start: str | int | None = None,
+        end: str | int | None = None,
     ) -> Iterator[Delivery]:
         """Yield messages with their ports, in the order in which they were recorded.
 
@@ -152,11 +163,12 @@ class RunReader:
         Raises
         ------
         InputError
-            The run has no such signal, node or moment; or the file is damaged where it is read.
+            The run has no such signal, node or time; or the file is damaged where it is read.
         """
         ports = self.ports(*signals, nodes=nodes)
-        cycles = None if start is None and end is None else self.clock.span(start, end)
-        return self.on(ports, cycles)
+        if start is None and end is None:
+            return self.on(ports)
+        return self.on(ports, self.clock.span(start, end, ("start", "end")))
 
     def ports(
         self, *signals: Signal[Message] | str, nodes: str | Collection[str] = ()
@@ -177,7 +189,10 @@ class RunReader:
         port_of = self._channels_of(ports)
         for channel, sequence, _, _, payload in self._raw(port_of, cycles):
             port = port_of[channel]
-            message = _decoded(port, sequence, payload)
+            try:
+                message = _decoded(port, sequence, payload)
+            except InputError as error:
+                raise InputError(f"{self.path}: {error}") from None
             if cycles is None or cycles.start <= message.cycle < cycles.stop:
                 yield port, message
 
@@ -188,10 +203,7 @@ class RunReader:
         port_of = self._channels_of(self.ports() if ports is None else ports)
         for raw in self._raw(port_of, cycles):
             channel, sequence, log_time_ns, publish_time_ns, payload = raw
-            try:
-                cycle = _head(payload).cycle
-            except msgspec.DecodeError as error:
-                raise self._without_cycle(raw, error) from None
+            cycle = self._cycle_of(raw)
             if cycles is None or cycles.start <= cycle < cycles.stop:
                 port = port_of[channel]
                 yield RecordedMessage(port, cycle, sequence, log_time_ns, publish_time_ns, payload)
@@ -201,8 +213,8 @@ class RunReader:
         signal: Signal[Message] | str,
         *,
         nodes: str | Collection[str] = (),
-        start: Moment | None = None,
-        end: Moment | None = None,
+        start: str | int | None = None,
+        end: str | int | None = None,
     ) -> pd.DataFrame:
         """Return the messages of one signal as a table, one row each.
 
@@ -223,11 +235,21 @@ class RunReader:
         InputError
             See `messages`.
         """
-        from recordings.read.frames import message_frame  # noqa: PLC0415 - pandas loads slowly
+        import pandas as pd  # noqa: PLC0415 - it loads slowly
 
         (found,) = find_signals([signal])
-        deliveries = self.messages(found, nodes=nodes, start=start, end=end)
-        return message_frame(found, deliveries, self.plan.timezone)
+        own = [name for name in found.type.__struct_fields__ if name not in _HEAD_FIELDS]
+        times: list[int] = []
+        columns: dict[str, list[Any]] = {name: [] for name in ("cycle", "node", *own)}
+        for port, message in self.messages(found, nodes=nodes, start=start, end=end):
+            times.append(message.sim_time_ns)
+            columns["cycle"].append(message.cycle)
+            columns["node"].append(agent_name(port.node))
+            for name in own:
+                columns[name].append(getattr(message, name))
+        utc = pd.to_datetime(pd.Series(times, dtype="int64"), unit="ns", utc=True)
+        index = pd.DatetimeIndex(utc, name="time").tz_convert(self.plan.timezone)
+        return pd.DataFrame(columns, index=index)
 
     @cached_property
     def clock(self) -> RunClock:
@@ -249,20 +271,42 @@ class RunReader:
     @cached_property
     def stop_cycle(self) -> int | None:
         """The cycle before which the plant ended the run; None: the recording does not tell."""
-        cycles = range(max(self.last_cycle, 0), _ENDLESS)
+        cycles = range(max(self.last_cycle, 0), _MOST_CYCLES)
         for record in self.records([RUN.of(ROOT)], cycles):
             if decode(RUN, record.payload).state == "stop":
                 return record.cycle
         return None
 
-    def cycles_in(self, place: ChunkPlace) -> range | None:
-        """Return the cycles that a chunk has messages of; None: it has none that can be read."""
-        try:
-            raws = list(messages_in(unpack_chunk(self.file, place), self._all_channels))
-        except DamagedChunkError:
-            return None
-        cycles = [self._cycle_of(raw) for raw in raws]
-        return range(min(cycles), max(cycles) + 1) if cycles else None
+    def cycles_in(self, place: ChunkPlace) -> range:
+        """Return the cycles that a chunk has messages of; empty if none can be read."""
+        cycles = [self._cycle_of(raw) for raw in messages_in(self._try_unpack(place), self._every)]
+        return range(min(cycles), max(cycles) + 1) if cycles else range(0)
+
+    def damage_text(self) -> str:
+        """Say what is missing: the damaged chunks that were skipped, and damaged attachments."""
+        chunks = self.outline.chunks
+        parts = [
+            f"chunk at byte {place.offset:,}, {self._missing_text(chunks[:n], chunks[n + 1 :])}"
+            for n, place in enumerate(chunks)
+            if place.offset in self.damage
+        ]
+        if len(parts) > _NAMED:
+            parts[_NAMED:] = [f"and {len(parts) - _NAMED:,} more chunks"]
+        parts += [f"attachment {name}" for name in self.outline.damaged_attachments]
+        what = f"a part of the file is damaged ({'; '.join(parts)}): see heliarch recover"
+        return f"{self.path}: {what}" if parts else ""
+
+    def _missing_text(self, before: list[ChunkPlace], behind: list[ChunkPlace]) -> str:
+        """Say of which cycles messages are missing between some chunks and others."""
+        last, first = self._nearest(reversed(before)), self._nearest(behind)
+        begin = last.stop - 1 if last else 0
+        if not first:
+            return f"messages from cycle {begin:,} on are missing"
+        return f"cycles {begin:,} to {max(begin, first.start):,} missing"
+
+    def _nearest(self, places: Iterable[ChunkPlace]) -> range:
+        """Return the cycles of the first readable chunk."""
+        return next(filter(None, map(self.cycles_in, places)), range(0))
 
     @property
     def read_share(self) -> float:
@@ -319,28 +363,29 @@ class RunReader:
     def _first_cycle(self, place: ChunkPlace) -> int | None:
         """Return the cycle of a chunk's first message; None: nothing can be read of it."""
         if place not in self._first_cycles:
-            try:
-                records = unpack_chunk(self.file, place)
-            except DamagedChunkError:
-                records = b""  # An error only for whoever reads its messages.
-            raw = next(messages_in(records, self._all_channels), None)
+            raw = next(messages_in(self._try_unpack(place), self._every), None)
             self._first_cycles[place] = None if raw is None else self._cycle_of(raw)
         return self._first_cycles[place]
+
+    def _try_unpack(self, place: ChunkPlace) -> bytes:
+        try:
+            return unpack_chunk(self.file, place)
+        except DamagedChunkError:
+            return b""  # An error only for whoever reads its messages.
 
     def _cycle_of(self, raw: RawMessage) -> int:
         try:
             return cycle_of(raw[4])
         except msgspec.DecodeError as error:
-            raise self._without_cycle(raw, error) from None
-
-    def _without_cycle(self, raw: RawMessage, error: msgspec.DecodeError) -> InputError:
-        topic = self.outline.channels[raw[0]].topic
-        return InputError(
-            f"{self.path}: {topic} at log time {raw[2]}: {error}, expected a message with its cycle"
-        )
+            topic = self.outline.channels[raw[0]].topic
+            raise InputError(
+                f"{self.path}: {topic} number {raw[1]}: expected a message with its cycle, got: "
+                f"{error}"
+            ) from None
 
     @cached_property
-    def _all_channels(self) -> dict[int, Port[Message]]:
+    def _every(self) -> dict[int, Port[Message]]:
+        """Every port by its channel."""
         return self._channels_of(self.ports())
 
     @cached_property
@@ -352,9 +397,7 @@ class RunReader:
             return _FURTHEST_CYCLES
         return max(round(_LATEST_S * 1e9 / self.plan.cycle_wall_ns), self.plan.periods.longest) + 1
 
-    def _messages_of(
-        self, place: ChunkPlace, channels: Collection[int] | Mapping[int, object]
-    ) -> Iterator[RawMessage]:
+    def _messages_of(self, place: ChunkPlace, channels: Container[int]) -> Iterator[RawMessage]:
         self._position = place.offset
         try:
             records = unpack_chunk(self.file, place)
@@ -373,44 +416,10 @@ class RunReader:
             return read_outline(self.file)
         except NoMcapError as error:
             if not self.path.stat().st_size:
-                raise NothingRecordedError(f"{self.path}: {_NOTHING}, it is empty") from None
+                raise NothingRecordedError(f"{self.path}: it is empty") from None
             raise InputError(f"{self.path}: not an MCAP file, {error}") from None
         except OSError as error:
             raise InputError(f"{self.path}: {error.strerror}, expected an MCAP file") from None
-
-    def _check_version(self) -> None:
-        found = self.metadata.get("run", {}).get("schema_version")
-        if found is None and self.outline.cut_early:
-            raise NothingRecordedError(f"{self.path}: {_NOTHING}")
-        if found is None:
-            raise InputError(f"{self.path}: an MCAP file, but no recording of a heliarch run")
-        if found != SCHEMA_VERSION:
-            raise InputError(
-                f"{self.path}: recorded with schema version {found}, this Heliarch reads version "
-                f"{SCHEMA_VERSION}; read it with the Heliarch that wrote it"
-            )
-
-    def _read_origin(self) -> tuple[str, RunPlan]:
-        attachments = {entry.name: entry.data for entry in self.outline.attachments}
-        damaged = self.outline.damaged_attachments
-        if "plan.json" in damaged:
-            raise InputError(
-                f"{self.path}: its attachment plan.json is damaged, its checksum is not that of "
-                "its content; nothing can be read without it"
-            )
-        try:
-            # Nothing depends on the scenario, which may be damaged: the plan has what the run was.
-            scenario = attachments["scenario.toml"].decode(errors="replace")
-            return scenario, msgspec.json.decode(attachments["plan.json"], type=RunPlan)
-        except KeyError as error:
-            if self.outline.cut_early and not damaged:
-                raise NothingRecordedError(f"{self.path}: {_NOTHING}") from None
-            note = f"; damaged are {', '.join(damaged)}" if damaged else ""
-            raise InputError(
-                f"{self.path}: recording without its attachment {error}{note}"
-            ) from None
-        except (msgspec.DecodeError, UnicodeDecodeError) as error:
-            raise InputError(f"{self.path}: its attachments do not decode: {error}") from None
 
 
 def open_run(path: Path | str) -> RunReader:

@@ -1,49 +1,49 @@
-"""What a recording looks like: its name, its version, its schemas and channels."""
+"""What a recording looks like: its name, version, schemas, channels, scenario and plan."""
 
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Final
+from zoneinfo import ZoneInfo
 
+import msgspec
 from mcap.records import Channel, Schema
 
 from agents.plan import RunPlan
 from bus_schemas.codec import json_schema
+from bus_schemas.errors import InputError
 from bus_schemas.signals import SIGNALS, ports
 from recordings.read.outline import Outline
+from recordings.read.run_clock import RunClock
 
 RECORDING_NAME: Final = "run.mcap"
 SCHEMA_VERSION: Final = "3"
 """Version of the message types. A reader refuses what it does not know."""
 
 
+_NUMBER_OF: Final = {
+    signal: number for number, signal in enumerate((s for s in SIGNALS if s.logged), start=1)
+}
+
+
 def schemas() -> list[Schema]:
     """Return the schemas of every recording, numbered from 1 in the order of the table."""
-    logged = (signal for signal in SIGNALS if signal.logged)
     return [
-        Schema(
-            id=number,
-            name=signal.type.__name__,
-            encoding="jsonschema",
-            data=json.dumps(json_schema(signal)).encode(),
-        )
-        for number, signal in enumerate(logged, start=1)
+        Schema(number, json.dumps(json_schema(signal)).encode(), "jsonschema", signal.type.__name__)
+        for signal, number in _NUMBER_OF.items()
     ]
 
 
 def channels(plan: RunPlan) -> list[Channel]:
     """Return the channels of a run's recording, numbered from 1 in the order of its ports."""
-    schema_of = {
-        signal: number
-        for number, signal in enumerate((row for row in SIGNALS if row.logged), start=1)
-    }
     logged = (port for port in ports(plan.tree) if port.signal.logged)
     return [
         Channel(
             id=number,
             topic=plan.keys.key(port),
             message_encoding="msgpack",
-            schema_id=schema_of[port.signal],
+            schema_id=_NUMBER_OF[port.signal],
             metadata={"signal": port.signal.name, "node": port.node},
         )
         for number, port in enumerate(logged, start=1)
@@ -54,3 +54,59 @@ def declare(outline: Outline, plan: RunPlan) -> None:
     """Give the outline of a file the schemas and channels that its plan leads to."""
     outline.schemas = {schema.id: schema for schema in schemas()}
     outline.channels = {channel.id: channel for channel in channels(plan)}
+
+
+class NothingRecordedError(InputError):
+    """A recording that was cut before the plan of its run."""
+
+
+def read_origin(outline: Outline, path: Path) -> tuple[str, RunPlan]:
+    """Return the scenario and the plan of the recording at a path."""
+    _check_version(outline, path)
+    attachments = {entry.name: entry.data for entry in outline.attachments}
+    damaged = outline.damaged_attachments
+    if "plan.json" in damaged:
+        raise InputError(
+            f"{path}: its attachment plan.json is damaged, its checksum is not that of its "
+            "content; nothing can be read without it"
+        )
+    try:
+        # Nothing depends on the scenario, which may be damaged: the plan has what the run was.
+        scenario = attachments["scenario.toml"].decode(errors="replace")
+        plan = msgspec.json.decode(attachments["plan.json"], type=RunPlan)
+    except KeyError as error:
+        if outline.cut_early and not damaged:
+            raise NothingRecordedError(f"{path}: cut before the plan of its run") from None
+        note = f"; damaged are {', '.join(damaged)}" if damaged else ""
+        raise InputError(f"{path}: recording without its attachment {error}{note}") from None
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: its attachments do not decode: {error}") from None
+    _check_times(plan, f"{path} plan.json")
+    return scenario, plan
+
+
+def _check_version(outline: Outline, path: Path) -> None:
+    metadata = {entry.name: entry.metadata for entry in outline.metadata}
+    found = metadata.get("run", {}).get("schema_version")
+    if found is None and outline.cut_early:
+        raise NothingRecordedError(f"{path}: cut before the plan of its run")
+    if found is None:
+        raise InputError(f"{path}: an MCAP file, but no recording of a heliarch run")
+    if found != SCHEMA_VERSION:
+        raise InputError(
+            f"{path}: recorded with schema version {found}, this Heliarch reads version "
+            f"{SCHEMA_VERSION}; read it with the Heliarch that wrote it"
+        )
+
+
+def _check_times(plan: RunPlan, where: str) -> None:
+    """Refuse a plan whose cycles have no time."""
+    try:
+        ZoneInfo(plan.timezone)
+    except (KeyError, ValueError, OSError):
+        raise InputError(
+            f"{where} timezone: expected a name such as Pacific/Honolulu, got {plan.timezone[:40]}"
+        ) from None
+    if plan.cycle_ns <= 0:
+        raise InputError(f"{where} cycle_ns: expected above 0, got {plan.cycle_ns}")
+    RunClock(plan, 0).local(0)

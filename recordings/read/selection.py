@@ -56,14 +56,6 @@ def find_agents(tree: ControlTree, names: str | Iterable[str]) -> tuple[str, ...
     return _agents(tree, names, (PLANT,))
 
 
-def find_node(tree: ControlTree, name: str) -> str:
-    """Return the path of one node."""
-    found = find_nodes(tree, name)
-    if len(found) != 1:
-        raise InputError(f"node {name!r}: expected one node, got {len(found)}")
-    return found[0]
-
-
 def _agents(
     tree: ControlTree, names: str | Iterable[str], also: tuple[str, ...]
 ) -> tuple[str, ...]:

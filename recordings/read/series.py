@@ -161,17 +161,11 @@ class SeriesCollector:
             self._regulation_kw.add(cycle, message.regulation_kw)
         elif isinstance(message, Production) and 0 <= cycle < self._plan.cycles:
             self._cycles = max(self._cycles, cycle + 1)
-            powers = (
-                (self._mpp_kw, message.inverter_mpp_kw),
-                (
-                    self._power_kw,
-                    message.inverter_power_kw,
-                ),
-            )
-            for columns, row in powers:
-                # An external plant may list too few or too many inverters.
-                for column, value in zip(columns, row, strict=False):
-                    column.add(cycle, value)
+            # An external plant may list too few or too many inverters.
+            for column, value in zip(self._mpp_kw, message.inverter_mpp_kw, strict=False):
+                column.add(cycle, value)
+            for column, value in zip(self._power_kw, message.inverter_power_kw, strict=False):
+                column.add(cycle, value)
 
     def series(self, label: str) -> RunSeries:
         """Return the cycles up to the last one that the plant completed."""

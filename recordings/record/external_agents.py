@@ -7,9 +7,8 @@ from collections import Counter
 from agents.events import ExternalAccount
 from agents.plan import RunPlan
 from bus_schemas.messages import Message
-from bus_schemas.signals import Occurrence, Port, ports
-from bus_schemas.tree import CENTRAL, ROOT, depth
-from recordings.read.gaps import SequenceGaps
+from bus_schemas.signals import Port, ports
+from recordings.read.gaps import SequenceGaps, due_step
 
 
 class ExternalAgents:
@@ -46,7 +45,9 @@ class ExternalAgents:
 
     def _account(self, agent: str, cycles: int) -> ExternalAccount:
         own = [port for port in self._gaps if port.publisher == agent]
-        due = {port: self._due(port, cycles) for port in own}
+        # How many messages must come on a port, whatever is decided.
+        steps = {port: due_step(self._plan, port) for port in own}
+        due = {port: -(-cycles // step) if step else 0 for port, step in steps.items()}
         return ExternalAccount(
             agent,
             recorded=dict(self._recorded[agent]),
@@ -54,14 +55,3 @@ class ExternalAgents:
             expected=sum(due.values()),
             answered=sum(min(self._answers[port], due[port]) for port in own),
         )
-
-    def _due(self, port: Port[Message], cycles: int) -> int:
-        """How many messages must come on a port in the first cycles, whatever is decided."""
-        match port.signal.occurrence:
-            case Occurrence.CYCLE:
-                return cycles
-            case Occurrence.TURN:
-                node = ROOT if port.publisher == CENTRAL else port.publisher
-                return -(-cycles // self._plan.periods.cycles[depth(node)])
-            case _:
-                return 0

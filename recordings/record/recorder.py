@@ -7,26 +7,36 @@ arming rounds it tells the plant that it hears everybody.
 
 from __future__ import annotations
 
+import logging
+import signal
 import time
 from collections.abc import Callable, Collection
+from pathlib import Path
 from typing import Final
 
 import msgspec
 from msgspec.structs import replace
 
-from agents.events import Armed, Over, Presence, Recorded
+from agents.drop_log import DropLog
+from agents.events import Armed, Joined, Over, Presence, Recorded, RecordingEnded
 from agents.launcher_link import LauncherLink
+from agents.machine import stand_back
 from agents.plan import RunPlan
+from agents.process import run_guarded, session_settings, set_up_process
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message, Ready, Run
-from bus_schemas.signals import DISPATCH, PRODUCTION, READY, RUN, Occurrence, Port, ports
+from bus_schemas.signals import DISPATCH, PRODUCTION, READY, RUN, Port, ports
 from bus_schemas.tree import PLANT, RECORDER, ROOT
 from bus_schemas.zenoh_bus import ZenohTap
+from recordings.read.gaps import due_step
+from recordings.read.run_file import RECORDING_NAME
 from recordings.record.external_agents import ExternalAgents
 from recordings.record.message_complaints import ABSURD, REPEATED, Complaints
 from recordings.record.monitor import RunMonitor
 from recordings.record.plausibility import absurdity
 from recordings.record.writer import RunWriter
+
+log = logging.getLogger(__name__)
 
 FLUSH_S: Final = 0.5
 """Time between flushes: the most that a crash can lose."""
@@ -54,6 +64,32 @@ class Head(msgspec.Struct, gc=False):
 _decode_head = msgspec.msgpack.Decoder(Head).decode
 
 
+def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
+    """Record a run into its folder until the launcher says so or is gone. Returns the status."""
+    end = RecordingEnd()
+    # Whatever ends the run, the file must be closed in order.
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: end.ask())
+    set_up_process(plan, RECORDER)
+
+    def run() -> None:
+        scenario = (folder / "scenario.toml").read_text(encoding="utf-8")
+
+        def on_end(text: str) -> None:
+            log.error("%s", text)
+            link.tell(RecordingEnded(text))
+
+        path = folder / RECORDING_NAME
+        writer = RunWriter(path, plan, scenario, driver="launch", on_end=on_end)
+        with ZenohTap(RECORDER, plan.keys, session_settings(plan, RECORDER)) as tap:
+            link.tell(Joined())
+            if not plan.lockstep:
+                stand_back()
+            Recorder(plan, tap, writer, link, end, DropLog()).run()
+
+    return run_guarded(RECORDER, link, run)
+
+
 class RecordingEnd:
     """Whether the recording has been asked to end.
 
@@ -71,9 +107,9 @@ class RecordingEnd:
         """Let the recording end once nothing comes any more, or soon if something always does."""
         self.asked_at = self.asked_at or time.monotonic()
 
-    def hear(self, word: str) -> None:
-        """Take in what the launcher says: `expect N` messages."""
-        self.expected = int(word.removeprefix("expect "))
+    def expect(self, messages: int) -> None:
+        """Let the recording end with so many messages."""
+        self.expected = messages
         self.ask()
 
 
@@ -88,7 +124,6 @@ class Recorder:
         link: LauncherLink,
         end: RecordingEnd,
         on_wrong: Callable[[str], None],
-        attached: bool,
     ) -> None:
         self.monitor = RunMonitor()
         self.complaints = Complaints(on_wrong, link.tell)
@@ -97,7 +132,6 @@ class Recorder:
         self._writer = writer
         self._link = link
         self._end = end
-        self._attached = attached
         self._external = ExternalAgents(plan)
         self._newest_cycle = -1
         self._stop_cycle: int | None = None
@@ -135,8 +169,9 @@ class Recorder:
         self._report()
 
     def _heed_launcher(self) -> None:
-        for word in self._link.words():
-            self._end.hear(word)
+        expected = self._link.expected_messages()
+        if expected is not None:
+            self._end.expect(expected)
 
     def _may_end(self, quiet_s: float) -> bool:
         asked_at, expected = self._end.asked_at, self._end.expected
@@ -163,7 +198,7 @@ class Recorder:
         try:
             head = _decode_head(payload)
             message = decode(port.signal, payload) if port in self._read else None
-        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             self.complaints.add(key, "undecodable", str(error))
             return
         if head.source != port.publisher:
@@ -217,8 +252,6 @@ class Recorder:
         """Note the beginning or end of the run; tell the launcher if the plant is external."""
         if message.state == "stop":
             self._stop_cycle = message.cycle
-            if not self._attached:
-                self._end.ask()
         if PLANT in self._plan.external:
             began = message.state == "start"
             self._link.tell(Armed(self._round.count) if began else Over(message.cycle))
@@ -254,8 +287,7 @@ class Round:
     """The arming round under way: which of the messages that always come have been heard."""
 
     def __init__(self, plan: RunPlan) -> None:
-        steady = {Occurrence.CYCLE, Occurrence.TURN}
-        self._all = frozenset(port for port in ports(plan.tree) if port.signal.occurrence in steady)
+        self._all = frozenset(port for port in ports(plan.tree) if due_step(plan, port))
         self.count = 0
         self.answered = False
         self._cycle: int | None = None

@@ -62,7 +62,7 @@ class ClockAnchor:
             ) from None
 
     def wall(self, monotonic_ns: int) -> int:
-        """Wall time of a monotonic time."""
+        """Return the wall time of a monotonic time."""
         return monotonic_ns - self.monotonic_ns + self.wall_ns
 
 
@@ -85,14 +85,14 @@ class RunWriter:
     path
         File to write.
     plan
-        Of the run: gives the channels.
+        The plan of the run, which gives the channels.
     scenario
         Text of the scenario file, attached whole.
     driver
         `launch` or `simulate`.
     anchor
-        How the messages' clock relates to the wall clock. Default: it is this host's monotonic
-        clock.
+        Turns times of the messages' clock into wall clock. By default that is this host's
+        monotonic clock.
     on_end
         Called once, with a line of text, when the recording has to end early. None: the error is
         raised instead.

@@ -20,7 +20,7 @@ from bus_schemas.zenoh_bus import ENCODING, SessionSettings, open_session
 from launch_scripts.launcher.interruption import Interruption
 from launch_scripts.launcher.tcp_ports import reserved_ports
 from recordings.read.reader import RunReader
-from recordings.read.selection import find_signals
+from recordings.read.selection import find_nodes, find_signals
 
 
 class ReplayBus:
@@ -77,17 +77,20 @@ class ReplayBus:
 
 
 def selected_ports(
-    plan: RunPlan, signals: str | None = None, exclude: str | None = None
+    plan: RunPlan, signals: str | None = None, exclude: str | None = None, nodes: str | None = None
 ) -> tuple[Port[Message], ...]:
     """Return the ports that are replayed: by default the recorded ones, and the replay's clock."""
-    excluded = _names(exclude)
+    excluded = [name.strip() for name in (exclude or "").split(",") if name.strip()]
     left_out = {*find_signals(name for name in excluded if name != CLOCK.name)}
-    kept = find_signals(_names(signals)) or tuple(signal for signal in SIGNALS if signal.logged)
+    kept = find_signals(signals or "") or tuple(signal for signal in SIGNALS if signal.logged)
+    kept_nodes = find_nodes(plan.tree, nodes or "") or plan.tree.nodes
     ports = [
-        port for port in plan.keys.ports if port.signal in kept and port.signal not in left_out
+        port
+        for port in plan.keys.ports
+        if port.signal in kept and port.signal not in left_out and port.node in kept_nodes
     ]
     if not ports:
-        raise InputError("--exclude: expected some signal to be left, got none")
+        raise InputError("--signals, --exclude, --nodes: expected some message, got none")
     return tuple(ports) if CLOCK.name in excluded else (*ports, CLOCK.of(ROOT))
 
 
@@ -118,10 +121,6 @@ def say(out: TextIO, text: str) -> None:
     """Print a line at once."""
     out.write(f"{text}\n")
     out.flush()
-
-
-def _names(text: str | None) -> list[str]:
-    return [] if text is None else [name.strip() for name in text.split(",")]
 
 
 def _has_match(publisher: zenoh.Publisher) -> bool:

@@ -1,4 +1,4 @@
-"""When each recorded message is due: its position on a clock, and the moment of that position."""
+"""When each recorded message is due: its position on a clock, and the time of that position."""
 
 from __future__ import annotations
 
@@ -17,11 +17,6 @@ CLOCKS: Final[dict[ClockKind, str]] = {
     "sim": "simulated time",
     "wall": "recorded publish times",
 }
-
-
-def default_clock(plan: RunPlan) -> ClockKind:
-    """Return the clock that shows a run as the plant lived it: lockstep takes no time for it."""
-    return "sim" if plan.lockstep else "wall"
 
 
 class Positions:
@@ -47,9 +42,9 @@ class Positions:
 
 
 class PlaybackClock:
-    """Maps positions to moments of the monotonic clock.
+    """Maps positions to times of the monotonic clock.
 
-    Every moment is counted from one anchor, so errors do not add up. Only a pause, a seek and a
+    Every time is counted from one anchor, so errors do not add up. Only a pause, a seek and a
     change of rate set a new anchor.
     The rate is in seconds of the clock per second; at 0 everything is due at once.
     """
@@ -64,7 +59,7 @@ class PlaybackClock:
         self._moment_ns = now_ns()
 
     def move_to(self, position_ns: int) -> None:
-        """Be at a position now."""
+        """Make a position due now."""
         self._position_ns, self._moment_ns = position_ns, self.now_ns()
 
     def due_ns(self, position_ns: int) -> int:
@@ -74,7 +69,7 @@ class PlaybackClock:
         return self._moment_ns + round((position_ns - self._position_ns) / self.rate)
 
     def toggle_pause(self) -> None:
-        """Stand still, or go on from there."""
+        """Pause, or go on from the same position."""
         self.move_to(self._here_ns())
         self.paused = not self.paused
 

@@ -21,11 +21,12 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import ROOT
 from launch_scripts.launcher.interruption import Interruption
+from launch_scripts.launcher.live_view import StatusLine
 from launch_scripts.launcher.supervision import Children, RunFailure, with_log
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus
 from recordings.replay.live_bus import LiveBus, steady_ports
-from recordings.replay.progress import ProgressLine
+from recordings.replay.playback import cycle_text
 from recordings.replay.publish_order import in_publish_order
 from recordings.replay.timing import TimingErrors
 from recordings.verify.comparison import Comparison
@@ -99,7 +100,7 @@ class LiveReplay:
         bus: LiveBus,
         observers: ReplayBus,
         interruption: Interruption,
-        progress: ProgressLine,
+        line: StatusLine,
     ) -> None:
         self.comparison = LiveComparison(plan, live)
         self.timing = TimingErrors()
@@ -111,7 +112,7 @@ class LiveReplay:
         self._bus = bus
         self._observers = observers
         self._interruption = interruption
-        self._progress = progress
+        self._line = line
         self._received = 0
         self._newest: dict[Port[Message], int] = {}
         self._announced = -1
@@ -140,7 +141,9 @@ class LiveReplay:
             self._run_in_real_time()
         self._publish_run("stop", self.cycles, 0)
         self._receive_the_last()
-        self._progress.end(self.cycles - 1)
+        if self.cycles:
+            self._show(self.cycles - 1)
+        self._line.end()
         self.comparison.finish(self.cycles)
 
     def _first_messages(self) -> dict[Port[Message], Message]:
@@ -182,7 +185,8 @@ class LiveReplay:
             if self._interruption:
                 return
             self.cycles = cycle + 1
-            self._progress.show(cycle)
+            if self._line.is_due():
+                self._show(cycle)
 
     def _run_in_real_time(self) -> None:
         start_ns = time.monotonic_ns() + round(_LEAD_S * 1e9)
@@ -195,7 +199,8 @@ class LiveReplay:
             if self._forward(record):
                 self.timing.add(time.monotonic_ns() - due_ns)
             self.cycles = max(self.cycles, record.cycle + 1)
-            self._progress.show(record.cycle)
+            if self._line.is_due():
+                self._show(record.cycle)
             if self._interruption:
                 return
 
@@ -270,6 +275,9 @@ class LiveReplay:
         message.sequence = int(state == "stop")
         for bus in (self._bus, self._observers):
             bus.put(RUN.of(ROOT), encode(message))
+
+    def _show(self, cycle: int) -> None:
+        self._line.show(cycle_text(self._reader, cycle, self._plan.cycles - 1))
 
     def _explain_stall(self, cycle: int, awaited: Iterable[Port[Message]]) -> str:
         silent = sorted(awaited, key=str)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from typing import NamedTuple
 
 import msgspec
 import zenoh
@@ -12,19 +11,12 @@ from agents.machine import MachineSettings
 from agents.plan import RunPlan
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message
-from bus_schemas.signals import Occurrence, Port
-from bus_schemas.tree import CENTRAL, REPLAYER, ROOT
+from bus_schemas.signals import Port
+from bus_schemas.tree import REPLAYER
 from bus_schemas.zenoh_bus import Inbox
 from launch_scripts.launcher.supervision import RunFailure
+from recordings.read.gaps import due_step
 from recordings.replay.bus import ReplayBus
-
-
-class Received(NamedTuple):
-    """A message of a live controller, decoded and as bytes."""
-
-    port: Port[Message]
-    message: Message
-    payload: bytes
 
 
 class LiveBus(ReplayBus):
@@ -48,13 +40,16 @@ class LiveBus(ReplayBus):
             if port.publisher in live
         ]
 
-    def receive(self, wanted: int, timeout_s: float) -> list[Received]:
-        """Return what the live controllers have sent, once there is enough or at the time-out."""
+    def receive(self, wanted: int, timeout_s: float) -> list[tuple[Port[Message], Message, bytes]]:
+        """Return what the live controllers have sent, once there is enough or at the time-out.
+
+        Each message comes with its port, and as bytes.
+        """
         received = []
         for port, payload, _ in self._inbox.take(wanted, timeout_s):
             data = payload.to_bytes()
             try:
-                received.append(Received(port, decode(port.signal, data), data))
+                received.append((port, decode(port.signal, data), data))
             except msgspec.DecodeError as error:
                 raise RunFailure(
                     f"{port}: expected a {port.signal.type.__name__}, got: {error}"
@@ -75,14 +70,9 @@ def live_plan(plan: RunPlan, live: Iterable[str], tcp_ports: dict[str, int], por
 
 
 def steady_ports(plan: RunPlan, agents: Collection[str], cycle: int) -> set[Port[Message]]:
-    """Return the ports on which agents publish in a cycle, whatever they decide."""
-    found = set()
-    for port in plan.keys.ports:
-        occurrence = port.signal.occurrence
-        node = ROOT if port.publisher == CENTRAL else port.publisher
-        if port.publisher in agents and (
-            occurrence is Occurrence.CYCLE
-            or (occurrence is Occurrence.TURN and plan.periods.is_turn(node, cycle))
-        ):
-            found.add(port)
-    return found
+    """Return the ports on which agents publish in a cycle, whatever they decide.
+
+    In arming rounds, which have negative numbers, those are all that publish regularly.
+    """
+    steps = {port: due_step(plan, port) for port in plan.keys.ports if port.publisher in agents}
+    return {port for port, step in steps.items() if step and (cycle < 0 or cycle % step == 0)}

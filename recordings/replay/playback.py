@@ -1,23 +1,25 @@
-"""Plays a recording: waits until each message is due, publishes it, and obeys the keyboard."""
+"""Replays a recording: waits until each message is due, publishes it, and obeys the keyboard."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterator
-from typing import Final, NamedTuple
+from typing import Final, TextIO
+
+import msgspec
 
 from agents.machine import wake_precisely
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
-from launch_scripts.launcher.interruption import Interruption
+from launch_scripts.launcher.interruption import Interruption, interruptible
+from launch_scripts.launcher.live_view import StatusLine
 from recordings.read.reader import RecordedMessage, RunReader
-from recordings.replay.bus import ReplayBus
-from recordings.replay.clock import ClockKind, PlaybackClock, Positions
-from recordings.replay.keyboard import Key, Keyboard
-from recordings.replay.progress import ProgressLine
+from recordings.replay.bus import ReplayBus, await_subscriber, replay_bus, say
+from recordings.replay.clock import CLOCKS, ClockKind, PlaybackClock, Positions
+from recordings.replay.keyboard import KEYS_IN_WORDS, Key, Keyboard, has_keyboard, keyboard
 from recordings.replay.publish_order import in_publish_order
-from recordings.replay.timing import TimingErrors
+from recordings.replay.timing import TimingErrors, TimingFigures
 
 _LOOK_S: Final = 0.02
 """How often the keyboard is read."""
@@ -34,15 +36,86 @@ _SEEK_S: Final = {
 """How far a key seeks, in simulated time."""
 
 
-class Span(NamedTuple):
-    """The part of a run that is replayed: from the first cycle to just before the other one."""
+class ReplayFigures(msgspec.Struct, frozen=True):
+    """The result of a replay."""
 
-    first_cycle: int
-    before_cycle: int | None
+    run_id: str
+    recording: str
+    messages: int
+    cycles: int
+    wall_s: float
+    rate: float
+    clock: ClockKind
+    timing_error: TimingFigures | None
+    interrupted: bool
+
+
+def replay_recording(
+    reader: RunReader,
+    out: TextIO,
+    ports: Collection[Port[Message]],
+    *,
+    start: str | None,
+    end: str | None,
+    rate: float,
+    clock: ClockKind | None,
+    start_paused: bool,
+    loop: bool,
+    wait: bool,
+    listen: str | None,
+) -> ReplayFigures:
+    """Replay a recording, and print the result; the arguments are the options of the command.
+
+    `rate` is in seconds of the clock per second; 0: as fast as possible.
+    """
+    span = reader.clock.span(start, end)
+    # Lockstep takes no time for a cycle, so only simulated time shows a run as the plant had it.
+    kind: ClockKind = clock or ("sim" if reader.plan.lockstep else "wall")
+    with (
+        interruptible() as interruption,
+        replay_bus(reader, ports, listen, out) as bus,
+        keyboard() as keys,
+    ):
+        say(out, f"clock {kind}: {CLOCKS[kind]}")
+        if has_keyboard():
+            say(out, KEYS_IN_WORDS)
+        playback = Playback(
+            reader,
+            span.start,
+            None if end is None else span.stop,
+            ports,
+            bus,
+            PlaybackClock(rate, paused=start_paused),
+            kind,
+            keys,
+            interruption,
+            StatusLine(out, in_place=out.isatty()),
+        )
+        if wait:
+            await_subscriber(bus, interruption, out)
+        began_at = time.monotonic()
+        playback.play(loop=loop)
+        wall_s = time.monotonic() - began_at
+    timing = playback.timing.figures()
+    messages, cycles = playback.messages, playback.cycles
+    say(out, f"replayed {messages:,} messages of {cycles:,} cycles in {wall_s:.1f} s")
+    if timing is not None:
+        say(out, timing.text())
+    return ReplayFigures(
+        reader.plan.run_id,
+        str(reader.path),
+        messages,
+        cycles,
+        wall_s,
+        rate,
+        kind,
+        timing,
+        bool(interruption),
+    )
 
 
 class Playback:
-    """Plays a recording onto the bus.
+    """Plays the cycles from one to just before another (None: to the end) onto the bus.
 
     Attributes
     ----------
@@ -55,34 +128,36 @@ class Playback:
     def __init__(
         self,
         reader: RunReader,
-        span: Span,
+        first_cycle: int,
+        before_cycle: int | None,
         ports: Collection[Port[Message]],
         bus: ReplayBus,
         clock: PlaybackClock,
         kind: ClockKind,
         keyboard: Keyboard,
         interruption: Interruption,
-        progress: ProgressLine,
+        line: StatusLine,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.messages = self.cycles = 0
         self.timing = TimingErrors()
         self._reader = reader
-        self._span = span
+        self._first_cycle = first_cycle
+        self._before_cycle = before_cycle
         self._ports = ports
         self._bus = bus
         self._clock = clock
         self._kind = kind
         self._keyboard = keyboard
         self._interruption = interruption
-        self._progress = progress
+        self._line = line
         self._sleep = sleep
         self._quit = False
         self._look_at_ns = 0
         self._keys: deque[Key] = deque()
         self._step_to = -1
         self._cycle = -1
-        self._seek(span.first_cycle)
+        self._seek(first_cycle)
 
     def play(self, *, loop: bool = False) -> None:
         """Play the span once, or again and again until the user ends it."""
@@ -93,12 +168,13 @@ class Playback:
             if self._next is None and not self._clock.paused:
                 if not loop or self._cycle < 0:
                     break
-                self._seek(self._span.first_cycle)
+                self._seek(self._first_cycle)
             elif self._next is not None and self._is_due():
                 self._send(self._next)
                 self._turn_to_next()
             self._obey_keys()
-        self._progress.end(self._cycle, self._state())
+        self._show(self._cycle)
+        self._line.end()
 
     def _is_due(self) -> bool:
         """Whether the next message is due; if not, wait for a little."""
@@ -113,7 +189,7 @@ class Playback:
     def _seek(self, cycle: int) -> None:
         """Let the first message of a cycle be the next one, and be due now."""
         self._records: Iterator[RecordedMessage] = in_publish_order(
-            self._reader, self._ports, cycle, self._span.before_cycle
+            self._reader, self._ports, cycle, self._before_cycle
         )
         self._positions = Positions(self._reader.plan, self._kind)
         self._cycle = self._step_to = -1
@@ -156,12 +232,13 @@ class Playback:
         elif now_ns >= self._look_at_ns:
             self._look_at_ns = now_ns + round(_LOOK_S * 1e9)
             self._keys.extend(self._keyboard.wait(0.0))
-            self._progress.show(self._cycle, self._state())
+            if self._line.is_due():
+                self._show(self._cycle)
         while self._keys and not self._is_stepping():
             self._do(self._keys.popleft())
             self._announce()
-            cycle = self._next.cycle if self._next is not None else self._cycle
-            self._progress.show(cycle, self._state(), now=True)
+            if self._line.is_due(now=True):
+                self._show(self._next.cycle if self._next is not None else self._cycle)
 
     def _is_stepping(self) -> bool:
         """Whether a step is under way: it ends at the first message of a later cycle."""
@@ -189,9 +266,18 @@ class Playback:
         cycles = round(seconds * 1e9 / self._reader.plan.cycle_ns)
         cycles = cycles or (1 if seconds > 0.0 else -1)
         here = self._next.cycle if self._next is not None else self._cycle
-        last = (self._span.before_cycle or self._reader.last_cycle + 1) - 1
-        self._seek(min(max(here + cycles, self._span.first_cycle), last))
+        last = (self._before_cycle or self._reader.last_cycle + 1) - 1
+        self._seek(min(max(here + cycles, self._first_cycle), last))
 
-    def _state(self) -> str:
-        rate = f"pace {self._clock.rate:g}" if self._clock.rate else "as fast as possible"
-        return f", {rate}{' paused' if self._clock.paused else ''}"
+    def _show(self, cycle: int) -> None:
+        if cycle >= 0:
+            rate = f"pace {self._clock.rate:g}" if self._clock.rate else "as fast as possible"
+            paused = " paused" if self._clock.paused else ""
+            self._line.show(f"{cycle_text(self._reader, cycle)}, {rate}{paused}")
+
+
+def cycle_text(reader: RunReader, cycle: int, last_cycle: int | None = None) -> str:
+    """Say where a replay stands; the message that ends a run names the cycle after the last."""
+    last_cycle = reader.last_cycle if last_cycle is None else last_cycle
+    cycle = min(cycle, last_cycle)
+    return f"{reader.clock.text(cycle)} cycle {cycle} of 0 to {last_cycle}"

@@ -25,9 +25,10 @@ def in_publish_order(
     first_cycle: int = 0,
     before_cycle: int | None = None,
 ) -> Iterator[RecordedMessage]:
-    """Yield messages in the order of their publish times, those of one key always in theirs.
+    """Yield the messages of some cycles in the order of their publish times.
 
-    Of the cycles from the first one to just before the other one; None: to the end.
+    The cycles go from the first one to just before the other one, or to the end. Messages of one
+    key keep their order.
     """
     margin = reader.plan.periods.longest + _LATE_CYCLES
     beyond = _ENDLESS if before_cycle is None else before_cycle + margin

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final, TextIO
+from typing import Final
 
 import msgspec
 from hdrh.histogram import HdrHistogram
@@ -19,11 +19,11 @@ class TimingFigures(msgspec.Struct, frozen=True):
     p99_9_us: float
     max_us: float
 
-    def write(self, out: TextIO) -> None:
-        """Print the figures."""
-        out.write(
+    def text(self) -> str:
+        """Return the figures as one line."""
+        return (
             f"sent later than due: p50 {self.p50_us:,.0f} µs, p99 {self.p99_us:,.0f} µs, "
-            f"p99.9 {self.p99_9_us:,.0f} µs, max {self.max_us:,.0f} µs\n"
+            f"p99.9 {self.p99_9_us:,.0f} µs, max {self.max_us:,.0f} µs"
         )
 
 

@@ -21,16 +21,36 @@ Kind: TypeAlias = Literal[
     "fails",
 ]
 
-KINDS: Final[dict[Kind, str]] = {
-    "differs": "differs",
-    "only recorded": "recorded, but not sent any more",
-    "only new": "sent now, but not recorded",
-    "recorded twice": "recorded twice in one cycle",
-    "not recorded": "the recording lost messages before this one",
-    "input not recorded": "used, but not recorded",
-    "fails": "raises an error, or sends what cannot be sent",
+KINDS: Final[dict[Kind, tuple[str, str, str]]] = {
+    "differs": ("differs", "message differs", "messages differ"),
+    "only recorded": (
+        "recorded, but not sent any more",
+        "message is not sent any more",
+        "messages are not sent any more",
+    ),
+    "only new": (
+        "sent now, but not recorded",
+        "message was not recorded",
+        "messages were not recorded",
+    ),
+    "recorded twice": (
+        "recorded twice in one cycle",
+        "message was recorded twice",
+        "messages were recorded twice",
+    ),
+    "not recorded": (
+        "the recording lost messages before this one",
+        "gap in the recording",
+        "gaps in the recording",
+    ),
+    "input not recorded": (
+        "used, but not recorded",
+        "input was not recorded",
+        "inputs were not recorded",
+    ),
+    "fails": ("raises an error, or sends what cannot be sent", "error", "errors"),
 }
-"""How new messages can differ from the recorded ones, in words."""
+"""How new messages can differ from the recorded ones: of one message, and counted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +96,14 @@ class Findings:
         Inputs that were missing at a deadline, and older ones that were used.
     differences
         Their number by kind.
-    first
-        The first of them.
+    first, last_cycle
+        The first of them, and the cycle of the last one.
     failure
         The error of the agent, if there was one: nothing is compared after it.
     not_compared, not_compared_from
         Recorded messages that could not be compared, and the cycle of the first one.
+    from_cycle
+        Messages of earlier cycles are not compared.
     """
 
     recorded: int = 0
@@ -90,9 +112,11 @@ class Findings:
     old_inputs: int = 0
     differences: Counter[Kind] = field(default_factory=Counter)
     first: Difference | None = None
+    last_cycle: int = -1
     failure: Difference | None = None
     not_compared: int = 0
     not_compared_from: int | None = None
+    from_cycle: int = 0
 
     def compare(
         self,
@@ -101,9 +125,12 @@ class Findings:
         recorded: Message | None,
         new: Message | None,
         stage: str,
-        inputs: Mapping[Port[Message], Message] | None = None,
+        used: Mapping[Port[Message], Message] | None = None,
     ) -> None:
         """Compare a recorded message with a new one; either may be None."""
+        message = recorded or new
+        if message is None or message.cycle < self.from_cycle:
+            return
         fields: tuple[FieldDifference, ...] = ()
         kind: Kind = "only new" if recorded is None else "only recorded"
         if recorded is not None and new is not None:
@@ -112,24 +139,14 @@ class Findings:
             if not fields:
                 return
             kind = "differs"
-        message = recorded or new
-        assert message is not None
-        self.add(
-            Difference(
-                kind,
-                message.cycle,
-                stage,
-                str(port),
-                fields,
-                message,
-                by_key(inputs or {}),
-                message.missing,
-            )
-        )
+        inputs = by_key(used or {})
+        cycle, missing = message.cycle, message.missing
+        self.add(Difference(kind, cycle, stage, str(port), fields, message, inputs, missing))
 
     def add(self, difference: Difference) -> None:
         """Count a difference, and keep it if it is the first."""
         self.differences[difference.kind] += 1
+        self.last_cycle = max(self.last_cycle, difference.cycle)
         if difference.kind == "fails":
             self.failure = difference
         if self.first is None or difference.cycle < self.first.cycle:
@@ -137,7 +154,7 @@ class Findings:
 
     def leave_out(self, cycle: int, messages: int) -> None:
         """Count messages of a cycle that are not compared."""
-        if messages:
+        if messages and cycle >= self.from_cycle:
             self.not_compared += messages
             if self.not_compared_from is None:
                 self.not_compared_from = cycle

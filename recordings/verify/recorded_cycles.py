@@ -40,13 +40,13 @@ class RecordedCycles:
     Attributes
     ----------
     read
-        Messages so far.
+        Messages read so far. The following ones are among them, and in no cycle.
     not_decided
-        Of them those that no agent decides: the beginning and end of the run.
+        Messages that no agent decides: the beginning and end of the run.
     misplaced
-        Of them those that belong to no cycle of the run, or come long after their cycle.
+        Messages that belong to no cycle of the run, or come long after their cycle.
     cut_off
-        Of them those of cycles at the end that did not take place or are incomplete.
+        Messages of cycles at the end that did not take place or are incomplete.
     """
 
     def __init__(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from math import isfinite
 from typing import Any, Final
 
@@ -11,49 +12,75 @@ import msgspec
 
 from bus_schemas.messages import Message
 from bus_schemas.missing import in_words
-from recordings.read.moments import RunClock
+from recordings.read.run_clock import RunClock
 from recordings.verify.comparison import NOT_COMPARED, Comparison, Value
-from recordings.verify.findings import KINDS, Difference, Findings
+from recordings.verify.findings import KINDS, Difference, Findings, Kind
 from recordings.verify.verification import Verification
 
-_WIDTH: Final = 100
 _HEAD: Final = frozenset(Message.__struct_fields__)
 
 
 def verification_lines(found: Verification, comparison: Comparison, wall_s: float) -> Iterator[str]:
-    """Yield the result in lines of at most 100 columns (paths excepted)."""
+    """Yield the result line by line, see `wrapped`."""
     speed = found.cycles * found.plan.cycle_ns / 1e9 / max(wall_s, 1e-9)
-    yield f"{found.recording}"
     yield (
         f"{found.cycles:,} cycles, {_agents(len(found.agents))} run again, "
         f"{found.total('compared'):,} of {found.recorded:,} messages compared"
     )
     yield f"{wall_s:.1f} s, {speed:,.0f} x simulated time"
     yield from _remarks(found)
-    clock = RunClock(found.plan, found.plan.cycles - 1)
-    for name, findings in found.agents.items():
-        if findings.first is not None:
-            yield ""
-            yield from finding_lines(name, findings, clock)
+    yield from finding_lines(found.agents, RunClock(found.plan, found.plan.cycles - 1))
+    if found.first is not None:
+        yield ""
     yield _verdict(found, comparison)
 
 
-def finding_lines(name: str, findings: Findings, clock: RunClock) -> Iterator[str]:
-    """Yield what was found of an agent that has differences."""
-    first, failure = findings.first, findings.failure
-    if first is None:
-        return
-    counts = ", ".join(f"{count:,} {kind}" for kind, count in findings.differences.items())
-    yield f"{name}: {counts}; the first in cycle {first.cycle} ({clock.text(first.cycle)})"
-    yield from _difference_lines(name, first)
+def wrapped(lines: Iterable[str], width: int) -> Iterator[str]:
+    """Wrap long lines; what follows stands further to the right."""
+    for line in lines:
+        indent = " " * (len(line) - len(line.lstrip()) + 8)
+        yield textwrap.fill(line, width, subsequent_indent=indent, break_on_hyphens=False)
+
+
+def finding_lines(found: Mapping[str, Findings], clock: RunClock) -> Iterator[str]:
+    """Yield what was found of agents; those that differ alike, say in a lost input, together."""
+    alike: dict[object, dict[str, Findings]] = {}
+    for name, findings in found.items():
+        if findings.first is not None:
+            alike.setdefault(_kind_of(name, findings), {})[name] = findings
+    for group in alike.values():
+        yield ""
+        yield from _group_lines(group, clock)
+
+
+def _kind_of(name: str, findings: Findings) -> object:
+    """Return what agents that differ alike have in common: a name if no other can be alike."""
+    first = findings.first
+    fails_later = findings.failure is not None and findings.failure is not first
+    if first is None or first.content is not None or fails_later:
+        return name
+    return first.kind, first.cycle, first.message, first.text
+
+
+def _group_lines(group: Mapping[str, Findings], clock: RunClock) -> Iterator[str]:
+    names, every = list(group), list(group.values())
+    first, failure = every[0].first, every[0].failure
+    assert first is not None
+    counts = sum((findings.differences for findings in every), Counter[Kind]())
+    texts = [f"{count:,} {KINDS[kind][1 if count == 1 else 2]}" for kind, count in counts.items()]
+    last_cycle = max(findings.last_cycle for findings in every)
+    agents = ", ".join(names)
+    when = clock.span_text(first.cycle, last_cycle)
+    yield f"{agents}: {', '.join(texts)} {when}"
+    yield from _difference_lines(names[0], first)
     if failure is not None and failure is not first:
-        yield f"{name}: fails in cycle {failure.cycle} ({clock.text(failure.cycle)})"
-        yield from _difference_lines(name, failure)
-    if findings.not_compared:
-        yield (
-            f"{name}: {findings.not_compared:,} messages not compared, "
-            f"from cycle {findings.not_compared_from} on"
-        )
+        yield f"{agents}: fails {clock.span_text(failure.cycle, failure.cycle)}"
+        yield from _difference_lines(names[0], failure)
+    not_compared = sum(findings.not_compared for findings in every)
+    if not_compared:
+        begin = min(found.not_compared_from or 0 for found in every if found.not_compared)
+        who = agents if len(names) == 1 else "all of these"
+        yield f"{who}: {not_compared:,} messages not compared, from cycle {begin} on"
 
 
 def verification_data(found: Verification, comparison: Comparison, wall_s: float) -> dict[str, Any]:
@@ -74,13 +101,13 @@ def verification_data(found: Verification, comparison: Comparison, wall_s: float
         "cut_off": found.cut_off,
         "left_out": found.left_out,
         "wall_s": wall_s,
-        "agents": [finding_data(name, findings) for name, findings in found.agents.items()],
+        "agents": finding_data(found.agents),
     }
 
 
-def finding_data(name: str, findings: Findings) -> dict[str, Any]:
-    """Return the findings of one agent as plain data."""
-    return {"agent": name, **msgspec.to_builtins(findings)}
+def finding_data(found: Mapping[str, Findings]) -> list[dict[str, Any]]:
+    """Return the findings of agents as plain data."""
+    return [{"agent": name, **msgspec.to_builtins(findings)} for name, findings in found.items()]
 
 
 def json_ready(value: Value) -> Value:
@@ -95,7 +122,8 @@ def json_ready(value: Value) -> Value:
 def _remarks(found: Verification) -> Iterator[str]:
     for name, why in found.left_out.items():
         yield f"{name}: left out, {why}"
-    if missing := found.total("missing_inputs"):
+    missing = found.total("missing_inputs")
+    if missing and not found.plan.lockstep:
         yield (
             f"{missing:,} inputs were missing at their deadlines, {found.total('old_inputs'):,} "
             "older ones were used"
@@ -114,7 +142,7 @@ def _verdict(found: Verification, comparison: Comparison) -> str:
     if found.first is not None:
         name, first = found.first
         return (
-            f"\nNOT equal: {found.differences:,} differences of {_agents(count)}, the first: "
+            f"NOT equal: {found.differences:,} differences of {_agents(count)}, the first: "
             f"{first.message or first.text}, by {name} in cycle {first.cycle}"
         )
     if not found.equal:
@@ -130,30 +158,18 @@ def _agents(count: int) -> str:
 
 
 def _difference_lines(agent: str, difference: Difference) -> Iterator[str]:
-    lines = [*_what_lines(difference)]
-    if difference.inputs or difference.missing:
-        lines += [f"  inputs of {agent} in cycle {difference.cycle}", *_input_lines(difference)]
-    for line in lines:
-        indent = " " * (len(line) - len(line.lstrip()) + 8)
-        yield from textwrap.wrap(
-            line, _WIDTH, subsequent_indent=indent, drop_whitespace=True, break_on_hyphens=False
-        )
-
-
-def _what_lines(difference: Difference) -> Iterator[str]:
     stage = f" (stage {difference.stage})" if difference.stage else ""
     content = difference.text
     if difference.content is not None and difference.kind != "differs":
         content = _content(difference.content)
-    what = KINDS[difference.kind] + (f": {content}" if content else "")
+    what = KINDS[difference.kind][0] + (f": {content}" if content else "")
     yield f"  {difference.message or 'the agent'}{stage}: {what}"
     width = max((len(entry.field) for entry in difference.fields), default=0)
     for entry in difference.fields:
         yield f"    {entry.field:{width}}  recorded  {_value(entry.recorded)}"
         yield f"    {'':{width}}  new       {_value(entry.new)}"
-
-
-def _input_lines(difference: Difference) -> Iterator[str]:
+    if difference.inputs or difference.missing:
+        yield f"  inputs of {agent} in cycle {difference.cycle}"
     named = sorted(difference.inputs.items())
     width = max((len(key) for key, _ in named), default=0)
     for key, message in named:

@@ -35,9 +35,10 @@ class AgentRerun:
         plan: RunPlan,
         recent: RecentMessages,
         comparison: Comparison,
+        from_cycle: int,
     ) -> None:
         self.name = name
-        self.findings = Findings()
+        self.findings = Findings(from_cycle=from_cycle)
         self._plan = plan
         self._recent = recent.of_port
         self._comparison = comparison
@@ -69,10 +70,10 @@ class AgentRerun:
             message = cycle.messages.get(port)
             if message is not None:
                 recorded.setdefault(stage, {})[port] = message
-                findings.recorded += 1
-        for port, message in cycle.repeated:
-            if port in self._stage_of:
-                findings.recorded += 1
+        if number >= findings.from_cycle:
+            repeated = [pair for pair in cycle.repeated if pair[0] in self._stage_of]
+            findings.recorded += sum(map(len, recorded.values())) + len(repeated)
+            for port, message in repeated:
                 self._add("recorded twice", number, self._stage_of[port], port, message)
         if not self._is_over:
             self._find_lost_outputs(number, recorded)

@@ -39,7 +39,7 @@ class Verification:
     cycles, recorded
         Cycles that were verified, and all messages of the recording.
     not_decided, misplaced, cut_off
-        Of them those that were not compared, see `RecordedCycles`.
+        Messages that were not compared, see `RecordedCycles`.
     agents
         Findings of each agent that was run again.
     left_out
@@ -84,27 +84,42 @@ class Verification:
 
 def verify(
     run: Path,
-    nodes: Sequence[str],
+    nodes: str | Sequence[str],
     comparison: Comparison,
     progress: Callable[[float], None] = lambda share: None,
+    start: str | None = None,
+    end: str | None = None,
 ) -> Verification:
     """Run agents again on the inputs of a recording and compare what they publish.
 
-    Without `nodes` (see `select_agents`) all agents but external ones. `progress` is called with
-    the share of the recording that has been read.
+    Agents remember earlier cycles, so they always run from cycle 0 on; only the cycles from `start`
+    to `end` are compared.
+
+    Parameters
+    ----------
+    nodes
+        Which agents, see `find_agents`; none given: all but external ones.
+    progress
+        Is called with the share of the recording that has been read.
     """
     with RunReader(run) as reader:
         plan, stop_cycle = reader.plan, reader.stop_cycle
+        wanted = reader.clock.span(start, end)
         team, left_out = _team(plan, nodes, reader.path)
         recorded = RecordedCycles(reader.messages(), plan, stop_cycle)
         recent = RecentMessages(plan)
-        reruns = [AgentRerun(name, make, plan, recent, comparison) for name, make in team.items()]
+        reruns = [
+            AgentRerun(name, make, plan, recent, comparison, wanted.start)
+            for name, make in team.items()
+        ]
         cycles = 0
         for cycle in recorded:
+            if end is not None and cycle.number >= wanted.stop:
+                break
             recent.add(cycle)
             for rerun in reruns:
                 rerun.take(cycle)
-            cycles += bool(cycle.messages)
+            cycles += bool(cycle.messages) and cycle.number >= wanted.start
             progress(reader.read_share)
         found = Verification(
             reader.path,
@@ -123,16 +138,6 @@ def verify(
     return found
 
 
-def select_agents(plan: RunPlan, nodes: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of agents in the order of the control tree; without `nodes` of all.
-
-    A node is `plant`, `central`, or a path such as `c1/inv07`; `c2/*` is `c2` and all below it.
-    """
-    team = (PLANT, *(agent_name(path) for path in plan.tree.nodes))
-    chosen = find_agents(plan.tree, nodes) or team
-    return tuple(name for name in team if name in chosen)
-
-
 def run_profile(plan: RunPlan, recording: Path) -> Profile | None:
     """Return the profile that lies beside a recording, None if there is none."""
     path = recording.with_name(PROFILE_NAME)
@@ -149,15 +154,18 @@ def run_profile(plan: RunPlan, recording: Path) -> Profile | None:
 
 
 def _team(
-    plan: RunPlan, nodes: Sequence[str], recording: Path
+    plan: RunPlan, nodes: str | Sequence[str], recording: Path
 ) -> tuple[dict[str, _Make], dict[str, str]]:
-    """Return what makes each agent, and why other agents are left out.
+    """Return what makes each agent, in the order of the control tree, and why others are left out.
 
     An external agent is run again only on request: it need not do what ours does.
     """
     team: dict[str, _Make] = {}
     left_out: dict[str, str] = {}
-    for name in select_agents(plan, nodes):
+    wanted = find_agents(plan.tree, nodes)
+    for name in (PLANT, *map(agent_name, plan.tree.nodes)):
+        if wanted and name not in wanted:
+            continue
         if name in plan.external and not nodes:
             left_out[name] = "it is external"
         elif name != PLANT:

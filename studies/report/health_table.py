@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from recordings.inspect.health import health_lines, read_health
-from recordings.read.moments import RunClock
 from recordings.read.reader import RunReader
+from recordings.read.run_clock import RunClock
 from studies.tables import Table, key_column, word_column
 
 

@@ -37,11 +37,11 @@ def prepare_at(
     """
     cycle_s = 1.0 / rate_hz
     duration_s = whole_cycles(rate_hz, duration) * cycle_s
-    timed = replace(
-        request, pace=_REAL_TIME, cycle_s=cycle_s, duration=f"{duration_s:.9f}", out=out
+    options = replace(
+        request.options, pace=_REAL_TIME, cycle_s=cycle_s, duration=f"{duration_s:.9f}"
     )
     try:
-        return prepare_run(timed)
+        return prepare_run(RunRequest(request.scenario, options, out))
     except OSError as error:
         # A file that must not be read, or a name that no file can have.
         raise InputError(str(error)) from None

@@ -21,9 +21,9 @@ from bus_schemas.faults import (
     FaultRule,
     FaultTally,
     NetworkFaults,
+    RuleActs,
     check_rule,
     links,
-    unmatched_rules,
 )
 from bus_schemas.messages import Impp, Run, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, IMPP, RUN, SETPOINT, TELEMETRY
@@ -304,19 +304,19 @@ def test_shares_and_times_have_bounds(field: str, value: float) -> None:
         convert({field: value}, FaultRule)
 
 
-def test_a_rule_that_no_message_matched_is_named() -> None:
+def test_each_rule_tells_to_how_many_messages_it_did_something_and_when() -> None:
     rules = (
-        FaultRule(loss=0.1),
+        FaultRule(loss=0.5),
         FaultRule(silent=((20.0, 30.0),)),
         FaultRule(source="c2/d", delay_ms=1.0),
         FaultRule(silent=((3.0, 4.0),), source="c1/a"),
     )
     faults = at_work(*rules)
     fates(faults, 10)
-    assert faults.matched == {0, 3}
-    one, other = unmatched_rules(rules, faults.matched)
-    assert "silent" in one
-    assert "source=c2/d" in other
+    lossy, late, elsewhere, silent = faults.acts
+    assert 0 < lossy.messages < 9
+    assert late == elsewhere == RuleActs()
+    assert silent == RuleActs(1, 3, 3)
 
 
 def test_a_rule_for_what_comes_in_at_external_agents_alone_is_refused() -> None:

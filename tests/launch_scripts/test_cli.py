@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 
 from agents.plan import Actuator, Scheme
 from launch_scripts.cli import COMMANDS, app
+from launch_scripts.scenarios.scenario import shipped_scenarios
 from studies.arrays.schemes import SCHEMES
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
 
@@ -51,12 +53,6 @@ def test_help_at_80_columns_shows_an_example_and_cuts_no_word(
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_every_command_has_its_heading_and_its_purpose() -> None:
-    text = help_of()
-    assert all(heading in text for heading in COMMANDS)
-    assert all(name in text for name in NAMES)
-
-
 @pytest.mark.parametrize(
     ("command", "choices"),
     [
@@ -79,6 +75,11 @@ def test_help_does_not_wait_for_what_a_run_needs(words: list[str]) -> None:
     )
     found = python(code, *words)
     assert not HEAVY & {module.partition(".")[0] for module in found.stderr.split()}
+
+
+def test_scenarios_are_listed_as_json() -> None:
+    found = CliRunner().invoke(app, ["scenarios", "--json", "-"])
+    assert {entry["name"] for entry in json.loads(found.stdout)} == set(shipped_scenarios())
 
 
 def test_the_version_is_that_of_the_package() -> None:

@@ -12,7 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from live_page.server import PageServer, Place, open_place
+from live_page.place import Place, open_place
+from live_page.server import PageServer
 
 
 class Served:

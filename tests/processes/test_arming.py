@@ -109,7 +109,7 @@ def test_a_latecomer_is_waited_for_and_takes_part_from_cycle_0(tmp_path: Path) -
             hear_until(children, "finished")
             latecomer.await_exit(list(latecomer), 60.0)
             children.await_exit(children.controllers(), 60.0)
-            children.tell_recorder("expect 0")
+            children.end_recorder(0)
             assert children.await_exit([children[RECORDER]], 60.0) == []
     with RunReader(folder.path) as reader:
         sent = [m.cycle for port, m in reader.messages(IMPP) if port.node == LATE]

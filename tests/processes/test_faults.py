@@ -14,11 +14,11 @@ import psutil
 import pytest
 from running import Heliarch, assert_none_left, small_plant
 
-from agents.events import Status
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, Run
 from bus_schemas.signals import IMPP, PRODUCTION, RESIDUAL, RUN, SETPOINT
 from launch_scripts.launcher.launch import launch
+from launch_scripts.launcher.live_view import View
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.supervision import ForkServerProcess
 from launch_scripts.scenarios.preparation import RunOptions, prepare
@@ -258,24 +258,8 @@ def test_after_a_run_the_launcher_has_no_more_files_and_processes_than_before(
     def run(number: int) -> tuple[int, int, int]:
         preparation = prepare(scenario, RunOptions(duration="5"), f"run{number}")
         with ForkServerProcess() as server:
-            launch(preparation, RunFolder(tmp_path / f"run{number}"), SilentView(), 0.0, server)
+            launch(preparation, RunFolder(tmp_path / f"run{number}"), View(), 0.0, server)
         own = psutil.Process()
         return own.num_fds(), len(own.children(recursive=True)), own.num_threads()
 
     assert run(1) == run(2)
-
-
-class SilentView:
-    """Shows nothing."""
-
-    def __enter__(self) -> SilentView:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
-
-    def say(self, text: str) -> None:
-        pass
-
-    def show(self, status: Status) -> None:
-        pass

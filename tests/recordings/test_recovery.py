@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -144,34 +145,24 @@ def test_a_cut_file_whose_first_chunk_is_damaged_keeps_all_others(
         assert list(run.messages()) == written[1000:]
 
 
-def test_a_run_whose_agents_stop_before_its_end_may_lack_messages(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("is_kept", "missing"),
+    [
+        # Of c1: IMPP, residual, and the setpoints of its two inverters; ten of each.
+        (lambda pair: pair[1].source != "c1" or pair[1].cycle < 90, (0, 4, 40)),
+        (lambda pair: str(pair[0]) != "c1/impp" or pair[1].cycle not in {3, 4}, (2, 0, 0)),
+    ],
+    ids=["at the end", "in between"],
+)
+def test_messages_that_may_be_missing_are_counted(
+    is_kept: Callable[[Delivery], bool], missing: tuple[int, int, int], tmp_path: Path
+) -> None:
     path = tmp_path / "run.mcap"
-    write_run(
-        path,
-        whole_run(CYCLES),
-        is_kept=lambda pair: pair[1].source != "c1" or pair[1].cycle < 90,
-        close=False,
-    )
+    write_run(path, whole_run(CYCLES), is_kept=is_kept, close=False)
     with open_run(path) as run:
         recovery = recover_run(run, tmp_path / "new.mcap")
+    assert (recovery.lost, recovery.early_ports, recovery.early_messages) == missing
     assert recovery.ended
-    assert not recovery.lossless
-    # Of c1: IMPP, residual, and the setpoints of its two inverters; ten of each.
-    assert (recovery.shortfall.early_ports, recovery.shortfall.early_messages) == (4, 40)
-    assert recovery.shortfall.lost == 0
-
-
-def test_a_message_that_is_lacking_in_between_may_be_lost(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    write_run(
-        path,
-        whole_run(CYCLES),
-        is_kept=lambda pair: (str(pair[0]), pair[1].cycle) not in {("c1/impp", 3), ("c1/impp", 4)},
-        close=False,
-    )
-    with open_run(path) as run:
-        recovery = recover_run(run, tmp_path / "new.mcap")
-    assert (recovery.shortfall.lost, recovery.shortfall.early_ports) == (2, 0)
     assert not recovery.lossless
 
 

@@ -87,7 +87,7 @@ def words_of(name: str, folder: Path) -> list[str]:
 
 
 def with_json(names: list[str]) -> list[str]:
-    return [name for name in names if name not in {"scenarios", "view", "report"}]
+    return [name for name in names if name not in {"view", "report"}]
 
 
 def test_every_command_is_held_to_the_contract() -> None:
@@ -107,7 +107,7 @@ def test_a_json_file_that_cannot_be_is_refused_before_any_work(
     assert sorted(folder.rglob("*")) == before
 
 
-@pytest.mark.parametrize("name", ["launch", "simulate", "timing", "compare", "delays"])
+@pytest.mark.parametrize("name", ["launch", "simulate", "timing", "report", "compare", "delays"])
 def test_a_page_that_cannot_be_is_refused_before_any_work(name: str, folder: Path) -> None:
     before = sorted(folder.rglob("*"))
     assert "--report" in refusal(*words_of(name, folder), "--report", "nowhere/x.html")
@@ -136,24 +136,27 @@ BAD: Final = [
           ("--pace", "fast"), ("--seed", "-1"), ("--seed", "x"), ("--scheme", "magic"),
           ("--actuator", "magic"), ("--set", "commitment.share"), ("--set", "no.such=1"),
           ("--set", "commitment.share=0.1,0.2"), ("--fault", "loss=2"), ("--out", "run"),
-          ("--out", "/dev/null/run"), ("--data", "nowhere"))),
+          ("--out", "/dev/null/run"), ("--data", "nowhere"), ("--page-port", "8000"),
+          ("--page-address", "0.0.0.0"))),
     ("launch", "--external", "c9"),
     ("launch", "--cpus", "x"),
     ("timing", "--rate", "20"),
     ("timing", "--priority", "20"),
+    ("timing", "--page-port", "8000"),
     ("view", "--page-port", "-1"),
     ("view", "--page-address", "moon"),
-    ("report", "--out", "nowhere/report.html"),
-    ("report", "--out", "."),
+    ("report", "--report", "nowhere/report.html"),
     ("inspect", "--nodes", "c9"),
     ("inspect", "--from", "18:00"),
     ("inspect", "--to", "noonish"),
     ("inspect", "--cycle", "3"),
     ("verify", "--nodes", "c1/aa"),
+    ("verify", "--from", "18:00"),
     ("verify", "--tolerance", "-1"),
     ("verify", "--ignore", "powr_kw"),
     ("replay", "--from", "18:00"),
     ("replay", "--from", "noon"),
+    ("replay", "--nodes", "c9"),
     ("replay", "--pace", "-1"),
     ("replay", "--pace", "nan"),
     ("replay", "--clock", "moon"),
@@ -213,10 +216,12 @@ def cut(recording: Path) -> None:
         ("simulate", "small.toml", "--to", "13:00", "--duration", "1h"),
         ("inspect", "run", "--cycle", "3", "--nodes", "c1"),
         ("verify", "run", "--accept", "--nodes", "c1"),
+        ("verify", "run", "--accept", "--to", "3"),
         ("replay", "run", "--start-paused"),
         ("replay", "run", "--live", "c1", "--loop"),
         ("replay", "run", "--live", "c1", "--from", "9"),
         ("replay", "run", "--live", "c1", "--pace", "2"),
+        ("replay", "run", "--live", "c1", "--nodes", "c1"),
         ("compare", "small.toml", "--seeds", "1,2", "--report"),
         ("compare", "small.toml", "--schemes", "grouping", "--reference", "few"),
         ("compare", "small.toml", "--days", "2010-04-01", "--from", "2010-04-01T12:00"),
@@ -234,7 +239,7 @@ def test_options_that_do_not_go_together_are_refused(words: tuple[str, ...], fol
 def test_without_a_command_the_help_is_shown() -> None:
     result = CliRunner().invoke(app, [])
     assert result.exit_code == 2
-    assert all(name in result.stdout for name in NAMES)
+    assert all(word in result.stdout for word in (*COMMANDS, *NAMES))
 
 
 # A full disk --------------------------------------------------------------------------------------

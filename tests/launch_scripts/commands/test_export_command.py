@@ -8,11 +8,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from command_line import done, heliarch
 from mcap.reader import make_reader
 from recordings_by_hand import whole_run, write_run
-from typer.testing import CliRunner, Result
 
-from launch_scripts.cli import app
 from recordings.read.reader import RunReader
 from recordings.read.run_file import RECORDING_NAME
 
@@ -20,24 +19,11 @@ CYCLES = 30
 FORMS = ("json-mcap", "parquet", "csv")
 
 
-def heliarch(*words: str | Path) -> Result:
-    """Run the command line in this process."""
-    return CliRunner().invoke(app, [str(word) for word in words])
-
-
-def exported(run: Path, *words: str | Path) -> str:
-    """Export a run; return what the command says."""
-    result = heliarch("export", run, *words)
-    assert result.exit_code == 0, result.output
-    return result.stdout
-
-
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a run of 30 cycles."""
     folder = tmp_path_factory.mktemp("recorded") / "run"
-    result = heliarch("simulate", "oahu", "--duration", f"{CYCLES}s", "--out", folder)
-    assert result.exit_code == 0, result.output
+    done("simulate", "oahu", "--duration", f"{CYCLES}s", "--out", folder)
     return folder
 
 
@@ -59,27 +45,27 @@ def cut(run: Path) -> None:
 
 def test_each_form_has_its_place_beside_the_recording(run: Path) -> None:
     for form, name in zip(FORMS, ("run.json.mcap", "run-parquet", "run-csv"), strict=True):
-        assert exported(run, "--format", form).endswith(f"{form}: {run / name}\n")
+        assert done("export", run, "--format", form).endswith(f"{form}: {run / name}\n")
         assert (run / name).exists()
 
 
 def test_every_message_of_the_run_is_exported(run: Path) -> None:
     told = json.loads((run / "summary.json").read_text())["messages"]
     recorded = {entry["signal"]: entry["recorded"] for entry in told}
-    exported(run, "--format", "json-mcap")
+    done("export", run, "--format", "json-mcap")
     with (run / "run.json.mcap").open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
     assert summary.statistics is not None
     assert summary.statistics.message_count == sum(recorded.values())
-    exported(run, "--format", "parquet")
+    done("export", run, "--format", "parquet")
     for name, count in recorded.items():
         assert len(pd.read_parquet(run / "run-parquet" / f"{name}.parquet")) == count
 
 
 def test_parquet_and_csv_say_the_same(run: Path) -> None:
-    exported(run, "--format", "parquet")
-    exported(run, "--format", "csv")
+    done("export", run, "--format", "parquet")
+    done("export", run, "--format", "csv")
     names = sorted(path.stem for path in (run / "run-parquet").iterdir())
     assert names == sorted(path.stem for path in (run / "run-csv").iterdir())
     for name in names:
@@ -95,7 +81,7 @@ def test_parquet_and_csv_say_the_same(run: Path) -> None:
 
 
 def test_help_given_adds_up_to_what_setpoints_are_above_their_shares(run: Path) -> None:
-    exported(run, "--format", "parquet")
+    done("export", run, "--format", "parquet")
     folder = run / "run-parquet"
     setpoints = pd.read_parquet(folder / "setpoint.parquet").set_index(["node", "sequence"])
     given = pd.read_parquet(folder / "help_given.parquet")
@@ -107,8 +93,9 @@ def test_help_given_adds_up_to_what_setpoints_are_above_their_shares(run: Path) 
 
 
 def test_a_part_of_the_run_may_be_exported(run: Path) -> None:
-    exported(run, "--format", "csv", "--signals", "impp,setpoint", "--nodes", "c1/inv01,central",
-             "--from", "12:00:10", "--to", "20")  # fmt: skip
+    part = ("--nodes", "c1/inv01,central", "--from", "12:00:10", "--to", "20")
+    said = done("export", run, "--format", "csv", "--signals", "impp,setpoint", *part)
+    assert "cycles 10 to 20" in said
     folder = run / "run-csv"
     assert {path.stem for path in folder.iterdir()} == {
         "impp",
@@ -122,10 +109,16 @@ def test_a_part_of_the_run_may_be_exported(run: Path) -> None:
     assert len(impp) == 2 * 11
 
 
+@pytest.mark.parametrize("form", FORMS)
+def test_the_cycles_of_an_export_do_not_count_the_end_of_the_run(run: Path, form: str) -> None:
+    said = done("export", run, "--format", form)
+    assert f"cycles 0 to {CYCLES - 1}, " in " ".join(said.split())
+
+
 def test_the_figures_are_had_as_json(run: Path) -> None:
-    result = heliarch("export", run, "--format", "csv", "--json", "-", "--signals", "help,run")
-    assert result.exit_code == 0
-    figures = json.loads(result.stdout)
+    figures = json.loads(
+        done("export", run, "--format", "csv", "--json", "-", "--signals", "help,run")
+    )
     folder = run / "run-csv"
     assert figures["path"] == str(folder)
     assert figures["whole"] is True
@@ -143,7 +136,7 @@ def test_of_a_cut_recording_everything_up_to_the_cut_is_exported(run: Path, form
         left = sum(1 for _ in reader.records())
         assert not reader.whole
     assert left
-    said = exported(run, "--format", form, "--json", run / "figures.json")
+    said = done("export", run, "--format", form, "--json", run / "figures.json")
     assert "the recording was cut short" in said
     figures = json.loads((run / "figures.json").read_text())
     assert (figures["messages"], figures["whole"]) == (left, False)
@@ -175,5 +168,5 @@ def test_an_export_does_not_replace_what_is_there(run: Path, form: str, tmp_path
 
 
 def test_an_export_is_not_exported_again(run: Path) -> None:
-    exported(run, "--format", "json-mcap")
+    done("export", run, "--format", "json-mcap")
     assert heliarch("export", run / "run.json.mcap", "--format", "csv").exit_code == 2

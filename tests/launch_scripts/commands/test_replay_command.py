@@ -8,10 +8,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from command_line import heliarch, refusal
 from replayed_runs import CYCLE_NS, PLAN, run_in_memory, write
-from typer.testing import CliRunner, Result
-
-from launch_scripts.cli import app
 
 SAID = run_in_memory()
 
@@ -22,19 +20,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(tmp_path_factory.mktemp("replay") / "run", SAID)
 
 
-def replay(*words: str | Path) -> Result:
-    """Run the command in this process."""
-    return CliRunner().invoke(app, ["replay", *map(str, words)])
-
-
-def refused(*words: str | Path) -> str:
-    """The one line with which it refuses."""
-    result = replay(*words)
-    assert result.exit_code == 2, result.output
-    (line,) = result.stderr.splitlines()
-    return line
-
-
 @pytest.mark.parametrize(("cycle_wall_ns", "clock"), [(0, "sim"), (CYCLE_NS, "wall")])
 def test_the_clock_of_the_run_is_the_default(
     cycle_wall_ns: int, clock: str, tmp_path: Path
@@ -43,7 +28,7 @@ def test_the_clock_of_the_run_is_the_default(
     folder = write(tmp_path / "run", SAID, plan)
     path = tmp_path / "figures.json"
     words = ("--pace", "20", "--from", "12:00:10", "--to", "12:00:16", "--json", path)
-    result = replay(folder, *words)
+    result = heliarch("replay", folder, *words)
     assert result.exit_code == 0, result.output
     for text in ("endpoint tcp/127.0.0.1:", "keys recorded-1/field/**", f"clock {clock}"):
         assert text in result.stdout
@@ -59,7 +44,7 @@ def test_the_clock_of_the_run_is_the_default(
 def test_as_fast_as_possible_nothing_is_due_and_the_json_has_standard_output_alone(
     recorded: Path,
 ) -> None:
-    result = replay(recorded, "--pace", "max", "--json", "-")
+    result = heliarch("replay", recorded, "--pace", "max", "--json", "-")
     assert result.exit_code == 0, result.output
     figures = json.loads(result.stdout)
     assert (figures["messages"], figures["timing_error"]) == (len(SAID), None)
@@ -70,18 +55,26 @@ def test_a_recording_that_was_cut_is_replayed_up_to_the_cut(recorded: Path, tmp_
     content = (recorded / "run.mcap").read_bytes()
     cut = tmp_path / "run.mcap"
     cut.write_bytes(content[: len(content) // 2])
-    result = replay(cut, "--pace", "max")
+    result = heliarch("replay", cut, "--pace", "max")
     assert result.exit_code == 0, result.output
     assert "heliarch recover" in result.stdout
 
 
+def test_some_nodes_and_signals_may_be_replayed_alone(recorded: Path) -> None:
+    words = ("--nodes", "c1/*", "--signals", "impp,setpoint")
+    result = heliarch("replay", recorded, "--pace", "max", "--json", "-", *words)
+    assert result.exit_code == 0, result.output
+    wanted = [
+        entry
+        for entry in SAID
+        if entry.port.node.startswith("c1") and entry.port.signal.name in {"impp", "setpoint"}
+    ]
+    assert json.loads(result.stdout)["messages"] == len(wanted) > 0
+
+
 def test_a_selection_without_a_known_signal_is_refused(recorded: Path) -> None:
-    assert "wind" in refused(recorded, "--exclude", "wind")
-    assert "--exclude" in refused(recorded, "--signals", "impp", "--exclude", "impp")
-
-
-def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
-    assert str(tmp_path) in refused(tmp_path)
+    assert "wind" in refusal("replay", recorded, "--exclude", "wind")
+    assert "--exclude" in refusal("replay", recorded, "--signals", "impp", "--exclude", "impp")
 
 
 def test_an_address_that_is_taken_is_refused(recorded: Path) -> None:
@@ -89,21 +82,11 @@ def test_an_address_that_is_taken_is_refused(recorded: Path) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
-        line = refused(recorded, "--listen", endpoint)
+        line = refusal("replay", recorded, "--listen", endpoint)
     assert endpoint in line
 
 
 def test_a_plan_of_another_plant_is_refused(recorded: Path, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     path.write_bytes(msgspec.structs.replace(PLAN, period_cycles=(1, 1)).as_json())
-    assert "period_cycles" in refused(recorded, "--live", "c1", "--plan", path)
-
-
-def test_a_place_for_the_figures_that_is_none_is_refused(recorded: Path, tmp_path: Path) -> None:
-    assert "nowhere" in refused(recorded, "--json", tmp_path / "nowhere" / "f.json")
-
-
-def test_the_help_shows_an_example_within_its_columns() -> None:
-    text = replay("--help").stdout
-    assert "Example: heliarch replay" in text
-    assert max(map(len, text.splitlines())) <= 100
+    assert "period_cycles" in refusal("replay", recorded, "--live", "c1", "--plan", path)

@@ -66,7 +66,7 @@ def test_a_recording_may_be_named_itself(run: Path) -> None:
 
 def test_the_file_may_be_named(run: Path, tmp_path: Path) -> None:
     path = tmp_path / "elsewhere.html"
-    assert heliarch("report", run, "--out", path).stdout == f"report: {path}\n"
+    assert heliarch("report", run, "--report", path).stdout == f"report: {path}\n"
     assert path.is_file()
     assert not (run / "report.html").exists()
 

@@ -6,15 +6,14 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from sent_messages import Sent
 from typer.testing import CliRunner
 
-from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
 from bus_schemas.faults import FaultRule
 from bus_schemas.messages import Message
@@ -27,7 +26,6 @@ from bus_schemas.signals import (
     PRODUCTION,
     SETPOINT,
     TELEMETRY,
-    Port,
 )
 from bus_schemas.tree import ROOT
 from launch_scripts.cli import app
@@ -46,30 +44,14 @@ def valley() -> Preparation:
     return prepare(load_scenario("valley"), RunOptions(duration=str(CYCLES)), "faults")
 
 
-class Sent:
-    """All that was sent in a run."""
-
-    def __init__(self) -> None:
-        self.messages: list[Delivery] = []
-
-    def __call__(self, port: Port[Message], message: Message) -> None:
-        self.messages.append((port, message))
-
-    def of(self, port: Port[Message]) -> dict[int, Any]:
-        """Each cycle's message of a port."""
-        return {message.cycle: message for sent_on, message in self.messages if sent_on is port}
-
-    def decisions(self, but: str = "") -> list[tuple[str, bytes]]:
-        """What agents decided, in the order of cycle and key, without times."""
-        found = [
-            (message.cycle, str(port), encode(timeless(message)))
-            for port, message in self.messages
-            if port.signal.decided and port.signal.name != but
-        ]
-        return [(key, data) for _, key, data in sorted(found)]
-
-    def bytes(self) -> list[bytes]:
-        return [encode(message) for _, message in self.messages]
+def decisions(sent: Sent) -> list[tuple[str, bytes]]:
+    """What agents decided, in the order of cycle and key, without times."""
+    found = [
+        (message.cycle, str(port), encode(timeless(message)))
+        for port, message in sent.messages
+        if port.signal.decided
+    ]
+    return [(key, data) for _, key, data in sorted(found)]
 
 
 def timeless(message: Message) -> Message:
@@ -104,7 +86,7 @@ def test_delays_within_the_cycle_change_nothing_but_the_time(
     # A place of the cycle has 0.9 s / 8 = 112 ms.
     run, sent = run_with(valley, [FaultRule(delay_ms=80.0)], **changes)
     assert (total(run, "missing_inputs"), total(run, "old_inputs")) == (0, 0)
-    assert sent.decisions() == run_with(valley, (), **changes)[1].decisions()
+    assert decisions(sent) == decisions(run_with(valley, (), **changes)[1])
     leaf, hops_before = valley.plan.tree.leaves[0], 2 * valley.plan.tree.height + 1
     assert sent.of(COMMAND.of(leaf))[6].publish_time_ns == 6 * SECOND_NS + hops_before * 80 * MS
 
@@ -115,7 +97,7 @@ def test_help_that_is_lost_keeps_nobody_waiting(valley: Preparation) -> None:
     run, sent = run_with(prepared, prepared.plan.faults)
     assert any(port.signal is HELP for port, _ in sent.messages)
     assert (total(run, "missing_inputs"), run.bus.tally.as_counts()) == (0, {})
-    assert sent.decisions() == run_with(valley, ())[1].decisions()
+    assert decisions(sent) == decisions(run_with(valley, ())[1])
     for _, message in sent.messages:
         last = message.cycle - (message.cycle == CYCLES)  # The stop comes after the last cycle.
         assert message.publish_time_ns == last * SECOND_NS, "it went out at once"
@@ -126,7 +108,7 @@ def test_a_doubled_message_is_dropped_and_counted(valley: Preparation) -> None:
     run, sent = run_with(valley, [FaultRule(listener=leaf, signal="setpoint", duplicate=1.0)])
     assert run.bus.tally.as_counts() == {"duplicated": CYCLES}
     assert run.loops[leaf].dropped == {(f"{leaf}/setpoint", "duplicate"): CYCLES}
-    assert sent.decisions() == run_with(valley, ())[1].decisions()
+    assert decisions(sent) == decisions(run_with(valley, ())[1])
 
 
 # What is lost and late ----------------------------------------------------------------------------
@@ -147,14 +129,8 @@ def test_a_run_over_a_bad_network_repeats_to_the_last_bit(
     (one, sent), (other, again) = (
         run_with(valley, [rule], faults_seed=seed, cycles=6) for _ in range(2)
     )
-    assert sent.bytes() == again.bytes()
+    assert [*map(str, sent.messages)] == [*map(str, again.messages)]
     assert one.bus.tally == other.bus.tally
-
-
-def test_another_seed_loses_other_messages(valley: Preparation) -> None:
-    _, one = run_with(valley, [FaultRule(loss=0.1)], faults_seed=1, cycles=5)
-    _, other = run_with(valley, [FaultRule(loss=0.1)], faults_seed=2, cycles=5)
-    assert one.bytes() != other.bytes()
 
 
 def test_a_message_that_is_lost_is_named_with_the_one_that_was_used_instead(
@@ -290,28 +266,12 @@ def test_from_the_first_cycle_on_the_plant_gives_about_what_is_desired(scheme: s
 def test_a_silence_is_in_simulated_time_at_any_pace_and_a_rule_without_messages_is_named(
     tmp_path: Path,
 ) -> None:
-    words = [
-        "simulate",
-        "oahu",
-        "--duration",
-        "5",
-        "--pace",
-        "5",
-        "--json",
-        str(tmp_path / "s.json"),
-    ]
+    words = ["simulate", "oahu", "--duration", "5", "--pace", "5"]
+    words += ["--json", str(tmp_path / "s.json")]
     faults = ["--fault", "signal=impp,silent=2s..4s", "--fault", "silent=50s..60s"]
     result = CliRunner().invoke(app, [*words, *faults, "--out", str(tmp_path / "run")])
     assert result.exit_code == 0, result.output
     summary = json.loads((tmp_path / "s.json").read_text())
     assert summary["faults"] == {"lost": 2 * (17 + 3)}
-    (line,) = [remark for remark in summary["remarks"] if "fault" in remark]
-    assert "silent=50s..60s" in line
-    assert line in result.output
-
-
-def test_a_run_with_rules_shows_its_health_although_none_came_about(tmp_path: Path) -> None:
-    words = ["simulate", "oahu", "--duration", "5", "--fault", "silent=50s..60s"]
-    result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "run")])
-    assert result.exit_code == 0, result.output
-    assert "Health" in result.output
+    assert "acted on 40 messages in cycles 2 to 3" in " ".join(result.output.split())
+    assert "never acted" in " ".join(result.output.split())

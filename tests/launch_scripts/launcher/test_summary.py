@@ -13,7 +13,6 @@ from rich.console import Console
 from agents.events import ExternalAccount
 from launch_scripts.launcher.summary import MemoryUse, MessageCount, ProcessAccount, RunSummary
 from launch_scripts.launcher.summary_table import print_summary, summary_table
-from launch_scripts.launcher.wrong_messages import WrongMessages
 from recordings.read.series import RunSeries
 from studies.metrics import RunMetrics, run_metrics
 
@@ -133,12 +132,3 @@ def test_messages_of_a_device_that_were_lost_are_counted_as_lost() -> None:
     assert rows["Missing in the recording"][0] == "100"
     assert rows["External c1/inv01"][0] == "5"
     assert "100" in rows["External c1/inv01"][2]
-
-
-def test_what_one_device_does_wrong_on_all_its_keys_is_one_row() -> None:
-    wrong = tuple(
-        WrongMessages(f"c1/inv01/{signal}", "late", 2, "of a cycle that was over", "c1/inv01")
-        for signal in ("impp", "residual", "help", "command")
-    )
-    rows = rows_of(replace(summary_of(None), wrong=wrong))
-    assert rows["Wrong: c1/inv01/impp and 3 more"][0] == "8"

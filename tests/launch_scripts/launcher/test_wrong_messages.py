@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from agents.events import Complaint
 from launch_scripts.launcher.wrong_messages import one_line_each, wrong_messages
-from launch_scripts.scenarios.externals import ExternalOptions
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.record.message_complaints import Complaints
 
-OPTIONS = RunOptions(duration="5", external=ExternalOptions(("c1/inv01",)))
+OPTIONS = RunOptions(duration="5", external=["c1/inv01"])
 PLAN = prepare(load_scenario("oahu"), OPTIONS, "wrong").plan
 
 

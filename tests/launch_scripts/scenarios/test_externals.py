@@ -16,7 +16,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.links import explicit_links
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.tcp_ports import reserved_ports
-from launch_scripts.scenarios.externals import ExternalOptions, ExternalWatch, check_externals
+from launch_scripts.scenarios.externals import ExternalWatch, check_externals
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 
@@ -27,8 +27,7 @@ NODE = "c1/inv01"
 def planned(
     *agents: str, pace: float | Literal["max"] = "max", base_port: int | None = None
 ) -> RunPlan:
-    external = ExternalOptions(agents, base_port=base_port)
-    options = RunOptions(duration="10", pace=pace, external=external)
+    options = RunOptions(duration="10", pace=pace, external=agents, base_port=base_port)
     return prepare(load_scenario("oahu"), options, "run-1").plan
 
 
@@ -55,21 +54,23 @@ def test_with_a_base_port_the_namespace_is_the_plants_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "complaint"),
+    ("agents", "timeout_s", "base_port", "complaint"),
     [
-        (ExternalOptions(("recorder",)), "--external: expected"),
-        (ExternalOptions(("c1/inv1",)), "--external: expected"),
-        (ExternalOptions(("",)), "--external: expected"),
-        (ExternalOptions((NODE,), timeout_s=0.0), "--external-timeout: expected"),
-        (ExternalOptions((NODE,), timeout_s=float("nan")), "--external-timeout: expected"),
-        (ExternalOptions((NODE,), timeout_s=1e9), "--external-timeout: expected"),
-        (ExternalOptions((NODE,), base_port=80), "--base-port: expected"),
-        (ExternalOptions((NODE,), base_port=65_534), "--base-port: expected"),
+        (("recorder",), 60.0, None, "--external: expected"),
+        (("c1/inv1",), 60.0, None, "--external: expected"),
+        (("",), 60.0, None, "--external: expected"),
+        ((NODE,), 0.0, None, "--external-timeout: expected"),
+        ((NODE,), float("nan"), None, "--external-timeout: expected"),
+        ((NODE,), 1e9, None, "--external-timeout: expected"),
+        ((NODE,), 60.0, 80, "--base-port: expected"),
+        ((NODE,), 60.0, 65_534, "--base-port: expected"),
     ],
 )
-def test_bad_words_are_refused_in_one_line(options: ExternalOptions, complaint: str) -> None:
+def test_bad_options_are_refused_in_one_line(
+    agents: tuple[str, ...], timeout_s: float, base_port: int | None, complaint: str
+) -> None:
     with pytest.raises(InputError) as refusal:
-        check_externals(options, planned().tree)
+        check_externals(agents, timeout_s, base_port, planned().tree)
     assert str(refusal.value).startswith(complaint)
     assert "\n" not in str(refusal.value)
 

@@ -9,7 +9,7 @@ import pytest
 
 from agents.machine import MachineSettings
 from bus_schemas.errors import InputError
-from launch_scripts.scenarios.machine_table import MachineOptions, MachineTable, machine_settings
+from launch_scripts.scenarios.machine_table import MachineTable, machine_settings
 
 
 @pytest.fixture(autouse=True)
@@ -23,7 +23,7 @@ def settings(
 ) -> MachineSettings:
     """Return the settings that options and the table of a scenario lead to."""
     read = msgspec.toml.decode(table.encode(), type=MachineTable)
-    return machine_settings(read, MachineOptions(cpus, priority), lockstep=lockstep)
+    return machine_settings(read, cpus, priority, lockstep=lockstep)
 
 
 def test_nothing_said_is_nothing_special() -> None:

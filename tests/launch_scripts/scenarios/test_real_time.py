@@ -29,11 +29,6 @@ def test_a_cycle_too_short_for_any_clock_is_refused() -> None:
     assert str(caught.value).startswith("--pace 20000: expected cycles of 100 us or more")
 
 
-def test_deadlines_are_those_of_the_scenario() -> None:
-    found = tier_deadlines_ns([12.5, 20.0, 21.0], THREE_LAYERS, 50_000_000)
-    assert found == (12_500_000, 20_000_000, 21_000_000)
-
-
 def test_the_shortest_deadlines_leave_each_stage_what_it_takes_to_wake_a_process() -> None:
     shortest_ms = [0.5, 0.6, 0.7]
     found = tier_deadlines_ns(shortest_ms, THREE_LAYERS, 900_000)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from bus_schemas.errors import InputError
-from launch_scripts.cli import app
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario, shipped_scenarios
 
@@ -172,10 +171,6 @@ def test_inverters_state_their_available_power_if_the_scenario_says(folder: Fold
     assert folder.prepare().plan.available_bias == 0.02
 
 
-def test_a_cycle_too_short_for_any_clock_is_refused(folder: Folder) -> None:
-    assert folder.complaint(pace=1e6).startswith("--pace")
-
-
 def test_a_moment_with_an_offset_is_that_moment(folder: Folder) -> None:
     assert folder.prepare(start="2024-05-12T10:00:00Z").local_start() == "2024-05-12 12:00:00 CEST"
 
@@ -302,7 +297,11 @@ def test_stations_keep_names_that_inverters_could_have(measured: Folder) -> None
         ("seed = 7", "seed = -7", "irradiance.seed: expected whole number"),
         ("duration_s = 30", "duration_s = nan", "time.duration_s: expected number"),
         ("duration_s = 30", "duration_s = 30\ncycle_s = 1e-10", "time.cycle_s: expected number"),
-        ("duration_s = 30", "duration_s = 30\ncycle_s = 4", "time.duration_s: expected a multiple"),
+        (
+            "duration_s = 30",
+            "duration_s = 30\ncycle_s = 4",
+            "time.duration_s: expected one or more",
+        ),
         ("power_kw = 100", "power_kw = inf", "commitment.power_kw: expected number"),
         ('title = "', 'pace = 1e7\ntitle = "', "pace: expected number"),
         ('"small"', '"a b"', "name"),
@@ -468,32 +467,59 @@ def test_the_first_and_the_last_day_that_a_run_can_start_on(folder: Folder, day:
     assert folder.prepare(start=f"{day}T12:00").local_start().startswith(f"{day} 12:00:00 ")
 
 
-# On the command line ------------------------------------------------------------------------------
+# Regulation ---------------------------------------------------------------------------------------
+
+ONE_O_CLOCK_S = 13 * 3600
+
+
+def with_regulation(folder: Folder, table: str) -> Folder:
+    folder.change("[control]", f"[regulation]\n{table}\n[control]")
+    return folder
+
+
+def test_a_scenario_without_the_table_has_no_regulation(folder: Folder) -> None:
+    profile = folder.prepare().profile
+    assert profile.regulation_capacity_kw == 0.0
+    assert profile.regulation_kw.tolist() == [0.0] * 30
+
+
+def test_a_file_beside_the_scenario_is_held_onto_its_cycles(folder: Folder) -> None:
+    values = np.linspace(-1.0, 1.0, 10)
+    rows = [f"{ONE_O_CLOCK_S + 2 * row},{value}" for row, value in enumerate(values.tolist())]
+    folder.write("regd.csv", "\n".join(["t_s,regd", *rows]))
+    table = 'kind = "file"\npath = "regd.csv"\ncapacity_kw = 40\nto = 13:00:20'
+    found = with_regulation(folder, table).prepare()
+    assert found.profile.regulation_capacity_kw == 40.0
+    assert found.profile.regulation_kw.tolist() == [*np.repeat(40.0 * values, 2), *[0.0] * 10]
+
+
+def test_a_synthetic_signal_needs_no_file(folder: Folder) -> None:
+    found = with_regulation(folder, 'kind = "synthetic"\ncapacity_kw = 40\nseed = 5').prepare()
+    regulation_kw = found.profile.regulation_kw
+    assert 0.0 < np.abs(regulation_kw).max() <= 40.0
+    np.testing.assert_array_equal(regulation_kw[::2], regulation_kw[1::2])
 
 
 @pytest.mark.parametrize(
-    ("words", "named"),
+    ("table", "place"),
     [
-        (("launch", "ohau"), "ohau"),
-        (("simulate", "ohau"), "ohau"),
-        *(
-            (("simulate", "oahu", "--pace", pace), "--pace: expected")
-            for pace in ("0", "1e7", "nan", "fast", "")
+        ('kind = "synthetic"\ncapacity_kw = -1.0', "scenario.toml: regulation.capacity_kw"),
+        (
+            'kind = "synthetic"\ncapacity_kw = 1\nfrom = 09:00:00\nto = 09:00:00',
+            "scenario.toml: regulation.from, regulation.to",
         ),
-        (("simulate", "oahu", "--from", "noon"), "--from: expected"),
-        (("simulate", "oahu", "--duration", "soon"), "--duration: expected"),
-        (("simulate", "oahu", "--out", "../taken"), "--out"),
+        ('kind = "file"\npath = "regd.csv"\ncapacity_kw = 1', "regd.csv"),
     ],
 )
-def test_bad_input_is_one_line_exit_status_2_and_no_folder(
-    folder: Folder, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], named: str
-) -> None:
-    folder.write("taken", "years of work")
-    empty = folder.path / "empty"
-    empty.mkdir()
-    monkeypatch.chdir(empty)
-    result = CliRunner().invoke(app, list(words))
-    assert (result.exit_code, result.stdout, list(empty.iterdir())) == (2, "", [])
-    assert len(result.stderr.splitlines()) == 1
-    assert named in result.stderr
-    assert (folder.path / "taken").read_text() == "years of work"
+def test_a_bad_regulation_table_is_refused(folder: Folder, table: str, place: str) -> None:
+    complaint = with_regulation(folder, table).complaint()
+    assert complaint.startswith(f"{folder.path / place}: expected")
+
+
+def test_a_signal_of_another_step_than_pjms_is_taken_and_told(folder: Folder) -> None:
+    rows = [f"{ONE_O_CLOCK_S + 4 * row},0.5" for row in range(10)]
+    folder.write("slow.csv", "\n".join(["t_s,regd", *rows]))
+    table = 'kind = "file"\npath = "slow.csv"\ncapacity_kw = 40'
+    assert with_regulation(folder, table).prepare().remarks == (
+        "slow.csv: a value every 4 s, PJM sends one every 2 s: each is held until the next.",
+    )

@@ -8,7 +8,8 @@ from math import inf, nan
 from pathlib import Path
 from typing import Final
 
-from agents.plan import RunPlan
+from recorded_runs import plan_of
+
 from bus_schemas import signals
 from bus_schemas.bus import Delivery, Outbox
 from bus_schemas.codec import encode
@@ -28,24 +29,13 @@ from bus_schemas.messages import (
 from bus_schemas.tree import ROOT
 from recordings.record.writer import RunWriter
 
-PLAN: Final = RunPlan(
-    run_id="by-hand-2",
-    plant="oahu",
-    inverters=(("c1/a", 100.0), ("c1/b", 100.0), ("c2/c", 100.0)),
-    start_time_ns=1_270_159_200_000_000_000,
-    cycle_ns=500_000_000,
+PLAN: Final = plan_of(
+    {"c1/a": 100.0, "c1/b": 100.0, "c2/c": 100.0},
     cycles=4,
-    timezone="Pacific/Honolulu",
-    regulation_capacity_kw=0.0,
+    cycle_ns=500_000_000,
     cycle_wall_ns=500_000_000,
-    period_cycles=(1, 1),
     scheme="paper",
-    actuator="fraction",
-    alpha_min=0.05,
-    hold_cycles=3,
-    stall_timeout_s=3.0,
-    neighbourhoods=(),
-    tcp_ports={},
+    correction=False,
 )
 
 HARD: Final = (0.1 + 0.2, 100 / 3, 5e-324, 1.7976931348623157e308, -0.0, 1e-7, 123456789.123456789)

@@ -20,9 +20,9 @@ from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import HelpGiven, Message, Production
 from bus_schemas.missing import Missing
-from bus_schemas.signals import PRODUCTION, SIGNALS, Signal
+from bus_schemas.signals import PRODUCTION, SIGNALS
 from bus_schemas.tree import ROOT, agent_name
-from recordings.export.tables import TableFolder, TableForm, inverters_table, tables_of
+from recordings.export.tables import TableFolder, TableForm, inverters_table
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.record.writer import ClockAnchor
 
@@ -105,23 +105,6 @@ def test_every_message_can_be_put_together_again_from_the_tables(
         for port, message in said
     }
     assert found == expected
-
-
-@FORMS
-def test_no_cell_holds_a_list(said: list[Delivery], tmp_path: Path, form: TableForm) -> None:
-    assert said
-    for name in write_tables(tmp_path / "run.mcap", tmp_path / "tables", form):
-        for cell in read(tmp_path / "tables", name, form).to_numpy().ravel():
-            assert not isinstance(cell, list | tuple | dict)
-
-
-@pytest.mark.parametrize("signal", RECORDED, ids=[signal.name for signal in RECORDED])
-def test_every_field_of_a_signal_has_a_column(signal: Signal[Message]) -> None:
-    tables = tables_of([signal], PLAN, ClockAnchor(0, 0))[signal]
-    columns = {name for table in tables for name in table.schema(PLAN).names}
-    fields = {name.removeprefix("inverter_") for name in signal.type.__struct_fields__}
-    under_other_names = {"sim_time_ns": "time", "missing": "input", "help_given": "donor"}
-    assert {under_other_names.get(name, name) for name in fields} <= columns
 
 
 def test_parquet_keeps_the_time_zone_and_the_batches(said: list[Delivery], tmp_path: Path) -> None:

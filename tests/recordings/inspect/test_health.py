@@ -13,7 +13,7 @@ from recordings_by_hand import PLAN, SCENARIO, whole_run, write_run
 
 from bus_schemas.bus import Delivery, Outbox
 from bus_schemas.codec import encode
-from bus_schemas.faults import FaultRule, unmatched_rules
+from bus_schemas.faults import FaultRule
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from launch_scripts.launcher.simulation import MemoryRun
@@ -24,13 +24,13 @@ from recordings.inspect.health import (
     FAILURE_NAME,
     SUMMARY_NAME,
     Absence,
+    FaultAct,
     Health,
-    LauncherAccount,
     health_lines,
     read_health,
 )
 from recordings.inspect.overview import read_overview
-from recordings.read.moments import RunClock
+from recordings.read.run_clock import RunClock
 from recordings.record.writer import RunWriter
 
 CYCLES = 60
@@ -97,14 +97,19 @@ def test_lost_messages_are_counted_by_key(tmp_path: Path) -> None:
     assert "c1/a/impp 2" in text
 
 
-def test_each_fault_is_named_and_whether_it_ever_matched() -> None:
-    rules = (FaultRule(loss=0.02), FaultRule(source="c2/c", silent=((900.0, 990.0),)))
-    account = LauncherAccount("run", faults={"lost": 4}, remarks=unmatched_rules(rules, {0}))
-    health = Health(rules, {}, 0, (), (), True, "", account)
-    one, other = [text for name, text in health_lines(health, RunClock(PLAN, 9)) if name == "fault"]
-    assert one == "loss=0.02"
-    assert other.startswith("source=c2/c,silent=900s..990s")
-    assert "matched" in other
+def test_each_fault_says_on_how_many_messages_it_acted_and_when() -> None:
+    acts = (
+        FaultAct(FaultRule(loss=0.02), 7, 3, 9),
+        FaultAct(FaultRule(source="c2/c", silent=((900.0, 990.0),)), 0, None, None),
+        FaultAct(FaultRule(signal="help", loss=0.5), 0, None, None),
+    )
+    health = Health(acts, {"lost": 7}, {}, 0, (), (), True, "", None)
+    lines = list(health_lines(health, RunClock(PLAN, 9)))
+    assert ("faults", "3 rules for the network: 7 lost") in lines
+    lossy, never, unheard = [text for name, text in lines if name == "fault"]
+    assert lossy == "loss=0.02: acted on 7 messages in cycles 3 to 9 (12:00:03 to 12:00:09)"
+    assert "never acted" in never
+    assert "no agent acts on help" in unheard
 
 
 @pytest.mark.parametrize("run_id", [PLAN.run_id, "another-run"])
@@ -112,7 +117,6 @@ def test_what_the_launcher_knows_is_read_beside_the_recording(tmp_path: Path, ru
     summary: dict[str, Any] = {
         "run_id": run_id,
         "dropped": {"late": 3},
-        "faults": {"lost": 4},
         "skipped_cycles": 2,
         "wrong": [{"key": "c1/a/impp", "cause": "absurd", "count": 5, "example": "x"}],
     }
@@ -124,7 +128,7 @@ def test_what_the_launcher_knows_is_read_beside_the_recording(tmp_path: Path, ru
         assert health.launcher is None
         return
     assert health.launcher is not None
-    assert (health.launcher.dropped, health.launcher.faults) == ({"late": 3}, {"lost": 4})
+    assert health.launcher.dropped == {"late": 3}
     assert "5 absurd on c1/a/impp" in text
 
 
@@ -147,5 +151,7 @@ def test_inputs_missed_at_deadlines_are_those_that_the_agents_counted(tmp_path: 
     counted = sum(loop.missing_inputs for loop in run.loops.values())
     assert counted > 10
     assert sum(found.inputs for found in health.misses) == counted
-    assert health.fault_rules == plan.faults
+    assert health.faults == run.bus.tally.as_counts()
+    (act,) = health.fault_acts
+    assert act.messages == health.faults["lost"]
     assert "1 rule" in text

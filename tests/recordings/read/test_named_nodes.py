@@ -6,7 +6,7 @@ import pytest
 
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree
-from recordings.read.selection import find_agents, find_node, find_nodes
+from recordings.read.selection import find_agents, find_nodes
 
 TREE = ControlTree((("c1/a", 1.0), ("c1/b", 1.0), ("c10/a", 1.0)))
 
@@ -39,9 +39,3 @@ def test_an_unknown_node_is_named_with_those_that_there_are(name: str) -> None:
 
 def test_agents_are_the_nodes_and_the_plant() -> None:
     assert find_agents(TREE, "plant,central,c10/*") == ("plant", "central", "c10", "c10/a")
-
-
-def test_where_one_node_is_wanted_several_are_refused() -> None:
-    assert find_node(TREE, "c1/a") == "c1/a"
-    with pytest.raises(InputError, match=r"c1/\*"):
-        find_node(TREE, "c1/*")

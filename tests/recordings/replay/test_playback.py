@@ -15,15 +15,15 @@ from bus_schemas.codec import encode
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from launch_scripts.launcher.interruption import Interruption
+from launch_scripts.launcher.live_view import StatusLine
 from recordings.read.reader import RunReader
 from recordings.replay.bus import ReplayBus
 from recordings.replay.clock import PlaybackClock
 from recordings.replay.keyboard import Key
-from recordings.replay.playback import Playback, Span
-from recordings.replay.progress import ProgressLine
+from recordings.replay.playback import Playback
 
 SAID = run_in_memory()
-ALL = Span(0, None)
+Span = tuple[int, int | None]
 
 
 class Heard(ReplayBus):
@@ -76,7 +76,7 @@ def play(
     recorded: Path,
     heard: Heard,
     *,
-    span: Span = ALL,
+    span: Span = (0, None),
     rate: float = 0.0,
     paused: bool = False,
     hands: Hands | NoHands | None = None,
@@ -88,14 +88,14 @@ def play(
     with RunReader(recorded) as reader:
         playback = Playback(
             reader,
-            span,
+            *span,
             [port for port in PLAN.keys.ports if port.signal.logged],
             heard,
             PlaybackClock(rate, paused=paused, now_ns=heard.clock),
             "wall",
             hands or NoHands(),
             Interruption() if interruption is None else interruption,
-            ProgressLine(out or io.StringIO(), reader.clock, reader.last_cycle),
+            StatusLine(out or io.StringIO(), in_place=False),
             heard.clock.sleep,
         )
         playback.play(loop=loop)
@@ -137,7 +137,7 @@ def test_all_bytes_are_sent_on_their_ports_in_their_order(recorded: Path) -> Non
 
 def test_a_span_is_played_alone(recorded: Path) -> None:
     heard, out = Heard(), io.StringIO()
-    play(recorded, heard, span=Span(5, 9), out=out)
+    play(recorded, heard, span=(5, 9), out=out)
     assert heard.payloads == payloads(SAID, 5, 9)
     assert "12:00:08 cycle 8 of 0 to 39" in out.getvalue().splitlines()[-1]
 
@@ -150,7 +150,7 @@ def test_a_loop_begins_again_until_the_user_ends_it(recorded: Path) -> None:
         interruption.count = int(len(heard.payloads) == 2 * len(once) + 3)
 
     heard = Heard(end_in_the_third_round)
-    play(recorded, heard, span=Span(5, 9), interruption=interruption, loop=True)
+    play(recorded, heard, span=(5, 9), interruption=interruption, loop=True)
     assert heard.payloads == once + once + once[:3]
 
 
@@ -164,7 +164,7 @@ def due_at_a_quarter(first: int, before: int, began_ns: int) -> list[int]:
 
 def test_each_message_is_sent_when_it_is_due_and_all_is_timed(recorded: Path) -> None:
     heard = Heard()
-    played = play(recorded, heard, span=Span(5, 9), rate=0.25)
+    played = play(recorded, heard, span=(5, 9), rate=0.25)
     due_ns = due_at_a_quarter(5, 9, heard.moments_ns[0])
     assert heard.moments_ns == due_ns
     figures = played.timing.figures()
@@ -205,14 +205,14 @@ def test_arrows_seek_by_simulated_time_within_the_run(
 def test_arrows_stay_within_the_span(recorded: Path) -> None:
     heard = Heard()
     hands = Hands(Key.FAR_FORWARD, Key.STEP, Key.FAR_BACK, Key.STEP, Key.QUIT)
-    play(recorded, heard, span=Span(5, 9), paused=True, hands=hands)
+    play(recorded, heard, span=(5, 9), paused=True, hands=hands)
     assert heard.payloads == payloads(SAID, 8, 9) + step(5)
 
 
 def test_after_a_step_to_the_end_one_can_go_back(recorded: Path) -> None:
     heard = Heard()
     hands = Hands(Key.STEP, Key.STEP, Key.BACK, Key.STEP, Key.QUIT)
-    play(recorded, heard, span=Span(30, 31), paused=True, hands=hands)
+    play(recorded, heard, span=(30, 31), paused=True, hands=hands)
     assert heard.payloads == payloads(SAID, 30, 31) * 2
 
 

@@ -71,14 +71,3 @@ def test_of_a_run_that_broke_off_the_last_cycles_do_not_count_as_complete(tmp_pa
     for entry in broken:
         complete[entry.message.cycle] += 1
     assert counts == complete[: len(counts)]
-
-
-def test_a_cut_file_is_read_up_to_the_cut(whole: Path, tmp_path: Path) -> None:
-    content = (whole / "run.mcap").read_bytes()
-    cut = tmp_path / "run.mcap"
-    cut.write_bytes(content[: len(content) // 2])
-    with RunReader(cut) as reader:
-        found = [record.payload for record in in_publish_order(reader)]
-        assert not reader.whole
-    assert found == payloads(SAID)[: len(found)]
-    assert len(found) > 100

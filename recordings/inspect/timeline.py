@@ -1,4 +1,4 @@
-"""What each node measured, estimated, got and gave, cycle by cycle."""
+"""The timeline of nodes: what each one measured, estimated, got and gave, cycle by cycle."""
 
 from __future__ import annotations
 
@@ -22,11 +22,28 @@ from bus_schemas.messages import (
     Telemetry,
 )
 from bus_schemas.signals import DISPATCH, HELP, SETPOINT, Port
-from bus_schemas.tree import ROOT, ControlTree, agent_name, parent_of
+from bus_schemas.tree import ROOT, agent_name, parent_of
 from recordings.read.reader import RunReader
 
 _LAG_CYCLES: Final = 1000
 """How many cycles are kept open for messages that stand further back in the file."""
+
+_FIELDS: Final[dict[type[Message], dict[str, str]]] = {
+    Telemetry: {"power_kw": "power_kw", "alpha": "applied_alpha", "available_kw": "available_kw"},
+    Impp: {"power_kw": "impp_kw", "stale_cycles": "stale_cycles"},
+    Residual: {"power_kw": "residual_kw"},
+    Help: {"missing_kw": "help_asked_kw"},
+    Setpoint: {"power_kw": "setpoint_kw", "share_kw": "share_kw"},
+    Command: {"alpha": "alpha"},
+    Dispatch: {
+        "power_kw": "dispatch_kw",
+        "commitment_kw": "commitment_kw",
+        "regulation_kw": "regulation_kw",
+    },
+    Meter: {"power_kw": "metered_kw"},
+    Production: {"possible_kw": "possible_kw", "delivered_kw": "delivered_kw"},
+}
+"""Which field of a message is which of the `NodeCycle` of its node."""
 
 
 class HelpLine(msgspec.Struct, frozen=True):
@@ -73,7 +90,7 @@ class NodeCycle(msgspec.Struct, omit_defaults=True):
     missing
         Inputs that were not due, see `bus_schemas.missing`.
     notices
-        What it said in words.
+        Its notices.
     """
 
     cycle: int
@@ -104,119 +121,86 @@ class NodeCycle(msgspec.Struct, omit_defaults=True):
     notices: list[str] = []
 
 
-def story(run: RunReader, nodes: Collection[str], cycles: range) -> Iterator[list[NodeCycle]]:
-    """Tell what happened to some nodes, cycle by cycle."""
-    teller = _Teller(run, nodes)
-    front = -1
+def timeline(run: RunReader, nodes: Collection[str], cycles: range) -> Iterator[list[NodeCycle]]:
+    """Yield each cycle in order: what the recording says of some nodes in it."""
+    found = _Timeline(run, nodes)
+    newest = -1
     for port, message in run.on(_ports_about(run, nodes), cycles):
-        if message.cycle > front:
-            front = message.cycle
-            yield from teller.tell_before(front - _LAG_CYCLES)
-        teller.see(port, message)
-    yield from teller.tell_before(cycles.stop)
+        if message.cycle > newest:
+            newest = message.cycle
+            yield from found.pop_before(newest - _LAG_CYCLES)
+        found.add(port, message)
+    yield from found.pop_before(cycles.stop)
 
 
 def _ports_about(run: RunReader, nodes: Collection[str]) -> frozenset[Port[Message]]:
-    """Return the ports that tell of some nodes, with those of siblings and children that do."""
+    """Return the ports that say something of some nodes, also those of siblings and children."""
     parents = {parent_of(node) for node in nodes if node != ROOT}
 
-    def tells(port: Port[Message]) -> bool:
+    def is_about(port: Port[Message]) -> bool:
         if port.node in nodes or port.signal is DISPATCH:  # Every node's request follows from it.
             return True
         parent = parent_of(port.node) if port.node != ROOT else None
-        if port.signal is SETPOINT:  # A setpoint's account says for whom its power is.
+        if port.signal is SETPOINT:  # Its `help_given` says for whom its power is.
             return parent in nodes or parent in parents
         return port.signal is HELP and parent in nodes
 
-    return frozenset(port for port in run.ports() if tells(port))
+    return frozenset(filter(is_about, run.ports()))
 
 
-class _Teller:
-    """Puts what is said of nodes into their cycles."""
+class _Timeline:
+    """Cycles that are being put together from messages."""
 
     def __init__(self, run: RunReader, nodes: Collection[str]) -> None:
         self._clock = run.clock
-        self._tree: ControlTree = run.plan.tree
+        self._tree = run.plan.tree
         self._nodes = tuple(nodes)
         self._open: dict[int, dict[str, NodeCycle]] = {}
 
-    def see(self, port: Port[Message], message: Message) -> None:
-        """Take in a message."""
-        cycle = self._open.get(message.cycle)
-        if cycle is None:
-            cycle = self._open[message.cycle] = self._begin(message.cycle)
+    def add(self, port: Port[Message], message: Message) -> None:
+        """Enter what a message says of its node, its sender, and the node's parent and siblings."""
+        number = message.cycle
+        if number not in self._open:
+            time = self._clock.text(number)
+            self._open[number] = {n: NodeCycle(number, time, agent_name(n)) for n in self._nodes}
+        cycle = self._open[number]
         if isinstance(message, Dispatch):
-            self._tell_requests(cycle, message)
+            for path, node in cycle.items():
+                node.request_kw = own_request_kw(message, self._tree.rating_kw(path))
         own = cycle.get(port.node)
         if own is not None:
-            _tell_of(own, message)
+            _enter(own, message)
         if port.node != ROOT:
-            self._tell_relatives(cycle, port, message)
+            _enter_relatives(cycle, port, message)
         sender = cycle.get(ROOT if message.source == agent_name(ROOT) else message.source)
         if sender is not None:
             sender.missing = list(dict.fromkeys([*sender.missing, *message.missing]))
 
-    def tell_before(self, cycle: int) -> Iterator[list[NodeCycle]]:
+    def pop_before(self, cycle: int) -> Iterator[list[NodeCycle]]:
         """Yield the cycles before one of which no message is expected any more."""
         for number in sorted(number for number in self._open if number < cycle):
             yield list(self._open.pop(number).values())
 
-    def _begin(self, cycle: int) -> dict[str, NodeCycle]:
-        time = self._clock.text(cycle)
-        return {node: NodeCycle(cycle, time, agent_name(node)) for node in self._nodes}
 
-    def _tell_requests(self, cycle: dict[str, NodeCycle], dispatch: Dispatch) -> None:
-        for path, node in cycle.items():
-            node.request_kw = own_request_kw(dispatch, self._tree.rating_kw(path))
-
-    def _tell_relatives(
-        self, cycle: dict[str, NodeCycle], port: Port[Message], message: Message
-    ) -> None:
-        """Tell a node's parent and siblings what its call for help or its setpoint says of them."""
-        parent = cycle.get(parent_of(port.node))
-        if isinstance(message, Help) and parent is not None:
-            parent.needy.append(port.node)
-        if not isinstance(message, Setpoint):
-            return
-        if parent is not None:
-            given_kw = sum(line.power_kw for line in message.help_given)
-            parent.moved_kw = (parent.moved_kw or 0.0) + given_kw
-        for line in message.help_given:
-            needy = cycle.get(line.needy)
-            if needy is not None:
-                needy.help_from.append(HelpLine(port.node, line.power_kw))
+def _enter(node: NodeCycle, message: Message) -> None:
+    for field, name in _FIELDS.get(type(message), {}).items():
+        setattr(node, name, getattr(message, field))
+    if isinstance(message, Setpoint):
+        node.help_for = [HelpLine(line.needy, line.power_kw) for line in message.help_given]
+    elif isinstance(message, Notice):
+        node.notices.append(message.text)
 
 
-def _tell_of(node: NodeCycle, message: Message) -> None:
-    """Enter what a message says of the node that it is about."""
-    match message:
-        case Telemetry():
-            node.power_kw, node.applied_alpha = message.power_kw, message.alpha
-            node.available_kw = message.available_kw
-        case Impp():
-            node.impp_kw, node.stale_cycles = message.power_kw, message.stale_cycles
-        case Residual():
-            node.residual_kw = message.power_kw
-        case Help():
-            node.help_asked_kw = message.missing_kw
-        case Setpoint():
-            node.setpoint_kw, node.share_kw = message.power_kw, message.share_kw
-            node.help_for = [HelpLine(line.needy, line.power_kw) for line in message.help_given]
-        case Command():
-            node.alpha = message.alpha
-        case _:
-            _tell_of_plant(node, message)
-
-
-def _tell_of_plant(node: NodeCycle, message: Message) -> None:
-    match message:
-        case Dispatch():
-            node.dispatch_kw = message.power_kw
-            node.commitment_kw = message.commitment_kw
-            node.regulation_kw = message.regulation_kw
-        case Meter():
-            node.metered_kw = message.power_kw
-        case Production():
-            node.possible_kw, node.delivered_kw = message.possible_kw, message.delivered_kw
-        case Notice():
-            node.notices.append(message.text)
+def _enter_relatives(cycle: dict[str, NodeCycle], port: Port[Message], message: Message) -> None:
+    parent = cycle.get(parent_of(port.node))
+    if isinstance(message, Help) and parent is not None:
+        parent.needy.append(port.node)
+    if not isinstance(message, Setpoint):
+        return
+    if parent is not None:
+        given_kw = sum(line.power_kw for line in message.help_given)
+        parent.moved_kw = (parent.moved_kw or 0.0) + given_kw
+    for line in message.help_given:
+        needy = cycle.get(line.needy)
+        if needy is not None:
+            needy.help_from.append(HelpLine(port.node, line.power_kw))

@@ -9,7 +9,7 @@ from typing import Final
 
 from bus_schemas.missing import in_words
 from bus_schemas.tree import CENTRAL, ROOT, ControlTree, agent_name
-from recordings.inspect.story import HelpLine, NodeCycle
+from recordings.inspect.timeline import HelpLine, NodeCycle
 
 NARROWEST: Final = 80
 """The tables are whole from this width on [characters]."""
@@ -65,11 +65,10 @@ _CENTRAL: Final = (
     _power("possible", "possible_kw"),
     _power("produced", "delivered_kw"),
 )
-_TREE: Final = (_POWER, _IMPP, _REQUEST, _RESIDUAL, _HELP_ASKED, _SETPOINT, _ALPHA)
 
 
-class StoryTable:
-    """The lines of one node's story."""
+class TimelineTable:
+    """The lines of one node's timeline."""
 
     def __init__(
         self, tree: ControlTree, node: str, time_width: int, width: int = NARROWEST
@@ -102,17 +101,17 @@ class StoryTable:
 def plant_lines(
     tree: ControlTree, nodes: Sequence[NodeCycle], width: int = NARROWEST
 ) -> Iterator[str]:
-    """Yield the plant in one cycle: its nodes as a tree, with the columns of a story."""
+    """Yield the plant in one cycle: its nodes as a tree, with the columns of a timeline."""
     by_path = {_path(node): node for node in nodes}
     branches = dict(_branches(tree, ROOT, ""))
     longest = max(len(branch) for branch in branches.values())
     node_column = Column("node".ljust(longest), "", longest, lambda row: branches[_path(row)])
-    columns = (node_column, *_TREE)
+    columns = (node_column, *_DIRECT)
     yield from _heading(columns, ("help given", "from or for whom, kW"), width)
     for path, branch in branches.items():
         node = by_path[path]
         cells = " ".join(
-            [branch.ljust(longest)] + [column.text(node).rjust(column.width) for column in _TREE]
+            [branch.ljust(longest)] + [column.text(node).rjust(column.width) for column in _DIRECT]
         )
         yield from _with_remarks(cells, _remarks(node), width)
 
@@ -146,7 +145,7 @@ def _with_remarks(cells: str, remarks: str, width: int) -> list[str]:
 
 
 def _remarks(node: NodeCycle) -> str:
-    """Put in words what has no column: who gave help to whom, missing inputs, notices."""
+    """Return what has no column: who gave help to whom, missing inputs, notices."""
     said = [
         _help_text("from", node.help_from),
         _help_text("for", node.help_for),

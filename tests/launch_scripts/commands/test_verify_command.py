@@ -7,16 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import heliarch, refusal
 from msgspec.structs import replace
 from recorded_runs import AGENTS, cloudy_profile, faulty_plan, plan_of, published, record
-from typer.testing import CliRunner, Result
 
 from agents.agent import Turn
 from agents.direct import DirectController
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
 from bus_schemas.signals import COMMAND, Port
-from launch_scripts.cli import app
 from launch_scripts.launcher import simulation
 from recordings.read.run_file import RECORDING_NAME
 from recordings.verify.verification import PROFILE_NAME
@@ -25,20 +24,6 @@ from sim_plant.plant import Plant, PlantState
 PLAN = plan_of(cycles=8)
 PROFILE = cloudy_profile(PLAN)
 PUBLISHED = published(PLAN, PROFILE)
-
-
-def heliarch_verify(*words: str | Path) -> Result:
-    """Run the command line in this process."""
-    return CliRunner().invoke(app, ["verify", *map(str, words)])
-
-
-def refused(*words: str | Path) -> str:
-    """The one line with which it refuses."""
-    result = heliarch_verify(*words)
-    assert result.exit_code == 2, result.output
-    assert result.stdout == ""
-    (line,) = result.stderr.splitlines()
-    return line
 
 
 @pytest.fixture
@@ -66,7 +51,7 @@ def changed(tmp_path: Path) -> Path:
 
 def outcome_of(*words: str | Path) -> tuple[int, dict[str, Any]]:
     """Exit status and JSON of one run."""
-    result = heliarch_verify(*words, "--json", "-")
+    result = heliarch("verify", *words, "--json", "-")
     (outcome,) = json.loads(result.stdout)["runs"]
     assert isinstance(outcome, dict)
     return result.exit_code, outcome
@@ -78,7 +63,7 @@ def test_an_equal_run_ends_with_status_0(run: Path) -> None:
     assert outcome["equal"]
     assert (outcome["compared"], outcome["recorded"]) == (len(PUBLISHED) - 2, len(PUBLISHED))
     assert [entry["agent"] for entry in outcome["agents"]] == list(AGENTS)
-    assert heliarch_verify(run).exit_code == 0
+    assert heliarch("verify", run).exit_code == 0
 
 
 def test_a_difference_is_found_with_its_place_its_values_and_its_inputs(changed: Path) -> None:
@@ -96,7 +81,7 @@ def test_a_difference_is_found_with_its_place_its_values_and_its_inputs(changed:
     assert first["content"]["alpha"] == 0.0625
     assert first["inputs"]["c2/d/setpoint"]["source"] == "c2"
 
-    result = heliarch_verify(changed)
+    result = heliarch("verify", changed)
     for text in ("cycle 3", "12:00:03", "c2/d/command", "alpha", "0.0625", str(field["new"])):
         assert text in result.stdout
     assert max(map(len, result.stdout.splitlines()[1:])) <= 100
@@ -115,7 +100,41 @@ def test_a_difference_is_found_with_its_place_its_values_and_its_inputs(changed:
 def test_what_the_user_allows_or_leaves_out_does_not_count(
     words: list[str], status: int, changed: Path
 ) -> None:
-    assert heliarch_verify(changed, *words).exit_code == status
+    assert heliarch("verify", changed, *words).exit_code == status
+
+
+def test_a_lost_input_is_one_block_for_all_who_used_it(tmp_path: Path) -> None:
+    messages = [pair for pair in PUBLISHED if (str(pair[0]), pair[1].cycle) != ("dispatch", 5)]
+    result = heliarch("verify", record(tmp_path / "run", PLAN, messages, PROFILE))
+    assert result.exit_code == 1
+    blocks = [block for block in result.stdout.split("\n\n") if "not compared" in block]
+    (block,) = blocks
+    heading = " ".join(block.split("\n  dispatch ")[0].split())
+    assert heading.startswith(f"{', '.join(AGENTS[1:])}: ")
+    assert heading.endswith("in cycle 5 (12:00:05)")
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "cycles"),
+    [(["--from", "4"], 0, 4), (["--to", "2s"], 0, 3), (["--from", "12:00:03"], 1, 5)],
+)
+def test_only_the_cycles_that_are_asked_for_are_compared(
+    words: list[str], status: int, cycles: int, changed: Path
+) -> None:
+    found, outcome = outcome_of(changed, *words, "--nodes", "c2/d")
+    assert (found, outcome["cycles"]) == (status, cycles)
+    published_by_it = [pair[1].cycle for pair in PUBLISHED if pair[0].publisher == "c2/d"]
+    first = {"--from": PLAN.cycles - cycles, "--to": 0}[words[0]]
+    assert outcome["compared"] == sum(first <= c < first + cycles for c in published_by_it)
+
+
+def test_an_input_lost_before_the_cycles_that_are_compared_is_told(tmp_path: Path) -> None:
+    messages = [pair for pair in PUBLISHED if (str(pair[0]), pair[1].cycle) != ("dispatch", 2)]
+    run = record(tmp_path / "run", PLAN, messages, PROFILE)
+    status, outcome = outcome_of(run, "--from", "5", "--nodes", "c1/a")
+    assert status == 1
+    (agent,) = outcome["agents"]
+    assert (agent["first"]["cycle"], agent["compared"]) == (2, 0)
 
 
 def test_the_json_has_numbers_that_are_none_as_text(tmp_path: Path) -> None:
@@ -133,7 +152,7 @@ def test_a_run_in_real_time_says_how_many_inputs_were_missing(tmp_path: Path) ->
     status, outcome = outcome_of(folder)
     assert status == 0
     assert outcome["missing_inputs"] > 0
-    assert f"{outcome['missing_inputs']:,} inputs" in heliarch_verify(folder).stdout
+    assert f"{outcome['missing_inputs']:,} inputs" in heliarch("verify", folder).stdout
 
 
 def test_without_the_profile_the_plant_is_left_out(run: Path) -> None:
@@ -157,19 +176,13 @@ def test_a_run_that_broke_off_is_verified_as_far_as_it_goes(run: Path) -> None:
 
 
 def test_a_recording_that_cannot_be_verified_is_refused(run: Path, tmp_path: Path) -> None:
-    assert "nowhere" in refused(tmp_path / "nowhere")
+    assert "nowhere" in refusal("verify", tmp_path / "nowhere")
     cloudy_profile(plan_of(cycles=9)).save(run / PROFILE_NAME)
-    assert "(9, 4)" in refused(run), "the profile of another run"
+    assert "(9, 4)" in refusal("verify", run), "the profile of another run"
     (run / PROFILE_NAME).unlink()
-    assert PROFILE_NAME in refused(run, "--nodes", "plant")
+    assert PROFILE_NAME in refusal("verify", run, "--nodes", "plant")
     record(run, PLAN, [PUBLISHED[0]])
-    assert "got none" in refused(run)
-
-
-def test_a_full_disk_is_one_line(run: Path) -> None:
-    result = heliarch_verify(run, "--json", "/dev/full")
-    assert result.exit_code == 1
-    assert len(result.stderr.splitlines()) == 1
+    assert "got none" in refusal("verify", run)
 
 
 # Accepting a change -------------------------------------------------------------------------------
@@ -196,7 +209,7 @@ def test_code_that_fails_is_not_accepted(
 
     monkeypatch.setattr(DirectController, method, fail)
     before = (run / RECORDING_NAME).read_bytes()
-    result = heliarch_verify(run, "--accept")
+    result = heliarch("verify", run, "--accept")
     assert result.exit_code == 1
     (line,) = result.stderr.splitlines()
     assert "c1/a fails in cycle 0: SystemExit: 3" in line
@@ -216,7 +229,7 @@ def test_what_fails_only_as_the_run_is_made_anew_is_not_accepted(
 
     monkeypatch.setattr(simulation, "Plant", Broken)
     before = (run / RECORDING_NAME).read_bytes()
-    result = heliarch_verify(run, "--accept")
+    result = heliarch("verify", run, "--accept")
     assert result.exit_code == 1
     (line,) = result.stderr.splitlines()
     assert "ZeroDivisionError: by hand" in line
@@ -227,15 +240,15 @@ def test_what_fails_only_as_the_run_is_made_anew_is_not_accepted(
 @pytest.mark.usefixtures("changed_code")
 def test_a_change_of_behaviour_is_accepted_on_purpose_alone(run: Path) -> None:
     before = (run / RECORDING_NAME).read_bytes()
-    refused = heliarch_verify(run)
+    refused = heliarch("verify", run)
     assert refused.exit_code == 1
     assert (run / RECORDING_NAME).read_bytes() == before
-    result = heliarch_verify(run, "--accept")
+    result = heliarch("verify", run, "--accept")
     assert result.exit_code == 0
     differing = {line for line in refused.stdout.splitlines() if "/command" in line}
     assert differing, "the change concerns commands"
     assert differing <= set(result.stdout.splitlines()), "what is accepted is shown"
-    assert heliarch_verify(run).exit_code == 0
+    assert heliarch("verify", run).exit_code == 0
     assert sorted(path.name for path in run.iterdir()) == [PROFILE_NAME, RECORDING_NAME]
 
 
@@ -244,6 +257,6 @@ def test_a_recording_that_a_simulation_cannot_repeat_is_not_replaced(
 ) -> None:
     plan = faulty_plan(cycles=8)
     in_real_time = record(tmp_path / "real", plan, published(plan, PROFILE), PROFILE)
-    assert "real time" in refused(in_real_time, "--accept")
+    assert "real time" in refusal("verify", in_real_time, "--accept")
     (run / PROFILE_NAME).unlink()
-    assert PROFILE_NAME in refused(run, "--accept")
+    assert PROFILE_NAME in refusal("verify", run, "--accept")

@@ -1,4 +1,4 @@
-"""A node's story says of each cycle what was measured, asked, given, by whom and for whom."""
+"""A node's timeline says of each cycle what was measured, asked and given, and for whom."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from bus_schemas.messages import Notice
 from bus_schemas.signals import IMPP, NOTICE, TELEMETRY
 from bus_schemas.tree import ROOT
 from recordings import open_run
-from recordings.inspect.story import HelpLine, NodeCycle, story
-from recordings.inspect.story_table import NARROWEST, StoryTable, plant_lines
+from recordings.inspect.timeline import HelpLine, NodeCycle, timeline
+from recordings.inspect.timeline_table import NARROWEST, TimelineTable, plant_lines
 
 
-def told(path: Path, node: str, cycles: range) -> list[NodeCycle]:
+def rows_of(path: Path, node: str, cycles: range) -> list[NodeCycle]:
     with open_run(path) as run:
-        return [row for rows in story(run, [node], cycles) for row in rows]
+        return [row for rows in timeline(run, [node], cycles) for row in rows]
 
 
 def written(folder: Path, deliveries: Iterable[Delivery]) -> Path:
@@ -31,11 +31,11 @@ def written(folder: Path, deliveries: Iterable[Delivery]) -> Path:
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return written(tmp_path_factory.mktemp("story"), whole_run(30))
+    return written(tmp_path_factory.mktemp("timeline"), whole_run(30))
 
 
 def test_who_lacks_power_asks_for_help_and_is_told_who_gives_it(recording: Path) -> None:
-    (row,) = told(recording, "c1/a", range(10, 11))
+    (row,) = rows_of(recording, "c1/a", range(10, 11))
     assert row == NodeCycle(
         10,
         "12:00:10",
@@ -54,14 +54,14 @@ def test_who_lacks_power_asks_for_help_and_is_told_who_gives_it(recording: Path)
 
 
 def test_who_gives_help_is_told_for_whom(recording: Path) -> None:
-    (row,) = told(recording, "c1/b", range(10, 11))
+    (row,) = rows_of(recording, "c1/b", range(10, 11))
     assert (row.help_asked_kw, row.help_from) == (None, [])
     assert row.help_for == [HelpLine("c1/a", 20.0)]
     assert (row.share_kw, row.setpoint_kw) == (60.0, 80.0)
 
 
 def test_a_supervisor_knows_who_is_in_need_and_what_it_moved(recording: Path) -> None:
-    acting, between = told(recording, "c1", range(10, 12))
+    acting, between = rows_of(recording, "c1", range(10, 12))
     assert (acting.needy, acting.moved_kw) == (["c1/a"], 20.0)
     assert (acting.request_kw, acting.setpoint_kw) == (120.0, 120.0)
     assert (between.request_kw, between.setpoint_kw) == (120.0, None), "not its parent's turn"
@@ -71,7 +71,7 @@ def test_a_supervisor_knows_who_is_in_need_and_what_it_moved(recording: Path) ->
 def test_the_central_controller_has_the_operators_word_and_what_came_of_it(
     recording: Path,
 ) -> None:
-    (row,) = told(recording, ROOT, range(10, 11))
+    (row,) = rows_of(recording, ROOT, range(10, 11))
     assert (row.node, row.dispatch_kw, row.commitment_kw, row.regulation_kw) == (
         "central",
         240.0,
@@ -83,17 +83,17 @@ def test_the_central_controller_has_the_operators_word_and_what_came_of_it(
 
 
 def test_every_cycle_of_the_span_is_told_once_and_in_order(recording: Path) -> None:
-    assert [row.cycle for row in told(recording, "c2/d", range(5, 25))] == list(range(5, 25))
+    assert [row.cycle for row in rows_of(recording, "c2/d", range(5, 25))] == list(range(5, 25))
 
 
 def test_messages_out_of_the_order_of_cycles_are_told_in_it(tmp_path: Path) -> None:
     order = [1, 0, 3, 2, 4]
     path = written(tmp_path, (pair for cycle in order for pair in cycle_of_the_plant(cycle)))
-    rows = told(path, "c1/a", range(5))
+    rows = rows_of(path, "c1/a", range(5))
     assert [(row.cycle, row.power_kw) for row in rows] == [(n, 50.0 + n) for n in range(5)]
 
 
-def test_what_a_node_had_to_do_without_and_said_in_words_is_told(tmp_path: Path) -> None:
+def test_what_a_node_had_to_do_without_and_said_in_words_is_rows_of(tmp_path: Path) -> None:
     def deaf(pair: Delivery) -> Delivery:
         port, message = pair
         if port.signal is IMPP and port.node == "c1/a":
@@ -105,10 +105,10 @@ def test_what_a_node_had_to_do_without_and_said_in_words_is_told(tmp_path: Path)
     ]
     notice = Notice(0, PLAN.sim_time_ns(0), "c1/a", (), text="no usable measurement", count=1)
     path = written(tmp_path, [*deliveries, (NOTICE.of("c1/a"), notice)])
-    (row,) = told(path, "c1/a", range(1))
+    (row,) = rows_of(path, "c1/a", range(1))
     assert (row.power_kw, row.stale_cycles) == (None, 2)
     assert (row.missing, row.notices) == (["c1/a/telemetry"], ["no usable measurement"])
-    line = " ".join(StoryTable(PLAN.tree, "c1/a", 8, 120).row(row)[0].split())
+    line = " ".join(TimelineTable(PLAN.tree, "c1/a", 8, 120).row(row)[0].split())
     assert line.startswith("0 12:00:00 - 40.00 60.00 -20.00 20.00 40.00 0.8000 from b 20.00;")
 
 
@@ -120,8 +120,8 @@ def test_inputs_that_were_not_due_are_said_in_words(tmp_path: Path) -> None:
         return port, message
 
     path = written(tmp_path, [behind(pair) for pair in cycle_of_the_plant(3)])
-    (row,) = told(path, "c1/a", range(3, 4))
-    text = " ".join(" ".join(StoryTable(PLAN.tree, "c1/a", 8).row(row)).split())
+    (row,) = rows_of(path, "c1/a", range(3, 4))
+    text = " ".join(" ".join(TimelineTable(PLAN.tree, "c1/a", 8).row(row)).split())
     assert "without c1/a/telemetry; used dispatch of cycle 1" in text
 
 
@@ -130,13 +130,11 @@ def test_inputs_that_were_not_due_are_said_in_words(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("node", ["c1/a", "c1/b", "c1", ROOT])
 @pytest.mark.parametrize("width", [NARROWEST, 120])
-def test_a_storys_columns_keep_their_places_and_their_width(
-    recording: Path, node: str, width: int
-) -> None:
-    table = StoryTable(PLAN.tree, node, 12, width)
+def test_columns_keep_their_places_and_their_width(recording: Path, node: str, width: int) -> None:
+    table = TimelineTable(PLAN.tree, node, 12, width)
     names, units = table.heading()
     assert max(len(names), len(units)) <= width
-    for row in told(recording, node, range(20)):
+    for row in rows_of(recording, node, range(20)):
         lines = table.row(row)
         assert all(len(line) <= width for line in lines)
         for name in ("IMPP", "residual"):
@@ -151,7 +149,7 @@ _FIELD = {"IMPP": "impp_kw", "residual": "residual_kw"}
 def test_much_help_goes_on_in_the_next_line() -> None:
     givers = [HelpLine(f"c1/inv{n:02}", 10.0 + n) for n in range(9)]
     row = NodeCycle(3, "12:00:03", "c1/a", impp_kw=1.0, help_from=givers)
-    lines = StoryTable(PLAN.tree, "c1/a", 8).row(row)
+    lines = TimelineTable(PLAN.tree, "c1/a", 8).row(row)
     assert len(lines) > 2
     assert all(len(line) <= NARROWEST for line in lines)
     told_text = " ".join(" ".join(lines).split())
@@ -160,7 +158,7 @@ def test_much_help_goes_on_in_the_next_line() -> None:
 
 def test_the_plant_in_one_cycle_is_a_tree_of_all_its_nodes(recording: Path) -> None:
     with open_run(recording) as run:
-        (rows,) = story(run, PLAN.tree.nodes, range(10, 11))
+        (rows,) = timeline(run, PLAN.tree.nodes, range(10, 11))
     lines = list(plant_lines(PLAN.tree, rows, 120))[2:]
     assert [line[:6].rstrip() for line in lines] == [
         "centra",

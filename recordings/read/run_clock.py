@@ -1,0 +1,131 @@
+"""Times of a run as a user writes them: local time, time since the start, or a cycle's number.
+
+Cycles are numbered from 0, and cycle k begins at `start + k * cycle length`: a time belongs to the
+cycle that has begun by then. Every command uses this rule.
+"""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime, time, timedelta
+from typing import Final
+from zoneinfo import ZoneInfo
+
+from agents.plan import RunPlan
+from bus_schemas.errors import InputError
+from bus_schemas.times import LONGEST_S, duration_s, read_time
+
+_FORMS: Final = (
+    "a local time (13:49:00, 2010-04-01T13:49:00), a time since the start (90s, 1h30m) or the "
+    "number of a cycle"
+)
+_SECOND_NS: Final = 1_000_000_000
+
+
+class RunClock:
+    """Turns times of a run into cycles, and cycles into local time."""
+
+    def __init__(self, plan: RunPlan, last_cycle: int) -> None:
+        self._plan = plan
+        self._zone = ZoneInfo(plan.timezone)
+        self._last_cycle = last_cycle
+
+    def cycle(self, when: str | int, where: str) -> int:
+        """Return the cycle of a time: `13:49:00`, `2010-04-01T13:49:00`, `90s` or a number.
+
+        Raises
+        ------
+        InputError
+            The run has no such cycle; the error begins with `where`, such as `--from`.
+        """
+        text = str(when).strip()
+        try:
+            cycle = int(text) if re.fullmatch(r"-?\d{1,18}", text) else self._cycle_at(text)
+            if not 0 <= cycle <= self._last_cycle:
+                raise InputError(f"a time of the run, {self.extent()}")
+        except InputError as expected:
+            raise InputError(f"{where}: expected {expected}, got {text[:40]}") from None
+        return cycle
+
+    def span(
+        self,
+        start: str | int | None,
+        end: str | int | None,
+        names: tuple[str, str] = ("--from", "--to"),
+    ) -> range:
+        """Return the cycles from one time to another, both included; None: from or to the end."""
+        first = 0 if start is None else self.cycle(start, names[0])
+        last = self._last_cycle if end is None else self.cycle(end, names[1])
+        if start is not None and end is not None and last < first:
+            raise InputError(f"{names[1]}: expected a time from {start} on, got {end}")
+        return range(first, last + 1)
+
+    def local(self, cycle: int) -> datetime:
+        """Return the local time at the beginning of a cycle."""
+        seconds, rest_ns = divmod(self._plan.sim_time_ns(cycle), _SECOND_NS)
+        try:
+            # Adding to a local time would be ambiguous where clocks are put back.
+            local = datetime.fromtimestamp(seconds, self._zone)
+        except (OverflowError, ValueError, OSError):
+            raise InputError(f"cycle {cycle:,}: expected a time before the year 10000") from None
+        return local.replace(microsecond=rest_ns // 1000)
+
+    def text(self, cycle: int) -> str:
+        """Return the local time of day of a cycle, as exact as the cycles need."""
+        whole = self._plan.cycle_ns % _SECOND_NS == 0 == self._plan.start_time_ns % _SECOND_NS
+        return self.local(cycle).strftime("%H:%M:%S" if whole else "%H:%M:%S.%f")[:12]
+
+    def span_text(self, first: int, last: int) -> str:
+        """Name some cycles with their local times."""
+        if first == last:
+            return f"in cycle {first:,} ({self.text(first)})"
+        return f"in cycles {first:,} to {last:,} ({self.text(first)} to {self.text(last)})"
+
+    def extent(self) -> str:
+        """Say when the run begins and ends."""
+        if self._last_cycle < 0:
+            return "which has no cycle"
+        first, last = self.local(0), self.local(self._last_cycle)
+        end = self.text(self._last_cycle) if first.date() == last.date() else f"{last:%F %T}"
+        return (
+            f"which goes from {first:%Y-%m-%d} {self.text(0)} to {end} {last:%Z} "
+            f"(cycles 0 to {self._last_cycle})"
+        )
+
+    def _cycle_at(self, text: str) -> int:
+        """Return the cycle of a time that is no number; InputError says what was expected."""
+        since_start_s = duration_s(text)
+        if since_start_s is not None:
+            return round(min(since_start_s, 2 * LONGEST_S) * _SECOND_NS) // self._plan.cycle_ns
+        found = read_time(text)
+        if found is None:
+            raise InputError(_FORMS)
+        if isinstance(found, datetime):
+            return self._cycle_of(found)
+        return self._cycle_at_time_of_day(found)
+
+    def _cycle_at_time_of_day(self, clock: time) -> int:
+        """Return the cycle at a time of day: of the one day of the run on which there is one."""
+        first, last = self.local(0).date(), self.local(max(self._last_cycle, 0)).date()
+        days = [first + timedelta(days=n) for n in range((last - first).days + 1)]
+        cycles = [self._cycle_of(datetime.combine(day, clock)) for day in days]
+        found = [cycle for cycle in cycles if 0 <= cycle <= self._last_cycle]
+        if len(found) > 1:
+            dated = f"{self.local(found[0]):%Y-%m-%dT%H:%M:%S}"
+            raise InputError(f"its date too ({dated}), as the run has {len(found)} of them")
+        return (found or cycles)[0]
+
+    def _cycle_of(self, local: datetime) -> int:
+        if local.tzinfo is None:
+            first = local.replace(tzinfo=self._zone)
+            second = first.replace(fold=1)
+            if first.utcoffset() != second.utcoffset():
+                # Clocks are put back or forward: the time of day comes twice, or not at all.
+                if first.astimezone(UTC).astimezone(self._zone).replace(tzinfo=None) != local:
+                    raise InputError(f"another time: clocks are put forward over {local:%F %T}")
+                both = f"{first.isoformat()} or {second.isoformat()}"
+                raise InputError(f"{both}: the time comes twice")
+            local = first
+        seconds = int(local.replace(microsecond=0).timestamp())
+        instant_ns = seconds * _SECOND_NS + local.microsecond * 1000
+        return (instant_ns - self._plan.start_time_ns) // self._plan.cycle_ns

@@ -1,0 +1,96 @@
+"""A recording with hostile content and right checksums is one clear line, in bounded memory."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from struct import pack
+from typing import Any
+
+import pytest
+import zstandard
+from command_line import process, refusal
+from mcap.opcode import Opcode
+from msgspec.structs import replace
+from recordings_by_hand import PLAN, SCENARIO, whole_run, write_run
+
+from bus_schemas.codec import encode
+from bus_schemas.messages import Impp
+from bus_schemas.signals import IMPP
+from recordings.record.writer import RunWriter
+
+PORT = IMPP.of("c1/a")
+HEAD = Impp(1, PLAN.sim_time_ns(1), "c1/a", (), power_kw=1.0, stale_cycles=0)
+
+
+def with_plan(**fields: Any) -> Callable[[Path], None]:
+    def make(path: Path) -> None:
+        write_run(path, whole_run(3), plan=replace(PLAN, **fields))
+
+    return make
+
+
+def with_payload(payload: bytes) -> Callable[[Path], None]:
+    def make(path: Path) -> None:
+        writer = RunWriter(path, PLAN, SCENARIO, driver="simulate")
+        for port, message in whole_run(3):
+            writer.add(port, message, encode(message), 1)
+        writer.add(PORT, HEAD, payload, 1)
+        writer.close()
+
+    return make
+
+
+def nested(depth: int) -> bytes:
+    return b"\x82\xa5cycle\x01\xa4more" + b"\x91" * depth + b"\xc0"
+
+
+@pytest.mark.parametrize("words", [(), ("--nodes", "c1/a"), ("--cycle", "1")])
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [
+        (with_plan(timezone="../../etc/passwd"), "timezone: expected a name"),
+        (with_plan(timezone="Mars/Olympus"), "timezone: expected a name"),
+        (with_plan(cycle_ns=0), "cycle_ns: expected above 0, got 0"),
+        (with_payload(nested(300_000)), "nested too deep"),
+        (with_payload(encode(replace(HEAD, cycle=-(2**63)))), "c1/a/impp"),
+        (with_payload(encode(replace(HEAD, cycle=2**63 - 1))), "c1/a/impp"),
+        (with_payload(b"\x81\xa5cycle\xa1\xff"), "c1/a/impp"),
+    ],
+    ids=["path", "Mars", "no length", "deep", "negative", "huge", "no UTF-8"],
+)
+def test_hostile_content_is_refused_in_one_line(
+    make: Callable[[Path], None], named: str, words: tuple[str, ...], tmp_path: Path
+) -> None:
+    path = tmp_path / "run.mcap"
+    make(path)
+    assert named in refusal("inspect", path, *words)
+
+
+def test_a_cycle_beyond_the_calendar_is_refused_in_one_line(tmp_path: Path) -> None:
+    with_payload(encode(replace(HEAD, cycle=2**39)))(tmp_path / "run.mcap")
+    assert "before the year 10000" in refusal("inspect", tmp_path)
+
+
+@pytest.mark.parametrize("claimed", [1 << 31, 1000])
+def test_a_chunk_that_unpacks_to_gigabytes_is_left_out_and_told(
+    claimed: int, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.mcap"
+    write_run(path, whole_run(3), close=False)
+    packer = zstandard.ZstdCompressor().compressobj()
+    zeros = bytes(1 << 20)
+    packed = b"".join([*(packer.compress(zeros) for _ in range(1 << 11)), packer.flush()])
+    body = pack("<QQQII4sQ", 1, 1, claimed, 0, 4, b"zstd", len(packed)) + packed
+    with path.open("ab") as file:
+        file.write(pack("<BQ", Opcode.CHUNK, len(body)) + body)
+    found = process("inspect", path, cwd=tmp_path)
+    assert found.stdout is not None
+    assert found.stderr is not None
+    found.stdout.read()
+    (line,) = found.stderr.read().splitlines()
+    _, status, usage = os.wait4(found.pid, 0)
+    found.returncode = os.waitstatus_to_exitcode(status)
+    assert (found.returncode, "a part of the file is damaged" in line) == (0, True), line
+    assert usage.ru_maxrss < 600_000, "kB, most of it the libraries"
