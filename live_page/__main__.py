@@ -16,6 +16,9 @@ from live_page.process import PageSettings
 from live_page.server import PageServer
 
 _NICE: Final = 10
+_LAST_NEWS_S: Final = 0.5
+"""For browsers to learn that the run has failed."""
+
 _RELOAD_S: Final = 2.0
 """A browser that reloads the page is away for a moment."""
 
@@ -33,6 +36,8 @@ async def _serve(settings: PageSettings, over: asyncio.StreamReader) -> None:
                 break
             await asyncio.sleep(0.1)
         gone.cancel()
+    else:
+        await asyncio.sleep(_LAST_NEWS_S)
     server.end()
     await serving
 

@@ -33,8 +33,8 @@ from recordings.read.series import RunSeries
 from studies.metrics import RunMetrics, run_metrics
 from studies.report.decimation import extremes
 
-State: TypeAlias = Literal["waiting", "running", "silent", "over"]
-"""Before the first cycle; going on; nothing new for a while; ended."""
+State: TypeAlias = Literal["waiting", "running", "silent", "over", "failed"]
+"""Before the first cycle; going on; nothing new for a while; ended; given up by its launcher."""
 
 _SILENT_S: Final = 5.0
 """Nothing new in the file for this long, or for three cycles, is worth saying."""
@@ -109,7 +109,9 @@ class RunFollower:
     @property
     def state(self) -> State:
         """Where the run stands."""
-        if self.run.outline.closed or self._stop_cycle is not None or self._failed:
+        if self._failed:
+            return "failed"
+        if self.run.outline.closed or self._stop_cycle is not None:
             return "over"
         if not self.cycles:
             return "waiting"

@@ -173,8 +173,8 @@ function showRun(plan) {
 
   function update(news, fresh) {
     cycles = news.cycles ?? 0;
-    over = news.state === "over";
-    const state = news.reading != null ? `reading ${Math.round(100 * news.reading)} %` : {waiting: "starting", silent: "nothing new", over: "over", running: "running"}[news.state];
+    over = ["over", "failed"].includes(news.state);
+    const state = news.reading != null ? `reading ${Math.round(100 * news.reading)} %` : {waiting: "starting", silent: "nothing new", over: "over", failed: "failed", running: "running"}[news.state];
     $("state").textContent = live || over ? state : `${state}, ${playing ? "playing" : "paused"}`;
     $("state").className = `badge ${news.state}`;
     if (news.events?.length) events.add(news.events);

@@ -74,6 +74,24 @@ def test_a_launched_run_moves_and_stays_when_it_is_over(
     assert_none_left(run.folder)
 
 
+def test_a_run_that_fails_says_so(
+    window: Browser, heliarch: Callable[..., Heliarch], tmp_path: Path
+) -> None:
+    plant = small_plant(tmp_path / "plant")
+    run = heliarch("launch", plant, "--pace", "10", "--page")
+    run.until_running()
+    found = re.search(r"page: (http\S+)", run.output.read_text())
+    assert found is not None
+    window.open(found[1])
+    window.until("return document.querySelector('#state').textContent == 'running'", "its run")
+    run.process_of("c1/inv01").kill()
+    assert run.wait() == 1
+    window.until("return document.querySelector('#events .failure')", "the failure")
+    assert "c1/inv01" in window.text("#events .failure")
+    window.until("return !document.querySelector('#banner').hidden", "the banner")
+    assert_none_left(run.folder)
+
+
 def test_a_recording_is_played_stepped_and_scrubbed(window: Browser, run: Path) -> None:
     with served(run) as page:
         window.open(page.address)
