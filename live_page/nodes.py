@@ -12,16 +12,7 @@ from agents.cycle import kind_of, stage_of, stage_place
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message, Production, Setpoint
 from bus_schemas.missing import Missing, parse_missing
-from bus_schemas.signals import (
-    COMMAND,
-    DISPATCH,
-    HELP,
-    IMPP,
-    PRODUCTION,
-    RUN,
-    SETPOINT,
-    Port,
-)
+from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, Port
 from bus_schemas.tree import PLANT, ROOT, agent_name, depth
 from live_page.follower import MOST_CHUNKS, RunFollower
 from recordings.read.chunks import ChunkPlace, DamagedChunkError, messages_in, unpack_chunk
@@ -60,9 +51,10 @@ class NodeStates:
 
     def series(self, node: str, cycle: int) -> dict[str, float | None]:
         """Return the powers of one node in a cycle [kW]."""
-        signals = (IMPP, SETPOINT, COMMAND, HELP)
-        wanted = {signal.of(node) for signal in signals if node in signal.nodes(self._tree)}
-        found, _ = self._messages_at(cycle, {DISPATCH.of(ROOT), PRODUCTION.of(ROOT), *wanted})
+        wanted = {DISPATCH.of(ROOT), PRODUCTION.of(ROOT), IMPP.of(node)}
+        if node != ROOT:
+            wanted.add(SETPOINT.of(node))
+        found, _ = self._messages_at(cycle, wanted)
         columns = self._powers(found, [node])
         return {name: values[0] for name, values in columns.items()}
 

@@ -30,15 +30,15 @@ def view(
     from live_page.place import open_place
     from live_page.server import PageServer
     from recordings.read.reader import RunReader
-    from recordings.read.run_file import RECORDING_NAME
+    from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
 
-    several = path.is_dir() and not any(
-        (path / name).exists() for name in (RECORDING_NAME, "plan.json")
-    )
+    recording, begun = path / RECORDING_NAME, (path / "plan.json").exists()
+    several = path.is_dir() and not recording.exists() and not begun
     if several and not any(path.glob(f"**/{RECORDING_NAME}")):
         raise InputError(f"{path}: expected a run or a folder with runs, got neither")
-    if not several and not (path / "plan.json").exists():
-        RunReader(path).close()  # Refuses what is no recording.
+    if not several and (recording.exists() or not begun):
+        with suppress(NothingRecordedError if begun else ()):
+            RunReader(path).close()  # Refuses what is no recording.
     place = open_place(page_address, page_port)
     typer.echo(f"page: {place.address}   (Ctrl-C ends it)")
     with suppress(KeyboardInterrupt):

@@ -180,7 +180,7 @@ function showRun(plan) {
     if (news.events?.length) events.add(news.events);
     if (news.figures) {
       figures($("figures"), news.figures);
-      $("figures-about").textContent = `${cycles.toLocaleString("en")} cycles`;
+      $("figures-about").textContent = `${cycles.toLocaleString("en")} cycles so far`;
     }
     if (news.frame) showFrame(news, fresh);
     if (!live && playing && cycle >= cycles - 1) { playing = false; connect(); }

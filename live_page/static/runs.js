@@ -19,8 +19,8 @@ async function refresh() {
     const row = document.createElement("tr");
     const link = Object.assign(document.createElement("a"), {href: `run/${encodeURIComponent(run.name)}/`, textContent: run.name.replaceAll("~", "/")});
     cell(row, "").append(link);
-    cell(row, run.state || "going on, or no summary");
-    cell(row, new Date(run.recorded_ms).toLocaleString("en-GB"));
+    cell(row, run.state || "unfinished");
+    cell(row, new Date(run.recorded_ms).toLocaleString("en-GB", {dateStyle: "medium", timeStyle: "short"}));
     cell(row, run.start || null);
     cell(row, run.simulated_s === null ? null : `${Math.round(run.simulated_s).toLocaleString("en")} s`, true);
     cell(row, run.size_mb.toFixed(1), true);
