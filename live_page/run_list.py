@@ -30,6 +30,14 @@ class RunList:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
+    def recordings(self) -> dict[str, Path]:
+        """Return the recordings by the names of their runs: their paths, with ~ in place of /."""
+        patterns = (f"*/{RECORDING_NAME}", f"*/*/{RECORDING_NAME}")
+        found = [path for pattern in patterns for path in self._folder.glob(pattern)]
+        found.sort(key=lambda path: path.stat().st_mtime, reverse=True)
+        names = (path.parent.relative_to(self._folder).as_posix() for path in found)
+        return dict(zip((name.replace("/", "~") for name in names), found, strict=True))
+
     def path(self, name: str) -> Path:
         """Return the folder of a run.
 
@@ -38,7 +46,7 @@ class RunList:
         InputError
             There is no such run.
         """
-        found = self._recordings().get(name)
+        found = self.recordings().get(name)
         if found is None:
             raise InputError(f"{name}: no run of that name in {self._folder}")
         return found.parent
@@ -51,17 +59,9 @@ class RunList:
             "figures": [figure.heading for figure in figures],
             "runs": [
                 self._row(name, recording, [figure.name for figure in figures])
-                for name, recording in self._recordings().items()
+                for name, recording in self.recordings().items()
             ],
         }
-
-    def _recordings(self) -> dict[str, Path]:
-        """Return the recordings by the names of their runs: their paths, with ~ in place of /."""
-        patterns = (f"*/{RECORDING_NAME}", f"*/*/{RECORDING_NAME}")
-        found = [path for pattern in patterns for path in self._folder.glob(pattern)]
-        found.sort(key=lambda path: path.stat().st_mtime, reverse=True)
-        names = (path.parent.relative_to(self._folder).as_posix() for path in found)
-        return dict(zip((name.replace("/", "~") for name in names), found, strict=True))
 
     def _row(self, name: str, recording: Path, figures: list[str]) -> dict[str, Any]:
         folder, written = recording.parent, recording.stat()

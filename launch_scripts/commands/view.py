@@ -28,17 +28,21 @@ def view(
     Of a folder it lists the runs with their figures. Ends with Ctrl-C.
     """
     from live_page.place import open_place
+    from live_page.run_list import RunList
     from live_page.server import PageServer
     from recordings.read.reader import RunReader
     from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
 
     recording, begun = path / RECORDING_NAME, (path / "plan.json").exists()
     several = path.is_dir() and not recording.exists() and not begun
-    if several and not any(path.glob(f"**/{RECORDING_NAME}")):
+    if several and not RunList(path).recordings():
         raise InputError(f"{path}: expected a run or a folder with runs, got neither")
     if not several and (recording.exists() or not begun):
-        with suppress(NothingRecordedError if begun else ()):
-            RunReader(path).close()  # Refuses what is no recording.
+        try:
+            RunReader(path).close()
+        except NothingRecordedError:
+            if not begun:
+                raise
     place = open_place(page_address, page_port)
     typer.echo(f"page: {place.address}   (Ctrl-C ends it)")
     with suppress(KeyboardInterrupt):
