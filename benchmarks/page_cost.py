@@ -3,8 +3,8 @@
     python benchmarks/page_cost.py --rounds 3
 
 Each round launches the plant in lockstep and then in real time, once for each case. A browser is
-stood for by a client that takes every update, in a process of its own, and draws nothing: a real
-one is usually another machine's load.
+stood for by a client that takes every update, in a process of its own, behind all others, and draws
+nothing: a real one is usually another machine's load.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def measure(browsers: int | None, scenario: str, pace: str, seconds: int) -> Cos
             text = output.read_text(encoding="utf-8")
             if browsers and reader is None and (found := re.search(r"page: (http\S+)", text)):
                 words = ["--read", f"{found[1]}stream", str(browsers)]
-                reader = subprocess.Popen([sys.executable, __file__, *words])
+                reader = subprocess.Popen(["nice", "-n19", sys.executable, __file__, *words])
             if reader is not None and "recording: " in text:
                 reader.kill()
             with suppress(psutil.Error):
