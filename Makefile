@@ -27,8 +27,7 @@ run: $(READY) ## the main job: one simulated hour of broken clouds over 17 inver
 	$(BIN)/heliarch launch oahu --page --report
 
 test: $(READY) ## all tests, under 8 minutes on 2 cores
-	$(BIN)/pytest -n 2 --dist loadfile -m 'not processes and not soak'
-	$(BIN)/pytest -m 'processes and not soak'
+	$(BIN)/pytest -n 2 --dist worksteal
 
 docs: $(READY) ## the documents as a site in build/site; read them with `python -m http.server -d build/site`
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

@@ -23,6 +23,7 @@ import tempfile
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from importlib.metadata import version
+from math import isnan, nan
 from pathlib import Path
 from typing import Any, Final
 
@@ -149,7 +150,8 @@ def print_report(rounds: Sequence[Round], title: str, console: Console) -> None:
     table.add_column("", style="dim", no_wrap=True)
 
     def row(name: str, values: Sequence[float], digits: int, note: str = "") -> None:
-        low, middle, high = min(values), statistics.median(values), max(values)
+        known = [value for value in values if not isnan(value)] or [nan]
+        low, middle, high = min(known), statistics.median(known), max(known)
         table.add_row(name, *(f"{value:,.{digits}f}" for value in (low, middle, high)), note)
 
     launched, bares = [each.launched for each in rounds], [each.bare for each in rounds]

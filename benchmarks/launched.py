@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,9 @@ from outside import Failure, Watched, run
 
 
 class Launch(msgspec.Struct, frozen=True, kw_only=True):
-    """One launch in lockstep. Memory is that of the median direct controller [MB].
+    """One launch in lockstep. Memory is that of the median direct controller [MB], NaN if unknown.
+
+    A launcher looks at its processes one after another: in a short run it may not come round.
 
     `startup_s` is the time from the command to cycle 0. `processor_ms` is the processor time of all
     processes for each cycle, seen from outside: see `outside.Watched`.
@@ -61,6 +64,6 @@ def _read(summary: dict[str, Any], watched: Watched) -> Launch:
         processes=watched.processes,
         messages=sum(each["published"] for each in summary["messages"]),
         lost=summary["messages_lost"],
-        resident_mb=memory["resident_median_mb"],
-        own_mb=memory["own_median_mb"],
+        resident_mb=memory["resident_median_mb"] or nan,
+        own_mb=memory["own_median_mb"] or nan,
     )

@@ -14,8 +14,8 @@ import matplotlib.pyplot as plt
 import msgspec
 from matplotlib.axes import Axes
 
-from studies.delays.page import StudyCurve, study_curves
 from studies.delays.study import Outcome
+from studies.delays.tables import TROUBLES, column_of
 
 mpl.use("Agg")
 
@@ -37,20 +37,17 @@ class Study(msgspec.Struct):
 
 def draw(study: Study, picture: Path) -> None:
     """Draw the outcomes into a PNG file."""
-    curves = study_curves(study.outcomes)
-    troubles = list(dict.fromkeys(curve.trouble for curve in curves))
     figure, panels = plt.subplots(
-        len(MERITS), len(troubles), figsize=(9.5, 7.4), sharey="row", layout="constrained"
+        len(MERITS), len(TROUBLES), figsize=(9.5, 7.4), sharey="row", layout="constrained"
     )
     for row, (merit, what) in zip(panels, MERITS.items(), strict=True):
-        for panel, trouble in zip(row, troubles, strict=True):
-            for curve in curves:
-                if (curve.figure, curve.trouble) == (merit, trouble):
-                    draw_curve(panel, curve)
+        for panel, (trouble, (_, measure, unit)) in zip(row, TROUBLES.items(), strict=True):
+            for scheme in LOOKS:
+                draw_curve(panel, merit, scheme, column_of(study.outcomes, trouble, scheme))
             panel.grid(color="#e4e4e4")
             panel.set_axisbelow(True)
             if merit == "score":
-                panel.set_xlabel(trouble)
+                panel.set_xlabel(f"{measure} [{unit}]")
             if merit == "mileage":
                 panel.set_ylim(bottom=0.0)
                 panel.yaxis.set_major_formatter("{x:,.0f}")
@@ -60,12 +57,13 @@ def draw(study: Study, picture: Path) -> None:
     figure.savefig(picture, dpi=110)
 
 
-def draw_curve(panel: Axes, curve: StudyCurve) -> None:
-    """Draw a scheme along a trouble, in even steps."""
-    colour, marker = LOOKS[curve.scheme]
-    steps = range(len(curve.values))
-    panel.plot(steps, curve.merits, color=colour, marker=marker, ms=4, lw=1.4, label=curve.scheme)
-    panel.set_xticks(steps, [f"{value:g}" for value in curve.values], fontsize=8)
+def draw_curve(panel: Axes, merit: str, scheme: str, outcomes: list[Outcome]) -> None:
+    """Draw a figure of merit of a scheme along a trouble, in even steps."""
+    colour, marker = LOOKS[scheme]
+    steps = range(len(outcomes))
+    merits = [one.figures[merit] for one in outcomes]
+    panel.plot(steps, merits, color=colour, marker=marker, ms=4, lw=1.4, label=scheme)
+    panel.set_xticks(steps, [f"{one.value:g}" for one in outcomes], fontsize=8)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from datetime import date
 from functools import partial
 from pathlib import Path
+from typing import get_args
 
 import pandas as pd
 from rich.console import Console
@@ -101,6 +102,7 @@ def compare(
     scenario: str | ScenarioFile = "oahu-day",
     *,
     schemes: Iterable[str] = tuple(SCHEMES),
+    actuators: Iterable[Actuator] = (),
     start: str | None = None,
     end: str | None = None,
     duration: str | None = None,
@@ -117,6 +119,8 @@ def compare(
         As for `simulate`.
     schemes
         Control schemes; see `heliarch compare --help`.
+    actuators
+        Each scheme is run with all of these; by default with that of the scenario.
     days, seeds
         Run every day, and every seed of the clouds.
     settings
@@ -129,17 +133,21 @@ def compare(
     Returns
     -------
     DataFrame
-        A row for each case and scheme, a column for each figure of merit.
+        A row for each case, scheme and actuator, a column for each figure of merit.
 
     Raises
     ------
     InputError
         Scenario, schemes, options and data do not go together.
     """
-    names = tuple(schemes)
-    for name in names:
-        if name not in SCHEMES:
-            raise InputError(f"schemes: expected {', '.join(SCHEMES)}, got {name}")
+    comparison = Comparison(tuple(schemes), actuators=tuple(actuators))
+    for option, names, known in (
+        ("schemes", comparison.schemes, tuple(SCHEMES)),
+        ("actuators", comparison.actuators, get_args(Actuator)),
+    ):
+        for name in names:
+            if name not in known:
+                raise InputError(f"{option}: expected {', '.join(known)}, got {name}")
     found = cases(
         _loaded(scenario),
         RunOptions(start, duration, end=end),
@@ -147,7 +155,7 @@ def compare(
         tuple(days),
         tuple(seeds),
     )
-    results = dict(share_work(partial(run_case, Comparison(names)), found, workers))
+    results = dict(share_work(partial(run_case, comparison), found, workers))
     table = pd.DataFrame(json_rows([results[number] for number in sorted(results)]))
     return table.drop(columns=["metrics", "remarks"])
 

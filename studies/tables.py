@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Final, Literal, NamedTuple, TypeAlias
@@ -155,6 +155,12 @@ def print_table(console: Console, table: Table) -> None:
     for note in table.notes:
         console.print(Text(note, "dim"), width=width)
     console.print()
+
+
+def print_lines(console: Console, lines: Iterable[str]) -> None:
+    """Print paragraphs of plain text, wrapped as tables are."""
+    for line in lines:
+        console.print(Text(line), width=min(console.width, WIDTH))
 
 
 def json_rows(table: Table) -> list[dict[str, str | float | bool | None]]:

@@ -20,17 +20,9 @@ Result = TypeVar("Result")
 
 _SIGNALS: Final = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 
-MOST_WORKERS: Final = 256
-
 
 class WorkerLostError(FailureError):
     """A process that worked on the study has died."""
-
-
-def check_workers(workers: int) -> None:
-    """Refuse a number of workers that cannot be."""
-    if not 1 <= workers <= MOST_WORKERS:
-        raise InputError(f"--workers: expected 1 to {MOST_WORKERS}, got {workers}")
 
 
 def share_work(
@@ -38,18 +30,9 @@ def share_work(
 ) -> Iterator[tuple[int, Result]]:
     """Apply a function to each item; yield the item's place and the result as each is done.
 
-    With one worker everything runs in this process. Workers never outlive it, however it ends:
-    they ignore the signals that end it, this process kills them on its way out, and the kernel
-    does where it cannot.
-
-    Parameters
-    ----------
-    function
-        What to do; it and its items must be picklable for more than one worker.
-    items
-        What to do it with.
-    workers
-        How many processes.
+    With one worker everything runs in this process. With more, function and items must be
+    picklable. Workers never outlive this process, however it ends: they ignore the signals that
+    end it, this process kills them on its way out, and the kernel does where it cannot.
 
     Raises
     ------

@@ -53,12 +53,3 @@ def heliarch(tmp_path: Path) -> Iterator[Callable[..., Heliarch]]:
     """Start `heliarch` commands, each with a folder of its own; nothing outlives the test."""
     with commands_in(tmp_path) as start:
         yield start
-
-
-@pytest.fixture(scope="module")
-def lasting_heliarch(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Iterator[Callable[..., Heliarch]]:
-    """The same for runs that several tests look at."""
-    with commands_in(tmp_path_factory.mktemp("runs")) as start:
-        yield start

@@ -5,9 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
+from plans_by_hand import plan_at_noon
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
@@ -31,36 +32,11 @@ CYCLE_WALL_NS: Final = 50_000_000
 
 
 def plan_of(
-    ratings_kw: dict[str, float] = TWO_TIERS,
-    *,
-    cycles: int = 12,
-    period_cycles: tuple[int, ...] = (1, 1),
-    **fields: Any,
+    ratings_kw: dict[str, float] = TWO_TIERS, *, cycles: int = 12, **fields: object
 ) -> RunPlan:
     """Plan of a run, from the path and rating of each inverter; in lockstep by default."""
-    settings: dict[str, Any] = {
-        "run_id": "by-hand",
-        "plant": "oahu",
-        "start_time_ns": 1_270_159_200_000_000_000,
-        "cycle_ns": 1_000_000_000,
-        "timezone": "Pacific/Honolulu",
-        "regulation_capacity_kw": 0.0,
-        "cycle_wall_ns": 0,
-        "scheme": "predictive",
-        "actuator": "fraction",
-        "alpha_min": 0.05,
-        "hold_cycles": 3,
-        "stall_timeout_s": 3.0,
-        "neighbourhoods": (),
-        "tcp_ports": {},
-        "correction": True,
-    }
-    return RunPlan(
-        inverters=tuple(ratings_kw.items()),
-        cycles=cycles,
-        period_cycles=period_cycles,
-        **(settings | fields),
-    )
+    predictive = {"scheme": "predictive", "correction": True}
+    return plan_at_noon(ratings_kw, cycles=cycles, **(predictive | fields))
 
 
 def faulty_plan(
@@ -68,7 +44,7 @@ def faulty_plan(
     ratings_kw: dict[str, float] = TWO_TIERS,
     seed: int = 1,
     cycles: int = 25,
-    **fields: Any,
+    **fields: object,
 ) -> RunPlan:
     """Plan of a run in real time over an imperfect network; by default a bad one."""
     faults = rules or (FaultRule(loss=0.05, duplicate=0.05, delay_ms=12.0, jitter_ms=12.0),)

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
+from plans_by_hand import plan_at_noon
+
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery, Outbox
 from bus_schemas.codec import encode
@@ -36,25 +38,7 @@ from bus_schemas.signals import (
 from bus_schemas.tree import PLANT, ROOT, agent_name, parent_of
 from recordings.record.writer import RunWriter
 
-PLAN = RunPlan(
-    run_id="by-hand-2",
-    plant="field",
-    inverters=(("c1/a", 100.0), ("c1/b", 100.0), ("c2/c", 100.0), ("c2/d", 100.0)),
-    start_time_ns=1_270_159_200_000_000_000,  # 2010-04-01 12:00:00 in Honolulu
-    cycle_ns=1_000_000_000,
-    cycles=1000,
-    timezone="Pacific/Honolulu",
-    regulation_capacity_kw=0.0,
-    cycle_wall_ns=0,
-    period_cycles=(2, 1),
-    scheme="paper",
-    actuator="fraction",
-    alpha_min=0.05,
-    hold_cycles=3,
-    stall_timeout_s=3.0,
-    neighbourhoods=(),
-    tcp_ports={},
-)
+PLAN = plan_at_noon(run_id="by-hand-2", plant="field", cycles=1000, period_cycles=(2, 1))
 SCENARIO = 'name = "field"\ntitle = "Four inverters"\n'
 
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
+from plans_by_hand import FOUR
 from recorded_runs import plan_of
 
 from agents.plan import RunPlan
@@ -18,12 +19,11 @@ from launch_scripts.launcher.simulation import MemoryRun
 from recordings.record.writer import RunWriter
 from sim_plant.profile import Profile
 
-CYCLE_NS = 1_000_000_000
 STEP_NS = 100_000
 """Between two messages of a run by hand."""
 
 PLAN = plan_of(
-    {"c1/a": 100.0, "c1/b": 100.0, "c2/c": 100.0, "c2/d": 100.0},
+    FOUR,
     cycles=40,
     period_cycles=(2, 1),
     run_id="recorded-1",
@@ -31,6 +31,7 @@ PLAN = plan_of(
     stall_timeout_s=0.5,
     correction=False,
 )
+CYCLE_NS = PLAN.cycle_ns
 
 
 class Said(NamedTuple):

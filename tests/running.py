@@ -13,7 +13,10 @@ from pathlib import Path
 import psutil
 import pytest
 
+from bus_schemas.errors import InputError
+from bus_schemas.signals import PRODUCTION
 from launch_scripts.launcher.fork_requests import log_name
+from recordings.read.reader import RunReader
 
 REPOSITORY = Path(__file__).parent.parent
 
@@ -115,6 +118,18 @@ class Heliarch:
     def until_running(self) -> None:
         """Wait until cycles go by."""
         self.until(lambda: "desired" in self.output.read_text(), "its first cycles")
+
+    def recorded_cycles(self) -> int:
+        """Cycles that can be read from the recording: none before its first flush."""
+        try:
+            with RunReader(self.folder) as reader:
+                return sum(1 for _ in reader.messages(PRODUCTION))
+        except InputError:
+            return 0
+
+    def until_recorded(self, cycles: int = 1) -> None:
+        """Wait until so many cycles can be read on disk."""
+        self.until(lambda: self.recorded_cycles() >= cycles, f"{cycles} cycles on disk")
 
     def processes(self) -> list[psutil.Process]:
         """Processes of the run that exist now, the launcher left out."""

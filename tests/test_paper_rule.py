@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from agents.plan import RunPlan
 from launch_scripts.launcher.simulation import MemoryRun
@@ -15,7 +14,7 @@ from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.series import RunSeries, SeriesCollector
 from sim_plant.profile import Profile
-from studies.metrics import CommitmentMetrics, commitment_metrics
+from studies.metrics import commitment_metrics
 
 
 def run_agents(plan: RunPlan, profile: Profile) -> RunSeries:
@@ -26,17 +25,6 @@ def run_agents(plan: RunPlan, profile: Profile) -> RunSeries:
     return collector.series("run")
 
 
-def metrics_of(run: RunSeries) -> CommitmentMetrics:
-    """Figures of a run of 1 s cycles."""
-    return commitment_metrics(run.desired_kw, run.possible_kw, run.delivered_kw, 1.0)
-
-
-def shortfall_free_delivery_kw(profile: Profile) -> NDArray[np.float64]:
-    """Delivered power where every estimate is exact: the least of what is asked and possible."""
-    possible_kw: NDArray[np.float64] = profile.mpp_kw.sum(axis=1)
-    return np.minimum(possible_kw, profile.commitment_kw)
-
-
 def test_under_a_steady_sky_the_plant_delivers_the_least_of_asked_and_possible() -> None:
     plan = prepare(load_scenario("oahu"), RunOptions(duration="40", scheme="paper"), "steady").plan
     rng = np.random.default_rng(5)
@@ -45,7 +33,8 @@ def test_under_a_steady_sky_the_plant_delivers_the_least_of_asked_and_possible()
     profile = Profile(steady_kw, commitment_kw)
     delivered_kw = run_agents(plan, profile).delivered_kw
     # The smallest alpha is 0.05: no commitment here is small enough to be held up by it.
-    np.testing.assert_allclose(delivered_kw, shortfall_free_delivery_kw(profile), rtol=0, atol=1e-6)
+    least_kw = np.minimum(steady_kw.sum(axis=1), commitment_kw)
+    np.testing.assert_allclose(delivered_kw, least_kw, rtol=0, atol=1e-6)
 
 
 def test_a_shortfall_caused_by_control_is_the_change_of_the_sky_within_a_cycle() -> None:
@@ -59,7 +48,7 @@ def test_a_shortfall_caused_by_control_is_the_change_of_the_sky_within_a_cycle()
     np.testing.assert_allclose(delivered_kw, by_hand_kw, rtol=1e-12)
 
 
-def hope_hour(folder: Path, share: float, noise: float = 0.0) -> tuple[RunPlan, Profile]:
+def hope_hour(folder: Path, share: float) -> tuple[RunPlan, Profile]:
     """The HOPE hour with P = GHI / 1000 x 470 kW x 0.96 in place of the PV model."""
     plan = prepare(load_scenario("hope-melpitz", folder), RunOptions(scheme="paper"), "hope").plan
     stations = [leaf.rpartition("/inv")[2] for leaf in plan.tree.leaves]
@@ -67,8 +56,7 @@ def hope_hour(folder: Path, share: float, noise: float = 0.0) -> tuple[RunPlan, 
         ghi_wm2 = np.array([[float(row[s]) for s in stations] for row in csv.DictReader(file)])
     mpp_kw = np.minimum(ghi_wm2 / 1000.0 * 470.0 * 0.96, 8000.0 / 17.0)
     commitment_kw = np.full(len(mpp_kw), share * np.median(mpp_kw.sum(axis=1)))
-    error = noise * np.random.default_rng(0).standard_normal(mpp_kw.shape)
-    return plan, Profile(mpp_kw, commitment_kw, meter_error=error)
+    return plan, Profile(mpp_kw, commitment_kw)
 
 
 @pytest.mark.parametrize(
@@ -78,7 +66,8 @@ def hope_hour(folder: Path, share: float, noise: float = 0.0) -> tuple[RunPlan, 
 def test_the_hope_hour_gives_what_an_independent_calculation_gave(
     data_folder: Path, share: float, unavoidable_percent: float, control_caused_percent: float
 ) -> None:
-    energy = metrics_of(run_agents(*hope_hour(data_folder / "hope-melpitz-1s", share)))
+    run = run_agents(*hope_hour(data_folder / "hope-melpitz-1s", share))
+    energy = commitment_metrics(run.desired_kw, run.possible_kw, run.delivered_kw, 1.0)
     assert energy.percent(energy.unavoidable_kwh) == pytest.approx(unavoidable_percent, abs=6e-4)
     assert energy.percent(energy.control_caused_kwh) == pytest.approx(
         control_caused_percent, abs=6e-4

@@ -58,20 +58,34 @@ def assert_predictive_wins(results: Sequence[CaseResult]) -> None:
         assert caused["predictive"] <= rivals, f"{result.label}: {caused}"
 
 
-def test_on_the_hope_hour(data_folder: Path) -> None:
-    scenario = load_scenario("hope-melpitz", data_folder / "hope-melpitz-1s")
-    results = study(scenario, SHARES)
-    assert len(results) == 16
-    assert_predictive_wins(results)
+def assert_shortfall_below_a_twentieth_of_a_percent(results: Sequence[CaseResult]) -> None:
     for result in results:
         energy = result.schemes[-1].metrics.commitment
         assert energy.control_caused_kwh <= 0.05e-2 * energy.desired_kwh, result.label
 
 
+def test_on_the_hope_hour(data_folder: Path) -> None:
+    scenario = load_scenario("hope-melpitz", data_folder / "hope-melpitz-1s")
+    results = study(scenario, SHARES)
+    assert len(results) == 16
+    assert_predictive_wins(results)
+    assert_shortfall_below_a_twentieth_of_a_percent(results)
+    exact = [r for r in results if "=0.005" not in r.label and "=fraction" in r.label]
+    assert len(exact) == 4
+    for result in exact:
+        paper, predictive = (entry.metrics.commitment for entry in result.schemes[-2:])
+        assert predictive.over_delivered_kwh <= paper.over_delivered_kwh, result.label
+
+
 @pytest.mark.parametrize("hour", ["a", "b", "c"])
 def test_on_the_hours_of_a_real_plant(data_folder: Path, hour: str) -> None:
     scenario = load_scenario("plant20mw", data_folder / "plant20mw-combiners-10s")
-    assert_predictive_wins(study(scenario, f"irradiance.currents=hour_{hour}.csv", SHARES))
+    results = study(scenario, f"irradiance.currents=hour_{hour}.csv", SHARES)
+    assert_predictive_wins(results)
+    # Where a limit hides the maximum, more is missed: up to 0.1 % in hour a.
+    by_fraction = [result for result in results if "=fraction" in result.label]
+    assert len(by_fraction) == 8
+    assert_shortfall_below_a_twentieth_of_a_percent(by_fraction)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from msgspec.structs import replace
+from plans_by_hand import plan_at_noon
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
@@ -20,24 +21,12 @@ MS = 1_000_000
 START_NS = 5_000_000_000
 CYCLE_MS = 100
 
-PLAN = RunPlan(
+PLAN = plan_at_noon(
     run_id="by-hand-2",
     plant="field",
-    inverters=(("c1/a", 100.0), ("c1/b", 100.0), ("c2/c", 100.0), ("c2/d", 100.0)),
-    start_time_ns=1_270_159_200_000_000_000,
-    cycle_ns=CYCLE_MS * MS,
     cycles=1000,
-    timezone="Pacific/Honolulu",
-    regulation_capacity_kw=0.0,
+    cycle_ns=CYCLE_MS * MS,
     cycle_wall_ns=CYCLE_MS * MS,
-    period_cycles=(1, 1),
-    scheme="paper",
-    actuator="fraction",
-    alpha_min=0.05,
-    hold_cycles=3,
-    stall_timeout_s=3.0,
-    neighbourhoods=(),
-    tcp_ports={},
 )
 SCENARIO = 'name = "field"\ntitle = "Four inverters"\n'
 

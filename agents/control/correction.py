@@ -13,8 +13,8 @@ from typing import Final
 GAIN_PER_S: Final = 0.5
 """Share of what is missing that is added in a second."""
 
-HIGHEST_GAIN: Final = 0.5
-"""Share of it that is added at once, at most. The reading is a turn old: with 1 it would swing."""
+HIGHEST_GAIN: Final = 0.7
+"""Share of it that is added at once, at most. Where a reading comes a cycle late, 1 would swing."""
 
 HIGHEST_CORRECTION: Final = 0.1
 """Largest correction, as a share of the plant's rating."""

@@ -1,11 +1,11 @@
 """Grouping control, for comparison: a reference group at full power tells what the rest could give.
 
 A part of the inverters, the reference group R, is never curtailed. Its power, scaled by capacity,
-is taken for the plant's potential; the others, the control group, get one uniform power limit so
-that both groups together meet the target (V. Gevorgian, "Highly accurate method for real-time
-active power reserve estimation for utility-scale photovoltaic power plants", NREL/TP-5D00-73207,
-2019). Nothing is redistributed within the control group, and the plant cannot go below what the
-reference group gives.
+is taken for the plant's potential; the others, the control group, get one common curtailment level,
+or the power limit that it leads to, so that both groups together meet the target (V. Gevorgian,
+"Highly accurate method for real-time active power reserve estimation for utility-scale photovoltaic
+power plants", NREL/TP-5D00-73207, 2019). Nothing is redistributed within the control group, and the
+plant cannot go below what the reference group gives.
 """
 
 from __future__ import annotations
@@ -14,20 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def grouping_limits_kw(
+def grouping_levels(
     reference_kw: NDArray[np.float64],
     desired_kw: NDArray[np.float64],
     rating_kw: NDArray[np.float64],
     reference: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
-    """Return the power limit of each inverter in each cycle.
+    """Return the curtailment level of each inverter in each cycle.
 
-    With PHL the potential high limit, T the target and c the AC ratings::
+    With PHL the potential high limit, R the reference group and c the AC ratings::
 
         PHL = (sum of all c / sum of c over R) x sum of P over R
-        T = min(P_desired, PHL)
-        P_C = T - sum of P over R, within [0, PHL - sum of P over R]
-        limit of i in C = P_C x c_i / sum of c over C
+        alpha = (P_desired - sum of P over R) / (PHL - sum of P over R), within [0, 1]
 
     Parameters
     ----------
@@ -43,7 +41,7 @@ def grouping_limits_kw(
     Returns
     -------
     ndarray of float
-        Shape (T, n); infinite for the reference group.
+        Shape (T, n); 1 for the reference group, and for all while it gives nothing.
 
     Raises
     ------
@@ -52,8 +50,27 @@ def grouping_limits_kw(
     """
     if not reference.any() or reference.all():
         raise ValueError(f"a reference group of 1 to {len(reference) - 1} inverters is needed")
-    potential_kw = rating_kw.sum() / rating_kw[reference].sum() * reference_kw
-    wanted_kw = np.minimum(desired_kw, potential_kw) - reference_kw
-    control_kw = np.clip(wanted_kw, 0.0, potential_kw - reference_kw)
-    share = rating_kw / rating_kw[~reference].sum()
-    return np.where(reference, np.inf, control_kw[:, None] * share)
+    others_kw = reference_kw * (rating_kw[~reference].sum() / rating_kw[reference].sum())
+    level = np.ones_like(others_kw)
+    np.divide(desired_kw - reference_kw, others_kw, out=level, where=others_kw > 0.0)
+    return np.where(reference, 1.0, level.clip(0.0, 1.0)[:, None])
+
+
+def grouping_limits_kw(
+    reference_kw: NDArray[np.float64],
+    desired_kw: NDArray[np.float64],
+    rating_kw: NDArray[np.float64],
+    reference: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    """Return the power limit of each inverter in each cycle, see `grouping_levels`.
+
+    It is alpha times the power that the reference group promises for the inverter's rating.
+
+    Returns
+    -------
+    ndarray of float
+        Shape (T, n); infinite for the reference group.
+    """
+    levels = grouping_levels(reference_kw, desired_kw, rating_kw, reference)
+    promised_kw = np.outer(reference_kw / rating_kw[reference].sum(), rating_kw)
+    return np.where(reference, np.inf, levels * promised_kw)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Final
 
 import typer
@@ -11,16 +12,18 @@ from launch_scripts.commands.options import (
     DurationOption,
     EndOption,
     JsonOption,
+    ReportOption,
     ScenarioArgument,
     SchemeOption,
     SettingsOption,
     StartOption,
     WorkersOption,
 )
-from launch_scripts.commands.output import counted, say, write_json
-from studies.tables import console_for, print_table
+from launch_scripts.commands.output import counted, say, write_json, write_page
+from studies.tables import console_for, print_lines, print_table
 
-EXAMPLE: Final = "heliarch clusters oahu --random 50 --periods 1,30"
+EXAMPLE: Final = "heliarch clusters oahu --random 50 --periods 1,30 --report"
+PAGE_NAME: Final = "clusters.html"
 
 
 def clusters(
@@ -50,16 +53,23 @@ def clusters(
     settings: SettingsOption = None,
     workers: WorkersOption = 1,
     data: DataOption = None,
+    report: ReportOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Compare virtual neighbours with geographic and random clusters."""
+    """Compare virtual neighbours with geographic and random clusters.
+
+    --report writes clusters.html by default.
+    """
     from bus_schemas.times import parse_duration_s
     from launch_scripts.scenarios.preparation import RunOptions, prepare
     from launch_scripts.scenarios.scenario import load_scenario
+    from studies.clusters.page import study_page
     from studies.clusters.study import (
         ClusterQuestion,
         central_periods,
         clusters_table,
+        members_table,
+        orders_table,
         study_clusters,
         study_json,
         study_lines,
@@ -87,8 +97,14 @@ def clusters(
     study = study_clusters(
         question, remarks, workers, lambda done, total: counted(done, "clusters", total, console)
     )
-    # The file first: whoever reads the table may leave before its end.
+    # Files first: whoever reads the table may leave before its end.
     write_json(study_json(study), json)
-    say(console, *study.remarks)
-    print_table(console, clusters_table(study))
-    say(console, *study_lines(study))
+    page = Path(report or PAGE_NAME)
+    if report is not None:
+        write_page(study_page(study), page)
+    print_lines(console, study.remarks)
+    for table in (clusters_table(study), orders_table(study), members_table(study)):
+        print_table(console, table)
+    print_lines(console, study_lines(study))
+    if report is not None:
+        say(console, f"report: {page}")

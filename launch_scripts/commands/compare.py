@@ -1,27 +1,28 @@
-"""`heliarch compare`: control schemes side by side, on one day or on many."""
+"""`heliarch compare`: control schemes side by side, on one day or on many; or two recorded runs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final, cast, get_args
 
 import typer
 
+from agents.plan import Actuator
 from bus_schemas.errors import InputError
 from launch_scripts.commands.options import (
+    CsvOption,
     DataOption,
     DurationOption,
     EndOption,
     JsonOption,
     ReportOption,
-    ScenarioArgument,
     StartOption,
     WorkersOption,
 )
 from launch_scripts.commands.output import counted, say, write_json
-from studies.tables import console_for, print_table
+from studies.tables import Table, console_for, print_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -33,9 +34,24 @@ if TYPE_CHECKING:
 EXAMPLE: Final = "heliarch compare oahu --set commitment.share=0.3,0.45 --seeds 1..10"
 PAGE_NAME: Final = "compare.html"
 
+_OF_TWO_RUNS: Final = ("scenario", "other", "report", "json")
+"""What can be said where two runs are compared."""
+
 
 def compare(
-    scenario: ScenarioArgument = "oahu-day",
+    context: typer.Context,
+    scenario: Annotated[
+        str,
+        typer.Argument(
+            help="A shipped scenario (see `heliarch scenarios`) or a TOML file; or a recorded run, "
+            "its folder or run.mcap.",
+            metavar="SCENARIO",
+        ),
+    ] = "oahu-day",
+    other: Annotated[
+        Path | None,
+        typer.Argument(help="A second run, to compare the first with.", metavar="RUN"),
+    ] = None,
     start: StartOption = None,
     end: EndOption = None,
     duration: DurationOption = None,
@@ -62,6 +78,14 @@ def compare(
             metavar="NAMES",
         ),
     ] = None,
+    actuator: Annotated[
+        str | None,
+        typer.Option(
+            help="Actuators that each scheme is run with: fraction,limit. Default that of the "
+            "scenario.",
+            metavar="NAMES",
+        ),
+    ] = None,
     reference: Annotated[
         str | None,
         typer.Option(
@@ -72,16 +96,17 @@ def compare(
     show: Annotated[
         str,
         typer.Option(
-            help="Figure of merit to show for many cases: desired-energy, possible-energy, "
-            "delivered-energy, satisfied, shortfall-energy, unavoidable-energy, "
+            help="Figures of merit to show for many cases, with commas: desired-energy, "
+            "possible-energy, delivered-energy, satisfied, shortfall-energy, unavoidable-energy, "
             "control-caused-energy, over-delivered-energy, shortfall, unavoidable, "
             "control-caused, over-delivered, rmse, mae, mileage-total, mileage, "
             "mileage-per-minute, headroom, mean-headroom, ancillary-potential, rise, fall, "
             "ramp, ramp-limit, above-ramp-limit, capacity, offered, signal-mileage, "
-            "regd-strict, regd, accuracy, delay, precision, score.",
-            metavar="FIGURE",
+            "regd-strict, regd, regd-feasible-strict, regd-feasible, accuracy, delay, precision, "
+            "score, score-unclipped.",
+            metavar="FIGURES",
         ),
-    ] = "control-caused",
+    ] = "control-caused,over-delivered",
     workers: WorkersOption = 1,
     scheduler: Annotated[
         str | None, typer.Option(help="Dask scheduler that shares the cases.", metavar="ADDRESS")
@@ -89,20 +114,28 @@ def compare(
     data: DataOption = None,
     report: ReportOption = None,
     json: JsonOption = None,
+    csv: CsvOption = None,
 ) -> None:
-    """Put control schemes side by side: the paper's tables, for one day or many.
+    """Put control schemes side by side: the paper's tables, for one day or many. Or two runs.
 
-    With a single case, --report writes a page, compare.html by default.
+    Of a single case and of two runs --report writes a page, compare.html by default.
     """
+    page = None if report is None else Path(report or PAGE_NAME)
+    console = console_for(json)
+    if other is not None:
+        _refuse_options_of_studies(context)
+        _two_runs((Path(scenario), other), page, json, console)
+        return
+    if (Path(scenario) / "run.mcap").exists() or scenario.endswith(".mcap"):
+        raise InputError(f"{scenario}: expected a second run to compare it with, or a scenario")
     from launch_scripts.scenarios.preparation import RunOptions
     from launch_scripts.scenarios.scenario import load_scenario
+    from studies.arrays.schemes import SCHEMES
     from studies.compare.cases import cases, parse_days, parse_seeds, parse_setting
     from studies.compare.study import Comparison
-    from studies.compare.tables import json_rows
     from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
 
-    if show not in FIGURES_OF_MERIT:
-        raise InputError(f"--show: expected one of {', '.join(FIGURES_OF_MERIT)}, got {show}")
+    shown = _names("--show", show, FIGURES_OF_MERIT)
     found = cases(
         load_scenario(scenario, data),
         RunOptions(start, duration, end=end),
@@ -110,32 +143,39 @@ def compare(
         parse_days(days) if days else (),
         parse_seeds(seeds) if seeds else (),
     )
-    if scheduler is not None and len(found) == 1:
-        raise InputError("--scheduler: expected more than one case, got one")
-    if report is not None and len(found) > 1:
+    for option, value in (("--scheduler", scheduler), ("--csv", csv)):
+        if value is not None and len(found) == 1:
+            raise InputError(f"{option}: expected more than one case, got one")
+    if page is not None and len(found) > 1:
         raise InputError(f"--report: expected one case, got {len(found):,}")
-    comparison = Comparison(chosen_schemes(schemes), _groups(reference))
-    console = console_for(json)
+    comparison = Comparison(
+        tuple(SCHEMES) if schemes is None else _names("--schemes", schemes, SCHEMES),
+        _groups(reference),
+        cast(tuple[Actuator, ...], _names("--actuator", actuator, get_args(Actuator)))
+        if actuator
+        else (),
+    )
     if len(found) == 1:
-        page = None if report is None else Path(report or PAGE_NAME)
         _one(found[0], comparison, page, json, console)
     else:
         results = _many(found, comparison, workers, scheduler, console)
-        # The file first: whoever reads the table may leave before its end.
-        write_json(json_rows(results), json)
-        _print_many(results, show, console)
+        _tell_many(results, shown, json, csv, console)
 
 
-def chosen_schemes(text: str | None) -> tuple[str, ...]:
-    """Return the schemes of a text with commas; of None all."""
-    from studies.arrays.schemes import SCHEMES
+def _refuse_options_of_studies(context: typer.Context) -> None:
+    for option in context.command.params:
+        name = str(option.name)
+        source = context.get_parameter_source(name)
+        if source and source.name == "COMMANDLINE" and name not in _OF_TWO_RUNS:
+            raise InputError(f"{option.opts[0]}: expected a scenario to go with it, got two runs")
 
-    if text is None:
-        return tuple(SCHEMES)
+
+def _names(option: str, text: str, known: Collection[str]) -> tuple[str, ...]:
+    """Return the names of a text with commas, each once."""
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
     for name in names:
-        if name not in SCHEMES:
-            raise InputError(f"--schemes: expected {', '.join(SCHEMES)}, got {name}")
+        if name not in known:
+            raise InputError(f"{option}: expected {', '.join(known)}, got {name}")
     return names
 
 
@@ -157,27 +197,56 @@ def _one(
 ) -> None:
     """Run one case and print the paper's tables; write a page and JSON of it if asked for."""
     from launch_scripts.scenarios.preparation import prepare
-    from studies.compare.study import CaseResult, SchemeResult, remarks_of, results_of
+    from studies.compare.study import CaseResult, remarks_of, results_of
     from studies.compare.tables import case_tables, json_rows
-    from studies.report.metrics_tables import metrics_tables
-    from studies.report.run_report import write_report
 
     preparation = prepare(case.scenario, case.options, "compare")
     remarks = remarks_of(preparation)
     found = list(results_of(preparation, comparison))
-    schemes = tuple(SchemeResult(label, metrics) for label, metrics, _ in found)
+    schemes = tuple(result for result, _ in found)
     plan = preparation.plan
     title = (
         f"{plan.plant} from {preparation.local_start()}, {plan.cycles:,} cycles of "
-        f"{plan.cycle_ns / 1e9:g} s, actuator {plan.actuator}"
+        f"{plan.cycle_ns / 1e9:g} s"
     )
-    write_json(json_rows([CaseResult(case.label, schemes, 0.0, 0.0, remarks)]), json)
+    write_json(json_rows([CaseResult(case.label, "", schemes, 0.0, 0.0, remarks)]), json)
+    tables = case_tables(title, schemes)
     if page is not None:
+        from studies.compare.page import frontier
+        from studies.report.run_report import write_report
+        from studies.report.tables import metrics_tables
+
         notes = [f"Scenario: {preparation.scenario.scenario.title}.", *remarks]
-        series = [one for _, _, one in found]
-        write_report(page, title, series, metrics_tables(series), notes)
-    say(console, *remarks)
-    for table in case_tables(title, schemes):
+        series = [one for _, one in found]
+        merits = metrics_tables(series)
+        write_report(page, title, series, [*tables, frontier(schemes), *merits], notes)
+    _print(console, remarks, tables, page)
+
+
+def _two_runs(
+    paths: tuple[Path, Path], page: Path | None, json: str | None, console: Console
+) -> None:
+    """Print two recordings side by side; write a page and JSON of them if asked for."""
+    from studies.compare.runs import read_two_runs, two_runs_tables
+    from studies.report.run_report import write_report
+    from studies.tables import json_rows
+
+    series, lines = read_two_runs(paths)
+    tables = two_runs_tables(*series)
+    figures, differences = map(json_rows, tables)
+    runs = [str(path) for path in paths]
+    write_json({"runs": runs, "figures": figures, "differences": differences}, json)
+    if page is not None:
+        title = f"{paths[0].name} and {paths[1].name}"
+        write_report(page, title, series, tables, lines[1:], lead=lines[0])
+    _print(console, lines, tables, page)
+
+
+def _print(
+    console: Console, lines: Sequence[str], tables: Sequence[Table], page: Path | None
+) -> None:
+    say(console, *lines)
+    for table in tables:
         print_table(console, table)
     if page is not None:
         say(console, f"report: {page}")
@@ -203,11 +272,27 @@ def _many(
     return [results[number] for number in sorted(results)]
 
 
-def _print_many(results: Sequence[CaseResult], show: str, console: Console) -> None:
-    from studies.compare.tables import cases_table
+def _tell_many(
+    results: Sequence[CaseResult],
+    shown: Sequence[str],
+    json: str | None,
+    csv: str | None,
+    console: Console,
+) -> None:
+    """Write all cases as JSON and their summary as CSV, where they are asked for; print both."""
+    from pandas import DataFrame
 
-    say(console, *dict.fromkeys(line for result in results for line in result.remarks))
-    print_table(console, cases_table(show, results))
+    from recordings.read.whole_file import whole_file
+    from studies.compare.statistics import summaries
+    from studies.compare.tables import cases_tables, json_rows
+
+    # The files first: whoever reads the table may leave before its end.
+    write_json(json_rows(results), json)
+    if csv is not None:
+        with whole_file(Path(csv)) as file:
+            DataFrame(summaries(results)).to_csv(file, index=False)
+    remarks = dict.fromkeys(line for result in results for line in result.remarks)
+    _print(console, list(remarks), cases_tables(shown, results), None)
     prepare_s = sum(result.prepare_s for result in results)
     run_s = sum(result.run_s for result in results)
     say(

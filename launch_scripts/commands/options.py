@@ -137,6 +137,15 @@ JsonOption: TypeAlias = Annotated[
         callback=_file_in_folder,
     ),
 ]
+CsvOption: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        "--csv",
+        help="Write the summary of many cases as CSV.",
+        metavar="FILE",
+        callback=_file_in_folder,
+    ),
+]
 
 # Groups, for the commands that run a plant -------------------------------------------------------
 

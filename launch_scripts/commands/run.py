@@ -39,10 +39,10 @@ def run_request(
     scenario: str,
     files: FileOptions,
     *groups: PlantOptions | SpanOptions | ProcessOptions,
-    start: str | None = None,
+    **span: str | None,
 ) -> RunRequest:
     """Return what the options of a command ask for."""
-    given: dict[str, Any] = {"start": start}
+    given: dict[str, Any] = dict(span)
     for group in groups:
         given |= asdict(group)
     settings = given.pop("settings") or ()

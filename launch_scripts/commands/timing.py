@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
@@ -12,6 +12,7 @@ import typer
 from bus_schemas.errors import InputError
 from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK
 from launch_scripts.commands.options import (
+    EndOption,
     FileOptions,
     PageOptions,
     PlantOptions,
@@ -26,8 +27,8 @@ if TYPE_CHECKING:
 
     from launch_scripts.launcher.request import RunRequest
     from live_page.process import PageProcess
-    from studies.timing.rates import Rates
     from studies.timing.report import Reported, TimingReport
+    from studies.timing.sweep import Rates
 
 EXAMPLE: Final = "heliarch timing oahu --rate 20 --duration 60s --report"
 
@@ -64,11 +65,12 @@ def timing(
         ),
     ] = None,
     start: StartOption = None,
+    end: EndOption = None,
     duration: Annotated[
         str | None,
         typer.Option(
-            help="Length of the run, simulated and real: seconds, or 90s, 10m; default 60s, 15s "
-            "for each of several rates.",
+            help="Length of the run, simulated and real, in place of --to: seconds, or 90s, 10m; "
+            "default 60s, 15s for each of several rates.",
             metavar="TIME",
         ),
     ] = None,
@@ -82,81 +84,70 @@ def timing(
 ) -> int:
     """Run a plant in real time and report whether every tier meets its deadlines, and by how much.
 
-    With a recorded run instead of a scenario, report on that.
+    With a recorded run instead of a scenario, report on that. --report writes timing.html into the
+    run's folder by default.
 
     Exit status 1: a budget was not kept, or the run failed. A scenario states its own budgets in
     its table timing.budgets; see docs/timing.md.
     """
     from launch_scripts.commands.page import page_beside
     from launch_scripts.commands.run import run_request
-    from studies.timing.rates import parse_rates
+    from studies.timing.measured_run import measured_run, prepare_at, run_length_s
+    from studies.timing.report import report_on
+    from studies.timing.sweep import parse_rates
 
     output = _Output(console_for(files.json), files.json, files.report, processes)
     if (path := Path(scenario)).is_dir() or path.suffix == ".mcap":
         options = {
             "--rate": rate, "--duration": duration, "--out": files.out, "--from": start,
-            "--seed": plant.seed, "--scheme": plant.scheme, "--actuator": plant.actuator,
-            "--set": plant.settings, "--fault": plant.faults, "--external": machine.external,
-            "--base-port": machine.base_port, "--cpus": machine.cpus,
-            "--priority": machine.priority, "--page": page.page or None,
-            "--page-port": page.page_port, "--page-address": page.page_address,
+            "--to": end, "--seed": plant.seed, "--scheme": plant.scheme,
+            "--actuator": plant.actuator, "--set": plant.settings, "--fault": plant.faults,
+            "--external": machine.external, "--base-port": machine.base_port,
+            "--cpus": machine.cpus, "--priority": machine.priority,
+            "--page": page.page or None, "--page-port": page.page_port,
+            "--page-address": page.page_address,
         }  # fmt: skip
-        _check_recorded(path, options)
-        return _time_recorded(path, output)
+        for option, given in options.items():
+            if given is not None:
+                raise InputError(
+                    f"{option}: expected only --processes, --report or --json with {path}, which "
+                    "was run already"
+                )
+        return _print_one(report_on(path, by_agent=processes), path, output)
     rates = parse_rates(_RATE if rate is None else rate)
-    request = run_request(scenario, files, plant, machine, start=start)
+    request = run_request(scenario, files, plant, machine, start=start, end=end, duration=duration)
     with page_beside(page, output.console) as shown:
-        if rates.single_hz is not None:
-            return _time_one(rates.single_hz, duration or _DURATION, request, output, shown)
-        return _time_several(rates, duration or _SWEEP_DURATION, request, output, shown)
-
-
-def _check_recorded(path: Path, options: Mapping[str, object]) -> None:
-    for option, given in options.items():
-        if given is not None:
-            raise InputError(
-                f"{option}: expected only --processes, --report or --json with {path}, which was "
-                "run already"
-            )
-
-
-def _time_recorded(path: Path, output: _Output) -> int:
-    from studies.timing.report import report_on
-
-    return _print_one(report_on(path, by_agent=output.by_agent), path, output)
-
-
-def _time_one(
-    rate_hz: float, duration: str, request: RunRequest, output: _Output, shown: PageProcess | None
-) -> int:
-    from studies.timing.measured_run import measured_run, prepare_at
-
-    preparation, folder = prepare_at(rate_hz, duration, request, request.out)
-    if shown is not None:
-        say(output.console, f"page: {shown.show(folder.path)}")
-    reported = measured_run(preparation, folder, output.console, by_agent=output.by_agent)
-    return _print_one(reported, folder.path, output)
+        if rates.single_hz is None:
+            length_s = run_length_s(request, _SWEEP_DURATION)
+            return _time_several(rates, length_s, request, output, shown)
+        length_s = run_length_s(request, _DURATION)
+        preparation, folder = prepare_at(rates.single_hz, length_s, request, request.out)
+        if shown is not None:
+            say(output.console, f"page: {shown.show(folder.path)}")
+        reported = measured_run(preparation, folder, output.console, by_agent=processes)
+        return _print_one(reported, folder.path, output)
 
 
 def _print_one(reported: Reported, run: Path, output: _Output) -> int:
     """Print and write the result of a run."""
+    from recordings.read.run_file import RECORDING_NAME
     from studies.timing.page import PAGE_NAME, run_page
     from studies.timing.tables import print_report
 
     report = reported.report
-    folder = run if run.is_dir() else run.parent
+    recording = run / RECORDING_NAME if run.is_dir() else run
     # Files first: whoever reads the tables may leave before their end.
-    page = _write_page(lambda: run_page(reported), folder / PAGE_NAME, output)
+    page = _write_page(lambda: run_page(reported), recording.with_name(PAGE_NAME), output)
     write_json(report.document(), output.json)
     print_report(report, output.console, processes=output.by_agent)
-    say(output.console, f"recording: {run}", *page)
+    say(output.console, f"recording: {recording}", *page)
     if report.interrupted:
         return INTERRUPTED
     return OK if report.passed else FAILED
 
 
 def _time_several(
-    rates: Rates, duration: str, request: RunRequest, output: _Output, shown: PageProcess | None
+    rates: Rates, length_s: float, request: RunRequest, output: _Output, shown: PageProcess | None
 ) -> int:
     from launch_scripts.launcher.run_folder import new_run_id, run_folder
     from studies.timing.measured_run import measured_run, prepare_at
@@ -167,7 +158,10 @@ def _time_several(
     reports: list[TimingReport] = []
 
     def prepared(rate_hz: float) -> Callable[[], Reported]:
-        preparation, place = prepare_at(rate_hz, duration, request, folder / f"rate-{rate_hz:g}")
+        name = f"rate-{rate_hz:g}"
+        if (folder / name).exists():
+            name = f"{name}-again"
+        preparation, place = prepare_at(rate_hz, length_s, request, folder / name)
         return lambda: measured_run(preparation, place, output.console)
 
     # All listed rates are prepared before the first one runs, so that none is refused then.

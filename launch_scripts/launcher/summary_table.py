@@ -15,7 +15,7 @@ from launch_scripts.launcher.wrong_messages import one_line_each
 from recordings.read.reader import RunReader
 from studies.metrics import RunMetrics
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT, shown_in
-from studies.report.health_table import health_table
+from studies.report.tables import health_table
 from studies.tables import Cell, Column, Number, Table, key_column, print_table, word_column
 
 Row: TypeAlias = tuple[str, Cell, str, str]

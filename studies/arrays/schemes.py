@@ -9,7 +9,7 @@ from typing import Final, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.control.grouping import grouping_limits_kw
+from agents.control.grouping import grouping_levels, grouping_limits_kw
 from agents.plan import Actuator, RunPlan, Scheme
 from bus_schemas.errors import InputError
 from recordings.read.series import RunSeries
@@ -18,13 +18,16 @@ from studies.arrays.closed_loop import LoopResult, run_loop
 
 SCHEMES: Final = {
     "uncontrolled": "every inverter at its maximum",
-    "uniform-cap": "each inverter limited to its share of the dispatch by capacity",
-    "grouping": "reference group at full power, the rest at one uniform limit; see --reference",
+    "uniform-cap": "each inverter held to its share of the dispatch by rating",
+    "grouping": "reference group at full power, the rest curtailed alike; see --reference",
     "paper": "hierarchical, IMPP of the last cycle (eq. 1)",
     "predictive": "hierarchical, IMPP forecast with a margin",
     "physical-limit": "the least of dispatch and possible power: no controller does better",
 }
 """Name and one line of each scheme."""
+
+BOUNDS: Final = ("uncontrolled", "physical-limit")
+"""Schemes that command nothing: they have no actuator, and say what is possible."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +82,6 @@ def run_scheme(
 ) -> list[RunSeries]:
     """Run one scheme; grouping control gives one series for each reference group.
 
-    The actuator is that of the hierarchical schemes; the others are defined with power limits.
-
     Raises
     ------
     InputError
@@ -90,54 +91,64 @@ def run_scheme(
         found = run_loop(plan, profile, cast(Scheme, name), actuator)
         return [_series(name, plan, profile, found)]
     if name == "grouping":
-        return _grouping(plan, profile, groups)
+        return _grouping(plan, profile, actuator, groups)
     simple = _SIMPLE.get(name)
     if simple is None:
         raise InputError(f"scheme: expected {', '.join(SCHEMES)}, got {name}")
-    return [_series(name, plan, profile, _limited(profile, simple(plan, profile)))]
+    return [_series(name, plan, profile, _result(profile, simple(plan, profile, actuator)))]
 
 
-def _grouping(plan: RunPlan, profile: Profile, groups: ReferenceGroups) -> list[RunSeries]:
+def _grouping(
+    plan: RunPlan, profile: Profile, actuator: Actuator, groups: ReferenceGroups
+) -> list[RunSeries]:
     rating_kw = _rating_kw(plan)
-    measured_kw = _last_cycle(profile.mpp_kw) * (1.0 + profile.meter_error)
+    measured_kw = _measured_maximum_kw(profile)
     found = []
     names = [leaf.rpartition("/")[2] for leaf in plan.tree.leaves]
     for mask in groups.groups(names):
-        limits_kw = grouping_limits_kw(
-            measured_kw[:, mask].sum(axis=1), _desired_kw(profile), rating_kw, mask
-        )
+        seen = measured_kw[:, mask].sum(axis=1), _desired_kw(profile), rating_kw, mask
+        if actuator == "limit":
+            power_kw = np.minimum(profile.mpp_kw, grouping_limits_kw(*seen))
+        else:
+            power_kw = profile.mpp_kw * grouping_levels(*seen)
         members = ",".join(name for name, chosen in zip(names, mask, strict=True) if chosen)
-        found.append(_series(f"grouping({members})", plan, profile, _limited(profile, limits_kw)))
+        found.append(_series(f"grouping({members})", plan, profile, _result(profile, power_kw)))
     return found
 
 
-def _uncontrolled(plan: RunPlan, profile: Profile) -> NDArray[np.float64]:
-    return np.full_like(profile.mpp_kw, np.inf)
+def _uncontrolled(plan: RunPlan, profile: Profile, actuator: Actuator) -> NDArray[np.float64]:
+    return profile.mpp_kw
 
 
-def _uniform_cap(plan: RunPlan, profile: Profile) -> NDArray[np.float64]:
+def _uniform_cap(plan: RunPlan, profile: Profile, actuator: Actuator) -> NDArray[np.float64]:
+    """Each inverter gives its request; behind a fraction, of what it could give a cycle ago."""
     rating_kw = _rating_kw(plan)
-    desired_kw = np.maximum(_desired_kw(profile), 0.0)
-    return np.asarray(desired_kw[:, None] * (rating_kw / rating_kw.sum()))
+    dispatch_kw = np.clip(_desired_kw(profile), 0.0, rating_kw.sum())
+    request_kw = np.outer(dispatch_kw, rating_kw / rating_kw.sum())
+    if actuator == "limit":
+        return np.minimum(profile.mpp_kw, request_kw)
+    impp_kw = np.minimum(_measured_maximum_kw(profile), rating_kw)
+    level = np.ones_like(impp_kw)
+    np.divide(request_kw, impp_kw, out=level, where=impp_kw > request_kw)
+    return np.asarray(profile.mpp_kw * np.maximum(level, plan.alpha_min))
 
 
-def _physical_limit(plan: RunPlan, profile: Profile) -> NDArray[np.float64]:
+def _physical_limit(plan: RunPlan, profile: Profile, actuator: Actuator) -> NDArray[np.float64]:
     possible_kw = profile.mpp_kw.sum(axis=1)
     wanted_kw = np.clip(_desired_kw(profile), 0.0, possible_kw)
     share = np.divide(wanted_kw, possible_kw, out=np.ones_like(wanted_kw), where=possible_kw > 0.0)
     return np.asarray(profile.mpp_kw * share[:, None])
 
 
-_SIMPLE: Final[dict[str, Callable[[RunPlan, Profile], NDArray[np.float64]]]] = {
+_SIMPLE: Final[dict[str, Callable[[RunPlan, Profile, Actuator], NDArray[np.float64]]]] = {
     "uncontrolled": _uncontrolled,
     "uniform-cap": _uniform_cap,
     "physical-limit": _physical_limit,
 }
-"""Schemes that limit the power of each inverter without looking at the last cycle."""
+"""Power of each inverter under the schemes in which inverters do not help each other."""
 
 
-def _limited(profile: Profile, limits_kw: NDArray[np.float64]) -> LoopResult:
-    power_kw = np.minimum(profile.mpp_kw, limits_kw)
+def _result(profile: Profile, power_kw: NDArray[np.float64]) -> LoopResult:
     unknown = np.full_like(power_kw, np.nan)
     alpha = np.divide(power_kw, profile.mpp_kw, out=np.ones_like(power_kw), where=power_kw > 0.0)
     return LoopResult(power_kw, unknown, unknown, alpha)
@@ -171,6 +182,7 @@ def _rating_kw(plan: RunPlan) -> NDArray[np.float64]:
     return np.array([plan.tree.rating_kw(leaf) for leaf in plan.tree.leaves])
 
 
-def _last_cycle(value: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the values of the cycle before; the first cycle repeats its own."""
-    return np.concatenate([value[:1], value[:-1]])
+def _measured_maximum_kw(profile: Profile) -> NDArray[np.float64]:
+    """Return what the meters show of each maximum a cycle ago; the first cycle shows its own."""
+    last_kw = np.concatenate([profile.mpp_kw[:1], profile.mpp_kw[:-1]])
+    return np.asarray(last_kw * (1.0 + profile.meter_error))

@@ -24,7 +24,7 @@ from studies.clusters.worth import (
     past_of,
     worth_of,
 )
-from studies.tables import Cell, Column, Table, key_column
+from studies.tables import Cell, Column, Table, key_column, word_column
 from studies.workers import share_work
 
 _PAPER_PERIODS_S: Final = (1.0, 10.0, 60.0)
@@ -53,8 +53,6 @@ class ClusterStudy:
 
     Attributes
     ----------
-    title
-        What was run.
     periods_s
         Periods of the central controller [s].
     ways
@@ -63,8 +61,6 @@ class ClusterStudy:
         Results for each order of help in the virtual clusters.
     search
         How the virtual clusters were found.
-    remarks
-        What a reader must know about the data.
     """
 
     title: str
@@ -91,7 +87,7 @@ def study_clusters(
     question: ClusterQuestion,
     remarks: tuple[str, ...],
     workers: int,
-    watch: Callable[[Iterator[Done], int], Iterator[Done]] = lambda done, total: done,
+    watch: Callable[[Iterator[Done], int], Iterator[Done]],
 ) -> ClusterStudy:
     """Run all ways to choose clusters; `watch` passes their results on, to show progress."""
     scheme, periods, control = question.scheme, question.periods, question.control
@@ -214,32 +210,45 @@ def _figures(worth: ClustersWorth) -> tuple[float | None, ...]:
     return tuple(None if value is None or isnan(value) else value for value in figures)
 
 
+def orders_table(study: ClusterStudy) -> Table:
+    """Return the control-caused shortfall of each order of help in the virtual clusters."""
+    return Table(
+        "Order of help in the virtual clusters",
+        (
+            key_column("order"),
+            *(Column("control-caused", f"% at {period_s:g} s", 4) for period_s in study.periods_s),
+        ),
+        tuple(
+            (name, *(shortfall.control_caused_percent for shortfall in worth.shortfalls))
+            for name, worth in study.orders.items()
+        ),
+    )
+
+
+def members_table(study: ClusterStudy) -> Table:
+    """Return the inverters of each cluster, for ways that choose the same ones each time."""
+    rows = [
+        (name, "; ".join(" ".join(cluster) for cluster in worths[0].clusters))
+        for name, worths in study.ways.items()
+        if len(worths) == 1
+    ]
+    return Table("Members", (key_column("clusters"), word_column("inverters")), tuple(rows))
+
+
 def study_lines(study: ClusterStudy) -> list[str]:
-    """Say what is the same however clusters are chosen, and how they were chosen."""
+    """Say what is the same however clusters are chosen, and how virtual ones were found."""
     (virtual,) = study.ways["virtual"]
     needy, cycles = virtual.help.plant.needy, virtual.help.cycles
     lacking = needy - virtual.help.plant_sufficient.needy
-    orders = "; ".join(
-        f"{name} " + ", ".join(f"{one.control_caused_percent:.4f}" for one in worth.shortfalls)
-        for name, worth in study.orders.items()
-    )
     found = study.search.correlation_of_starts
     return [
         f"An inverter was in need in {needy:,} of {cycles:,} cycles; in {lacking:,} of them the "
         f"whole plant lacked power. {virtual.shortfalls[0].unavoidable_percent:.3f} % of the "
         "desired energy was out of reach of any controller.",
-        f"Order of help in the virtual clusters, control-caused % as above: {orders}.",
         f"Search for virtual clusters: {study.search.starts_at_best} of {len(found)} starts found "
         f"the best, correlation {min(found):.4f}; median {median(found):.4f}, worst "
         f"{max(found):.4f}.",
-        *_members(study.ways),
     ]
-
-
-def _members(ways: dict[str, list[ClustersWorth]]) -> Iterator[str]:
-    for name, worths in ways.items():
-        if len(worths) == 1:
-            yield f"{name}: " + "; ".join(" ".join(cluster) for cluster in worths[0].clusters)
 
 
 def study_json(study: ClusterStudy) -> dict[str, object]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
@@ -16,7 +16,7 @@ from agents.control.clusters import within_cluster_correlation
 from agents.control.correlation import hourly_correlation, hourly_covariance
 from agents.plan import Neighbourhood, NodeNeighbourhoods, RunPlan, Scheme
 from bus_schemas.errors import InputError
-from bus_schemas.tree import ControlTree, parent_of
+from bus_schemas.tree import ControlTree
 from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
 from launch_scripts.scenarios.power_sources import power_source
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
@@ -27,8 +27,7 @@ from sim_plant.sites import Sites
 from studies.arrays.schemes import ReferenceGroups, run_scheme
 from studies.metrics import CommitmentMetrics, commitment_metrics
 from studies.metrics.help import HelpMetrics, help_metrics
-
-_HOUR_NS: Final = 3_600_000_000_000
+from studies.report.cloud_passage import clusters, hours_from_first_midnight
 
 
 class Arrangement(NamedTuple):
@@ -177,13 +176,14 @@ def worth_of(
 ) -> ClustersWorth:
     """Run an arrangement, once for each period of the central controller [cycles]."""
     runs = [_run(arrangement, scheme, period) for period in periods]
-    clusters = _lowest_clusters(arrangement.plan.tree)
+    shared = list(clusters(runs[0]).values())
     names = _leaf_names(arrangement.plan.tree)
-    in_past = [[past.inverters.index(names[leaf]) for leaf in cluster] for cluster in clusters]
+    in_past = [[past.inverters.index(names[leaf]) for leaf in cluster] for cluster in shared]
+    in_run = hourly_correlation(runs[0].mpp_kw, hours_from_first_midnight(runs[0])).values
     return ClustersWorth(
-        clusters=tuple(tuple(names[leaf] for leaf in cluster) for cluster in clusters),
+        clusters=tuple(tuple(names[leaf] for leaf in cluster) for cluster in shared),
         past_correlation=within_cluster_correlation(past.correlation, in_past),
-        run_correlation=within_cluster_correlation(_correlation_in(runs[0]), clusters),
+        run_correlation=within_cluster_correlation(in_run.mean(axis=0), shared),
         help=help_metrics(runs[0].residual_kw, runs[0].inverters),
         shortfalls=tuple(
             _shortfall(run, period) for run, period in zip(runs, periods, strict=True)
@@ -251,20 +251,6 @@ def _rest_of(profile: Profile, learned: int, order: Sequence[int]) -> Profile:
         profile.regulation_capacity_kw,
         np.ascontiguousarray(profile.meter_error[learned:, order]),
     )
-
-
-def _correlation_in(run: RunSeries) -> NDArray[np.float64]:
-    """Mean of a run's hourly correlations, by hours of local time."""
-    hours = run.times.tz_localize(None).as_unit("ns").asi8 // _HOUR_NS
-    return np.asarray(hourly_correlation(run.mpp_kw, hours).values.mean(axis=0))
-
-
-def _lowest_clusters(tree: ControlTree) -> list[list[int]]:
-    """Positions of the inverters that share a parent, cluster by cluster."""
-    members: dict[str, list[int]] = {}
-    for place, leaf in enumerate(tree.leaves):
-        members.setdefault(parent_of(leaf), []).append(place)
-    return list(members.values())
 
 
 def _leaf_names(tree: ControlTree) -> tuple[str, ...]:

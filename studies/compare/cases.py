@@ -36,9 +36,10 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One day with one choice of settings; its label is empty if it is the only case."""
+    """One day with one choice of settings, which is one part of its label."""
 
     label: str
+    settings: str
     scenario: ScenarioFile
     options: RunOptions
 
@@ -132,7 +133,7 @@ def cases(
         names = [f"{field.rpartition('.')[2]}={value}" for field, value in chosen]
         for day, seed in product(days or (None,), seeds or (None,)):
             label = " ".join([*names, *_labels(day, seed)])
-            found.append(Case(label, changed, _on(changed, options, day, seed)))
+            found.append(Case(label, " ".join(names), changed, _on(changed, options, day, seed)))
     return found
 
 

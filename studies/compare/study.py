@@ -7,19 +7,21 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from agents.plan import Actuator
 from bus_schemas.errors import InputError
 from launch_scripts.scenarios.preparation import Preparation, prepare
 from recordings.read.series import RunSeries
-from studies.arrays.schemes import ReferenceGroups, run_scheme
+from studies.arrays.schemes import BOUNDS, ReferenceGroups, run_scheme
 from studies.compare.cases import Case
 from studies.metrics import RunMetrics, run_metrics
 
 
 @dataclass(frozen=True, slots=True)
 class SchemeResult:
-    """Figures of merit of one scheme in one case."""
+    """Figures of merit of one scheme in one case; a bound has no actuator."""
 
     scheme: str
+    actuator: Actuator | None
     metrics: RunMetrics
 
 
@@ -29,11 +31,11 @@ class CaseResult:
 
     Attributes
     ----------
-    label
+    label, settings
         Of the case.
     schemes
-        In the order asked for. Grouping control has three: its best, median and worst reference
-        group by control-caused shortfall.
+        In the order asked for, each with one actuator after the other. Grouping control has
+        three: its best, median and worst reference group, see `results_of`.
     prepare_s, run_s
         Time to work out sky and market, and to run all schemes [s].
     remarks
@@ -41,6 +43,7 @@ class CaseResult:
     """
 
     label: str
+    settings: str
     schemes: tuple[SchemeResult, ...]
     prepare_s: float
     run_s: float
@@ -49,10 +52,21 @@ class CaseResult:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What is compared: names of `SCHEMES`, and reference groups of grouping control."""
+    """What is compared.
+
+    Attributes
+    ----------
+    schemes
+        Names of `SCHEMES`.
+    groups
+        Reference groups of grouping control.
+    actuators
+        Each scheme is run with all of these; none given: with that of the scenario.
+    """
 
     schemes: tuple[str, ...]
     groups: ReferenceGroups = field(default_factory=ReferenceGroups)
+    actuators: tuple[Actuator, ...] = ()
 
 
 def run_case(comparison: Comparison, case: Case) -> CaseResult:
@@ -67,32 +81,43 @@ def run_case(comparison: Comparison, case: Case) -> CaseResult:
     try:
         preparation = prepare(case.scenario, case.options, "study")
         prepared = time.perf_counter()
-        found = tuple(
-            SchemeResult(label, metrics)
-            for label, metrics, _ in results_of(preparation, comparison)
-        )
+        found = tuple(result for result, _ in results_of(preparation, comparison))
     except InputError as error:
         raise InputError(f"{case.label}: {error}" if case.label else str(error)) from None
     done = time.perf_counter()
-    return CaseResult(case.label, found, prepared - began, done - prepared, remarks_of(preparation))
+    times = prepared - began, done - prepared
+    return CaseResult(case.label, case.settings, found, *times, remarks_of(preparation))
 
 
 def results_of(
     preparation: Preparation, comparison: Comparison
-) -> Iterator[tuple[str, RunMetrics, RunSeries]]:
-    """Yield label, figures of merit and series of each scheme of a prepared run."""
+) -> Iterator[tuple[SchemeResult, RunSeries]]:
+    """Yield the result and the series of each scheme of a prepared run.
+
+    The reference groups of grouping control are ranked by the energy that control caused to be
+    missing plus the energy delivered too much: a group that trades one for the other does not win.
+    """
     plan, profile = preparation.plan, preparation.profile
+    actuators = comparison.actuators or (plan.actuator,)
     for name in comparison.schemes:
-        series = run_scheme(name, plan, profile, plan.actuator, comparison.groups)
-        found = [(run_metrics(one), one) for one in series]
-        if len(found) == 1:
-            yield name, *found[0]
-            continue
-        found.sort(key=lambda pair: pair[0].commitment.control_caused_kwh)
-        for rank, place in (("best", 0), ("median", len(found) // 2), ("worst", -1)):
-            label = f"{name} {rank}"
-            metrics, one = found[place]
-            yield label, metrics, dataclasses.replace(one, label=label)
+        for actuator in (None,) if name in BOUNDS else actuators:
+            series = run_scheme(name, plan, profile, actuator or plan.actuator, comparison.groups)
+            found = sorted(((run_metrics(one), one) for one in series), key=_missed_kwh)
+            ranks = {name: 0}
+            if len(found) > 1:
+                ranks = {f"{name} best": 0, f"{name} median": len(found) // 2, f"{name} worst": -1}
+            for label, place in ranks.items():
+                metrics, one = found[place]
+                title = f"{label}, {actuator}" if actuator and len(actuators) > 1 else label
+                yield (
+                    SchemeResult(label, actuator, metrics),
+                    dataclasses.replace(one, label=title),
+                )
+
+
+def _missed_kwh(found: tuple[RunMetrics, RunSeries]) -> float:
+    energy = found[0].commitment
+    return energy.control_caused_kwh + energy.over_delivered_kwh
 
 
 def remarks_of(preparation: Preparation) -> tuple[str, ...]:

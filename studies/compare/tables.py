@@ -3,61 +3,128 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from statistics import fmean
 from typing import Final
 
+import numpy as np
+
+from studies.compare.statistics import QUANTILES, summaries, values_of
 from studies.compare.study import CaseResult, SchemeResult
 from studies.metrics.figures_of_merit import (
     FIGURES_OF_MERIT,
     FigureOfMerit,
     figures_json,
-    runs_as_rows,
     shown_in,
 )
-from studies.tables import Cell, Column, Table, key_column
+from studies.tables import Cell, Column, Table, cell_text, key_column
+
+AXES: Final = ("control-caused", "over-delivered", "rmse")
+"""Figures of merit that only count together: one is easily had at the cost of another."""
 
 _LISTED: Final = 40
-"""Up to this many cases have a row each; of more, the mean and the extremes are shown."""
+"""Up to this many cases have a row each."""
+
+_NOTES: Final = (
+    "* best of its column; rows without an actuator are bounds and do not compete",
+    "best, median and worst reference group: by control-caused plus over-delivered energy",
+)
 
 
 def case_tables(title: str, schemes: Sequence[SchemeResult]) -> list[Table]:
     """Return the paper's tables for one case, a row for each scheme."""
-    runs = [(entry.scheme, entry.metrics) for entry in schemes]
-    tables = [runs_as_rows(title, runs, shown_in("compare", "commitment"))]
-    followed = [(name, metrics) for name, metrics in runs if metrics.regulation]
-    if followed:
+    axes = tuple(FIGURES_OF_MERIT[name] for name in AXES)
+    others = (one for one in shown_in("compare", "commitment") if one not in axes)
+    tables = [_scheme_table(title, schemes, (*axes, *others))]
+    if any(entry.metrics.regulation for entry in schemes):
         figures = shown_in("compare", "regulation")
-        tables.append(runs_as_rows("Regulation signal", followed, figures))
+        tables.append(_scheme_table("Regulation signal", schemes, figures))
     return tables
 
 
-def cases_table(name: str, results: Sequence[CaseResult]) -> Table:
-    """Return one figure of merit of many cases."""
-    figure = FIGURES_OF_MERIT[name]
-    if len(results) > _LISTED:
-        return _summary(figure, results)
-    schemes = [entry.scheme for entry in results[0].schemes]
-    columns = (key_column("case"), *(Column(scheme, "", figure.decimals) for scheme in schemes))
+def _scheme_table(
+    title: str, schemes: Sequence[SchemeResult], figures: Sequence[FigureOfMerit]
+) -> Table:
+    columns = key_column("scheme"), key_column("actuator"), *(figure.column for figure in figures)
+    cells = [_with_mark(figure, schemes) for figure in figures]
     rows = tuple(
-        (result.label, *(figure.read(entry.metrics) for entry in result.schemes))
-        for result in results
+        (entry.scheme, entry.actuator or "-", *row)
+        for entry, row in zip(schemes, zip(*cells, strict=True), strict=True)
     )
-    return Table(figure.heading, columns, rows)
+    has_groups = any(entry.scheme == "grouping best" for entry in schemes)
+    return Table(title, columns, rows, _NOTES if has_groups else _NOTES[:1])
 
 
-def _summary(figure: FigureOfMerit, results: Sequence[CaseResult]) -> Table:
-    statistics = (("mean", fmean), ("least", min), ("most", max))
-    rows: list[tuple[Cell, ...]] = []
-    for place, entry in enumerate(results[0].schemes):
-        values = [figure.read(result.schemes[place].metrics) for result in results]
-        known = [value for value in values if value is not None]
-        if known:
-            rows.append((entry.scheme, *(of_many(known) for _, of_many in statistics)))
+def _with_mark(figure: FigureOfMerit, schemes: Sequence[SchemeResult]) -> list[Cell]:
+    """Return a figure of each scheme, the best with a star, unless all that compete are alike."""
+    values = [figure.read(entry.metrics) for entry in schemes]
+    ranked = {
+        value: cell_text(value, figure.column)
+        for value, entry in zip(values, schemes, strict=True)
+        if entry.actuator and value is not None
+    }
+    if len(set(ranked.values())) < 2:
+        return list(values)
+    best = ranked[max(ranked) if figure.is_more_better else min(ranked)]
+    return [
+        f"*{best}" if entry.actuator and cell_text(value, figure.column) == best else value
+        for value, entry in zip(values, schemes, strict=True)
+    ]
+
+
+def cases_tables(names: Sequence[str], results: Sequence[CaseResult]) -> list[Table]:
+    """Return figures of merit of many cases: case by case if they are few, and summarised."""
+    figures = [FIGURES_OF_MERIT[name] for name in names]
+    tables = [_cases_table(figures, results)] if len(results) <= _LISTED else []
+    return [*tables, *(_summary_table(figure, results) for figure in figures)]
+
+
+def _cases_table(figures: Sequence[FigureOfMerit], results: Sequence[CaseResult]) -> Table:
+    """Return a row for each case, and of each scheme the first figure with the others in brackets.
+
+    Mean and quantiles of all cases stand below.
+    """
+    first, *others = (figure.heading for figure in figures)
+    entries = results[0].schemes
     columns = (
-        key_column("scheme"),
-        *(Column(title, "", figure.decimals) for title, _ in statistics),
+        key_column("case"),
+        *(Column(entry.scheme, entry.actuator or "") for entry in entries),
     )
-    return Table(f"{figure.heading}, {len(results):,} cases", columns, tuple(rows))
+    values = np.stack([values_of(figure, results) for figure in figures], axis=-1)
+    of_all = {"mean": values.mean(axis=0)}
+    for name, share in QUANTILES.items():
+        of_all[name] = np.quantile(values, share, axis=0)
+    labelled = [*zip((result.label for result in results), values, strict=True), *of_all.items()]
+    rows = tuple((label, *(_together(figures, pair) for pair in row)) for label, row in labelled)
+    return Table(first + (f" ({', '.join(others)})" if others else ""), columns, rows)
+
+
+def _together(figures: Sequence[FigureOfMerit], values: Sequence[float]) -> str:
+    first, *others = (
+        cell_text(float(value), figure.column)
+        for figure, value in zip(figures, values, strict=True)
+    )
+    return f"{first} ({', '.join(others)})" if others else first
+
+
+def _summary_table(figure: FigureOfMerit, results: Sequence[CaseResult]) -> Table:
+    found = summaries(results, [figure])
+    difference = f"less {found[0].baseline}" if found else "difference"
+    names = "mean", "± 95 %", *QUANTILES, difference, "± 95 %"
+    keys = ["scheme", "actuator"]
+    if any(one.settings for one in found):
+        keys.insert(0, "settings")
+    columns = (
+        *map(key_column, keys),
+        *(Column(name, "", figure.decimals) for name in names),
+    )
+    rows = tuple(
+        (
+            *(getattr(one, key) or "-" for key in keys),
+            *(one.mean, one.mean_error, one.low, one.median, one.high),
+            *(one.difference, one.difference_error),
+        )
+        for one in found
+    )
+    return Table(f"{figure.heading}, {len(results):,} cases", columns, rows)
 
 
 def json_rows(results: Sequence[CaseResult]) -> list[dict[str, object]]:
@@ -66,6 +133,7 @@ def json_rows(results: Sequence[CaseResult]) -> list[dict[str, object]]:
         {
             "case": result.label,
             "scheme": entry.scheme,
+            "actuator": entry.actuator,
             **figures_json(entry.metrics),
             "metrics": entry.metrics,
             "remarks": result.remarks,

@@ -15,13 +15,13 @@ import msgspec
 from msgspec.structs import replace
 
 from agents.plan import RunPlan, Scheme
+from agents.team import controllers
 from bus_schemas.faults import FaultRule
 from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
 from recordings.read.series import RunSeries, SeriesCollector
 from sim_plant.profile import Profile
 from studies.metrics import RunMetrics, run_metrics
 from studies.metrics.figures_of_merit import figures_json
-from studies.timing.cycle_waits import StageTable
 
 Trouble: TypeAlias = Literal["delay", "loss", "period"]
 """What is made worse: delay of each hop [s], share of lost messages [%], central period [s]."""
@@ -31,7 +31,6 @@ VALUES: Final[dict[Trouble, tuple[float, ...]]] = {
     "loss": (0.0, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0),
     "period": (1.0, 2.0, 5.0, 10.0, 30.0, 60.0),
 }
-
 
 WARM_UP_S: Final = 120.0
 """The first seconds of each run, which do not count: with long delays messages are still coming."""
@@ -158,11 +157,11 @@ def _outcome(condition: Condition, run: MemoryRun, metrics: RunMetrics) -> Outco
 
 
 def _awaited(plan: RunPlan) -> int:
-    """Return how many inputs the stages of a run await in all."""
-    table = StageTable(plan)
-    return sum(
+    """Return how many inputs the stages of a run await in all; the plant awaits the commands."""
+    team = controllers(plan)
+    return plan.cycles * len(plan.tree.leaves) + sum(
         len(stage.awaits)
         for cycle in range(plan.cycles)
-        for agent in table.agents
-        for stage in table.stages(agent, cycle)
+        for agent in team
+        for stage in agent.stages(cycle)
     )

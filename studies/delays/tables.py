@@ -13,7 +13,7 @@ from launch_scripts.scenarios.preparation import Preparation
 from studies.compare.study import remarks_of
 from studies.delays.study import VALUES, WARM_UP_S, Outcome, Trouble
 from studies.metrics.figures_of_merit import shown_in
-from studies.tables import Column, Table, key_column, print_table
+from studies.tables import Column, Table, key_column, print_lines, print_table
 
 BEARABLE_PERCENT: Final = 1.0
 """Control-caused shortfall, in % of desired, up to which a trouble counts as survived."""
@@ -34,11 +34,10 @@ _LEGEND: Final = (
 
 def print_study(preparation: Preparation, outcomes: Sequence[Outcome], console: Console) -> None:
     """Print the tables, and how much of each trouble is survived."""
-    lines = (study_title(preparation), *study_notes(preparation), "")
-    console.print("\n".join(lines), highlight=False, markup=False)
+    print_lines(console, [study_title(preparation), *study_notes(preparation), ""])
     for trouble in VALUES:
         print_table(console, trouble_table(trouble, outcomes))
-    console.print("\n".join(survived(outcomes)), highlight=False, markup=False)
+    print_lines(console, survived(outcomes))
 
 
 def counted_s(preparation: Preparation) -> float:

@@ -8,7 +8,7 @@ from typing import Final, Literal, TypeAlias
 
 from studies.metrics.performance import PerformanceScore
 from studies.metrics.run import RunMetrics
-from studies.tables import Column, Number, Table, key_column
+from studies.tables import Cell, Column, Number, Table, key_column
 
 Place: TypeAlias = Literal["summary", "report", "compare", "delays"]
 """The end of a run, its report, `compare` of one case, `delays`. JSON has all figures."""
@@ -18,7 +18,7 @@ Read: TypeAlias = Callable[[RunMetrics], float | None]
 
 _PLACES: Final[dict[str, Place]] = {"S": "summary", "R": "report", "C": "compare", "D": "delays"}
 _Row: TypeAlias = tuple[str, str, str, int, str, Read]
-"""Name, title, unit, decimals, places by their letters, and where it is found."""
+"""Name, title, unit, decimals, places by their letters (+: more is better), where it is found."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +35,8 @@ class FigureOfMerit:
         Which table it belongs to.
     places
         Where it is shown.
+    is_more_better
+        Whether of two runs the one with more of it is better.
     read
         Where it is found; None where the run does not define it.
     """
@@ -45,6 +47,7 @@ class FigureOfMerit:
     decimals: int
     group: Group
     places: frozenset[Place]
+    is_more_better: bool
     read: Read
 
     @property
@@ -71,8 +74,8 @@ def _regulation(name: str) -> Read:
     return lambda m: getattr(m.regulation, name) if m.regulation else None
 
 
-def _fulfilled(place: int) -> Read:
-    return lambda m: m.regulation.requests[place].fulfilled_percent if m.regulation else None
+def _requests(place: int, name: str) -> Read:
+    return lambda m: getattr(m.regulation.requests[place], name) if m.regulation else None
 
 
 def _score(name: str) -> Read:
@@ -88,7 +91,7 @@ _COMMITMENT: Final[tuple[_Row, ...]] = (
     ("desired-energy", "Desired energy", "kWh", 1, "SR", lambda m: m.commitment.desired_kwh),
     ("possible-energy", "Possible energy", "kWh", 1, "SR", lambda m: m.commitment.possible_kwh),
     ("delivered-energy", "Delivered energy", "kWh", 1, "SR", lambda m: m.commitment.delivered_kwh),
-    ("satisfied", "Satisfied commitment", "%", 3, "SRC", lambda m: m.commitment.satisfied_percent),
+    ("satisfied", "Satisfied commitment", "%", 3, "SRC+", lambda m: m.commitment.satisfied_percent),
     ("shortfall-energy", "Shortfall", "kWh", 2, "SRC", lambda m: m.commitment.unsatisfied_kwh),
     ("unavoidable-energy", "Shortfall, unavoidable", "kWh", 2, "SR",
      lambda m: m.commitment.unavoidable_kwh),
@@ -122,12 +125,19 @@ _REGULATION: Final[tuple[_Row, ...]] = (
     ("offered", "Regulation offered", "h", 2, "R", _regulation("offered_h")),
     ("signal-mileage", "Mileage of the signal", "1/h", 2, "R",
      _regulation("signal_mileage_per_hour")),
-    ("regd-strict", "Requests fulfilled to 0.1 %", "%", 2, "SRC", _fulfilled(0)),
-    ("regd", "Requests fulfilled to 1 %", "%", 2, "SRCD", _fulfilled(1)),
-    ("accuracy", "Accuracy", "", 3, "RC", _score("accuracy")),
-    ("delay", "Delay", "", 3, "RC", _score("delay")),
-    ("precision", "Precision", "", 3, "RC", _score("precision")),
-    ("score", "PJM performance score", "", 3, "SRCD", _score("score")),
+    ("regd-strict", "Requests fulfilled to 0.1 %", "%", 2, "SRC+",
+     _requests(0, "fulfilled_percent")),
+    ("regd", "Requests fulfilled to 1 %", "%", 2, "SRCD+", _requests(1, "fulfilled_percent")),
+    ("regd-feasible-strict", "Feasible requests fulfilled to 0.1 %", "%", 2, "RC+",
+     _requests(0, "feasible_fulfilled_percent")),
+    ("regd-feasible", "Feasible requests fulfilled to 1 %", "%", 2, "RC+",
+     _requests(1, "feasible_fulfilled_percent")),
+    ("accuracy", "Accuracy", "", 3, "RC+", _score("accuracy")),
+    ("delay", "Delay", "", 3, "RC+", _score("delay")),
+    ("precision", "Precision", "", 3, "RC+", _score("precision")),
+    ("score", "PJM performance score", "", 3, "SRCD+", _score("score")),
+    ("score-unclipped", "PJM score, accuracy not clipped", "", 3, "RC+",
+     _score("unclipped_score")),
 )
 # fmt: on
 
@@ -137,7 +147,14 @@ _GROUPS: Final[dict[Group, tuple[_Row, ...]]] = {
 }
 FIGURES_OF_MERIT: Final = {
     name: FigureOfMerit(
-        name, title, unit, decimals, group, frozenset(map(_PLACES.__getitem__, places)), read
+        name,
+        title,
+        unit,
+        decimals,
+        group,
+        frozenset(_PLACES[letter] for letter in places.rstrip("+")),
+        places.endswith("+"),
+        read,
     )
     for group, rows in _GROUPS.items()
     for name, title, unit, decimals, places, read in rows
@@ -159,31 +176,30 @@ def figures_json(metrics: RunMetrics) -> dict[str, float | None]:
     return {name: figure.read(metrics) for name, figure in FIGURES_OF_MERIT.items()}
 
 
-def runs_as_rows(
-    title: str, runs: Sequence[tuple[str, RunMetrics]], figures: Sequence[FigureOfMerit]
-) -> Table:
-    """Return a table with a row for each labelled run and a column for each figure."""
-    return Table(
-        title,
-        (key_column("Scheme", "scheme"), *(figure.column for figure in figures)),
-        tuple((label, *(figure.read(metrics) for figure in figures)) for label, metrics in runs),
-    )
-
-
 def runs_as_columns(
-    title: str, runs: Sequence[tuple[str, RunMetrics]], figures: Sequence[FigureOfMerit]
+    title: str,
+    runs: Sequence[tuple[str, RunMetrics]],
+    figures: Sequence[FigureOfMerit],
+    *,
+    difference: bool = False,
 ) -> Table:
     """Return a table with a row for each figure and a column for each labelled run.
 
-    Figures that no run defines are left out.
+    Figures that no run defines are left out. With `difference`, a last column has the second of
+    two runs less the first.
     """
-    rows = [(figure, [figure.read(metrics) for _, metrics in runs]) for figure in figures]
-    return Table(
-        title,
-        (key_column("", "figure"), key_column("", "unit"), *(Column(label) for label, _ in runs)),
-        tuple(
-            (figure.title, figure.unit, *(Number(value, figure.decimals) for value in values))
-            for figure, values in rows
-            if any(value is not None for value in values)
-        ),
-    )
+    labels = [label for label, _ in runs]
+    rows: list[tuple[Cell, ...]] = []
+    for figure in figures:
+        values = [figure.read(metrics) for _, metrics in runs]
+        if all(value is None for value in values):
+            continue
+        if difference:
+            first, second = values
+            values.append(None if first is None or second is None else second - first)
+        cells = (Number(value, figure.decimals) for value in values)
+        rows.append((figure.title, figure.unit, *cells))
+    if difference:
+        labels.append("difference")
+    columns = (key_column("", "figure"), key_column("", "unit"), *map(Column, labels))
+    return Table(title, columns, tuple(rows))

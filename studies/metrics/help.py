@@ -70,25 +70,10 @@ def help_metrics(residual_kw: NDArray[np.float64], inverters: Sequence[str]) -> 
     Parameters
     ----------
     residual_kw
-        Residual of each inverter in each cycle, shape (T, n).
+        Residual of each inverter in each cycle, finite, shape (T, n).
     inverters
         Paths of the n inverters in the control tree, such as `c1/inv07`: they tell the clusters.
-
-    Raises
-    ------
-    ValueError
-        Shapes differ, or a residual is not a finite number (a scheme without residuals).
     """
-    if residual_kw.ndim != 2 or residual_kw.shape[1] != len(inverters):
-        raise ValueError(
-            f"residuals: expected shape (T, {len(inverters)}), got {residual_kw.shape}"
-        )
-    if not np.isfinite(residual_kw).all():
-        row, column = np.argwhere(~np.isfinite(residual_kw))[0]
-        raise ValueError(
-            f"residual of {inverters[column]} in cycle {row}: expected a finite number, "
-            f"got {residual_kw[row, column]}"
-        )
     needy, lacking = _by_cluster(residual_kw, inverters)
     plant_needy = np.logical_or.reduce(needy, axis=1)
     plant_lacking = np.logical_or.reduce(lacking, axis=1)

@@ -9,7 +9,8 @@ Signal S and response R are in per unit of the capacity, sampled every 10 s. A w
 window and R over the shifted window, and Delay(d) = 1 - d / 300 s, but 1 at d = 10 s. Accuracy and
 delay of a window are Corr and Delay at the shift where their sum is greatest, the least such shift.
 A flat signal (standard deviation below 0.01) is scored by slopes instead. The precision of an hour
-is 1 - mean |R - S| / mean |S|.
+is 1 - mean |R - S| / mean |S|. The accuracy of a window that opposes the signal counts as 0; the
+unclipped score counts it as it is.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ _NS: Final = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class HourScore:
-    """Score of one hour of the clock, all parts from 0 to 1.
+    """Score of one hour of the clock.
 
     Attributes
     ----------
@@ -43,10 +44,10 @@ class HourScore:
         Local time at which the hour begins, ISO 8601.
     windows
         Windows of 5 minutes that were scored, at most 12.
-    accuracy, delay, precision
-        See the module.
-    score
-        Their mean.
+    accuracy, delay, precision, score
+        See the module; `score` is the mean of the three, and all are from 0 to 1.
+    unclipped_score
+        The same with the accuracy of its windows from -1 to 1.
     passed
         Whether the score is at least 0.75.
     """
@@ -57,6 +58,7 @@ class HourScore:
     delay: float
     precision: float
     score: float
+    unclipped_score: float
     passed: bool
 
 
@@ -64,14 +66,7 @@ class HourScore:
 class PerformanceScore:
     """Scores of the hours of a run, and their means, each hour weighted with its windows.
 
-    Attributes
-    ----------
-    hours
-        Hour by hour.
-    accuracy, delay, precision, score
-        Means over the hours.
-    passed
-        Whether the mean score is at least 0.75.
+    `passed` says whether the mean score is at least 0.75.
     """
 
     hours: tuple[HourScore, ...]
@@ -79,6 +74,7 @@ class PerformanceScore:
     delay: float
     precision: float
     score: float
+    unclipped_score: float
     passed: bool
 
 
@@ -147,8 +143,8 @@ def _whole_windows(clock_s: NDArray[np.int64], offered: NDArray[np.bool_]) -> ND
 
 def _hour_score(
     signal: NDArray[np.float64], response: NDArray[np.float64], first: NDArray[np.intp]
-) -> tuple[float, float, float, float, bool] | None:
-    """Accuracy, delay, precision, score and verdict of windows that begin at these samples."""
+) -> tuple[float, float, float, float, float, bool] | None:
+    """Return what an `HourScore` has of windows that begin at these samples."""
     window = first[:, None] + np.arange(_WINDOW)
     asked = np.abs(signal[window]).mean()
     if asked == 0.0:
@@ -158,9 +154,11 @@ def _hour_score(
     shifted = sliding_window_view(beyond, _WINDOW)[first[:, None] + np.arange(_WINDOW + 1)]
     accuracy, delay = window_scores(signal[window], shifted)
     precision = 1.0 - np.abs(response[window] - signal[window]).mean() / asked
-    parts = float(accuracy.mean()), float(delay.mean()), float(np.clip(precision, 0.0, 1.0))
+    clipped = float(accuracy.clip(min=0.0).mean())
+    parts = clipped, float(delay.mean()), float(np.clip(precision, 0.0, 1.0))
     score = sum(parts) / 3.0
-    return *parts, score, score >= PASSING_SCORE
+    unclipped_score = score + (float(accuracy.mean()) - clipped) / 3.0
+    return *parts, score, unclipped_score, score >= PASSING_SCORE
 
 
 def window_scores(
@@ -179,7 +177,7 @@ def window_scores(
     Returns
     -------
     accuracy, delay
-        Of each window, from 0 to 1, shape (W,).
+        Of each window, shape (W,): accuracy up to 1 and not clipped at 0, delay from 0 to 1.
     """
     correlation = _correlations(signal, shifted)
     promptness = 1.0 - np.arange(_WINDOW + 1) / _WINDOW
@@ -193,7 +191,7 @@ def window_scores(
     flat = signal.std(axis=1) < _FLAT_STD
     accuracy[flat] = 1.0 - np.abs(_slopes(signal[flat]) - _slopes(shifted[flat, 0]))
     delay[flat] = 1.0
-    return accuracy.clip(0.0, 1.0), delay
+    return accuracy.clip(max=1.0), delay
 
 
 def _correlations(signal: NDArray[np.float64], shifted: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -217,16 +215,10 @@ def _slopes(windows: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _mean_score(hours: tuple[HourScore, ...]) -> PerformanceScore:
     weights = [hour.windows for hour in hours]
-
-    def mean(values: list[float]) -> float:
-        return float(np.average(values, weights=weights))
-
-    score = mean([hour.score for hour in hours])
+    accuracy, delay, precision, score, unclipped = (
+        float(np.average([getattr(hour, part) for hour in hours], weights=weights))
+        for part in ("accuracy", "delay", "precision", "score", "unclipped_score")
+    )
     return PerformanceScore(
-        hours=hours,
-        accuracy=mean([hour.accuracy for hour in hours]),
-        delay=mean([hour.delay for hour in hours]),
-        precision=mean([hour.precision for hour in hours]),
-        score=score,
-        passed=score >= PASSING_SCORE,
+        hours, accuracy, delay, precision, score, unclipped, score >= PASSING_SCORE
     )

@@ -45,8 +45,9 @@ class RequestsFulfilled:
         Those below it in some cycle.
     over
         The rest: above it in some cycle, and never below.
-    fulfilled_percent
-        100 fulfilled / requests.
+    feasible, feasible_fulfilled
+        Requests that the plant was able to meet, the paper's condition: possible power was at
+        least the desired power in every cycle of it; and those of them that were fulfilled.
     """
 
     tolerance_percent: float
@@ -55,7 +56,18 @@ class RequestsFulfilled:
     fulfilled: int
     short: int
     over: int
-    fulfilled_percent: float
+    feasible: int
+    feasible_fulfilled: int
+
+    @property
+    def fulfilled_percent(self) -> float:
+        """Requests fulfilled, in % of all."""
+        return 100.0 * self.fulfilled / self.requests
+
+    @property
+    def feasible_fulfilled_percent(self) -> float | None:
+        """The same of the feasible requests alone; None where there were none."""
+        return 100.0 * self.feasible_fulfilled / self.feasible if self.feasible else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +120,7 @@ def regulation_metrics(series: RunSeries) -> RegulationMetrics | None:
         requests=requests_fulfilled(
             (delivered_kw - series.desired_kw)[offered],
             _request_numbers(series)[offered],
+            (series.possible_kw >= series.desired_kw)[offered],
             float(series.rating_kw.sum()),
         ),
         performance=performance_score(signal, response, offered, series.times[0], series.cycle_s),
@@ -146,10 +159,11 @@ def offered_cycles(regulation_kw: NDArray[np.float64], cycle_s: float) -> NDArra
 def requests_fulfilled(
     deviation_kw: NDArray[np.float64],
     request: NDArray[np.int64],
+    is_able: NDArray[np.bool_],
     rating_kw: float,
     tolerances_percent: Sequence[float] = TOLERANCES_PERCENT,
 ) -> tuple[RequestsFulfilled, ...]:
-    """Count the requests that were fulfilled, short and over, at each tolerance.
+    """Count the requests that were fulfilled, short, over and feasible, at each tolerance.
 
     Parameters
     ----------
@@ -157,6 +171,8 @@ def requests_fulfilled(
         Delivered less desired power in each cycle, shape (K,), K at least 1.
     request
         Number of the request that each cycle belongs to, ascending, shape (K,).
+    is_able
+        Whether possible power was at least the desired power, shape (K,).
     rating_kw
         AC rating of the plant [kW].
     tolerances_percent
@@ -165,21 +181,23 @@ def requests_fulfilled(
     begins = np.flatnonzero(np.diff(request, prepend=request[0] - 1))
     lowest_kw = np.minimum.reduceat(deviation_kw, begins)
     highest_kw = np.maximum.reduceat(deviation_kw, begins)
+    feasible = np.logical_and.reduceat(is_able, begins)
     counts = []
     for percent in tolerances_percent:
         tolerance_kw = rating_kw * percent / 100.0
         short = lowest_kw < -tolerance_kw
         over = ~short & (highest_kw > tolerance_kw)
-        fulfilled = len(begins) - int(short.sum()) - int(over.sum())
+        fulfilled = ~short & ~over
         counts.append(
             RequestsFulfilled(
                 tolerance_percent=percent,
                 tolerance_kw=tolerance_kw,
                 requests=len(begins),
-                fulfilled=fulfilled,
+                fulfilled=int(fulfilled.sum()),
                 short=int(short.sum()),
                 over=int(over.sum()),
-                fulfilled_percent=100.0 * fulfilled / len(begins),
+                feasible=int(feasible.sum()),
+                feasible_fulfilled=int((feasible & fulfilled).sum()),
             )
         )
     return tuple(counts)

@@ -54,17 +54,7 @@ def find_cloud_passage(series: RunSeries) -> CloudPassage | None:
     In each hour of the run, the least correlated pair of each cluster is a candidate (eq. 5 of the
     paper). Of all candidates that is taken in which the IMPP of one falls the farthest within a
     minute, down to below its request, while the other's IMPP is above its own throughout that
-    minute.
-
-    Parameters
-    ----------
-    series
-        The run.
-
-    Returns
-    -------
-    CloudPassage or None
-        None where no candidate has such a drop, or the scheme estimates no IMPP.
+    minute. None where no candidate has such a drop, or the scheme estimates no IMPP.
     """
     hours = hours_from_first_midnight(series)
     drop_kw = _drops(series)

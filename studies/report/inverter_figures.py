@@ -1,23 +1,36 @@
-"""Figures of the single inverters: what each could spare or lacked, gave or was given."""
+"""Figures of the inverters: what each could spare or lacked, and how they helped each other."""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
+from itertools import accumulate
+from typing import Final
 
 import numpy as np
+import pandas as pd
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from recordings.read.series import RunSeries
-from studies.report.cloud_passage import inverters_by_cluster
+from studies.report.cloud_passage import (
+    CloudPassage,
+    clusters,
+    correlation_by_hour,
+    find_cloud_passage,
+    inverters_by_cluster,
+)
 from studies.report.decimation import COLUMNS, least_per_bucket
 from studies.report.style import (
     BLACK,
     BLUE,
+    ORANGE,
     SUPPORT,
     ReportFigure,
     clock_ms,
+    clock_range_ms,
+    clock_text,
     colour_bar,
     diverging_scale,
     dress,
@@ -25,28 +38,25 @@ from studies.report.style import (
     list_names,
     name_px,
     plain,
-    scheme_title,
     share_axis,
     thinning_note,
     time_line,
 )
 
-_LEAST_MAP_PX = 160
-_TITLE_PX = 44
+_LEAST_MAP_PX: Final = 160
+_TITLE_PX: Final = 44
+
+_ACROSS: Final = 5
+_MATRIX_PX: Final = {1: 420, 2: 340, 3: 240}
+"""Side of a matrix by how many stand beside each other."""
+_SMALLEST_MATRIX_PX: Final = 178
+_NAME_PX: Final = 14
 
 
 def residuals(series: RunSeries) -> ReportFigure | None:
     """Draw the residual of every inverter as a heat map, and that of the worst as a line.
 
-    Parameters
-    ----------
-    series
-        The run.
-
-    Returns
-    -------
-    ReportFigure or None
-        None where the scheme has no residuals.
+    None where the scheme has no residuals.
     """
     if np.isnan(series.residual_kw).all():
         return None
@@ -64,11 +74,11 @@ def residuals(series: RunSeries) -> ReportFigure | None:
     figure.add_trace(_residual_map(series, map_px), row=1, col=1)
     figure.add_trace(line, row=2, col=1)
     dress(figure, map_px + 230, legend=False)
-    figure.update_layout(hovermode="closest")
     list_names(figure, count, row=1, col=1)
     figure.update_yaxes(title_text="worst [kW]", row=2, col=1)
     figure.add_hline(y=0.0, line={"color": BLACK, "width": 1}, row=2, col=1)
     label_time_axis(figure, series, rows=2)
+    figure.update_layout(hovermode="closest")
     needy = 100.0 * np.mean(worst_kw[np.isfinite(worst_kw)] < 0.0)
     cells = " Each cell shows the least residual of the cycles that it covers."
     return ReportFigure(
@@ -107,10 +117,7 @@ def _residual_map(series: RunSeries, map_px: int) -> go.Heatmap:
 def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
     """Draw the energy that each inverter gave above its share, and by which it fell short of it.
 
-    Parameters
-    ----------
-    series
-        Runs of the same plant, a panel for each. The panels share both axes.
+    Each run has a panel; the panels share both axes.
     """
     order = inverters_by_cluster(series[0])
     names = [plain(series[0].inverters[position]) for position in order]
@@ -119,7 +126,7 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
         cols=len(series),
         shared_yaxes=True,
         horizontal_spacing=0.03,
-        subplot_titles=[scheme_title(one.label, len(series)) for one in series],
+        subplot_titles=[_in_lines(one.label, len(series)) for one in series],
     )
     for column, one in enumerate(series, start=1):
         given_kwh, lacking_kwh = energy_beside_share(one)
@@ -143,7 +150,6 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
     figure.update_layout(
         barmode="relative",
         bargap=0.25,
-        hovermode="closest",
         legend_y=1.0 + (_TITLE_PX / plot_px if len(series) > 1 else 0.0),
         margin_t=90 if len(series) > 1 else 46,
     )
@@ -158,6 +164,13 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
         "whatever the scheme asked of the inverter.",
         figure,
     )
+
+
+def _in_lines(label: str, panels: int) -> str:
+    """Return the title of one of several panels beside each other, in lines that fit."""
+    if panels == 1:
+        return ""
+    return "<br>".join(plain(line) for line in textwrap.wrap(label, max(10, 72 // panels)))
 
 
 def energy_beside_share(series: RunSeries) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -183,3 +196,158 @@ def energy_beside_share(series: RunSeries) -> tuple[NDArray[np.float64], NDArray
     given_kwh = np.nansum(np.maximum(above_kw, 0.0), axis=0) * hours
     lacking_kwh = np.nansum(np.maximum(-above_kw, 0.0), axis=0) * hours
     return np.asarray(given_kwh), np.asarray(lacking_kwh)
+
+
+def virtual_neighbours(series: RunSeries) -> ReportFigure | None:
+    """Draw IMPP and returned alpha of two virtual neighbours around a cloud passage, if any."""
+    passage = find_cloud_passage(series)
+    if passage is None:
+        return None
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.07)
+    for inverter, colour in ((passage.shaded, ORANGE), (passage.helping, BLUE)):
+        look = {"name": plain(series.inverters[inverter]), "line": {"color": colour, "width": 2}}
+        impp = time_line(series, series.impp_kw[:, inverter], passage.cycles, **look)
+        alpha = time_line(
+            series, series.alpha[:, inverter], passage.cycles, showlegend=False, **look
+        )
+        alpha.hovertemplate = "%{y:.3f}"
+        figure.add_trace(impp, row=1, col=1)
+        figure.add_trace(alpha, row=2, col=1)
+    for request in _request_lines(series, passage):
+        figure.add_trace(request, row=1, col=1)
+    dress(figure, 520)
+    figure.update_yaxes(title_text="IMPP [kW]", rangemode="tozero", row=1, col=1)
+    figure.update_yaxes(title_text="alpha, power / IMPP", range=[0.0, 1.05], row=2, col=1)
+    label_time_axis(figure, series, rows=2)
+    figure.update_xaxes(range=clock_range_ms(series, passage.cycles))
+    return ReportFigure(
+        "neighbours",
+        "Two virtual neighbours under a cloud",
+        _passage_caption(series, passage),
+        figure,
+    )
+
+
+def _request_lines(series: RunSeries, passage: CloudPassage) -> list[go.Scatter]:
+    """Return the request made of the two, as one line where it is the same of both."""
+    request_kw = series.impp_kw - series.residual_kw
+    pair = [passage.shaded, passage.helping]
+    same = series.rating_kw[pair[0]] == series.rating_kw[pair[1]]
+    lines = []
+    for inverter, dash in zip(pair[:1] if same else pair, ("dash", "dot"), strict=False):
+        name = "request" if same else plain(f"request of {series.inverters[inverter]}")
+        look = {"name": name, "line": {"color": BLACK, "width": 1.2, "dash": dash}}
+        lines.append(time_line(series, request_kw[:, inverter], passage.cycles, **look))
+    return lines
+
+
+def _passage_caption(series: RunSeries, passage: CloudPassage) -> str:
+    shaded, helping = series.inverters[passage.shaded], series.inverters[passage.helping]
+    return (
+        f"Above: IMPP, the estimated maximum power of two inverters, and their request [kW]. "
+        f"Below: their curtailment level alpha (no unit). The IMPP of {shaded} falls by "
+        f"{passage.drop_kw:,.0f} kW within a minute, until {clock_text(series, passage.bottom)}, "
+        f"while {helping} has headroom. The figure shows the largest such drop among the least "
+        f"correlated pairs of each cluster and hour; this pair has {passage.correlation:+.2f}."
+    )
+
+
+def correlation_matrices(series: RunSeries) -> ReportFigure | None:
+    """Draw the correlation matrix of the inverters' maximum power in each local hour.
+
+    None where no inverter's power varied in any hour.
+    """
+    matrices = correlation_by_hour(series)
+    if not matrices.hours:
+        return None
+    order = inverters_by_cluster(series)
+    names = [plain(series.inverters[position]) for position in order]
+    across = min(_ACROSS, len(matrices.hours))
+    rows = -(-len(matrices.hours) // across)
+    matrix_px = _MATRIX_PX.get(across, _SMALLEST_MATRIX_PX)
+    height_px = rows * matrix_px
+    figure = make_subplots(
+        rows=rows,
+        cols=across,
+        horizontal_spacing=0.02,
+        vertical_spacing=30.0 / height_px,
+        subplot_titles=_hour_titles(series, matrices.hours),
+    )
+    for place, matrix in enumerate(matrices.values):
+        row, column = place // across + 1, place % across + 1
+        figure.add_trace(
+            go.Heatmap(
+                z=matrix[np.ix_(order, order)].astype(np.float32),
+                x=names,
+                y=names,
+                coloraxis="coloraxis",
+                hovertemplate="%{x}, %{y}: %{z:.2f}<extra></extra>",
+            ),
+            row=row,
+            col=column,
+        )
+        _mark_clusters(figure, series, row, column, matrix_px)
+    dress(figure, height_px + 60, legend=False)
+    _square_up(figure)
+    figure.update_layout(
+        margin={"b": 20, "t": 40},
+        coloraxis={
+            "colorscale": diverging_scale(-1.0, 1.0),
+            "cmin": -1.0,
+            "cmax": 1.0,
+            "colorbar": colour_bar("", matrix_px - 30),
+        },
+    )
+    return ReportFigure(
+        "correlation",
+        "Correlation of the inverters, hour by hour",
+        "Pearson correlation of the true maximum power of every two inverters in each local hour "
+        "(no unit). Red: one falls while the other rises. Dark blue: both move together, as on the "
+        "diagonal. White lines separate the clusters. These are the correlations in the run "
+        "itself, not in the history by which clusters and neighbours were chosen.",
+        figure,
+    )
+
+
+def _hour_titles(series: RunSeries, hours: Sequence[int]) -> list[str]:
+    """Return `13 to 14 h`, with the day in front where the run has more than one."""
+    midnight = series.times[0].tz_localize(None).normalize()
+    begins = [midnight + pd.Timedelta(hours=hour) for hour in hours]
+    several_days = series.times[0].date() != series.times[-1].date()
+    return [
+        f"{begin.day} {begin:%b}, {begin.hour} h"
+        if several_days
+        else f"{begin.hour} to {begin.hour + 1} h"
+        for begin in begins
+    ]
+
+
+def _mark_clusters(
+    figure: go.Figure, series: RunSeries, row: int, column: int, matrix_px: int
+) -> None:
+    """Name the clusters beside a matrix of the first column, and draw lines between them."""
+    sizes = [len(members) for members in clusters(series).values()]
+    ends = list(accumulate(sizes))
+    step = max(1, -(-len(sizes) * _NAME_PX // matrix_px))
+    for end in ends[:-1]:
+        line = {"color": "white", "width": 1.5}
+        figure.add_vline(x=end - 0.5, line=line, row=row, col=column)
+        figure.add_hline(y=end - 0.5, line=line, row=row, col=column)
+    figure.update_yaxes(
+        tickvals=[end - (size + 1) / 2.0 for end, size in zip(ends, sizes, strict=True)][::step],
+        ticktext=[plain(cluster or "plant") for cluster in clusters(series)][::step],
+        tickfont_size=11,
+        showticklabels=column == 1,
+        row=row,
+        col=column,
+    )
+
+
+def _square_up(figure: go.Figure) -> None:
+    """Make all matrices squares, without ticks."""
+    figure.update_xaxes(showticklabels=False, ticks="", showgrid=False, constrain="domain")
+    figure.update_yaxes(ticks="", showgrid=False, autorange="reversed")
+    # At the top of their place, below their titles.
+    figure.update_yaxes(constrain="domain", constraintoward="top")
+    for axis in figure.select_yaxes():
+        axis.scaleanchor = axis.plotly_name.replace("axis", "").replace("y", "x", 1)

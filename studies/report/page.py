@@ -50,7 +50,6 @@ def html_page(
     title: str,
     paragraphs: Sequence[str],
     content: Sequence[Content],
-    figures: Sequence[ReportFigure] = (),
     *,
     verdict: tuple[bool, str] | None = None,
 ) -> str:
@@ -59,22 +58,13 @@ def html_page(
     Plotly's JavaScript stands in it once. The data of a figure are a JSON script element of their
     own, `ANCHOR-plot-data`, with Plotly's `data` and `layout`.
 
-    Parameters
-    ----------
-    title
-        Heading, plain text.
-    paragraphs
-        Text below the heading, plain text.
-    content, figures
-        What to show, in this order. The figures' anchors must differ.
-    verdict
-        Whether the run passed, and a line about it, which stands first.
+    `verdict` says whether the run passed, and a line about it, which stands first.
     """
     return _TEMPLATES.get_template("page.html.j2").render(
         title=title,
         paragraphs=paragraphs,
         verdict=verdict,
-        sections=list(_sections([*content, *figures])),
+        sections=list(_sections(content)),
         style=_file("page.css"),
         script=_file("page.js"),
         plotly=Markup(get_plotlyjs()),

@@ -1,4 +1,7 @@
-"""Figures of the plant as a whole: what was possible, promised and delivered."""
+"""Figures of the plant as a whole: what was possible, promised, asked and delivered.
+
+All take runs of the same plant in the same cycles, with the same desired power.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
+from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from recordings.read.series import RunSeries
@@ -15,6 +19,8 @@ from studies.report.style import (
     SAND,
     SUPPORT,
     ReportFigure,
+    clock_range_ms,
+    clock_text,
     dress,
     faint,
     label_time_axis,
@@ -27,16 +33,14 @@ from studies.report.style import (
 
 _PANEL_PX = 230
 _DASHED = {"color": BLACK, "width": 1.2, "dash": "dash"}
+_CLOSE_LOOK_S = 600.0
+
+# An error this small is rounding, not control: the allocation is exact to the same power.
+_ROUNDING_KW = 1e-6
 
 
 def possible_power(series: Sequence[RunSeries]) -> ReportFigure:
-    """Draw possible power against commitment, desired and delivered power.
-
-    Parameters
-    ----------
-    series
-        Runs of the same plant in the same cycles, with the same desired power.
-    """
+    """Draw possible power against commitment, desired and delivered power."""
     first = series[0]
     figure = go.Figure()
     possible = time_line(
@@ -76,13 +80,7 @@ def possible_power(series: Sequence[RunSeries]) -> ReportFigure:
 
 
 def delivered_and_support(series: Sequence[RunSeries]) -> ReportFigure:
-    """Draw delivered power and the support it needed, one panel for each run.
-
-    Parameters
-    ----------
-    series
-        Runs of the same plant in the same cycles. Their panels share both axes.
-    """
+    """Draw delivered power and the support it needed; each run has a panel with the same axes."""
     figure = make_subplots(
         rows=len(series),
         cols=1,
@@ -149,3 +147,171 @@ def _panel(one: RunSeries, name: str, position: int) -> list[go.Scatter]:
 
 def _delivered(one: RunSeries, series: Sequence[RunSeries]) -> str:
     return "delivered" if len(series) == 1 else plain(f"delivered, {one.label}")
+
+
+def tracking_error(series: Sequence[RunSeries]) -> ReportFigure:
+    """Draw how often the delivered power was how far from the desired power."""
+    figure = go.Figure()
+    for position, one in enumerate(series):
+        error_kw, share = folded_distribution((one.delivered_kw - one.desired_kw)[one.known])
+        figure.add_trace(
+            go.Scatter(
+                x=error_kw,
+                y=100.0 * share,
+                mode="lines",
+                name=plain(one.label),
+                showlegend=True,
+                connectgaps=False,
+                line=scheme_line(position),
+                hovertemplate="%{x:,.1f} kW or farther: %{y:.3g} %",
+            )
+        )
+    dress(figure, 380)
+    figure.update_xaxes(title_text="delivered less desired power [kW]", zeroline=True)
+    figure.update_yaxes(title_text="share of cycles [%]", type="log", dtick=1)
+    exact = "; ".join(f"{one.label} {_exact_percent(one):.1f} %" for one in series)
+    return ReportFigure(
+        "tracking-error",
+        "Distribution of the tracking error",
+        "Share of the cycles [%, logarithmic] in which the plant delivered too little (left of "
+        "zero) or too much (right of zero) by at least so much [kW]. Cycles without an error are "
+        f"not in the curves: {exact}.",
+        figure,
+    )
+
+
+def folded_distribution(
+    error_kw: NDArray[np.float64], points: int = 600
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the cumulative distribution of an error, folded at zero.
+
+    Parameters
+    ----------
+    error_kw
+        The error, shape (T,).
+    points
+        Greatest number of points of either side, closest together in the tails.
+
+    Returns
+    -------
+    tuple of numpy.ndarray
+        Errors [kW], ascending, and for each the share of T that lies at least as far from zero on
+        the same side. Between the two sides stands one NaN. Errors that are but rounding (up to
+        1e-6 kW) belong to neither.
+    """
+    low_kw, low_share = _tail(-error_kw, points)
+    high_kw, high_share = _tail(error_kw, points)
+    return (
+        np.concatenate([-low_kw, [np.nan], high_kw[::-1]]),
+        np.concatenate([low_share, [np.nan], high_share[::-1]]),
+    )
+
+
+def _tail(
+    error_kw: NDArray[np.float64], points: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return errors above zero, descending, and the share of all that is at least as large."""
+    ascending = np.sort(error_kw[error_kw > _ROUNDING_KW])
+    count = len(ascending)
+    if count == 0:
+        return ascending, ascending
+    ranks = np.unique(np.geomspace(1, count, points).astype(int))
+    kept = np.unique(ascending[count - ranks])[::-1]
+    return kept, (count - np.searchsorted(ascending, kept)) / len(error_kw)
+
+
+def _exact_percent(one: RunSeries) -> float:
+    error_kw = np.abs(one.delivered_kw - one.desired_kw)[one.known]
+    return float(100.0 * np.mean(error_kw <= _ROUNDING_KW))
+
+
+def regulation(series: Sequence[RunSeries]) -> ReportFigure | None:
+    """Draw regulation asked and given, in the whole run and in its worst ten minutes, if any."""
+    first = series[0]
+    if not np.any(np.nan_to_num(first.regulation_kw)):
+        return None
+    worst = farthest_from_asked([one for one in series if _curtails(one)] or series)
+    figure = make_subplots(
+        rows=2,
+        cols=1,
+        vertical_spacing=0.16,
+        subplot_titles=["whole run", f"from {clock_text(first, worst.start)}"],
+    )
+    for row, cycles in enumerate((range(first.cycles), worst), start=1):
+        for trace in _asked_and_given(series, cycles, in_legend=row == 1):
+            figure.add_trace(trace, row=row, col=1)
+    dress(figure, 580)
+    figure.update_layout(legend_y=1.05, margin_t=70)
+    capacity_kw = first.regulation_capacity_kw
+    # A plant that lacks power falls far below: the signal would be a thin line above that.
+    figure.update_yaxes(
+        title_text="regulation [kW]",
+        title_standoff=12,
+        automargin=True,
+        range=[-3.0 * capacity_kw, 2.0 * capacity_kw],
+    )
+    label_time_axis(figure, first, rows=2)
+    figure.update_xaxes(range=clock_range_ms(first, worst), row=2, col=1)
+    return ReportFigure(
+        "regulation",
+        "Regulation asked and given",
+        "Regulation that the signal asked for, and the regulation given: delivered power less the "
+        f"commitment [kW]. A signal of 1 asks for {capacity_kw:,.0f} kW. Below are the "
+        f"{len(worst) * first.cycle_s / 60.0:.3g} minutes with the largest mean distance between "
+        "the two; cycles in which the plant could not have given the regulation do not count. The "
+        "axis ends at three times the capacity below the commitment and twice above it."
+        + thinning_note(first.cycles),
+        figure,
+    )
+
+
+def farthest_from_asked(series: Sequence[RunSeries]) -> range:
+    """Find the ten minutes in which regulation given was farthest from regulation asked.
+
+    That is where the mean of |delivered - desired|, over the runs, is largest. Cycles in which
+    nothing was asked, or in which the plant could not have given it, do not count.
+    """
+    first = series[0]
+    length = min(max(1, round(_CLOSE_LOOK_S / first.cycle_s)), first.cycles)
+    error_kw = np.mean([np.abs(one.delivered_kw - one.desired_kw) for one in series], axis=0)
+    could = first.known & (first.regulation_kw != 0.0) & (first.possible_kw >= first.desired_kw)
+    asked = np.where(could, error_kw, 0.0)
+    total_kw = np.convolve(asked, np.ones(length), mode="valid")
+    begin = int(total_kw.argmax())
+    return range(begin, begin + length)
+
+
+def _curtails(one: RunSeries) -> bool:
+    return not np.array_equal(one.power_kw, one.mpp_kw, equal_nan=True)
+
+
+def _asked_and_given(
+    series: Sequence[RunSeries], cycles: range, in_legend: bool
+) -> list[go.Scatter]:
+    traces = []
+    for position, one in enumerate(series):
+        # One that never curtails follows nothing, and would hide the others.
+        if len(series) > 1 and not _curtails(one):
+            continue
+        name = "given" if len(series) == 1 else plain(f"given, {one.label}")
+        traces.append(
+            time_line(
+                one,
+                one.delivered_kw - one.commitment_kw,
+                cycles,
+                name=name,
+                legendgroup=name,
+                showlegend=in_legend,
+                line=scheme_line(position),
+            )
+        )
+    asked = time_line(
+        series[0],
+        series[0].regulation_kw,
+        cycles,
+        name="asked",
+        legendgroup="asked",
+        showlegend=in_legend,
+        line=_DASHED,
+    )
+    return [*traces, asked]

@@ -13,22 +13,14 @@ from rich.markup import escape
 from bus_schemas.errors import InputError
 from recordings.read.reader import RunReader
 from recordings.read.series import read_series
-from studies.report.health_table import health_table
-from studies.report.metrics_tables import metrics_tables
 from studies.report.run_report import check_destination, run_line, write_report
+from studies.report.tables import health_table, metrics_tables
 
 REPORT_NAME: Final = "report.html"
 
 
 def write_run_report(run: Path, out: Path | None = None) -> Path:
-    """Write the report of a recorded run; return where it is.
-
-    Parameters
-    ----------
-    run
-        Folder of the run, or its MCAP file.
-    out
-        The HTML file; by default `report.html` beside the recording.
+    """Write the report of a recorded run, by default beside its recording; return where it is.
 
     Raises
     ------

@@ -17,13 +17,20 @@ from bus_schemas.tree import parent_of
 from recordings.read.series import RunSeries
 from recordings.read.whole_file import whole_file
 from studies.report.cloud_passage import clusters
-from studies.report.inverter_figures import help_energy, residuals
-from studies.report.neighbour_figures import correlation_matrices, virtual_neighbours
-from studies.report.page import html_page
-from studies.report.plant_figures import delivered_and_support, possible_power
+from studies.report.inverter_figures import (
+    correlation_matrices,
+    help_energy,
+    residuals,
+    virtual_neighbours,
+)
+from studies.report.page import Content, html_page
+from studies.report.plant_figures import (
+    delivered_and_support,
+    possible_power,
+    regulation,
+    tracking_error,
+)
 from studies.report.style import ReportFigure
-from studies.report.tracking_figures import regulation, tracking_error
-from studies.tables import Table
 
 _MOST_SIZES: Final = 6
 """Clusters whose sizes the first line lists one by one."""
@@ -41,7 +48,7 @@ def write_report(
     path: Path,
     title: str,
     series: Sequence[RunSeries],
-    tables: Sequence[Table] = (),
+    content: Sequence[Content] = (),
     notes: Sequence[str] = (),
     *,
     lead: str = "",
@@ -52,12 +59,10 @@ def write_report(
     ----------
     path
         The file. It appears whole or not at all; one that is there is replaced.
-    title
-        Heading of the page, plain text.
     series
         One run; or several of the same plant in the same cycles, each with a label of its own.
-    tables
-        Tables to stand before the figures.
+    content
+        Tables and figures to stand before the figures of the runs.
     notes
         Paragraphs after the first one, plain text.
     lead
@@ -70,36 +75,25 @@ def write_report(
     """
     check_destination(path)
     check_comparable(series)
-    figures = report_figures(series)
+    figures = _figures(series)
     text = [lead or _plant_line(series), *_cycle_lines(series), *notes, *_absent(figures)]
-    write_whole(path, html_page(title, text, [*tables, *figures]))
+    with whole_file(path) as file:
+        file.write(html_page(title, text, [*content, *figures]).encode())
 
 
 def check_destination(path: Path) -> None:
-    """Refuse a place where no report can be written, before any work is done.
-
-    Raises
-    ------
-    InputError
-        It is a folder, or it lies in none.
-    """
+    """Refuse a place where no report can be written, before any work is done."""
     if path.is_dir() or not path.parent.is_dir():
         raise InputError(f"report {path}: expected a file in an existing folder")
 
 
 def check_comparable(series: Sequence[RunSeries]) -> None:
-    """Refuse runs that one report cannot show side by side.
-
-    Raises
-    ------
-    InputError
-        There is no run, one has no cycle, two have the same label, or one differs from the first
-        in its inverters or in its cycles.
-    """
+    """Refuse runs that one report cannot show side by side."""
     if not series:
         raise InputError("report: expected one run or more, got none")
     first = series[0]
     labels = [one.label for one in series]
+    clock = first.start_time_ns, first.cycle_s, first.cycles
     for one in series:
         if one.cycles == 0:
             raise InputError(f"report: {one.label}: expected one cycle or more, got none")
@@ -109,29 +103,21 @@ def check_comparable(series: Sequence[RunSeries]) -> None:
             raise InputError(
                 f"report: {one.label}: expected the inverters of {first.label}, got others"
             )
-        if _clock(one) != _clock(first):
+        if (one.start_time_ns, one.cycle_s, one.cycles) != clock:
             raise InputError(
                 f"report: {one.label}: expected {_when(first)} as in {first.label}, "
                 f"got {_when(one)}"
             )
 
 
-def run_line(plan: RunPlan, schemes: str = "") -> str:
-    """Return the first line of a report: what was run, and how.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    schemes
-        Which schemes the page compares; by default the plan's own.
-    """
+def run_line(plan: RunPlan) -> str:
+    """Return the first line of a report: what was run, and how."""
     sizes = list(Counter(parent_of(leaf) for leaf in plan.tree.leaves).values())
     clustered = f" in {len(sizes)} clusters ({_sizes(sizes)})" if len(sizes) > 1 else ""
     pace = f"pace {plan.cycle_ns / plan.cycle_wall_ns:g}" if plan.cycle_wall_ns else "lockstep"
     parts = (
         f"Scenario {plan.plant}: {_count(len(plan.inverters), 'inverter')}{clustered}",
-        f"scheme {schemes or plan.scheme}",
+        f"scheme {plan.scheme}",
         f"actuator {plan.actuator}",
         pace,
         "measured irradiance" if plan.seed is None else f"seed {plan.seed}",
@@ -172,16 +158,11 @@ def _cycle_lines(series: Sequence[RunSeries]) -> list[str]:
     return lines
 
 
-def report_figures(series: Sequence[RunSeries]) -> list[ReportFigure]:
+def _figures(series: Sequence[RunSeries]) -> list[ReportFigure]:
     """Draw all figures that these runs have something to show in.
 
     Signals of the single inverters are drawn of the last run whose scheme has residuals: those of
     the others, under the same sky, would look alike.
-
-    Parameters
-    ----------
-    series
-        Runs that have passed `check_comparable`.
     """
     figures: list[ReportFigure | None] = [
         possible_power(series),
@@ -193,8 +174,12 @@ def report_figures(series: Sequence[RunSeries]) -> list[ReportFigure]:
         (one for one in reversed(series) if not np.isnan(one.residual_kw).all()), None
     )
     if signalling is not None:
-        of_signals = residuals(signalling), virtual_neighbours(signalling)
-        figures += [_named(figure, signalling, series) for figure in of_signals]
+        whose = f"Under the scheme {signalling.label}. " if len(series) > 1 else ""
+        figures += [
+            replace(figure, caption=whose + figure.caption)
+            for figure in (residuals(signalling), virtual_neighbours(signalling))
+            if figure is not None
+        ]
     figures += [correlation_matrices(series[0]), help_energy(series)]
     return [figure for figure in figures if figure is not None]
 
@@ -204,19 +189,6 @@ def _absent(figures: Sequence[ReportFigure]) -> list[str]:
     there = {figure.anchor for figure in figures}
     reasons = [reason for anchor, reason in _WHY_ABSENT.items() if anchor not in there]
     return [" ".join(reasons)] if reasons else []
-
-
-def _named(
-    figure: ReportFigure | None, one: RunSeries, series: Sequence[RunSeries]
-) -> ReportFigure | None:
-    """Say which of several runs a figure is of."""
-    if figure is None or len(series) == 1:
-        return figure
-    return replace(figure, caption=f"Under the scheme {one.label}. {figure.caption}")
-
-
-def _clock(one: RunSeries) -> tuple[int, float, int]:
-    return one.start_time_ns, one.cycle_s, one.cycles
 
 
 def _when(one: RunSeries) -> str:
@@ -232,9 +204,3 @@ def _when(one: RunSeries) -> str:
 
 def _count(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a page, which appears whole or not at all, see `whole_file`."""
-    with whole_file(path) as file:
-        file.write(text.encode())

@@ -7,7 +7,6 @@ apart ("Color Universal Design", 2008, https://jfly.uni-koeln.de/color/).
 from __future__ import annotations
 
 import html
-import textwrap
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -42,18 +41,9 @@ FONT: Final = "system-ui, -apple-system, 'Segoe UI', Roboto, 'DejaVu Sans', sans
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportFigure:
-    """A figure and the words that go with it.
+    """A figure and the words that go with it, as plain text.
 
-    Attributes
-    ----------
-    anchor
-        Name of its place in the page: letters, digits and hyphens.
-    heading
-        What it is.
-    caption
-        What it shows, and in which units. Plain text.
-    figure
-        The figure itself.
+    `anchor` is the name of its place in the page: letters, digits and hyphens.
     """
 
     anchor: str
@@ -80,10 +70,7 @@ def faint(colour: str, opacity: float = 0.35) -> str:
 def diverging_scale(least: float, greatest: float) -> list[tuple[float, str]]:
     """Return a colour scale that is red below zero, blue above it and near white at zero.
 
-    Parameters
-    ----------
-    least, greatest
-        Ends of the scale, at most and at least 0. Each side runs through its colours in full.
+    Each side runs through its colours in full, whatever the ends of the scale are.
     """
     colours = diverging.RdBu
     middle = len(colours) // 2
@@ -117,24 +104,12 @@ def plain(text: str) -> str:
     return html.escape(text, quote=False)
 
 
-def scheme_title(label: str, panels: int) -> str:
-    """Return the title of one of several panels beside each other, in lines that fit."""
-    if panels == 1:
-        return ""
-    return "<br>".join(plain(line) for line in textwrap.wrap(label, max(10, 72 // panels)))
-
-
 def clock_ms(series: RunSeries) -> NDArray[np.float64]:
     """Return the wall clock at the beginning of each cycle, as Plotly's axes count it.
 
     Plotly knows no time zones: it is given milliseconds since 1970 of a clock that shows local
     time. The clock keeps the offset from UTC of the run's first cycle, so that no hour comes twice
-    where summer time ends within a run.
-
-    Returns
-    -------
-    numpy.ndarray
-        Milliseconds, shape (T,).
+    where summer time ends within a run. Shape (T,).
     """
     first_ms = series.times[0].tz_localize(None).as_unit("ns").value / 1e6
     return np.asarray(first_ms + np.arange(series.cycles) * series.cycle_s * 1e3)
@@ -147,11 +122,6 @@ def clock_text(series: RunSeries, cycle: int) -> str:
     return f"{moment.day} {moment:%b %H:%M:%S}" if several_days else f"{moment:%H:%M:%S}"
 
 
-def clock_title(series: RunSeries) -> str:
-    """Return what a time axis says about its clock, for instance `local time (HST)`."""
-    return plain(f"local time ({series.times[0]:%Z})")
-
-
 def time_line(
     series: RunSeries,
     values: NDArray[np.float64],
@@ -162,17 +132,15 @@ def time_line(
 
     Parameters
     ----------
-    series
-        The run.
     values
-        One value for each of its cycles, shape (T,).
+        One for each cycle of the run, shape (T,).
     cycles
         The cycles to show; by default all.
     look
         Further properties of a Plotly scatter trace.
     """
-    begin, end = (cycles.start, cycles.stop) if cycles is not None else (0, series.cycles)
-    rows = begin + extremes(values[begin:end])
+    shown = cycles or range(series.cycles)
+    rows = shown.start + extremes(values[shown.start : shown.stop])
     return go.Scatter(
         x=clock_ms(series)[rows],
         y=values[rows].astype(np.float32),
@@ -201,7 +169,7 @@ def dress(figure: go.Figure, height_px: int, *, legend: bool = True) -> go.Figur
         margin={"l": 70, "r": 20, "t": 46 if legend else 30, "b": 50},
         paper_bgcolor="white",
         plot_bgcolor="white",
-        hovermode="x",
+        hovermode="closest",
         showlegend=legend,
         legend={"orientation": "h", "x": 0, "xanchor": "left", "y": 1, "yanchor": "bottom"},
     )
@@ -216,6 +184,7 @@ def dress(figure: go.Figure, height_px: int, *, legend: bool = True) -> go.Figur
         "title_standoff": 8,
         "automargin": True,
         "separatethousands": True,
+        "exponentformat": "none",
     }
     figure.update_xaxes(**axis)
     figure.update_yaxes(**axis)
@@ -252,11 +221,12 @@ def share_axis(figure: go.Figure, letter: Literal["x", "y"]) -> None:
 def label_time_axis(figure: go.Figure, series: RunSeries, rows: int = 1) -> None:
     """Make the horizontal axes of panels below each other show the time of a run.
 
-    The lowest one says which clock it is.
+    The lowest one says which clock it is, and what all lines show at a time is named together.
     """
+    figure.update_layout(hovermode="x")
     figure.update_xaxes(type="date", range=clock_range_ms(series, range(series.cycles)))
     last = {} if rows == 1 else {"row": rows, "col": 1}
-    figure.update_xaxes(title_text=clock_title(series), **last)
+    figure.update_xaxes(title_text=plain(f"local time ({series.times[0]:%Z})"), **last)
 
 
 def clock_range_ms(series: RunSeries, cycles: range) -> list[float]:

@@ -1,20 +1,50 @@
-"""The old name of a report's table; use `studies.tables.Table`."""
+"""The tables of a report: how a run fared, and figures of merit, the runs side by side."""
 
 from __future__ import annotations
 
-from studies.tables import Column, Table, key_column, word_column
+from collections.abc import Sequence
+from dataclasses import replace
+
+from recordings.inspect.health import health_lines, read_health
+from recordings.read.reader import RunReader
+from recordings.read.run_clock import RunClock
+from recordings.read.series import RunSeries
+from studies.metrics import run_metrics
+from studies.metrics.figures_of_merit import runs_as_columns, shown_in
+from studies.tables import Table, key_column, word_column
+
+_COMMITMENT_NOTE = (
+    "Unavoidable is the shortfall that no controller could have prevented: less power was possible "
+    "than desired. Mileage is that of the support power, max(0, desired - delivered). RMSE and MAE "
+    "are of delivered against desired power. Rises and falls of delivered power are per minute."
+)
+_REGULATION_NOTE = (
+    "A request lasts 2 s, or one cycle if that is longer. It is fulfilled if delivered power stays "
+    "within the given share of the plant's rating. PJM's score goes from 0 to 1; 0.75 passes."
+)
 
 
-def ReportTable(  # noqa: N802
-    heading: str,
-    columns: tuple[str, ...],
-    rows: tuple[tuple[str, str, tuple[str, ...]], ...],
-    note: str = "",
-) -> Table:
-    """Return a table with a name, a unit and text for each column in its rows."""
-    return Table(
-        heading,
-        (key_column(""), word_column(""), *map(Column, columns)),
-        tuple((name, unit, *values) for name, unit, values in rows),
-        (note,) if note else (),
+def metrics_tables(series: Sequence[RunSeries]) -> list[Table]:
+    """Return the tables of figures of merit: how the commitment was kept, and regulation if any.
+
+    Parameters
+    ----------
+    series
+        The runs, one column each; one or more, each with one cycle or more.
+    """
+    runs = [(one.label, run_metrics(one)) for one in series]
+    commitment = runs_as_columns(
+        "How the commitment was kept", runs, shown_in("report", "commitment")
     )
+    regulation = runs_as_columns(
+        "How the regulation signal was followed", runs, shown_in("report", "regulation")
+    )
+    tables = [replace(commitment, notes=(_COMMITMENT_NOTE,))]
+    return [*tables, replace(regulation, notes=(_REGULATION_NOTE,))] if regulation.rows else tables
+
+
+def health_table(run: RunReader) -> Table:
+    """Go through a recording and return how its run fared, a line for each thing looked at."""
+    lines = health_lines(read_health(run), RunClock(run.plan, run.last_cycle))
+    rows = tuple((name.capitalize(), text) for name, text in lines)
+    return Table("Health of the run", (key_column("", "what"), word_column("", "found")), rows)

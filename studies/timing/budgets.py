@@ -18,8 +18,9 @@ from agents.plan import RunPlan
 from bus_schemas.signals import SIGNALS, listeners, ports
 from bus_schemas.tree import CENTRAL, PLANT, RECORDER
 from launch_scripts.scenarios.budget_table import BudgetTable
-from studies.timing.processes import TierTiming, total
-from studies.timing.run_timing import LOOP, WHOLE_LOOP, Times, tier_of
+from studies.timing.durations import Times
+from studies.timing.measures import LOOP, WHOLE_LOOP
+from studies.timing.processes import TierTiming, tier_of, total
 
 _PAPER_MS: Final = {"direct": 1_000.0, "supervisor": 10_000.0, CENTRAL: 60_000.0}
 
@@ -126,17 +127,13 @@ def _time_verdicts(
 ) -> Iterator[Verdict]:
     for row in times:
         own_ms = limits_ms[row.measure]
-        limit_ms = own_ms.get(row.of, own_ms.get(row.kind))
-        if limit_ms is not None:
-            yield _verdict(row, "p99", row.times.p99_us, limit_ms)
-        if row.of == WHOLE_LOOP and loop_max_ms is not None:
-            yield _verdict(row, "max", row.times.max_us, loop_max_ms)
-
-
-def _verdict(row: Times, statistic: str, value_us: float, limit_ms: float) -> Verdict:
-    line = f"{row.measure} {row.of} {statistic}"
-    value_ms = value_us / 1e3
-    return Verdict(line, row.measure, row.of, value_ms, limit_ms, "ms", value_ms <= limit_ms)
+        judged = [("p99", row.times.p99_us / 1e3, own_ms.get(row.of, own_ms.get(row.kind)))]
+        if row.of == WHOLE_LOOP:
+            judged.append(("max", row.times.max_us / 1e3, loop_max_ms))
+        for name, value_ms, limit_ms in judged:
+            if limit_ms is not None:
+                line, kept = f"{row.measure} {row.of} {name}", value_ms <= limit_ms
+                yield Verdict(line, row.measure, row.of, value_ms, limit_ms, "ms", kept)
 
 
 def _expected(plan: RunPlan, table: BudgetTable, limits_ms: Limits) -> set[tuple[str, str]]:

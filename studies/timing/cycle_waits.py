@@ -8,19 +8,16 @@ message; it includes the hop between the two agents and the decision.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Final, NamedTuple, TypeAlias
+from collections.abc import Iterable, Iterator
+from typing import Final, NamedTuple
 
-import msgspec
+import numpy as np
 
-from agents.agent import Stage
 from agents.cycle import stage_of
-from agents.plan import RunPlan
-from agents.team import controllers
 from bus_schemas.messages import Message
-from bus_schemas.missing import parse_missing
-from bus_schemas.signals import COMMAND, PRODUCTION, Port
-from bus_schemas.tree import PLANT, ROOT
+from bus_schemas.signals import PRODUCTION, Port
+from bus_schemas.tree import ROOT
+from studies.timing.stage_times import MessageTimes, StageTimes
 
 _DOING: Final = {
     "sense": "to begin the cycle",
@@ -33,65 +30,6 @@ _DOING: Final = {
 
 _MOST_NAMED: Final = 3
 """How many missing inputs a sentence names."""
-
-
-class Head(msgspec.Struct, gc=False):
-    """The fields of a message that timing needs; the rest is not decoded."""
-
-    cycle: int
-    missing: tuple[str, ...]
-    ready_time_ns: int
-    publish_time_ns: int
-
-
-CycleHeads: TypeAlias = dict[Port[Message], Head]
-"""The messages of one cycle."""
-
-
-class Closing(NamedTuple):
-    """A stage of one agent in one cycle, as its messages show it.
-
-    Attributes
-    ----------
-    last
-        The message that it published last.
-    ready_ns
-        When its last input had come or its deadline had passed.
-    first_ns, last_ns
-        When its first and its last message went out.
-    missing
-        Inputs that were older than due: the cycle of the message used, or None.
-    """
-
-    agent: str
-    stage: Stage
-    last: Port[Message]
-    ready_ns: int
-    first_ns: int
-    last_ns: int
-    missing: dict[str, int | None]
-
-    @property
-    def without(self) -> tuple[Port[Message], ...]:
-        """The awaited inputs that did not come in this cycle."""
-        if not self.missing:
-            return ()
-        return tuple(port for port in self.stage.awaits if str(port) in self.missing)
-
-    def completed_by(self, heads: CycleHeads) -> Port[Message] | None:
-        """Return the awaited input that was published last of those that came in time."""
-        in_time = [
-            port
-            for port in self.stage.awaits
-            if port in heads
-            and heads[port].publish_time_ns < self.last_ns
-            and not (self.missing and str(port) in self.missing)
-        ]
-        return max(in_time, key=lambda port: heads[port].publish_time_ns, default=None)
-
-
-Closings: TypeAlias = dict[str, dict[str, Closing]]
-"""The stages of one cycle, by agent and name."""
 
 
 class Wait(NamedTuple):
@@ -160,114 +98,82 @@ class CycleWaits(NamedTuple):
         return f"cycle {self.cycle:,}: {self.loop_ns / 1e6:.1f} ms, {self.slowest.in_words()}"
 
 
-class StageTable:
-    """The stages of each agent of a run, and which messages come from each."""
-
-    def __init__(self, plan: RunPlan) -> None:
-        commands = tuple(COMMAND.of(leaf) for leaf in plan.tree.leaves)
-        self._plant = (Stage("sense", (), timed=True), Stage("apply", commands))
-        self._team = {agent.name: agent.stages for agent in controllers(plan)}
-        self.agents = (PLANT, *self._team)
-        self.stage_of = {
-            port: stage_of(port, plan.tree) for port in plan.keys.ports if port.signal.decided
-        }
-
-    def stages(self, agent: str, cycle: int) -> tuple[Stage, ...]:
-        """Return an agent's stages of a cycle, in order."""
-        return self._plant if agent == PLANT else self._team[agent](cycle)
-
-    def closings(self, cycle: int, heads: CycleHeads) -> Closings:
-        """Return the stages of a cycle that published something, by agent and stage."""
-        ports: dict[tuple[str, str], list[Port[Message]]] = {}
-        for port in heads:
-            ports.setdefault((port.publisher, self.stage_of[port]), []).append(port)
-        found: Closings = {}
-        for agent in self.agents:
-            for stage in self.stages(agent, cycle):
-                published = ports.get((agent, stage.name))
-                if published:
-                    closing = _closing(agent, stage, published, heads)
-                    found.setdefault(agent, {})[stage.name] = closing
-        return found
+def cycle_waits(messages: MessageTimes, stages: Iterable[StageTimes], cycle: int) -> CycleWaits:
+    """Return the waits of a cycle that the plant has ended."""
+    found = _Cycle(messages, stages, cycle)
+    chain = tuple(reversed(list(found.chain())))
+    return CycleWaits(cycle, chain[-1].ended_ns, chain, tuple(map(found.wait, found.stages)))
 
 
-def _closing(
-    agent: str, stage: Stage, published: list[Port[Message]], heads: CycleHeads
-) -> Closing:
-    last = max(published, key=lambda port: heads[port].publish_time_ns)
-    head = heads[last]
-    first_ns = min(heads[port].publish_time_ns for port in published)
-    missing = dict(map(parse_missing, head.missing))
-    return Closing(agent, stage, last, head.ready_time_ns, first_ns, head.publish_time_ns, missing)
+class _Cycle:
+    """One cycle of a run; times are after its scheduled tick [ns]."""
 
+    def __init__(self, messages: MessageTimes, stages: Iterable[StageTimes], cycle: int) -> None:
+        self._messages = messages
+        self._cycle = cycle
+        self.stages = [stage for stage in stages if stage.closed[cycle]]
 
-def cycle_waits(table: StageTable, cycle: int, tick_ns: int, heads: CycleHeads) -> CycleWaits:
-    """Return the waits of a cycle that the plant has ended; `tick_ns` is its scheduled start."""
-    closings = table.closings(cycle, heads)
-    every = [closing for stages in closings.values() for closing in stages.values()]
-    waits = tuple(
-        _wait(closing, _cause(closing, heads, closings), closing.last_ns, tick_ns, heads)
-        for closing in every
-    )
-    chain = tuple(reversed(list(_chain(table, tick_ns, heads, closings))))
-    loop_ns = heads[PRODUCTION.of(ROOT)].publish_time_ns - tick_ns
-    return CycleWaits(cycle, loop_ns, chain, waits)
+    def chain(self) -> Iterator[Wait]:
+        """Follow the causes from the plant's production back to the tick.
 
+        A message that came too late counts up to the moment when nobody waited for it any more.
+        """
+        by_name = {(stage.agent, stage.name): stage for stage in self.stages}
+        message: Port[Message] | None = PRODUCTION.of(ROOT)
+        until_ns = None
+        while message is not None:
+            place = message.publisher, stage_of(message, self._messages.plan.tree)
+            stage = by_name.pop(place, None)
+            if stage is None:
+                return
+            published_ns = self._after_tick_ns(self._messages.published_ns(message)[self._cycle])
+            until_ns = published_ns if until_ns is None else min(published_ns, until_ns)
+            yield self.wait(stage, message, until_ns)
+            message = self._cause(stage)
 
-def _chain(
-    table: StageTable, tick_ns: int, heads: CycleHeads, closings: Closings
-) -> Iterator[Wait]:
-    """Follow the causes from the plant's production back to the tick.
+    def wait(
+        self, stage: StageTimes, message: Port[Message] | None = None, until_ns: int | None = None
+    ) -> Wait:
+        """Return the wait of a stage; by default up to its own last message."""
+        cause, ended_ns, began_ns = self._cause(stage), until_ns, 0
+        if ended_ns is None:
+            ended_ns = self._after_tick_ns(stage.last_ns[self._cycle])
+        if cause is not None:
+            published_ns = self._messages.published_ns(cause)[self._cycle]
+            began_ns = min(self._after_tick_ns(published_ns), ended_ns)
+        without = np.flatnonzero(stage.without[self._cycle])
+        return Wait(
+            stage.agent,
+            stage.name,
+            cause,
+            message or self._last(stage),
+            began_ns,
+            ended_ns,
+            tuple(sorted(str(stage.inputs[place]) for place in without)),
+        )
 
-    A message that came too late counts up to the moment when nobody waited for it any more.
-    """
-    seen: set[tuple[str, str]] = set()
-    message: Port[Message] | None = PRODUCTION.of(ROOT)
-    until_ns = heads[PRODUCTION.of(ROOT)].publish_time_ns
-    while message is not None:
-        place = message.publisher, table.stage_of[message]
-        if place in seen:
-            return
-        seen.add(place)
-        closing = closings[place[0]][place[1]]
-        until_ns = min(heads[message].publish_time_ns, until_ns)
-        cause = _cause(closing, heads, closings)
-        yield _wait(closing, cause, until_ns, tick_ns, heads)._replace(message=message)
-        message = cause
+    def _cause(self, stage: StageTimes) -> Port[Message] | None:
+        """Return what a stage waited for last; None if the clock closed it.
 
+        For a stage that closed at its deadline this is the input that came too late. A stage that
+        awaits nothing follows the agent's stage before it.
+        """
+        cycle = self._cycle
+        if stage.lacking[cycle]:
+            late_ns = np.where(stage.without[cycle], stage.input_ns[cycle], 0)
+            return stage.inputs[int(late_ns.argmax())] if late_ns.any() else None
+        if stage.awaited[cycle].any():
+            came = stage.completed_ns[cycle] > 0
+            return stage.inputs[int(stage.cause[cycle])] if came else None
+        before = [
+            other
+            for other in self.stages
+            if other.agent == stage.agent and other.last_ns[cycle] < stage.first_ns[cycle]
+        ]
+        return self._last(max(before, key=lambda other: other.last_ns[cycle])) if before else None
 
-def _cause(closing: Closing, heads: CycleHeads, closings: Closings) -> Port[Message] | None:
-    """Return what a stage waited for last; None if the clock closed it.
+    def _last(self, stage: StageTimes) -> Port[Message]:
+        return stage.outputs[int(stage.last[self._cycle])]
 
-    For a stage that closed at its deadline this is the input that came too late. A stage that
-    awaits nothing follows the agent's stage before it.
-    """
-    if late := [port for port in closing.without if port in heads]:
-        return max(late, key=lambda port: heads[port].publish_time_ns)
-    if closing.without:
-        return None
-    if closing.stage.awaits:
-        return closing.completed_by(heads)
-    before = [
-        other for other in closings[closing.agent].values() if other.last_ns < closing.first_ns
-    ]
-    return max(before, key=lambda other: other.last_ns).last if before else None
-
-
-def _wait(
-    closing: Closing,
-    cause: Port[Message] | None,
-    until_ns: int,
-    tick_ns: int,
-    heads: CycleHeads,
-) -> Wait:
-    began_ns = tick_ns if cause is None else min(heads[cause].publish_time_ns, until_ns)
-    return Wait(
-        closing.agent,
-        closing.stage.name,
-        cause,
-        closing.last,
-        began_ns - tick_ns,
-        until_ns - tick_ns,
-        tuple(sorted(map(str, closing.without))),
-    )
+    def _after_tick_ns(self, time_ns: int) -> int:
+        return int(time_ns - self._messages.tick_ns[self._cycle])

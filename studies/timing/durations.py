@@ -1,14 +1,14 @@
-"""Durations by the million: HDR histograms with exact extremes, and the figures read off them."""
+"""The figures of many durations, and their HDR histogram."""
 
 from __future__ import annotations
 
-from array import array
 from math import floor, log10
 from typing import Final
 
 import msgspec
 import numpy as np
 from hdrh.histogram import HdrHistogram
+from numpy.typing import NDArray
 
 _LOWEST_NS: Final = 1_000
 _HIGHEST_NS: Final = 3_600_000_000_000
@@ -18,7 +18,6 @@ _FIGURES: Final = 2
 _UNIT_NS: Final = 512
 """Width of the narrowest bin of such a histogram."""
 
-_PENDING: Final = 4_096
 _STEPS_PER_DECADE: Final = 12
 """How finely a curve is drawn: between 90 and 99 % as between 99 and 99.9 %."""
 
@@ -28,11 +27,8 @@ class Distribution(msgspec.Struct, frozen=True):
 
     Attributes
     ----------
-    min_us, max_us
-        Exact [us].
-    p50_us, p99_us, p99_9_us
-        Upper edge of the bin [us]: at most 1 % too high and never above the maximum, so that
-        rounding never makes a budget look kept.
+    min_us, p50_us, p99_us, p99_9_us, max_us
+        Exact [us]. A percentile is the least duration that so many percent do not exceed.
     histogram
         The HdrHistogram encoded as text, values in ns. Others can merge it.
     """
@@ -46,53 +42,45 @@ class Distribution(msgspec.Struct, frozen=True):
     histogram: str
 
 
-class Durations:
-    """Durations of one kind. One below 0 counts as 0, one above an hour as an hour."""
+class Times(msgspec.Struct, frozen=True):
+    """A row of durations.
 
-    __slots__ = ("_histogram", "_pending", "greatest_ns", "least_ns")
+    Attributes
+    ----------
+    measure
+        What was measured: `decision`, `hop`, see `studies.timing.measures.MEASURES`.
+    of
+        Of what: a stage of a tier (`direct estimate`), a signal (`residual`).
+    kind
+        The kind of the agents, or the signal: names its budget if `of` does not.
+    outside
+        Whether they are of a device whose own times are not used.
+    """
 
-    def __init__(self) -> None:
-        self.least_ns = _HIGHEST_NS
-        self.greatest_ns = 0
-        self._histogram = HdrHistogram(_LOWEST_NS, _HIGHEST_NS, _FIGURES)
-        self._pending = array("q")
+    measure: str
+    of: str
+    kind: str
+    times: Distribution
+    outside: bool = False
 
-    def add(self, duration_ns: int) -> None:
-        """Take in a duration [ns]."""
-        self._pending.append(duration_ns)
-        if len(self._pending) >= _PENDING:
-            self._count()
 
-    def _count(self) -> None:
-        """Count what is pending: many values fall into one bin, and a call for each is slow."""
-        if not self._pending:
-            return
-        values = np.clip(np.frombuffer(self._pending, dtype=np.int64), 0, _HIGHEST_NS)
-        self.least_ns = min(self.least_ns, int(values.min()))
-        self.greatest_ns = max(self.greatest_ns, int(values.max()))
-        for unit, count in zip(*np.unique(values // _UNIT_NS, return_counts=True), strict=True):
-            self._histogram.record_value(int(unit) * _UNIT_NS, int(count))
-        self._pending = array("q")
-
-    def distribution(self) -> Distribution | None:
-        """Return the figures; None if there are no durations."""
-        self._count()
-        histogram, greatest_ns = self._histogram, self.greatest_ns
-        if not histogram.get_total_count():
-            return None
-
-        def percentile_us(percent: float) -> float:
-            return float(min(histogram.get_value_at_percentile(percent), greatest_ns)) / 1e3
-
-        return Distribution(
-            count=histogram.get_total_count(),
-            min_us=self.least_ns / 1e3,
-            p50_us=percentile_us(50.0),
-            p99_us=percentile_us(99.0),
-            p99_9_us=percentile_us(99.9),
-            max_us=greatest_ns / 1e3,
-            histogram=histogram.encode().decode("ascii"),
-        )
+def distribution(durations_ns: NDArray[np.int64]) -> Distribution:
+    """Summarise one duration or more; below 0 counts as 0, above an hour as an hour."""
+    ascending = np.sort(durations_ns.clip(0, _HIGHEST_NS))
+    histogram = HdrHistogram(_LOWEST_NS, _HIGHEST_NS, _FIGURES)
+    # Many durations fall into one bin, and a call for each is slow.
+    for unit, count in zip(*np.unique(ascending // _UNIT_NS, return_counts=True), strict=True):
+        histogram.record_value(int(unit) * _UNIT_NS, int(count))
+    p50_ns, p99_ns, p99_9_ns = np.quantile(ascending, (0.5, 0.99, 0.999), method="inverted_cdf")
+    return Distribution(
+        count=len(ascending),
+        min_us=float(ascending[0]) / 1e3,
+        p50_us=float(p50_ns) / 1e3,
+        p99_us=float(p99_ns) / 1e3,
+        p99_9_us=float(p99_9_ns) / 1e3,
+        max_us=float(ascending[-1]) / 1e3,
+        histogram=histogram.encode().decode("ascii"),
+    )
 
 
 def curve_ms(times: Distribution) -> tuple[list[float], list[float]]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
 
 import psutil
 from rich.console import Console
@@ -19,29 +18,42 @@ from launch_scripts.launcher.request import RunRequest, prepare_run
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.scenarios.preparation import Preparation
-from studies.timing.rates import cycles_per_s
 from studies.timing.report import Reported, report_on
+from studies.timing.tables import cycles_per_s
 
-_REAL_TIME: Final = "1"
+
+def run_length_s(request: RunRequest, default: str) -> float:
+    """Return how long a run lasts: up to `--to`, or for `--duration` or its default [s]."""
+    if request.options.end is None:
+        return parse_duration_s(request.options.duration or default, "--duration")
+    plan = _prepared(request)[0].plan
+    return plan.cycles * plan.cycle_ns / 1e9
 
 
 def prepare_at(
-    rate_hz: float, duration: str, request: RunRequest, out: Path | None
+    rate_hz: float, length_s: float, request: RunRequest, out: Path | None
 ) -> tuple[Preparation, RunFolder]:
-    """Prepare a run at a rate, its duration rounded to whole cycles. Nothing is written yet.
+    """Prepare a run at a rate, its length rounded to whole cycles. Nothing is written yet.
 
     Raises
     ------
     InputError
         Command line, scenario and data do not fit together.
     """
+    if length_s * rate_hz < 1.0:
+        raise InputError(
+            f"--duration {length_s:g} s: shorter than one cycle, expected {1.0 / rate_hz:g} s or "
+            f"more at {cycles_per_s(rate_hz)}"
+        )
     cycle_s = 1.0 / rate_hz
-    duration_s = whole_cycles(rate_hz, duration) * cycle_s
-    options = replace(
-        request.options, pace=_REAL_TIME, cycle_s=cycle_s, duration=f"{duration_s:.9f}"
-    )
+    duration = f"{round(length_s * rate_hz) * cycle_s:.9f}"
+    options = replace(request.options, pace="1", cycle_s=cycle_s, duration=duration, end=None)
+    return _prepared(RunRequest(request.scenario, options, out))
+
+
+def _prepared(request: RunRequest) -> tuple[Preparation, RunFolder]:
     try:
-        return prepare_run(RunRequest(request.scenario, options, out))
+        return prepare_run(request)
     except OSError as error:
         # A file that must not be read, or a name that no file can have.
         raise InputError(str(error)) from None
@@ -63,7 +75,7 @@ def measured_run(
     """
     plan, scenario = preparation.plan, preparation.scenario.scenario
     duration_s = plan.cycles * plan.cycle_wall_ns / 1e9
-    began_at, load_before = time.monotonic(), _load_average()
+    began_at, load_before = time.monotonic(), psutil.getloadavg()[0]
     with (
         ForkServerProcess() as server,
         view_for(console, plan, scenario.time.timezone) as view,
@@ -73,23 +85,8 @@ def measured_run(
         summary = launch(preparation, folder, view, began_at, server)
         with interruptible():  # The run is over: Ctrl-C throws nothing away any more.
             folder.summary.write_bytes(summary.as_json() + b"\n")
-    load = load_before, _load_average()
+    load = load_before, psutil.getloadavg()[0]
     try:
         return report_on(folder.path, summary, load, by_agent=by_agent)
     except InputError as error:  # The disk was full, for instance.
         raise RunFailure(f"{summary.recording_ended or 'not measured'}: {error}") from None
-
-
-def _load_average() -> float:
-    return float(psutil.getloadavg()[0])
-
-
-def whole_cycles(rate_hz: float, duration: str) -> int:
-    """Return how many cycles a duration holds; refuse one without a whole cycle."""
-    duration_s = parse_duration_s(duration, "--duration")
-    if duration_s * rate_hz < 1.0:
-        raise InputError(
-            f"--duration {duration}: shorter than one cycle, expected {1.0 / rate_hz:g} s or "
-            f"more at {cycles_per_s(rate_hz)}"
-        )
-    return round(duration_s * rate_hz)

@@ -2,38 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TypeVar
 
 import msgspec
+from msgspec.structs import replace
 
 from agents.cycle import KINDS, Kind, kind_of
-from bus_schemas.tree import ControlTree
+from bus_schemas.tree import ControlTree, depth
 from launch_scripts.launcher.summary import ProcessAccount
-from studies.timing.run_timing import AgentTiming, Times, tier_of
+from studies.timing.durations import Times
 
 N = TypeVar("N", int, float)
 
 
-class ProcessTiming(msgspec.Struct, frozen=True):
+class ProcessTiming(msgspec.Struct, frozen=True, kw_only=True):
     """Counts and resources of one process; None where only its launcher knew and is not asked.
 
     Attributes
     ----------
-    agent, tier, kind
-        Its name, its tier (`supervisor 1` where there are several tiers of supervisors), its kind.
+    tier
+        Its kind; `supervisor 1` where there are several tiers of supervisors.
     missed_deadlines, overruns
         By stage. The recorder has none.
     missing_inputs
         By port.
-    slowest_decision_us
-        Its longest decision [us]; None for the recorder.
     dropped
         Messages that could not be used, by cause.
-    cpu_percent
-        Processor time [% of one core].
-    resident_mb
-        Most resident memory seen [MB].
+    cpu_percent, resident_mb
+        Processor time in % of one core, and the most resident memory seen.
     times
         Its own rows of durations; empty unless they were asked for.
     """
@@ -41,16 +38,16 @@ class ProcessTiming(msgspec.Struct, frozen=True):
     agent: str
     tier: str
     kind: Kind
-    missed_deadlines: dict[str, int]
-    missing_inputs: dict[str, int]
-    old_inputs: int
-    overruns: dict[str, int]
-    skipped_cycles: int
-    slowest_decision_us: float | None
-    dropped: dict[str, int] | None
-    cpu_percent: float | None
-    resident_mb: float | None
-    times: tuple[Times, ...]
+    missed_deadlines: dict[str, int] = {}
+    missing_inputs: dict[str, int] = {}
+    old_inputs: int = 0
+    overruns: dict[str, int] = {}
+    skipped_cycles: int = 0
+    slowest_decision_us: float | None = None
+    dropped: dict[str, int] | None = None
+    cpu_percent: float | None = None
+    resident_mb: float | None = None
+    times: tuple[Times, ...] = ()
 
 
 class TierTiming(msgspec.Struct, frozen=True):
@@ -70,42 +67,33 @@ class TierTiming(msgspec.Struct, frozen=True):
     resident_mb: float | None
 
 
-def process_timings(
-    agents: Mapping[str, AgentTiming],
+def tier_of(agent: str, tree: ControlTree) -> str:
+    """Return an agent's kind; supervisors of several tiers have a number, 1 below the centre."""
+    kind = kind_of(agent, tree)
+    several = len({depth(path) for path in tree.parents if path}) > 1
+    return f"{kind} {depth(agent)}" if kind == "supervisor" and several else kind
+
+
+def with_accounts(
+    processes: Iterable[ProcessTiming],
     accounts: Iterable[ProcessAccount],
     wall_s: float,
     tree: ControlTree,
 ) -> tuple[ProcessTiming, ...]:
-    """Join what the recording and the launcher know of each process, the recorder included."""
-    known = {account.agent: account for account in accounts}
-    found = []
-    for agent in dict.fromkeys((*agents, *known)):
-        own, account = agents.get(agent), known.get(agent)
-        timing = own or AgentTiming()
-        found.append(
-            ProcessTiming(
-                agent=agent,
-                tier=tier_of(agent, tree),
-                kind=kind_of(agent, tree),
-                missed_deadlines=dict(timing.missed_deadlines),
-                missing_inputs=dict(timing.missing_inputs),
-                old_inputs=timing.old_inputs,
-                overruns=dict(timing.overruns),
-                skipped_cycles=timing.skipped_cycles,
-                slowest_decision_us=own.slowest_decision_ns / 1e3 if own else None,
-                dropped=account.dropped if account else None,
-                cpu_percent=_cpu_percent(account, wall_s),
-                resident_mb=account.resident_mb if account else None,
-                times=timing.times,
-            )
+    """Add what the launcher knows of each process; the recorder is known to it alone."""
+    found = {process.agent: process for process in processes}
+    for account in accounts:
+        name = account.agent
+        bare = ProcessTiming(agent=name, tier=tier_of(name, tree), kind=kind_of(name, tree))
+        found[name] = replace(
+            found.get(name, bare),
+            dropped=account.dropped,
+            resident_mb=account.resident_mb,
+            cpu_percent=None
+            if account.cpu_s is None or wall_s <= 0.0
+            else 100.0 * account.cpu_s / wall_s,
         )
-    return tuple(found)
-
-
-def _cpu_percent(account: ProcessAccount | None, wall_s: float) -> float | None:
-    if account is None or account.cpu_s is None or wall_s <= 0.0:
-        return None
-    return 100.0 * account.cpu_s / wall_s
+    return tuple(found.values())
 
 
 def tier_timings(processes: Iterable[ProcessTiming]) -> tuple[TierTiming, ...]:
@@ -120,6 +108,7 @@ def tier_timings(processes: Iterable[ProcessTiming]) -> tuple[TierTiming, ...]:
 def _tier(members: Sequence[ProcessTiming]) -> TierTiming:
     shares = [one.cpu_percent for one in members if one.cpu_percent is not None]
     memory = [one.resident_mb for one in members if one.resident_mb is not None]
+    dropped = [sum(one.dropped.values()) for one in members if one.dropped is not None]
     return TierTiming(
         tier=members[0].tier,
         kind=members[0].kind,
@@ -129,9 +118,7 @@ def _tier(members: Sequence[ProcessTiming]) -> TierTiming:
         old_inputs=sum(one.old_inputs for one in members),
         overruns=sum(sum(one.overruns.values()) for one in members),
         skipped_cycles=sum(one.skipped_cycles for one in members),
-        dropped=total(
-            None if one.dropped is None else sum(one.dropped.values()) for one in members
-        ),
+        dropped=total(dropped),
         cpu_percent=total(shares),
         cpu_highest_percent=max(shares, default=None),
         resident_mb=max(memory, default=None),

@@ -2,24 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
-from typing import Final, TypeAlias
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final
 
 import msgspec
 from rich.console import Console
 
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.supervision import RunFailure
-from studies.tables import Cell, Column, Table, key_column, print_table, word_column
-from studies.timing.host import Host
+from studies.tables import Cell, Column, Table, key_column, print_lines, print_table, word_column
+from studies.timing.measures import LOOP, WHOLE_LOOP
 from studies.timing.processes import total
-from studies.timing.rates import LOWEST_HZ, Rates, cycles_per_s
-from studies.timing.report import TimingReport
-from studies.timing.run_timing import LOOP, WHOLE_LOOP
-from studies.timing.tables import host_lines, how_often, print_lines
+from studies.timing.report import Host, TimingReport
+from studies.timing.tables import cycles_per_s, host_lines, how_often
+
+HIGHEST_HZ: Final = 1000.0
+LOWEST_HZ: Final = 1.0 / 3600.0
+_AUTO_FROM_HZ: Final = 5.0
+
+NOT_CLEAN: Final = "not clean"
 
 _CLOSE_ENOUGH: Final = 1.1
 """The search ends where the lowest rate that fails is no further above the highest clean one."""
+
+_EXPECTED: Final = "cycles a second such as 20, several such as 5,10,20, 1..200 or auto"
+
+
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """Rates to run at: those listed, or a search for the highest clean one in a range."""
+
+    listed_hz: tuple[float, ...] = ()
+    search_hz: tuple[float, float] | None = None
+
+    @property
+    def single_hz(self) -> float | None:
+        """The rate, if it is one; None if this is a sweep."""
+        return self.listed_hz[0] if len(self.listed_hz) == 1 else None
 
 
 class RateRow(msgspec.Struct, frozen=True):
@@ -28,15 +48,11 @@ class RateRow(msgspec.Struct, frozen=True):
     Attributes
     ----------
     loop_p50_us, loop_p99_us, loop_max_us
-        Loop time [us]; None if the plant ended no cycle.
-    missed_deadlines, overruns, lost_messages
-        Of all processes together.
-    cpu_percent
-        Processor time of all processes together [% of one core].
-    clean
-        Whether nothing was missed, overran, was skipped or lost.
+        None if the plant ended no cycle.
+    missed_deadlines, overruns, lost_messages, cpu_percent
+        Of all processes together; processor time in % of one core.
     trouble
-        What was, and in which tier.
+        What was missed, overran, was skipped or lost, and in which tier.
     failed
         Why the run failed; empty if it did not.
     interrupted
@@ -45,6 +61,7 @@ class RateRow(msgspec.Struct, frozen=True):
 
     rate_hz: float
     cycles: int = 0
+    late_cycles: int = 0
     loop_p50_us: float | None = None
     loop_p99_us: float | None = None
     loop_max_us: float | None = None
@@ -65,12 +82,7 @@ class RateRow(msgspec.Struct, frozen=True):
             return "interrupted"
         if self.failed:
             return "failed"
-        return "clean" if self.clean else "not clean"
-
-    @property
-    def too_fast(self) -> bool:
-        """Whether it shows that the plant does not keep up at this rate."""
-        return not (self.clean or self.interrupted)
+        return "clean" if self.clean else NOT_CLEAN
 
 
 class Sweep(msgspec.Struct, frozen=True):
@@ -80,16 +92,57 @@ class Sweep(msgspec.Struct, frozen=True):
     highest_clean_hz: float | None
     interrupted: bool
 
+    @property
+    def too_fast_hz(self) -> float | None:
+        """The lowest rate above the highest clean one that proved too fast, if there is one."""
+        clean_hz = self.highest_clean_hz or 0.0
+        return next(
+            (
+                row.rate_hz
+                for row in self.rows
+                if row.rate_hz > clean_hz and row.outcome in {"failed", NOT_CLEAN}
+            ),
+            None,
+        )
 
-Timed: TypeAlias = Callable[[float], TimingReport]
-"""Runs the plant at a rate and reports on it."""
+
+def parse_rates(text: str) -> Rates:
+    """Read the value of `--rate`."""
+    if text == "auto":
+        return Rates(search_hz=(_AUTO_FROM_HZ, HIGHEST_HZ))
+    if ".." in text:
+        low, _, high = text.partition("..")
+        search = _rate_hz(low, text), _rate_hz(high, text)
+        if search[0] >= search[1]:
+            raise InputError(f"--rate: expected a range from low to high, got {text}")
+        return Rates(search_hz=search)
+    listed = tuple(_rate_hz(part, text) for part in text.split(","))
+    if len(set(listed)) < len(listed):
+        raise InputError(f"--rate: expected each rate once, got {text}")
+    return Rates(listed_hz=listed)
 
 
-def sweep(rates: Rates, timed: Timed) -> Sweep:
+def _rate_hz(part: str, text: str) -> float:
+    try:
+        rate_hz = float(part)
+    except ValueError:
+        raise InputError(f"--rate: expected {_EXPECTED}, got {text}") from None
+    if rate_hz > HIGHEST_HZ:
+        raise InputError(
+            f"--rate: expected at most {HIGHEST_HZ:g} cycles/s, got {text}; timers wake a process "
+            "about 0.1 ms late, so a cycle below 1 ms leaves no time for its stages"
+        )
+    if not rate_hz >= LOWEST_HZ:
+        raise InputError(f"--rate: expected at least one cycle an hour (0.000278), got {text}")
+    return rate_hz
+
+
+def sweep(rates: Rates, timed: Callable[[float], TimingReport]) -> Sweep:
     """Run at the listed rates; or search for the highest clean one, doubling, then halving steps.
 
-    A rate of a search may be refused because stated deadlines do not fit into its cycle, or its
-    run may fail: that rate has failed, and the others still count.
+    A search runs a rate that was not clean once more, and the second run counts: one stall of the
+    machine must not end it. A rate of a search may be refused because stated deadlines do not fit
+    into its cycle, or its run may fail: that rate has failed, and the others still count.
 
     Raises
     ------
@@ -99,20 +152,45 @@ def sweep(rates: Rates, timed: Timed) -> Sweep:
     rows: dict[float, RateRow] = {}
     for rate_hz in _search(rates.search_hz, rows) if rates.search_hz else rates.listed_hz:
         try:
-            rows[rate_hz] = rate_row(timed(rate_hz))
-        except KeyboardInterrupt:
-            rows[rate_hz] = RateRow(rate_hz, interrupted=True)
+            rows[rate_hz] = _row(rate_hz, timed)
+            if rates.search_hz and rows[rate_hz].outcome == NOT_CLEAN:
+                rows[rate_hz] = _row(rate_hz, timed)
         except InputError as error:
             if not rows:
                 raise
             rows[rate_hz] = RateRow(rate_hz, failed=str(error))
-        except RunFailure as failure:
-            rows[rate_hz] = RateRow(rate_hz, failed=str(failure).splitlines()[0])
         if rows[rate_hz].interrupted:
             break
-    clean = [rate_hz for rate_hz, row in rows.items() if row.clean]
+    return _found(rows)
+
+
+def _row(rate_hz: float, timed: Callable[[float], TimingReport]) -> RateRow:
+    try:
+        return rate_row(timed(rate_hz))
+    except KeyboardInterrupt:
+        return RateRow(rate_hz, interrupted=True)
+    except RunFailure as failure:
+        return RateRow(rate_hz, failed=str(failure).splitlines()[0])
+
+
+def _found(rows: dict[float, RateRow]) -> Sweep:
     in_order = tuple(rows[rate_hz] for rate_hz in sorted(rows))
-    return Sweep(in_order, max(clean, default=None), any(row.interrupted for row in in_order))
+    clean_hz = max((row.rate_hz for row in in_order if row.clean), default=None)
+    return Sweep(in_order, clean_hz, any(row.interrupted for row in in_order))
+
+
+def _search(search_hz: tuple[float, float], rows: dict[float, RateRow]) -> Iterator[float]:
+    """Yield rates to try; each is run, and has its row, before the next one is asked for."""
+    rate_hz, highest_hz = search_hz
+    yield rate_hz
+    while rows[rate_hz].clean and rate_hz < highest_hz:
+        rate_hz = min(2.0 * rate_hz, highest_hz)
+        yield rate_hz
+    while (found := _found(rows)).highest_clean_hz is not None and found.too_fast_hz is not None:
+        if found.too_fast_hz <= found.highest_clean_hz * _CLOSE_ENOUGH:
+            return
+        rate_hz = float(f"{(found.highest_clean_hz * found.too_fast_hz) ** 0.5:.3g}")
+        yield rate_hz
 
 
 def rate_row(report: TimingReport) -> RateRow:
@@ -122,6 +200,7 @@ def rate_row(report: TimingReport) -> RateRow:
     return RateRow(
         rate_hz=report.rate_hz,
         cycles=report.cycles,
+        late_cycles=report.late_cycles,
         loop_p50_us=loop.p50_us if loop else None,
         loop_p99_us=loop.p99_us if loop else None,
         loop_max_us=loop.max_us if loop else None,
@@ -137,7 +216,7 @@ def rate_row(report: TimingReport) -> RateRow:
 
 
 def _trouble(report: TimingReport) -> str:
-    """Say what keeps a run from being clean, tier by tier."""
+    """Say what went wrong in a run, tier by tier."""
     found = [] if report.cycles else ["no cycle was completed"]
     for tier in report.tiers:
         counts = (
@@ -167,11 +246,23 @@ def sweep_table(found: Sweep) -> Table:
         Column("loop p50", "ms"),
         Column("loop p99", "ms"),
         Column("loop max", "ms"),
-        *map(Column, ("missed deadlines", "overruns", "lost")),
+        *map(Column, ("late cycles", "lost")),
         Column("CPU", "%", 0),
         word_column(""),
     )
     return Table("Rates [cycles/s]", columns, tuple(map(_cells, found.rows)))
+
+
+def _cells(row: RateRow) -> tuple[Cell, ...]:
+    loop_us = (row.loop_p50_us, row.loop_p99_us, row.loop_max_us)
+    return (
+        f"{row.rate_hz:.4g}",
+        row.cycles,
+        1e3 / row.rate_hz,
+        *(None if value_us is None else value_us / 1e3 for value_us in loop_us),
+        *(row.late_cycles, row.lost_messages, row.cpu_percent),
+        row.outcome,
+    )
 
 
 def machine_lines(found: Sweep) -> list[str]:
@@ -183,72 +274,26 @@ def machine_lines(found: Sweep) -> list[str]:
 
 
 def trouble_lines(found: Sweep) -> list[str]:
-    """Say of each rate that failed or was not clean what went wrong."""
+    """Say of each rate what went wrong, also of clean ones."""
     return [
-        f"{cycles_per_s(row.rate_hz)} failed: {row.failed}"
-        if row.failed
-        else f"{cycles_per_s(row.rate_hz)} was not clean: {row.trouble}"
+        f"{cycles_per_s(row.rate_hz)} {row.outcome}: {row.failed or row.trouble}"
         for row in found.rows
-        if row.failed or (row.trouble and not row.interrupted)
+        if (row.failed or row.trouble) and not row.interrupted
     ]
-
-
-def _search(search_hz: tuple[float, float], rows: dict[float, RateRow]) -> Iterator[float]:
-    """Yield rates to try; each is run, and has its row, before the next one is asked for."""
-    rate_hz, highest_hz = search_hz
-    yield rate_hz
-    while rows[rate_hz].clean and rate_hz < highest_hz:
-        rate_hz = min(2.0 * rate_hz, highest_hz)
-        yield rate_hz
-    while bounds := _bounds(rows.values()):
-        clean_hz, failed_hz = bounds
-        if failed_hz <= clean_hz * _CLOSE_ENOUGH:
-            return
-        rate_hz = float(f"{(clean_hz * failed_hz) ** 0.5:.3g}")
-        if rate_hz in rows:
-            return  # It proved nothing, and would not the next time.
-        yield rate_hz
-
-
-def _bounds(rows: Collection[RateRow]) -> tuple[float, float] | None:
-    """Return the highest clean rate and the lowest too fast one above; None if either lacks."""
-    clean_hz = max((row.rate_hz for row in rows if row.clean), default=None)
-    if clean_hz is None:
-        return None
-    failed = [row.rate_hz for row in rows if row.too_fast and row.rate_hz > clean_hz]
-    return (clean_hz, min(failed)) if failed else None
-
-
-def _cells(row: RateRow) -> tuple[Cell, ...]:
-    loop_us = (row.loop_p50_us, row.loop_p99_us, row.loop_max_us)
-    return (
-        f"{row.rate_hz:.4g}",
-        row.cycles,
-        1e3 / row.rate_hz,
-        *(None if value_us is None else value_us / 1e3 for value_us in loop_us),
-        *(row.missed_deadlines, row.overruns, row.lost_messages, row.cpu_percent),
-        row.outcome,
-    )
 
 
 def conclusion(found: Sweep) -> str:
     """Say how fast the plant can go."""
-    if found.highest_clean_hz is None:
-        return _none_was_clean(found)
-    known = any(row.rate_hz > found.highest_clean_hz and row.too_fast for row in found.rows)
-    at_least = "" if known else "at least "
-    return (
-        f"highest clean rate: {at_least}{cycles_per_s(found.highest_clean_hz)} (no deadline "
-        "missed, no stage overrun, no cycle skipped, no message lost)"
-    )
-
-
-def _none_was_clean(found: Sweep) -> str:
+    if found.highest_clean_hz is not None:
+        at_least = "at least " if found.too_fast_hz is None else ""
+        return (
+            f"highest clean rate: {at_least}{cycles_per_s(found.highest_clean_hz)} (at most 1 % of "
+            "the cycles late, no message lost)"
+        )
     if found.interrupted:
         return "interrupted before a rate was found to be clean"
-    tried_hz = [row.rate_hz for row in found.rows]
-    lowest_hz = min(tried_hz)
-    what = f"no rate was clean: {len(tried_hz)} tried, from {cycles_per_s(lowest_hz)} on"
+    lowest_hz = found.rows[0].rate_hz
+    what = f"no rate was clean: {len(found.rows)} tried, from {cycles_per_s(lowest_hz)} on"
     if lowest_hz <= LOWEST_HZ or all(row.failed for row in found.rows):
         return what
     below = f"{max(lowest_hz / 10.0, LOWEST_HZ):.3g}..{lowest_hz:.4g}"

@@ -9,14 +9,20 @@ from typing import Final
 from rich.console import Console
 
 from launch_scripts.launcher.wrong_messages import one_line_each
-from studies.tables import Cell, Column, Table, cell_text, key_column, print_table, word_column
+from studies.tables import (
+    Cell,
+    Column,
+    Table,
+    cell_text,
+    key_column,
+    print_lines,
+    print_table,
+    word_column,
+)
 from studies.timing.budgets import Verdict
-from studies.timing.durations import Distribution
-from studies.timing.host import Host
+from studies.timing.durations import Distribution, Times
 from studies.timing.processes import ProcessTiming, TierTiming
-from studies.timing.rates import cycles_per_s
-from studies.timing.report import TimingReport
-from studies.timing.run_timing import Times
+from studies.timing.report import Host, TimingReport
 
 MEANINGS: Final = {
     "loop": "from the plant's scheduled tick to its last command; each command: to its publishing",
@@ -54,10 +60,9 @@ def print_report(report: TimingReport, console: Console, *, processes: bool) -> 
     print_lines(console, [f"  not kept: {line}" for line in failures(report)])
 
 
-def print_lines(console: Console, lines: Iterable[str]) -> None:
-    """Print lines of plain text."""
-    for line in lines:
-        console.print(line, highlight=False, markup=False)
+def cycles_per_s(rate_hz: float) -> str:
+    """Say a rate: `20 cycles/s`."""
+    return f"{rate_hz:.4g} cycle{'' if rate_hz == 1.0 else 's'}/s"
 
 
 def header_lines(report: TimingReport) -> list[str]:
@@ -65,7 +70,8 @@ def header_lines(report: TimingReport) -> list[str]:
     cycles = f"{report.cycles:,} cycle{'' if report.cycles == 1 else 's'}"
     return [
         f"{report.scenario} at {cycles_per_s(report.rate_hz)} in real time: {cycles} in "
-        f"{report.wall_s:.1f} s{', interrupted' if report.interrupted else ''}",
+        f"{report.wall_s:.1f} s, {report.late_cycles:,} late"
+        f"{', interrupted' if report.interrupted else ''}",
         *host_lines(report.host),
         *report.remarks,
     ]
@@ -149,13 +155,13 @@ def how_often(count: int) -> str:
 
 
 def times_tables(report: TimingReport) -> list[Table]:
-    """Return a table of durations for each measure."""
+    """Return a table of durations for each measure, with its budgets if it has any."""
     tables = []
     for measure, found in groupby(report.times, lambda row: row.measure):
         rows = [(_name(row), *_figures(row.times), *_limit(row, report.verdicts)) for row in found]
-        tables.append(
-            Table(f"{measure.capitalize()} [ms]", _JUDGED, tuple(rows), (MEANINGS[measure],))
-        )
+        columns = _JUDGED if any(row[-1] != "" for row in rows) else _TIMES
+        cut = tuple(row[: len(columns)] for row in rows)
+        tables.append(Table(f"{measure.capitalize()} [ms]", columns, cut, (MEANINGS[measure],)))
     return tables
 
 

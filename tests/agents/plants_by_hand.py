@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-import msgspec
 import numpy as np
+from plans_by_hand import CYCLE_NS
 
 from agents.agent import Agent
 from agents.loop import AgentLoop
@@ -30,35 +30,6 @@ from launch_scripts.launcher.simulation import MemoryRun
 from sim_plant.profile import Profile
 
 M = TypeVar("M", bound=Message)
-
-CYCLE_NS = 1_000_000_000
-REAL_TIME = CYCLE_NS
-"""A `cycle_wall_ns`: cycles of a second by the clock."""
-
-
-def plan_of(ratings_kw: Mapping[str, float], **changes: object) -> RunPlan:
-    """Plan of a run in lockstep, from the path and rating of each inverter."""
-    tiers = max(leaf.count("/") + 1 for leaf in ratings_kw)
-    plan = RunPlan(
-        run_id="by-hand",
-        plant="oahu",
-        inverters=tuple(ratings_kw.items()),
-        start_time_ns=0,
-        cycle_ns=CYCLE_NS,
-        cycles=1,
-        timezone="UTC",
-        regulation_capacity_kw=0.0,
-        cycle_wall_ns=0,
-        period_cycles=(1,) * tiers,
-        scheme="paper",
-        actuator="fraction",
-        alpha_min=0.05,
-        hold_cycles=3,
-        stall_timeout_s=3.0,
-        neighbourhoods=(),
-        tcp_ports={},
-    )
-    return msgspec.structs.replace(plan, **changes)
 
 
 @dataclass

@@ -8,11 +8,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from plants_by_hand import REAL_TIME, AtWork, Heard, dispatch, hear_profile, meter, plan_of, report
+from plans_by_hand import REAL_TIME, plan_of
+from plants_by_hand import AtWork, Heard, dispatch, hear_profile, meter, report
+from running import small_plant
 
+from agents.control.correction import HIGHEST_GAIN
 from agents.plan import RunPlan, Scheme
 from bus_schemas.messages import Setpoint
-from bus_schemas.signals import METER, PRODUCTION, SETPOINT
+from bus_schemas.signals import PRODUCTION, SETPOINT
 from bus_schemas.tree import ROOT
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
@@ -59,16 +62,6 @@ def test_where_all_there_is_falls_short_nothing_is_added() -> None:
     assert target_kw(heard, CYCLES - 1) <= 120.0 + 1e-9
 
 
-def test_the_correction_is_a_tenth_of_the_rating_at_most_and_never_negative() -> None:
-    central = AtWork(central_plan(), "central")
-    for cycle in range(100):
-        over_kw = cycle_with_meter(central, cycle, 100.0)
-    assert over_kw == pytest.approx(50.0), "too much is not taken back"
-    for cycle in range(100, 200):
-        short_kw = cycle_with_meter(central, cycle, 0.0)
-    assert short_kw == pytest.approx(50.0 + 20.0)
-
-
 @pytest.mark.parametrize("absurd_kw", [math.nan, math.inf, -math.inf, -100.0, 1e9])
 def test_an_absurd_meter_leaves_no_trace(absurd_kw: float) -> None:
     central = AtWork(central_plan(), "central")
@@ -93,8 +86,8 @@ def test_a_controller_that_acts_rarely_corrects_by_the_mean_of_its_readings() ->
     # In cycle 0 there was no dispatch before that could have been missed.
     assert set_kw[0] == pytest.approx(50.0)
     assert set_kw[1:5] == [0.0] * 4
-    assert set_kw[5] == pytest.approx(50.0 + 0.5 * 5.0)
-    assert set_kw[10] == pytest.approx(50.0 + 0.5 * 5.0 * 2)
+    assert set_kw[5] == pytest.approx(50.0 + HIGHEST_GAIN * 5.0)
+    assert set_kw[10] == pytest.approx(50.0 + HIGHEST_GAIN * 5.0 * 2)
 
 
 def central_plan(**changes: object) -> RunPlan:
@@ -114,14 +107,6 @@ def cycle_with_meter(central: AtWork, cycle: int, metered_kw: float | None) -> f
     return sum(message.power_kw for message in sent.values() if isinstance(message, Setpoint))
 
 
-def test_the_meter_reads_what_was_delivered() -> None:
-    plan = plan_of({"a": 100.0, "b": 100.0}, cycles=4)
-    mpp_kw = np.array([[80.0, 60.0], [50.0, 60.0], [90.0, 90.0], [90.0, 90.0]])
-    _, heard = hear_profile(plan, Profile(mpp_kw, np.array([100.0, 120.0, 0.0, 500.0])))
-    read_kw = [heard.get(cycle, METER.of(ROOT)).power_kw for cycle in range(1, 4)]
-    assert read_kw == [heard.get(cycle, PRODUCTION.of(ROOT)).delivered_kw for cycle in range(3)]
-
-
 @pytest.mark.parametrize(
     ("scheme", "said", "corrects"),
     [
@@ -134,11 +119,7 @@ def test_the_meter_reads_what_was_delivered() -> None:
 def test_it_goes_with_the_scheme_unless_the_scenario_says_otherwise(
     tmp_path: Path, scheme: Scheme, said: str | None, corrects: bool
 ) -> None:
-    oahu = load_scenario("oahu")
-    text = oahu.text
-    if said is not None:
-        text = text.replace("[control]", f"[control]\ncorrection = {said}")
-    path = tmp_path / "scenario.toml"
-    path.write_text(text)
-    plan = prepare(load_scenario(str(path)), RunOptions(duration="1", scheme=scheme), "any").plan
+    said_so = () if said is None else (("[control]", f"[control]\ncorrection = {said}"),)
+    scenario = load_scenario(small_plant(tmp_path, *said_so))
+    plan = prepare(scenario, RunOptions(duration="1", scheme=scheme), "any").plan
     assert plan.correction is corrects

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import pytest
-from plants_by_hand import REAL_TIME, AtWork, at, dispatch, meter, plan_of, report
+from plans_by_hand import REAL_TIME, plan_of
+from plants_by_hand import AtWork, at, dispatch, meter, report
 
 from bus_schemas.messages import Notice
 from bus_schemas.signals import DISPATCH, NOTICE, RESIDUAL, SETPOINT

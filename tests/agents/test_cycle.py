@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plants_by_hand import plan_of
+from plans_by_hand import plan_of
 
 from agents.agent import Agent
 from agents.cycle import KINDS, STAGES, USED_SHARE, Deadlines, Kind, kind_of, stage_place
@@ -29,10 +29,11 @@ def team(tree: ControlTree) -> list[Agent[Any]]:
     return [Plant(plan, Profile(np.ones((1, count)), np.ones(1))), *controllers(plan)]
 
 
-def stages_in_order(tree: ControlTree) -> list[tuple[str, str]]:
-    """Agent and stage, as one comes after the other on the way of a message."""
-    chain = [("plant", "sense"), ("c1/a", "estimate"), ("c1", "report"), ("central", "solve")]
-    return [*chain, ("c1", "solve"), ("c1/a", "actuate"), ("plant", "apply")]
+STAGES_IN_ORDER = [
+    *(("plant", "sense"), ("c1/a", "estimate"), ("c1", "report"), ("central", "solve")),
+    *(("c1", "solve"), ("c1/a", "actuate"), ("plant", "apply")),
+]
+"""Agent and stage, as one comes after the other on the way of a message through three tiers."""
 
 
 @pytest.mark.parametrize(
@@ -61,9 +62,7 @@ def test_each_agent_goes_through_the_stages_of_its_kind() -> None:
 
 
 def test_a_cycle_of_three_tiers_has_six_hops() -> None:
-    places = [
-        stage_place(agent, stage, THREE_TIERS) for agent, stage in stages_in_order(THREE_TIERS)
-    ]
+    places = [stage_place(agent, stage, THREE_TIERS) for agent, stage in STAGES_IN_ORDER]
     assert places == [0, 1, 2, 3, 4, 5, 6]
 
 
@@ -96,14 +95,14 @@ def sender_stage(signal: str, publisher: str, tree: ControlTree) -> str:
 
 def test_by_default_each_place_has_the_same_share_of_the_cycle() -> None:
     deadlines = Deadlines(THREE_TIERS, 1_200 * MS)
-    found = [deadlines.deadline_ns(*place) for place in stages_in_order(THREE_TIERS)]
+    found = [deadlines.deadline_ns(*place) for place in STAGES_IN_ORDER]
     assert found == [180 * MS * place for place in range(7)]
     assert found[-1] == USED_SHARE * 1_200 * MS
 
 
 def test_a_tiers_deadline_is_that_of_its_last_message() -> None:
     deadlines = Deadlines(THREE_TIERS, 1_000 * MS, (300 * MS, 500 * MS, 600 * MS))
-    found = [deadlines.deadline_ns(*place) for place in stages_in_order(THREE_TIERS)]
+    found = [deadlines.deadline_ns(*place) for place in STAGES_IN_ORDER]
     assert found == [0, 100 * MS, 200 * MS, 300 * MS, 500 * MS, 600 * MS, 800 * MS]
 
 

@@ -6,16 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plants_by_hand import (
-    AtWork,
-    at,
-    dispatch,
-    head,
-    hear_profile,
-    plan_of,
-    setpoint,
-    telemetry,
-)
+from plans_by_hand import plan_of
+from plants_by_hand import AtWork, at, dispatch, head, hear_profile, setpoint, telemetry
 
 from agents.agent import Turn
 from agents.plan import Actuator, Scheme

@@ -6,7 +6,8 @@ from collections import Counter
 
 import pytest
 from clock_by_hand import ClockByHand
-from plants_by_hand import REAL_TIME, dispatch, plan_of, report, setpoint
+from plans_by_hand import REAL_TIME, plan_of
+from plants_by_hand import dispatch, report, setpoint
 
 from agents.driver import Driver
 from agents.loop import AgentLoop

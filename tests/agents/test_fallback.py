@@ -6,17 +6,8 @@ import math
 from collections.abc import Mapping
 
 import pytest
-from plants_by_hand import (
-    REAL_TIME,
-    AtWork,
-    at,
-    dispatch,
-    impp,
-    plan_of,
-    report,
-    setpoint,
-    telemetry,
-)
+from plans_by_hand import REAL_TIME, plan_of
+from plants_by_hand import AtWork, at, dispatch, impp, report, setpoint, telemetry
 
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import HelpGiven, Message, Setpoint
@@ -33,7 +24,7 @@ CLUSTER = plan_of(
 """Two inverters below one supervisor."""
 
 Sent = Mapping[Port[Message], Message]
-ABSURD_KW = [math.nan, math.inf, -math.inf, -1.0, 1.7e308]
+ABSURD_KW = [math.nan, math.inf, -1.0]
 
 
 def setpoints_kw(sent: Sent) -> tuple[float, ...]:
@@ -80,11 +71,8 @@ def test_a_direct_controller_goes_down_the_ladder_and_up_again() -> None:
     assert alpha_in(work, 11, setpoint_kw=20.0) == 0.25
 
 
-def test_from_cycle_0_on_an_inverter_keeps_to_its_own_share_of_the_dispatch() -> None:
+def test_before_a_setpoint_its_own_share_is_commanded_and_before_the_dispatch_nothing() -> None:
     assert alpha_in(direct(), 0) == 0.625
-
-
-def test_before_dispatch_and_setpoint_an_inverter_is_left_to_itself() -> None:
     assert alpha_in(direct(), 0, dispatch_kw=None) is None
 
 
@@ -247,7 +235,7 @@ def test_a_residual_without_impp_is_silence() -> None:
     ("impp_kw", "residual_kw", "left_kw"),
     [
         *[(absurd_kw, 0.0, 30.0) for absurd_kw in (*ABSURD_KW, 100.1)],
-        *[(50.0, absurd_kw, -10.0) for absurd_kw in (math.nan, math.inf, 1.7e308, 100.1, -100.1)],
+        *[(50.0, absurd_kw, -10.0) for absurd_kw in (math.nan, 100.1, -100.1)],
     ],
 )
 def test_an_absurd_number_in_a_report_is_not_used(

@@ -6,7 +6,8 @@ import logging
 import tracemalloc
 
 import pytest
-from plants_by_hand import REAL_TIME, AtWork, plan_of, telemetry
+from plans_by_hand import REAL_TIME, plan_of
+from plants_by_hand import AtWork, telemetry
 
 from agents.drop_log import DropLog
 

@@ -60,15 +60,16 @@ def test_a_process_runs_on_its_cpus() -> None:
     cpu = min(os.sched_getaffinity(0))
     refused, policy = place_of(MachineSettings(cpus=(cpu,)), lockstep=True)
     assert refused == ()
-    assert policy == f"batch on CPU {cpu}"
+    assert policy.startswith("batch")
+    assert policy.endswith(f" on CPU {cpu}")
 
 
 @linux
 def test_a_kind_of_its_own_cpus_goes_before_those_of_all() -> None:
     first, last = min(os.sched_getaffinity(0)), max(os.sched_getaffinity(0))
     settings = MachineSettings(cpus=(first,), cpus_of={"plant": (last,)})
-    assert place_of(settings, "plant")[1] == f"other on CPU {last}"
-    assert place_of(settings, "direct")[1] == f"other on CPU {first}"
+    assert place_of(settings, "plant")[1].endswith(f" on CPU {last}")
+    assert place_of(settings, "direct")[1].endswith(f" on CPU {first}")
 
 
 @linux
@@ -108,7 +109,7 @@ def test_without_permission_the_policy_stays_and_the_text_says_what_it_takes() -
     refused, policy = done.stdout.splitlines()
     assert "priority 20: the kernel refuses SCHED_FIFO (Operation not permitted)" in refused
     assert "`ulimit -r 20`" in refused
-    assert policy.startswith("other on CPU")
+    assert policy.startswith("other")
 
 
 LOCKING = """

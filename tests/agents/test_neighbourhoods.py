@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from plants_by_hand import CYCLE_NS, hear, plan_of
+from plans_by_hand import CYCLE_NS, plan_of
+from plants_by_hand import hear
 
 from agents.plan import Neighbourhood, NodeNeighbourhoods
 from bus_schemas.messages import HelpGiven

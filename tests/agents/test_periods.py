@@ -7,7 +7,8 @@ from math import fsum
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plants_by_hand import Heard, hear, plan_of
+from plans_by_hand import plan_of
+from plants_by_hand import Heard, hear
 
 from agents.periods import Periods
 from bus_schemas.errors import InputError
@@ -42,17 +43,10 @@ def setpoints_kw(heard: Heard, cycle: int) -> list[float]:
     return [round(power_kw, 9) for power_kw in found]
 
 
-def test_the_central_controller_sends_setpoints_in_its_turns_only(heard: Heard) -> None:
+def test_setpoints_are_sent_in_their_turns_all_else_in_every_cycle(heard: Heard) -> None:
     assert heard.cycles_of(SETPOINT.of("c1")) == [0, 10]
-
-
-def test_the_supervisors_send_them_in_every_cycle(heard: Heard) -> None:
-    assert heard.cycles_of(SETPOINT.of("c1/a")) == list(range(CYCLES))
-
-
-def test_everybody_reports_and_every_inverter_is_commanded_in_every_cycle(heard: Heard) -> None:
-    ports = [signal.of(node) for signal in (IMPP, RESIDUAL) for node in ("", "c1", "c2", *FOUR)]
-    for port in (*ports, *map(COMMAND.of, FOUR)):
+    reports = [signal.of(node) for signal in (IMPP, RESIDUAL) for node in ("", "c1", "c2", *FOUR)]
+    for port in (*reports, *map(COMMAND.of, FOUR), SETPOINT.of("c1/a")):
         assert heard.cycles_of(port) == list(range(CYCLES))
 
 

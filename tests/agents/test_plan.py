@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from plants_by_hand import plan_of
+from plans_by_hand import plan_of
 
 from agents.__main__ import main
 from agents.plan import Neighbourhood, NodeNeighbourhoods, RunPlan, load_plan

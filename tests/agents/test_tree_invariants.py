@@ -9,7 +9,8 @@ from typing import NamedTuple
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plants_by_hand import Heard, hear, plan_of
+from plans_by_hand import plan_of
+from plants_by_hand import Heard, hear
 
 from agents.plan import Neighbourhood, NodeNeighbourhoods, RunPlan
 from bus_schemas.signals import HELP, IMPP, NOTICE, RESIDUAL, SETPOINT
@@ -100,7 +101,7 @@ def targets_kw(weather: Weather, heard: Heard) -> dict[tuple[int, str], float]:
 
 
 @given(weathers())
-@settings(max_examples=30)
+@settings(max_examples=50)
 def test_setpoints_add_up_to_the_target_or_to_all_there_is(weather: Weather) -> None:
     heard = weather.hear()
     for (cycle, node), target_kw in targets_kw(weather, heard).items():
@@ -115,50 +116,29 @@ def test_setpoints_add_up_to_the_target_or_to_all_there_is(weather: Weather) -> 
 
 
 @given(weathers())
-@settings(max_examples=30)
-def test_what_a_parent_reports_is_the_sum_of_what_its_children_report(weather: Weather) -> None:
-    heard = weather.hear()
-    tree = weather.plan.tree
-    for cycle in range(weather.plan.cycles):
-        for node in tree.parents:
-            impps = [heard.get(cycle, IMPP.of(child)) for child in tree.children(node)]
-            residuals = [heard.get(cycle, RESIDUAL.of(child)) for child in tree.children(node)]
-            own = heard.get(cycle, IMPP.of(node))
-            assert own.power_kw == approx_kw(impp.power_kw for impp in impps)
-            assert own.stale_cycles == max(impp.stale_cycles for impp in impps)
-            found = heard.get(cycle, RESIDUAL.of(node))
-            assert found.power_kw == approx_kw(residual.power_kw for residual in residuals)
+@settings(max_examples=50)
+def test_reports_add_up_and_what_is_missing_is_called_for_up_to_the_root(weather: Weather) -> None:
+    heard, tree = weather.hear(), weather.plan.tree
+    for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather)):
+        for node in tree.nodes:
+            own, residual = heard.get(cycle, IMPP.of(node)), heard.get(cycle, RESIDUAL.of(node))
+            call = heard.find(cycle, HELP.of(node))
+            lacks = residual.power_kw < 0.0
+            assert (call.missing_kw if call else None) == (-residual.power_kw if lacks else None)
+            if children := tree.children(node):
+                impps = [heard.get(cycle, IMPP.of(child)) for child in children]
+                residuals = [heard.get(cycle, RESIDUAL.of(child)) for child in children]
+                assert own.power_kw == approx_kw(impp.power_kw for impp in impps)
+                assert own.stale_cycles == max(impp.stale_cycles for impp in impps)
+                assert residual.power_kw == approx_kw(found.power_kw for found in residuals)
+        missing_kw = max(dispatch_kw - heard.get(cycle, IMPP.of(ROOT)).power_kw, 0.0)
+        call = heard.find(cycle, HELP.of(ROOT))
+        assert (call.missing_kw if call else 0.0) == approx_kw([missing_kw])
 
 
 def approx_kw(powers_kw: Iterable[float]) -> object:
     """A sum, but for rounding errors."""
     return pytest.approx(fsum(powers_kw), rel=0.0, abs=TOLERANCE_KW)
-
-
-@given(weathers())
-@settings(max_examples=30)
-def test_help_is_called_for_exactly_when_and_as_much_as_power_is_missing(
-    weather: Weather,
-) -> None:
-    heard = weather.hear()
-    for cycle in range(weather.plan.cycles):
-        for node in weather.plan.tree.nodes:
-            residual_kw = heard.get(cycle, RESIDUAL.of(node)).power_kw
-            call = heard.find(cycle, HELP.of(node))
-            assert (call.missing_kw if call else None) == (
-                -residual_kw if residual_kw < 0.0 else None
-            )
-
-
-@given(weathers())
-@settings(max_examples=30)
-def test_what_the_plant_cannot_meet_is_missing_at_the_root(weather: Weather) -> None:
-    heard = weather.hear()
-    for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather)):
-        missing_kw = dispatch_kw - heard.get(cycle, IMPP.of(ROOT)).power_kw
-        call = heard.find(cycle, HELP.of(ROOT))
-        called_kw = call.missing_kw if call else 0.0
-        assert called_kw == pytest.approx(max(missing_kw, 0.0), rel=0.0, abs=TOLERANCE_KW)
 
 
 @given(weathers())

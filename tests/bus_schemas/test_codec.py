@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import msgpack
 import msgspec
@@ -135,12 +136,7 @@ def test_the_wire_is_one_plain_msgpack_map_from_field_name_to_value(
     found = msgpack.unpackb(encode(message))
     assert list(found) == [*HEAD_FIELDS, *OWN_FIELDS[signal.type]]
     assert found == msgspec.json.decode(msgspec.json.encode(message))
-
-
-@each_signal
-def test_a_reader_that_packs_msgpack_by_hand_is_understood(signal: Signal[Message]) -> None:
-    message = one(signal)
-    assert decode(signal, msgpack.packb(msgspec.to_builtins(message))) == message
+    assert decode(signal, msgpack.packb(found)) == message, "as another library packs it"
 
 
 def test_a_line_of_help_is_a_pair_on_the_wire() -> None:
@@ -175,40 +171,27 @@ def test_a_field_of_the_wrong_type_is_refused(signal: Signal[Message]) -> None:
 
 
 @each_signal
-@pytest.mark.parametrize("number", [-(2**63), -(2**62) - 1, 2**62, 2**63, 2**64 - 1])
-def test_a_whole_number_that_cannot_be_counted_with_is_refused(
-    signal: Signal[Message], number: int
-) -> None:
+def test_a_whole_number_that_cannot_be_counted_with_is_refused(signal: Signal[Message]) -> None:
     whole = msgpack.unpackb(encode(one(signal)))
     names = [name for name, value in whole.items() if type(value) is int]
     assert {"cycle", "sim_time_ns", "publish_time_ns", "sequence"} <= set(names)
-    for name in names:
+    for name, number in product(names, (-(2**62) - 1, 2**62, 2**64 - 1)):
         with pytest.raises(msgspec.DecodeError, match=rf"at `\$\.{name}`"):
             decode(signal, msgpack.packb({**whole, name: number}))
 
 
-@each_signal
 @pytest.mark.parametrize(
-    ("missing", "objection"),
+    ("field", "value"),
     [
-        (["x" * (LONGEST_MISSING + 1)], f"length <= {LONGEST_MISSING}"),
-        (["c1/inv07/impp", "x" * 100_000], f"length <= {LONGEST_MISSING}"),
-        (["c1/inv07/impp"] * (MOST_MISSING + 1), f"length <= {MOST_MISSING}"),
+        ("missing", ["c1/inv07/impp", "x" * (LONGEST_MISSING + 1)]),
+        ("missing", ["c1/inv07/impp"] * (MOST_MISSING + 1)),
+        ("source", "x" * (LONGEST_PATH + 1)),
     ],
 )
-def test_more_missing_inputs_than_any_agent_has_are_refused(
-    signal: Signal[Message], missing: list[str], objection: str
-) -> None:
-    whole = msgpack.unpackb(encode(one(signal)))
-    with pytest.raises(msgspec.DecodeError, match=rf"{objection} - at `\$\.missing"):
-        decode(signal, msgpack.packb({**whole, "missing": missing}))
-
-
-@each_signal
-def test_a_source_longer_than_any_name_is_refused(signal: Signal[Message]) -> None:
-    whole = msgpack.unpackb(encode(one(signal)))
-    with pytest.raises(msgspec.DecodeError, match=rf"length <= {LONGEST_PATH} - at `\$\.source`"):
-        decode(signal, msgpack.packb({**whole, "source": "x" * (LONGEST_PATH + 1)}))
+def test_more_than_any_agent_can_say_is_refused(field: str, value: object) -> None:
+    whole = msgpack.unpackb(encode(one(IMPP)))
+    with pytest.raises(msgspec.DecodeError, match=rf"at `\$\.{field}"):
+        decode(IMPP, msgpack.packb({**whole, field: value}))
 
 
 def test_all_inputs_of_the_largest_tree_can_be_named() -> None:
@@ -225,18 +208,15 @@ def test_a_message_of_another_signal_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "payload", [b"", b"\xc1", b"power", b"\x81", msgpack.packb([1, 2, 3]), b"\x81\xa1\xff\x00"]
+    "payload",
+    [
+        *(b"", b"\xc1", b"\x81", msgpack.packb([1, 2, 3])),
+        encode(Impp(0, 0, "c1/ab", (), power_kw=1.0, stale_cycles=0)).replace(b"ab", b"\xff\xfe"),
+    ],
 )
 def test_garbage_is_refused(payload: bytes) -> None:
     with pytest.raises(msgspec.DecodeError):
         decode(IMPP, payload)
-
-
-def test_a_string_that_is_not_utf8_is_refused_like_other_garbage() -> None:
-    whole = encode(Impp(0, 0, "c1/ab", (), power_kw=1.0, stale_cycles=0))
-    with pytest.raises(msgspec.DecodeError) as caught:
-        decode(IMPP, whole.replace(b"c1/ab", b"c1/\xff\xfe"))
-    assert str(caught.value) == "invalid UTF-8 in a string: invalid start byte"
 
 
 # JSON Schema --------------------------------------------------------------------------------------
@@ -248,13 +228,6 @@ JSON_TYPES = {
     list: "array",
     bool: "boolean",
 }
-
-
-@each_signal
-def test_the_schema_says_at_its_root_that_a_message_is_an_object(signal: Signal[Message]) -> None:
-    schema = json_schema(signal)
-    assert schema["type"] == "object"
-    assert "$ref" not in schema
 
 
 @each_signal
@@ -275,10 +248,13 @@ def test_the_schema_describes_what_msgpack_reads(signal: Signal[Message]) -> Non
 
 @each_signal
 def test_the_schema_requires_all_but_what_the_bus_stamps(signal: Signal[Message]) -> None:
-    required = msgspec.convert(json_schema(signal)["required"], list[str])
+    schema = json_schema(signal)
+    assert schema["type"] == "object", "viewers look at the root"
+    assert "$ref" not in schema
+    required = msgspec.convert(schema["required"], list[str])
     fields = [*HEAD_FIELDS, *OWN_FIELDS[signal.type]]
     assert required == [field for field in fields if field not in OPTIONAL]
-    assert json_schema(signal)["additionalProperties"] is False
+    assert schema["additionalProperties"] is False
 
 
 def test_the_schema_of_a_setpoint_describes_its_lines_of_help() -> None:

@@ -147,14 +147,3 @@ def test_what_a_whole_plant_sends_at_once_finds_room() -> None:
         put(inbox, number, port=IMPP.of(f"c1/inv{number}"))
     assert len(take(inbox, 1, timeout_s=0.0)) == 9_000
     assert not inbox.flooded
-
-
-def test_an_urgent_message_that_was_taken_does_not_cut_the_next_wait_short() -> None:
-    inbox = Inbox()
-    put(inbox, 1, port=RUN.of(ROOT))
-    assert take(inbox, 5, FOR_EVER_S) == [1]
-    # Zenoh's thread may set the flag only after its message was taken.
-    inbox._urgent = True
-    began_s = time.monotonic()
-    assert take(inbox, 1, timeout_s=0.02) == []
-    assert time.monotonic() - began_s >= 0.02

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from bus_schemas.errors import InputError
@@ -84,68 +86,23 @@ def test_a_tree_is_made_of_paths_and_ratings() -> None:
     assert as_ratings(["c1/a", "c1/b"], [1, 2]) == ControlTree((("c1/a", 1.0), ("c1/b", 2.0)))
 
 
-def test_paths_and_ratings_must_be_equally_many() -> None:
-    with pytest.raises(ValueError, match="zip"):
-        as_ratings(["c1/a", "c1/b"], [1.0])
-
-
 @pytest.mark.parametrize(
-    ("inverters", "message"),
+    ("inverters", "named"),
     [
-        ((), "control tree: expected one inverter or more, got none"),
-        (
-            (("c1/a", 1.0), ("c1/a", 1.0)),
-            "control tree: two nodes are named c1/a, names must differ",
-        ),
-        (
-            (("c1", 1.0), ("c1/a", 1.0)),
-            "control tree: c1 is an inverter and a cluster, it must be one",
-        ),
-        (
-            (("c1/a", 0.0),),
-            "control tree, node c1/a: rating_kw: expected a number above 0, got 0",
-        ),
-        (
-            (("c1/a", -5.0),),
-            "control tree, node c1/a: rating_kw: expected a number above 0, got -5",
-        ),
-        (
-            (("c1/a", float("nan")),),
-            "control tree, node c1/a: rating_kw: expected a number above 0, got nan",
-        ),
-        (
-            (("c1/a", float("inf")),),
-            "control tree, node c1/a: rating_kw: expected a number above 0, got inf",
-        ),
-        (
-            (("", 1.0),),
-            "control tree, node '': name: expected letters, digits, '_' and '-', got ''",
-        ),
-        (
-            (("c1//a", 1.0),),
-            "control tree, node 'c1//a': name: expected letters, digits, '_' and '-', got ''",
-        ),
-        (
-            (("c1/*", 1.0),),
-            "control tree, node 'c1/*': name: expected letters, digits, '_' and '-', got '*'",
-        ),
-        (
-            (("c1/a\n", 1.0),),
-            "control tree, node 'c1/a\\n': name: expected letters, digits, '_' and '-', got 'a\\n'",
-        ),
-        (
-            (("plant/a", 1.0),),
-            "control tree, node 'plant/a': name: expected one that is not reserved "
-            "(alive, central, plant, recorder, replayer), got 'plant'",
-        ),
+        ((), "none"),
+        ((("c1/a", 1.0), ("c1/a", 1.0)), "c1/a"),
+        ((("c1", 1.0), ("c1/a", 1.0)), "c1"),
+        *(((("c1/a", kw),), "node c1/a: rating_kw") for kw in (0.0, -5.0, math.nan, math.inf)),
+        *((((path, 1.0),), "name: expected") for path in ("", "c1//a", "c1/*", "c1/a\n")),
+        ((("plant/a", 1.0),), "got 'plant'"),
     ],
 )
 def test_trees_that_cannot_be_are_refused(
-    inverters: tuple[tuple[str, float], ...], message: str
+    inverters: tuple[tuple[str, float], ...], named: str
 ) -> None:
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=r"^control tree") as caught:
         ControlTree(inverters)
-    assert str(caught.value) == message
+    assert named in str(caught.value)
 
 
 def test_a_tree_that_is_too_large_to_be_spoken_of_is_refused() -> None:

@@ -40,14 +40,10 @@ class Block:
 
     @property
     def commands(self) -> str:
-        """The shell text that does what the block says; empty where it is no code to run."""
-        if self.language == "sh":
-            return self.text
-        if self.language == "python":
-            return f"python - <<'PYTHON'\n{self.text}PYTHON\n"
-        if self.language != "console":
-            return ""
-        return _prompted(self.text)
+        """The Python or shell text that does what the block says; empty where that is none."""
+        if self.language == "console":
+            return _prompted(self.text)
+        return self.text if self.language in {"sh", "python"} else ""
 
 
 def blocks_of(document: Path) -> list[Block]:

@@ -53,6 +53,19 @@ def test_a_comparison_is_a_table_with_a_row_for_each_case_and_scheme(small: str)
     assert table["control-caused"].ge(0.0).all()
 
 
+def test_schemes_are_compared_with_matching_actuators(small: str) -> None:
+    table = heliarch.compare(
+        small,
+        schemes=["paper", "physical-limit"],
+        actuators=["fraction", "limit"],
+        duration="30s",
+    )
+    assert list(table["scheme"]) == ["paper", "paper", "physical-limit"]
+    assert list(table["actuator"].fillna("none")) == ["fraction", "limit", "none"]
+    with pytest.raises(InputError, match="actuators"):
+        heliarch.compare(small, actuators=["magic"])  # type: ignore[list-item]
+
+
 @pytest.mark.parametrize(
     ("settings", "named"), [({"no.such": 1}, "no"), ({"commitment.share": "much"}, "share")]
 )

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import command_line
 import msgspec
 import pytest
+from command_line import done
 from running import Heliarch, assert_none_left, small_plant
+from typer.testing import Result
 
 from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS
@@ -15,8 +18,6 @@ from launch_scripts.launcher.summary import RunSummary
 from recordings.read.reader import RunReader
 
 pytestmark = pytest.mark.processes
-
-Start = Callable[..., Heliarch]
 
 DECIDED = tuple(signal for signal in SIGNALS if signal.decided)
 
@@ -34,6 +35,12 @@ def decisions(folder: Path) -> dict[tuple[str, int], Message]:
     return found
 
 
+def decided(folder: Path, command: str, *words: str) -> dict[tuple[str, int], Message]:
+    """Launch or simulate a run from this process; return all that its agents decided."""
+    done(command, *words, "--out", folder)
+    return decisions(folder)
+
+
 def summary_of(folder: Path) -> RunSummary:
     """Return the summary that a run wrote, with what is in it checked."""
     document = msgspec.json.decode((folder / "summary.json").read_bytes())
@@ -49,51 +56,48 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.fixture(scope="module")
-def launched(plant: str, lasting_heliarch: Start) -> Heliarch:
-    """A plant of processes that has ended."""
-    run = lasting_heliarch("launch", plant, "--duration", str(CYCLES), "--json", "-")
-    assert run.wait() == 0, run.error_text()
-    return run
+def launched(plant: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
+    """Folder and result of a plant of processes that has ended."""
+    folder = tmp_path_factory.mktemp("launched") / "run"
+    words = ("--duration", str(CYCLES), "--json", "-", "--out", folder)
+    result = command_line.heliarch("launch", plant, *words)
+    assert result.exit_code == 0, result.output
+    return folder, result
 
 
 def test_processes_decide_bit_for_bit_what_one_process_decides(
-    launched: Heliarch, plant: str, heliarch: Start
+    launched: tuple[Path, Result], plant: str, tmp_path: Path
 ) -> None:
-    simulated = heliarch("simulate", plant, "--duration", str(CYCLES))
-    assert simulated.wait() == 0, simulated.error_text()
-    ours = decisions(launched.folder)
+    ours = decisions(launched[0])
     assert len(ours) > CYCLES * (3 + 4 + 2 * 7 + 6 + 4)
-    assert ours == decisions(simulated.folder)
-    assert_none_left(launched.folder)
+    assert ours == decided(tmp_path / "simulated", "simulate", plant, "--duration", str(CYCLES))
+    assert_none_left(launched[0])
 
 
-def test_so_do_they_by_the_clock(plant: str, heliarch: Start) -> None:
-    words = (plant, "--duration", "5", "--pace", "1")
-    launched, simulated = heliarch("launch", *words), heliarch("simulate", *words)
-    assert launched.wait() == 0, launched.error_text()
-    assert simulated.wait() == 0, simulated.error_text()
-    summary = summary_of(launched.folder)
+def test_so_do_they_by_the_clock(plant: str, tmp_path: Path) -> None:
+    words = (plant, "--duration", "4")
+    ours = decided(tmp_path / "launched", "launch", *words, "--pace", "0.5")
+    summary = summary_of(tmp_path / "launched")
     assert (summary.missing_inputs, summary.skipped_cycles, summary.lost) == (0, 0, 0)
-    assert decisions(launched.folder) == decisions(simulated.folder)
+    assert ours == decided(tmp_path / "simulated", "simulate", *words)
 
 
-def test_so_does_a_deeper_plant_whose_tiers_act_more_and_more_rarely(
-    tmp_path: Path, heliarch: Start
-) -> None:
+def test_so_does_a_deeper_plant_whose_tiers_act_more_and_more_rarely(tmp_path: Path) -> None:
     deep = (
         "cluster_sizes = [[2, 2]]",
         "cluster_sizes = [[1, 1, 2], [2, 1]]\nperiod_cycles = [6, 3, 1]",
     )
     words = (small_plant(tmp_path / "deep", deep), "--duration", "20")
-    launched, simulated = heliarch("launch", *words), heliarch("simulate", *words)
-    assert launched.wait() == 0, launched.error_text()
-    assert simulated.wait() == 0, simulated.error_text()
-    assert decisions(launched.folder) == decisions(simulated.folder)
+    ours = decided(tmp_path / "launched", "launch", *words)
+    assert ours == decided(tmp_path / "simulated", "simulate", *words)
 
 
-def test_every_message_that_was_published_is_in_the_recording(launched: Heliarch) -> None:
-    summary = summary_of(launched.folder)
-    with RunReader(launched.folder) as reader:
+def test_every_message_that_was_published_is_in_the_recording(
+    launched: tuple[Path, Result],
+) -> None:
+    folder, _ = launched
+    summary = summary_of(folder)
+    with RunReader(folder) as reader:
         recorded = [port.signal.name for port, _ in reader.messages()]
     counts = {count.signal: count.recorded for count in summary.messages}
     assert counts["telemetry"] == counts["command"] == CYCLES * 4
@@ -102,28 +106,33 @@ def test_every_message_that_was_published_is_in_the_recording(launched: Heliarch
     assert (summary.lost, summary.dropped) == (0, {})
 
 
-def test_the_summary_goes_to_standard_output_alone_if_asked_for(launched: Heliarch) -> None:
-    document = msgspec.json.decode(launched.output.read_bytes())
+def test_the_summary_goes_to_standard_output_alone_if_asked_for(
+    launched: tuple[Path, Result],
+) -> None:
+    document = msgspec.json.decode(launched[1].stdout)
     assert document["cycles"] == CYCLES
     assert document["messages_lost"] == 0
-    assert "armed" in launched.error_text()
+    assert "armed" in launched[1].stderr
 
 
-def test_two_plants_side_by_side_do_not_hear_each_other(plant: str, heliarch: Start) -> None:
-    runs = [heliarch("launch", plant, "--duration", str(CYCLES), "--seed", seed) for seed in "23"]
-    assert [run.wait() for run in runs] == [0, 0]
-    for run in runs:
-        summary = summary_of(run.folder)
+def test_two_plants_side_by_side_do_not_hear_each_other(
+    plant: str, heliarch: Callable[..., Heliarch], tmp_path: Path
+) -> None:
+    words = ("launch", plant, "--duration", str(CYCLES))
+    other = heliarch(*words, "--seed", "2")
+    done(*words, "--seed", "3", "--out", tmp_path / "run")
+    assert other.wait() == 0, other.error_text()
+    for folder in (other.folder, tmp_path / "run"):
+        summary = summary_of(folder)
         assert (summary.cycles, summary.lost, summary.dropped) == (CYCLES, 0, {})
-    assert decisions(runs[0].folder) != decisions(runs[1].folder)
+    assert decisions(other.folder) != decisions(tmp_path / "run")
 
 
 def test_the_default_plant_runs_as_23_processes_of_99_messages_a_cycle_and_help(
-    heliarch: Start,
+    tmp_path: Path,
 ) -> None:
-    run = heliarch("launch", "oahu", "--duration", "10")
-    assert run.wait() == 0, run.error_text()
-    summary = summary_of(run.folder)
+    done("launch", "oahu", "--duration", "10", "--out", tmp_path / "run")
+    summary = summary_of(tmp_path / "run")
     assert len(summary.processes) == 23
     counts = {count.signal: count.recorded for count in summary.messages}
     for other in ("help", "run", "notice"):

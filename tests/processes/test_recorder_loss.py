@@ -16,7 +16,6 @@ import msgspec
 import pytest
 from running import Heliarch, assert_none_left, small_plant
 
-from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
 from launch_scripts.commands.recover import LOSSY, recover
 from recordings.read.reader import RunReader
@@ -49,10 +48,10 @@ class Loss:
 
 def kill_recorder(run: Heliarch, phase_s: float) -> Loss:
     """Kill the recorder of a run some time after its first flush, recover what it left."""
-    run.until(lambda: recorded_cycles(run.folder) > 0, "cycles that can be read on disk")
+    run.until_recorded()
     recorder = run.process_of("recorder")
     time.sleep(phase_s)
-    flushed_cycles = recorded_cycles(run.folder)
+    flushed_cycles = run.recorded_cycles()
     killed_at_ns = time.monotonic_ns()
     recorder.send_signal(signal.SIGKILL)
     assert run.wait() == 1
@@ -100,7 +99,7 @@ def test_twenty_kills_at_random_moments(
 @pytest.mark.skipif(sys.platform != "linux", reason="limits a process from outside: Linux only")
 def test_a_full_disk_ends_the_recording_and_not_the_plant(heliarch: Start, tmp_path: Path) -> None:
     run = heliarch("launch", small_plant(tmp_path / "plant"), "--duration", "15m")
-    run.until(lambda: recorded_cycles(run.folder) > 0, "cycles that can be read on disk")
+    run.until_recorded()
     full = (run.folder / "run.mcap").stat().st_size + 20_000
     resource.prlimit(run.process_of("recorder").pid, resource.RLIMIT_FSIZE, (full, full))
     assert run.wait() == 1
@@ -114,14 +113,5 @@ def test_a_full_disk_ends_the_recording_and_not_the_plant(heliarch: Start, tmp_p
     with RunReader(run.folder) as reader:
         assert not reader.whole
         assert 0 < recorded == sum(1 for _ in reader.messages())
-    assert 0 < recorded_cycles(run.folder) < 900
+    assert 0 < run.recorded_cycles() < 900
     assert recover(run.folder, None, None) == LOSSY
-
-
-def recorded_cycles(folder: Path) -> int:
-    """Cycles that can be read from a recording: none before its first flush."""
-    try:
-        with RunReader(folder) as reader:
-            return sum(1 for _ in reader.messages(PRODUCTION))
-    except InputError:
-        return 0

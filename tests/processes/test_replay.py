@@ -19,15 +19,14 @@ import msgspec
 import psutil
 import pytest
 import zenoh
+from command_line import done
 from mcap.reader import make_reader
-from running import Heliarch
-from typer.testing import CliRunner
+from running import Heliarch, small_plant
 
 from agents.plan import RunPlan, load_plan
 from bus_schemas.codec import decode, encode
 from bus_schemas.messages import Telemetry
 from bus_schemas.signals import RUN
-from launch_scripts.cli import app
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.reader import RunReader
 from recordings.record.writer import RunWriter
@@ -46,9 +45,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scenario = folder.with_suffix(".toml")
     before, control, after = load_scenario("oahu").text.partition("[control]\n")
     scenario.write_text(f"{before}{control}stall_timeout_s = {PATIENCE_S}\n{after}")
-    words = ["simulate", str(scenario), "--duration", str(CYCLES), "--out", str(folder)]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 0, result.output
+    done("simulate", scenario, "--duration", str(CYCLES), "--out", folder)
     return folder
 
 
@@ -315,9 +312,10 @@ def test_no_live_agent_outlives_its_replay(
 
 
 def test_in_real_time_live_agents_have_the_inputs_and_deadlines_of_the_run(
-    replay: Callable[..., Replay], heliarch: Callable[..., Heliarch]
+    replay: Callable[..., Replay], heliarch: Callable[..., Heliarch], tmp_path: Path
 ) -> None:
-    launched = heliarch("launch", "oahu", "--duration", "10", "--pace", "5")
+    plant = small_plant(tmp_path / "plant")
+    launched = heliarch("launch", plant, "--duration", "10", "--pace", "5")
     launched.wait()  # On a slow machine messages may get lost: then the run says so.
     plan = load_plan(launched.folder / "plan.json")
     leaf = plan.tree.leaves[0]

@@ -9,9 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import command_line
 import msgspec
 import pytest
-from running import Heliarch, assert_none_left
+from running import Heliarch, assert_none_left, small_plant
 
 from bus_schemas.signals import PRODUCTION
 from launch_scripts.launcher.summary import RunSummary
@@ -32,6 +33,8 @@ STAGES = {
 SIGNALS = {"telemetry", "residual", "setpoint", "command"}
 """Those that complete a stage."""
 
+CYCLES = 20
+
 IMPOSSIBLE = """
 [timing.budgets]
 loop_p99_ms = 0.001
@@ -41,23 +44,23 @@ overruns = 1_000_000
 
 
 def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(
-    heliarch: Start, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
     scenario = tmp_path / "oahu.toml"
     scenario.write_text(load_scenario("oahu").text + IMPOSSIBLE)
-    run = heliarch(
-        "timing", str(scenario), "--rate", "10", "--duration", "4s", "--json", "-", "--report"
-    )
-    assert run.wait() == 1, run.error_text()
-    report: dict[str, Any] = json.loads(run.output.read_bytes())
+    folder = tmp_path / "run"
+    words = ("--rate", "5", "--duration", f"{CYCLES / 5:g}s", "--json", "-", "--report")
+    result = command_line.heliarch("timing", scenario, *words, "--out", folder)
+    assert result.exit_code == 1, result.output
+    report: dict[str, Any] = json.loads(result.stdout)
 
     rows = {(row["measure"], row["of"]): row["times"] for row in report["times"]}
     decided = {of for measure, of in rows if measure == "decision"}
     assert decided == {f"{tier} {stage}" for tier in STAGES for stage in STAGES[tier]}
     assert {of for measure, of in rows if measure == "hop"} >= SIGNALS
     assert {measure for measure, _ in rows} >= {"loop", "lateness", "jitter", "age"}
-    assert rows["loop", "all commands"]["count"] == 40
-    assert rows["loop", "each command"]["count"] <= 40 * 17
+    assert rows["loop", "all commands"]["count"] == CYCLES
+    assert rows["loop", "each command"]["count"] <= CYCLES * 17
     assert {row["times"]["min_us"] >= 0.0 for row in report["times"]} == {True}
 
     assert {tier["tier"]: tier["processes"] for tier in report["tiers"]} == {
@@ -75,30 +78,31 @@ def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(
 
     (failed,) = [v for v in report["verdicts"] if v["line"] == "loop all commands p99"]
     assert (failed["passed"], report["passed"]) == (False, False)
-    assert "FAIL: " in run.error_text()
-    assert "loop all commands p99" in run.error_text()
+    assert "FAIL: " in result.stderr
+    assert "loop all commands p99" in result.stderr
 
-    assert (run.folder / "timing.html").exists(), run.error_text()
-    page = (run.folder / "timing.html").read_text(encoding="utf-8")
+    assert (folder / "timing.html").exists(), result.stderr
+    page = (folder / "timing.html").read_text(encoding="utf-8")
     assert "Who waited for whom in cycle" in page
-    with RunReader(run.folder) as reader:
-        assert reader.last_cycle == 39
+    with RunReader(folder) as reader:
+        assert reader.last_cycle == CYCLES - 1
         assert report["cycles"] == sum(1 for _ in reader.messages(PRODUCTION))
-    assert_none_left(run.folder)
+    assert_none_left(folder)
 
     # The recording tells the same later, with what the launcher saw beside it.
-    found = report_on(run.folder).report
+    found = report_on(folder).report
     again = json.loads(msgspec.json.encode(found.document()))
     assert again["times"] == report["times"]
     assert again["tiers"] == report["tiers"]
     # What each process counted of itself is what its messages tell.
-    summary = msgspec.json.decode((run.folder / "summary.json").read_bytes(), type=RunSummary)
+    summary = msgspec.json.decode((folder / "summary.json").read_bytes(), type=RunSummary)
     missing = {process.agent: sum(process.missing_inputs.values()) for process in found.processes}
     assert missing == {process.agent: process.missing_inputs for process in summary.processes}
 
 
-def test_what_was_measured_up_to_an_interruption_is_told(heliarch: Start) -> None:
-    run = heliarch("timing", "oahu", "--rate", "10", "--duration", "10m")
+def test_what_was_measured_up_to_an_interruption_is_told(heliarch: Start, tmp_path: Path) -> None:
+    plant = small_plant(tmp_path / "plant")
+    run = heliarch("timing", plant, "--rate", "10", "--duration", "10m")
     run.until_running()
     run.process.send_signal(signal.SIGINT)
     assert run.wait() == 130, run.error_text()

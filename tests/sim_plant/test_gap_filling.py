@@ -143,6 +143,5 @@ def test_twenty_minutes_of_broken_clouds_come_back_well(data_folder: Path) -> No
         rmse_wm2.append(np.sqrt(np.mean((filled - truth) ** 2)))
         of_a_line_wm2.append(np.sqrt(np.mean((line - truth) ** 2)))
         spread.append(filled.std() / truth.std())
-    print(np.median(rmse_wm2), np.median(of_a_line_wm2), np.median(spread))
     assert np.median(rmse_wm2) < np.median(of_a_line_wm2) / 3.0
     assert 0.9 < np.median(spread) < 1.1

@@ -1,6 +1,5 @@
 """Reading measured irradiance, and every way in which such a file can be wrong."""
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -46,16 +45,6 @@ def message_of(read: Read, **texts: object) -> str:
     message = str(caught.value)
     assert "\n" not in message
     return message
-
-
-def hope_files() -> tuple[Path, Path]:
-    default = Path(__file__).resolve().parents[2].parent / "shared" / "data"
-    folder = Path(os.environ.get("HELIARCH_DATA", default)) / "hope-melpitz-1s"
-    files = folder / "ghi_20130908_0915_0955.csv", folder / "positions.csv"
-    for file in files:
-        if not file.is_file():
-            pytest.skip(f"measured data is absent: {file} (HELIARCH_DATA names its folder)")
-    return files
 
 
 def test_columns_positions_and_times_belong_together(read: Read) -> None:
@@ -170,22 +159,9 @@ def test_a_dark_night_is_not_taken_for_kilowatts(read: Read) -> None:
     assert not read(ghi=night, stations=["DH3"]).ghi_wm2.any()
 
 
-def test_a_day_of_17_sensors_is_read(tmp_path: Path) -> None:
-    stations = [f"S{i}" for i in range(17)]
-    seconds = pd.date_range("2010-04-01T15:00:00Z", periods=54_000, freq="1s")
-    stamps = seconds.strftime("%Y-%m-%dT%H:%M:%SZ")
-    ghi = 1000.0 * np.random.default_rng(1).random((1000, 17))
-    rows = [",".join(f"{v:.3f}" for v in row) for row in ghi]
-    lines = [f"{stamp},{rows[i % 1000]}" for i, stamp in enumerate(stamps)]
-    (tmp_path / "g.csv").write_text("\n".join([",".join(["utc", *stations]), *lines]) + "\n")
-    places = [f"{s},21.3,-158.0" for s in stations]
-    (tmp_path / "p.csv").write_text("\n".join(["station,lat,lon", *places]) + "\n")
-    found = read_measured_ghi(tmp_path / "g.csv", tmp_path / "p.csv")
-    np.testing.assert_array_equal(found.ghi_wm2[53_500], [float(v) for v in rows[500].split(",")])
-
-
-def test_the_hope_measurements_are_read() -> None:
-    found = read_measured_ghi(*hope_files())
+def test_the_hope_measurements_are_read(data_folder: Path) -> None:
+    folder = data_folder / "hope-melpitz-1s"
+    found = read_measured_ghi(folder / "ghi_20130908_0915_0955.csv", folder / "positions.csv")
     assert found.ghi_wm2.shape == (2400, 50)
     assert found.sensors[:3] == ("2", "7", "14")
     assert found.times[0] == pd.Timestamp("2013-09-08T09:15:00Z")

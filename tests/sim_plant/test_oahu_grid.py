@@ -109,15 +109,10 @@ def test_a_day_is_found_in_the_archive_of_its_month(tmp_path: Path, inside: str)
     assert found.source == f"{tmp_path / '201004.zip'}/{inside}"
 
 
-def test_a_whole_day_is_read(tmp_path: Path) -> None:
-    minutes = np.tile(some_minutes(), (361, 1))[:54_001]
-    minutes[1000:8000, column("AP3")] = np.nan
-    (tmp_path / "20100401.txt").write_text(day_text(DAY, minutes, begin="05:00"))
-    found = read_day(tmp_path, DAY, POSITIONS, most_missing=0.2)
-    assert found.irradiance.times[-1] == pd.Timestamp("2010-04-01T20:00:00-10:00")
-    assert np.isfinite(found.irradiance.ghi_wm2).all()
-    (line,) = found.report
-    assert line.startswith("20100401.txt: AP3: 7,000 of 54,001 values missing, filled from AP1, ")
+def test_hours_follow_one_another(read: Read) -> None:
+    two_hours = np.tile(some_minutes(), (49, 1))[:7201]
+    times = read(day_text(DAY, two_hours, begin="08:59")).irradiance.times
+    assert times[-1] == pd.Timestamp("2010-04-01T10:59:00-10:00")
 
 
 # Gaps ---------------------------------------------------------------------------------------------

@@ -8,13 +8,12 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from plans_by_hand import CYCLE_NS, plan_of
 
 from agents.loop import AgentLoop
-from agents.plan import RunPlan
 from bus_schemas.messages import Command, Message, Production
 from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY, Port
 from bus_schemas.tree import ROOT
-from sim_plant.inverter import delivered_power_kw
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
 
@@ -22,27 +21,8 @@ PROFILE = Profile(
     mpp_kw=np.array([[80.0, 60.0], [100.0, 40.0], [50.0, 0.0]]),
     commitment_kw=np.array([100.0, 90.0, 70.0]),
 )
-CYCLE_NS = 1_000_000_000
 LEAVES = ("c1/a", "c1/b")
-PLAN = RunPlan(
-    run_id="by-hand",
-    plant="pair",
-    inverters=tuple((leaf, 100.0) for leaf in LEAVES),
-    start_time_ns=0,
-    cycle_ns=CYCLE_NS,
-    cycles=3,
-    timezone="UTC",
-    regulation_capacity_kw=0.0,
-    cycle_wall_ns=0,
-    period_cycles=(1, 1),
-    scheme="paper",
-    actuator="fraction",
-    alpha_min=0.05,
-    hold_cycles=2,
-    stall_timeout_s=3.0,
-    neighbourhoods=(),
-    tcp_ports={},
-)
+PLAN = plan_of(dict.fromkeys(LEAVES, 100.0), cycles=3)
 
 Sent = dict[Port[Message], Any]
 
@@ -195,15 +175,3 @@ def test_inverters_state_their_available_power_with_a_bias_up_to_the_rating_or_n
     # What was available in cycle 0, curtailed or not.
     sent = plant.command(0.5, 0.5)
     assert tuple(sent[TELEMETRY.of(leaf)].available_kw for leaf in LEAVES) == stated_kw
-
-
-def test_an_inverter_delivers_its_fraction_of_what_is_there() -> None:
-    found = delivered_power_kw(
-        np.array([80.0, 60.0, 0.0]), np.array([0.5, 1.0, 0.3]), np.full(3, 100.0)
-    )
-    assert found.tolist() == [40.0, 60.0, 0.0]
-
-
-def test_an_inverter_with_a_limit_holds_it_and_gives_all_it_has_below_it() -> None:
-    found = delivered_power_kw(np.array([80.0, 60.0, 20.0]), np.ones(3), np.full(3, 60.0))
-    assert found.tolist() == [60.0, 60.0, 20.0]

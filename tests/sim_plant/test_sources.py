@@ -53,18 +53,12 @@ def test_a_measured_sky_at_its_own_step_is_the_model_itself() -> None:
     )
 
 
-@pytest.mark.parametrize("cycle_s", [2, 5, 10, 60])
-def test_longer_cycles_keep_the_energy_of_the_sky(cycle_s: int) -> None:
+def test_longer_cycles_keep_the_energy_and_shorter_ones_the_measured_values() -> None:
     given = sky()
     fine_kw = given.possible_kw(cycles(60, "1s"))
-    coarse_kw = given.possible_kw(cycles(60 // cycle_s, f"{cycle_s}s"))
-    np.testing.assert_allclose(coarse_kw.sum(axis=0) * cycle_s, fine_kw.sum(axis=0))
-
-
-def test_shorter_cycles_pass_through_the_measured_values() -> None:
-    given = sky()
+    coarse_kw = given.possible_kw(cycles(6, "10s"))
+    np.testing.assert_allclose(coarse_kw.sum(axis=0) * 10, fine_kw.sum(axis=0))
     found = given.possible_kw(cycles(118, "500ms"))
-    fine_kw = given.possible_kw(cycles(60, "1s"))
     np.testing.assert_allclose(found[::2], fine_kw[:59])
     np.testing.assert_allclose(found[1:-1:2], (fine_kw[:58] + fine_kw[1:59]) / 2.0)
 

@@ -36,7 +36,7 @@ def test_a_longer_cycle_takes_the_mean_of_its_steps() -> None:
     np.testing.assert_allclose(found, [TWO[2:5].mean(0), TWO[5:8].mean(0), TWO[8:11].mean(0)])
 
 
-@pytest.mark.parametrize("cycle_s", [1, 2, 3, 4, 6, 12])
+@pytest.mark.parametrize("cycle_s", [2, 3, 12])
 def test_longer_cycles_keep_the_energy(cycle_s: int) -> None:
     found = brought(TWO, "1s", stamps(12 // cycle_s, f"{cycle_s}s"))
     np.testing.assert_allclose(found.sum(axis=0) * cycle_s, TWO.sum(axis=0))

@@ -15,7 +15,7 @@ import psutil
 import pytest
 
 from bus_schemas.errors import InputError
-from studies.workers import WorkerLostError, check_workers, share_over_cluster, share_work
+from studies.workers import WorkerLostError, share_over_cluster, share_work
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -53,12 +53,6 @@ def test_who_stops_listening_ends_the_workers() -> None:
     next(found)
     found.close()  # type: ignore[attr-defined]
     assert not [child for child in psutil.Process().children() if "spawn_main" in words(child)]
-
-
-@pytest.mark.parametrize("workers", [0, 257])
-def test_a_number_of_workers_that_cannot_be_is_refused(workers: int) -> None:
-    with pytest.raises(InputError, match=f"got {workers}"):
-        check_workers(workers)
 
 
 def words(process: psutil.Process) -> str:

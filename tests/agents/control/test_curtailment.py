@@ -45,8 +45,8 @@ def test_the_faintest_light_does_not_overflow() -> None:
     assert curtailment_level(10.0, 5e-324, alpha_min=0.05) == 1.0
 
 
-@pytest.mark.parametrize("share", [1.0 - 1e-15, 1.0 - 1e-12, 1.0 - 0.99e-9, 1.0 + 1e-15])
-@pytest.mark.parametrize("impp_kw", [1e-9, 3.7, 470.588])
+@pytest.mark.parametrize("share", [1.0 - 1e-15, 1.0 - 0.99e-9, 1.0 + 1e-15])
+@pytest.mark.parametrize("impp_kw", [1e-9, 470.588])
 def test_the_last_bits_of_a_setpoint_do_not_decide_whether_an_inverter_is_free(
     share: float, impp_kw: float
 ) -> None:

@@ -14,6 +14,7 @@ from agents.control.forecast import (
     HIDDEN_GROWTH_PER_S,
     LOW_READING_SAFETY,
     MARGIN,
+    SMALL_ERROR,
     TREND_TIME_S,
     forecast_impp,
 )
@@ -66,7 +67,16 @@ def test_the_last_change_is_expected_to_go_on_damped_and_the_own_error_is_taken_
     assert found.trend_kw_per_s == pytest.approx(trend_kw_per_s)
     assert found.expected_kw == pytest.approx(50.0 + DAMPING * trend_kw_per_s)
     assert found.spread_kw == pytest.approx(spread_kw)
-    assert found.power_kw == pytest.approx(found.expected_kw - MARGIN * spread_kw)
+    margin_kw = MARGIN * (spread_kw - SMALL_ERROR * RATING_KW)
+    assert margin_kw > 0.0
+    assert found.power_kw == pytest.approx(found.expected_kw - margin_kw)
+
+
+def test_small_errors_take_nothing_off() -> None:
+    error_kw = 0.5 * SMALL_ERROR * RATING_KW
+    found = measured(*(50.0 + error_kw * (cycle % 2) for cycle in range(100)))
+    assert found.spread_kw > error_kw
+    assert found.power_kw == found.expected_kw
 
 
 def test_a_steady_sky_is_trusted_in_full() -> None:
@@ -184,7 +194,8 @@ def test_a_meters_error_is_learned_alike_whatever_the_cycle() -> None:
 
 def test_a_steady_rise_is_expected_to_go_on_alike_whatever_the_cycle() -> None:
     for cycle_s in CYCLES_S:
-        rise_kw = [40.0 + 0.5 * cycle_s * cycle for cycle in range(10)]
+        cycles = max(round(10.0 * TREND_TIME_S / cycle_s), 10)
+        rise_kw = [40.0 + 0.5 * cycle_s * cycle for cycle in range(cycles)]
         found = measured(*rise_kw, cycle_s=cycle_s)
         assert found.expected_kw - rise_kw[-1] == pytest.approx(DAMPING * 0.5 * cycle_s, rel=0.05)
 

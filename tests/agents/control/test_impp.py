@@ -18,47 +18,32 @@ def estimated(
     return found.power_kw, found.stale_cycles
 
 
-def test_equation_1_divides_the_measured_power_by_the_alpha_applied_with_it() -> None:
-    # 30 kW delivered at 60 % of the maximum: the maximum is 30 / 0.6 = 50 kW.
-    assert estimated(30.0, 0.6) == (50.0, 0)
-
-
-def test_an_uncurtailed_inverter_shows_its_maximum_itself() -> None:
-    assert estimated(43.7, 1.0) == (43.7, 0)
-
-
-def test_an_inverter_in_the_dark_has_no_power_to_give() -> None:
-    assert estimated(0.0, 1.0) == (0.0, 0)
-
-
-def test_the_estimate_is_capped_at_the_rating() -> None:
-    # 60 / 0.5 = 120 kW: more than the inverter can convert.
-    assert estimated(60.0, 0.5) == (100.0, 0)
-
-
-def test_the_least_alpha_above_zero_does_not_overflow() -> None:
-    assert estimated(1e-3, 5e-324) == (100.0, 0)
-
-
-@pytest.mark.parametrize("power_kw", [0.0, RATING_KW])
-def test_the_limits_of_a_plausible_power_are_plausible(power_kw: float) -> None:
-    assert estimated(power_kw, 1.0) == (power_kw, 0)
+@pytest.mark.parametrize(
+    ("power_kw", "alpha", "impp_kw"),
+    [
+        (30.0, 0.6, 50.0),  # delivered at 60 % of the maximum: 30 / 0.6
+        (43.7, 1.0, 43.7),  # uncurtailed it shows its maximum itself
+        (0.0, 1.0, 0.0),  # in the dark
+        (60.0, 0.5, RATING_KW),  # 120 kW would be more than it can convert
+        (1e-3, 5e-324, RATING_KW),  # the least alpha above zero does not overflow
+        (RATING_KW, 1.0, RATING_KW),
+    ],
+)
+def test_equation_1_divides_the_measured_power_by_the_alpha_applied_with_it(
+    power_kw: float, alpha: float, impp_kw: float
+) -> None:
+    assert estimated(power_kw, alpha) == (impp_kw, 0)
 
 
 @pytest.mark.parametrize(
     ("power_kw", "alpha"),
     [
         (math.nan, 1.0),
-        (math.inf, 1.0),
-        (-math.inf, 1.0),
         (-0.001, 1.0),
         (105.001, 1.0),
         (50.0, math.nan),
         (50.0, 0.0),
-        (0.0, 0.0),
-        (50.0, -0.5),
         (50.0, 1.001),
-        (50.0, math.inf),
     ],
 )
 def test_a_missing_or_absurd_measurement_keeps_the_last_estimate_and_ages_it(

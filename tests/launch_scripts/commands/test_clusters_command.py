@@ -16,33 +16,44 @@ QUICK = ("clusters", "oahu", "--set", "time.cycle_s=10", "--random", "3")
 
 @dataclass(frozen=True)
 class Found:
-    """The output of one run of the command: rows of the table by their first cell, and the JSON."""
+    """The output of one run of the command: rows of the table by their first cell, JSON, page."""
 
     rows: dict[str, list[str]]
     text: str
     document: dict[str, Any]
+    page: str
 
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> Found:
     path = tmp_path_factory.mktemp("clusters") / "clusters.json"
-    text = done(*QUICK, "--periods", "10,50,600", "--json", path)
+    page = path.with_name("clusters.html")
+    text = done(*QUICK, "--periods", "10,50,600", "--json", path, "--report", page)
     rows: dict[str, list[str]] = {}
     for line in text.splitlines():
         # A table that is too wide goes on below, with the names of its rows once more.
         match = re.match(r"(\S.*?) {2,}(\d[\d. -]*)$", line)
         if match:
             rows.setdefault(match[1], []).extend(match[2].split())
-    return Found(rows, text, json.loads(path.read_text(encoding="utf-8")))
+    documents = path.read_text(encoding="utf-8"), page.read_text(encoding="utf-8")
+    return Found(rows, text, json.loads(documents[0]), documents[1])
 
 
 def test_every_way_to_choose_clusters_has_its_row(found: Found) -> None:
     ways = ["virtual", "geographic", "random, mean of 3", "- least", "- most", "most alike"]
-    assert list(found.rows) == ways
+    orders = ["least alike first", "as listed", "most alike first"]
+    assert list(found.rows) == ways + orders
     # Two correlations, two shares, three periods and what of the last began with the plant lacking.
-    assert {len(row) for row in found.rows.values()} == {8}
+    assert [len(row) for row in found.rows.values()] == [8] * 6 + [3] * 3
     assert "Search for virtual clusters: " in found.text
     assert "Order of help in the virtual clusters" in found.text
+    lines = [line for line in found.text.splitlines() if not line.startswith("report: ")]
+    assert max(map(len, lines)) <= 80
+
+
+def test_the_page_has_the_figure_and_every_figure_of_the_table(found: Found) -> None:
+    assert 'id="shortfall-plot"' in found.page
+    assert all(f">{cell}</td>" in found.page for row in found.rows.values() for cell in row)
 
 
 def test_json_holds_every_seed_and_period(found: Found) -> None:

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import csv
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 from command_line import done, refusal
+from recorded_runs import plan_of
+from recordings_by_hand import PLAN, whole_run, write_run
 from running import small_plant
+
+from bus_schemas.bus import Delivery
+from bus_schemas.messages import Production
 
 GROUPS = ("--schemes", "paper,grouping", "--reference", "inv01,inv03")
 
@@ -33,7 +41,44 @@ def test_a_regulation_signal_adds_the_second_table() -> None:
     assert "Regulation signal" in done("compare", "oahu-day", *words)
 
 
-def test_many_cases_show_one_figure_with_a_row_for_each(small: str, tmp_path: Path) -> None:
+def test_both_actuators_stand_in_the_table_and_the_page_has_the_frontier(
+    small: str, tmp_path: Path
+) -> None:
+    page, document = tmp_path / "compare.html", tmp_path / "rows.json"
+    words = ("--actuator", "limit,fraction", "--report", page, "--json", document)
+    text = done("compare", small, "--duration", "60", "--schemes", "paper,uncontrolled", *words)
+    rows = [line.split()[:2] for line in text.splitlines()]
+    assert ["paper", "limit"] in rows
+    assert ["paper", "fraction"] in rows
+    assert ["uncontrolled", "-"] in rows
+    assert 'id="frontier-plot"' in page.read_text(encoding="utf-8")
+    found = [(row["scheme"], row["actuator"]) for row in json.loads(document.read_bytes())]
+    assert found == [("paper", "limit"), ("paper", "fraction"), ("uncontrolled", None)]
+
+
+def test_the_summary_of_many_cases_is_csv(small: str, tmp_path: Path) -> None:
+    summary, document = tmp_path / "summary.csv", tmp_path / "rows.json"
+    words = ("--schemes", "paper,predictive", "--json", document, "--csv", summary)
+    done("compare", small, "--duration", "60", "--seeds", "1..3", *words)
+    rows = {
+        row["scheme"]: row
+        for row in csv.DictReader(summary.open(encoding="utf-8"))
+        if row["figure"] == "rmse"
+    }
+    cases = json.loads(document.read_bytes())
+    rmse = {
+        name: [row["rmse"] for row in cases if row["scheme"] == name]
+        for name in ("paper", "predictive")
+    }
+    assert float(rows["paper"]["mean"]) == pytest.approx(sum(rmse["paper"]) / 3.0)
+    assert float(rows["paper"]["median"]) == pytest.approx(sorted(rmse["paper"])[1])
+    less = (sum(rmse["paper"]) - sum(rmse["predictive"])) / 3.0
+    assert float(rows["paper"]["difference"]) == pytest.approx(less)
+    assert rows["predictive"]["difference"] == ""
+    assert (rows["paper"]["cases"], rows["paper"]["actuator"]) == ("3", "fraction")
+
+
+def test_many_cases_have_a_row_each(small: str, tmp_path: Path) -> None:
     document = tmp_path / "rows.json"
     settings = ("--set", "commitment.share=0.3,0.5", "--show", "rmse", "--json", document)
     text = done("compare", small, "--duration", "60", *GROUPS, *settings)
@@ -49,7 +94,10 @@ def test_many_cases_show_one_figure_with_a_row_for_each(small: str, tmp_path: Pa
     ("words", "named"),
     [
         (("--schemes", "magic"), "--schemes"),
-        (("--show", "beauty"), "--show"),
+        (("--actuator", "magic"), "--actuator"),
+        (("--show", "rmse,beauty"), "--show"),
+        (("--csv", "summary.csv"), "--csv"),
+        (("--seeds", "1,2", "--csv", "nowhere/summary.csv"), "--csv"),
         (("--workers", "0"), "--workers"),
         (("--reference", "few"), "--reference"),
         (("--seeds", "x"), "--seeds"),
@@ -61,3 +109,90 @@ def test_many_cases_show_one_figure_with_a_row_for_each(small: str, tmp_path: Pa
 )
 def test_what_it_cannot_compare_is_refused(words: tuple[str, ...], named: str, small: str) -> None:
     assert named in refusal("compare", small, "--duration", "20", *words)
+
+
+# Two recorded runs --------------------------------------------------------------------------------
+
+
+def with_production(cycles: int, cycle: int, **fields: tuple[float, ...]) -> Iterator[Delivery]:
+    """A run by hand with another production in one cycle."""
+    for port, message in whole_run(cycles):
+        if isinstance(message, Production) and message.cycle == cycle:
+            message = msgspec.structs.replace(message, **fields)  # noqa: PLW2901
+        yield port, message
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> tuple[Path, Path]:
+    """Two recordings: in the second `c2/c` gives 55 in place of 60 kW in cycle 7."""
+    first, second = tmp_path / "first", tmp_path / "second"
+    for folder in (first, second):
+        folder.mkdir()
+    write_run(first / "run.mcap", whole_run(20))
+    less = with_production(20, 7, inverter_power_kw=(40.0, 80.0, 55.0, 59.0))
+    write_run(second / "run.mcap", less)
+    return first, second
+
+
+def test_two_runs_stand_side_by_side_with_their_first_difference(
+    runs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    document, page = tmp_path / "runs.json", tmp_path / "runs.html"
+    done("compare", runs[0], runs[1] / "run.mcap", "--json", document, "--report", page)
+    found = json.loads(document.read_bytes())
+    (difference,) = found["differences"]
+    assert (difference["message"], difference["node"]) == ("production, power", "c2/c")
+    assert (difference["cycle"], difference["time"]) == (7, "12:00:07")
+    assert (difference["A"], difference["B"]) == (60.0, 55.0)
+    delivered = {row["figure"]: row for row in found["figures"]}["Delivered energy"]
+    # 239 kW for 20 s, and 5 kW less for one of them.
+    assert delivered["A"] == pytest.approx(239.0 * 20.0 / 3600.0)
+    assert delivered["difference"] == pytest.approx(-5.0 / 3600.0)
+    html = page.read_text(encoding="utf-8")
+    assert "delivered, A" in html
+    assert "delivered, B" in html
+
+
+def test_a_reader_is_told_that_the_sky_differs(runs: tuple[Path, Path], tmp_path: Path) -> None:
+    document, other = tmp_path / "runs.json", tmp_path / "other.mcap"
+    write_run(other, with_production(20, 3, inverter_mpp_kw=(40.0, 95.0, 75.0, 75.0)))
+    assert "Sky or dispatch differ" in done("compare", runs[1], other)
+    done("compare", runs[1], other, "--json", document)
+    first, second = json.loads(document.read_bytes())["differences"]
+    assert (first["message"], first["node"], first["cycle"]) == ("production, maximum", "c1/b", 3)
+    assert (second["message"], second["cycle"]) == ("production, power", 7)
+
+
+def test_a_run_is_the_same_as_itself(runs: tuple[Path, Path]) -> None:
+    text = done("compare", runs[0], runs[0])
+    assert "bit for bit" in text
+    assert "production, power" not in text
+
+
+def test_the_longer_run_is_compared_as_far_as_the_shorter_one_goes(
+    runs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    document, short = tmp_path / "runs.json", tmp_path / "short.mcap"
+    write_run(short, whole_run(6))
+    text = done("compare", runs[1], short)
+    assert "first 6 are compared" in text
+    assert "bit for bit" in text
+    done("compare", runs[1], short, "--json", document)
+    delivered = {row["figure"]: row for row in json.loads(document.read_bytes())["figures"]}
+    assert delivered["Delivered energy"]["difference"] == pytest.approx(0.0)
+
+
+def test_what_are_no_two_runs_of_one_plant_is_refused(
+    runs: tuple[Path, Path], tmp_path: Path, small: str
+) -> None:
+    other = tmp_path / "other.mcap"
+    write_run(other, [], plan=plan_of(start_time_ns=PLAN.start_time_ns))
+    later = tmp_path / "later.mcap"
+    plan = msgspec.structs.replace(PLAN, start_time_ns=PLAN.start_time_ns + 10**9)
+    write_run(later, whole_run(20), plan=plan)
+    assert "second run" in refusal("compare", runs[0])
+    assert "nowhere" in refusal("compare", runs[0], "nowhere")
+    assert "small.toml" in refusal("compare", small, runs[0])
+    assert "B" in refusal("compare", runs[0], later)
+    assert "--seeds" in refusal("compare", *runs, "--seeds", "1,2")
+    assert "cycle" in refusal("compare", runs[0], other)

@@ -13,7 +13,7 @@ from running import small_plant
 def test_tables_json_and_page_have_every_run(tmp_path: Path) -> None:
     document, page = tmp_path / "delays.json", tmp_path / "delays.html"
     scenario = small_plant(tmp_path / "plant")
-    words = ("--duration", "124", "--workers", "1", "--json", document, "--report", page)
+    words = ("--duration", "124", "--workers", "2", "--json", document, "--report", page)
     text = done("delays", scenario, *words)
     found = json.loads(document.read_bytes())
     outcomes = found["outcomes"]
@@ -26,6 +26,7 @@ def test_tables_json_and_page_have_every_run(tmp_path: Path) -> None:
         mileage = f"{one['figures']['mileage']:,.0f}"
         assert mileage in text
         assert mileage in html
+    assert 'id="study-plot"' in html
 
 
 @pytest.mark.parametrize(

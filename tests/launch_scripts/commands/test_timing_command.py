@@ -11,10 +11,10 @@ from msgspec.structs import replace
 from reports_by_hand import missed, summary_of
 from timed_recordings import PLAN, cycle, recorded
 
-from bus_schemas.errors import InputError
+from launch_scripts.launcher.request import RunRequest
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
-from studies.timing.measured_run import whole_cycles
+from studies.timing.measured_run import prepare_at, run_length_s
 
 
 @pytest.mark.parametrize(
@@ -26,6 +26,8 @@ from studies.timing.measured_run import whole_cycles
         (("--rate", "10", "--duration", "0.05"), "--duration"),
         (("--rate", "0.1..5", "--duration", "5s"), "--duration"),
         (("--duration", "soon"), "--duration"),
+        (("--to", "11:00"), "--to"),
+        (("--to", "12:30", "--duration", "5s"), "--to"),
         (("--external", "c9"), "--external"),
         (("--duration", "1", "--out", "/dev/null/run"), "/dev/null/run"),
         (("--rate", "5,10", "--out", "/dev/null/run"), "/dev/null/run"),
@@ -69,16 +71,23 @@ def test_a_listed_rate_that_cannot_be_is_refused_before_any_has_run(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("rate_hz", "duration", "cycles"),
-    [(10.0, "4s", 40), (3.0, "1m", 180), (7.0, "0.5", 4), (0.5, "2s", 1), (30.0, "10m", 18_000)],
+    ("rate_hz", "length", "cycles"),
+    [
+        (10.0, {"duration": "4s"}, 40),
+        (7.0, {"duration": "0.5"}, 4),
+        (0.5, {"duration": "2s"}, 1),
+        (20.0, {"end": "12:00:10"}, 200),
+        (28.3, {"end": "12:00:10"}, 283),
+        (10.0, {}, 30),
+    ],
 )
-def test_a_duration_is_a_whole_number_of_cycles(rate_hz: float, duration: str, cycles: int) -> None:
-    assert whole_cycles(rate_hz, duration) == cycles
-
-
-def test_of_less_than_a_cycle_there_is_nothing_to_measure() -> None:
-    with pytest.raises(InputError, match="--duration 1s"):
-        whole_cycles(0.5, "1s")
+def test_a_run_is_a_whole_number_of_cycles_long(
+    rate_hz: float, length: dict[str, str], cycles: int, tmp_path: Path
+) -> None:
+    options = RunOptions("12:00", **length)  # type: ignore[arg-type]
+    request = RunRequest(load_scenario("oahu"), options)
+    preparation, _ = prepare_at(rate_hz, run_length_s(request, "3s"), request, tmp_path)
+    assert preparation.plan.cycles == cycles
 
 
 def test_the_rate_changes_neither_clusters_nor_neighbours() -> None:

@@ -144,19 +144,6 @@ def test_a_dark_turn_of_the_central_controller_costs_until_its_next(
     assert tenth.begun_lacking_percent == pytest.approx(held)
 
 
-def test_the_rarer_the_central_controller_acts_the_more_is_missed(
-    scenario: ScenarioFile, oahu: Preparation
-) -> None:
-    past = past_of(by_scenario(scenario, RunOptions()), scenario.scenario.control, 17)
-    found = worth_of(Arrangement(oahu.plan, oahu.profile), past, "paper", (1, 6, 30))
-    caused = [shortfall.control_caused_percent for shortfall in found.shortfalls]
-    assert caused == sorted(caused)
-    assert caused[0] < caused[-1]
-    assert [shortfall.period_cycles for shortfall in found.shortfalls] == [1, 6, 30]
-    for shortfall in found.shortfalls:
-        assert 0.0 <= shortfall.begun_lacking_percent <= shortfall.control_caused_percent
-
-
 # The order of help --------------------------------------------------------------------------------
 
 

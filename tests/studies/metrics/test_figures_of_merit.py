@@ -12,14 +12,13 @@ from studies.metrics.figures_of_merit import (
     FIGURES_OF_MERIT,
     figures_json,
     runs_as_columns,
-    runs_as_rows,
     shown_in,
 )
 from studies.tables import json_rows
 
 WITH_REGULATION = run_metrics(sine_of_an_hour(response=0.75))
 WITHOUT = run_metrics(run_of([100.0] * 4, 150.0, [100.0, 90.0, 20.0, 120.0], cycle_s=900.0))
-SHORT = run_metrics(run_of([100.0], 150.0, [100.0]))
+FULL = run_metrics(run_of([100.0], 150.0, [100.0]))
 
 
 def test_every_figure_is_found_in_a_run_that_defines_all() -> None:
@@ -50,13 +49,21 @@ def test_runs_stand_side_by_side() -> None:
     assert "Regulation capacity" not in {row[0] for row in alone.texts()}
 
 
-def test_each_run_has_its_row() -> None:
-    figures = shown_in("compare", "commitment")
-    table = runs_as_rows("Runs", [("a", WITHOUT), ("b", SHORT)], figures)
-    first, second = json_rows(table)
-    assert (first["scheme"], second["scheme"]) == ("a", "b")
-    assert first["satisfied"] == pytest.approx(77.5)
-    assert second["mileage"] == 0.0
+def test_of_two_runs_the_last_column_is_the_second_less_the_first() -> None:
+    figures = shown_in("compare")
+    table = runs_as_columns("Runs", [("a", WITHOUT), ("b", FULL)], figures, difference=True)
+    rows = {row["figure"]: row for row in json_rows(table)}
+    assert rows["Satisfied commitment"]["difference"] == pytest.approx(22.5)
+    assert rows["Mileage per hour"]["difference"] == pytest.approx(-160.0)  # 0, 10, 80, 0 in 1 h
+    assert "PJM performance score" not in rows
+
+
+def test_a_figure_that_one_run_lacks_has_no_difference() -> None:
+    runs = [("a", WITHOUT), ("b", WITH_REGULATION)]
+    table = runs_as_columns("Runs", runs, shown_in("compare"), difference=True)
+    rows = {row["figure"]: row for row in json_rows(table)}
+    assert rows["Precision"]["b"] == pytest.approx(0.75)
+    assert rows["Precision"]["difference"] is None
 
 
 def test_the_document_lists_every_figure_with_its_unit() -> None:

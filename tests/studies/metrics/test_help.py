@@ -1,14 +1,7 @@
 """Where help was found, counted by hand on two clusters of two."""
 
-from pathlib import Path
-
 import numpy as np
-import pytest
 
-from agents.control.clusters import choose_clusters, geographic_clusters
-from launch_scripts.scenarios.scenario import MeasuredIrradiance, load_scenario
-from sim_plant.irradiance import read_measured_ghi
-from sim_plant.positions import east_north_m
 from studies.metrics.help import CallsForHelp, help_metrics
 
 INVERTERS = ("c1/a", "c1/b", "c2/c", "c2/d")
@@ -65,39 +58,3 @@ def test_without_need_there_is_no_share() -> None:
     found = help_metrics(np.ones((3, 4)), INVERTERS)
     assert found.plant == CallsForHelp(0, 0)
     assert found.plant.central_percent is None
-
-
-@pytest.mark.parametrize(
-    ("residual_kw", "message"),
-    [
-        (np.ones((2, 3)), r"expected shape \(T, 4\), got \(2, 3\)"),
-        (np.ones(4), r"expected shape \(T, 4\), got \(4,\)"),
-        (np.array([[1.0, 1.0, np.nan, 1.0]]), "c2/c in cycle 0: expected a finite number, got nan"),
-    ],
-)
-def test_residuals_that_cannot_be_counted_are_refused(
-    residual_kw: np.ndarray, message: str
-) -> None:
-    with pytest.raises(ValueError, match=message):
-        help_metrics(residual_kw, INVERTERS)
-
-
-def test_on_the_measured_hour_of_melpitz_virtual_clusters_call_less_often_than_geographic_ones(
-    data_folder: Path,
-) -> None:
-    """The figures of docs/clusters.md with P = GHI / 1000 W/m2 x 470 kW x 0.96, no PV model."""
-    folder = data_folder / "hope-melpitz-1s"
-    source = load_scenario("hope-melpitz", folder).scenario.irradiance
-    assert isinstance(source, MeasuredIrradiance)
-    measured = read_measured_ghi(folder / source.ghi, folder / source.positions, source.stations)
-    power_kw = measured.ghi_wm2 / 1000.0 * 470.0 * 0.96
-    residual_kw = power_kw - 0.7 * np.median(power_kw.sum(axis=1)) / 17
-    virtual = choose_clusters(np.asarray(np.corrcoef(power_kw.T)), (6, 6, 5))
-    geographic = geographic_clusters(*east_north_m(measured.lat_deg, measured.lon_deg), (6, 6, 5))
-    shares = []
-    for clusters in (virtual, geographic):
-        cluster_of = {member: f"c{c}" for c, members in enumerate(clusters) for member in members}
-        found = help_metrics(residual_kw, [f"{cluster_of[i]}/inv{i}" for i in range(17)])
-        shares.append((found.plant.central_percent, found.plant_sufficient.central_percent))
-    assert shares[0] == pytest.approx((61.4, 11.3), abs=0.05)
-    assert shares[1] == pytest.approx((76.4, 45.8), abs=0.05)

@@ -67,6 +67,18 @@ def test_a_plant_that_does_not_respond_scores_0() -> None:
     assert not found.passed
 
 
+def test_a_window_that_opposes_the_signal_counts_as_0_and_unclipped_as_it_is() -> None:
+    # Two windows of 5 minutes. The second is the last: its response cannot be looked for later.
+    signal = random_signal(600)
+    response = np.where(np.arange(600) < 300, signal, -signal)
+    found = score_of(signal, response)
+    assert found.accuracy == pytest.approx(0.5)  # 1 and, clipped, 0
+    assert found.delay == pytest.approx(1.0)
+    assert found.score == pytest.approx((0.5 + 1.0 + found.precision) / 3.0)
+    assert found.unclipped_score == pytest.approx((0.0 + 1.0 + found.precision) / 3.0)
+    assert found.hours[0].unclipped_score == found.unclipped_score
+
+
 def test_a_flat_signal_is_scored_by_slopes() -> None:
     signal = np.full(300, 0.5)
     response = 0.5 + 0.0004 * np.arange(300.0)  # 0.004 each 10 s
@@ -163,5 +175,5 @@ def _one_by_one(signal: NDArray[np.float64], shifted: NDArray[np.float64]) -> tu
         correlation = 0.0 if np.ptp(response) == 0.0 else np.corrcoef(signal, response)[0, 1]
         delay = 1.0 if shift <= 1 else abs(10 * shift - 300) / 300
         if correlation + delay > best:
-            best, found = correlation + delay, (max(0.0, correlation), delay)
+            best, found = correlation + delay, (correlation, delay)
     return found

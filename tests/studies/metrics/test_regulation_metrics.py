@@ -32,16 +32,44 @@ def test_a_request_is_fulfilled_if_every_cycle_in_it_is_within_the_tolerance() -
     found = regulation_metrics(run)
     assert found is not None
     assert found.requests == (
-        RequestsFulfilled(0.1, 1.0, requests=5, fulfilled=2, short=2, over=1, fulfilled_percent=40),
         RequestsFulfilled(
-            1.0, 10.0, requests=5, fulfilled=4, short=1, over=0, fulfilled_percent=80
+            0.1, 1.0, requests=5, fulfilled=2, short=2, over=1, feasible=5, feasible_fulfilled=2
+        ),
+        RequestsFulfilled(
+            1.0, 10.0, requests=5, fulfilled=4, short=1, over=0, feasible=5, feasible_fulfilled=4
         ),
     )
+    assert [one.fulfilled_percent for one in found.requests] == [40.0, 80.0]
     assert found.capacity_kw == CAPACITY_KW
     assert found.offered_h == pytest.approx(10 / 3600)
     # (0.65 + 1 + 0.55 + 0.15) in 10 s
     assert found.signal_mileage_per_hour == pytest.approx(2.35 * 360)
     assert found.performance is None  # of 10 s
+
+
+def test_a_request_is_feasible_if_the_plant_could_meet_it_in_every_cycle() -> None:
+    run = run_of(
+        np.full(6, 400.0),
+        possible_kw=[900.0, 900.0, 499.5, 600.0, 500.0, 600.0],
+        #              feasible      not, yet fulfilled  feasible, short
+        delivered_kw=[450.0, 450.0, 499.5, 500.0, 500.0, 480.0],
+        regulation_kw=[50.0, 50.0, 100.0, 100.0, 100.0, 100.0],
+        capacity_kw=CAPACITY_KW,
+    )
+    found = regulation_metrics(run)
+    assert found is not None
+    for one in found.requests:
+        assert (one.requests, one.fulfilled) == (3, 2)
+        assert (one.feasible, one.feasible_fulfilled) == (2, 1)
+        assert one.feasible_fulfilled_percent == 50.0
+
+
+def test_where_no_request_was_feasible_no_share_of_them_is_defined() -> None:
+    power_kw = [10.0, 10.0]
+    run = run_of([400.0, 400.0], power_kw, power_kw, regulation_kw=[5.0, 5.0], capacity_kw=5.0)
+    found = regulation_metrics(run)
+    assert found is not None
+    assert found.requests[0].feasible_fulfilled_percent is None
 
 
 def test_requests_begin_at_the_even_seconds_of_the_clock() -> None:
@@ -126,7 +154,8 @@ def test_a_wider_tolerance_fulfils_no_fewer_requests(
 ) -> None:
     request = np.arange(len(deviation), dtype=np.int64) // 2
     tolerances = sorted((one, other))
-    narrow, wide = requests_fulfilled(np.array(deviation), request, RATING_KW, tolerances)
+    able = np.ones(len(deviation), dtype=bool)
+    narrow, wide = requests_fulfilled(np.array(deviation), request, able, RATING_KW, tolerances)
     assert narrow.fulfilled <= wide.fulfilled
     for found in (narrow, wide):
         assert found.fulfilled + found.short + found.over == found.requests

@@ -10,8 +10,8 @@ from synthetic_runs import cloudy_run
 
 from recordings.read.series import RunSeries
 from studies.report.inverter_figures import energy_beside_share
+from studies.report.plant_figures import farthest_from_asked, folded_distribution
 from studies.report.style import clock_ms, diverging_scale, scheme_line
-from studies.report.tracking_figures import farthest_from_asked, folded_distribution
 
 HOUR_MS = 3_600_000.0
 

@@ -11,8 +11,8 @@ import pytest
 from report_reading import read_page
 from synthetic_runs import cloudy_run, without_estimates
 
-from studies.report.metrics_tables import metrics_tables
 from studies.report.run_report import write_report
+from studies.report.tables import metrics_tables
 
 WIDTHS = """<script>addEventListener("load", () => {
   const seen = document.documentElement.clientWidth;

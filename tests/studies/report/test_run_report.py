@@ -18,9 +18,8 @@ from bus_schemas.errors import InputError
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.series import RunSeries
-from studies.metrics import run_metrics
-from studies.report.metrics_tables import metrics_tables
 from studies.report.run_report import run_line, write_report
+from studies.report.tables import metrics_tables
 from studies.tables import Column, Table, key_column
 
 NASTY = "a <b>bold</b> & <script>alert('x')</script> label"
@@ -146,14 +145,6 @@ def test_each_scheme_has_its_panel_its_column_and_one_colour(tmp_path: Path) -> 
     assert len({line["color"] for line in lines}) == 1
     assert page.trace("support", "delivered, hierarchical")["line"]["color"] != lines[0]["color"]
     assert page.texts("th").count("hierarchical") == page.texts("th").count("no help") == 2
-
-
-def test_tables_have_the_figures_of_merit(tmp_path: Path) -> None:
-    run = cloudy_run(regulation=True)
-    page = report(tmp_path, run)
-    cells = page.texts("td")
-    assert f"{run_metrics(run).commitment.unsatisfied_kwh:,.2f}" in cells
-    assert cells[cells.index("kW/h") + 1] == f"{run_metrics(run).support.per_hour_kw:,.0f}"
 
 
 # That it is safe ----------------------------------------------------------------------------------

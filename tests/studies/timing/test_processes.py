@@ -2,30 +2,40 @@
 
 from __future__ import annotations
 
-from collections import Counter
-
 import pytest
 from timed_recordings import PLAN
 
 from launch_scripts.launcher.summary import ProcessAccount
-from studies.timing.processes import process_timings, tier_timings
-from studies.timing.run_timing import AgentTiming
+from studies.timing.processes import ProcessTiming, tier_timings, with_accounts
 
 
 def test_counts_and_resources_are_added_up_by_tier() -> None:
-    agents = {
-        "plant": AgentTiming(),
-        "c1/a": AgentTiming(
-            Counter(estimate=2, actuate=1), Counter({"dispatch": 4}), Counter(actuate=1), 2, 1
+    processes = [
+        ProcessTiming(agent="plant", tier="plant", kind="plant"),
+        ProcessTiming(
+            agent="c1/a",
+            tier="direct",
+            kind="direct",
+            missed_deadlines={"estimate": 2, "actuate": 1},
+            missing_inputs={"dispatch": 4},
+            overruns={"actuate": 1},
+            old_inputs=2,
+            skipped_cycles=1,
         ),
-        "c2/d": AgentTiming(Counter(estimate=1), skipped_cycles=3),
-    }
+        ProcessTiming(
+            agent="c2/d",
+            tier="direct",
+            kind="direct",
+            missed_deadlines={"estimate": 1},
+            skipped_cycles=3,
+        ),
+    ]
     accounts = [
         ProcessAccount("c1/a", "direct", {"late": 4}, 40.0, cpu_s=2.0),
         ProcessAccount("c2/d", "direct", {"late": 1}, 42.0, cpu_s=5.0),
         ProcessAccount("recorder", "recorder", {}, 50.0, cpu_s=1.25),
     ]
-    found = tier_timings(process_timings(agents, accounts, 10.0, PLAN.tree))
+    found = tier_timings(with_accounts(processes, accounts, 10.0, PLAN.tree))
     tiers = {tier.tier: tier for tier in found}
     recorder, plant, direct = tiers["recorder"], tiers["plant"], tiers["direct"]
     assert (plant.processes, plant.missed_deadlines) == (1, 0)

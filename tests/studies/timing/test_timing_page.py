@@ -75,9 +75,9 @@ def test_each_agent_has_a_row_and_the_chain_a_colour_of_its_own(page: str) -> No
 def test_the_page_of_a_sweep_draws_loop_time_against_rate(tmp_path: Path) -> None:
     report = reported(tmp_path).report
     rows = (
-        RateRow(5.0, 75, 9e3, 10e3, 12e3, clean=True, host=report.host),
-        RateRow(80.0, 300, 9e3, 30e3, 40e3, missed_deadlines=7, trouble="direct missed one"),
-        RateRow(90.0, 300, 9e3, 30e3, 40e3, interrupted=True),
+        RateRow(5.0, 75, 0, 9e3, 10e3, 12e3, clean=True, host=report.host),
+        RateRow(80.0, 300, 7, 9e3, 30e3, 40e3, missed_deadlines=7, trouble="direct missed one"),
+        RateRow(90.0, 300, 0, 9e3, 30e3, 40e3, interrupted=True),
         RateRow(160.0, failed="recorder gave up"),
     )
     page = sweep_page(Sweep(rows, 5.0, interrupted=False), report)
@@ -87,10 +87,3 @@ def test_the_page_of_a_sweep_draws_loop_time_against_rate(tmp_path: Path) -> Non
     assert names(drawn) == ["loop p50", "loop p99", "loop max", "length of a cycle"]
     assert list(drawn["data"][0]["marker"]["symbol"]) == ["circle", "x"]
     assert list(drawn["data"][0]["x"]) == [5.0, 80.0]
-
-
-def test_the_page_of_a_sweep_that_was_interrupted_at_once_has_no_figure(tmp_path: Path) -> None:
-    row = RateRow(5.0, 75, 9e3, 10e3, 12e3, interrupted=True)
-    page = sweep_page(Sweep((row,), None, interrupted=True), reported(tmp_path).report)
-    assert "interrupted before a rate was found to be clean" in page
-    assert "rates-plot-data" not in page

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import re
 from pathlib import Path
 
@@ -15,13 +16,14 @@ from rich.console import Console
 from timed_recordings import PLAN, cycle, recorded
 
 from agents.events import ExternalAccount
+from agents.machine import MachineSettings
 from launch_scripts.launcher.wrong_messages import WrongMessages
 from studies.timing.report import TimingReport, report_on
-from studies.timing.tables import counts_table, print_report, times_tables
+from studies.timing.tables import print_report
 
 
-def printed(found: TimingReport, *, processes: bool = False, width: int = 100) -> str:
-    console = Console(file=io.StringIO(), width=width)
+def printed(found: TimingReport, *, processes: bool = False) -> str:
+    console = Console(file=io.StringIO(), width=100)
     print_report(found, console, processes=processes)
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue()
@@ -38,19 +40,6 @@ def test_each_row_has_its_figures_its_budget_and_its_verdict(tmp_path: Path) -> 
     assert (count, limit_ms, verdict) == ("6", "0.450", "FAIL")
     assert [float(time) for time in times_ms] == pytest.approx([0.3, 0.4, 0.5, 0.5, 0.5], rel=0.01)
     assert row(text, "central solve")[-2:] == ["15.000", "PASS"]
-
-
-@pytest.mark.parametrize("width", [60, 80, 100, 200])
-def test_no_figure_and_no_name_is_cut_in_a_narrow_terminal(width: int, tmp_path: Path) -> None:
-    report = reported(tmp_path).report
-    text = printed(report, width=width)
-    assert "…" not in text
-    assert max(map(len, text.splitlines())) <= max(width, 100)
-    tables = [*times_tables(report), counts_table(report.tiers)]
-    names = {cells[0] for table in tables for cells in table.texts()}
-    figures = {figure for table in tables for cells in table.texts() for figure in cells[1:]}
-    assert all(name in text for name in names)
-    assert all(figure in text for figure in figures)
 
 
 def test_the_verdict_names_each_budget_that_was_not_kept(tmp_path: Path) -> None:
@@ -88,14 +77,37 @@ def test_the_summary_beside_a_recording_is_used_if_it_is_of_that_run(tmp_path: P
     assert report_on(folder / "run.mcap").report.tiers[0].cpu_percent is None
 
 
-def test_locked_memory_and_a_busy_machine_are_mentioned(tmp_path: Path) -> None:
-    report = reported(tmp_path).report
-    text = printed(report)
-    assert "locked" not in text
-    assert "busy" not in text
-    host = replace(report.host, memory_locked=True, load_before=1e6)
-    text = printed(replace(report, host=host))
-    assert "memory locked" in text
+@pytest.mark.parametrize(
+    ("machine", "remarks", "scheduling", "locked"),
+    [
+        (MachineSettings(), (), "normal", False),
+        (MachineSettings(priority=20), (), "SCHED_FIFO 20", False),
+        (MachineSettings(priority=20), ("priority 20: no SCHED_FIFO here",), "normal", False),
+        (MachineSettings(cpus=(0, 1)), (), "normal, all on CPU 0, 1", False),
+        (
+            MachineSettings(cpus=(0,), cpus_of={"direct": (1,)}, priority=7),
+            (),
+            "SCHED_FIFO 7, direct on CPU 1, others on CPU 0",
+            False,
+        ),
+        (MachineSettings(lock_memory=True), (), "normal", True),
+        (MachineSettings(lock_memory=True), ("memory: not locked",), "normal", False),
+    ],
+)
+def test_the_host_tells_what_was_asked_for_and_not_refused(
+    machine: MachineSettings,
+    remarks: tuple[str, ...],
+    scheduling: str,
+    locked: bool,
+    tmp_path: Path,
+) -> None:
+    recorded(tmp_path, cycle(0), plan=replace(PLAN, machine=machine))
+    report = report_on(tmp_path, replace(summary_of(tmp_path), remarks=remarks)).report
+    host = report.host
+    assert (host.scheduling, host.memory_locked) == (scheduling, locked)
+    assert (host.cpus, host.load_before) == (os.cpu_count(), None)
+    text = printed(replace(report, host=replace(host, load_before=1e6)))
+    assert ("memory locked" in text) == locked
     assert "busy before the run" in text
 
 

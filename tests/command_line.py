@@ -7,11 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+from running import REPOSITORY
 from typer.testing import CliRunner, Result
 
 from launch_scripts.cli import app
-
-REPOSITORY = Path(__file__).parents[3]
 
 
 def heliarch(*words: str | Path) -> Result:
@@ -36,11 +35,11 @@ def refusal(*words: str | Path, status: int = 2) -> str:
     return line
 
 
-def process(*words: str | Path, cwd: Path, stdout: int = subprocess.PIPE) -> subprocess.Popen[str]:
+def process(*words: str | Path, cwd: Path) -> subprocess.Popen[str]:
     """Start a command as a process."""
     return subprocess.Popen(
         [sys.executable, "-m", "launch_scripts", *map(str, words)],
-        stdout=stdout,
+        stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         cwd=cwd,

@@ -1,0 +1,60 @@
+"""The figure of a comparison: what control caused to be missing against what was too much."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import plotly.graph_objects as go
+
+from studies.compare.study import SchemeResult
+from studies.compare.tables import AXES
+from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
+from studies.report.style import BLUE, GREY, VERMILLION, ReportFigure, dress, plain
+
+_LEAST_PERCENT: Final = 1e-3
+"""Where the logarithmic axes begin: less is drawn as this."""
+_LOOKS: Final = {
+    "fraction": ("circle", BLUE, "top right"),
+    "limit": ("square", VERMILLION, "bottom right"),
+}
+"""Symbol, colour and place of the label."""
+
+
+def frontier(schemes: Sequence[SchemeResult]) -> ReportFigure:
+    """Draw control-caused shortfall against over-delivery, and the frontier of the two."""
+    missing, beyond, rmse = (FIGURES_OF_MERIT[name] for name in AXES)
+    figure = go.Figure()
+    for actuator, (symbol, colour, place) in _LOOKS.items():
+        entries = [entry for entry in schemes if entry.actuator == actuator]
+        figure.add_trace(
+            go.Scatter(
+                x=[max(beyond.read(one.metrics) or 0.0, _LEAST_PERCENT) for one in entries],
+                y=[max(missing.read(one.metrics) or 0.0, _LEAST_PERCENT) for one in entries],
+                text=[f"{plain(one.scheme)}, {rmse.read(one.metrics):,.0f} kW" for one in entries],
+                mode="markers+text",
+                name=actuator,
+                textposition=place,
+                cliponaxis=False,
+                marker={"size": 10, "symbol": symbol, "color": colour},
+                hovertemplate="%{text}: %{y:.3f} % control-caused, %{x:.3f} % over-delivered",
+            )
+        )
+    points = sorted(point for trace in figure.data for point in zip(trace.x, trace.y, strict=True))
+    least = np.minimum.accumulate([y for _, y in points])
+    line = {"color": GREY, "width": 1.2, "dash": "dash", "shape": "hv"}
+    figure.add_trace(
+        go.Scatter(x=[x for x, _ in points], y=least, mode="lines", name="frontier", line=line)
+    )
+    dress(figure, 480)
+    figure.update_layout(hovermode="closest", margin_r=180)
+    figure.update_xaxes(title_text=beyond.heading, type="log", dtick=1)
+    figure.update_yaxes(title_text=missing.heading, type="log", dtick=1)
+    return ReportFigure(
+        "frontier",
+        "Control-caused shortfall against over-delivery",
+        "Each scheme with its tracking RMSE, both axes logarithmic. No scheme is better in both "
+        f"than one on the dashed frontier. Less than {_LEAST_PERCENT:g} % is drawn as that.",
+        figure,
+    )

@@ -1,0 +1,46 @@
+"""Plans of small runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from msgspec.structs import replace
+
+from agents.plan import RunPlan
+
+CYCLE_NS = 1_000_000_000
+REAL_TIME = CYCLE_NS
+"""A `cycle_wall_ns`: cycles of a second by the clock."""
+
+FOUR = {"c1/a": 100.0, "c1/b": 100.0, "c2/c": 100.0, "c2/d": 100.0}
+
+
+def plan_of(ratings_kw: Mapping[str, float], **changes: object) -> RunPlan:
+    """Plan of a run in lockstep, from the path and rating of each inverter."""
+    tiers = max(leaf.count("/") + 1 for leaf in ratings_kw)
+    plan = RunPlan(
+        run_id="by-hand",
+        plant="oahu",
+        inverters=tuple(ratings_kw.items()),
+        start_time_ns=0,
+        cycle_ns=CYCLE_NS,
+        cycles=1,
+        timezone="UTC",
+        regulation_capacity_kw=0.0,
+        cycle_wall_ns=0,
+        period_cycles=(1,) * tiers,
+        scheme="paper",
+        actuator="fraction",
+        alpha_min=0.05,
+        hold_cycles=3,
+        stall_timeout_s=3.0,
+        neighbourhoods=(),
+        tcp_ports={},
+    )
+    return replace(plan, **changes)
+
+
+def plan_at_noon(ratings_kw: Mapping[str, float] = FOUR, **changes: object) -> RunPlan:
+    """Plan of a run that begins on 2010-04-01 12:00:00 in Honolulu."""
+    noon = {"start_time_ns": 1_270_159_200_000_000_000, "timezone": "Pacific/Honolulu"}
+    return plan_of(ratings_kw, **(noon | changes))

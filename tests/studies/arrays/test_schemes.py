@@ -1,0 +1,64 @@
+"""Uniform cap and grouping with both actuators, power by power."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from recorded_runs import plan_of
+
+from agents.plan import Actuator
+from sim_plant.profile import Profile
+from studies.arrays.schemes import ReferenceGroups, run_scheme
+
+PLAN = plan_of({"c1/a": 100.0, "c1/b": 100.0, "c2/c": 120.0, "c2/d": 60.0}, cycles=2)
+MPP_KW = np.array([[80.0, 40.0, 120.0, 60.0], [60.0, 50.0, 100.0, 0.0]])
+
+
+def powers_kw(
+    scheme: str, actuator: Actuator, dispatch_kw: float, meter_error: float = 0.0
+) -> NDArray[np.float64]:
+    error = np.full_like(MPP_KW, meter_error)
+    profile = Profile(MPP_KW, np.full(2, dispatch_kw), meter_error=error)
+    groups = ReferenceGroups(members=("a",))
+    (series,) = run_scheme(scheme, PLAN, profile, actuator, groups)
+    return series.power_kw
+
+
+def test_a_uniform_cap_by_limits_holds_each_inverter_at_its_request() -> None:
+    # Of 190 kW the requests are 50, 50, 60 and 30 kW.
+    assert powers_kw("uniform-cap", "limit", 190.0) == pytest.approx(
+        np.array([[50.0, 40.0, 60.0, 30.0], [50.0, 50.0, 60.0, 0.0]])
+    )
+
+
+def test_a_uniform_cap_by_fractions_curtails_by_the_maximum_of_the_last_cycle() -> None:
+    # The levels are 50/80, 1, 60/120 and 30/60 in both cycles.
+    assert powers_kw("uniform-cap", "fraction", 190.0) == pytest.approx(
+        np.array([[50.0, 40.0, 60.0, 30.0], [37.5, 50.0, 50.0, 0.0]])
+    )
+
+
+def test_meters_that_read_high_curtail_too_much_and_the_floor_holds() -> None:
+    high = powers_kw("uniform-cap", "fraction", 190.0, meter_error=0.25)
+    assert high[0] == pytest.approx([50.0, 40.0, 60.0, 30.0] / np.array([1.25, 1.0, 1.0, 1.0]))
+    assert powers_kw("uniform-cap", "fraction", 0.0) == pytest.approx(PLAN.alpha_min * MPP_KW)
+
+
+def test_grouping_by_limits_holds_the_others_at_what_the_group_promises() -> None:
+    # a gave 80 kW of its 100: the others promise 224 kW, of which 112 are wanted, 0.4 of a rating.
+    assert powers_kw("grouping", "limit", 192.0) == pytest.approx(
+        np.array([[80.0, 40.0, 48.0, 24.0], [60.0, 40.0, 48.0, 0.0]])
+    )
+
+
+def test_grouping_by_fractions_gives_the_others_one_level() -> None:
+    assert powers_kw("grouping", "fraction", 192.0) == pytest.approx(
+        np.array([[80.0, 20.0, 60.0, 30.0], [60.0, 25.0, 50.0, 0.0]])
+    )
+
+
+@pytest.mark.parametrize("scheme", ["uncontrolled", "physical-limit"])
+def test_a_bound_has_no_actuator(scheme: str) -> None:
+    found = powers_kw(scheme, "limit", 190.0)
+    np.testing.assert_array_equal(found, powers_kw(scheme, "fraction", 190.0))
