@@ -23,8 +23,8 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
-run: $(READY) ## the main job: one simulated hour of broken clouds over 17 inverters, as 23 processes
-	$(BIN)/heliarch launch oahu --report
+run: $(READY) ## the main job: one simulated hour of broken clouds over 17 inverters, as 23 processes; open the page that it prints to watch it
+	$(BIN)/heliarch launch oahu --page --report
 
 test: $(READY) ## all tests, under 8 minutes on 2 cores
 	$(BIN)/pytest -n 2 --dist worksteal

@@ -175,6 +175,7 @@ def cells(scenario: ScenarioFile, settings: dict[str, Any]) -> Lines:
     found["share"] = found["case"].str.extract(r"share=([\d.]+)", expand=False).astype(float)
     yield from header(["actuator", "scheme", *(f"{share:.0%}" for share in SHARES)])
     rows = found[found["scheme"] != "grouping worst"]
+    rows = rows.sort_values(["actuator", "noise"], kind="stable")
     for (actuator, noise, scheme), group in rows.groupby(
         ["actuator", "noise", "scheme"], sort=False
     ):
