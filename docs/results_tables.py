@@ -158,12 +158,13 @@ def by_scheme(
     found: pd.DataFrame, figures: Figures, case: Callable[[str], str] | None = None
 ) -> Lines:
     """Write a row for each scheme and actuator, after a column for the case if there are many."""
+    found = found.fillna({"actuator": "-"})
     first = ["case"] if case else []
     yield from header([*first, "scheme", "actuator", *(title for title, _ in figures.values())])
     for _, entry in found.iterrows():
         numbers = [f"{entry[name]:,.{decimals}f}" for name, (_, decimals) in figures.items()]
         labels = [case(entry["case"])] if case else []
-        yield row([*labels, entry["scheme"], entry["actuator"] or "-", *numbers])
+        yield row([*labels, entry["scheme"], entry["actuator"], *numbers])
 
 
 def cells(scenario: ScenarioFile, settings: dict[str, Any]) -> Lines:
