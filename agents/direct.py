@@ -50,6 +50,7 @@ class DirectController:
         self._predicts = plan.scheme == "predictive"
         self._limits = plan.actuator == "limit"
         self._alpha_min = plan.alpha_floor
+        self._reverts_to_request = plan.revert is not None and plan.revert.to == "request"
         self._periods, self._parent = plan.periods, parent_of(node)
         self._telemetry = TELEMETRY.of(node)
         self._dispatch = DISPATCH.of(ROOT)
@@ -125,4 +126,6 @@ class DirectController:
         impp_kw = state.estimate.power_kw
         alpha = curtailment_level(target_kw, impp_kw, self._alpha_min)
         power_kw = alpha * impp_kw if alpha < 1.0 else self._rating_kw
-        return [(self._command, Command(*turn.stamp, alpha=alpha, power_kw=power_kw))]
+        revert_kw = request_kw if self._reverts_to_request else None
+        command = Command(*turn.stamp, alpha=alpha, power_kw=power_kw, revert_kw=revert_kw)
+        return [(self._command, command)]

@@ -14,7 +14,7 @@ from typing import Any
 from agents.loop import AgentLoop
 from bus_schemas.bus import Arrival, Bus
 from bus_schemas.messages import Message
-from bus_schemas.signals import RUN, Port
+from bus_schemas.signals import DISPATCH, RUN, Port
 
 
 class Driver:
@@ -41,6 +41,17 @@ class Driver:
         self._numbers = count()
         self._deadlines: list[tuple[int, int, str]] = []
         self._deadline_of: dict[str, int | None] = dict.fromkeys(self.loops)
+
+    def leave(self, name: str) -> AgentLoop[Any]:
+        """Go on without an agent, whose process stands still or has died."""
+        return self.loops.pop(name)
+
+    def join(self, loop: AgentLoop[Any]) -> None:
+        """Go on with an agent, whose process is new or goes on itself."""
+        self.loops[loop.agent.name] = loop
+        self._deadline_of[loop.agent.name] = None
+        loop.catch_up(self.now_ns())
+        self.go_on(loop)
 
     @property
     def finished(self) -> bool:
@@ -72,7 +83,8 @@ class Driver:
         for agent, port, message, time_ns in arrivals:
             loop = self.loops[agent]
             loop.hear(port, message, time_ns)
-            if not loop.waiting or port.signal is RUN:
+            # The beginning of the run, or a dispatch that takes it into a run that has begun.
+            if not loop.waiting or port.signal is RUN or port.signal is DISPATCH:
                 self.go_on(loop)
         # In memory all messages of a moment come before its deadlines.
         if only is not None or not arrivals:
@@ -101,9 +113,10 @@ class Driver:
         """Return the next deadline of an open stage."""
         while self._deadlines:
             deadline_ns, _, name = self._deadlines[0]
-            if self.loops[name].deadline_ns == deadline_ns:
+            loop = self.loops.get(name)
+            if loop is not None and loop.deadline_ns == deadline_ns:
                 return deadline_ns
-            heappop(self._deadlines)  # That stage is closed.
+            heappop(self._deadlines)  # That stage is closed, or its agent gone.
         return None
 
     def _close_overdue(self) -> None:

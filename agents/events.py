@@ -16,9 +16,13 @@ class Joined(Event, frozen=True):
 
 
 class Armed(Event, frozen=True):
-    """The plant has seen everybody, and a whole round has closed: cycle 0 begins."""
+    """The plant has seen everybody, and a whole round has closed.
+
+    Cycle 0 begins at `start_time_ns` of the host's monotonic clock.
+    """
 
     rounds: int
+    start_time_ns: int
 
 
 class Waiting(Event, frozen=True):

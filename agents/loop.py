@@ -35,7 +35,9 @@ _NONE_YET: Final = -(2**62)
 _PLANT_HORIZON: Final = 1_000
 """Cycles by which controllers may be ahead of a plant that stood still."""
 
-Cause: TypeAlias = Literal["late", "other_cycle", "unexpected", "duplicate", "foreign", "absurd"]
+Cause: TypeAlias = Literal[
+    "late", "other_cycle", "unexpected", "duplicate", "foreign", "absurd", "replaced"
+]
 """Why a message was not used."""
 
 _COUNT_IN_ARMING: Final[frozenset[Cause]] = frozenset({"foreign", "absurd"})
@@ -53,9 +55,11 @@ class _Input:
         Newest message that can be used.
     ahead
         Messages of later cycles: a child may run ahead of a parent that acts rarely.
+    incarnation
+        Of the publisher.
     """
 
-    __slots__ = ("ahead", "bounds", "heard", "newest", "period", "port")
+    __slots__ = ("ahead", "bounds", "heard", "incarnation", "newest", "period", "port")
 
     def __init__(self, port: Port[Message], period: int, rating_kw: float) -> None:
         self.port = port
@@ -65,6 +69,7 @@ class _Input:
 
     def forget(self) -> None:
         self.heard = _NONE_YET
+        self.incarnation = 0
         self.newest: Message | None = None
         self.ahead: list[Message] = []
 
@@ -107,6 +112,8 @@ class AgentLoop(Generic[S]):
         Inputs that a stage used and that were older than they should have been.
     skipped_cycles
         Cycles that were over before the agent was through them.
+    incarnation
+        The cycle in which it joined the run: 0, unless its process replaces another.
     """
 
     def __init__(
@@ -122,6 +129,7 @@ class AgentLoop(Generic[S]):
         self.missing_inputs = 0
         self.old_inputs = 0
         self.skipped_cycles = 0
+        self.incarnation = 0
         self._plan = plan
         self._on_drop = on_drop
         self._state = agent.initial_state()
@@ -174,12 +182,26 @@ class AgentLoop(Generic[S]):
         heard = self._inputs.get(port)
         if heard is None or message.cycle < 0 <= self.cycle:  # What is left of arming rounds.
             return
-        if self.cycle < message.cycle < 0 and port is self._dispatch:
-            self.enter(message.cycle, time_ns)
+        if message.incarnation != heard.incarnation and not self._is_successor(heard, message):
+            return
+        if self.cycle < 0 and port is self._dispatch and message.cycle > self.cycle:
+            if message.cycle < 0:
+                self.enter(message.cycle, time_ns)
+            elif message.cycle > 0:
+                self._join(message, time_ns)
         if message.cycle > self.cycle:
             self._keep_ahead(heard, message)
         else:
             self._take(heard, message, time_ns)
+
+    def _is_successor(self, heard: _Input, message: Message) -> bool:
+        """Whether a message is of a process that replaced the publisher, not of one replaced."""
+        if message.incarnation > heard.incarnation:
+            heard.incarnation = message.incarnation
+            return True
+        why = f"is of a process that joined in cycle {message.incarnation}, since replaced"
+        self._drop("replaced", heard.port, message, why)
+        return False
 
     def _take(self, heard: _Input, message: Message, time_ns: int) -> None:
         """Make a message the newest of its input."""
@@ -234,11 +256,20 @@ class AgentLoop(Generic[S]):
 
     # Cycles ---------------------------------------------------------------------------------------
 
-    def begin(self, start_ns: int, now_ns: int) -> None:
-        """Enter cycle 0, which begins at a time of the run's clock."""
+    def begin(self, start_ns: int, now_ns: int, cycle: int = 0) -> None:
+        """Enter the first cycle of a run; cycle 0 begins at a time of the run's clock."""
         if not self._plan.lockstep:
             self._start_ns = start_ns
-        self.enter(0, now_ns)
+        self.incarnation = cycle
+        self.enter(cycle, now_ns)
+
+    def _join(self, dispatch: Message, now_ns: int) -> None:
+        """Join a run that is under way: the dispatch says in which cycle it is, and since when."""
+        began_ns = now_ns
+        if abs(dispatch.ready_time_ns - now_ns) <= START_WITHIN_NS:
+            began_ns = dispatch.ready_time_ns
+        log.info("joined the run in cycle %d", dispatch.cycle)
+        self.begin(began_ns - dispatch.cycle * self._plan.cycle_wall_ns, now_ns, dispatch.cycle)
 
     def end_before(self, cycle: int) -> None:
         """Let the run end before a cycle: those up to it are still completed."""
@@ -313,6 +344,7 @@ class AgentLoop(Generic[S]):
         self._state, outputs = self.agent.step(self._state, turn)
         for _, message in outputs:
             message.ready_time_ns = self._ready_ns
+            message.incarnation = self.incarnation
         self._place += 1
         if self._place < len(self._stages):
             self._open_stage(now_ns)

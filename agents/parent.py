@@ -39,12 +39,23 @@ from bus_schemas.tree import ROOT, agent_name, parent_of
 
 
 class Report(NamedTuple):
-    """What a parent knows of a child: its IMPP and residual [kW], zero IMPP if it is silent."""
+    """What a parent knows of a child.
+
+    Attributes
+    ----------
+    impp_kw, residual_kw
+        Its IMPP and residual [kW]; of a silent child its own request, and nothing beyond it.
+    stale_cycles
+        How old its measurements are.
+    is_old, is_silent
+        Whether the report is of an earlier cycle, and whether it is too old to count.
+    """
 
     impp_kw: float
     residual_kw: float
     stale_cycles: int
     is_old: bool
+    is_silent: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +101,11 @@ class Children:
         )
 
     def reports(self, turn: Turn) -> list[Report]:
-        """Return what each child reports. A silent one has nothing, and lacks all of its request.
+        """Return what each child reports.
 
-        A residual counts only if it belongs to the same cycle as the IMPP.
+        The inverters of a silent child serve their own requests, since they do not hear of
+        setpoints either: it gives its own request, no more and no less. A residual counts only if
+        it belongs to the same cycle as the IMPP.
         """
         dispatch = turn.get(self._dispatch)
         return [self._report(turn, child, dispatch) for child in self._children]
@@ -101,7 +114,7 @@ class Children:
         impp, residual = turn.get(child.impp), turn.get(child.residual)
         request_kw = own_request_kw(dispatch, child.rating_kw) or 0.0
         if impp is None:
-            return Report(0.0, -request_kw, self._hold_cycles + 1, is_old=True)
+            return Report(request_kw, 0.0, self._hold_cycles + 1, is_old=True, is_silent=True)
         left_kw = residual_kw(impp.power_kw, request_kw)
         if residual is not None and residual.cycle == impp.cycle:
             left_kw = residual.power_kw
@@ -129,10 +142,11 @@ class Children:
         lack as well: they can then use power that comes back before the parent hears of it.
         """
         tops_up = self._tops_up or (self._tops_up_old and any(r.is_old for r in reports))
+        silent_kw = total([report.impp_kw for report in reports if report.is_silent])
         power_kw, share_kw, donors, needy, given_kw, _ = allocate(
-            target_kw,
+            max(target_kw - silent_kw, 0.0),
             self._ratings_kw,
-            [report.impp_kw for report in reports],
+            [0.0 if report.is_silent else report.impp_kw for report in reports],
             self._floor,
             self._order_at(turn.sim_time_ns),
             tops_up,
@@ -143,10 +157,15 @@ class Children:
         return [
             (
                 child.setpoint,
-                Setpoint(*turn.stamp, power_kw=power, share_kw=share, help_given=given),
+                Setpoint(
+                    *turn.stamp,
+                    power_kw=report.impp_kw if report.is_silent else power,
+                    share_kw=share,
+                    help_given=given,
+                ),
             )
-            for child, power, share, given in zip(
-                self._children, power_kw, share_kw, help_given, strict=True
+            for child, report, power, share, given in zip(
+                self._children, reports, power_kw, share_kw, help_given, strict=True
             )
         ]
 

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from typing import Final, Literal, TypeAlias
+from typing import Annotated, Final, Literal, TypeAlias
 
 import msgspec
+from msgspec import Meta
 
 from agents.control.forecast import HIDDEN_ALPHA_MIN
 from agents.cycle import Deadlines
@@ -55,6 +56,40 @@ class NodeNeighbourhoods(msgspec.Struct, frozen=True):
 
     node: str
     hours: tuple[Neighbourhood, ...]
+
+
+class RestartPolicy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What the launcher does when a controller's process ends before the run does."""
+
+    when: Annotated[
+        Literal["never", "on-failure"],
+        Meta(description="Start it again, or end the run. In lockstep the run ends always."),
+    ] = "on-failure"
+    most: Annotated[
+        int, Meta(ge=1, le=1000, description="So many restarts of one controller at most ...")
+    ] = 5
+    within_s: Annotated[
+        float, Meta(gt=0.0, le=1e6, description="... in this time; one more ends the run [s].")
+    ] = 60.0
+    frozen_s: Annotated[
+        float,
+        Meta(gt=0.0, le=1e6, description="A controller that stands still so long is killed [s]."),
+    ] = 5.0
+
+
+class Revert(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What an inverter does that hears no command any more (SunSpec models 123 and 704)."""
+
+    after_s: Annotated[
+        float, Meta(gt=0.0, le=86_400.0, description="Time after the last command [s].")
+    ] = 60.0
+    to: Annotated[
+        Literal["request", "release"] | Annotated[float, Meta(ge=0.0, le=1.0)],
+        Meta(
+            description="`request`: its own share of the last dispatch that its controller heard. "
+            "`release`: all it has. A number: this share of its rating."
+        ),
+    ] = "request"
 
 
 class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
@@ -115,6 +150,10 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     positions_m
         Where each inverter stands: metres east and north of a point that is the same for all of
         them. Empty: not known.
+    restart
+        What happens when a controller's process ends before the run does.
+    revert
+        What an inverter does that hears no command any more; None: it obeys the last one for ever.
     """
 
     run_id: str
@@ -145,6 +184,8 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     machine: MachineSettings = MachineSettings()
     seed: int | None = None
     positions_m: tuple[tuple[float, float], ...] = ()
+    restart: RestartPolicy = RestartPolicy()
+    revert: Revert | None = None
 
     @cached_property
     def tree(self) -> ControlTree:

@@ -31,7 +31,11 @@ BOUNDS: Final[dict[type[Message], tuple[Bound, ...]]] = {
     Help: (Bound("missing_kw", 0.0, _ROUNDING),),
     Setpoint: (Bound("power_kw", 0.0, _ROUNDING),),
     Meter: (Bound("power_kw", -METER_TOLERANCE, 1.0 + METER_TOLERANCE),),
-    Command: (Bound("alpha", _ABOVE_ZERO, 1.0), Bound("power_kw", 0.0, _ROUNDING)),
+    Command: (
+        Bound("alpha", _ABOVE_ZERO, 1.0),
+        Bound("power_kw", 0.0, _ROUNDING),
+        Bound("revert_kw", 0.0, _ROUNDING),
+    ),
     # An operator may ask for more than there is, or for less than nothing: it must be a number. And
     # everybody's share of it must be one.
     Dispatch: (Bound("power_kw", -LARGEST, LARGEST), Bound("plant_rating_kw", 1e-3, 1e3)),
@@ -53,7 +57,8 @@ def bounds_of(message_type: type[Message], rating_kw: float) -> tuple[Bound, ...
 
 def is_within(message: Message, bounds: tuple[Bound, ...]) -> bool:
     """Whether all numbers of a message are within bounds; NaN is within none."""
-    for field, low, high in bounds:  # noqa: SIM110 - a generator costs twice as much here
-        if not low <= getattr(message, field) <= high:
+    for field, low, high in bounds:
+        value = getattr(message, field)
+        if value is not None and not low <= value <= high:
             return False
     return True

@@ -1,4 +1,4 @@
-"""Imperfect networks: rules that delay, lose, double or hold back messages on links, from a seed.
+"""Faults: rules that delay, lose, double or hold back messages on links, and stop processes.
 
 A link goes from the publisher of a port to one of its listeners. What becomes of a message on a
 link is drawn from a hash of the seed, the rule, the link and the message's cycle, and from nothing
@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from hashlib import blake2b
 from math import ceil, cos, log, pi, sqrt
-from typing import Annotated, Final, Literal, TypeAlias
+from typing import Annotated, Final, Literal, NamedTuple, TypeAlias
 
 import msgspec
 from msgspec import Meta
@@ -33,7 +33,7 @@ from msgspec import Meta
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS, Port, listeners, ports
-from bus_schemas.tree import RECORDER, ControlTree, some_of
+from bus_schemas.tree import RECORDER, ControlTree, agent_name, some_of
 
 LONGEST_MS: Final = 3_600_000.0
 """Longest delay, jitter or holding back that is accepted: an hour."""
@@ -87,16 +87,35 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         tuple[tuple[Second, Second], ...],
         Meta(description="Intervals of simulated time since cycle 0 in which nothing arrives [s]."),
     ] = ()
+    partition: Annotated[
+        str | None,
+        Meta(description="Two agents, or patterns, that do not hear each other: `c1|central`."),
+    ] = None
+    kill: Annotated[
+        str | None, Meta(description="Controllers that are killed `at` a time: `c1`, `c2/*`.")
+    ] = None
+    freeze: Annotated[
+        str | None, Meta(description="Controllers that stand still from the first time of `at` on.")
+    ] = None
+    at: Annotated[
+        tuple[Second, ...],
+        Meta(
+            description="When, in simulated time since cycle 0 [s]: one time of `kill`, beginning "
+            "and end of others. Default: always.",
+            max_length=2,
+        ),
+    ] = ()
 
     def __str__(self) -> str:
         """Return the rule as `--fault` reads it, without the defaults."""
         default = {field.name: field.default for field in msgspec.structs.fields(self)}
         given = msgspec.structs.asdict(self)
-        del given["silent"]
+        del given["silent"], given["at"]
         words = [_option(name, value) for name, value in given.items() if value != default[name]]
-        return ",".join(
-            words + [f"silent={begin:.15g}s..{end:.15g}s" for begin, end in self.silent]
-        )
+        words += [f"silent={begin:.15g}s..{end:.15g}s" for begin, end in self.silent]
+        if self.at:
+            words.append("at=" + "..".join(f"{time_s:.15g}s" for time_s in self.at))
+        return ",".join(words)
 
     @property
     def held_back_ms(self) -> float:
@@ -117,13 +136,31 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     def is_silent(self, time_s: float) -> bool:
         """Whether nothing arrives at a simulated time since cycle 0."""
-        return any(begin_s <= time_s < end_s for begin_s, end_s in self.silent)
+        is_cut = self.partition is not None and self.is_active(time_s)
+        return is_cut or any(begin_s <= time_s < end_s for begin_s, end_s in self.silent)
+
+    def is_active(self, time_s: float) -> bool:
+        """Whether the rule acts at a simulated time since cycle 0, silence aside."""
+        return not self.at or self.at[0] <= time_s < self.at[1]
+
+    @property
+    def stops(self) -> str | None:
+        """The controllers, or a pattern of them, that the rule kills or freezes."""
+        return self.kill or self.freeze
 
     def acts_on(self, port: Port[Message], listener: str) -> bool:
         """Whether this link of a port is one of the rule's."""
+        if self.stops is not None or not port.signal.is_cyclic:
+            return False
+        if self.partition is not None:
+            one, other = self.partition.split("|")
+            ends = ((one, other), (other, one))
+            return any(
+                fnmatchcase(port.publisher, source) and fnmatchcase(listener, end)
+                for source, end in ends
+            )
         return (
-            port.signal.is_cyclic
-            and (self.signal is None or self.signal == port.signal.name)
+            (self.signal is None or self.signal == port.signal.name)
             and fnmatchcase(port.publisher, self.source)
             and fnmatchcase(listener, self.listener)
         )
@@ -135,6 +172,38 @@ def _option(field: str, value: object) -> str:
         name = "reorder-by" if field == "reorder_ms" else field.removesuffix("_ms")
         return f"{name}={value}ms"
     return f"{field}={value}"
+
+
+class Incident(NamedTuple):
+    """Something that happens to a process at a simulated time since cycle 0 [s]."""
+
+    time_s: float
+    agent: str
+    what: Literal["kill", "freeze", "thaw", "start"]
+
+
+def incidents(rules: tuple[FaultRule, ...], tree: ControlTree) -> list[Incident]:
+    """Return what the rules do to processes, in the order of time."""
+    found = []
+    for rule in rules:
+        for agent in stopped_by(rule, tree):
+            if rule.kill is not None:
+                found.append(Incident(rule.at[0], agent, "kill"))
+            else:
+                found += [
+                    Incident(rule.at[0], agent, "freeze"),
+                    Incident(rule.at[1], agent, "thaw"),
+                ]
+    return sorted(found)
+
+
+def stopped_by(rule: FaultRule, tree: ControlTree) -> list[str]:
+    """Return the controllers that a rule kills or freezes."""
+    pattern = rule.stops
+    if pattern is None:
+        return []
+    names = [agent_name(node) for node in tree.nodes]
+    return [name for name in names if fnmatchcase(name, pattern)]
 
 
 @dataclass(slots=True)
@@ -265,13 +334,18 @@ class _Link:
     def fate(self, cycle: int, acts: Sequence[RuleActs]) -> tuple[int, ...]:
         """Return the delays [ns] of the copies that arrive; note which rules did something."""
         time_s = cycle * self._cycle_s
+        active = [
+            (number, stretch)
+            for (number, rule), stretch in zip(self._rules, self._stretches, strict=True)
+            if rule.acts_outside_silence and rule.is_active(time_s)
+        ]
         silent = [number for number, rule in self._rules if rule.is_silent(time_s)]
         for number in silent:
             acts[number].add(cycle)
         if silent:
             return _LOST
         delays_ms = [0.0]
-        for (number, _), stretch in zip(self._rules, self._stretches, strict=True):
+        for number, stretch in active:
             before_ms = delays_ms
             delays_ms = stretch.pass_on(cycle, before_ms)
             if delays_ms != before_ms:
@@ -377,6 +451,13 @@ def check_rule(
         the run does not have, or agents that never talk to each other.
     """
     _check_fields(rule, where)
+    if rule.partition is not None and rule.partition.count("|") != 1:
+        raise InputError(
+            f"{where}: partition: expected two agents such as c1|central, got {rule.partition}"
+        )
+    if rule.stops is not None:
+        _check_stopped(rule, tree, where, external)
+        return
     _check_ends(rule, tree, where)
     heard_by = [listener for port, listener in links(tree) if rule.acts_on(port, listener)]
     if heard_by and all(listener in external for listener in heard_by):
@@ -400,15 +481,48 @@ def _check_fields(rule: FaultRule, where: str) -> None:
                 f"{where}: silent: expected an end after the beginning, got {begin_s:g} s to "
                 f"{end_s:g} s"
             )
-    if not (rule.acts_outside_silence or rule.silent):
+    doing = [name for name in ("partition", "kill", "freeze") if getattr(rule, name) is not None]
+    if not (rule.acts_outside_silence or rule.silent or doing):
         raise InputError(
-            f"{where}: expected a delay, jitter, loss, duplicate, reorder or silent, got none"
+            f"{where}: expected a delay, jitter, loss, duplicate, reorder, silent, partition, kill "
+            "or freeze, got none"
+        )
+    if len(doing) > 1 or (doing and not _does_only(rule, doing[0])):
+        raise InputError(f"{where}: expected {doing[0]} and at alone in a rule, got more")
+    wanted = {1} if rule.kill is not None else {2} if rule.freeze is not None else {0, 2}
+    if len(rule.at) not in wanted or list(rule.at) != sorted(set(rule.at)):
+        form = "one time such as 30s" if wanted == {1} else "beginning and end such as 30s..45s"
+        got = "..".join(f"{time_s:g}s" for time_s in rule.at) or "none"
+        raise InputError(f"{where}: at: expected {form}, got {got}")
+
+
+def _does_only(rule: FaultRule, name: str) -> bool:
+    return FaultRule(**{name: getattr(rule, name), "at": rule.at}) == rule
+
+
+def _check_stopped(
+    rule: FaultRule, tree: ControlTree, where: str, external: Collection[str]
+) -> None:
+    names = [agent_name(node) for node in tree.nodes]
+    found = stopped_by(rule, tree)
+    if not found:
+        raise InputError(
+            f"{where}: expected a controller ({some_of(names)}), or a pattern such as c1/*, got "
+            f"{rule.stops!r}"
+        )
+    foreign = [name for name in found if name in external]
+    if foreign:
+        raise InputError(
+            f"{where}: expected controllers that Heliarch runs, got the external {foreign[0]}"
         )
 
 
 def _check_ends(rule: FaultRule, tree: ControlTree, where: str) -> None:
     agents = [agent for agent in tree.agents() if agent != RECORDER]
-    for end, pattern in (("source", rule.source), ("listener", rule.listener)):
+    ends = [("source", rule.source), ("listener", rule.listener)]
+    if rule.partition is not None:
+        ends = [("partition", end) for end in rule.partition.split("|")]
+    for end, pattern in ends:
         if pattern == RECORDER:
             raise InputError(
                 f"{where}: {end}: expected an agent that acts ({some_of(agents)}), got recorder, "
@@ -439,4 +553,6 @@ def _check_ends(rule: FaultRule, tree: ControlTree, where: str) -> None:
         raise InputError(
             f"{where}: expected one of {some_of(list(instead))}, got {rule.signal or 'anything'} "
             f"from {rule.source} to {rule.listener}, which is never sent"
+            if rule.partition is None
+            else f"{where}: partition: expected agents that hear each other, got {rule.partition}"
         )

@@ -63,6 +63,15 @@ class MemoryBus:
         # The numbers keep the order of what happens at one moment, and messages uncompared.
         self._numbers = count()
         self._under_way: list[tuple[int, int, Arrival]] = []
+        self._held: dict[str, list[Arrival] | None] = {}
+
+    def hold(self, agent: str, *, keep: bool) -> None:
+        """Bring an agent nothing from now on; keep what comes for it, or lose it."""
+        self._held[agent] = [] if keep else None
+
+    def go_on(self, agent: str) -> None:
+        """Bring an agent messages again, those first that were kept."""
+        self._arrived.extendleft(reversed(self._held.pop(agent) or []))
 
     def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
         """Queue a message for each agent that listens to its port."""
@@ -78,13 +87,20 @@ class MemoryBus:
 
     def receive(self, until_ns: int | None, wanted: int = 1) -> Sequence[Arrival]:
         """Return the next message; nothing if none comes before a time."""
-        if self._arrived:
-            return (self._arrived.popleft(),)
         # A message that arrives at a deadline is in time.
-        if self._under_way and (until_ns is None or self._under_way[0][0] <= until_ns):
-            arrival = heappop(self._under_way)[2]
-            self._set_clock(arrival.time_ns)
-            return (arrival,)
+        while self._arrived or (
+            self._under_way and (until_ns is None or self._under_way[0][0] <= until_ns)
+        ):
+            if self._arrived:
+                arrival = self._arrived.popleft()
+            else:
+                arrival = heappop(self._under_way)[2]
+                self._set_clock(arrival.time_ns)
+            if arrival.agent not in self._held:
+                return (arrival,)
+            kept = self._held[arrival.agent]
+            if kept is not None:
+                kept.append(arrival)
         if until_ns is not None:
             self._set_clock(until_ns)
         return ()

@@ -41,7 +41,7 @@ Entries: TypeAlias = Annotated[tuple[Entry, ...], msgspec.Meta(max_length=MOST_M
 class Message(msgspec.Struct, forbid_unknown_fields=True, gc=False):
     """The head that every message carries.
 
-    The driver fills in the last three fields as the message goes out. Nobody changes a message
+    The driver fills in the last four fields as the message goes out. Nobody changes a message
     after that.
 
     Attributes
@@ -64,7 +64,11 @@ class Message(msgspec.Struct, forbid_unknown_fields=True, gc=False):
     publish_time_ns
         Monotonic clock of the sending host when the message went out.
     sequence
-        Number of the message on its key, from 0 in cycle 0 on; 0 in arming rounds.
+        Number of the message on its key, from 0 in cycle 0 on; 0 in arming rounds. An agent that
+        joined a run later counts from 0 again.
+    incarnation
+        The cycle in which the agent's process joined the run: 0, or a later one for a process that
+        replaced another. Listeners refuse what comes from a predecessor after that.
     """
 
     cycle: Cycle
@@ -74,6 +78,7 @@ class Message(msgspec.Struct, forbid_unknown_fields=True, gc=False):
     ready_time_ns: Nanoseconds = 0
     publish_time_ns: Nanoseconds = 0
     sequence: Sequence = 0
+    incarnation: Count = 0
 
 
 class Telemetry(Message, kw_only=True):
@@ -157,10 +162,14 @@ class Command(Message, kw_only=True):
     `power_kw` says the same in absolute power, IMPP x alpha; the rating where alpha is 1, since
     nothing is to be held back. A run has one actuator: `fraction` inverters apply alpha to their
     true maximum, `limit` inverters hold `power_kw`.
+
+    An inverter that hears nothing more for its revert time goes to the limit `revert_kw`, or, where
+    that is not given, to what is set in the inverter.
     """
 
     alpha: float
     power_kw: float
+    revert_kw: float | None = None
 
 
 class Production(Message, kw_only=True):

@@ -49,7 +49,7 @@ MEASURED, SYNTHETIC = "#b2182b", "#2166ac"
 CLASSES_M = np.array([0.0, 50.0, 100.0, 150.0, 200.0, 300.0, 400.0, 500.0, 700.0, 1000.0, 1500.0])
 # Two skies that are not the default's kind: sharp and fast clouds, and thin ones.
 OF_ANOTHER_KIND = {
-    "Livermore": {"drift_speed_ms": 20.0, "cloud_softness": 0.6},
+    "Livermore": {"drift_speed_ms": 20.0, "cloud_softness": 0.6, "thick_cloud_index": 0.3},
     "plant, hour b": {"thick_cloud_index": 0.75},
 }
 SIZES = np.geomspace(0.003, 1.0, 120)
@@ -332,18 +332,19 @@ def numbers(sky: Sky, index: Array) -> dict[str, float]:
         "index, 5 % quantile": float(np.quantile(index, 0.05)),
         "index, median": float(np.median(index)),
     }
-    for interval_s in (sky.step_s, 10.0, 30.0):
+    for interval_s in (sky.step_s, 10.0, 30.0, 60.0):
         size = np.abs(changes(index, sky.step_s, interval_s))
         found[f"{interval_s:g} s change, 99 %"] = float(np.quantile(size, 0.99))
         found[f"{interval_s:g} s change, 99.9 %"] = float(np.quantile(size, 0.999))
     if index.shape[1] > 1:
         of_index = by_distance(sky, index, "any", None)
-        of_changes = by_distance(sky, index, "any", 30.0)
-        for low, number in ((150, 3), (300, 5), (500, 7), (1000, 9)):
+        of_changes = {each_s: by_distance(sky, index, "any", each_s) for each_s in (30.0, 60.0)}
+        for low, number in ((150, 3), (300, 5), (500, 7), (700, 8), (1000, 9)):
             if np.isfinite(of_index[number]):
                 limits = f"{low}-{CLASSES_M[number + 1]:.0f} m"
                 found[f"r of index, {limits}"] = float(of_index[number])
-                found[f"r of 30 s changes, {limits}"] = float(of_changes[number])
+                for interval_s, correlation in of_changes.items():
+                    found[f"r of {interval_s:g} s changes, {limits}"] = float(correlation[number])
     return found
 
 

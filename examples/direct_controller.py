@@ -170,18 +170,21 @@ class DirectController:
         Without either nothing is sent: the inverter decides for itself.
         """
         setpoint, dispatch = self.inputs("setpoint", "dispatch")
-        target_kw = self.request_kw(dispatch) if setpoint is None else setpoint["power_kw"]
+        request_kw = self.request_kw(dispatch)
+        target_kw = request_kw if setpoint is None else setpoint["power_kw"]
         if target_kw is None:
             return
         alpha = 1.0
         if target_kw < self.impp_kw * (1.0 - ROUNDING):
             alpha = min(max(target_kw / self.impp_kw, self.plan["alpha_min"]), 1.0)
         power_kw = alpha * self.impp_kw if alpha < 1.0 else self.rating_kw
-        self.publish("command", alpha=alpha, power_kw=power_kw)
+        revert = self.plan.get("revert")  # Where to the inverter goes that hears no more of us.
+        revert_kw = request_kw if revert is not None and revert["to"] == "request" else None
+        self.publish("command", alpha=alpha, power_kw=power_kw, revert_kw=revert_kw)
 
     # The bus -------------------------------------------------------------------------------------
 
-    def publish(self, signal: str, **fields: float) -> None:
+    def publish(self, signal: str, **fields: float | None) -> None:
         """Send a message of this cycle."""
         sequence = 0
         if self.cycle >= 0:

@@ -9,6 +9,7 @@ from typing import Annotated, Final
 import typer
 
 from launch_scripts.commands import (
+    campaign,
     clusters,
     compare,
     delays,
@@ -30,7 +31,7 @@ from launch_scripts.commands.options import with_groups
 COMMANDS: Final[dict[str, tuple[ModuleType, ...]]] = {
     "Run": (launch, simulate, timing, scenarios),
     "Look": (view, report, inspect, verify, replay),
-    "Compare": (compare, clusters, delays),
+    "Compare": (compare, clusters, delays, campaign),
     "Files": (export, recover),
 }
 """The commands under the headings of `heliarch --help`."""

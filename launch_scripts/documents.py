@@ -67,7 +67,8 @@ def _rows(header: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> Iterat
     yield f"| {' | '.join(header)} |"
     yield "|" + "---|" * len(header)
     for row in rows:
-        yield f"| {' | '.join(map(str, row))} |"
+        cells = (str(cell).replace("|", r"\|") for cell in row)
+        yield f"| {' | '.join(cells)} |"
 
 
 # Scenarios

@@ -7,11 +7,13 @@ they see the same cloud one after the other, and changes its shape while it does
 With p the position of a sensor [m], v the drift velocity [m/s] and t the seconds since a fixed
 epoch (so that the weather at an instant does not depend on where a run begins):
 
-1. f is a Gaussian random field with zero mean, unit variance and the isotropic power spectrum
-   ``(1 + (k L)^2)^(-4/3) exp(-(k l)^2)``: flat above the outer scale ``L = 6 cloud sizes``, for
-   clouds come in groups; below it the power law that turbulence gives to what it mixes, -5/3 along
-   a line and so -8/3 in the plane [1]_ [2]_; smooth within ``l = 20 m``, for a sensor sees the half
-   shadow of an edge and the light of a part of the sky.
+1. f is a Gaussian random field with zero mean, unit variance and the power spectrum
+   ``(1 + (k L)^2)^(-5/4) exp(-(k l)^2)``: flat above the outer scale ``L = 14 cloud sizes``, for
+   clouds come in groups; below it a power law, -3/2 along a line and so -5/2 in the plane, a little
+   less steep than the -5/3 that turbulence gives to what it mixes [1]_, as it was measured under
+   broken clouds [2]_; smooth within ``l = 25 m``, for a sensor sees the half shadow of an edge and
+   the light of a part of the sky. Distances across the drift count 1.5 times, so clouds are 1.5
+   times as long along the wind as across it.
 2. f is the sum of a coarse and a fine layer, which take the shares ``exp(-(k c)^2)`` and
    ``1 - exp(-(k c)^2)`` of that power, ``c = 500 m`` being how far around a sensor clouds lend it
    light. Each layer is periodic, so that the clouds never run out, and blends from one piece of
@@ -60,15 +62,16 @@ from scipy import fft, ndimage, special
 _EARTH_RADIUS_M = 6_371_000.0
 
 # Constants of steps 1 and 2.
-_OUTER_SCALE = 6.0
-_SPECTRUM_EXPONENT = -4.0 / 3.0
-_SMOOTHING_M = 20.0
+_OUTER_SCALE = 14.0
+_SPECTRUM_EXPONENT = -5.0 / 4.0
+_SMOOTHING_M = 25.0
+_STRETCH = 1.5
 _NEIGHBOURHOOD_M = 500.0
 
-# The torus of the coarse layer is 25 outer scales wide, that of the fine one 40 neighbourhoods.
+# The torus of the coarse layer is 20 outer scales wide, that of the fine one 40 neighbourhoods.
 _COARSE_CELLS = 1024
 _FINE_CELLS = 2048
-_OUTER_SCALES_ACROSS = 25.0
+_OUTER_SCALES_ACROSS = 20.0
 _NEIGHBOURHOODS_ACROSS = 40.0
 _LEAST_COARSE_CELL_M = 50.0
 _LEAST_CELL_M = 10.0
@@ -115,13 +118,13 @@ class CloudSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     ] = 1.0
     thick_cloud_index: Annotated[
         LowIndex, Meta(description="Clear-sky index under the thickest cloud.")
-    ] = 0.3
+    ] = 0.4
     edge_enhancement: Annotated[
         HighIndex, Meta(description="Highest clear-sky index, between clouds; 1: no enhancement.")
     ] = 1.2
     evolution_s: Annotated[
         Evolution, Meta(description="Time after which groups of clouds have changed entirely [s].")
-    ] = 1200.0
+    ] = 2100.0
     linke_turbidity: Annotated[Turbidity, Meta(description="Linke turbidity of the clear sky.")] = (
         3.0
     )
@@ -352,12 +355,17 @@ def _in_the_drifting_field(
     north_m: NDArray[np.float64],
     settings: CloudSettings,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where each sensor is at each time in the field that drifts [m], shape (T, N) each."""
+    """Where each sensor is at each time in the field that drifts [m], shape (T, N) each.
+
+    The field is alike in all directions; clouds are longer along the drift since across it a
+    sensor's distances are stretched.
+    """
     origin = np.deg2rad(settings.drift_from_deg)
     towards_east, towards_north = -np.sin(origin), -np.cos(origin)
     along = (east_m * towards_east + north_m * towards_north)[None, :]
     along = along - settings.drift_speed_ms * time_s[:, None]
-    across = np.broadcast_to(north_m * towards_east - east_m * towards_north, along.shape)
+    across = _STRETCH * (north_m * towards_east - east_m * towards_north)
+    across = np.broadcast_to(across, along.shape)
     turn = np.arctan(_TRACK_SLOPE)
     x_m = along * np.cos(turn) - across * np.sin(turn)
     return x_m, along * np.sin(turn) + across * np.cos(turn)

@@ -6,7 +6,7 @@ apply  command of each inverter -> production: what really happened in the inter
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +23,21 @@ from sim_plant.profile import Profile
 
 @dataclass(frozen=True, slots=True)
 class PlantState:
-    """What each inverter obeyed and delivered in the last interval, shape (n,)."""
+    """What each inverter obeyed and delivered in the last interval, shape (n,).
+
+    Attributes
+    ----------
+    renewed
+        Cycle of the last command.
+    revert_kw
+        Limit that it goes to when its revert time is over.
+    """
 
     alpha: NDArray[np.float64]
     limit_kw: NDArray[np.float64]
     power_kw: NDArray[np.float64]
+    renewed: NDArray[np.int64]
+    revert_kw: NDArray[np.float64]
 
 
 class Plant:
@@ -52,6 +62,8 @@ class Plant:
         self._available_bias = plan.available_bias
         self._rating_kw = np.array([tree.rating_kw(leaf) for leaf in tree.leaves])
         self._plant_rating_kw = tree.rating_kw(ROOT)
+        self._revert = plan.revert
+        self._revert_cycles = plan.revert.after_s * 1e9 / plan.cycle_ns if plan.revert else np.inf
         self._telemetry = tuple(TELEMETRY.of(leaf) for leaf in tree.leaves)
         self._commands = tuple(COMMAND.of(leaf) for leaf in tree.leaves)
         self._dispatch = DISPATCH.of(ROOT)
@@ -62,7 +74,10 @@ class Plant:
     def initial_state(self) -> PlantState:
         """Every inverter at its maximum under the first sample."""
         first_kw = self._profile.mpp_kw[0]
-        return PlantState(np.ones_like(first_kw), self._rating_kw, first_kw)
+        share = self._revert.to if self._revert is not None else 1.0
+        revert_kw = self._rating_kw * (1.0 if isinstance(share, str) else share)
+        renewed = np.zeros(len(first_kw), dtype=np.int64)
+        return PlantState(np.ones_like(first_kw), self._rating_kw, first_kw, renewed, revert_kw)
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages, the same in each cycle."""
@@ -117,9 +132,9 @@ class Plant:
     def _apply(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
         cycle = max(turn.cycle, 0)
         mpp_kw = self._profile.mpp_kw[cycle]
-        alpha, limit_kw = self._obeyed(state, turn)
-        share = np.ones_like(alpha) if self._limits else alpha
-        power_kw = delivered_power_kw(mpp_kw, share, limit_kw)
+        state = self._obey(state, turn)
+        share = np.ones_like(state.alpha) if self._limits else state.alpha
+        power_kw = delivered_power_kw(mpp_kw, share, state.limit_kw)
         desired_kw = float(self._profile.commitment_kw[cycle] + self._profile.regulation_kw[cycle])
         production = Production(
             *turn.stamp,
@@ -129,17 +144,27 @@ class Plant:
             inverter_mpp_kw=tuple(mpp_kw.tolist()),
             inverter_power_kw=tuple(power_kw.tolist()),
         )
-        return PlantState(alpha, limit_kw, power_kw), [(self._production, production)]
+        return replace(state, power_kw=power_kw), [(self._production, production)]
 
-    def _obeyed(
-        self, state: PlantState, turn: Turn
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Alpha and limit of each inverter: the last ones where no command came."""
+    def _obey(self, state: PlantState, turn: Turn) -> PlantState:
+        """Obey the commands; an inverter that has heard none for its revert time reverts."""
         alpha, limit_kw = state.alpha.tolist(), state.limit_kw.tolist()
+        renewed, revert_kw = state.renewed.tolist(), state.revert_kw.tolist()
         for place, port in enumerate(self._commands):
             command = turn.get(port)
-            if command is not None:
+            if command is not None and (turn.cycle < 0 or command.cycle >= renewed[place]):
                 alpha[place] = command.alpha
+                renewed[place] = max(command.cycle, 0)
                 if self._limits:
                     limit_kw[place] = min(command.power_kw, self._rating_kw[place])
-        return np.array(alpha), np.array(limit_kw)
+                if command.revert_kw is not None:
+                    revert_kw[place] = min(command.revert_kw, self._rating_kw[place])
+            if turn.cycle - renewed[place] >= self._revert_cycles:
+                alpha[place], limit_kw[place] = 1.0, revert_kw[place]
+        return replace(
+            state,
+            alpha=np.array(alpha),
+            limit_kw=np.array(limit_kw),
+            renewed=np.array(renewed),
+            revert_kw=np.array(revert_kw),
+        )

@@ -102,7 +102,7 @@ class PlantRun:
         lead_s = 0.0 if self._plan.lockstep else _LEAD_S
         start_time_ns = time.monotonic_ns() + round(lead_s * 1e9)
         self._publish_run("start", 0, start_time_ns)
-        process.link.tell(Armed(rounds))
+        process.link.tell(Armed(rounds, start_time_ns))
         log.info("armed after %d rounds", rounds)
         loop.begin(start_time_ns, time.monotonic_ns())
         for _ in process.drive():

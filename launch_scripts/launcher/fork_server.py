@@ -149,7 +149,7 @@ class ForkServer:
         os.close(self._wake)
         if self._to_recorder is not None:
             os.close(self._to_recorder)
-        log_file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+        log_file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
         for stream in (1, 2):
             os.dup2(log_file, stream)
         os.close(log_file)

@@ -22,6 +22,7 @@ from bus_schemas.tree import PLANT, RECORDER, some_of
 from launch_scripts.launcher.fork_requests import Start
 from launch_scripts.launcher.interruption import Interruption, interruptible
 from launch_scripts.launcher.live_view import View
+from launch_scripts.launcher.restarts import Restarts
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.run_watch import HEARTBEAT_S, RunWatch
 from launch_scripts.launcher.summary import (
@@ -64,6 +65,10 @@ _PATIENCE_S: Final = 5.0
 """How long processes may take to end once the run is over, and more for each process."""
 
 
+_UNKNOWN: Final = 1 << 62
+"""More messages than any run has."""
+
+
 class _Launch:
     """One run over processes, see `launch`."""
 
@@ -93,6 +98,7 @@ class _Launch:
         self._over = False
         self._external = ExternalWatch(plan, folder.plan, self._patience_s, time.monotonic())
         self._interruption = Interruption()
+        self._restarts = Restarts(plan, lambda agent: self._start((agent,)), view.say)
 
     def run(self) -> RunSummary:
         """Start the processes, see them through the run, compare what they say at its end."""
@@ -109,16 +115,22 @@ class _Launch:
             Children(self._server, plan, agents, self._folder.logs) as children,
         ):
             self._started_at = time.monotonic()
-            logs, patience_s = str(self._folder.logs), self._plant_patience_s(len(agents))
-            self._server.ask(Start(str(self._folder.plan), agents, logs, patience_s))
+            children.replaces = self._restarts.replaces
+            self._start(agents)
             try:
                 self._follow(children)
             except RunFailure as failure:
                 text = self._external.explain(str(failure), running=bool(self._rounds))
                 raise RunFailure(text) from failure
             ended_at = time.monotonic()
+            self._restarts.end()
             recorded = self._finish(children)
             return self._summary(children, recorded, ended_at, refused)
+
+    def _start(self, agents: tuple[str, ...]) -> None:
+        patience_s = _PLANT_PATIENCE_S + _PER_PROCESS_S * len(agents) + self._patience_s
+        logs = str(self._folder.logs)
+        self._server.ask(Start(str(self._folder.plan), agents, logs, patience_s))
 
     def _follow(self, children: Children) -> None:
         """Show the run until the plant says that it is over."""
@@ -127,6 +139,7 @@ class _Launch:
                 self._hear(event)
                 if isinstance(event, Armed):
                     self._cpu_at_start_s = {child.agent: child.cpu_s() for child in children}
+            self._restarts.look(children)
             self._check_progress(children)
             if self._interruption:
                 self._ask_stop(children)
@@ -145,6 +158,7 @@ class _Launch:
             case Armed():
                 self._armed_at = now
                 self._watch.begin(now)
+                self._restarts.begin(event.start_time_ns / 1e9)
                 self._rounds = event.rounds
                 self._view.say(
                     f"armed: cycle 0 began {now - self._started_at:.2f} s after the processes were "
@@ -189,14 +203,12 @@ class _Launch:
             text = f"not armed after {longest_s:.0f} s: nothing came from {some_of(absent)}"
             raise RunFailure(blame(children, absent[0], text))
 
-    def _plant_patience_s(self, processes: int) -> float:
-        return _PLANT_PATIENCE_S + _PER_PROCESS_S * processes + self._patience_s
-
     def _ask_stop(self, children: Children) -> None:
         """Let the plant end the run; lose patience after a while, or at the second Ctrl-C."""
         if not self._rounds:
             raise KeyboardInterrupt  # There is no cycle yet that could be completed.
         if self._asked_at is None:
+            self._restarts.end()
             self._tell_stop(children)
             self._asked_at = time.monotonic()
         longest_s = _PATIENCE_S + 2.0 * self._plan.cycle_wall_ns / 1e9
@@ -225,7 +237,9 @@ class _Launch:
             [child.finished.published for child in children if child.finished is not None]
         )
         recorder = children[RECORDER]
-        children.end_recorder(sum(published.values()))
+        # What a process that died has published nobody knows: wait until nothing more comes.
+        total = _UNKNOWN if self._restarts.counts else sum(published.values())
+        children.end_recorder(total)
         if children.await_exit([recorder], 2.0 * longest_s) or recorder.recorded is None:
             raise RunFailure(with_log(recorder, "the recorder did not close its file"))
         return recorder.recorded
@@ -243,6 +257,9 @@ class _Launch:
         for child in children:
             memory.setdefault(child.kind, []).append(child.memory)
         published = merge_counts([account.published for account in accounts])
+        heard = without_external(recorded)
+        if self._restarts.counts:
+            published = {name: max(published.get(name, 0), heard[name]) for name in heard}
         return RunSummary(
             run_id=plan.run_id,
             scenario=plan.plant,
@@ -256,7 +273,8 @@ class _Launch:
             startup_s=self._armed_at - self._began_at,
             arming_rounds=self._rounds,
             metrics=recorded_metrics(self._folder.recording),
-            messages=count_messages(published, without_external(recorded)),
+            messages=count_messages(published, heard),
+            restarts=dict(self._restarts.counts),
             dropped=dropped,
             missing_inputs=sum(account.missing_inputs for account in accounts),
             memory=memory_use(memory),

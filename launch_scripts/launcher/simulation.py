@@ -9,8 +9,9 @@ import dataclasses
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from heapq import heapify, heappop, heappush
+from typing import Any, Final
 
 import msgspec
 
@@ -19,8 +20,10 @@ from agents.driver import Driver
 from agents.events import Waiting
 from agents.loop import AgentLoop
 from agents.plan import RunPlan
-from agents.team import controllers
+from agents.team import controller, controllers
+from bus_schemas.bus import Arrival
 from bus_schemas.codec import encode
+from bus_schemas.faults import Incident, incidents
 from bus_schemas.memory_bus import MemoryBus, VirtualClock
 from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, Port
@@ -36,7 +39,11 @@ from recordings.record.writer import ClockAnchor, RunWriter
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
 
-_STATUS_S = 0.25
+_STATUS_S: Final = 0.25
+
+RESTART_TAKES_S: Final = 0.5
+"""Time from the death of a controller until its successor hears messages: as measured on real
+processes, see docs/resilience.md."""
 
 
 def on_the_clock(plan: RunPlan) -> RunPlan:
@@ -65,6 +72,9 @@ class MemoryRun:
         # Within one process nobody is late: without faults a pace needs no deadlines.
         self.plan = msgspec.structs.replace(plan, cycle_wall_ns=0) if clock is None else plan
         faults = self.plan.network_faults if plan.faults else None
+        self._incidents = incidents(plan.faults, plan.tree)
+        self._frozen: dict[str, AgentLoop[Any]] = {}
+        self.restarts: Counter[str] = Counter()
         self.bus = MemoryBus(self.plan.wiring, on_publish, clock, faults)
         team: list[Agent[Any]] = [Plant(self.plan, profile), *controllers(self.plan)]
         self.loops = {agent.name: AgentLoop(agent, self.plan) for agent in team}
@@ -84,7 +94,7 @@ class MemoryRun:
         self._publish_run(self.plan.run_message("start", 0, start_ns))
         plant.begin(start_ns, start_ns)
         done = 0
-        for arrivals in self._driver.run():
+        for arrivals in self._turns(start_ns):
             while done < plant.cycle:
                 yield done
                 done += 1
@@ -98,6 +108,52 @@ class MemoryRun:
         while done < plant.cycle:
             yield done
             done += 1
+
+    def _turns(self, start_ns: int) -> Iterator[Sequence[Arrival]]:
+        """Drive the agents; let happen to them what the rules say."""
+        driver, plan = self._driver, self.plan
+        for loop in list(driver.loops.values()):
+            driver.go_on(loop)
+        # A cycle of the virtual clock may be longer or shorter than in simulated time.
+        scale = plan.cycle_wall_ns / plan.cycle_ns
+        due = [(start_ns + round(one.time_s * 1e9 * scale), one) for one in self._incidents]
+        heapify(due)
+        while not self._is_over():
+            while due and due[0][0] <= driver.now_ns():
+                time_ns, incident = heappop(due)
+                after = self._befall(incident)
+                if after is not None:
+                    heappush(due, (time_ns + round(RESTART_TAKES_S * 1e9), after))
+            yield driver.turn(longest_ns=due[0][0] if due else None)
+
+    def _is_over(self) -> bool:
+        """Whether all are through; one that never came to join is not waited for."""
+        loops = self._driver.loops.values()
+        return self.loops[PLANT].finished and all(one.finished or one.cycle < 0 for one in loops)
+
+    def _befall(self, incident: Incident) -> Incident | None:
+        """Kill, freeze, thaw or start a controller; return what follows from it."""
+        name, driver = incident.agent, self._driver
+        match incident.what:
+            case "freeze" if name in driver.loops:
+                self._frozen[name] = driver.leave(name)
+                self.bus.hold(name, keep=True)
+            case "thaw" if name in self._frozen:
+                self.bus.go_on(name)
+                driver.join(self._frozen.pop(name))
+            case "kill" if name in driver.loops or name in self._frozen:
+                if name in driver.loops:
+                    driver.leave(name)
+                self._frozen.pop(name, None)
+                self.bus.hold(name, keep=False)
+                if self.plan.restart.when != "never":
+                    return incident._replace(what="start")
+            case "start":
+                self.restarts[name] += 1
+                self.loops[name] = AgentLoop(controller(self.plan, name), self.plan)
+                self.bus.go_on(name)
+                driver.join(self.loops[name])
+        return None
 
     def stop(self) -> None:
         """End the run after the cycle under way."""
@@ -179,6 +235,7 @@ def simulate(
         remarks=preparation.remarks,
         interrupted=interrupted,
         recording_ended=writer.trouble,
+        restarts=dict(run.restarts),
     )
 
 

@@ -81,6 +81,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     `recording_ended` says why its recording does not go up to its end; it is empty if it does.
     `processes` is empty where the run was in one process. `messages` are those of the processes;
     of external agents, which give no account of themselves, `external` tells what was heard.
+    `restarts` says how often each controller was started again.
     """
 
     run_id: str
@@ -109,6 +110,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     processes: tuple[ProcessAccount, ...] = ()
     external: tuple[ExternalAccount, ...] = ()
     wrong: tuple[WrongMessages, ...] = ()
+    restarts: dict[str, int] = msgspec.field(default_factory=dict)
 
     @property
     def cycles_per_s(self) -> float:
@@ -136,7 +138,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
             or self.missing_inputs
             or self.skipped_cycles
             or self.recording_ended
-            or any((self.dropped, self.faults, self.wrong))
+            or any((self.dropped, self.faults, self.wrong, self.restarts))
         )
 
     def as_json(self) -> bytes:

@@ -99,6 +99,9 @@ def _message_rows(summary: RunSummary) -> Iterator[Row]:
         skipped = {process.agent: process.skipped_cycles for process in summary.processes}
         agent = max(skipped, key=skipped.__getitem__)
         yield "Cycles skipped", summary.skipped_cycles, "", f"most by {agent}: {skipped[agent]:,}"
+    if summary.restarts:
+        restarted = ", ".join(f"{agent} {count}" for agent, count in summary.restarts.items())
+        yield "Controllers restarted", sum(summary.restarts.values()), "", restarted
     if summary.faults:
         injected = f"injected between agents: {_listed(summary.faults)}"
         yield "Network faults", sum(summary.faults.values()), "", injected

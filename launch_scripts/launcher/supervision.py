@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -148,6 +148,11 @@ class Child:
     exited: Exited | None = None
     memory: Memory = field(default_factory=lambda: Memory(0.0, 0.0))
 
+    def begin_again(self) -> None:
+        """Forget all that its process, which has ended, has said."""
+        self.pid, self.ready = 0, False
+        self.finished = self.waiting = self.failed = self.exited = None
+
     def note(self, event: AnyEvent) -> None:
         """Keep what it says of itself."""
         match event:
@@ -208,6 +213,7 @@ class Children:
         self._server_failure = ""
         self._samples = 0
         self._sample_at = 0.0
+        self.replaces: Callable[[Child, str], bool] = lambda child, why: False
 
     def __enter__(self) -> Children:
         return self
@@ -314,23 +320,24 @@ class Children:
                 f"of the run: {why}"
             )
         for child in self:
-            if child.failed is not None:
-                raise RunFailure(with_log(child, f"{child.agent} gave up: {child.failed.text}"))
-            ended_early = child.recorded is not None or (
-                child.finished and child.finished.dismissed
-            )
-            if ended_early and child.agent not in self._asked_to_end:
-                how = "was ended by SIGTERM in the middle of the run"
-                raise RunFailure(with_log(child, f"{child.agent} (process {child.pid}) {how}"))
-            done = child.finished is not None or child.recorded is not None
-            if child.exited is not None and (not done or child.exited.status):
-                raise RunFailure(_cause_of_end(child, child.exited))
+            why = self._why_ended_early(child)
+            if why and not (child.exited is not None and self.replaces(child, why)):
+                raise RunFailure(with_log(child, why))
 
-
-def _cause_of_end(child: Child, exited: Exited) -> str:
-    code = exited.status
-    how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
-    return with_log(child, f"{child.agent} (process {child.pid}) {how} in the middle of the run")
+    def _why_ended_early(self, child: Child) -> str:
+        """Say how a process has ended before its time; empty if it has not."""
+        name, exited = f"{child.agent} (process {child.pid})", child.exited
+        if child.failed is not None:
+            return f"{child.agent} gave up: {child.failed.text}"
+        ended_early = child.recorded is not None or (child.finished and child.finished.dismissed)
+        if ended_early and child.agent not in self._asked_to_end:
+            return f"{name} was ended by SIGTERM in the middle of the run"
+        done = child.finished is not None or child.recorded is not None
+        if exited is None or (done and not exited.status):
+            return ""
+        code = exited.status
+        how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
+        return f"{name} {how} in the middle of the run"
 
 
 def with_log(child: Child, text: str) -> str:

@@ -18,7 +18,7 @@ from launch_scripts.scenarios.fields import readable
 from launch_scripts.scenarios.scenario import ScenarioFile
 
 _EXAMPLE: Final = "source=c1/*,signal=impp,delay=50ms,jitter=10ms,loss=2%,silent=60s..90s"
-_NAMES: Final = ("source", "listener", "signal", "distribution")
+_NAMES: Final = ("source", "listener", "signal", "distribution", "partition", "kill", "freeze")
 _TIMES: Final = {"delay": "delay_ms", "jitter": "jitter_ms", "reorder-by": "reorder_ms"}
 _SHARES: Final = ("loss", "duplicate", "reorder")
 
@@ -74,6 +74,12 @@ def parse_fault(text: str) -> FaultRule:
             interval_s = [_duration_s(end, f"{where}: silent") for end in ends]
             values.setdefault("silent", []).append(interval_s)
             continue
+        if field == "at":
+            times: tuple[str, ...] = (value,)
+            if ".." in value:
+                times = split_range(value, f"{where}: at")
+            values["at"] = [_duration_s(time, f"{where}: at") for time in times]
+            continue
         name, read = _field(field, value, where)
         if name in values:
             raise InputError(f"{where}: expected {field} once, got it twice")
@@ -91,7 +97,7 @@ def _field(field: str, value: str, where: str) -> tuple[str, str | float]:
         return _TIMES[field], _duration_s(value, f"{where}: {field}") * 1e3
     if field in _SHARES:
         return field, _share(value, f"{where}: {field}")
-    accepted = ", ".join((*_NAMES, *_TIMES, *_SHARES, "silent"))
+    accepted = ", ".join((*_NAMES, *_TIMES, *_SHARES, "silent", "at"))
     raise InputError(f"{where}: expected {accepted}, got {field!r}")
 
 

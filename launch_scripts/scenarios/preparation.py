@@ -239,6 +239,8 @@ def _plan(
         ),
         correction=scheme == "predictive" if control.correction is None else control.correction,
         available_bias=scenario.plant.available_bias,
+        revert=scenario.plant.revert,
+        restart=scenario.restart,
         tier_deadlines_ns=deadlines_ns,
         seed=seed,
         positions_m=day.positions_m,

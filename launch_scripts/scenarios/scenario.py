@@ -11,7 +11,7 @@ from zoneinfo import ZoneInfo, available_timezones
 import msgspec
 from msgspec import Meta
 
-from agents.plan import Actuator, Scheme
+from agents.plan import Actuator, RestartPolicy, Revert, Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule
 from bus_schemas.times import LONGEST_S
@@ -84,6 +84,9 @@ class PlantTable(_Table, frozen=True):
     available_bias: Annotated[
         Bias | None, Meta(description="Relative error of `available_kw`. Default: none is stated.")
     ] = None
+    revert: Annotated[
+        Revert | None, Meta(description="What an inverter does that hears no command any more.")
+    ] = Revert()
     meter_seed: Annotated[Seed, Meta(description="Seed of the meter noise.")] = 0
     ramp_limit_percent_per_min: Annotated[
         RampLimit | None,
@@ -223,6 +226,9 @@ class Scenario(_Table, frozen=True):
         tuple[FaultRule, ...], Meta(description="Network faults; `--fault` adds to them.")
     ] = ()
     faults_seed: Annotated[Seed, Meta(description="Seed of what is drawn for faults.")] = 0
+    restart: Annotated[
+        RestartPolicy, Meta(description="When a controller's process ends before the run does.")
+    ] = RestartPolicy()
     machine: MachineTable = MachineTable()
     timing: TimingTable = TimingTable()
 

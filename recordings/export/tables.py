@@ -101,7 +101,7 @@ def signal_table(signal: Signal[Message], anchor: ClockAnchor) -> Table:
     """
     own = _own_columns(signal)
     when = attrgetter("sim_time_ns", "cycle")
-    head = ("source", "sequence", "ready_time_ns", "publish_time_ns")
+    head = ("source", "sequence", "incarnation", "ready_time_ns", "publish_time_ns")
     rest = attrgetter(*(name for name, _ in own), *head)
     monotonic_less_wall_ns = anchor.monotonic_ns - anchor.wall_ns
 

@@ -250,8 +250,8 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
     unknown = f"not recorded: there is no {SUMMARY_NAME} beside the recording"
     if health.fault_acts:
         number = len(health.fault_acts)
-        rules = f"{number} rule{'s' if number > 1 else ''} for the network"
-        yield "faults", f"{rules}: {_counts(health.faults) or 'none acted'}"
+        rules = f"{number} rule{'s' if number > 1 else ''}"
+        yield "faults", f"{rules}; messages: {_counts(health.faults) or 'none touched'}"
         for act in health.fault_acts:
             yield "fault", f"{act.rule}: {_act_text(act, clock)}"
     else:
@@ -280,6 +280,8 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
 def _act_text(act: FaultAct, clock: RunClock) -> str:
     if act.rule.signal in UNHEARD:
         return f"changed nothing: no agent acts on {act.rule.signal}"
+    if act.rule.stops is not None:
+        return "acts on processes: who was away or restarted stands below"
     if act.first_cycle is None or act.last_cycle is None:
         return "never acted on a message of this run"
     when = clock.span_text(act.first_cycle, act.last_cycle)

@@ -57,7 +57,8 @@ def _bounded(
         most_kw = rating_kw * (1.0 + METER_TOLERANCE)
         bounds = (Bound("power_kw", 0.0, most_kw), Bound("alpha", 0.0, 1.0))
     for field, low, high in bounds:
-        yield field, (getattr(message, field),), low, high
+        value = getattr(message, field)
+        yield field, () if value is None else (value,), low, high
 
 
 def _absurd_start(plan: RunPlan, run: Run, heard_ns: int) -> str:

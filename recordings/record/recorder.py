@@ -254,7 +254,8 @@ class Recorder:
             self._stop_cycle = message.cycle
         if PLANT in self._plan.external:
             began = message.state == "start"
-            self._link.tell(Armed(self._round.count) if began else Over(message.cycle))
+            armed = Armed(self._round.count, message.start_time_ns)
+            self._link.tell(armed if began else Over(message.cycle))
 
     def _tell_presence(self) -> None:
         """Say which external agents have come or gone, until the run ends and all of them go."""

@@ -32,7 +32,7 @@ RUNS: Final = {
     "oahu-predictive": "oahu --duration 24s",
     "oahu-limit": "oahu --actuator limit --duration 20s",
     "oahu-day-paper": "oahu-day --scheme paper --from 12:13:08 --duration 16s",
-    "valley-periods": f"{GOLDEN / 'valley-periods.toml'} --from 13:02:00 --duration 8s",
+    "valley-periods": f"{GOLDEN / 'valley-periods.toml'} --duration 8s",
 }
 """Arguments of `heliarch simulate` for each golden run."""
 

@@ -4,7 +4,8 @@ The recorded outputs say which inputs those were: `missing` names the inputs tha
 due, and every other one was. So a run in real time is repeated as exactly as one in lockstep.
 
 In lockstep an agent closes every stage of every cycle. In real time it may skip cycles: a stage
-without recorded outputs was not closed.
+without recorded outputs was not closed. A process that replaced another says so in its messages:
+its agent begins again.
 """
 
 from __future__ import annotations
@@ -47,34 +48,59 @@ class AgentRerun:
             for port in plan.wiring.published[name]
             if port.signal.logged and port.signal.decided
         }
-        self._sequence: dict[Port[Message], int] = {}
         self._period = {port: plan.period(port) for port in plan.wiring.heard.get(name, ())}
-        self._heard = dict.fromkeys(self._period, -1)
         self._inputs: dict[Port[Message], Message] = {}
         self._lost: dict[Port[Message], int] = {}
         self._stage = ""
-        self._is_over = False
+        self._is_over = self._failed = False
+        self._incarnation = 0
         try:
             self._agent = make()
             self._remembers = self._agent.initial_state() is not None
-            self._loop = AgentLoop(self._agent, plan)
-            self._loop.begin(0, 0)
+            self._begin(0)
         except (Exception, SystemExit) as error:  # Every error of the tested code is a finding.
             self._fail(0, "", error)
 
     def take(self, cycle: RecordedCycle) -> None:
         """Run a cycle again and compare what the agent publishes in it."""
-        number, findings = cycle.number, self.findings
+        processes: dict[int, dict[Port[Message], Message]] = {}
+        for port in self._stage_of:
+            if (message := cycle.messages.get(port)) is not None:
+                processes.setdefault(message.incarnation, {})[port] = message
+        for port, message in cycle.repeated:
+            if port in self._stage_of:
+                published = processes.setdefault(message.incarnation, {})
+                if published.setdefault(port, message) is not message:
+                    self._note_repeated(cycle.number, port, message)
+        if not processes:
+            self._take(cycle.number, {})
+        for incarnation, messages in sorted(processes.items()):
+            if incarnation > self._incarnation and not self._failed:
+                self._begin(incarnation)
+                self._is_over = False
+            self._take(cycle.number, messages)
+
+    def _begin(self, cycle: int) -> None:
+        """Let a process of the agent join the run in a cycle."""
+        self._loop = AgentLoop(self._agent, self._plan)
+        self._loop.begin(0, 0, cycle)
+        self._incarnation = cycle
+        self._heard = dict.fromkeys(self._period, -1)
+        self._sequence: dict[Port[Message], int] = {}
+
+    def _note_repeated(self, cycle: int, port: Port[Message], message: Message) -> None:
+        if cycle >= self.findings.from_cycle:
+            self.findings.recorded += 1
+            self._add("recorded twice", cycle, self._stage_of[port], port, message)
+
+    def _take(self, number: int, messages: dict[Port[Message], Message]) -> None:
+        """Run a cycle of one process again."""
+        findings = self.findings
         recorded: dict[str, dict[Port[Message], Message]] = {}
-        for port, stage in self._stage_of.items():
-            message = cycle.messages.get(port)
-            if message is not None:
-                recorded.setdefault(stage, {})[port] = message
+        for port, message in messages.items():
+            recorded.setdefault(self._stage_of[port], {})[port] = message
         if number >= findings.from_cycle:
-            repeated = [pair for pair in cycle.repeated if pair[0] in self._stage_of]
-            findings.recorded += sum(map(len, recorded.values())) + len(repeated)
-            for port, message in repeated:
-                self._add("recorded twice", number, self._stage_of[port], port, message)
+            findings.recorded += len(messages)
         if not self._is_over:
             self._find_lost_outputs(number, recorded)
         if not self._is_over:
@@ -173,7 +199,7 @@ class AgentRerun:
         text = f"{type(error).__name__}: {error}"
         inputs = by_key(self._inputs)
         self.findings.add(Difference("fails", cycle, stage, inputs=inputs, text=text))
-        self._is_over = True
+        self._is_over = self._failed = True
 
     def _add(
         self,

@@ -10,7 +10,7 @@ from plans_by_hand import REAL_TIME, plan_of
 from plants_by_hand import AtWork, at, dispatch, impp, report, setpoint, telemetry
 
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import HelpGiven, Message, Setpoint
+from bus_schemas.messages import Message, Setpoint
 from bus_schemas.signals import COMMAND, HELP, IMPP, RESIDUAL, SETPOINT, Port
 from bus_schemas.tree import ROOT
 
@@ -166,35 +166,35 @@ def without_b(central: AtWork, cycle: int) -> Sent:
     return cycle_of(central, cycle, *report("a", cycle, 80.0, 20.0))
 
 
-def test_the_last_report_of_a_silent_child_holds_and_then_is_zero() -> None:
+def test_the_last_report_of_a_silent_child_holds_and_then_its_own_request_counts() -> None:
     central = central_after_one_cycle()
     sent = [without_b(central, cycle) for cycle in (1, 2, 3, 4)]
-    assert [at(found, IMPP.of(ROOT)).power_kw for found in sent] == [170.0, 170.0, 80.0, 80.0]
+    assert [at(found, IMPP.of(ROOT)).power_kw for found in sent] == [170.0, 170.0, 140.0, 140.0]
     assert [at(found, IMPP.of(ROOT)).stale_cycles for found in sent][:2] == [1, 2]
 
 
-def test_the_others_take_over_the_share_of_a_child_that_stays_silent() -> None:
+def test_a_child_that_stays_silent_is_neither_given_less_than_its_request_nor_asked_for_more() -> (
+    None
+):
+    central = central_after_one_cycle()
+    cycle_of(central, 1, *report("a", 1, 80.0, 20.0), *report("b", 1, 20.0, -40.0))
+    sent = [without_b(central, cycle) for cycle in (2, 3, 4)]
+    # While its last report counts, b gives 20 kW and a the rest; then b serves its own request.
+    assert [setpoints_kw(found) for found in sent] == [(80.0, 20.0), (80.0, 20.0), (60.0, 60.0)]
+
+
+def test_a_silent_child_neither_has_headroom_nor_needs_help() -> None:
     central = central_after_one_cycle()
     sent = [without_b(central, cycle) for cycle in (1, 2, 3)]
-    assert [setpoints_kw(found) for found in sent] == [(60.0, 60.0), (60.0, 60.0), (80.0, 0.0)]
-    assert at(sent[2], SETPOINT.of("a")).help_given == (HelpGiven("b", 20.0),)
+    assert [at(found, RESIDUAL.of(ROOT)).power_kw for found in sent] == [50.0, 50.0, 20.0]
+    assert not any(HELP.of(ROOT) in found for found in sent)
 
 
-def test_the_share_of_a_silent_child_is_missing_in_the_residual() -> None:
-    central = central_after_one_cycle()
-    sent = [without_b(central, cycle) for cycle in (1, 2, 3)]
-    # Of 120 kW, 60 are b's share: a's 80 - 60 kW and b's 30 kW, later b's 0 - 60 kW.
-    assert [at(found, RESIDUAL.of(ROOT)).power_kw for found in sent] == [50.0, 50.0, -40.0]
-    assert [HELP.of(ROOT) in found for found in sent] == [False, False, True]
-    assert at(sent[2], HELP.of(ROOT)).missing_kw == 40.0
-
-
-def test_the_share_that_is_missing_is_that_of_the_childs_rating() -> None:
+def test_the_request_of_a_silent_child_is_by_its_rating() -> None:
     plan = plan_of({"a": 100.0, "b": 300.0}, cycle_wall_ns=REAL_TIME)
     central = AtWork(plan, "central")
     central.hear(dispatch(0, 200.0, 400.0), *report("a", 0, 80.0, 30.0))
-    sent = central.at_deadline("solve")
-    assert at(sent, RESIDUAL.of(ROOT)).power_kw == 30.0 - 150.0
+    assert setpoints_kw(central.at_deadline("solve")) == (50.0, 150.0)
 
 
 def test_a_child_that_speaks_again_is_taken_back() -> None:
@@ -228,7 +228,7 @@ def test_a_residual_without_impp_is_silence() -> None:
         residual = report("b", cycle, 50.0, 10.0)[1]
         sent = cycle_of(central, cycle, *report("a", cycle, 80.0, 20.0), residual)
         found.append(at(sent, IMPP.of(ROOT)).power_kw)
-    assert found == [170.0, 170.0, 80.0]
+    assert found == [170.0, 170.0, 140.0]
 
 
 @pytest.mark.parametrize(

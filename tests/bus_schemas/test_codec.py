@@ -36,7 +36,7 @@ from bus_schemas.tree import LONGEST_PATH, MOST_CHILDREN, MOST_INVERTERS
 
 HEAD_FIELDS = [
     *("cycle", "sim_time_ns", "source", "missing"),
-    *("ready_time_ns", "publish_time_ns", "sequence"),
+    *("ready_time_ns", "publish_time_ns", "sequence", "incarnation"),
 ]
 
 OWN_FIELDS = {
@@ -47,7 +47,7 @@ OWN_FIELDS = {
     Residual: ["power_kw"],
     Help: ["missing_kw"],
     Setpoint: ["power_kw", "share_kw", "help_given"],
-    Command: ["alpha", "power_kw"],
+    Command: ["alpha", "power_kw", "revert_kw"],
     Production: [
         "desired_kw",
         "possible_kw",
@@ -61,7 +61,10 @@ OWN_FIELDS = {
     Clock: ["rate", "paused"],
 }
 
-OPTIONAL = {"ready_time_ns", "publish_time_ns", "sequence", "available_kw"}
+OPTIONAL = {
+    *("ready_time_ns", "publish_time_ns", "sequence", "incarnation"),
+    *("available_kw", "revert_kw"),
+}
 """Fields that may be left out: what the driver fills in, and what not every inverter states."""
 
 KW = st.floats(allow_nan=False)
@@ -77,7 +80,9 @@ FIELDS: dict[str, st.SearchStrategy[object]] = {
     "ready_time_ns": CLOCK_NS,
     "publish_time_ns": CLOCK_NS,
     "sequence": COUNT,
+    "incarnation": COUNT,
     "available_kw": st.none() | KW,
+    "revert_kw": st.none() | KW,
     "stale_cycles": COUNT,
     "start_time_ns": CLOCK_NS,
     "cycle_wall_ns": CLOCK_NS,

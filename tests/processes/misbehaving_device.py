@@ -84,7 +84,7 @@ class MisbehavingDevice(direct_controller.DirectController):
         for _ in range(FLOOD):
             self.put("impp", payload)
 
-    def publish(self, signal: str, **fields: float) -> None:
+    def publish(self, signal: str, **fields: float | None) -> None:
         """Send a message, with absurd numbers in the end."""
         if self.cycle >= FIRST_ABSURD and signal in ("impp", "command"):
             fields["power_kw"] = ABSURD_KW[self.cycle % len(ABSURD_KW)]

@@ -35,9 +35,8 @@ INVERTER = "c2/inv03"
 @pytest.fixture
 def run(heliarch: Start, tmp_path: Path) -> Heliarch:
     """A run that would go on for long, in its first cycles, of which some are on disk."""
-    command = heliarch(
-        "launch", small_plant(tmp_path / "plant"), "--duration", "1h", "--pace", "20"
-    )
+    words = ("--duration", "1h", "--pace", "20", "--set", "restart.when=never")
+    command = heliarch("launch", small_plant(tmp_path / "plant"), *words)
     command.until_recorded()
     return command
 

@@ -54,8 +54,30 @@ def _autocorrelation(series: NDArray[np.float64], lag_s: int) -> float:
     return float(np.corrcoef(series[:-lag], series[lag:])[0, 1])
 
 
+def outside(
+    real: dict[str, float], single: list[dict[str, float]], centre: dict[str, float] | None = None
+) -> list[str]:
+    """Return the statistics in which a real day lies outside the range of synthetic single days.
+
+    With a `centre`, another real day, the range of each statistic is moved so that its median is
+    the value of that day: then only the spread of the synthetic days is judged. What grows with the
+    signal or its steps is moved by a factor.
+    """
+    names = []
+    for name, value in real.items():
+        of_days = np.array([day[name] for day in single])
+        if centre is not None:
+            if name == "mean" or name.startswith("autocorrelation"):
+                of_days += centre[name] - np.median(of_days)
+            else:
+                of_days *= centre[name] / np.median(of_days)
+        if not of_days.min() <= value <= of_days.max():
+            names.append(name)
+    return names
+
+
 def main(paths: list[str]) -> None:
-    """Print a table: real days, 40 synthetic days, and the range of the single days of those."""
+    """Print real days beside 40 synthetic ones, and what of each day is outside their range."""
     days = [statistics(read_signal(Path(path)).value[:DAY]) for path in paths]
     synthetic = synthetic_regd(0)
     whole = statistics(synthetic)
@@ -66,6 +88,12 @@ def main(paths: list[str]) -> None:
         least, most = (pick(day[name] for day in single) for pick in (min, max))
         figures = [f"{day[name]:.3f}" for day in days]
         print(_row([name, *figures, f"{value:.3f}", f"{least:.3f} to {most:.3f}"]))
+    for path, day in zip(paths, days, strict=True):
+        print(f"\n{Path(path).stem} is outside in: {outside(day, single) or 'nothing'}")
+        for other_path, other in zip(paths, days, strict=True):
+            if other is not day:
+                names = outside(day, single, centre=other)
+                print(f"with the range centred on {Path(other_path).stem}: {names or 'nothing'}")
 
 
 def _row(cells: list[str]) -> str:

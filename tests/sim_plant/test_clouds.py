@@ -158,11 +158,22 @@ def test_small_shapes_go_sooner_than_large_ones() -> None:
     assert large > np.corrcoef(before, after)[0, 1] + 0.1
 
 
+def test_clouds_are_longer_along_the_drift_than_across_it() -> None:
+    grid_m = np.arange(0.0, 80_000.0, 2000.0)
+    east_m, north_m = (part.ravel() for part in np.meshgrid(grid_m, grid_m))
+    from_west = CloudSettings(drift_from_deg=270.0)
+    here, along, across = (
+        clouds.clear_sky_index(np.zeros(1), east_m + east, north_m + north, from_west, 1)[0]
+        for east, north in ((0.0, 0.0), (600.0, 0.0), (0.0, 600.0))
+    )
+    assert np.corrcoef(here, along)[0, 1] > np.corrcoef(here, across)[0, 1] + 0.03
+
+
 @pytest.mark.parametrize("cloud_cover", [0.2, 0.5, 0.8])
 def test_the_share_of_covered_sky_is_the_one_asked_for(cloud_cover: float) -> None:
     # A cloud without scattered light: at its edge the index has begun to fall.
     settings = CloudSettings(cloud_cover=cloud_cover, edge_enhancement=1.0, drift_speed_ms=40.0)
-    edge = 0.3 + 0.7 * np.exp(-0.08 * np.log1p(np.exp(0.3 / 0.08)))
+    edge = 0.4 + 0.6 * np.exp(-0.08 * np.log1p(np.exp(0.3 / 0.08)))
     time_s = np.arange(0.0, 100 * 3600.0, 30.0)
     index = clouds.clear_sky_index(time_s, np.zeros(1), np.zeros(1), settings, 2)
     assert np.mean(index < edge) == pytest.approx(cloud_cover, abs=0.03)
@@ -171,11 +182,12 @@ def test_the_share_of_covered_sky_is_the_one_asked_for(cloud_cover: float) -> No
 def test_no_cloud_is_a_clear_sky_and_full_cover_is_thick_cloud() -> None:
     times = instants("2010-04-01T22:00Z", 30)
     np.testing.assert_allclose(clear_sky_index(times, CloudSettings(cloud_cover=0.0)), 1.0)
-    np.testing.assert_allclose(clear_sky_index(times, CloudSettings(cloud_cover=1.0)), 0.3)
+    np.testing.assert_allclose(clear_sky_index(times, CloudSettings(cloud_cover=1.0)), 0.4)
 
 
 def test_sharp_clouds_give_a_clear_sky_index_with_two_peaks() -> None:
-    sharp = clear_sky_index(NOON, CloudSettings(cloud_softness=0.4, cloud_cover=0.5))
+    settings = CloudSettings(cloud_softness=0.4, cloud_cover=0.5, thick_cloud_index=0.3)
+    sharp = clear_sky_index(NOON, settings)
     share, _ = np.histogram(sharp, bins=[0.3, 0.55, 0.9, 1.2 + 1e-9])
     cloudy, between, clear = share / sharp.size
     assert cloudy > 1.5 * between

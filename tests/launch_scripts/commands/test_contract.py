@@ -44,6 +44,7 @@ QUICK: Final[dict[str, tuple[str, ...]]] = {
     "compare": ("small.toml", "--duration", "5", "--schemes", "paper"),
     "clusters": ("small.toml", "--duration", "20", "--random", "1"),
     "delays": ("small.toml", "--duration", "130", "--set", "time.cycle_s=5", "--workers", "1"),
+    "campaign": ("small.toml", "--seeds", "1..2", "--duration", "110"),
     "export": (RUN, "--format", "csv"),
     "recover": (RUN,),
 }
@@ -59,6 +60,7 @@ LONG: Final[dict[str, tuple[signal.Signals, tuple[str, ...]]]] = {
     "compare": (SIGINT, ("small.toml", "--seeds", "1..1000", "--workers", "2")),
     "clusters": (SIGINT, ("oahu", "--random", "1000")),
     "delays": (SIGTERM, ("small.toml", "--workers", "2")),
+    "campaign": (SIGTERM, ("small.toml", "--seeds", "1..10000", "--workers", "2")),
     "export": (SIGINT, ("long.mcap", "--format", "csv")),
     "recover": (SIGTERM, ("long.mcap",)),
 }
@@ -182,6 +184,8 @@ BAD: Final = [
     ("clusters", "--learn", "1h"),
     ("clusters", "--learn", "x"),
     ("clusters", "--set", "commitment.share=0.1,0.2"),
+    ("campaign", "--seeds", "x"),
+    ("campaign", "--duration", "1m"),
     ("delays", "--workers", "0"),
     ("delays", "--duration", "1m"),
     ("delays", "--set", "commitment.share=0.1,0.2"),

@@ -225,7 +225,10 @@ def clouds() -> Preparation:
 
 
 def given_beyond_impp_kw(prepared: Preparation, scheme: str) -> float:
-    """The most that a parent gives its children in all beyond what it knows that they have."""
+    """The most that a parent gives its children in all beyond what it knows that they have.
+
+    A silent child gives its own request, whatever it has: no parent can change that.
+    """
     run, sent = run_with(prepared, [BAD], scheme=scheme, correction=False)
     most_kw = 0.0
     for node in run.plan.tree.parents:
@@ -236,9 +239,10 @@ def given_beyond_impp_kw(prepared: Preparation, scheme: str) -> float:
             given_kw = sum(found[cycle].power_kw for found in setpoints)
             used = {entry.key: entry.cycle for entry in map(parse_missing, first.missing)}
             known_kw = 0.0
-            for child in children:
+            for child, setpoint in zip(children, setpoints, strict=True):
                 from_cycle = used.get(str(IMPP.of(child)), cycle)
-                known_kw += 0.0 if from_cycle is None else reports[child][from_cycle].power_kw
+                known = setpoint[cycle] if from_cycle is None else reports[child][from_cycle]
+                known_kw += known.power_kw
             most_kw = max(most_kw, given_kw - known_kw)
     return most_kw
 

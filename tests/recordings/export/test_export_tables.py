@@ -75,8 +75,8 @@ def rebuilt(frames: Frames) -> Iterator[tuple[str, str, Message]]:
             row["sim_time_ns"] = row.pop("time").value
             row["missing"] = missing[signal.name, node, number]
             assert row.pop("log_time_ns") - row["publish_time_ns"] == RECORDER_LAG_NS
-            if signal.name == "telemetry" and isnan(row["available_kw"]):
-                row["available_kw"] = None
+            for field in {"available_kw", "revert_kw"} & row.keys():
+                row[field] = None if isnan(row[field]) else row[field]
             if signal.name == "setpoint":
                 row["help_given"] = help_given[node, number]
             if signal.name == "production":

@@ -126,7 +126,7 @@ def test_a_schema_refuses_what_its_message_does_not_say() -> None:
     (impp,) = [signal for signal in RECORDED if signal.name == "impp"]
     validator = Draft202012Validator(object_schema(impp))
     fields = {"cycle": 1, "sim_time_ns": 2, "source": "c1", "missing": [], "stale_cycles": 0}
-    fields |= {"ready_time_ns": 2, "publish_time_ns": 3, "sequence": 4}
+    fields |= {"ready_time_ns": 2, "publish_time_ns": 3, "sequence": 4, "incarnation": 0}
     assert validator.is_valid({**fields, "power_kw": 1.5})
     assert not validator.is_valid({**fields, "power_kw": "1.5"})
     assert not validator.is_valid({**fields, "power_w": 1.5})

@@ -105,7 +105,7 @@ def test_each_fault_says_on_how_many_messages_it_acted_and_when() -> None:
     )
     health = Health(acts, {"lost": 7}, {}, 0, (), (), True, "", None)
     lines = list(health_lines(health, RunClock(PLAN, 9)))
-    assert ("faults", "3 rules for the network: 7 lost") in lines
+    assert ("faults", "3 rules; messages: 7 lost") in lines
     lossy, never, unheard = [text for name, text in lines if name == "fault"]
     assert lossy == "loss=0.02: acted on 7 messages in cycles 3 to 9 (12:00:03 to 12:00:09)"
     assert "never acted" in never

@@ -1,0 +1,232 @@
+"""Fills the tables of docs/results.md that are measured: `make results DATA=FOLDER`.
+
+Each table stands between `<!-- measured: NAME -->` and `<!-- end -->`. FOLDER holds the
+measurements in folders of their own; without it, tables that rest on them stay as they are.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+
+from heliarch import compare, load_scenario
+from launch_scripts.scenarios.scenario import ScenarioFile
+
+PAGE: Final = Path(__file__).with_name("results.md")
+BOTH: Final = ("fraction", "limit")
+SHARES: Final = [0.5, 0.7, 0.8, 0.9]
+WORKERS: Final = 2
+
+COMMITMENT: Final = {
+    "satisfied": ("satisfied %", 2),
+    "shortfall-energy": ("unsatisfied kWh", 1),
+    "unavoidable": ("unavoidable %", 3),
+    "control-caused": ("control-caused %", 3),
+    "over-delivered": ("over-delivered %", 2),
+    "mileage": ("mileage kW/h", 0),
+    "rmse": ("RMSE kW", 1),
+}
+REGULATION: Final = {
+    "regd-strict": ("fulfilled to 0.1 %", 2),
+    "regd": ("to 1 %", 2),
+    "regd-feasible-strict": ("of the feasible, to 0.1 %", 2),
+    "regd-feasible": ("to 1 %", 2),
+    "score": ("PJM score", 3),
+    "score-unclipped": ("not clipped", 3),
+}
+Figures = dict[str, tuple[str, int]]
+Lines = Iterator[str]
+
+
+def case_study(data: Path) -> Lines:
+    """Write the paper's first table."""
+    return by_scheme(_case_study(), COMMITMENT)
+
+
+def case_study_regulation(data: Path) -> Lines:
+    """Write the paper's second table."""
+    return by_scheme(_case_study(), REGULATION)
+
+
+_kept: dict[str, pd.DataFrame] = {}
+
+
+def _case_study() -> pd.DataFrame:
+    if "day" not in _kept:
+        _kept["day"] = compare("oahu-day", actuators=BOTH)
+    return _kept["day"]
+
+
+def headroom(data: Path) -> Lines:
+    """Write both of the paper's tables by how much is held back."""
+    schemes = ("grouping", "paper", "predictive", "physical-limit")
+    found = compare(
+        "oahu-day",
+        schemes=schemes,
+        actuators=["fraction"],
+        settings={"commitment.share": [0.9, 0.8, 0.7]},
+        workers=WORKERS,
+    )
+    figures = {
+        "ancillary-potential": ("potential kWh", 0),
+        **{name: COMMITMENT[name] for name in ("satisfied", "control-caused", "over-delivered")},
+        "regd-feasible": ("RegD of the feasible, to 1 %", 2),
+    }
+    return by_scheme(found, figures, case=lambda label: f"{label.removeprefix('share=')}")
+
+
+def skies(data: Path) -> Lines:
+    """Write means and intervals over a hundred skies."""
+    schemes = ("uniform-cap", "grouping", "paper", "predictive")
+    found = compare("oahu", schemes=schemes, actuators=BOTH, seeds=range(1, 101), workers=WORKERS)
+    yield from header(["scheme", "actuator", "control-caused %", "5 to 95 %", "over-delivered %"])
+    for (scheme, actuator), group in found.groupby(["scheme", "actuator"], sort=False):
+        missing, beyond = group["control-caused"], group["over-delivered"]
+        yield row(
+            [
+                scheme,
+                actuator,
+                f"{missing.mean():.3f} ± {interval(missing):.3f}",
+                f"{missing.quantile(0.05):.3f} to {missing.quantile(0.95):.3f}",
+                f"{beyond.mean():.2f} ± {interval(beyond):.2f}",
+            ]
+        )
+
+
+def interval(values: pd.Series[float]) -> float:
+    """Half the width of a 95 % interval of the mean of a hundred values (Student's t)."""
+    return float(1.984 * values.std() / len(values) ** 0.5)
+
+
+def hope(data: Path) -> Lines:
+    """Write all schemes on the HOPE hour."""
+    return by_scheme(compare(_hope(data), actuators=BOTH), COMMITMENT)
+
+
+def hope_cells(data: Path) -> Lines:
+    """Write the estimators on the HOPE hour, by share and noise."""
+    return cells(_hope(data), {})
+
+
+def hour_cells(letter: str) -> Callable[[Path], Lines]:
+    """Return what writes the estimators on an hour of the real plant."""
+    return lambda data: cells(_plant(data), {"irradiance.currents": [f"hour_{letter}.csv"]})
+
+
+def hours(data: Path) -> Lines:
+    """Write all schemes on the hours of the real plant."""
+    for letter in "abc":
+        settings = {"irradiance.currents": [f"hour_{letter}.csv"]}
+        found = compare(_plant(data), actuators=BOTH, settings=settings)
+        found["case"] = letter
+        lines = list(by_scheme(found, COMMITMENT, case=str))
+        yield from lines if letter == "a" else lines[2:]
+
+
+def cycles(data: Path) -> Lines:
+    """Write the two estimators by the length of a cycle."""
+    settings: dict[str, Any] = {"time.cycle_s": [1, 10, 60], "plant.meter_noise": [0, 0.005]}
+    found = compare(
+        "oahu",
+        schemes=("paper", "predictive"),
+        actuators=BOTH,
+        settings=settings,
+        workers=WORKERS,
+    )
+    figures = {name: COMMITMENT[name] for name in ("control-caused", "over-delivered", "rmse")}
+    return by_scheme(found, figures, case=str)
+
+
+def _hope(data: Path) -> ScenarioFile:
+    return load_scenario("hope-melpitz", data / "hope-melpitz-1s")
+
+
+def _plant(data: Path) -> ScenarioFile:
+    return load_scenario("plant20mw", data / "plant20mw-combiners-10s")
+
+
+# Tables -------------------------------------------------------------------------------------------
+
+
+def by_scheme(
+    found: pd.DataFrame, figures: Figures, case: Callable[[str], str] | None = None
+) -> Lines:
+    """Write a row for each scheme and actuator, after a column for the case if there are many."""
+    first = ["case"] if case else []
+    yield from header([*first, "scheme", "actuator", *(title for title, _ in figures.values())])
+    for _, entry in found.iterrows():
+        numbers = [f"{entry[name]:,.{decimals}f}" for name, (_, decimals) in figures.items()]
+        labels = [case(entry["case"])] if case else []
+        yield row([*labels, entry["scheme"], entry["actuator"] or "-", *numbers])
+
+
+def cells(scenario: ScenarioFile, settings: dict[str, Any]) -> Lines:
+    """Write control-caused and over-delivered of each scheme by share, without and with noise."""
+    settings = {"commitment.share": SHARES, "plant.meter_noise": [0, 0.005], **settings}
+    schemes = ("uniform-cap", "grouping", "paper", "predictive")
+    found = compare(scenario, schemes=schemes, actuators=BOTH, settings=settings, workers=WORKERS)
+    found["noise"] = found["case"].str.contains("meter_noise=0.005")
+    found["share"] = found["case"].str.extract(r"share=([\d.]+)", expand=False).astype(float)
+    yield from header(["actuator", "scheme", *(f"{share:.0%}" for share in SHARES)])
+    rows = found[found["scheme"] != "grouping worst"]
+    for (actuator, noise, scheme), group in rows.groupby(
+        ["actuator", "noise", "scheme"], sort=False
+    ):
+        missing, beyond = (
+            dict(zip(group["share"], group[name], strict=True))
+            for name in ("control-caused", "over-delivered")
+        )
+        pairs = [f"{missing[share]:.3f} ({beyond[share]:.2f})" for share in SHARES]
+        yield row([actuator, f"{scheme}, noise" if noise else scheme, *pairs])
+
+
+def header(titles: Iterable[str]) -> Lines:
+    """Write the heading of a table."""
+    titles = list(titles)
+    yield row(titles)
+    yield "|" + "---|" * len(titles)
+
+
+def row(cells: Iterable[object]) -> str:
+    """Return a row of a table."""
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+FROM_SYNTHETIC: Final[dict[str, Callable[[Path], Lines]]] = {
+    "case study": case_study,
+    "case study, regulation": case_study_regulation,
+    "headroom": headroom,
+    "skies": skies,
+    "cycles": cycles,
+}
+FROM_DATA: Final[dict[str, Callable[[Path], Lines]]] = {
+    "HOPE": hope,
+    "HOPE, estimators": hope_cells,
+    **{f"hour {letter}, estimators": hour_cells(letter) for letter in "abc"},
+    "hours": hours,
+}
+
+
+def main() -> None:
+    """Measure the tables, and write them into the page."""
+    data = Path(sys.argv[1]) if len(sys.argv) > 1 else None
+    tables = FROM_SYNTHETIC | (FROM_DATA if data else {})
+    text = PAGE.read_text(encoding="utf-8")
+    for name, write in tables.items():
+        began = time.monotonic()
+        lines = "\n".join(write(data or Path()))
+        marked = rf"(<!-- measured: {re.escape(name)} -->\n).*?(<!-- end -->)"
+        # A table has no backslash: it may stand in the replacement.
+        text, count = re.subn(marked, rf"\g<1>{lines}\n\g<2>", text, flags=re.S)
+        sys.stdout.write(f"{name}: {count} table, {time.monotonic() - began:.0f} s\n")
+        PAGE.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

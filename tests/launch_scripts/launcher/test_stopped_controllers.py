@@ -1,0 +1,196 @@
+"""Controllers that are killed, stand still or are cut off, in memory on a virtual clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from agents.plan import RestartPolicy, Revert
+from bus_schemas.codec import encode
+from bus_schemas.errors import InputError
+from bus_schemas.messages import Message, Production
+from bus_schemas.signals import Port
+from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
+from launch_scripts.scenarios.fault_rules import fault_rules, parse_fault
+from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
+
+CYCLES = 150
+KILLED_AT = 30
+NEVER = RestartPolicy(when="never")
+
+
+@pytest.fixture(scope="module")
+def oahu() -> Preparation:
+    """17 inverters in three clusters under broken clouds."""
+    return prepare(load_scenario("oahu"), RunOptions(duration=str(CYCLES)), "stopped")
+
+
+class Trace:
+    """What a run delivered, cycle by cycle, and all that was sent."""
+
+    def __init__(self) -> None:
+        self.produced: list[Production] = []
+        self.sent: list[bytes] = []
+
+    def __call__(self, port: Port[Message], message: Message) -> None:
+        self.sent.append(encode(message))
+        if isinstance(message, Production):
+            self.produced.append(message)
+
+    @property
+    def over_kw(self) -> NDArray[np.float64]:
+        """Power beyond what was desired [kW], shape (cycles,)."""
+        return np.array([one.delivered_kw - one.desired_kw for one in self.produced])
+
+    @property
+    def power_kw(self) -> NDArray[np.float64]:
+        """Power of each inverter [kW], shape (cycles, n)."""
+        return np.array([one.inverter_power_kw for one in self.produced])
+
+
+def run_with(prepared: Preparation, *faults: str, **changes: object) -> tuple[MemoryRun, Trace]:
+    """Run through with fault rules as `--fault` reads them."""
+    plan = msgspec.structs.replace(prepared.plan, **changes)
+    # A rule that never does anything puts a run without faults on the same clock.
+    rules = tuple(map(parse_fault, faults)) or (parse_fault("silent=1000000s..2000000s"),)
+    trace = Trace()
+    run = MemoryRun(
+        on_the_clock(msgspec.structs.replace(plan, faults=rules)), prepared.profile, trace
+    )
+    assert list(run.cycles()) == list(range(plan.cycles))
+    return run, trace
+
+
+def longest_above(over_kw: NDArray[np.float64], limit_kw: float) -> int:
+    """Most cycles in a row in which a limit is exceeded."""
+    longest = now = 0
+    for is_above in over_kw > limit_kw:
+        now = now + 1 if is_above else 0
+        longest = max(longest, now)
+    return longest
+
+
+@pytest.mark.parametrize("victim", ["central", "c2", "c2/inv07", "c2/*"])
+@pytest.mark.parametrize("actuator", ["fraction", "limit"])
+@pytest.mark.parametrize("restart", [NEVER, RestartPolicy()])
+def test_without_a_controller_the_plant_hardly_delivers_too_much(
+    oahu: Preparation, victim: str, actuator: str, restart: RestartPolicy
+) -> None:
+    changes = {"restart": restart, "actuator": actuator}
+    _, healthy = run_with(oahu, **changes)
+    _, trace = run_with(oahu, f"kill={victim},at={KILLED_AT}s", **changes)
+    rating_kw = oahu.plan.tree.rating_kw("")
+    beyond_kw = trace.over_kw - np.maximum(healthy.over_kw, 0.0)
+    assert longest_above(beyond_kw, 0.05 * rating_kw) <= 3
+
+
+@pytest.mark.parametrize("victim", ["central", "c2", "c2/inv07"])
+def test_a_killed_controller_is_replaced_and_the_plant_is_as_before(
+    oahu: Preparation, victim: str
+) -> None:
+    _, healthy = run_with(oahu, scheme="paper")
+    run, trace = run_with(oahu, f"kill={victim},at={KILLED_AT}s", scheme="paper")
+    assert run.restarts == {victim: 1}
+    successor = run.loops[victim]
+    assert 0 < successor.incarnation <= KILLED_AT + 2
+    apart = np.flatnonzero((trace.power_kw != healthy.power_kw).any(axis=1))
+    assert len(apart) == 0 or apart.max() <= successor.incarnation + 3
+
+
+def test_a_policy_of_never_leaves_it_dead(oahu: Preparation) -> None:
+    run, _ = run_with(oahu, f"kill=c2,at={KILLED_AT}s", restart=NEVER)
+    assert not run.restarts
+    assert run.loops["c2"].cycle <= KILLED_AT + 1
+
+
+def test_a_frozen_controller_goes_on_in_the_cycle_under_way(oahu: Preparation) -> None:
+    run, _ = run_with(oahu, f"freeze=c2,at={KILLED_AT}s..{KILLED_AT + 15}s")
+    loop = run.loops["c2"]
+    assert (loop.finished, loop.incarnation, run.restarts) == (True, 0, {})
+    assert 13 <= loop.skipped_cycles <= 15
+
+
+def test_a_partition_cuts_both_ways_and_ends(oahu: Preparation) -> None:
+    run, trace = run_with(oahu, f"partition=c2|central,at={KILLED_AT}s..{KILLED_AT + 20}s")
+    ahead = [run.loops[name].old_inputs > 0 for name in ("c2", "central")]
+    assert ahead == [True, True]
+    _, healthy = run_with(oahu)
+    rating_kw = oahu.plan.tree.rating_kw("")
+    assert longest_above(trace.over_kw - np.maximum(healthy.over_kw, 0.0), 0.05 * rating_kw) <= 3
+
+
+@pytest.mark.parametrize("actuator", ["fraction", "limit"])
+def test_inverters_that_hear_nothing_revert_to_their_share_of_the_last_dispatch(
+    oahu: Preparation, actuator: str
+) -> None:
+    changes = {"restart": NEVER, "actuator": actuator, "revert": Revert(after_s=60.0)}
+    _, trace = run_with(oahu, f"kill=*,at={KILLED_AT}s", **changes)
+    reverted = slice(KILLED_AT + 62, CYCLES)
+    last_desired_kw = trace.produced[KILLED_AT].desired_kw
+    share = np.array([rating for _, rating in oahu.plan.inverters]) / oahu.plan.tree.rating_kw("")
+    expected_kw = np.minimum(oahu.profile.mpp_kw, last_desired_kw * share)
+    np.testing.assert_allclose(trace.power_kw[reverted], expected_kw[reverted], rtol=2e-3)
+
+
+def test_inverters_may_be_set_to_release_or_to_a_share_of_their_rating(oahu: Preparation) -> None:
+    rating_kw = np.array([rating for _, rating in oahu.plan.inverters])
+    for revert, limit_kw in (
+        (Revert(after_s=5.0, to="release"), rating_kw),
+        (Revert(after_s=5.0, to=0.25), 0.25 * rating_kw),
+    ):
+        changes = {"restart": NEVER, "revert": revert}
+        _, trace = run_with(oahu, f"kill=*,at={KILLED_AT}s", **changes)
+        expected_kw = np.minimum(oahu.profile.mpp_kw, limit_kw)
+        np.testing.assert_array_equal(
+            trace.power_kw[KILLED_AT + 10 :], expected_kw[KILLED_AT + 10 :]
+        )
+
+
+def test_a_run_with_deaths_repeats_to_the_last_bit(oahu: Preparation) -> None:
+    faults = ["kill=c2,at=30s", "freeze=c1/*,at=40s..45s", "loss=2%", "kill=c2,at=60s"]
+    first, again = (run_with(oahu, *faults)[1].sent for _ in range(2))
+    assert first == again
+
+
+@pytest.mark.parametrize(
+    ("rule", "place", "expected"),
+    [
+        ("kill=plant,at=30s", "kill=plant", "expected a controller"),
+        ("kill=c9,at=30s", "kill=c9", "expected a controller"),
+        ("kill=c2", "at", "one time"),
+        ("kill=c2,at=30s..40s", "at", "one time"),
+        ("freeze=c2,at=30s", "at", "beginning and end"),
+        ("freeze=c2,at=40s..30s", "at", "beginning and end"),
+        ("kill=c2,at=30s,loss=2%", "kill", "alone"),
+        ("partition=c2,at=30s..40s", "partition", "two agents"),
+        ("partition=c1|c2,at=30s..40s", "partition", "hear each other"),
+        ("loss=2%,at=30s", "at", "beginning and end"),
+    ],
+)
+def test_a_rule_that_does_not_fit_is_refused(
+    oahu: Preparation, rule: str, place: str, expected: str
+) -> None:
+    with pytest.raises(InputError) as refused:
+        fault_rules(oahu.scenario, [rule], oahu.plan.tree)
+    assert place in str(refused.value)
+    assert expected in str(refused.value)
+
+
+def test_a_rule_is_written_as_it_is_read() -> None:
+    texts: Sequence[str] = (
+        "kill=c2,at=30s",
+        "freeze=c2/inv07,at=30s..45s",
+        "partition=c1|central,at=30s..60s",
+    )
+    assert [str(parse_fault(text)) for text in texts] == list(texts)
+
+
+def test_a_loss_may_be_limited_to_a_time(oahu: Preparation) -> None:
+    run, _ = run_with(oahu, "signal=setpoint,listener=c2,loss=100%,at=30s..40s")
+    assert run.bus.tally.lost == 10
+    assert run.loops["c2"].old_inputs == 10
