@@ -10,6 +10,7 @@ nothing: a real one is usually another machine's load.
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import statistics
 import subprocess
@@ -66,7 +67,7 @@ def measure(browsers: int | None, scenario: str, pace: str, seconds: int) -> Cos
             text = output.read_text(encoding="utf-8")
             if browsers and reader is None and (found := re.search(r"page: (http\S+)", text)):
                 words = ["--read", f"{found[1]}stream", str(browsers)]
-                reader = subprocess.Popen(["nice", "-n19", sys.executable, __file__, *words])
+                reader = subprocess.Popen([sys.executable, __file__, *words])
             if reader is not None and "recording: " in text:
                 reader.kill()
             with suppress(psutil.Error):
@@ -99,6 +100,7 @@ def loop_p99_ms(run: Path) -> float:
 
 def read(address: str, browsers: int) -> None:
     """Take all updates, as so many browsers do."""
+    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
     def follow() -> None:
         with urllib.request.urlopen(address) as updates:

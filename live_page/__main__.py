@@ -52,10 +52,13 @@ async def _main() -> None:
 
 
 def main() -> None:
-    """Serve a page beside a run, behind the run's own processes."""
+    """Serve a page beside a run, behind the run's own processes.
+
+    In lockstep these do not interrupt a process of the normal policies when they wake.
+    """
     os.nice(_NICE)
     if sys.platform == "linux":
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     asyncio.run(_main())
 
 
