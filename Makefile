@@ -56,7 +56,7 @@ $(PEERS_READY): pyproject.toml constraints.txt benchmarks/requirements-peers.txt
 	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --requirement benchmarks/requirements-peers.txt --editable .
 	@touch $@
 
-results: $(READY) ## the tables of docs/results.md, about 5 minutes; DATA=FOLDER for those of measurements
+results: $(READY) ## the tables of docs/results.md, about 10 minutes; DATA=FOLDER for those of measurements
 	cd $${TMPDIR:-/tmp} && $(CURDIR)/$(BIN)/python $(CURDIR)/docs/results_tables.py $(abspath $(DATA))
 
 bench-study: $(READY) ## a whole day through the agents and over arrays
