@@ -10,7 +10,7 @@ PEERS := .venv-peers
 PEERS_READY := $(PEERS)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test docs golden check format bench bench-peers bench-study soak clean
+.PHONY: help setup run test docs results golden check format bench bench-peers bench-study soak clean
 
 help: ## list the tasks
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -23,8 +23,8 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
-run: $(READY) ## the main job: one simulated hour of broken clouds over 17 inverters, as 23 processes
-	$(BIN)/heliarch launch oahu --report
+run: $(READY) ## the main job: one simulated hour of broken clouds over 17 inverters, as 23 processes; open the page that it prints to watch it
+	$(BIN)/heliarch launch oahu --page --report
 
 test: $(READY) ## all tests, under 8 minutes on 2 cores
 	$(BIN)/pytest -n 2 --dist worksteal
@@ -55,6 +55,9 @@ $(PEERS_READY): pyproject.toml constraints.txt benchmarks/requirements-peers.txt
 	$(PYTHON) -m venv $(PEERS)
 	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --requirement benchmarks/requirements-peers.txt --editable .
 	@touch $@
+
+results: $(READY) ## the tables of docs/results.md, about 10 minutes; DATA=FOLDER for those of measurements
+	cd $${TMPDIR:-/tmp} && $(CURDIR)/$(BIN)/python $(CURDIR)/docs/results_tables.py $(abspath $(DATA))
 
 bench-study: $(READY) ## a whole day through the agents and over arrays
 	$(BIN)/python benchmarks/study_rate.py

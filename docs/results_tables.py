@@ -124,7 +124,8 @@ def hours(data: Path) -> Lines:
     for letter in "abc":
         settings = {"irradiance.currents": [f"hour_{letter}.csv"]}
         found = compare(_plant(data), actuators=BOTH, settings=settings)
-        lines = list(by_scheme(found, COMMITMENT, case=lambda _: letter))
+        found["case"] = letter
+        lines = list(by_scheme(found, COMMITMENT, case=str))
         yield from lines if letter == "a" else lines[2:]
 
 
@@ -157,12 +158,13 @@ def by_scheme(
     found: pd.DataFrame, figures: Figures, case: Callable[[str], str] | None = None
 ) -> Lines:
     """Write a row for each scheme and actuator, after a column for the case if there are many."""
+    found = found.fillna({"actuator": "-"})
     first = ["case"] if case else []
     yield from header([*first, "scheme", "actuator", *(title for title, _ in figures.values())])
     for _, entry in found.iterrows():
         numbers = [f"{entry[name]:,.{decimals}f}" for name, (_, decimals) in figures.items()]
         labels = [case(entry["case"])] if case else []
-        yield row([*labels, entry["scheme"], entry["actuator"] or "-", *numbers])
+        yield row([*labels, entry["scheme"], entry["actuator"], *numbers])
 
 
 def cells(scenario: ScenarioFile, settings: dict[str, Any]) -> Lines:
@@ -174,6 +176,7 @@ def cells(scenario: ScenarioFile, settings: dict[str, Any]) -> Lines:
     found["share"] = found["case"].str.extract(r"share=([\d.]+)", expand=False).astype(float)
     yield from header(["actuator", "scheme", *(f"{share:.0%}" for share in SHARES)])
     rows = found[found["scheme"] != "grouping worst"]
+    rows = rows.sort_values(["actuator", "noise"], kind="stable")
     for (actuator, noise, scheme), group in rows.groupby(
         ["actuator", "noise", "scheme"], sort=False
     ):

@@ -23,13 +23,14 @@ from launch_scripts.commands import (
     simulate,
     timing,
     verify,
+    view,
 )
 from launch_scripts.commands.boundary import BAD_INPUT, Command, CommandLine
 from launch_scripts.commands.options import with_groups
 
 COMMANDS: Final[dict[str, tuple[ModuleType, ...]]] = {
     "Run": (launch, simulate, timing, scenarios),
-    "Look": (report, inspect, verify, replay),
+    "Look": (view, report, inspect, verify, replay),
     "Compare": (compare, clusters, delays, campaign),
     "Files": (export, recover),
 }

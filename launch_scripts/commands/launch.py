@@ -6,6 +6,7 @@ from typing import Final
 
 from launch_scripts.commands.options import (
     FileOptions,
+    PageOptions,
     PlantOptions,
     ProcessOptions,
     ScenarioArgument,
@@ -21,6 +22,7 @@ def launch(
     span: SpanOptions,
     plant: PlantOptions,
     processes: ProcessOptions,
+    page: PageOptions,
     files: FileOptions,
 ) -> int:
     """Run a plant as a team of processes over Zenoh, recorded.
@@ -35,4 +37,4 @@ def launch(
         from launch_scripts.commands.run import run_and_print, run_request
 
         request = run_request(scenario, files, plant, span, processes)
-        return run_and_print(request, files, server)
+        return run_and_print(request, files, page, server)

@@ -97,6 +97,23 @@ SignalsOption: TypeAlias = Annotated[
     typer.Option(help="Only these signals, separated by commas: impp,residual.", metavar="NAMES"),
 ]
 
+# The page of a run -------------------------------------------------------------------------------
+
+PagePortOption: TypeAlias = Annotated[
+    int | None,
+    typer.Option(
+        min=0, max=65535, help="Port of the page; default: any that is free.", metavar="PORT"
+    ),
+]
+PageAddressOption: TypeAlias = Annotated[
+    str | None,
+    typer.Option(
+        help="Address of the page; default 127.0.0.1, for this machine alone. Other hosts reach "
+        "0.0.0.0, with the token that is printed.",
+        metavar="ADDRESS",
+    ),
+]
+
 # What comes out of it ----------------------------------------------------------------------------
 
 ReportOption: TypeAlias = Annotated[
@@ -216,6 +233,17 @@ class ProcessOptions:
             metavar="PRIORITY",
         ),
     ] = None
+
+
+@dataclass(frozen=True, slots=True)
+class PageOptions:
+    """The page that shows a run."""
+
+    page: Annotated[
+        bool, typer.Option("--page", help="Show the run in a browser, while it goes on.")
+    ] = False
+    page_port: PagePortOption = None
+    page_address: PageAddressOption = None
 
 
 @dataclass(frozen=True, slots=True)

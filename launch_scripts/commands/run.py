@@ -11,8 +11,15 @@ from rich.console import Console
 
 from bus_schemas.errors import FailureError, InputError
 from launch_scripts.commands.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
-from launch_scripts.commands.options import FileOptions, PlantOptions, ProcessOptions, SpanOptions
+from launch_scripts.commands.options import (
+    FileOptions,
+    PageOptions,
+    PlantOptions,
+    ProcessOptions,
+    SpanOptions,
+)
 from launch_scripts.commands.output import say, write_json
+from launch_scripts.commands.page import page_beside
 from launch_scripts.launcher.launch import launch
 from launch_scripts.launcher.live_view import view_for
 from launch_scripts.launcher.request import RunRequest, prepare_run
@@ -23,6 +30,7 @@ from launch_scripts.launcher.summary_table import print_summary
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.scenarios.preparation import RunOptions
 from launch_scripts.scenarios.scenario import load_scenario
+from live_page.process import PageProcess
 from studies.compare.cases import with_settings
 from studies.tables import console_for
 
@@ -43,11 +51,21 @@ def run_request(
 
 
 def run_and_print(
-    request: RunRequest, files: FileOptions, server: ForkServerProcess | None = None
+    request: RunRequest,
+    files: FileOptions,
+    pages: PageOptions,
+    server: ForkServerProcess | None = None,
 ) -> int:
     """Run what was asked for and print its result. Returns the exit status."""
     console = console_for(files.json)
-    summary, folder = run(request, console, BEGAN_AT, server)
+    with page_beside(pages, console) as page:
+        summary, folder = run(request, console, BEGAN_AT, server, page)
+        return _print_result(summary, folder, files, console)
+
+
+def _print_result(
+    summary: RunSummary, folder: RunFolder, files: FileOptions, console: Console
+) -> int:
     if files.json is not None:
         write_json(msgspec.Raw(summary.as_json()), files.json)
     print_summary(summary, console)
@@ -74,6 +92,7 @@ def run(
     console: Console,
     began_at: float,
     server: ForkServerProcess | None = None,
+    page: PageProcess | None = None,
 ) -> tuple[RunSummary, RunFolder]:
     """Run a plant, recorded, and write its summary; show it meanwhile.
 
@@ -85,6 +104,8 @@ def run(
         Monotonic time at which the user asked for it [s].
     server
         Starts the processes. None: the run stays in this process.
+    page
+        Shows the run in a browser.
 
     Raises
     ------
@@ -106,6 +127,8 @@ def run(
         with view_for(console, plan, scenario.time.timezone) as view:
             for line in (scenario.title, *preparation.remarks):
                 view.say(line)
+            if page is not None:
+                view.say(f"page: {page.show(folder.path)}")
             if server is None:
                 summary = simulate(preparation, folder, view, began_at)
             else:

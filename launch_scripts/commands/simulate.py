@@ -6,6 +6,7 @@ from typing import Final
 
 from launch_scripts.commands.options import (
     FileOptions,
+    PageOptions,
     PlantOptions,
     ScenarioArgument,
     SpanOptions,
@@ -19,9 +20,10 @@ def simulate(
     *,
     span: SpanOptions,
     plant: PlantOptions,
+    page: PageOptions,
     files: FileOptions,
 ) -> int:
     """Run the same agents in one process, with the same messages and recording."""
     from launch_scripts.commands.run import run_and_print, run_request
 
-    return run_and_print(run_request(scenario, files, plant, span), files)
+    return run_and_print(run_request(scenario, files, plant, span), files, page)

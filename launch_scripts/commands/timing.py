@@ -14,6 +14,7 @@ from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK
 from launch_scripts.commands.options import (
     EndOption,
     FileOptions,
+    PageOptions,
     PlantOptions,
     ProcessOptions,
     StartOption,
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from launch_scripts.launcher.request import RunRequest
+    from live_page.process import PageProcess
     from studies.timing.report import Reported, TimingReport
     from studies.timing.sweep import Rates
 
@@ -77,6 +79,7 @@ def timing(
     processes: Annotated[
         bool, typer.Option("--processes", help="Show each process as well as the tiers.")
     ] = False,
+    page: PageOptions,
     files: FileOptions,
 ) -> int:
     """Run a plant in real time and report whether every tier meets its deadlines, and by how much.
@@ -87,6 +90,7 @@ def timing(
     Exit status 1: a budget was not kept, or the run failed. A scenario states its own budgets in
     its table timing.budgets; see docs/timing.md.
     """
+    from launch_scripts.commands.page import page_beside
     from launch_scripts.commands.run import run_request
     from studies.timing.measured_run import measured_run, prepare_at, run_length_s
     from studies.timing.report import report_on
@@ -100,6 +104,8 @@ def timing(
             "--actuator": plant.actuator, "--set": plant.settings, "--fault": plant.faults,
             "--external": machine.external, "--base-port": machine.base_port,
             "--cpus": machine.cpus, "--priority": machine.priority,
+            "--page": page.page or None, "--page-port": page.page_port,
+            "--page-address": page.page_address,
         }  # fmt: skip
         for option, given in options.items():
             if given is not None:
@@ -110,12 +116,16 @@ def timing(
         return _print_one(report_on(path, by_agent=processes), path, output)
     rates = parse_rates(_RATE if rate is None else rate)
     request = run_request(scenario, files, plant, machine, start=start, end=end, duration=duration)
-    if rates.single_hz is None:
-        return _time_several(rates, run_length_s(request, _SWEEP_DURATION), request, output)
-    length_s = run_length_s(request, _DURATION)
-    preparation, folder = prepare_at(rates.single_hz, length_s, request, request.out)
-    reported = measured_run(preparation, folder, output.console, by_agent=processes)
-    return _print_one(reported, folder.path, output)
+    with page_beside(page, output.console) as shown:
+        if rates.single_hz is None:
+            length_s = run_length_s(request, _SWEEP_DURATION)
+            return _time_several(rates, length_s, request, output, shown)
+        length_s = run_length_s(request, _DURATION)
+        preparation, folder = prepare_at(rates.single_hz, length_s, request, request.out)
+        if shown is not None:
+            say(output.console, f"page: {shown.show(folder.path)}")
+        reported = measured_run(preparation, folder, output.console, by_agent=processes)
+        return _print_one(reported, folder.path, output)
 
 
 def _print_one(reported: Reported, run: Path, output: _Output) -> int:
@@ -136,7 +146,9 @@ def _print_one(reported: Reported, run: Path, output: _Output) -> int:
     return OK if report.passed else FAILED
 
 
-def _time_several(rates: Rates, length_s: float, request: RunRequest, output: _Output) -> int:
+def _time_several(
+    rates: Rates, length_s: float, request: RunRequest, output: _Output, shown: PageProcess | None
+) -> int:
     from launch_scripts.launcher.run_folder import new_run_id, run_folder
     from studies.timing.measured_run import measured_run, prepare_at
     from studies.timing.page import PAGE_NAME, sweep_page
@@ -154,6 +166,9 @@ def _time_several(rates: Rates, length_s: float, request: RunRequest, output: _O
 
     # All listed rates are prepared before the first one runs, so that none is refused then.
     listed = {rate_hz: prepared(rate_hz) for rate_hz in rates.listed_hz}
+
+    if shown is not None:
+        say(output.console, f"page: {shown.show(folder, several=True)}")
 
     def timed(rate_hz: float) -> TimingReport:
         run = listed.get(rate_hz) or prepared(rate_hz)

@@ -255,4 +255,6 @@ def _follow(
             if time.monotonic() >= status_at:
                 status_at = time.monotonic() + _STATUS_S
                 view.show(monitor.status(writer.recorded.total()))
+                if cycle_s:
+                    writer.flush()  # Who looks at the recording meanwhile sees the run go on.
         return bool(interruption)

@@ -35,6 +35,7 @@ from launch_scripts.scenarios.scenario import (
     local_start,
 )
 from sim_plant.commitment import commitment_kw, hindsight
+from sim_plant.positions import east_north_m
 from sim_plant.profile import Profile
 from sim_plant.regulation import regulation_kw, regulation_remarks
 from sim_plant.sources import PowerSource
@@ -114,6 +115,13 @@ class _Day:
         """Place in the source of each inverter of the tree."""
         names = self.source.sites.names
         return [names.index(leaf.rpartition("/")[2]) for leaf in self.tree.leaves]
+
+    @property
+    def positions_m(self) -> tuple[tuple[float, float], ...]:
+        """Metres east and north of the plant's middle of each inverter of the tree."""
+        sites = self.source.sites
+        both = np.column_stack(east_north_m(sites.lat_deg, sites.lon_deg))[self.order]
+        return tuple((float(east), float(north)) for east, north in (both - both.mean(0)).round(2))
 
 
 def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Preparation:
@@ -235,6 +243,7 @@ def _plan(
         restart=scenario.restart,
         tier_deadlines_ns=deadlines_ns,
         seed=seed,
+        positions_m=day.positions_m,
     )
 
 

@@ -123,7 +123,10 @@ def read_outline(file: BinaryIO) -> Outline:
         outline = _by_index(file, size)
     except BROKEN:
         outline = None  # The file was cut, or its index is damaged.
-    return outline or _by_walking(file, size)
+    if outline is None:
+        outline = Outline(size=0)
+        walk_on(outline, file)
+    return outline
 
 
 def _by_index(file: BinaryIO, size: int) -> Outline | None:
@@ -168,10 +171,15 @@ def _checksum(file: BinaryIO, begin: int, end: int) -> int:
     return checksum
 
 
-def _by_walking(file: BinaryIO, size: int) -> Outline:
-    """Go from record to record, from the beginning to the end or to the cut."""
-    outline = Outline(size)
-    for place in _walk(file, len(MAGIC), size):
+def walk_on(outline: Outline, file: BinaryIO) -> None:
+    """Go from record to record, to the end of the file or to its cut.
+
+    Once more for the same outline: on from there, since a file that is being written grows.
+    """
+    outline.size = size = file.seek(0, SEEK_END)
+    if outline.chunks and outline.chunks[-1].cut:
+        outline.chunks.pop()
+    for place in _walk(file, outline.readable_end, size):
         with suppress(*BROKEN):  # A damaged record still tells where the next one begins.
             _take(outline, file, place)
         chunk_is_cut = bool(outline.chunks) and outline.chunks[-1].cut
@@ -181,7 +189,6 @@ def _by_walking(file: BinaryIO, size: int) -> Outline:
         if place.opcode == Opcode.DATA_END:
             outline.closed = True
             break
-    return outline
 
 
 def _take(outline: Outline, file: BinaryIO, place: _Place) -> None:

@@ -36,6 +36,7 @@ QUICK: Final[dict[str, tuple[str, ...]]] = {
     "simulate": ("small.toml", "--duration", "5"),
     "timing": ("timed",),
     "scenarios": (),
+    "view": ("run",),
     "report": (RUN,),
     "inspect": (RUN, "--nodes", "c1"),
     "verify": (RUN,),
@@ -47,7 +48,7 @@ QUICK: Final[dict[str, tuple[str, ...]]] = {
     "export": (RUN, "--format", "csv"),
     "recover": (RUN,),
 }
-"""For each command words with which it has done its work in seconds."""
+"""For each command words with which it has done its work in seconds; `view` serves until Ctrl-C."""
 
 LONG: Final[dict[str, tuple[signal.Signals, tuple[str, ...]]]] = {
     "launch": (SIGINT, ("small.toml", "--pace", "1")),
@@ -91,7 +92,7 @@ def words_of(name: str, folder: Path) -> list[str]:
 
 
 def with_json(names: list[str]) -> list[str]:
-    return [name for name in names if name != "report"]
+    return [name for name in names if name not in {"view", "report"}]
 
 
 def test_every_command_is_held_to_the_contract() -> None:
@@ -138,13 +139,17 @@ BAD: Final = [
         ("--pace", "fast"), ("--seed", "-1"), ("--seed", "x"), ("--scheme", "magic"),
         ("--actuator", "magic"), ("--set", "commitment.share"), ("--set", "no.such=1"),
         ("--set", "commitment.share=0.1,0.2"), ("--fault", "loss=2"), ("--out", "run"),
-        ("--out", "/dev/null/run"), ("--data", "nowhere"))),
+        ("--out", "/dev/null/run"), ("--data", "nowhere"), ("--page-port", "8000"),
+         ("--page-address", "0.0.0.0"))),
     ("launch", "--from", "noon"),
     ("launch", "--out", "run"),
     ("launch", "--external", "c9"),
     ("launch", "--cpus", "x"),
     ("timing", "--rate", "20"),
     ("timing", "--priority", "20"),
+    ("timing", "--page-port", "8000"),
+    ("view", "--page-port", "-1"),
+    ("view", "--page-address", "moon"),
     ("report", "--report", "nowhere/report.html"),
     ("inspect", "--nodes", "c9"),
     ("inspect", "--from", "18:00"),

@@ -1,0 +1,66 @@
+"""The page's process beside a run, started by `PageProcess`."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import sys
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from live_page.place import Place
+from live_page.process import PageSettings
+from live_page.server import PageServer
+
+_NICE: Final = 10
+_LAST_NEWS_S: Final = 0.5
+"""For browsers to learn that the run has failed."""
+
+_RELOAD_S: Final = 2.0
+"""A browser that reloads the page is away for a moment."""
+
+
+async def _serve(settings: PageSettings, over: asyncio.StreamReader) -> None:
+    place = Place(socket.socket(fileno=settings.socket), settings.token)
+    server = PageServer(Path(settings.path), place, several=settings.several)
+    serving = asyncio.create_task(server.serve())
+    if await over.readline():
+        gone = asyncio.create_task(over.read())
+        clock = asyncio.get_running_loop().time
+        while not gone.done():
+            audience = server.audience
+            if not audience.streams and clock() > audience.left_at + _RELOAD_S:
+                break
+            await asyncio.sleep(0.1)
+        gone.cancel()
+    else:
+        await asyncio.sleep(_LAST_NEWS_S)
+    server.end()
+    await serving
+
+
+async def _main() -> None:
+    reader = asyncio.StreamReader()
+    protocol = asyncio.StreamReaderProtocol(reader)
+    await asyncio.get_running_loop().connect_read_pipe(lambda: protocol, sys.stdin)
+    settings = await reader.readline()
+    if settings:
+        await _serve(msgspec.json.decode(settings, type=PageSettings), reader)
+
+
+def main() -> None:
+    """Serve a page beside a run, behind the run's own processes.
+
+    In lockstep these do not interrupt a process of the normal policies when they wake.
+    """
+    os.nice(_NICE)
+    if sys.platform == "linux":
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    asyncio.run(_main())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,280 @@
+"""Follows a recording chunk by chunk: to its end, and on while it is being written.
+
+Of every cycle it keeps the plant's powers, of every chunk the cycles that it holds, and of what
+happened the newest events. All else is read from the file when somebody looks at it: following a
+run costs its agents nothing, however slow the reader is.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from bisect import bisect_right
+from collections import Counter
+from contextlib import suppress
+from math import ceil
+from pathlib import Path
+from typing import Final, Literal, TypeAlias
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from bus_schemas.codec import decode
+from bus_schemas.messages import Dispatch, Message, Notice, Production, Run
+from bus_schemas.signals import DISPATCH, IMPP, NOTICE, PRODUCTION, RUN, Port
+from bus_schemas.tree import PLANT, RECORDER, agent_name
+from live_page.event_log import EventLog
+from recordings.inspect.health import FAILURE_NAME
+from recordings.read.chunks import ChunkPlace, DamagedChunkError, messages_in, unpack_chunk
+from recordings.read.outline import walk_on
+from recordings.read.reader import RunReader, cycle_of
+from recordings.read.series import RunSeries
+from studies.metrics import RunMetrics, run_metrics
+from studies.report.decimation import extremes
+
+State: TypeAlias = Literal["waiting", "running", "silent", "over", "failed"]
+"""Before the first cycle; going on; nothing new for a while; ended; given up by its launcher."""
+
+_SILENT_S: Final = 5.0
+"""Nothing new in the file for this long, or for three cycles, is worth saying."""
+
+MOST_CHUNKS: Final = 20
+"""To look at for the state in one cycle."""
+
+_LATEST_S: Final = 1.0
+"""So late a message may come in real time and still be found. In lockstep it may come among those
+of the next cycle."""
+
+_POWERS: Final = ("commitment", "regulation", "possible", "delivered")
+
+
+class RunFollower:
+    """A recording, as far as it has been read.
+
+    Attributes
+    ----------
+    run, plan
+        The recording and its plan.
+    cycles
+        Cycles that the plant has completed.
+    events
+        What happened so far.
+    restarts
+        How often each agent began again.
+    start_time_ns
+        Of the run on its own clock; None: not recorded yet.
+    ports
+        By the number of their channel.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.run = RunReader(path, skip_damaged=True)
+        self.plan = self.run.plan
+        self.cycles = 0
+        self.events = EventLog()
+        self.restarts: Counter[str] = Counter()
+        self.start_time_ns: int | None = None
+        self._stop_cycle: int | None = None
+        self._failed = False
+        wall_s = self.plan.cycle_wall_ns / 1e9
+        self._disorder = ceil(_LATEST_S / wall_s) if wall_s else 1
+        self._firsts: list[int] = []
+        self._lasts: list[int] = []
+        self.ports: dict[int, Port[Message]] = {}
+        self._next_sequence: dict[int, int] = {}
+        self._heard = dict.fromkeys(self.plan.tree.nodes, -1)
+        self._silent: set[str] = set()
+        self._power_kw = {name: np.full(self.plan.cycles, np.nan) for name in _POWERS}
+        for rule in self.plan.faults:
+            self.events.add("fault", 0, "network", f"fault rule: {rule}")
+
+    def advance(self, budget_s: float) -> bool:
+        """Read on for a while; return whether all that is in the file has been read."""
+        outline = self.run.outline
+        if not outline.closed and self._next_chunk() is None:
+            walk_on(outline, self.run.file)
+        until = time.monotonic() + budget_s
+        while (place := self._next_chunk()) is not None:
+            self._read(place)
+            if time.monotonic() >= until:
+                break
+        self._look_for_failure()
+        return self._next_chunk() is None
+
+    def close(self) -> None:
+        """Close the file."""
+        self.run.close()
+
+    @property
+    def state(self) -> State:
+        """Where the run stands."""
+        if self._failed:
+            return "failed"
+        if self.run.outline.closed or self._stop_cycle is not None:
+            return "over"
+        if not self.cycles:
+            return "waiting"
+        longest_s = max(_SILENT_S, 3.0 * self.plan.cycle_wall_ns / 1e9)
+        age_s = time.time() - os.fstat(self.run.file.fileno()).st_mtime
+        return "silent" if age_s > longest_s else "running"
+
+    @property
+    def read_share(self) -> float:
+        """Share of the file's chunks that has been read."""
+        return len(self._firsts) / max(len(self.run.outline.chunks), 1)
+
+    def chunks_with(self, cycle: int, before: int = 1) -> list[ChunkPlace]:
+        """Return the chunks that can hold messages of a cycle and of some cycles before it."""
+        end = begin = bisect_right(self._firsts, cycle + self._disorder)
+        first = cycle - before - self._disorder
+        while begin > max(end - MOST_CHUNKS, 0) and self._lasts[begin - 1] >= first:
+            begin -= 1
+        return self.run.outline.chunks[begin:end]
+
+    def powers(self, cycles: range, points: int) -> dict[str, list[float]]:
+        """Return the plant's powers [kW] of some cycles, thinned out to about so many points."""
+        part = slice(max(cycles.start, 0), min(cycles.stop, self.cycles))
+        desired, possible, delivered = (
+            self._desired_kw[part],
+            *(self._power_kw[name][part] for name in ("possible", "delivered")),
+        )
+        rows = np.arange(len(desired))
+        if len(rows) > points:
+            buckets = max(points // 6, 1)
+            kept = [extremes(values, buckets) for values in (desired, possible, delivered)]
+            rows = np.unique(np.concatenate(kept))
+        unavoidable = np.maximum(desired - possible, 0.0)
+        shortfall = np.maximum(desired - delivered, 0.0)
+        columns = {
+            "cycle": rows + part.start,
+            "desired": desired[rows],
+            "possible": possible[rows],
+            "delivered": delivered[rows],
+            "unavoidable": unavoidable[rows],
+            "control_caused": np.maximum(shortfall - unavoidable, 0.0)[rows],
+        }
+        return {name: values.round(2).tolist() for name, values in columns.items()}
+
+    def metrics(self) -> RunMetrics | None:
+        """Return the figures of merit so far; None before the first cycle."""
+        part = slice(0, self.cycles)
+        powers = {name: values[part] for name, values in self._power_kw.items()}
+        unknown = np.full((self.cycles, 1), np.nan)
+        plan = self.plan
+        series = RunSeries(
+            label=plan.run_id,
+            inverters=("plant",),
+            rating_kw=np.array([plan.tree.rating_kw("")]),
+            timezone=plan.timezone,
+            start_time_ns=plan.start_time_ns,
+            cycle_s=plan.cycle_ns / 1e9,
+            commitment_kw=powers["commitment"],
+            regulation_kw=powers["regulation"],
+            regulation_capacity_kw=plan.regulation_capacity_kw,
+            mpp_kw=powers["possible"][:, None],
+            power_kw=powers["delivered"][:, None],
+            impp_kw=unknown,
+            residual_kw=unknown,
+            alpha=unknown,
+            ramp_limit_percent_per_min=plan.ramp_limit_percent_per_min,
+        )
+        return run_metrics(series) if series.known.any() else None
+
+    @property
+    def _desired_kw(self) -> NDArray[np.float64]:
+        return np.asarray(self._power_kw["commitment"] + self._power_kw["regulation"])
+
+    def _next_chunk(self) -> ChunkPlace | None:
+        """Return the next chunk that is there as a whole."""
+        chunks = self.run.outline.chunks
+        number = len(self._firsts)
+        return chunks[number] if number < len(chunks) and not chunks[number].cut else None
+
+    def _read(self, place: ChunkPlace) -> None:
+        if not self.ports:
+            topics = {number: entry.topic for number, entry in self.run.outline.channels.items()}
+            found = {number: self.plan.keys.port(topic) for number, topic in topics.items()}
+            self.ports = {number: port for number, port in found.items() if port is not None}
+        first = last = max(self.cycles - 1, 0)
+        try:
+            records = unpack_chunk(self.run.file, place)
+        except DamagedChunkError as error:
+            records = b""
+            self.events.add("damage", self.cycles, RECORDER, f"a part of the file: {error}")
+        begin = end = b""
+        for channel, sequence, _, _, payload in messages_in(records, self.ports):
+            port = self.ports[channel]
+            if sequence != self._next_sequence.get(channel, 0):
+                self._note_jump(channel, port, sequence, cycle_of(payload))
+            self._next_sequence[channel] = sequence + 1
+            if port.signal in _FOLLOWED:
+                with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
+                    self._see(port, payload)
+            begin, end = begin or payload, payload
+        if begin:
+            first, last = sorted((cycle_of(begin), cycle_of(end)))
+        self._firsts.append(max(first, self._firsts[-1] if self._firsts else 0))
+        self._lasts.append(last)
+        self._note_silence()
+
+    def _see(self, port: Port[Message], payload: bytes) -> None:
+        if port.signal is IMPP:
+            self._hear(port.node, cycle_of(payload))
+            return
+        message = decode(port.signal, payload)
+        cycle = message.cycle
+        match message:
+            case Dispatch() if 0 <= cycle < self.plan.cycles:
+                self._power_kw["commitment"][cycle] = message.commitment_kw
+                self._power_kw["regulation"][cycle] = message.regulation_kw
+            case Production() if 0 <= cycle < self.plan.cycles:
+                self._power_kw["possible"][cycle] = message.possible_kw
+                self._power_kw["delivered"][cycle] = message.delivered_kw
+                self.cycles = max(self.cycles, cycle + 1)
+            case Notice():
+                self.events.add("notice", cycle, message.source, message.text)
+            case Run(state="start"):
+                self.start_time_ns = message.start_time_ns
+                pace = "in real time" if message.cycle_wall_ns else "in lockstep"
+                self.events.add("run", cycle, PLANT, f"the run begins, {pace}")
+            case Run(state="stop"):
+                self._stop_cycle = cycle
+                self.events.add("run", cycle, PLANT, f"the run is over after {cycle:,} cycles")
+
+    def _hear(self, node: str, cycle: int) -> None:
+        """Note that a node has stated its IMPP, which each node does in each cycle."""
+        before = self._heard[node]
+        if node in self._silent:
+            self._silent.discard(node)
+            self.events.add("back", cycle, agent_name(node), "heard again")
+        elif cycle > before + 1 + self.plan.hold_cycles and before >= 0:
+            text = f"silent up to cycle {cycle - 1:,}"
+            self.events.add("silent", before + 1, agent_name(node), text)
+        self._heard[node] = max(cycle, before)
+
+    def _note_silence(self) -> None:
+        for node, cycle in self._heard.items():
+            if self.cycles - 1 > cycle + self.plan.hold_cycles and node not in self._silent:
+                self._silent.add(node)
+                self.events.add("silent", cycle + 1, agent_name(node), "silent")
+
+    def _note_jump(self, channel: int, port: Port[Message], sequence: int, cycle: int) -> None:
+        """Note what a message tells whose number is not the next one on its key."""
+        lost = sequence - self._next_sequence.get(channel, 0)
+        if lost > 0:
+            self.events.add("lost", cycle, port.publisher, "messages lost", lost)
+        elif sequence == 0 and port.signal is IMPP:
+            self.restarts[port.publisher] += 1
+            self.events.add("restart", cycle, port.publisher, "restarted")
+
+    def _look_for_failure(self) -> None:
+        failure = self.run.path.parent / FAILURE_NAME
+        if not self._failed and failure.exists():
+            self._failed = True
+            text = failure.read_text(encoding="utf-8", errors="replace").partition("\n")[0]
+            self.events.add("failure", self.cycles, "launcher", text)
+
+
+_FOLLOWED: Final = frozenset({DISPATCH, PRODUCTION, NOTICE, RUN, IMPP})
+"""Signals that are read of each cycle."""

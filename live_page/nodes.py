@@ -1,0 +1,250 @@
+"""The state of every node of a plant in one cycle of its recording, as the page shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from functools import lru_cache
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import msgspec
+
+from agents.cycle import kind_of, stage_of, stage_place
+from bus_schemas.codec import decode
+from bus_schemas.messages import Message, Production, Setpoint
+from bus_schemas.missing import Missing, parse_missing
+from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, Port
+from bus_schemas.tree import PLANT, ROOT, agent_name, depth
+from live_page.follower import MOST_CHUNKS, RunFollower
+from recordings.read.chunks import ChunkPlace, DamagedChunkError, messages_in, unpack_chunk
+from recordings.read.reader import cycle_of
+
+Column: TypeAlias = list[float | None]
+Messages: TypeAlias = dict[Port[Message], Message]
+
+_FURTHEST_BACK: Final = 100
+"""Cycles in which an agent is looked for that is silent in the one shown."""
+
+_UNHELPFUL_KW: Final = 0.005
+
+
+class _Stage(NamedTuple):
+    """Where in a cycle a message belongs."""
+
+    place: int
+    label: str
+    deadline_ms: float | None
+
+
+class NodeStates:
+    """Reads the state of a plant's nodes from its recording, cycle by cycle."""
+
+    def __init__(self, follower: RunFollower) -> None:
+        self._follower = follower
+        self._plan = plan = follower.plan
+        self._tree = tree = plan.tree
+        self._place = {node: place for place, node in enumerate(tree.nodes)}
+        self._below = [tree.leaves_below(node) for node in tree.nodes]
+        self.agents = (PLANT, *(agent_name(node) for node in tree.nodes))
+        self._parsed = lru_cache(MOST_CHUNKS + 4)(self._parse)
+        self._stages = self._stages_of(port for port in plan.keys.ports if port.signal.is_cyclic)
+        self.frame = lru_cache(32)(self._frame)
+
+    def series(self, node: str, cycle: int) -> dict[str, float | None]:
+        """Return the powers of one node in a cycle [kW]."""
+        wanted = {DISPATCH.of(ROOT), PRODUCTION.of(ROOT), IMPP.of(node)}
+        if node != ROOT:
+            wanted.add(SETPOINT.of(node))
+        found, _ = self._messages_at(cycle, wanted)
+        columns = self._powers(found, [node])
+        return {name: values[0] for name, values in columns.items()}
+
+    def _frame(self, cycle: int) -> dict[str, Any]:
+        """Return the state of all nodes in a cycle, a list for each quantity."""
+        found, newest = self._messages_at(cycle, None)
+        return {
+            "cycle": cycle,
+            "nodes": self._powers(found, self._tree.nodes),
+            "help": self._help(found),
+            "agents": self._agents(cycle, found, newest),
+            "timing": self._timing(cycle, found),
+        }
+
+    def _powers(self, found: Messages, nodes: Collection[str]) -> dict[str, Column]:
+        """Return the powers of nodes [kW]; what no message says is None."""
+        dispatch = found.get(DISPATCH.of(ROOT))
+        made = found.get(PRODUCTION.of(ROOT))
+        columns: dict[str, Column] = {name: [] for name in _POWERS}
+        rating_kw = _value(dispatch, "plant_rating_kw") or self._tree.rating_kw(ROOT)
+        share = _value(dispatch, "power_kw", 0.0) / rating_kw
+        for node in nodes:
+            setpoint = found.get(SETPOINT.of(node)) if node != ROOT else None
+            given = _value(setpoint, "power_kw"), _value(setpoint, "share_kw")
+            below = self._below[self._place[node]]
+            row = (
+                _value(found.get(IMPP.of(node)), "power_kw"),
+                None if dispatch is None else share * self._tree.rating_kw(node),
+                _value(dispatch, "power_kw") if node == ROOT else given[0],
+                None if given[0] is None or given[1] is None else given[0] - given[1],
+                _total(made, "inverter_power_kw", below),
+                _total(made, "inverter_mpp_kw", below),
+            )
+            for column, value in zip(columns.values(), row, strict=True):
+                column.append(None if value is None else round(value, 2))
+        return columns
+
+    def _help(self, found: Messages) -> list[tuple[int, int, float]]:
+        """Return who helps whom by how much: places of donor and needy, kW."""
+        return [
+            (self._place[port.node], self._place[given.needy], round(given.power_kw, 2))
+            for port, message in found.items()
+            if isinstance(message, Setpoint)
+            for given in message.help_given
+            if given.needy in self._place and given.power_kw > _UNHELPFUL_KW
+        ]
+
+    def _agents(self, cycle: int, found: Messages, newest: dict[str, int]) -> dict[str, Column]:
+        """Return how the agents do: the plant first, then the nodes.
+
+        `age`: cycles since the newest message of an agent, None where none was found. `absent` and
+        `older`: inputs that it had to do without, and that were older than they should have been;
+        `input_age`: how old the oldest of them was. `loop_ms`: from the last input of a stage to
+        its message.
+        """
+        waits: dict[str, list[Missing]] = {agent: [] for agent in self.agents}
+        loop_ms: dict[str, float] = {}
+        for message in found.values():
+            agent = message.source
+            if message.cycle != cycle or agent not in waits:
+                continue
+            waits[agent] += map(parse_missing, message.missing)
+            if message.ready_time_ns:
+                took_ms = (message.publish_time_ns - message.ready_time_ns) / 1e6
+                loop_ms[agent] = max(round(took_ms, 3), loop_ms.get(agent, 0.0))
+        ages = [
+            [cycle - missing.cycle for missing in waits[agent] if missing.cycle is not None]
+            for agent in self.agents
+        ]
+        return {
+            "age": [cycle - newest[agent] if agent in newest else None for agent in self.agents],
+            "absent": [
+                len(waits[agent]) - len(older)
+                for agent, older in zip(self.agents, ages, strict=True)
+            ],
+            "older": [len(older) for older in ages],
+            "input_age": [max(older, default=0) for older in ages],
+            "loop_ms": [loop_ms.get(agent) for agent in self.agents],
+            "restarts": [self._follower.restarts[agent] for agent in self.agents],
+        }
+
+    def _timing(self, cycle: int, found: Messages) -> list[dict[str, object]]:
+        """Return when the messages of each stage went out, after the beginning of the cycle [ms].
+
+        In lockstep a cycle begins with its first message.
+        """
+        out = [
+            (self._stages[port], message.publish_time_ns)
+            for port, message in found.items()
+            if port in self._stages
+            and message.cycle == cycle
+            and port.publisher not in self._plan.external  # Another host has another clock.
+        ]
+        if not out:
+            return []
+        begin_ns = min(time_ns for _, time_ns in out)
+        if not self._plan.lockstep and self._follower.start_time_ns is not None:
+            begin_ns = self._follower.start_time_ns + cycle * self._plan.cycle_wall_ns
+        times: dict[_Stage, list[float]] = {}
+        for stage, time_ns in out:
+            times.setdefault(stage, []).append(round((time_ns - begin_ns) / 1e6, 3))
+        return [
+            {
+                "stage": stage.label,
+                "deadline_ms": stage.deadline_ms,
+                "first_ms": min(times[stage]),
+                "last_ms": max(times[stage]),
+            }
+            for stage in sorted(times, key=lambda stage: stage.place)
+        ]
+
+    def _stages_of(self, ports: Iterable[Port[Message]]) -> dict[Port[Message], _Stage]:
+        """Return the stage of each port. Its deadline is when those close that wait for it."""
+        plan, tree = self._plan, self._tree
+        stages: dict[Port[Message], tuple[int, str]] = {}
+        closes_ns: dict[int, int] = {}
+        for port in ports:
+            agent, stage = port.publisher, stage_of(port, tree)
+            kind = kind_of(agent, tree)
+            several = kind == "supervisor" and tree.height > 2
+            label = f"{stage}, {kind} tier {depth(agent)}" if several else f"{stage}, {kind}"
+            place = stage_place(agent, stage, tree)
+            stages[port] = place, label
+            closes_ns[place] = plan.deadlines.deadline_ns(agent, stage)
+        closes_ns[max(closes_ns) + 1] = plan.cycle_wall_ns
+        return {
+            port: _Stage(place, label, None if plan.lockstep else closes_ns[place + 1] / 1e6)
+            for port, (place, label) in stages.items()
+        }
+
+    def _messages_at(
+        self, cycle: int, ports: Collection[Port[Message]] | None
+    ) -> tuple[Messages, dict[str, int]]:
+        """Return the messages of a cycle by port, and the newest cycle of each agent by then.
+
+        Of setpoints, which do not come in every cycle, the newest one.
+        """
+        longest = self._plan.periods.longest
+        parsed = [self._parsed(place) for place in self._follower.chunks_with(cycle, longest)]
+        payloads: dict[Port[Message], bytes] = {}
+        newest: dict[str, int] = {}
+        for back in range(max(longest, _FURTHEST_BACK if ports is None else 1)):
+            for port, payload in _of_cycle(parsed, cycle - back):
+                newest.setdefault(port.publisher, cycle - back)
+                wanted = back == 0 or (port.signal is SETPOINT and back < longest)
+                if wanted and (ports is None or port in ports):
+                    payloads.setdefault(port, payload)
+            if back >= longest - 1 and len(newest) == len(self.agents):
+                break
+        found: Messages = {}
+        for port, payload in payloads.items():
+            try:
+                found[port] = decode(port.signal, payload)
+            except msgspec.DecodeError:  # A device of the user's may send anything: as if missing.
+                continue
+        return found, newest
+
+    def _parse(self, place: ChunkPlace) -> dict[int, list[tuple[Port[Message], bytes]]]:
+        """Return the messages in a chunk by their cycle."""
+        found: dict[int, list[tuple[Port[Message], bytes]]] = {}
+        ports = self._follower.ports
+        try:
+            records = unpack_chunk(self._follower.run.file, place)
+        except DamagedChunkError:
+            return found
+        for channel, _, _, _, payload in messages_in(records, ports):
+            port = ports[channel]
+            if port.signal is not RUN:
+                found.setdefault(cycle_of(payload), []).append((port, payload))
+        return found
+
+
+_POWERS: Final = ("impp", "request", "setpoint", "help", "power", "mpp")
+"""Powers of a node. `help` is what it gives beyond its share of its parent's target, and negative
+where it gets some. The central controller's setpoint is the dispatch."""
+
+
+def _of_cycle(
+    parsed: Iterable[dict[int, list[tuple[Port[Message], bytes]]]], cycle: int
+) -> Iterable[tuple[Port[Message], bytes]]:
+    return (entry for chunk in parsed for entry in chunk.get(cycle, ()))
+
+
+def _value(message: Message | None, field: str, default: Any = None) -> Any:  # noqa: ANN401
+    return default if message is None else getattr(message, field)
+
+
+def _total(made: Message | None, field: str, below: tuple[int, ...]) -> float | None:
+    """Add up what a production says of some inverters; None where it does not tell."""
+    if not isinstance(made, Production):
+        return None
+    values: tuple[float, ...] = getattr(made, field)
+    return sum(values[place] for place in below) if below[-1] < len(values) else None

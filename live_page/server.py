@@ -1,0 +1,235 @@
+"""Serves the page: plain files, a few documents, and a stream of updates for each browser.
+
+Everything happens in one thread, and only while a browser asks. A browser takes an update when it
+has room for it; what it has not taken by then is left out. It can ask, but not command.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections import OrderedDict
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import uvicorn
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import BaseRoute, Mount, Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from bus_schemas.errors import InputError
+from live_page.place import Place
+from live_page.run_list import RunList
+from live_page.run_view import RunView
+
+_STATIC: Final = Path(__file__).with_name("static")
+_MOST_STREAMS: Final = 50
+_STALLED_S: Final = 30.0
+"""A browser that has taken nothing for so long is let go."""
+
+_OPEN_RUNS: Final = 4
+_FASTEST: Final = 1e6
+_HEADERS: Final = {
+    "Content-Security-Policy": "default-src 'self'",
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+_COOKIE: Final = "heliarch-page"
+
+
+@dataclass
+class Audience:
+    """The browsers that look on, and when the last one left."""
+
+    streams: int = 0
+    left_at: float = field(default=float("-inf"))
+
+
+class EventStream(StreamingResponse):
+    """Server-sent events. A browser that takes none of them for a while is let go."""
+
+    media_type = "text/event-stream"
+
+    async def stream_response(self, send: Send) -> None:
+        """Send one event after the other, each as soon as there is room for it."""
+
+        async def send_in_time(message: Any) -> None:  # noqa: ANN401 - the type is Starlette's
+            async with asyncio.timeout(_STALLED_S):
+                await send(message)
+
+        with suppress(TimeoutError):
+            await super().stream_response(send_in_time)
+
+
+class PageServer:
+    """The server of one run, or of the `several` runs in a folder."""
+
+    def __init__(self, path: Path, place: Place, *, several: bool) -> None:
+        self.audience = Audience()
+        self._place = place
+        self._list = RunList(path) if several else None
+        self._path = path
+        self._views: OrderedDict[str, RunView] = OrderedDict()
+        self._server = uvicorn.Server(
+            uvicorn.Config(
+                self._app(),
+                log_config=None,
+                log_level="error",
+                access_log=False,
+                lifespan="off",
+                server_header=False,
+                timeout_graceful_shutdown=1,
+            )
+        )
+
+    async def serve(self) -> None:
+        """Serve until told to end."""
+        await self._server.serve(sockets=[self._place.socket])
+
+    def end(self) -> None:
+        """Let the server end."""
+        self._server.should_exit = True
+
+    def _app(self) -> ASGIApp:
+        of_run = [
+            Route("/", _file("run.html")),
+            Route("/plan", self._plan),
+            Route("/window", self._window),
+            Route("/node", self._node),
+            Route("/stream", self._stream),
+        ]
+        routes: list[BaseRoute] = [Mount("/static", StaticFiles(directory=_STATIC))]
+        if self._list is None:
+            routes += of_run
+        else:
+            routes += [
+                Route("/", _file("runs.html")),
+                Route("/runs", self._runs),
+                Mount("/run/{run}", routes=of_run),
+            ]
+        middleware = [Middleware(_Guard, token=self._place.token)]
+        if not self._place.token:
+            # Another site's page must not reach this one under a name of its own.
+            hosts = ["127.0.0.1", "localhost", "::1", "[::1]"]
+            middleware.insert(0, Middleware(TrustedHostMiddleware, allowed_hosts=hosts))
+        errors: Any = {InputError: _bad_input}
+        return Starlette(routes=routes, middleware=middleware, exception_handlers=errors)
+
+    def _view(self, request: Request) -> RunView:
+        """Return the run that a request is about. Of several runs a few stay open."""
+        name = request.path_params.get("run", "")
+        if name not in self._views:
+            path = self._path if self._list is None else self._list.path(name)
+            self._views[name] = RunView(path)
+        self._views.move_to_end(name)
+        for other, view in list(self._views.items())[:-_OPEN_RUNS]:
+            if not view.watched:
+                view.close()
+                del self._views[other]
+        return self._views[name]
+
+    async def _runs(self, request: Request) -> Response:
+        assert self._list is not None
+        return _json(self._list.rows())
+
+    async def _plan(self, request: Request) -> Response:
+        return _json(self._view(request).plan())
+
+    async def _window(self, request: Request) -> Response:
+        points = int(_number(request, "points", 1000))
+        return _json(self._view(request).window(_cycles(request), points))
+
+    async def _node(self, request: Request) -> Response:
+        node = request.query_params.get("path", "")
+        return _json(await self._view(request).node(node, _cycles(request)))
+
+    async def _stream(self, request: Request) -> Response:
+        """Follow the newest cycle, or play from the cycle `from` at a `speed`."""
+        if self.audience.streams >= _MOST_STREAMS:
+            return PlainTextResponse("too many browsers look on", 503)
+        begin = _number(request, "from", -1.0)
+        speed = min(max(_number(request, "speed", 0.0), 0.0), _FASTEST)
+        updates = self._view(request).updates(None if begin < 0 else begin, speed)
+        return EventStream(self._events(updates))
+
+    async def _events(self, updates: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
+        self.audience.streams += 1
+        try:
+            async for update in updates:
+                yield b"data: " + update + b"\n\n"
+                if self._server.should_exit:
+                    return
+        finally:
+            self.audience.streams -= 1
+            self.audience.left_at = asyncio.get_running_loop().time()
+
+
+class _Guard:
+    """Lets in who knows the token, and adds the headers of every answer."""
+
+    def __init__(self, app: ASGIApp, token: str) -> None:
+        self._app = app
+        self._token = token
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            return
+        request = Request(scope)
+        given = request.query_params.get("token") or request.cookies.get(_COOKIE, "")
+        if self._token and not secrets.compare_digest(given.encode(), self._token.encode()):
+            refusal = PlainTextResponse("the address needs the token that was printed\n", 403)
+            await refusal(scope, receive, send)
+            return
+
+        async def with_headers(message: Any) -> None:  # noqa: ANN401 - the type is Starlette's
+            if message["type"] == "http.response.start":
+                headers = dict(_HEADERS)
+                if self._token:
+                    headers["Set-Cookie"] = f"{_COOKIE}={given}; HttpOnly; SameSite=Strict"
+                message["headers"] = [
+                    *message["headers"],
+                    *((name.lower().encode(), value.encode()) for name, value in headers.items()),
+                ]
+            await send(message)
+
+        await self._app(scope, receive, with_headers)
+
+
+def _file(name: str) -> Callable[[Request], Awaitable[Response]]:
+    async def answer(request: Request) -> Response:
+        return FileResponse(_STATIC / name)
+
+    return answer
+
+
+def _json(document: object) -> Response:
+    return Response(msgspec.json.encode(document), media_type="application/json")
+
+
+async def _bad_input(request: Request, error: Exception) -> Response:
+    return PlainTextResponse(f"{error}\n", 404)
+
+
+def _number(request: Request, name: str, default: float) -> float:
+    try:
+        value = float(request.query_params.get(name, default))
+    except ValueError:
+        value = float("nan")
+    if not abs(value) < 1e15:
+        raise InputError(f"{name}: expected a number")
+    return value
+
+
+def _cycles(request: Request) -> range:
+    """Return the cycles that a request asks for: `from` to `to`, both included."""
+    return range(int(_number(request, "from", 0)), int(_number(request, "to", 1e12)) + 1)

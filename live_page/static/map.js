@@ -1,0 +1,151 @@
+// The inverters where they stand: filled by possible power, ringed by delivered power, with help.
+
+import {kw} from "./chart.js";
+
+const NS = "http://www.w3.org/2000/svg";
+const RAMP = ["#00224e", "#123570", "#3b496c", "#575d6d", "#707173", "#8a8678", "#a59c74", "#c3b369", "#e1cc55", "#fee838"];
+const CLUSTERS = ["#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#8c7ae6", "#b0a030"];
+const MOST_LINES = 400;
+
+// Cividis: it rises evenly in brightness, also for the colour-blind.
+function ramp(share) {
+  const at = Math.min(Math.max(share, 0), 1) * (RAMP.length - 1), low = Math.floor(at), rest = at - low;
+  const part = (colour, place) => parseInt(colour.slice(1 + 2 * place, 3 + 2 * place), 16);
+  const next = RAMP[Math.min(low + 1, RAMP.length - 1)];
+  return `rgb(${[0, 1, 2].map(place => Math.round(part(RAMP[low], place) * (1 - rest) + part(next, place) * rest)).join()})`;
+}
+
+function make(name, attributes, parent) {
+  const element = document.createElementNS(NS, name);
+  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+  parent?.append(element);
+  return element;
+}
+
+// The shortest lines that join all points (Prim): they show what belongs together without covering it.
+function joined(points) {
+  const far = points.map(() => Infinity), from = points.map(() => 0), open = new Set(points.keys());
+  const lines = [];
+  far[0] = 0;
+  while (open.size) {
+    const next = [...open].reduce((best, i) => far[i] < far[best] ? i : best);
+    open.delete(next);
+    if (far[next] > 0) lines.push(`M${points[from[next]]}L${points[next]}`);
+    for (const i of open) {
+      const length = Math.hypot(points[i][0] - points[next][0], points[i][1] - points[next][1]);
+      if (length < far[i]) [far[i], from[i]] = [length, next];
+    }
+  }
+  return lines.join("");
+}
+
+// Where nobody knows where the inverters stand, a row for each cluster.
+function inRows(nodes) {
+  const clusters = new Map();
+  nodes.forEach(node => node.inverter && clusters.set(node.parent, [...clusters.get(node.parent) ?? [], node]));
+  const places = new Map();
+  [...clusters.values()].forEach((row, y) => row.forEach((node, x) => places.set(node, [x * 10, -y * 12])));
+  return nodes.filter(node => node.inverter).map(node => places.get(node));
+}
+
+export function plantMap(svg, note, plan, select) {
+  const inverters = plan.nodes.map((node, place) => ({...node, place})).filter(node => node.inverter);
+  const known = plan.positions_m.length === inverters.length;
+  const metres = known ? plan.positions_m : inRows(plan.nodes);
+  const [xs, ys] = [0, 1].map(axis => metres.map(point => point[axis]));
+  const [left, right, low, high] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+  const width = 720, margin = 52;
+  const scale = Math.min((width - 2 * margin) / Math.max(right - left, 1e-9), 470 / Math.max(high - low, 1e-9));
+  const height = Math.max((high - low) * scale + 2 * margin, 240) + 16;
+  const middle = [(left + right) / 2, (low + high) / 2];
+  const at = metres.map(([x, y]) => [width / 2 + (x - middle[0]) * scale, (height - 16) / 2 - (y - middle[1]) * scale]);
+  svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
+  svg.replaceChildren();
+  const nearest = at.map((p, i) => Math.min(...at.map((q, j) => i === j ? Infinity : Math.hypot(p[0] - q[0], p[1] - q[1]))));
+  const typical = [...nearest].sort((a, b) => a - b)[Math.floor(nearest.length * 0.3)];
+  const largest = Math.max(...inverters.map(node => node.rating_kw));
+  const size = Math.min(Math.max(typical * 0.45, 3), 24);
+  const radius = node => size * Math.sqrt(node.rating_kw / largest);
+
+  const head = Math.min(Math.max(size * 0.6, 4), 9);
+  const arrow = make("marker", {id: "arrow", viewBox: "0 0 8 8", refX: 7, refY: 4, markerWidth: head, markerHeight: head, markerUnits: "userSpaceOnUse", orient: "auto"}, make("defs", {}, svg));
+  make("path", {d: "M0 0L8 4L0 8z"}, arrow);
+
+  const centre = new Map(inverters.map((node, i) => [node.place, at[i]]));
+  const members = new Map();
+  inverters.forEach((node, i) => {
+    for (let parent = node.parent; parent !== null; parent = plan.nodes[parent].parent) {
+      members.set(parent, [...members.get(parent) ?? [], at[i]]);
+    }
+  });
+  for (const [place, points] of members) centre.set(place, [0, 1].map(axis => points.reduce((sum, p) => sum + p[axis], 0) / points.length));
+
+  const shapes = new Map();  // What is drawn for each node, by its place.
+  const back = make("g", {}, svg), helpLayer = make("g", {}, svg), front = make("g", {}, svg), labels = make("g", {class: "labels"}, svg);
+  const clusters = [...members.keys()].filter(place => inverters.some(node => node.parent === place) && place !== 0);
+  clusters.forEach((place, number) => {
+    const outline = make("g", {class: "cluster"}, back);
+    make("path", {d: joined(members.get(place)), stroke: CLUSTERS[number % CLUSTERS.length], "stroke-width": Math.max(size * (clusters.length > 6 ? 0.4 : 0.7), 3)}, outline);
+    outline.addEventListener("click", () => select(place));
+    shapes.set(place, outline);
+    make("title", {}, outline).textContent = plan.nodes[place].path;
+  });
+
+  const roomy = typical >= 38;
+  const drawn = inverters.map((node, i) => {
+    const [x, y] = at[i], r = radius(node);
+    const group = make("g", {class: "inverter", transform: `translate(${x},${y})`, tabindex: -1}, front);
+    const thick = Math.max(r * 0.27, 1.5), around = r - thick / 2;
+    make("circle", {class: "chosen", r: r + 3}, group);
+    const body = make("circle", {class: "body", r: r - thick - 0.5}, group);
+    make("circle", {class: "track", r: around, "stroke-width": thick}, group);
+    const ring = make("circle", {class: "ring", r: around, "stroke-width": thick, pathLength: 100, transform: "rotate(-90)"}, group);
+    if (roomy) make("text", {x, y: y + r + 13, "font-size": 12.5}, labels).textContent = node.path.split("/").pop();
+    const title = make("title", {}, group);
+    group.addEventListener("click", () => select(node.place));
+    shapes.set(node.place, group);
+    return {node, body, ring, title};
+  });
+  if (known) drawScale(svg, width, height, scale);
+  note.textContent = known ? "" : "The recording does not say where the inverters stand: a row for each cluster.";
+
+  let selected = null;
+  return {
+    select(place) {
+      shapes.get(selected)?.classList.remove("selected");
+      shapes.get(selected = place)?.classList.add("selected");
+    },
+    show(frame) {
+      const {mpp, power} = frame.nodes;
+      for (const {node, body, ring, title} of drawn) {
+        const possible = mpp[node.place], made = power[node.place];
+        body.classList.toggle("missing", possible === null);
+        body.setAttribute("fill", possible === null ? "none" : ramp(possible / node.rating_kw));
+        const share = made === null ? 0 : Math.min(Math.max(made / node.rating_kw, 0), 1) * 100;
+        ring.setAttribute("stroke-dasharray", `${share} 200`);
+        title.textContent = `${node.path}: possible ${kw(possible)}, delivers ${kw(made)} of ${kw(node.rating_kw)} kW`;
+      }
+      const shown = [...frame.help].sort((a, b) => b[2] - a[2]).slice(0, MOST_LINES);
+      while (helpLayer.childElementCount < shown.length) make("path", {class: "help"}, helpLayer);
+      [...helpLayer.children].forEach((line, row) => {
+        line.style.display = row < shown.length ? "" : "none";
+        if (row >= shown.length) return;
+        const [donor, needy, power_kw] = shown[row], [a, b] = [centre.get(donor), centre.get(needy)];
+        const dx = b[0] - a[0], dy = b[1] - a[1], length = Math.hypot(dx, dy) || 1;
+        const gap = Math.min(size + 2, length / 3), from = [a[0] + dx / length * gap, a[1] + dy / length * gap], to = [b[0] - dx / length * gap, b[1] - dy / length * gap];
+        const bend = [(from[0] + to[0]) / 2 - dy * 0.12, (from[1] + to[1]) / 2 + dx * 0.12];
+        line.setAttribute("d", `M${from}Q${bend} ${to}`);
+        line.setAttribute("stroke-width", Math.min(1 + size * power_kw / largest, 14).toFixed(1));
+        line.setAttribute("marker-end", "url(#arrow)");
+      });
+      return frame.help.length - shown.length;
+    },
+  };
+}
+
+function drawScale(svg, width, height, scale) {
+  const metres = [10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000].filter(step => step * scale < 160).pop() ?? 10;
+  const long = metres * scale, y = height - 6;
+  make("path", {class: "scale", d: `M${width - 30 - long} ${y - 6}v6h${long}v-6M${width - 12} ${y}v-20m-5 7l5-7l5 7`}, svg);
+  make("text", {x: width - 36 - long, y, class: "soft", "text-anchor": "end"}, svg).textContent = metres < 1000 ? `${metres} m` : `${metres / 1000} km`;
+}

@@ -1,0 +1,72 @@
+// The control tree, a row for each process: alive, age, inputs, loop time, restarts.
+
+const FOLDED_ABOVE = 30;
+
+export function controlTree(body, plan, select) {
+  const plant = {path: "plant", parent: null, place: null, depth: 0, children: []};
+  const rows = plan.nodes.map((node, place) => ({...node, place, children: []}));
+  for (const row of rows) if (row.parent !== null) rows[row.parent].children.push(row);
+  const order = [plant];
+  const visit = (row, depth) => { row.depth = depth; order.push(row); row.children.forEach(child => visit(child, depth + 1)); };
+  visit(rows[0], 0);
+  const many = rows.filter(row => row.inverter).length > FOLDED_ABOVE;
+  for (const row of order) {
+    row.agent = row.place === null ? 0 : row.place + 1;  // The frame lists the plant first.
+    row.folded = many && row.children.some(child => child.inverter) && row.depth > 0;
+    const line = row.line = document.createElement("tr");
+    const name = line.insertCell();
+    name.style.paddingLeft = `${row.depth * 18}px`;
+    if (row.depth > 0 && row.children.length) {
+      row.fold = Object.assign(document.createElement("button"), {className: "fold", title: "open or fold"});
+      row.fold.addEventListener("click", event => { event.stopPropagation(); row.folded = !row.folded; arrange(); });
+      name.append(row.fold);
+    }
+    name.append(row.path === "plant" ? "plant" : row.path.split("/").pop() || "central");
+    if (row.external) name.append(" (device)");
+    row.cells = Array.from({length: 6}, (_, column) => { const cell = line.insertCell(); if (column) cell.className = "n"; return cell; });
+    if (row.place !== null) line.addEventListener("click", () => select(row.place));
+  }
+  body.replaceChildren(...order.map(row => row.line));
+
+  let frame = null, selected = null;
+  const below = row => [row, ...row.children.flatMap(below)];
+  function arrange() {
+    const hidden = new Set(order.filter(row => row.folded).flatMap(row => below(row).slice(1)));
+    for (const row of order) {
+      row.line.hidden = hidden.has(row);
+      if (row.fold) row.fold.textContent = row.folded ? "▸" : "▾";
+    }
+    if (frame) show(frame);
+  }
+  function show(next) {
+    frame = next;
+    const agents = frame.agents;
+    for (const row of order) {
+      if (row.line.hidden) continue;
+      const own = row.agent, age = agents.age[own], lost = age === null || age > plan.hold_cycles;
+      const dead = row.folded ? below(row).slice(1).filter(child => agents.age[child.agent] === null || agents.age[child.agent] > plan.hold_cycles).length : 0;
+      const [state, ages, inputs, oldest, loop, restarts] = row.cells;
+      state.className = lost || dead ? "dead" : "alive";
+      state.textContent = lost ? "✕ silent" : dead ? `✕ ${dead} below silent` : "● alive";
+      ages.textContent = age ?? "–";
+      const absent = agents.absent[own], older = agents.older[own];
+      inputs.innerHTML = lost ? "–" : absent || older ? `<span class="late">${[absent && `${absent} missing`, older && `${older} old`].filter(Boolean).join(", ")}</span>` : "all";
+      oldest.textContent = lost ? "–" : agents.input_age[own];
+      loop.textContent = agents.loop_ms[own]?.toFixed(2) ?? "–";
+      restarts.textContent = agents.restarts[own];
+    }
+  }
+  arrange();
+  return {
+    show,
+    select(place) {
+      order.find(row => row.place === selected)?.line.classList.remove("selected");
+      selected = place;
+      const row = order.find(row => row.place === place);
+      for (let parent = row?.parent; parent != null; parent = rows[parent].parent) rows[parent].folded = false;
+      arrange();
+      row?.line.classList.add("selected");
+    },
+    order: order.filter(row => row.place !== null).map(row => row.place),
+  };
+}

@@ -1,0 +1,129 @@
+"""A real browser for tests: Chromium, driven over WebDriver by plain HTTP."""
+
+from __future__ import annotations
+
+import base64
+import json
+import shutil
+import subprocess
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final
+
+PROGRAMS: Final = ("chromium", "chromedriver")
+MISSING: Final = [program for program in PROGRAMS if shutil.which(program) is None]
+"""What this machine lacks of it."""
+
+_OPTIONS: Final = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-dev-shm-usage",
+)
+
+
+class Browser:
+    """One window of the browser."""
+
+    def __init__(self, driver: str, profile: Path, width: int, height: int) -> None:
+        self._driver = driver
+        options = [*_OPTIONS, f"--user-data-dir={profile}", f"--window-size={width},{height}"]
+        wanted = {
+            "browserName": "chrome",
+            "goog:chromeOptions": {"binary": shutil.which("chromium"), "args": options},
+            "goog:loggingPrefs": {"browser": "ALL"},
+        }
+        answer = self._ask("session", {"capabilities": {"alwaysMatch": wanted}})
+        self._session = f"session/{answer['sessionId']}"
+
+    def open(self, address: str) -> None:
+        """Load a page."""
+        self._ask(f"{self._session}/url", {"url": address})
+
+    def run(self, script: str) -> Any:  # noqa: ANN401 - whatever the script returns
+        """Run JavaScript in the page; return what it returns."""
+        return self._ask(f"{self._session}/execute/sync", {"script": script, "args": []})
+
+    def text(self, selector: str) -> str:
+        """Return the text of an element, empty if there is none."""
+        found = self.run(
+            f"return document.querySelector({json.dumps(selector)})?.textContent ?? ''"
+        )
+        return str(found)
+
+    def press(self, key: str) -> None:
+        """Press a key in the page."""
+        event = f"new KeyboardEvent('keydown', {{key: {json.dumps(key)}, bubbles: true}})"
+        self.run(f"document.body.dispatchEvent({event})")
+
+    def until(self, script: str, what: str, timeout_s: float = 60.0) -> Any:  # noqa: ANN401
+        """Wait until a script returns something true; return it."""
+        give_up_at = time.monotonic() + timeout_s
+        while not (found := self.run(script)):
+            assert time.monotonic() < give_up_at, f"it never came to {what}: {self.problems()}"
+            time.sleep(0.1)
+        return found
+
+    def problems(self) -> list[str]:
+        """What the page complained about since this was last asked."""
+        entries = self._ask(f"{self._session}/se/log", {"type": "browser"})
+        return [entry["message"] for entry in entries if entry["level"] == "SEVERE"]
+
+    def resize(self, width: int, height: int) -> None:
+        """Give the window another size."""
+        self._ask(f"{self._session}/window/rect", {"width": width, "height": height})
+
+    def screenshot(self, path: Path) -> None:
+        """Write what is seen as a PNG file."""
+        request = urllib.request.Request(f"{self._driver}/{self._session}/screenshot")
+        with urllib.request.urlopen(request, timeout=60) as answer:
+            path.write_bytes(base64.b64decode(json.load(answer)["value"]))
+
+    def close(self) -> None:
+        """Close the window."""
+        request = urllib.request.Request(f"{self._driver}/{self._session}", method="DELETE")
+        with suppress(OSError):
+            urllib.request.urlopen(request, timeout=20).close()
+
+    def _ask(self, path: str, body: dict[str, Any]) -> Any:  # noqa: ANN401 - JSON
+        request = urllib.request.Request(
+            f"{self._driver}/{path}",
+            json.dumps(body).encode(),
+            {"Content-Type": "application/json"},
+        )
+        try:
+            with urllib.request.urlopen(request, timeout=120) as answer:
+                return json.load(answer)["value"]
+        except urllib.error.HTTPError as error:
+            raise AssertionError(error.read().decode()) from None
+
+
+@contextmanager
+def browser(folder: Path, width: int = 1280, height: int = 900) -> Iterator[Browser]:
+    """Open a browser that keeps its things in a folder; nothing of it outlives the context."""
+    with subprocess.Popen(
+        ["chromedriver", "--port=0"], stdout=subprocess.PIPE, text=True, process_group=0
+    ) as driver:
+        try:
+            assert driver.stdout is not None
+            port = next(
+                line.rpartition(" ")[2].strip(" .\n")
+                for line in driver.stdout
+                if "started successfully on port" in line
+            )
+            one = Browser(f"http://127.0.0.1:{port}", folder / "browser", width, height)
+            try:
+                yield one
+            finally:
+                one.close()
+        finally:
+            driver.kill()

@@ -1,0 +1,63 @@
+"""The page's server in a thread of the test, and what it answers."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from live_page.place import Place, open_place
+from live_page.server import PageServer
+
+
+class Served:
+    """A server, and where it is."""
+
+    def __init__(self, server: PageServer, place: Place) -> None:
+        self.server = server
+        self.address = place.address
+        self.root = place.address.partition("?")[0]
+
+    def get(self, path: str) -> Any:  # noqa: ANN401 - JSON
+        """Return the document at a path."""
+        with urllib.request.urlopen(self.root + path, timeout=30) as answer:
+            return json.load(answer)
+
+    def status(self, path: str, method: str = "GET", **headers: str) -> int:
+        """Return the status of the answer to a request."""
+        request = urllib.request.Request(self.root + path, method=method, headers=headers)
+        try:
+            with urllib.request.urlopen(request, timeout=30) as answer:
+                return int(answer.status)
+        except urllib.error.HTTPError as error:
+            return error.code
+
+    def updates(self, path: str = "stream") -> Iterator[dict[str, Any]]:
+        """Yield what a browser is sent."""
+        with urllib.request.urlopen(self.root + path, timeout=30) as answer:
+            for line in answer:
+                if line.startswith(b"data: "):
+                    yield json.loads(line[6:])
+
+
+@contextmanager
+def served(
+    path: Path, *, several: bool = False, address: str = "127.0.0.1", port: int = 0
+) -> Iterator[Served]:
+    """Serve a run, or several."""
+    place = open_place(address, port)
+    server = PageServer(path, place, several=several)
+    thread = threading.Thread(target=lambda: asyncio.run(server.serve()))
+    thread.start()
+    try:
+        yield Served(server, place)
+    finally:
+        server.end()
+        thread.join(20)
+        assert not thread.is_alive()

@@ -1,0 +1,164 @@
+"""What a page shows of a recording: also while that is written, and of what is missing in it."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+from recordings_by_hand import PLAN, SCENARIO, cycle_of_the_plant, whole_run, write_run
+
+from bus_schemas.bus import Delivery, Outbox
+from bus_schemas.codec import encode
+from bus_schemas.messages import Notice, Production
+from bus_schemas.signals import IMPP, NOTICE, PRODUCTION
+from live_page.follower import RunFollower
+from live_page.nodes import NodeStates
+from recordings.read.series import read_plant_series
+from recordings.record.writer import RunWriter
+from studies.metrics import run_metrics
+
+
+def followed(path: Path) -> RunFollower:
+    follower = RunFollower(path)
+    while not follower.advance(1.0):
+        pass
+    return follower
+
+
+def kinds(follower: RunFollower) -> list[tuple[str, int, str]]:
+    return [(event.kind, event.cycle, event.agent) for event in follower.events.since(0)]
+
+
+def place(node: str) -> int:
+    return PLAN.tree.nodes.index(node)
+
+
+def test_a_recording_is_followed_while_it_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    outbox, writer = Outbox(), RunWriter(path, PLAN, SCENARIO, driver="simulate")
+
+    def add(cycle: int) -> None:
+        for port, message in cycle_of_the_plant(cycle):
+            outbox.stamp(port, message, time.monotonic_ns())
+            writer.add(port, message, encode(message), time.monotonic_ns())
+
+    add(0)
+    writer.flush()
+    follower = followed(path)
+    assert (follower.cycles, follower.state) == (1, "running")
+    for cycle in range(1, 5):
+        add(cycle)
+        writer.flush()
+        follower.advance(1.0)
+        assert follower.cycles == cycle + 1
+    writer.close()
+    follower.advance(1.0)
+    assert follower.state == "over"
+    assert follower.powers(range(5), 100)["delivered"] == [239.0] * 5
+
+
+def test_figures_so_far_are_those_of_the_metrics(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_run(path, whole_run(90))
+    found, expected = followed(path).metrics(), run_metrics(read_plant_series(path))
+    assert found is not None
+    assert found.commitment.unsatisfied_kwh == pytest.approx(expected.commitment.unsatisfied_kwh)
+    assert found.tracking == expected.tracking
+
+
+def test_a_frame_has_the_powers_the_help_and_the_requests(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_run(path, whole_run(20))
+    states = NodeStates(followed(path))
+    frame = states.frame(7)
+    nodes = frame["nodes"]
+    assert nodes["impp"][place("c1/a")] == 40.0
+    assert nodes["request"][place("c1/a")] == 60.0
+    assert nodes["help"][place("c1/b")] == 20.0
+    assert nodes["power"][place("c1")] == 120.0
+    assert frame["help"] == [(place("c1/b"), place("c1/a"), 20.0)]
+    assert set(frame["agents"]["age"]) == {0}
+    # The central controller acts every other cycle: its newest setpoint holds.
+    assert nodes["setpoint"][place("c1")] == 120.0
+
+
+def test_what_is_missing_is_shown_as_missing(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+
+    def is_kept(delivery: Delivery) -> bool:
+        port, message = delivery
+        silent = port.publisher == "c2/c" and 5 <= message.cycle < 12
+        return not silent and not (isinstance(message, Production) and message.cycle == 8)
+
+    write_run(path, whole_run(20), is_kept=is_kept)
+    follower = followed(path)
+    powers = follower.powers(range(7, 10), 100)
+    assert powers["delivered"][1] != powers["delivered"][1]  # NaN
+    assert powers["desired"][1] == 240.0
+    states = NodeStates(follower)
+    frame = states.frame(8)
+    assert frame["nodes"]["impp"][place("c2/c")] is None
+    assert frame["nodes"]["power"] == [None] * len(PLAN.tree.nodes)
+    assert frame["agents"]["age"][1 + place("c2/c")] == 4
+    assert states.series("c2/c", 8)["impp"] is None
+    assert ("lost", 12, "c2/c") in kinds(follower)
+    assert ("silent", 5, "c2/c") in kinds(follower)
+
+
+def test_an_agent_that_is_silent_for_good_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_run(path, whole_run(20), is_kept=lambda d: d[0] is not IMPP.of("c2") or d[1].cycle < 9)
+    assert ("silent", 9, "c2") in kinds(followed(path))
+
+
+def test_a_restart_is_told_by_numbers_that_begin_again(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    outboxes = Outbox(), Outbox()
+    writer = RunWriter(path, PLAN, SCENARIO, driver="simulate")
+    for cycle in range(10):
+        for port, message in cycle_of_the_plant(cycle):
+            again = port.publisher == "c1/a" and cycle >= 6
+            outboxes[again].stamp(port, message, time.monotonic_ns())
+            writer.add(port, message, encode(message), time.monotonic_ns())
+    writer.close()
+    follower = followed(path)
+    assert ("restart", 6, "c1/a") in kinds(follower)
+    assert follower.restarts["c1/a"] == 1
+
+
+def test_notices_are_events_that_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    notices = [
+        (NOTICE.of("c1"), Notice(cycle, 0, "c1", (), text="mended", count=cycle + 1))
+        for cycle in range(4)
+    ]
+    write_run(path, [*whole_run(5), *notices])
+    (event,) = [event for event in followed(path).events.since(0) if event.kind == "notice"]
+    assert (event.text, event.count, event.last_cycle) == ("mended", 4, 3)
+
+
+def test_a_damaged_part_is_named_and_the_rest_is_shown(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_run(path, whole_run(40), messages_per_chunk=100)
+    whole = RunFollower(path)
+    chunk = whole.run.outline.chunks[2]
+    content = bytearray(path.read_bytes())
+    content[chunk.offset + chunk.length - 20] ^= 0xFF
+    path.write_bytes(content)
+    follower = followed(path)
+    assert follower.cycles == 40
+    assert "damage" in [kind for kind, _, _ in kinds(follower)]
+
+
+def test_a_long_run_is_thinned_out_without_losing_a_dip(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    deliveries = [d for d in whole_run(900) if d[0].signal.name in {"dispatch", "production"}]
+    for port, message in deliveries:
+        if port.signal is PRODUCTION and message.cycle == 444:
+            assert isinstance(message, Production)
+            message.delivered_kw = 3.0
+    write_run(path, deliveries)
+    powers = followed(path).powers(range(900), 60)
+    assert len(powers["cycle"]) < 200
+    assert min(powers["delivered"]) == 3.0

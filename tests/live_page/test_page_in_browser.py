@@ -1,0 +1,149 @@
+"""The page in a real browser: of a launched run, of a recording, and without its server."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from browser import MISSING, Browser, browser
+from replayed_runs import run_in_memory, write
+from running import Heliarch, assert_none_left, small_plant
+from served import served
+
+pytestmark = [
+    pytest.mark.processes,
+    pytest.mark.skipif(bool(MISSING), reason=f"no browser here: {', '.join(MISSING)} missing"),
+]
+CYCLES = 40
+
+
+@pytest.fixture
+def window(tmp_path: Path) -> Iterator[Browser]:
+    """A window of the browser."""
+    with browser(tmp_path) as found:
+        yield found
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A folder with a recorded run of four inverters."""
+    write(tmp_path / "run", run_in_memory())
+    return tmp_path / "run"
+
+
+def at(cycle: int) -> str:
+    """Script: whether the page stands at a cycle, counted from 1."""
+    text = "document.querySelector('#position-text').textContent"
+    return f"return {text}.startsWith('cycle {cycle} of')"
+
+
+def curve(chart: str) -> str:
+    """Script: whether the blue line of the delivered power is drawn in a chart."""
+    return (
+        f"const c = document.querySelector('#{chart} canvas'); if (!c) return false;"
+        "const {data} = c.getContext('2d').getImageData(0, 0, c.width, c.height);"
+        "return data.some((red, place) => place % 4 == 0 && red < 60 && data[place + 2] > 130)"
+    )
+
+
+def test_a_launched_run_moves_and_stays_when_it_is_over(
+    window: Browser, heliarch: Callable[..., Heliarch], tmp_path: Path
+) -> None:
+    plant = small_plant(tmp_path / "plant")
+    run = heliarch("launch", plant, "--duration", "150", "--pace", "10", "--page")
+    page = re.compile(r"page: (http://127\.0\.0\.1:\d+/)")
+    run.until(lambda: page.search(run.output.read_text()) is not None, "its page")
+    found = page.search(run.output.read_text())
+    assert found is not None
+    window.open(found[1])
+    window.until("return document.querySelector('#state').textContent == 'running'", "its run")
+    assert window.run("return document.querySelectorAll('.inverter').length") == 4
+    moved = "return +document.querySelector('#position').value > {}"
+    here = int(window.until("return +document.querySelector('#position').value", "a cycle"))
+    window.until(moved.format(here + 5), "later cycles")
+    window.until(curve("power-chart"), "curves")
+    window.until("return document.querySelector('#state').textContent == 'over'", "its end")
+    window.until(at(150), "the last cycle")
+    assert window.run("return document.querySelector('#banner').hidden")
+    assert window.problems() == []
+    assert run.process.poll() is None  # It is still looked at.
+    window.open("about:blank")
+    assert run.wait() == 0
+    assert_none_left(run.folder)
+
+
+def test_a_run_that_fails_says_so(
+    window: Browser, heliarch: Callable[..., Heliarch], tmp_path: Path
+) -> None:
+    plant = small_plant(tmp_path / "plant")
+    run = heliarch("launch", plant, "--pace", "10", "--page")
+    run.until_running()
+    found = re.search(r"page: (http\S+)", run.output.read_text())
+    assert found is not None
+    window.open(found[1])
+    window.until("return document.querySelector('#state').textContent == 'running'", "its run")
+    run.process_of("c1/inv01").kill()
+    assert run.wait() == 1
+    window.until("return document.querySelector('#events .failure')", "the failure")
+    assert "c1/inv01" in window.text("#events .failure")
+    window.until("return !document.querySelector('#banner').hidden", "the banner")
+    assert_none_left(run.folder)
+
+
+def test_a_recording_is_played_stepped_and_scrubbed(window: Browser, run: Path) -> None:
+    with served(run) as page:
+        window.open(page.address)
+        window.until(at(CYCLES), "the last cycle")
+        window.press("Home")
+        window.until(at(1), "the first cycle")
+        window.press("ArrowRight")
+        window.until(at(2), "the next cycle")
+        window.run(
+            "const bar = document.querySelector('#position'); bar.value = 20;"
+            "bar.dispatchEvent(new Event('input'))"
+        )
+        window.until(at(21), "the cycle asked for")
+        window.press(" ")
+        window.until(at(CYCLES), "the end, played")
+        window.press("n")
+        window.run(
+            "document.querySelectorAll('.inverter')[2]"
+            ".dispatchEvent(new MouseEvent('click', {bubbles: true}))"
+        )
+        assert window.text("#node-title") == "c2/c"
+        window.until(curve("node-chart"), "the curves of a node")
+        before = window.run("return document.documentElement.dataset.theme")
+        window.press("t")
+        assert window.run("return document.documentElement.dataset.theme") != before
+        assert window.problems() == []
+
+
+def test_a_lost_connection_is_said_and_taken_up_again(window: Browser, run: Path) -> None:
+    with served(run) as page:
+        port = int(page.root.rpartition(":")[2].strip("/"))
+        window.open(page.address)
+        window.until(at(CYCLES), "the last cycle")
+    window.until("return !document.querySelector('#banner').hidden", "the banner")
+    assert window.run(at(CYCLES))  # What was shown stays.
+    with served(run, port=port):
+        window.until("return document.querySelector('#banner').hidden", "the connection")
+
+
+def test_nothing_runs_off_a_narrow_window(window: Browser, run: Path) -> None:
+    window.resize(800, 900)
+    with served(run) as page:
+        window.open(page.address)
+        window.until(at(CYCLES), "the last cycle")
+        assert window.run("return document.documentElement.scrollWidth <= innerWidth")
+
+
+def test_a_folder_of_runs_leads_to_each_of_them(window: Browser, run: Path) -> None:
+    with served(run.parent, several=True) as page:
+        window.open(page.address)
+        window.until("return document.querySelector('#rows a')", "the list")
+        window.run("document.querySelector('#rows a').click()")
+        window.until(at(CYCLES), "the run")
+        window.run("document.querySelector('#back').click()")
+        window.until("return document.querySelector('#rows a')", "the list again")

@@ -1,0 +1,121 @@
+"""The page's server: what it answers, to whom, and that a browser costs it little."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import socket
+import time
+import urllib.request
+from pathlib import Path
+
+import pytest
+from recordings_by_hand import PLAN, whole_run, write_run
+from served import served
+
+CYCLES = 60
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A folder with a recorded run."""
+    folder = tmp_path / "runs" / "one"
+    folder.mkdir(parents=True)
+    write_run(folder / "run.mcap", whole_run(CYCLES))
+    return folder
+
+
+def test_a_browser_is_told_the_plan_and_then_the_state(run: Path) -> None:
+    with served(run) as page:
+        plan = page.get("plan")
+        assert [node["path"] for node in plan["nodes"]] == list(PLAN.tree.nodes)
+        last = next(news for news in page.updates() if news["state"] == "over")
+        assert last["cycle"] == CYCLES - 1
+        assert last["frame"]["nodes"]["power"][0] == 239.0
+
+
+def test_a_recording_is_played_from_a_cycle_at_a_speed(run: Path) -> None:
+    with served(run) as page:
+        list(itertools.islice(page.updates(), 2))  # Read as far as it goes.
+        shown = []
+        for news in page.updates("stream?from=10&speed=100"):
+            shown.append(news["cycle"])
+            if news["cycle"] == CYCLES - 1:
+                break
+        assert shown == sorted(shown)
+        assert shown[0] >= 10
+        assert next(page.updates("stream?from=33&speed=0"))["frame"]["cycle"] == 33
+
+
+def test_the_series_of_a_node_and_of_the_plant_can_be_asked_for(run: Path) -> None:
+    with served(run) as page:
+        next(page.updates())
+        node = page.get("node?path=c1/b&from=5&to=9")
+        assert node["cycle"] == [5, 6, 7, 8, 9]
+        assert node["help"] == [20.0] * 5
+        assert page.get("window?from=0&to=3")["desired"] == [240.0] * 4
+        assert page.status("node?path=c9&from=0&to=1") == 404
+        assert page.status("window?from=x") == 404
+
+
+def test_a_page_waits_for_a_run_that_has_not_begun(tmp_path: Path) -> None:
+    with served(tmp_path / "later") as page:
+        assert page.get("plan") is None
+        assert next(page.updates())["state"] == "waiting"
+        (tmp_path / "later").mkdir()
+        write_run(tmp_path / "later" / "run.mcap", whole_run(3))
+        assert any(news.get("cycle") == 2 for news in page.updates())
+
+
+def test_nothing_can_be_commanded_and_no_other_site_gets_in(run: Path) -> None:
+    with served(run) as page:
+        for path in ("", "plan", "window", "node", "stream"):
+            assert page.status(path, "POST") == 405
+            assert page.status(path, "PUT") == 405
+        assert page.status("plan", Host="evil.example") == 400
+        assert page.status("static/../server.py") == 404
+
+
+def test_other_hosts_need_the_token(run: Path) -> None:
+    with served(run, address="0.0.0.0") as page:
+        port = page.root.rpartition(":")[2].strip("/")
+        page.root = f"http://127.0.0.1:{port}/"
+        token = page.address.partition("token=")[2]
+        assert page.status("plan") == page.status("plan?token=wrong") == 403
+        with urllib.request.urlopen(f"{page.root}?token={token}") as answer:
+            cookie = answer.headers["Set-Cookie"].partition(";")[0]
+        assert page.status("plan", Cookie=cookie) == 200
+
+
+def test_the_runs_of_a_folder_are_listed_with_their_figures(run: Path, tmp_path: Path) -> None:
+    (run / "summary.json").write_text(
+        json.dumps(
+            {"scenario": "field", "cycles": CYCLES, "cycle_s": 1.0, "figures": {"rmse": 4.2}}
+        )
+    )
+    other = tmp_path / "runs" / "rates" / "rate-1"
+    other.mkdir(parents=True)
+    write_run(other / "run.mcap", whole_run(2))
+    with served(tmp_path / "runs", several=True) as page:
+        found = page.get("runs")
+        rows = {row["name"]: row for row in found["runs"]}
+        assert set(rows) == {"one", "rates~rate-1"}
+        assert 4.2 in rows["one"]["figures"]
+        assert page.get("run/rates~rate-1/plan")["plant"] == "field"
+        assert page.status("run/two/plan") == 404
+        assert page.status("run/..~..~one/plan") == 404
+
+
+def test_a_browser_that_stalls_or_vanishes_does_not_hold_up_others(run: Path) -> None:
+    with served(run) as page:
+        host, port = page.root.removeprefix("http://").strip("/").split(":")
+        stalled = [socket.create_connection((host, int(port))) for _ in range(5)]
+        for one in stalled:
+            one.sendall(b"GET /stream?from=0&speed=20 HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        assert next(page.updates())["cycles"] >= 0
+        for one in stalled:
+            one.close()
+        give_up_at = time.monotonic() + 20.0
+        while page.server.audience.streams:
+            assert time.monotonic() < give_up_at
+            time.sleep(0.05)
