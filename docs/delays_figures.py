@@ -21,6 +21,7 @@ mpl.use("Agg")
 
 MERITS = {
     "control-caused": "control-caused\nshortfall [% of desired]",
+    "over-delivered": "over-delivered\n[% of desired]",
     "mileage": "mileage of support\n[kW/h]",
     "score": "PJM performance score",
 }
@@ -38,7 +39,7 @@ class Study(msgspec.Struct):
 def draw(study: Study, picture: Path) -> None:
     """Draw the outcomes into a PNG file."""
     figure, panels = plt.subplots(
-        len(MERITS), len(TROUBLES), figsize=(9.5, 7.4), sharey="row", layout="constrained"
+        len(MERITS), len(TROUBLES), figsize=(9.5, 9.4), sharey="row", layout="constrained"
     )
     for row, (merit, what) in zip(panels, MERITS.items(), strict=True):
         for panel, (trouble, (_, measure, unit)) in zip(row, TROUBLES.items(), strict=True):

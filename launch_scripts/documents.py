@@ -274,7 +274,7 @@ _EXAMPLES: Final[dict[str, Message]] = {
         *_head("c2", 5_003_400_000),
         power_kw=100.0,
         share_kw=80.0,
-        help_given=(messages.HelpGiven("c2/inv05", 20.0),),
+        help_given=(messages.HelpGiven("c2/inv03", 20.0),),
     ),
     "command": messages.Command(
         *_head(INVERTER, 5_003_900_000), alpha=100.0 / 241.0, power_kw=100.0

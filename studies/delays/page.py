@@ -23,7 +23,7 @@ from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
 from studies.report.page import html_page
 from studies.report.style import SCHEMES, ReportFigure, dress
 
-_DRAWN: Final = ("control-caused", "mileage", "regd", "score")
+_DRAWN: Final = ("control-caused", "over-delivered", "mileage", "regd", "score")
 _CAPTION: Final = (
     "Along each panel one thing is worse than in the scenario, in even steps from nothing to very "
     "bad; everything else is perfect."

@@ -91,7 +91,7 @@ def test_the_examples_are_whole_messages_that_any_msgpack_reader_takes_apart() -
     assert (telemetry["source"], telemetry["power_kw"], telemetry["cycle"]) == ("plant", 120.5, 2)
     assert (impp["cycle"], impp["sequence"], impp["power_kw"]) == (-999_999, 0, 241.0)
     assert (residual["missing"], residual["power_kw"]) == (["dispatch@1"], -20.0)
-    assert setpoint["help_given"] == [["c2/inv05", 20.0]]
+    assert setpoint["help_given"] == [["c2/inv03", 20.0]]
     assert (command["source"], command["power_kw"], command["missing"]) == ("c2/inv07", 100.0, [])
     assert (start["state"], start["cycle_wall_ns"]) == ("start", 1_000_000_000)
 

@@ -129,12 +129,15 @@ def test_a_slow_central_controller_costs_more_than_a_fast_one(prepared: Preparat
     assert slow > fast
 
 
-def made_up(trouble: Trouble, value: float, shortfall: float | None) -> Outcome:
+def made_up(
+    trouble: Trouble, value: float, shortfall: float | None, over_delivered: float = 0.2
+) -> Outcome:
+    figures = {"control-caused": shortfall, "over-delivered": over_delivered}
     return Outcome(
         trouble=trouble,
         value=value,
         scheme="paper",
-        figures={**dict.fromkeys(FIGURES_OF_MERIT, 12.345), "control-caused": shortfall},
+        figures={**dict.fromkeys(FIGURES_OF_MERIT, 12.345), **figures},
         missed_percent=0.0,
         old_inputs=0,
         lost=0,
@@ -153,3 +156,16 @@ def test_a_trouble_is_survived_up_to_the_first_value_that_costs_too_much() -> No
         ]
     )
     assert found[0].endswith("delay of each hop up to 0.2 s, no lost messages, no central period")
+
+
+def test_a_plant_that_delivers_far_too_much_has_not_survived() -> None:
+    # Commands that never arrive: each inverter gives all it can, and nothing is short.
+    found = survived(
+        [
+            made_up("delay", 0.0, 0.1),
+            made_up("delay", 10.0, 0.0, over_delivered=67.9),
+            made_up("loss", 0.0, 0.1),
+            made_up("period", 1.0, 0.1),
+        ]
+    )
+    assert "delay of each hop up to 0 s" in found[0]
