@@ -28,7 +28,7 @@ _CAPTION: Final = (
     "Along each panel one thing is worse than in the scenario, in even steps from nothing to very "
     "bad; everything else is perfect."
 )
-_ROW_PX: Final = 210
+_ROW_PX: Final = 240
 _FRAME_PX: Final = 120
 
 
