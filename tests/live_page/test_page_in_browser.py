@@ -84,10 +84,10 @@ def test_a_run_that_fails_says_so(
     assert found is not None
     window.open(found[1])
     window.until("return document.querySelector('#state').textContent == 'running'", "its run")
-    run.process_of("c1/inv01").kill()
+    run.process_of("plant").kill()
     assert run.wait() == 1
     window.until("return document.querySelector('#events .failure')", "the failure")
-    assert "c1/inv01" in window.text("#events .failure")
+    assert "plant" in window.text("#events .failure")
     window.until("return !document.querySelector('#banner').hidden", "the banner")
     assert_none_left(run.folder)
 

@@ -52,7 +52,8 @@ CYCLES = 40
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory: pytest.TempPathFactory) -> str:
-    return small_plant(tmp_path_factory.mktemp("plant"))
+    # So much is wanted that inverters need help.
+    return small_plant(tmp_path_factory.mktemp("plant"), ("share = 0.5", "share = 1.1"))
 
 
 @pytest.fixture(scope="module")
