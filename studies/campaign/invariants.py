@@ -83,7 +83,11 @@ class Trace:
 
 
 def violations(
-    plan: RunPlan, trace: Trace, healthy: Trace, last_fault_s: float, longest_s: float
+    plan: RunPlan,
+    trace: Trace,
+    healthy_kw: NDArray[np.float64],
+    last_fault_s: float,
+    longest_s: float,
 ) -> Iterator[Violation]:
     """Yield each invariant that does not hold, with the first cycle in which it does not.
 
@@ -91,8 +95,8 @@ def violations(
     ----------
     plan
         Of the run.
-    trace, healthy
-        The run, and the same one without faults.
+    trace, healthy_kw
+        The run, and the power of the same one without faults, shape (cycles,) [kW].
     last_fault_s
         Simulated time since cycle 0 at which the last fault has ended [s].
     longest_s
@@ -101,9 +105,9 @@ def violations(
     cycle_s = plan.cycle_ns / 1e9
     longest = round(longest_s / cycle_s)
     settles = round(SETTLES_S / cycle_s) + plan.hold_cycles
-    yield from _bounded_above(plan, trace, healthy, longest)
+    yield from _bounded_above(plan, trace, healthy_kw, longest)
     yield from _bounded_below(plan, trace, longest)
-    yield from _settled(plan, trace, healthy, round(last_fault_s / cycle_s) + settles)
+    yield from _settled(plan, trace, healthy_kw, round(last_fault_s / cycle_s) + settles)
     yield from _reverted(plan, trace)
     yield from _shared_out(plan, trace)
     for port, message in trace.twice:
@@ -111,10 +115,10 @@ def violations(
 
 
 def _bounded_above(
-    plan: RunPlan, trace: Trace, healthy: Trace, longest: int
+    plan: RunPlan, trace: Trace, healthy_kw: NDArray[np.float64], longest: int
 ) -> Iterator[Violation]:
     """Check that over-delivery does not last."""
-    allowed_kw = np.maximum(trace.desired_kw, healthy.delivered_kw)
+    allowed_kw = np.maximum(trace.desired_kw, healthy_kw)
     over_kw = trace.delivered_kw - allowed_kw
     limit_kw = OVER_SHARE * plan.tree.rating_kw("")
     yield from _lasting("over-delivery", over_kw, limit_kw, longest)
@@ -143,9 +147,11 @@ def _lasting(
             return
 
 
-def _settled(plan: RunPlan, trace: Trace, healthy: Trace, begin: int) -> Iterator[Violation]:
+def _settled(
+    plan: RunPlan, trace: Trace, healthy_kw: NDArray[np.float64], begin: int
+) -> Iterator[Violation]:
     """Check that some time after the last fault all is as if there had been none."""
-    apart_kw = np.abs(trace.delivered_kw - healthy.delivered_kw)[begin:]
+    apart_kw = np.abs(trace.delivered_kw - healthy_kw)[begin:]
     wrong = np.flatnonzero(apart_kw > SETTLED_SHARE * plan.tree.rating_kw(""))
     if len(wrong):
         text = f"still {apart_kw[wrong[0]]:,.0f} kW apart from the run without faults"

@@ -12,6 +12,7 @@ from typing import Final
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from agents.plan import RunPlan
 from bus_schemas.faults import FaultRule, links
@@ -61,19 +62,20 @@ class Campaign:
     ----------
     plan, profile
         The run.
-    healthy
-        Its messages.
+    healthy_kw
+        Its power, shape (cycles,).
     """
 
     plan: RunPlan
     profile: Profile
-    healthy: Trace
+    healthy_kw: NDArray[np.float64]
 
 
 def campaign(preparation: Preparation) -> Campaign:
     """Return the campaign on a prepared run."""
     plan = on_the_clock(preparation.plan)
-    return Campaign(plan, preparation.profile, trace_of(plan, preparation.profile, ()))
+    healthy = trace_of(plan, preparation.profile, ())
+    return Campaign(plan, preparation.profile, healthy.delivered_kw)
 
 
 def run_seed(campaign: Campaign, seed: int) -> Outcome:
@@ -85,7 +87,7 @@ def run_seed(campaign: Campaign, seed: int) -> Outcome:
         rules = _shrunk(campaign, rules, broken[0].invariant)
         trace = trace_of(campaign.plan, campaign.profile, rules)
         broken = judge(campaign, rules, trace)
-    apart_kw = trace.delivered_kw - campaign.healthy.delivered_kw
+    apart_kw = trace.delivered_kw - campaign.healthy_kw
     hours = campaign.plan.cycle_ns / 3.6e12
     return Outcome(
         seed=seed,
@@ -107,7 +109,7 @@ def judge(campaign: Campaign, rules: tuple[FaultRule, ...], trace: Trace) -> lis
     hold_s = plan.hold_cycles * plan.cycle_ns / 1e9
     revert_s = plan.revert.after_s if plan.revert is not None else last_s
     longest_s = hold_s + 3.0 if all(_is_above(plan, rule) for rule in rules) else revert_s + hold_s
-    return list(violations(plan, trace, campaign.healthy, last_s, longest_s))
+    return list(violations(plan, trace, campaign.healthy_kw, last_s, longest_s))
 
 
 def least_length_s(plan: RunPlan) -> float:
