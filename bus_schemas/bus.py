@@ -41,6 +41,7 @@ class Outbox:
 
     def __init__(self) -> None:
         self._sent: dict[Port[Message], int] = {}
+        self._before: Counter[str] = Counter()
 
     def stamp(self, port: Port[Message], message: Message, now_ns: int) -> None:
         """Complete the head of a message that goes out."""
@@ -49,10 +50,17 @@ class Outbox:
             message.sequence = sequence = self._sent.get(port, 0)
             self._sent[port] = sequence + 1
 
+    def begin_again(self, agent: str) -> None:
+        """Count the messages of an agent from 0 again: its process is a new one."""
+        for port in [port for port in self._sent if port.publisher == agent]:
+            sent = self._sent.pop(port)
+            if port.signal.logged:
+                self._before[port.signal.name] += sent
+
     @property
     def published(self) -> Counter[str]:
         """Messages published in the cycles of the run, by signal name: what must be recorded."""
-        counts: Counter[str] = Counter()
+        counts = self._before.copy()
         for port, sent in self._sent.items():
             if port.signal.logged:
                 counts[port.signal.name] += sent

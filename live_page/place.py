@@ -58,6 +58,7 @@ def open_place(address: str | None, port: int | None) -> Place:
     except OSError as error:
         listener.close()
         raise InputError(
-            f"--page-port {port}: expected a free port on {ip}, got: {error.strerror}"
+            f"--page-address, --page-port: expected a free port of this machine, got {ip} port "
+            f"{port or 'any'}: {error.strerror}"
         ) from None
     return Place(listener, "" if ip.is_loopback else secrets.token_urlsafe(16))

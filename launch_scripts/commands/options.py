@@ -182,7 +182,9 @@ class PlantOptions:
             # In a terminal of 80 columns, longer unbroken text would be cut.
             help="Make links imperfect: source=c1/*,delay=50ms,loss=2% (fields: source, listener, "
             "signal, delay, jitter, distribution, loss, duplicate, reorder, reorder-by, "
-            "silent=60s..90s). May be given several times.",
+            "silent=60s..90s, at=60s..90s); or cut links, or stop controllers: "
+            "partition=c1|central,at=5s..9s or freeze=c2,at=5s..9s or kill=c2,at=5s. "
+            "May be given several times.",
             metavar="RULE",
         ),
     ] = None

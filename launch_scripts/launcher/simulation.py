@@ -150,6 +150,7 @@ class MemoryRun:
                     return incident._replace(what="start")
             case "start":
                 self.restarts[name] += 1
+                self.bus.outbox.begin_again(name)
                 self.loops[name] = AgentLoop(controller(self.plan, name), self.plan)
                 self.bus.go_on(name)
                 driver.join(self.loops[name])

@@ -61,7 +61,7 @@ class Misses(msgspec.Struct, frozen=True):
 
 
 class FaultAct(msgspec.Struct, frozen=True):
-    """What a rule for the network did: to how many messages, and in which cycles.
+    """What a rule did: to how many messages, and in which cycles.
 
     A message counts once for each listener that it was lost, delayed or doubled for.
     """
@@ -180,7 +180,9 @@ class HealthWatch:
         lost = Counter({port: found.lost for port, found in sequences.items() if found.lost})
         return Health(
             fault_acts=tuple(
-                FaultAct(rule, acts.messages, acts.first_cycle, acts.last_cycle)
+                self._stop_act(rule, run)
+                if rule.stops
+                else FaultAct(rule, acts.messages, acts.first_cycle, acts.last_cycle)
                 for rule, acts in zip(self._plan.faults, self._faults.acts, strict=True)
             ),
             faults=self._tally.as_counts(),
@@ -195,6 +197,15 @@ class HealthWatch:
             failure=_failure(run.path.parent),
             launcher=_launcher_account(run),
         )
+
+    def _stop_act(self, rule: FaultRule, run: RunReader) -> FaultAct:
+        """Return in which cycles a rule killed or froze controllers, if the run came to that."""
+        first, last = (
+            int(time_s * 1e9 / self._plan.cycle_ns) for time_s in (rule.at[0], rule.at[-1])
+        )
+        if first > run.last_cycle:
+            return FaultAct(rule, 0, None, None)
+        return FaultAct(rule, 0, first, min(last, run.last_cycle))
 
     def _see_faults(self, port: Port[Message], message: Message) -> None:
         """Work out what became of a message on the way to each listener whose end is ours."""
@@ -269,7 +280,7 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
     if len(health.absences) > _NAMED:
         yield "absent", f"and {len(health.absences) - _NAMED:,} times more"
     if not health.absences:
-        yield "absent", "no agent left, restarted or died"
+        yield "absent", "nobody restarted, died, or was away for longer than inputs are held"
     if health.failure:
         yield "run", f"failed: {health.failure}"
     else:
@@ -280,11 +291,11 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
 def _act_text(act: FaultAct, clock: RunClock) -> str:
     if act.rule.signal in UNHEARD:
         return f"changed nothing: no agent acts on {act.rule.signal}"
-    if act.rule.stops is not None:
-        return "acts on processes: who was away or restarted stands below"
     if act.first_cycle is None or act.last_cycle is None:
-        return "never acted on a message of this run"
+        return "never acted: the run was over" if act.rule.stops else "never acted on a message"
     when = clock.span_text(act.first_cycle, act.last_cycle)
+    if act.rule.stops is not None:
+        return f"{'killed' if act.rule.kill else 'stood still'} {when}"
     return f"acted on {act.messages:,} messages {when}"
 
 

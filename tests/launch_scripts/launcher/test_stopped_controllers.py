@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from typer.testing import CliRunner
 
 from agents.plan import RestartPolicy, Revert
 from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, Production
 from bus_schemas.signals import Port
+from launch_scripts.cli import app
 from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
 from launch_scripts.scenarios.fault_rules import fault_rules, parse_fault
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
@@ -194,3 +197,15 @@ def test_a_loss_may_be_limited_to_a_time(oahu: Preparation) -> None:
     run, _ = run_with(oahu, "signal=setpoint,listener=c2,loss=100%,at=30s..40s")
     assert run.bus.tally.lost == 10
     assert run.loops["c2"].old_inputs == 10
+
+
+def test_a_recording_with_deaths_is_repeated_and_says_who_came_back(tmp_path: Path) -> None:
+    words = ["--duration", "30s", "--fault", "kill=c2,at=5s", "--fault", "kill=c1/inv01,at=500s"]
+    run = tmp_path / "run"
+    simulated = CliRunner().invoke(app, ["simulate", "oahu", *words, "--out", str(run)])
+    assert simulated.exit_code == 0, simulated.output
+    verified = CliRunner().invoke(app, ["verify", str(run)])
+    assert verified.exit_code == 0, verified.output
+    inspected = " ".join(CliRunner().invoke(app, ["inspect", str(run)]).output.split())
+    assert "c2 restarted in cycle 6" in inspected
+    assert "never acted: the run was over" in inspected
