@@ -31,7 +31,7 @@ _LONGEST_S: Final = 40.0
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
-    """What one seed came to.
+    """The result of one seed.
 
     Attributes
     ----------

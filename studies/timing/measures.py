@@ -100,7 +100,7 @@ def run_timing(reader: RunReader, *, by_agent: bool = False) -> RunTiming:
 
 
 class _Part(NamedTuple):
-    """What one agent adds to a row: the row, its place in its measure, the agent's own row."""
+    """A part of a row: the row, its place in its measure, and the row of the agent alone."""
 
     measure: str
     of: str

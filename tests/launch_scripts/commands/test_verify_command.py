@@ -247,7 +247,7 @@ def test_a_change_of_behaviour_is_accepted_on_purpose_alone(run: Path) -> None:
     assert result.exit_code == 0
     differing = {line for line in refused.stdout.splitlines() if "/command" in line}
     assert differing, "the change concerns commands"
-    assert differing <= set(result.stdout.splitlines()), "what is accepted is shown"
+    assert differing <= set(result.stdout.splitlines()), "the accepted difference is not shown"
     assert heliarch("verify", run).exit_code == 0
     assert sorted(path.name for path in run.iterdir()) == [PROFILE_NAME, RECORDING_NAME]
 
