@@ -99,7 +99,7 @@ def read_currents(
     share = share.reindex(columns=combiners.index)
     inverters, report = _inverters(table.name, share, combiners["inverter"], refuse_gaps)
     means = np.column_stack(
-        [np.nanmean(share.loc[:, combiners["inverter"] == one], axis=1) for one in inverters]
+        [share.loc[:, combiners["inverter"] == one].mean(axis=1) for one in inverters]
     )
     _check_never_silent(table, inverters, means)
     positions = combiners.groupby("inverter", sort=False)[["x_m", "y_m"]].mean()

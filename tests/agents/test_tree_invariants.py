@@ -54,7 +54,7 @@ def neighbourhoods(draw: st.DrawFn, tree: ControlTree) -> tuple[NodeNeighbourhoo
 
 def plant_rating_kw(tree: ControlTree) -> float:
     """The most that can be dispatched."""
-    return fsum(tree.rating_kw(child) for child in tree.children(ROOT))
+    return tree.rating_kw(ROOT)
 
 
 @st.composite
