@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bus_schemas.errors import InputError
-from sim_plant.dc_current import InverterCurrents, ac_power_kw, read_currents
+from sim_plant.dc_current import InverterCurrents, read_currents
 
 CURRENTS = """\
 t_s,A-1,A-2,B-1,B-2,B-3
@@ -76,17 +76,6 @@ def test_an_inverter_stands_amid_its_combiners(read: Read) -> None:
     found = read()
     np.testing.assert_allclose(found.x_m, [10.0, 110.0])
     np.testing.assert_allclose(found.y_m, [-5.0, 30.0])
-
-
-def test_power_is_the_share_of_the_rating_and_no_more_than_it() -> None:
-    share = np.array([[0.5, 1.0], [1.3, 0.0]])
-    np.testing.assert_array_equal(
-        ac_power_kw(share, np.array([800.0, 600.0])), [[400.0, 600.0], [800.0, 0.0]]
-    )
-
-
-def test_the_current_at_full_power_is_the_scenarios(read: Read) -> None:
-    np.testing.assert_allclose(read(full_power_current=125.0).share[0], [0.48, 0.16])
 
 
 def test_fractions_of_a_second_keep_their_step(read: Read) -> None:
@@ -198,17 +187,3 @@ def test_a_file_without_any_current_is_refused(read: Read) -> None:
 
 
 # The real plant -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("hour", "inverters"), [("a", 25), ("b", 23), ("c", 25)])
-def test_the_hours_of_the_real_plant_are_read(data_folder: Path, hour: str, inverters: int) -> None:
-    folder = data_folder / "plant20mw-combiners-10s"
-    found = read_currents(
-        folder / f"hour_{hour}.csv", folder / "positions.csv", 100.0, refuse_gaps=False
-    )
-    assert found.share.shape == (361, inverters)
-    assert found.listed == 25
-    left_out = [line for line in found.report if "left out" in line]
-    assert len(left_out) == 25 - inverters
-    assert np.isfinite(found.share).all()
-    assert 690.0 < np.ptp(found.x_m) + np.ptp(found.y_m) < 1400.0

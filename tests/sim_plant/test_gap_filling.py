@@ -32,13 +32,6 @@ def refusal(irradiance: Irradiance) -> str:
     return str(caught.value)
 
 
-def test_nothing_missing_is_nothing_changed() -> None:
-    whole = line_of_sensors(np.arange(12.0).reshape(4, 3), [0.0, 100.0, 300.0])
-    found, report = fill_from_neighbours(whole, "day.txt", first_line=1)
-    np.testing.assert_array_equal(found.ghi_wm2, whole.ghi_wm2)
-    assert report == ()
-
-
 def test_weights_are_the_inverse_squares_of_the_distances() -> None:
     # B is 100 m away and C 200 m: weights 4 and 1. Over all times A is as bright as its neighbours.
     given = line_of_sensors(

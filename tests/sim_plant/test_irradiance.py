@@ -74,23 +74,6 @@ def test_a_bad_value_of_a_station_not_asked_for_does_no_harm(read: Read) -> None
     np.testing.assert_array_equal(found.ghi_wm2[:, 0], [800.5, 801.5, 802.5, 803.5])
 
 
-def test_an_offset_from_utc_is_taken_into_account(read: Read) -> None:
-    local = GHI.replace("T20:", " 10:").replace("Z,", "-10:00,").replace("utc,", "Hawaii,")
-    assert read(ghi=local).times.equals(read().times)
-
-
-def test_fractions_of_a_second_are_kept(read: Read) -> None:
-    faster = GHI
-    for second in range(4):
-        faster = faster.replace(f":0{second}Z", f":00.{25 * second:02d}Z")
-    assert read(ghi=faster).times[1] == pd.Timestamp("2010-04-01T20:00:00.25Z")
-
-
-def test_quotes_a_byte_order_mark_and_windows_line_ends_are_read(read: Read) -> None:
-    dressed = "\ufeff" + GHI.replace("DH3", '"DH3"').replace("\n", "\r\n")
-    np.testing.assert_array_equal(read(ghi=dressed).ghi_wm2, read().ghi_wm2)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [
@@ -157,13 +140,3 @@ def test_kilowatts_are_recognised(read: Read) -> None:
 def test_a_dark_night_is_not_taken_for_kilowatts(read: Read) -> None:
     night = "utc,DH3\n2010-04-01T10:00:00Z,-0.7\n2010-04-01T10:00:01Z,0\n"
     assert not read(ghi=night, stations=["DH3"]).ghi_wm2.any()
-
-
-def test_the_hope_measurements_are_read(data_folder: Path) -> None:
-    folder = data_folder / "hope-melpitz-1s"
-    found = read_measured_ghi(folder / "ghi_20130908_0915_0955.csv", folder / "positions.csv")
-    assert found.ghi_wm2.shape == (2400, 50)
-    assert found.sensors[:3] == ("2", "7", "14")
-    assert found.times[0] == pd.Timestamp("2013-09-08T09:15:00Z")
-    assert found.ghi_wm2[0, 0] == 338.107
-    assert found.lat_deg[0] == 51.525642

@@ -40,11 +40,6 @@ def test_inverters_may_have_ratings_of_their_own(path: Path) -> None:
     assert sites.rating_kw.tolist() == [2500.0, 900.5]
 
 
-def test_a_byte_order_mark_is_no_part_of_the_first_column(path: Path) -> None:
-    path.write_bytes(b"\xef\xbb\xbfinverter,lat,lon\na,1,2\n")
-    assert read_sites(path, plant_rating_kw=100.0).names == ("a",)
-
-
 @pytest.mark.parametrize(
     ("lines", "complaint"),
     [

@@ -53,23 +53,6 @@ def test_a_measured_sky_at_its_own_step_is_the_model_itself() -> None:
     )
 
 
-def test_longer_cycles_keep_the_energy_and_shorter_ones_the_measured_values() -> None:
-    given = sky()
-    fine_kw = given.possible_kw(cycles(60, "1s"))
-    coarse_kw = given.possible_kw(cycles(6, "10s"))
-    np.testing.assert_allclose(coarse_kw.sum(axis=0) * 10, fine_kw.sum(axis=0))
-    found = given.possible_kw(cycles(118, "500ms"))
-    np.testing.assert_allclose(found[::2], fine_kw[:59])
-    np.testing.assert_allclose(found[1:-1:2], (fine_kw[:58] + fine_kw[1:59]) / 2.0)
-
-
-def test_power_of_a_real_plant_at_other_steps() -> None:
-    given = plant()
-    np.testing.assert_array_equal(given.possible_kw(cycles(6, "10s")), given.power_kw)
-    np.testing.assert_allclose(given.possible_kw(cycles(3, "20s"))[:, 0], [1.0, 5.0, 9.0])
-    np.testing.assert_allclose(given.possible_kw(cycles(3, "5s"))[:, 1], [1.0, 2.0, 3.0])
-
-
 def test_an_earlier_day_is_at_the_same_time_of_day() -> None:
     before = sky(NOON - pd.Timedelta(3, unit="D"), base_wm2=100.0)
     given = sky(earlier=before, earlier_by=timedelta(days=3))

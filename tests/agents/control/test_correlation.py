@@ -32,12 +32,6 @@ def test_each_hour_equals_numpy_on_the_rows_of_that_hour() -> None:
         np.testing.assert_allclose(found.at(h), expected, rtol=0.0, atol=1e-12)
 
 
-def test_covariance_equals_numpy() -> None:
-    power = random_walks(500, 6)
-    found = hourly_covariance(power, np.full(500, 12)).at(12)
-    np.testing.assert_allclose(found, np.cov(power.T, bias=True), rtol=1e-12)
-
-
 def test_rows_of_one_hour_may_come_from_several_days() -> None:
     power = random_walks(400, 3)
     hour = np.tile(np.repeat([8, 9], 100), 2)
@@ -75,14 +69,6 @@ def test_group_correlation_is_that_of_the_summed_series() -> None:
     np.testing.assert_allclose(
         group_correlation(covariance, groups), np.corrcoef(sums.T), rtol=0.0, atol=1e-12
     )
-
-
-def test_groups_of_two_tiers_may_overlap_with_their_members() -> None:
-    power = random_walks(600, 4)
-    covariance = hourly_covariance(power, np.full(600, 13)).at(13)
-    plant_and_member = group_correlation(covariance, [(0, 1, 2, 3), (2,)])
-    expected = np.corrcoef(power.sum(axis=1), power[:, 2])[0, 1]
-    assert plant_and_member[0, 1] == pytest.approx(expected, abs=1e-12)
 
 
 def test_members_that_cancel_each_other_sum_to_a_constant() -> None:
@@ -129,8 +115,3 @@ def test_a_history_that_does_not_fit_is_refused(
 def test_a_group_of_unknown_members_is_refused(groups: list[tuple[int, ...]], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         group_correlation(np.eye(3), groups)
-
-
-def test_a_covariance_that_is_not_square_is_refused() -> None:
-    with pytest.raises(ValueError, match="must be square"):
-        group_correlation(np.ones((2, 3)), [(0,)])

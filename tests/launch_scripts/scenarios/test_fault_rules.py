@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule
-from launch_scripts.cli import app
 from launch_scripts.scenarios.fault_rules import parse_fault
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
@@ -133,11 +131,3 @@ def test_a_bad_rule_of_an_option_is_named_with_its_words(tmp_path: Path) -> None
 def test_faults_on_help_are_said_to_change_nothing(tmp_path: Path) -> None:
     lost = prepared(tmp_path, "", faults=("signal=help,loss=100%",))
     assert [remark for remark in lost.remarks if "help" in remark]
-
-
-def test_launch_in_lockstep_with_faults_is_refused(tmp_path: Path) -> None:
-    words = ["launch", "oahu", "--fault", "loss=1%", "--out", str(tmp_path / "r")]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 2
-    assert "--fault loss=1%: expected a --pace" in result.output
-    assert not (tmp_path / "r").exists()
