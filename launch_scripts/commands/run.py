@@ -106,13 +106,6 @@ def run(
         Starts the processes. None: the run stays in this process.
     page
         Shows the run in a browser.
-
-    Raises
-    ------
-    InputError
-        Scenario, options and data do not go together.
-    FailureError
-        The run could not go on.
     """
     preparation, folder = prepare_run(request)
     plan, scenario = preparation.plan, preparation.scenario.scenario

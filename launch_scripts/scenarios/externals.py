@@ -25,21 +25,7 @@ _PORTS: Final = range(1024, 65_536)
 def check_externals(
     external: Sequence[str], timeout_s: float, base_port: int | None, tree: ControlTree
 ) -> tuple[str, ...]:
-    """Return the external agents, in the order of the tree.
-
-    Parameters
-    ----------
-    external, timeout_s, base_port
-        Their names, how long they are waited for [s], and the port of the first agent that
-        listens; the others get the next ones.
-    tree
-        Control tree of the run.
-
-    Raises
-    ------
-    InputError
-        There is no such agent, or it cannot be external; a time-out or port that makes no sense.
-    """
+    """Check the options about external agents; return the agents in the order of the tree."""
     team = tuple(agent for agent in tree.agents() if agent != RECORDER)
     for agent in external:
         if agent == RECORDER:

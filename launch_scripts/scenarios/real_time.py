@@ -45,22 +45,7 @@ def parse_pace(pace: str | float | None) -> float | Literal["max"] | None:
 
 
 def cycle_wall_ns(cycle_s: float, pace: float | Literal["max"], where: str) -> int:
-    """Return the length of a cycle on the wall clock [ns], 0 in lockstep.
-
-    Parameters
-    ----------
-    cycle_s
-        Length of a cycle in simulated time.
-    pace
-        Simulated seconds a second.
-    where
-        Where the pace comes from, to be named.
-
-    Raises
-    ------
-    InputError
-        The cycle is too short for any clock.
-    """
+    """Return the length of a cycle on the wall clock [ns], 0 in lockstep."""
     if pace == "max":
         return 0
     length_ns = round(cycle_s / pace * 1e9)
@@ -86,12 +71,6 @@ def tier_deadlines_ns(
         Control tree of the run.
     cycle_ns
         Length of a cycle on the wall clock; 0 in lockstep, where deadlines are not used.
-
-    Raises
-    ------
-    InputError
-        They are not one for each tier, within the cycle, and so far apart that each stage has at
-        least as much time as it may take to wake a process.
     """
     if deadlines_ms is None:
         return ()

@@ -295,13 +295,7 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
 
 
 def check_scenario(scenario: Scenario, where: str) -> None:
-    """Check what the types of the fields do not tell.
-
-    Raises
-    ------
-    InputError
-        The name is no part of a key, or the time zone is not known.
-    """
+    """Check what the types of the fields do not tell."""
     check_name(scenario.name, where)
     if scenario.time.timezone not in available_timezones():
         raise InputError(

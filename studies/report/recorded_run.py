@@ -20,13 +20,7 @@ REPORT_NAME: Final = "report.html"
 
 
 def write_run_report(run: Path, out: Path | None = None) -> Path:
-    """Write the report of a recorded run, by default beside its recording; return where it is.
-
-    Raises
-    ------
-    InputError
-        There is no such run, no cycle of it is complete, or the report cannot be put there.
-    """
+    """Write the report of a recorded run, by default beside its recording; return where it is."""
     console = Console(stderr=True)
     with RunReader(run) as reader:
         path, plan = out or reader.path.with_name(REPORT_NAME), reader.plan

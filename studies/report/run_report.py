@@ -67,11 +67,6 @@ def write_report(
         Paragraphs after the first one, plain text.
     lead
         First line of the page; `run_line` gives it for a run.
-
-    Raises
-    ------
-    InputError
-        There is nothing to report, or the runs do not belong together.
     """
     check_destination(path)
     check_comparable(series)

@@ -33,13 +33,7 @@ def run_length_s(request: RunRequest, default: str) -> float:
 def prepare_at(
     rate_hz: float, length_s: float, request: RunRequest, out: Path | None
 ) -> tuple[Preparation, RunFolder]:
-    """Prepare a run at a rate, its length rounded to whole cycles. Nothing is written yet.
-
-    Raises
-    ------
-    InputError
-        Command line, scenario and data do not fit together.
-    """
+    """Prepare a run at a rate, its length rounded to whole cycles. Nothing is written yet."""
     if length_s * rate_hz < 1.0:
         raise InputError(
             f"--duration {length_s:g} s: shorter than one cycle, expected {1.0 / rate_hz:g} s or "
@@ -62,17 +56,7 @@ def _prepared(request: RunRequest) -> tuple[Preparation, RunFolder]:
 def measured_run(
     preparation: Preparation, folder: RunFolder, console: Console, *, by_agent: bool = False
 ) -> Reported:
-    """Run a plant that `prepare_at` has prepared, and report on it.
-
-    Raises
-    ------
-    InputError
-        The folder or the ports are not available.
-    OSError
-        A file that the processes need cannot be written.
-    RunFailure
-        The run could not go on, or its recording cannot be read.
-    """
+    """Run a plant that `prepare_at` has prepared, and report on it."""
     plan, scenario = preparation.plan, preparation.scenario.scenario
     duration_s = plan.cycles * plan.cycle_wall_ns / 1e9
     began_at, load_before = time.monotonic(), psutil.getloadavg()[0]

@@ -73,13 +73,7 @@ class RunTiming(NamedTuple):
 
 
 def run_timing(reader: RunReader, *, by_agent: bool = False) -> RunTiming:
-    """Work out the timing of a run; with `by_agent` each agent has rows of its own too.
-
-    Raises
-    ------
-    InputError
-        The run was not in real time, or its recording is damaged.
-    """
+    """Work out the timing of a run; with `by_agent` each agent has rows of its own too."""
     messages = read_message_times(reader)
     stages = stage_times(messages)
     measures = _Measures(messages)

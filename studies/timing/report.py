@@ -154,11 +154,6 @@ def report_on(
         Load average of the machine before and after it, if known.
     by_agent
         Whether each process gets rows of durations of its own.
-
-    Raises
-    ------
-    InputError
-        It is no recording of a run in real time, or it is damaged.
     """
     with RunReader(run) as reader:
         plan, table = reader.plan, _budgets_in(reader)

@@ -156,13 +156,7 @@ class StageTimes:
 
 
 def read_message_times(reader: RunReader) -> MessageTimes:
-    """Read the times of a run's messages.
-
-    Raises
-    ------
-    InputError
-        The run was not in real time, or its recording is damaged.
-    """
+    """Read the times of a run's messages."""
     plan, start_ns = reader.plan, _start_ns(reader)
     columns = {port: column for column, port in enumerate(_timed_ports(plan))}
     cycles, places, readies, publishes = (array("q") for _ in range(4))
