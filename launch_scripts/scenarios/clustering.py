@@ -25,7 +25,7 @@ _TIER_LETTERS: Final = "czar"
 def control_tree(
     control: ControlTable, sites: Sites, covariance: HourlyMatrices, hours: Sequence[int]
 ) -> ControlTree:
-    """Cluster the inverters, then the clusters, and so on, by the mean correlation of some hours."""
+    """Cluster inverters, then clusters, and so on, by their mean correlation in these hours."""
     groups: list[tuple[int, ...]] = [(index,) for index in range(len(sites.names))]
     paths = list(sites.names)
     for tier in range(_tiers_of_clusters(control)):

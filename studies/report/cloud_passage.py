@@ -26,18 +26,8 @@ WINDOW_S = 180.0
 class CloudPassage:
     """One inverter loses power while its virtual neighbour has some to spare.
 
-    Attributes
-    ----------
-    shaded, helping
-        Positions of the two inverters in the plant's order.
-    correlation
-        Pearson correlation of their true maximum power within the hour.
-    bottom
-        The cycle in which the drop ends.
-    drop_kw
-        How much the shaded inverter's IMPP fell within the minute before.
-    cycles
-        What to show: about three minutes around the drop.
+    Both are positions in the plant's order; `correlation` is that of their maximum power within the
+    hour. The IMPP of the shaded one fell by `drop_kw` within the minute before the cycle `bottom`.
     """
 
     shaded: int

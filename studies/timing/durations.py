@@ -43,18 +43,10 @@ class Distribution(msgspec.Struct, frozen=True):
 
 
 class Times(msgspec.Struct, frozen=True):
-    """A row of durations.
+    """A row of durations: `decision` of `direct estimate`, `hop` of `residual`.
 
-    Attributes
-    ----------
-    measure
-        What was measured: `decision`, `hop`, see `studies.timing.measures.MEASURES`.
-    of
-        Of what: a stage of a tier (`direct estimate`), a signal (`residual`).
-    kind
-        The kind of the agents, or the signal: names its budget if `of` does not.
-    outside
-        Whether they are of a device whose own times are not used.
+    `kind` is that of the agents, or the signal, and names the budget if `of` does not. `outside`
+    says that the times are of a device whose own times are not used.
     """
 
     measure: str

@@ -34,19 +34,7 @@ _NO_SUMMARY = (
 
 
 class Host(msgspec.Struct, frozen=True, kw_only=True):
-    """The machine and the software of a timed run: the figures mean nothing without them.
-
-    Attributes
-    ----------
-    kernel
-        Its name and release; empty if not known.
-    scheduling
-        Policy and processors that plant and controllers got: `SCHED_FIFO 20`.
-    load_before, load_after
-        Load average of the last minute; None if not known.
-    memory_locked
-        Whether the memory of plant and controllers was never paged out.
-    """
+    """The machine and the software of a timed run: the figures mean nothing without them."""
 
     kernel: str
     cpus: int
@@ -71,25 +59,7 @@ class SlowCycle(msgspec.Struct, frozen=True):
 
 
 class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
-    """A timed run.
-
-    Attributes
-    ----------
-    cycles, wall_s
-        How many cycles the plant ended, and how long they took.
-    late_cycles
-        Cycles in which one of our agents missed a deadline, overran or said nothing.
-    interrupted
-        Whether the user ended it early.
-    remarks
-        What a reader must know: what the machine did not permit, a recording that ended early.
-    external, wrong
-        What was heard of the user's own devices, and their messages that could not be used.
-    faults
-        What the network faults that were asked for did to messages.
-    lost_messages
-        Messages that were published and are not in the recording; None if not known.
-    """
+    """A timed run; docs/timing.md describes the fields. None: it is not known."""
 
     scenario: str
     run_id: str

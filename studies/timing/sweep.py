@@ -43,20 +43,10 @@ class Rates:
 
 
 class RateRow(msgspec.Struct, frozen=True):
-    """The run at one rate.
+    """The run at one rate; of one that was interrupted nothing is proved.
 
-    Attributes
-    ----------
-    loop_p50_us, loop_p99_us, loop_max_us
-        None if the plant ended no cycle.
-    missed_deadlines, overruns, lost_messages, cpu_percent
-        Of all processes together; processor time in % of one core.
-    trouble
-        What was missed, overran, was skipped or lost, and in which tier.
-    failed
-        Why the run failed; empty if it did not.
-    interrupted
-        Whether the user ended it early: then it proves nothing.
+    `trouble` says what was missed, overran, was skipped or lost, and in which tier; `failed` why
+    the run failed.
     """
 
     rate_hz: float
