@@ -8,9 +8,9 @@ from zipfile import ZipFile
 import numpy as np
 import pandas as pd
 import pytest
+from complaints import complaint_of
 from numpy.typing import NDArray
 
-from bus_schemas.errors import InputError
 from sim_plant.oahu_grid import HORIZONTAL, GridDay, latest_day_before, read_day
 
 DAY = date(2010, 4, 1)
@@ -56,10 +56,7 @@ def read(tmp_path: Path) -> Read:
 
 
 def message_of(read: Read, text: str, **options: object) -> str:
-    with pytest.raises(InputError) as caught:
-        read(text, **options)
-    message = str(caught.value)
-    assert "\n" not in message
+    message = complaint_of(read, text, **options)
     return message[message.find("20100401.txt") :] if "20100401.txt" in message else message
 
 
@@ -182,9 +179,8 @@ def test_stations_that_are_none_are_refused(read: Read, stations: list[str]) -> 
 
 def test_an_archive_that_is_none_is_refused(tmp_path: Path) -> None:
     (tmp_path / "201004.zip").write_text("not a ZIP archive")
-    with pytest.raises(InputError) as caught:
-        read_day(tmp_path, DAY, POSITIONS)
-    assert str(caught.value).startswith(f"{tmp_path / '201004.zip'}: expected")
+    found = complaint_of(read_day, tmp_path, DAY, POSITIONS)
+    assert found.startswith(f"{tmp_path / '201004.zip'}: expected")
 
 
 @pytest.mark.parametrize(

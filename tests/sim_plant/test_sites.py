@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from complaints import complaint_of
 
 from bus_schemas.errors import InputError
 from sim_plant.sites import equal_ratings_kw, inverter_name, read_sites
@@ -57,9 +58,8 @@ def test_inverters_may_have_ratings_of_their_own(path: Path) -> None:
 )
 def test_what_cannot_be_used_is_located(path: Path, lines: list[str], complaint: str) -> None:
     write(path, *lines)
-    with pytest.raises(InputError) as caught:
-        read_sites(path, plant_rating_kw=100.0)
-    assert str(caught.value).startswith(f"{path.name}: {complaint}")
+    found = complaint_of(read_sites, path, plant_rating_kw=100.0)
+    assert found.startswith(f"{path.name}: {complaint}")
 
 
 def test_without_any_rating_there_is_nothing_to_split(path: Path) -> None:

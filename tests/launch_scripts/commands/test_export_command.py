@@ -65,12 +65,6 @@ def test_a_part_of_the_run_may_be_exported(run: Path) -> None:
     assert len(impp) == 2 * 11
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_the_cycles_of_an_export_do_not_count_the_end_of_the_run(run: Path, form: str) -> None:
-    said = done("export", run, "--format", form)
-    assert f"cycles 0 to {CYCLES - 1}, " in " ".join(said.split())
-
-
 def test_the_figures_are_had_as_json(run: Path) -> None:
     figures = json.loads(
         done("export", run, "--format", "csv", "--json", "-", "--signals", "help,run")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from complaints import complaint_of
 
 from bus_schemas.errors import InputError
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
@@ -102,11 +103,7 @@ class Folder:
         return prepare(scenario, RunOptions(**options), "by-hand")  # type: ignore[arg-type]
 
     def complaint(self, **options: object) -> str:
-        with pytest.raises(InputError) as caught:
-            self.prepare(**options)
-        message = str(caught.value)
-        assert "\n" not in message
-        return message
+        return complaint_of(self.prepare, **options)
 
 
 @pytest.fixture
@@ -407,23 +404,6 @@ def test_bad_measurements_are_refused(
     assert measured.complaint().startswith(complaint.format(folder=measured.path))
 
 
-def test_stations_that_are_not_asked_for_may_be_missing(measured: Folder) -> None:
-    measured.change("40,51", "41,51", "positions.csv")
-    measured.change('positions = "positions.csv"', 'positions = "positions.csv"\nstations = ["16"]')
-    measured.change("[[2]]", "[[1]]")
-    assert measured.prepare().plan.tree.leaves == ("c1/inv16",)
-
-
-@pytest.mark.parametrize(("cycle_s", "cycles"), [("0.5", 8), ("2", 2)])
-def test_a_cycle_may_be_shorter_or_longer_than_the_step_of_the_measurements(
-    measured: Folder, cycle_s: str, cycles: int
-) -> None:
-    measured.change("duration_s = 4", f"duration_s = 4\ncycle_s = {cycle_s}")
-    found = measured.prepare()
-    assert found.profile.mpp_kw.shape == (cycles, 2)
-    assert len(found.remarks) == 1
-
-
 # Options ------------------------------------------------------------------------------------------
 
 
@@ -442,17 +422,6 @@ def test_a_bad_option_is_refused_in_one_short_line(
     complaint = folder.complaint(**{option: value})
     assert complaint.startswith(f"--{'from' if option == 'start' else option}: expected ")
     assert len(complaint) < 200
-
-
-@pytest.mark.parametrize("options", [{"start": "09:14"}, {"duration": "5s"}])
-def test_a_run_beyond_the_measurements_is_refused(
-    measured: Folder, options: dict[str, str]
-) -> None:
-    assert "2013-09-08T09:15:04Z" in measured.complaint(**options)
-
-
-def test_measurements_have_no_seed(measured: Folder) -> None:
-    assert measured.complaint(seed=3).startswith("--seed: expected")
 
 
 @pytest.mark.parametrize("day", ["1900-01-01", "2200-12-31"])
