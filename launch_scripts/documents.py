@@ -143,19 +143,20 @@ def _signals() -> Iterator[str]:
 def _fields(kind: type[Message]) -> Iterator[str]:
     """Describe the fields that a type has beside those of every message."""
     known = () if kind is Message else Message.__struct_fields__
+    units = {"kw": "kW", "ns": "ns"}
     fields = cast("inspect.StructType", inspect.type_info(kind)).fields
     return _rows(
         ("field", "msgpack type", "unit"),
         (
-            (f"`{field.name}`", _type_name(field.type), _unit(field.name))
+            (
+                f"`{field.name}`",
+                _type_name(field.type),
+                units.get(field.name.rpartition("_")[2], ""),
+            )
             for field in fields
             if field.name not in known
         ),
     )
-
-
-def _unit(name: str) -> str:
-    return {"kw": "kW", "ns": "ns"}.get(name.rpartition("_")[2], "")
 
 
 def _type_name(kind: inspect.Type) -> str:

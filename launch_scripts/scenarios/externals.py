@@ -56,14 +56,8 @@ def check_externals(
 class ExternalWatch:
     """Which external agents are present, and the messages to the user about them.
 
-    They are waited for from the monotonic time `began_at` on, for `timeout_s` [s].
-
-    Attributes
-    ----------
-    complete_at
-        Monotonic time at which all had been there once [s]; None before that.
-    plant_gone_at
-        Monotonic time at which an external plant went away [s]; None while it is there.
+    Times are monotonic [s]. `complete_at` is None until all have been there once, `plant_gone_at`
+    while an external plant is there.
     """
 
     def __init__(self, plan: RunPlan, plan_path: Path, timeout_s: float, began_at: float) -> None:
@@ -137,7 +131,8 @@ class ExternalWatch:
         Before cycle 0 one that does not answer is the likely reason, and named first.
         """
         if not running and self._unheard:
-            return "\n".join([self._silence(), failure, *self._wrong()])
+            wrong = (f"wrong message on {key}: {text}" for key, text in self._complaints.items())
+            return "\n".join([self._silence(), failure, *wrong])
         gone = [f"{agent} is gone since cycle {cycle}" for agent, cycle in self._gone_in.items()]
         if not gone:
             return failure
@@ -155,9 +150,6 @@ class ExternalWatch:
             f"nothing came on {', '.join(silent_ports)}"
             for agent, silent_ports in ranked
         )
-
-    def _wrong(self) -> list[str]:
-        return [f"wrong message on {key}: {text}" for key, text in self._complaints.items()]
 
     def _place(self, agent: str) -> str:
         plan = self._plan

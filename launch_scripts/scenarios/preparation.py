@@ -47,19 +47,9 @@ _LAST_YEAR: Final = 2200
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """What the user may change about a scenario. None and an empty list leave it as it is.
+    """What the user may change about a scenario, as the options of `heliarch launch` say.
 
-    Attributes
-    ----------
-    start, duration, end, pace, seed, scheme, actuator, faults
-        As the options of `heliarch launch` say.
-    external, external_timeout_s, base_port
-        Agents that the launcher must not start, how long it waits for them to appear [s], and the
-        port of the first agent that listens; None: free ports.
-    cpus, priority
-        What the processes take of the machine.
-    cycle_s
-        Length of a cycle [s].
+    None and an empty list leave it as it is.
     """
 
     start: str | None = None

@@ -62,15 +62,8 @@ def tier_deadlines_ns(
 ) -> tuple[int, ...]:
     """Return when the last message of each tier must be out after the beginning of a cycle [ns].
 
-    Parameters
-    ----------
-    deadlines_ms
-        The scenario's, the central controller's first and the direct controllers' last. None: each
-        stage gets its share of the cycle, and nothing is returned.
-    tree
-        Control tree of the run.
-    cycle_ns
-        Length of a cycle on the wall clock; 0 in lockstep, where deadlines are not used.
+    Without deadlines of the scenario nothing is returned: each stage gets its share of the cycle.
+    The central controller's come first. In lockstep, where `cycle_ns` is 0, none is used.
     """
     if deadlines_ms is None:
         return ()

@@ -47,7 +47,9 @@ def find_cloud_passage(series: RunSeries) -> CloudPassage | None:
     minute. None where no candidate has such a drop, or the scheme estimates no IMPP.
     """
     hours = hours_from_first_midnight(series)
-    drop_kw = _drops(series)
+    # By how much each IMPP is below its greatest value of the minute before.
+    greatest_kw = _minute_before(series, series.impp_kw).max().to_numpy()
+    drop_kw = np.nan_to_num(greatest_kw - series.impp_kw)
     needy = series.residual_kw < 0.0
     able = _minute_before(series, series.residual_kw).min().to_numpy() > 0.0
     best: CloudPassage | None = None
@@ -110,12 +112,6 @@ def _candidates(
             if len(members) > 1:
                 pair = min(combinations(members, 2), key=lambda two: matrix[two])
                 yield hour, pair, float(matrix[pair])
-
-
-def _drops(series: RunSeries) -> NDArray[np.float64]:
-    """Return by how much each IMPP is below its greatest value of the minute before [kW]."""
-    greatest_kw = _minute_before(series, series.impp_kw).max().to_numpy()
-    return np.nan_to_num(greatest_kw - series.impp_kw)
 
 
 def _minute_before(series: RunSeries, values: NDArray[np.float64]) -> Rolling[pd.DataFrame]:

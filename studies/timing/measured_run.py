@@ -26,7 +26,7 @@ def run_length_s(request: RunRequest, default: str) -> float:
     """Return how long a run lasts: up to `--to`, or for `--duration` or its default [s]."""
     if request.options.end is None:
         return parse_duration_s(request.options.duration or default, "--duration")
-    plan = _prepared(request)[0].plan
+    plan = prepare_run(request)[0].plan
     return plan.cycles * plan.cycle_ns / 1e9
 
 
@@ -42,15 +42,7 @@ def prepare_at(
     cycle_s = 1.0 / rate_hz
     duration = f"{round(length_s * rate_hz) * cycle_s:.9f}"
     options = replace(request.options, pace="1", cycle_s=cycle_s, duration=duration, end=None)
-    return _prepared(RunRequest(request.scenario, options, out))
-
-
-def _prepared(request: RunRequest) -> tuple[Preparation, RunFolder]:
-    try:
-        return prepare_run(request)
-    except OSError as error:
-        # A file that must not be read, or a name that no file can have.
-        raise InputError(str(error)) from None
+    return prepare_run(RunRequest(request.scenario, options, out))
 
 
 def measured_run(

@@ -114,16 +114,8 @@ def report_on(
 ) -> Reported:
     """Work out the timing of a run from its recording.
 
-    Parameters
-    ----------
-    run
-        Its folder, or the MCAP file.
-    summary
-        Of the run; by default the one in its folder, if there is one.
-    load
-        Load average of the machine before and after it, if known.
-    by_agent
-        Whether each process gets rows of durations of its own.
+    Without a summary the one in the run's folder is used, if there is one. `load` is the machine's
+    load average before and after the run. With `by_agent` each process has rows of its own.
     """
     with RunReader(run) as reader:
         plan, table = reader.plan, _budgets_in(reader)

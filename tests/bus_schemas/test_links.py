@@ -8,29 +8,6 @@ from bus_schemas.tree import ControlTree
 SMALL = ControlTree((("c1/a", 1.0), ("c1/b", 1.0), ("c2/a", 1.0)))
 
 
-def test_the_links_of_a_small_plant() -> None:
-    assert explicit_links(SMALL).pairs == (
-        ("recorder", "plant"),
-        ("recorder", "central"),
-        ("recorder", "c1"),
-        ("recorder", "c2"),
-        ("recorder", "c1/a"),
-        ("recorder", "c1/b"),
-        ("recorder", "c2/a"),
-        ("plant", "central"),
-        ("plant", "c1"),
-        ("plant", "c2"),
-        ("plant", "c1/a"),
-        ("plant", "c1/b"),
-        ("plant", "c2/a"),
-        ("central", "c1"),
-        ("central", "c2"),
-        ("c1", "c1/a"),
-        ("c1", "c1/b"),
-        ("c2", "c2/a"),
-    )
-
-
 def test_endpoints_of_those_who_listen_connect_or_do_both() -> None:
     links = explicit_links(SMALL)
     assert links.listening == ("recorder", "plant", "central", "c1", "c2")
