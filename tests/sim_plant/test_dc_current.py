@@ -99,29 +99,7 @@ def test_a_combiner_without_a_column_is_missing_throughout(read: Read) -> None:
     )
 
 
-def without_the_first_inverter() -> str:
-    lines = [line.split(",") for line in CURRENTS.splitlines()]
-    return "".join(
-        ",".join([fields[0], *([*fields[1:3]] if row == 0 else ["", ""]), *fields[3:]]) + "\n"
-        for row, fields in enumerate(lines)
-    )
-
-
-def test_an_inverter_without_any_current_is_left_out(read: Read) -> None:
-    found = read(currents=without_the_first_inverter())
-    assert found.inverters == ("02",)
-    np.testing.assert_allclose(found.x_m, [110.0])
-    assert found.share.shape == (4, 1)
-    assert found.listed == 2
-    assert found.report == (
-        "hour.csv: inverter 01: 8 of 8 currents of its 2 combiners missing: left out, with its"
-        " rating",
-    )
-
-
-def test_gaps_are_refused_where_they_shall_be(read: Read) -> None:
-    gaps = complaint_of(read, currents=without_the_first_inverter(), refuse_gaps=True)
-    assert gaps.startswith("hour.csv: line 2, column 'A-1': expected")
+def test_a_combiner_without_a_column_is_refused_where_gaps_are(read: Read) -> None:
     without = "\n".join(line.rpartition(",")[0] for line in CURRENTS.splitlines()) + "\n"
     assert "inverter 02" in complaint_of(read, currents=without, refuse_gaps=True)
 

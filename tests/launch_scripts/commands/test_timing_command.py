@@ -21,10 +21,7 @@ from studies.timing.measured_run import prepare_at, run_length_s
     ("words", "named"),
     [
         (("--rate", "10", "--duration", "0.05"), "--duration"),
-        (("--duration", "soon"), "--duration"),
-        (("--to", "11:00"), "--to"),
         (("--to", "12:30", "--duration", "5s"), "--to"),
-        (("--external", "c9"), "--external"),
         (("--duration", "1", "--out", "/dev/null/run"), "/dev/null/run"),
         (("--rate", "5,10", "--out", "/dev/null/run"), "/dev/null/run"),
         (("absent.mcap",), "absent.mcap"),
