@@ -121,29 +121,16 @@ def test_an_inverter_that_comes_and_goes_is_refused(read: Read) -> None:
         ("t_s,", "utc,", "hour.csv: line 1: expected t_s"),
         ("A-1,A-2", "A-1,A-1", "hour.csv: line 1: expected column 'A-1' once"),
         ("A-1,A-2", "A-1,A-9", "positions.csv: expected a line for each combiner"),
-    ],
-)
-def test_one_wrong_field_of_the_currents_is_located(
-    read: Read, old: str, new: str, complaint: str
-) -> None:
-    assert CURRENTS.count(old) == 1
-    assert complaint_of(read, currents=CURRENTS.replace(old, new)).startswith(complaint)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "complaint"),
-    [
         ("inverter,x_m", "inverter,east", "positions.csv: line 1: expected the columns"),
         ("A-2,01,20", "A-2,01,far", "positions.csv: line 3, column 'x_m'"),
         ("A-2,01", "A-1,01", "positions.csv: line 3, column 'combiner'"),
         ("A-2,01", "A-2,a/b", "positions.csv: line 3: name"),
     ],
 )
-def test_one_wrong_field_of_the_positions_is_located(
-    read: Read, old: str, new: str, complaint: str
-) -> None:
-    assert POSITIONS.count(old) == 1
-    assert complaint_of(read, positions=POSITIONS.replace(old, new)).startswith(complaint)
+def test_one_wrong_field_is_located(read: Read, old: str, new: str, complaint: str) -> None:
+    assert (CURRENTS + POSITIONS).count(old) == 1
+    texts = CURRENTS.replace(old, new), POSITIONS.replace(old, new)
+    assert complaint_of(read, *texts).startswith(complaint)
 
 
 def test_currents_in_another_unit_are_recognised(read: Read) -> None:

@@ -74,31 +74,19 @@ def test_a_bad_value_of_a_station_not_asked_for_does_no_harm(read: Read) -> None
         ("20:00:02Z", "20:00:01Z", "ghi.csv: line 4, column 'utc'"),
         ("utc,DH3,AP1", "utc,DH3,DH3", "ghi.csv: line 1: expected a column for each station"),
         ("utc,DH3,AP1,DH4", "utc,DH3,AP1,DH5", "ghi.csv: line 1: expected a column for each"),
-    ],
-)
-def test_one_wrong_field_of_the_measurements_is_located(
-    read: Read, old: str, new: str, complaint: str
-) -> None:
-    assert GHI.count(old) == 1
-    assert complaint_of(read, ghi=GHI.replace(old, new)).startswith(complaint)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "complaint"),
-    [
         ("station,lat", "name,lat", "positions.csv: line 1: expected the columns station"),
         ("-158.08505", "201.9", "positions.csv: line 4, column 'lon'"),
-        ("DH4,", "DH3,", "positions.csv: expected one line for station 'DH3', got 2"),
     ],
 )
-def test_one_wrong_field_of_the_positions_is_located(
-    read: Read, old: str, new: str, complaint: str
-) -> None:
-    assert POSITIONS.count(old) == 1
-    positions = POSITIONS.replace(old, new)
-    stations = ["DH3", "AP1", "DH4"] if "lat" in complaint or "lon" in complaint else None
-    found = complaint_of(read, positions=positions, stations=stations or ["DH3"])
-    assert found.startswith(complaint)
+def test_one_wrong_field_is_located(read: Read, old: str, new: str, complaint: str) -> None:
+    assert (GHI + POSITIONS).count(old) == 1
+    texts = GHI.replace(old, new), POSITIONS.replace(old, new)
+    assert complaint_of(read, *texts).startswith(complaint)
+
+
+def test_a_station_has_one_position(read: Read) -> None:
+    twice = POSITIONS.replace("DH4,", "DH3,")
+    assert "station 'DH3', got 2" in complaint_of(read, positions=twice, stations=["DH3"])
 
 
 @pytest.mark.parametrize(

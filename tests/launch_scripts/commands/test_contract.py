@@ -36,7 +36,7 @@ QUICK: Final[dict[str, tuple[str, ...]]] = {
     "simulate": ("small.toml", "--duration", "5"),
     "timing": ("timed",),
     "scenarios": (),
-    "view": (RUN,),
+    "view": ("run",),
     "report": (RUN,),
     "inspect": (RUN, "--nodes", "c1"),
     "verify": (RUN,),
