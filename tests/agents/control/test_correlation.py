@@ -32,6 +32,12 @@ def test_each_hour_equals_numpy_on_the_rows_of_that_hour() -> None:
         np.testing.assert_allclose(found.at(h), expected, rtol=0.0, atol=1e-12)
 
 
+def test_covariance_equals_numpy() -> None:
+    power = random_walks(500, 6)
+    found = hourly_covariance(power, np.full(500, 12)).at(12)
+    np.testing.assert_allclose(found, np.cov(power.T, bias=True), rtol=1e-12)
+
+
 def test_rows_of_one_hour_may_come_from_several_days() -> None:
     power = random_walks(400, 3)
     hour = np.tile(np.repeat([8, 9], 100), 2)
