@@ -132,12 +132,8 @@ def sweep(rates: Rates, timed: Callable[[float], TimingReport]) -> Sweep:
 
     A search runs a rate that was not clean once more, and the second run counts: one stall of the
     machine must not end it. A rate of a search may be refused because stated deadlines do not fit
-    into its cycle, or its run may fail: that rate has failed, and the others still count.
-
-    Raises
-    ------
-    InputError
-        The very first rate is refused.
+    into its cycle, or its run may fail: that rate has failed, and the others still count. Only if
+    the very first rate is refused, so is the sweep.
     """
     rows: dict[float, RateRow] = {}
     for rate_hz in _search(rates.search_hz, rows) if rates.search_hz else rates.listed_hz:
