@@ -121,3 +121,8 @@ def test_a_history_that_does_not_fit_is_refused(
 def test_a_group_of_unknown_members_is_refused(groups: list[tuple[int, ...]], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         group_correlation(np.eye(3), groups)
+
+
+def test_a_covariance_that_is_not_square_is_refused() -> None:
+    with pytest.raises(ValueError, match="must be square"):
+        group_correlation(np.ones((2, 3)), [(0,)])
