@@ -54,9 +54,12 @@ class NodeStates:
         wanted = {DISPATCH.of(ROOT), PRODUCTION.of(ROOT), IMPP.of(node)}
         if node != ROOT:
             wanted.add(SETPOINT.of(node))
-        found, _ = self._messages_at(cycle, wanted)
-        columns = self._powers(found, [node])
+        columns = self._powers(self.messages(cycle, wanted), [node])
         return {name: values[0] for name, values in columns.items()}
+
+    def messages(self, cycle: int, ports: Collection[Port[Message]]) -> Messages:
+        """Return what was said on some ports in a cycle; of setpoints the newest."""
+        return self._messages_at(cycle, ports)[0]
 
     def _frame(self, cycle: int) -> dict[str, Any]:
         """Return the state of all nodes in a cycle, a list for each quantity."""

@@ -182,6 +182,7 @@ function showRun(plan) {
       figures($("figures"), news.figures);
       $("figures-about").textContent = `${cycles.toLocaleString("en")} cycles so far`;
     }
+    if (over || news.processes) tree.use(over ? null : news.processes);
     if (news.frame) showFrame(news, fresh);
     if (!live && playing && cycle >= cycles - 1) { playing = false; connect(); }
     redrawBar();
