@@ -129,7 +129,8 @@ def main() -> None:
             cycles = options.cycles if pace == "max" else options.cycles // 4
             for case, browsers in CASES.items():
                 cost = measure(browsers, options.scenario, pace, cycles)
-                sys.stderr.write(f"{case}, pace {pace}: {cost}\n")
+                load = psutil.getloadavg()[0]
+                sys.stderr.write(f"{case}, pace {pace}, load {load:.1f}: {cost}\n")
                 costs[case, pace].append(cost)
     table = Table(title=f"{options.scenario}: median of {options.rounds} rounds")
     table.add_column("")

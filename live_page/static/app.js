@@ -109,24 +109,30 @@ function showRun(plan) {
     return loaded;
   }
 
-  // Of several that are asked for, the last one counts.
-  let asked = 0;
   async function load() {
-    const {from, to} = shown(), part = `from=${Math.floor(from)}&to=${to}`, number = ++asked, place = selected;
-    const plant = await json(`window?${part}&points=1500`);
-    if (number !== asked) return;
-    power = joined(plant, power);
+    const {from, to} = shown(), part = `from=${Math.floor(from)}&to=${to}`, place = selected;
+    power = joined(await json(`window?${part}&points=1500`), power);
     drawPower();
     if (place === null) return;
     const node = await json(`node?path=${encodeURIComponent(plan.nodes[place].path)}&${part}`);
-    if (number !== asked || place !== selected) return;
+    if (place !== selected) return;
     history = joined(node, history);
     drawNode();
+  }
+  // One at a time: the history of a node of a large plant takes the server a second.
+  let loading = false, again = false;
+  async function loadInTurn() {
+    again = true;
+    if (loading) return;
+    loading = true;
+    try {
+      while (again) { again = false; await load(); }
+    } finally { loading = false; }
   }
   let waiting = null;
   const reload = () => {
     clearTimeout(waiting);
-    waiting = setTimeout(load, 80);
+    waiting = setTimeout(loadInTurn, 80);
   };
 
   async function redrawBar() {
