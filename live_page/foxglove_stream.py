@@ -9,10 +9,10 @@ from typing import Final
 from foxglove import Channel, Context, Schema, start_server
 from foxglove.websocket import Capability
 
+from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
-from live_page.follower import RunFollower
 from live_page.nodes import NodeStates
 from live_page.run_view import RunView
 from recordings.export.json_messages import JsonEncoder, object_schema
@@ -51,17 +51,16 @@ class FoxgloveStream:
     async def serve(self) -> None:
         """Follow the run while it goes on, or play its recording, whenever a viewer is there."""
         while True:
-            follower = self._view.open()
-            if follower is not None and not self._channels:
-                self._advertise(follower)
-            if follower is not None and self._wanted():
-                await self._play(follower)
+            states = self._view.open()
+            if states is not None and not self._channels:
+                self._advertise(states.follower.plan)
+            if states is not None and self._wanted():
+                await self._play(states)
             await asyncio.sleep(_IDLE_S)
 
-    async def _play(self, follower: RunFollower) -> None:
-        follower.advance(0.0)
-        goes_on = follower.state in {"waiting", "running"}
-        states = NodeStates(follower)
+    async def _play(self, states: NodeStates) -> None:
+        states.follower.advance(0.0)
+        goes_on = states.follower.state in {"waiting", "running"}
         sent = -1
         async for moment in self._view.moments(None if goes_on else 0.0, _SPEED):
             wanted = self._wanted()
@@ -73,8 +72,7 @@ class FoxgloveStream:
                 await self._send(states.messages(cycle, wanted))
             sent = moment.cycle
 
-    def _advertise(self, follower: RunFollower) -> None:
-        plan = follower.plan
+    def _advertise(self, plan: RunPlan) -> None:
         for port in plan.keys.ports:
             if port.signal.logged:
                 data = json.dumps(object_schema(port.signal)).encode()

@@ -57,7 +57,7 @@ class _Sent:
 class Moment(NamedTuple):
     """What to show of a run: a cycle, -1 before the first; and how much is read, if not all."""
 
-    follower: RunFollower
+    states: NodeStates
     cycle: int
     read_share: float | None
 
@@ -76,7 +76,6 @@ class RunView:
     def __init__(self, path: Path) -> None:
         self.path = path / RECORDING_NAME if path.is_dir() else path
         self.watched = 0
-        self._follower: RunFollower | None = None
         self._states: NodeStates | None = None
         self._processes: RunProcesses | None = None
         self._slow: dict[str, Any] = {}
@@ -85,30 +84,29 @@ class RunView:
 
     def close(self) -> None:
         """Close the recording."""
-        if self._follower is not None:
-            self._follower.close()
+        if self._states is not None:
+            self._states.follower.close()
 
-    def open(self) -> RunFollower | None:
+    def open(self) -> NodeStates | None:
         """Return the recording; None while it has not begun."""
-        if self._follower is None:
+        if self._states is None:
             try:
-                self._follower = RunFollower(self.path)
+                self._states = NodeStates(RunFollower(self.path))
             except NothingRecordedError:
                 return None
             except InputError:
                 if self.path.exists():
                     raise
                 return None
-            self._states = NodeStates(self._follower)
-            self._processes = RunProcesses(self.path.parent, self._states.agents)
-        return self._follower
+        return self._states
 
     def plan(self) -> dict[str, Any] | None:
         """Return what stays the same throughout the run."""
-        follower = self.open()
-        if follower is None:
+        states = self.open()
+        if states is None:
             return None
-        plan, tree = follower.plan, follower.plan.tree
+        follower, plan = states.follower, states.follower.plan
+        tree = plan.tree
         place = {node: number for number, node in enumerate(tree.nodes)}
         return {
             "run": plan.run_id,
@@ -136,21 +134,23 @@ class RunView:
 
     def layout(self) -> dict[str, object] | None:
         """Return a layout of the run for Foxglove and Lichtblick."""
-        follower = self.open()
-        return None if follower is None else viewer_layout(follower.plan)
+        states = self.open()
+        return None if states is None else viewer_layout(states.follower.plan)
 
     def window(self, cycles: range, points: int) -> dict[str, Any]:
         """Return the plant's powers over some cycles."""
-        follower = self.open()
-        return {} if follower is None else follower.powers(cycles, min(points, _MOST_POINTS))
+        states = self.open()
+        points = min(points, _MOST_POINTS)
+        return {} if states is None else states.follower.powers(cycles, points)
 
     async def node(self, node: str, cycles: range) -> dict[str, list[float | None]]:
         """Return the powers of a node over some cycles, at most so many that it takes a second."""
-        follower, states = self.open(), self._states
-        if follower is None or states is None or node not in follower.plan.tree.nodes:
+        states = self.open()
+        nodes = states.follower.plan.tree.nodes if states is not None else ()
+        if states is None or node not in nodes:
             raise InputError(f"{node}: the run has no such node")
-        cycles = range(max(cycles.start, 0), min(cycles.stop, follower.cycles))
-        most = max(_NODE_MESSAGES // (8 * len(follower.plan.tree.nodes)), 20)
+        cycles = range(max(cycles.start, 0), min(cycles.stop, states.follower.cycles))
+        most = max(_NODE_MESSAGES // (8 * len(nodes)), 20)
         step = max(ceil(len(cycles) / min(_NODE_POINTS, most)), 1)
         columns: dict[str, list[float | None]] = {"cycle": []}
         for cycle in cycles[::step]:
@@ -176,7 +176,7 @@ class RunView:
             async for moment in self.moments(position, speed):
                 news: dict[str, Any] = {"state": "waiting"}
                 if moment is not None:
-                    self._look_at_slow(moment.follower)
+                    self._look_at_slow(moment.states)
                     news = self._news(moment, sent)
                 if news:
                     yield msgspec.json.encode(news)
@@ -191,11 +191,12 @@ class RunView:
         shown = position
         now = time.monotonic()
         while True:
-            follower = self.open()
-            if follower is None:
+            states = self.open()
+            if states is None:
                 yield None
                 await asyncio.sleep(_WAITING_S)
                 continue
+            follower = states.follower
             up_to_date = follower.advance(_READING_S)
             before, now = now, time.monotonic()
             newest = follower.cycles - 1
@@ -206,12 +207,13 @@ class RunView:
             elif shown < newest:
                 shown = min(shown + speed * (now - before) * 1e9 / follower.plan.cycle_ns, newest)
             read_share = None if up_to_date else round(follower.read_share, 3)
-            yield Moment(follower, min(int(shown), newest), read_share)
+            yield Moment(states, min(int(shown), newest), read_share)
             await asyncio.sleep(UPDATE_S if up_to_date else _READING_S / 3)
 
     def _news(self, moment: Moment, sent: _Sent) -> dict[str, Any]:
         """Return what a browser does not know yet; nothing if it was told all and recently."""
-        follower, cycle, reading = moment
+        states, cycle, reading = moment
+        follower = states.follower
         state: dict[str, Any] = {
             "state": follower.state,
             "cycles": follower.cycles,
@@ -226,9 +228,9 @@ class RunView:
         if not is_new:
             return {}
         message = {**state, "cycle": cycle, "events": follower.events.since(sent.revision)}
-        if cycle >= 0 and cycle != sent.cycle and self._states is not None:
+        if cycle >= 0 and cycle != sent.cycle:
             begin = sent.cycle + 1 if 0 <= sent.cycle < cycle else cycle
-            message["frame"] = self._states.frame(cycle)
+            message["frame"] = states.frame(cycle)
             message["plant"] = follower.powers(range(begin, cycle + 1), _UPDATE_POINTS)
         if self._slow_at > sent.slow_at:
             message |= self._slow
@@ -236,8 +238,9 @@ class RunView:
         sent.revision, sent.slow_at = follower.events.revision, self._slow_at
         return message
 
-    def _look_at_slow(self, follower: RunFollower) -> None:
+    def _look_at_slow(self, states: NodeStates) -> None:
         """Work out the figures of merit so far and what the processes take, if that is due."""
+        follower = states.follower
         now, is_over = time.monotonic(), follower.run.outline.closed
         is_new = follower.cycles > self._slow_cycles
         if now < self._slow_at + _SLOW_S or (is_over and not is_new):
@@ -245,7 +248,8 @@ class RunView:
         self._slow_at, self._slow_cycles = now, follower.cycles
         if is_new:
             self._slow["figures"] = _figures(follower.metrics())
-        if not is_over and self._processes is not None:
+        if not is_over:
+            self._processes = self._processes or RunProcesses(self.path.parent, states.agents)
             self._slow["processes"] = self._processes.use()
 
 

@@ -1,6 +1,6 @@
 // The page of one run: asks for its plan, follows its stream of updates, and shows them.
 
-import {css, drawOverview, kw, redrawCharts, timeChart} from "./chart.js";
+import {drawOverview, kw, redrawCharts, timeChart} from "./chart.js";
 import {plantMap} from "./map.js";
 import {controlTree} from "./tree.js";
 import {eventList, figures, timingStrip, values} from "./panels.js";

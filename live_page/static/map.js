@@ -15,10 +15,10 @@ function ramp(share) {
   return `rgb(${[0, 1, 2].map(place => Math.round(part(RAMP[low], place) * (1 - rest) + part(next, place) * rest)).join()})`;
 }
 
-function make(name, attributes, parent) {
+export function make(name, attributes, parent) {
   const element = document.createElementNS(NS, name);
   for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-  parent?.append(element);
+  parent.append(element);
   return element;
 }
 

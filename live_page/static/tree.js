@@ -29,6 +29,7 @@ export function controlTree(body, plan, select) {
   body.replaceChildren(...order.map(row => row.line));
 
   let frame = null, processes = null, selected = null;
+  const isLost = ({agent}) => frame.agents.age[agent] === null || frame.agents.age[agent] > plan.hold_cycles;
   const below = row => [row, ...row.children.flatMap(below)];
   function arrange() {
     const hidden = new Set(order.filter(row => row.folded).flatMap(row => below(row).slice(1)));
@@ -43,8 +44,8 @@ export function controlTree(body, plan, select) {
     const agents = frame.agents;
     for (const row of order) {
       if (row.line.hidden) continue;
-      const own = row.agent, age = agents.age[own], lost = age === null || age > plan.hold_cycles;
-      const dead = row.folded ? below(row).slice(1).filter(child => agents.age[child.agent] === null || agents.age[child.agent] > plan.hold_cycles).length : 0;
+      const own = row.agent, age = agents.age[own], lost = isLost(row);
+      const dead = row.folded ? below(row).slice(1).filter(isLost).length : 0;
       const [state, ages, inputs, oldest, loop, restarts, cpu, memory] = row.cells;
       state.className = lost || dead ? "dead" : "alive";
       state.textContent = lost ? "✕ silent" : dead ? `✕ ${dead} below silent` : "● alive";
