@@ -135,7 +135,7 @@ export function plantMap(svg, note, plan, select) {
         const gap = Math.min(size + 2, length / 3), from = [a[0] + dx / length * gap, a[1] + dy / length * gap], to = [b[0] - dx / length * gap, b[1] - dy / length * gap];
         const bend = [(from[0] + to[0]) / 2 - dy * 0.12, (from[1] + to[1]) / 2 + dx * 0.12];
         line.setAttribute("d", `M${from}Q${bend} ${to}`);
-        line.setAttribute("stroke-width", Math.min(1 + size * power_kw / largest, 14).toFixed(1));
+        line.setAttribute("stroke-width", Math.min(1.5 + 3 * size * power_kw / largest, 14).toFixed(1));
         line.setAttribute("marker-end", "url(#arrow)");
       });
       return frame.help.length - shown.length;
