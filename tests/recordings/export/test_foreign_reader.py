@@ -23,7 +23,7 @@ def reader(pytestconfig: pytest.Config, tmp_path: Path) -> Path:
     """The reader's script beside its packages, which stay in pytest's cache."""
     if shutil.which("npm") is None or shutil.which("node") is None:
         pytest.skip("node and npm are not installed")
-    cache = pytestconfig.cache
+    cache: pytest.Cache | None = getattr(pytestconfig, "cache", None)
     folder = tmp_path / "reader" if cache is None else cache.mkdir("mcap_reader")
     done_last, manifest = folder / "node_modules/.package-lock.json", "package.json"
     if not done_last.exists() or not filecmp.cmp(READER / manifest, folder / manifest):
