@@ -105,13 +105,11 @@ class RunView:
         states = self.open()
         if states is None:
             return None
-        follower, plan = states.follower, states.follower.plan
-        tree = plan.tree
+        plan, tree = states.follower.plan, states.follower.plan.tree
         place = {node: number for number, node in enumerate(tree.nodes)}
         return {
             "run": plan.run_id,
             "plant": plan.plant,
-            "driver": follower.run.metadata["run"].get("driver"),
             "scheme": plan.scheme,
             "nodes": [
                 {
