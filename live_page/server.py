@@ -87,6 +87,7 @@ class PageServer:
                 log_level="error",
                 access_log=False,
                 lifespan="off",
+                ws="none",
                 server_header=False,
                 timeout_graceful_shutdown=1,
             )
