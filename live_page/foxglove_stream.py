@@ -9,7 +9,7 @@ from typing import Final
 from foxglove import Channel, Context, Schema, start_server
 from foxglove.websocket import Capability
 
-from agents.plan import RunPlan
+from agents.plan import RunPlan, load_plan
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
@@ -36,7 +36,17 @@ class FoxgloveStream:
 
     def __init__(self, view: RunView, port: int) -> None:
         self._view = view
+        self._encoder = JsonEncoder()
         self._context = Context()
+        states = view.open()
+        if states is None:  # The run has not begun.
+            plan = load_plan(view.path.with_name("plan.json"))
+        else:
+            plan = states.follower.plan
+        # Before the server: a channel that comes later may be asked for before the server knows it.
+        self._channels = {
+            row: _channel(plan, row, self._context) for row in plan.keys.ports if row.signal.logged
+        }
         try:
             self._server = start_server(
                 name="Heliarch", port=port, capabilities=[Capability.Time], context=self._context
@@ -45,15 +55,11 @@ class FoxgloveStream:
             raise InputError(
                 f"--foxglove: expected a free port on 127.0.0.1, got {port}: {error}"
             ) from None
-        self._channels: dict[Port[Message], Channel] = {}
-        self._encoder = JsonEncoder()
 
     async def serve(self) -> None:
         """Follow the run while it goes on, or play its recording, whenever a viewer is there."""
         while True:
             states = self._view.open()
-            if states is not None and not self._channels:
-                self._advertise(states.follower.plan)
             if states is not None and self._wanted():
                 await self._play(states)
             await asyncio.sleep(_IDLE_S)
@@ -72,18 +78,6 @@ class FoxgloveStream:
                 await self._send(states.messages(cycle, wanted))
             sent = moment.cycle
 
-    def _advertise(self, plan: RunPlan) -> None:
-        for port in plan.keys.ports:
-            if port.signal.logged:
-                data = json.dumps(object_schema(port.signal)).encode()
-                name = port.signal.type.__name__
-                self._channels[port] = Channel(
-                    plan.keys.key(port),
-                    message_encoding="json",
-                    schema=Schema(name=name, encoding="jsonschema", data=data),
-                    context=self._context,
-                )
-
     def _wanted(self) -> set[Port[Message]]:
         return {port for port, channel in self._channels.items() if channel.has_sinks()}
 
@@ -95,3 +89,16 @@ class FoxgloveStream:
         await asyncio.sleep(_TIME_FIRST_S)
         for port, message in messages.items():
             self._channels[port].log(self._encoder.encode(message), log_time=time_ns)
+
+
+def _channel(plan: RunPlan, port: Port[Message], context: Context) -> Channel:
+    return Channel(
+        plan.keys.key(port),
+        message_encoding="json",
+        schema=Schema(
+            name=port.signal.type.__name__,
+            encoding="jsonschema",
+            data=json.dumps(object_schema(port.signal)).encode(),
+        ),
+        context=context,
+    )
