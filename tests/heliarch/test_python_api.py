@@ -74,8 +74,9 @@ def test_two_recordings_are_compared_with_their_first_difference(
         for name, settings in (("a", None), ("b", {"commitment.share": 0.4}))
     ]
     found = heliarch.compare_runs(*runs)
-    assert found.differences.loc[0, ["message", "cycle"]].tolist() == ["dispatch, commitment", 0]
-    energy = found.figures.set_index("figure").loc["Desired energy"]
+    first = found.differences.to_dict("records")[0]
+    assert (first["message"], first["cycle"]) == ("dispatch, commitment", 0)
+    energy = {row["figure"]: row for row in found.figures.to_dict("records")}["Desired energy"]
     assert energy["difference"] == pytest.approx(energy["B"] - energy["A"])
     assert energy["difference"] < 0.0
     alike = heliarch.compare_runs(runs[0], runs[0]).differences
