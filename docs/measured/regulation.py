@@ -82,7 +82,7 @@ def fit(real: dict[str, float]) -> None:
         medians = {name: np.median([day[name] for day in days]) for name in names}
         return np.array([(medians[name] - real[name]) / spread[name] for name in names])
 
-    apart(least_squares(apart, np.log(list(BEGINNING.values())), diff_step=0.03, max_nfev=16).x)
+    apart(least_squares(apart, np.log(list(BEGINNING.values())), diff_step=0.03, max_nfev=14).x)
 
 
 def use(constants: dict[str, float]) -> None:

@@ -10,7 +10,11 @@ import pandas as pd
 from tables import WORKERS, Lines, Tables, header, hope, plant, row
 
 from heliarch import compare
+from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import ScenarioFile
+from studies.arrays.closed_loop import run_loop
+from studies.compare.cases import with_settings
+from studies.metrics import commitment_metrics
 
 BOTH: Final = ("fraction", "limit")
 SHARES: Final = [0.5, 0.7, 0.8, 0.9]
@@ -134,6 +138,37 @@ def cycles(data: Path) -> Lines:
     return by_scheme(found, figures, case=str)
 
 
+def floor(data: Path) -> Lines:
+    """Write what margins make of hour a with limits, with and without hidden maxima."""
+    yield from header(["what is known", "margin", "80%", "90%"])
+    for known, stated in (
+        ("readings of inverters, some held by a limit", ()),
+        ("each maximum of the interval that ended", ("plant.available_bias=0",)),
+    ):
+        days = [
+            prepare(
+                with_settings(plant(data), [f"commitment.share={share}", *stated]),
+                RunOptions(),
+                "compare",
+            )
+            for share in (0.8, 0.9)
+        ]
+        for margin in (-0.5, 0.0, 0.5, 1.0):
+            yield row([known, f"{margin:g}", *(pair(day, margin) for day in days)])
+    yield row(["each maximum of the coming interval", "0", "0.000 (0.00)", "0.000 (0.00)"])
+
+
+def pair(day: Preparation, margin: float) -> str:
+    """Return control-caused and over-delivered of a day with limits and a margin."""
+    found = run_loop(day.plan, day.profile, "predictive", "limit", {"MARGIN": margin})
+    desired_kw = day.profile.commitment_kw + day.profile.regulation_kw
+    totals = day.profile.mpp_kw.sum(axis=1), found.power_kw.sum(axis=1)
+    energy = commitment_metrics(desired_kw, *totals, day.plan.cycle_ns / 1e9)
+    percent = 100.0 / energy.desired_kwh
+    missing, beyond = energy.control_caused_kwh, energy.over_delivered_kwh
+    return f"{percent * missing:.3f} ({percent * beyond:.2f})"
+
+
 # Tables -------------------------------------------------------------------------------------------
 
 
@@ -182,5 +217,6 @@ FROM_DATA: Final[Tables] = {
     "HOPE": hope_schemes,
     "HOPE, estimators": hope_cells,
     **{f"hour {letter}, estimators": hour_cells(letter) for letter in "abc"},
+    "floor": floor,
     "hours": hours,
 }
