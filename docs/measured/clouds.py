@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 SKIES_DRAWN = 12
 MOST_SEEDS = 300
 COVER_TOLERANCE = 0.1
-EVOLUTION_S = (1200.0, 2100.0, 3000.0)
+EVOLUTION_S = (1200.0, 1700.0, 2100.0)
 MEASURED, SYNTHETIC = "#b2182b", "#2166ac"
 CLASSES_M = np.array([0.0, 50.0, 100.0, 150.0, 200.0, 300.0, 400.0, 500.0, 700.0, 1000.0, 1500.0])
 # Two skies that are not the default's kind: sharp and fast clouds, and thin ones.
