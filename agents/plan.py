@@ -6,6 +6,7 @@ reading one takes.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Final, Literal, TypeAlias
@@ -75,6 +76,11 @@ class RestartPolicy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         float,
         Meta(gt=0.0, le=1e6, description="A controller that stands still so long is killed [s]."),
     ] = 5.0
+
+    def allows(self, earlier_s: Iterable[float], now_s: float) -> bool:
+        """Whether a controller that was started again at these times may be once more."""
+        recent = sum(now_s - at_s < self.within_s for at_s in earlier_s)
+        return self.when != "never" and recent < self.most
 
 
 class Revert(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

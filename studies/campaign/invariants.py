@@ -45,13 +45,17 @@ class Violation(NamedTuple):
 
 @dataclass
 class Trace:
-    """The messages of a run that the invariants are about. Call it with each message."""
+    """The messages of a run that the invariants are about. Call it with each message.
+
+    `ended` says why the run ended before its time; it is empty if it did not.
+    """
 
     produced: list[Production] = field(default_factory=list)
     telemetry: dict[Port[Telemetry], list[Telemetry]] = field(default_factory=dict)
     commands: dict[Port[Command], list[Command]] = field(default_factory=dict)
     setpoints: dict[Port[Setpoint], dict[int, Setpoint]] = field(default_factory=dict)
     twice: list[Delivery] = field(default_factory=list)
+    ended: str = ""
 
     def __call__(self, port: Port[Message], message: Message) -> None:
         """Take in a message as it is published."""
@@ -102,6 +106,9 @@ def violations(
     longest_s
         How long power may be out of bounds at a time [s]: what the faults of the run allow.
     """
+    if trace.ended:
+        yield Violation("end", len(trace.produced), trace.ended)
+        return
     cycle_s = plan.cycle_ns / 1e9
     longest = round(longest_s / cycle_s)
     settles = round(SETTLES_S / cycle_s) + plan.hold_cycles
