@@ -288,6 +288,10 @@ class AgentLoop(Generic[S]):
         )
         return now_ns
 
+    def use_instead(self, port: Port[Message], message: Message) -> None:
+        """Use another message of the same cycle than the one that came first."""
+        self._inputs[port].newest = message
+
     # Cycles ---------------------------------------------------------------------------------------
 
     def begin(self, start_ns: int, now_ns: int, cycle: int = 0) -> None:
@@ -427,12 +431,12 @@ class AgentLoop(Generic[S]):
         self.silent, self.incarnation = False, turn.cycle
         known = {} if state is None else msgspec.to_builtins(state)
         port = TAKEOVER.of("" if self.agent.name == CENTRAL else self.agent.name)
-        return port, Takeover(*turn.stamp, stage=turn.stage, state=known)
+        return port, Takeover(*turn.stamp, stage=turn.stage, memory=known)
 
     def resume(self, takeover: Takeover) -> None:
         """Go on with the state of a process that took over."""
         if self._state is not None:
-            self._state = msgspec.convert(takeover.state, type(self._state))
+            self._state = msgspec.convert(takeover.memory, type(self._state))
 
     def _inputs_of(
         self, stage: Stage

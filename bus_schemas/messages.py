@@ -212,12 +212,12 @@ class Notice(Message, kw_only=True):
 class Takeover(Message, kw_only=True):
     """A standby takes over: from here on its messages are the agent's.
 
-    `incarnation` is this cycle. `stage` is the first stage that it decides, and `state` what it
+    `incarnation` is this cycle. `stage` is the first stage that it decides, and `memory` what it
     remembers at its beginning, field by field: with both a recording can be repeated.
     """
 
     stage: Annotated[str, msgspec.Meta(max_length=20)]
-    state: Annotated[dict[str, int | float], msgspec.Meta(max_length=100)]
+    memory: Annotated[dict[str, int | float], msgspec.Meta(max_length=100)]
 
 
 class Clock(Message, kw_only=True):

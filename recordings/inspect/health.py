@@ -301,8 +301,8 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
     for absence in health.absences:
         if absence in named:
             yield "absent", _absence_text(absence, clock)
-    if rest := len(health.absences) + health.more_absences - len(named):
-        yield "absent", f"and {rest:,} times more"
+    if others := len(health.absences) + health.more_absences - len(named):
+        yield "absent", f"and {others:,} times more"
     if not health.absences:
         yield "absent", "nobody restarted, died, or missed a cycle"
     if health.failure:

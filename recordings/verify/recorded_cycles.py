@@ -125,9 +125,19 @@ class RecordedCycles:
 
 
 class RecentMessages:
-    """The newest messages of each port, by cycle: as many as an agent can still use."""
+    """The newest messages of each port, by cycle: as many as an agent can still use.
+
+    Attributes
+    ----------
+    of_port
+        The message of each cycle.
+    others
+        What another process of the same publisher sent in the same cycle: which of them came first
+        may be different for each listener.
+    """
 
     def __init__(self, plan: RunPlan) -> None:
+        self.others: dict[tuple[Port[Message], int], list[Message]] = {}
         self.of_port: dict[Port[Message], dict[int, Message]] = {
             port: {} for port in plan.keys.ports
         }
@@ -140,3 +150,9 @@ class RecentMessages:
             kept[cycle.number] = message
             if len(kept) > self._most:
                 del kept[next(iter(kept))]
+        for port, message in cycle.repeated:
+            first = self.of_port[port].setdefault(cycle.number, message)
+            if message.incarnation != first.incarnation:
+                self.others.setdefault((port, cycle.number), []).append(message)
+        for place in [place for place in self.others if place[1] < cycle.number - self._most]:
+            del self.others[place]

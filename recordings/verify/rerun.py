@@ -6,14 +6,17 @@ due, and every other one was. So a run in real time is repeated as exactly as on
 In lockstep an agent closes every stage of every cycle. In real time it may skip cycles: a stage
 without recorded outputs was not closed. A process that replaced another says so in its messages:
 its agent begins again, or, if it was a standby, with what the standby says that it knew. One that
-was killed may have sent a part of its last messages.
+was killed may have sent a part of its last messages. In the cycle of a takeover both processes may
+have spoken: each listener used what it heard first, and its outputs show which that was.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
-from typing import Any
+from itertools import islice, product
+from typing import Any, Final
 
 from agents.agent import Agent, Stage
 from agents.cycle import stage_of
@@ -26,6 +29,10 @@ from bus_schemas.signals import Port
 from recordings.verify.comparison import Comparison
 from recordings.verify.findings import Difference, Findings, Kind, by_key
 from recordings.verify.recorded_cycles import RecentMessages, RecordedCycle
+
+
+_MOST_CHOICES: Final = 256
+"""Combinations of inputs that are tried at most, where standbys took over in a stage's cycle."""
 
 
 @dataclass(slots=True)
@@ -72,6 +79,7 @@ class AgentRerun:
         self.findings = Findings(from_cycle=from_cycle)
         self._plan = plan
         self._recent = recent.of_port
+        self._others = recent.others
         self._takeovers = takeovers
         self._comparison = comparison
         self._stage_of = {
@@ -186,6 +194,8 @@ class AgentRerun:
         missing = next(iter(recorded.values())).missing if recorded else ()
         self._stage = stage.name
         lost = self._hear_inputs(stage, cycle, missing)
+        if recorded and self._others:
+            self._choose_inputs(recorded)
         outputs = self._process.loop.close_stage(0)
         if not lost and (recorded or self._plan.lockstep):
             self._compare(cycle, stage.name, recorded, outputs)
@@ -218,6 +228,25 @@ class AgentRerun:
             self._inputs[port] = message
             self._process.loop.hear(port, message, 0)
         return lost
+
+    def _choose_inputs(self, recorded: dict[Port[Message], Message]) -> None:
+        """Of inputs that two processes of an agent sent, use those that the outputs show."""
+        loop = self._process.loop
+        choices = {
+            port: [message, *others]
+            for port, message in self._inputs.items()
+            if (others := self._others.get((port, message.cycle)))
+        }
+        for chosen in islice(product(*choices.values()), _MOST_CHOICES) if choices else ():
+            for message, port in zip(chosen, choices, strict=True):
+                loop.use_instead(port, message)
+            outputs = copy(loop).close_stage(0)
+            compared = [(port, recorded[port], new) for port, new in outputs if port in recorded]
+            if not any(self._comparison.differences(*pair) for pair in compared):
+                self._inputs |= dict(zip(choices, chosen, strict=True))
+                return
+        for port, messages in choices.items():
+            loop.use_instead(port, messages[0])
 
     def _compare(
         self,
