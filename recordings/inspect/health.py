@@ -172,12 +172,14 @@ class HealthWatch:
         """Take in a message."""
         port, cycle = record.port, record.cycle
         sequence = self.gaps.ports[port].sequence
-        restarts = sequence.restarts
+        restarts, lost = sequence.restarts, sequence.lost
         self.gaps.see(port, cycle, record.sequence, record.incarnation)
         agent = port.publisher
         if port.signal is TAKEOVER:
             self._took_over[agent] = cycle
         elif agent in self._last_cycle:
+            if sequence.lost > lost:  # It was there: its messages are not.
+                self._last_cycle[agent] = max(self._last_cycle[agent], cycle - 1)
             self._see_agent(agent, cycle, restarted=sequence.restarts > restarts)
         if self._plan.faults and port.signal.is_cyclic:
             self._see_faults(port, record.message())
