@@ -429,14 +429,16 @@ class AgentLoop(Generic[S]):
         """Speak from now on; return the message that says so, with what it knows."""
         log.info("takes over in cycle %d", turn.cycle)
         self.silent, self.incarnation = False, turn.cycle
-        known = {} if state is None else msgspec.to_builtins(state)
+        known = msgspec.structs.asdict(state) if isinstance(state, msgspec.Struct) else {}
         port = TAKEOVER.of("" if self.agent.name == CENTRAL else self.agent.name)
-        return port, Takeover(*turn.stamp, stage=turn.stage, memory=known)
+        return port, Takeover(*turn.stamp, stage=turn.stage, **known)
 
     def resume(self, takeover: Takeover) -> None:
         """Go on with the state of a process that took over."""
-        if self._state is not None:
-            self._state = msgspec.convert(takeover.memory, type(self._state))
+        state = self._state
+        if isinstance(state, msgspec.Struct):
+            names = state.__struct_fields__
+            self._state = type(state)(**{name: getattr(takeover, name) for name in names})
 
     def _inputs_of(
         self, stage: Stage

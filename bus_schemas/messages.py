@@ -212,12 +212,19 @@ class Notice(Message, kw_only=True):
 class Takeover(Message, kw_only=True):
     """A standby takes over: from here on its messages are the agent's.
 
-    `incarnation` is this cycle. `stage` is the first stage that it decides, and `memory` what it
-    remembers at its beginning, field by field: with both a recording can be repeated.
+    `incarnation` is this cycle, and `stage` the first stage that it decides. The other fields are
+    what a central controller remembers at its beginning, so that a recording can be repeated: what
+    it adds to the dispatch, the dispatch of its last turn, the sum of the meter's readings since
+    then, their number, the cycle of the last one, and how many dispatches it has clamped.
     """
 
     stage: Annotated[str, msgspec.Meta(max_length=20)]
-    memory: Annotated[dict[str, int | float], msgspec.Meta(max_length=100)]
+    correction_kw: float | None = None
+    wanted_kw: float | None = None
+    metered_kw: float | None = None
+    readings: Count | None = None
+    meter_cycle: Cycle | None = None
+    clamped: Count | None = None
 
 
 class Clock(Message, kw_only=True):
