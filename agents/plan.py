@@ -19,7 +19,7 @@ from agents.cycle import Deadlines
 from agents.machine import MachineSettings
 from agents.periods import Periods
 from bus_schemas.errors import InputError
-from bus_schemas.faults import FaultRule, NetworkFaults
+from bus_schemas.faults import FaultRule, NetworkFaults, check_rule
 from bus_schemas.keys import KeyTable
 from bus_schemas.links import Links, explicit_links
 from bus_schemas.messages import Message, Run
@@ -32,6 +32,11 @@ Scheme: TypeAlias = Literal["paper", "predictive"]
 Actuator: TypeAlias = Literal["fraction", "limit"]
 """`fraction`: P = alpha x MPP, as in the paper. `limit`: P = min(limit, MPP), as real inverters."""
 
+
+LONGEST_CYCLE_NS: Final = 3_600_000_000_000
+MOST_CYCLES: Final = 10_000_000
+MOST_VALUES: Final = 100_000_000
+"""A run has at most so many cycles, and cycles times inverters: 0.8 GB for one number of each."""
 
 START_WITHIN_NS: Final = 10_000_000_000
 """A run that is said to begin further from now than this was timed by another host's clock."""
@@ -298,13 +303,36 @@ def load_plan(path: Path) -> RunPlan:
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: {error}, expected the plan.json of a run") from None
     try:
-        _check_tiers(plan)
+        check_plan(plan)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return plan
 
 
-def _check_tiers(plan: RunPlan) -> None:
+def check_size(cycles: int, inverters: int, where: str) -> None:
+    """Refuse a run that would take more memory than any machine is asked for."""
+    most = min(MOST_CYCLES, MOST_VALUES // inverters)
+    if not 0 < cycles <= most:
+        raise InputError(
+            f"{where}: expected up to {most:,} cycles with {inverters:,} inverters, got {cycles:,}"
+        )
+
+
+def check_plan(plan: RunPlan) -> None:
+    """Check what the types of the fields do not tell.
+
+    Raises
+    ------
+    InputError
+        A plan that no scenario leads to.
+    """
+    check_size(plan.cycles, len(plan.tree.leaves), "cycles")
+    if not 0 < plan.cycle_ns <= LONGEST_CYCLE_NS:
+        raise InputError(
+            f"cycle_ns: expected above 0, up to {LONGEST_CYCLE_NS:,}, got {plan.cycle_ns:,}"
+        )
+    for number, rule in enumerate(plan.faults):
+        check_rule(rule, plan.tree, f"faults[{number}]", plan.external)
     tiers = 1 + max(depth(parent) for parent in plan.tree.parents)
     if len(plan.periods.cycles) != tiers:
         raise InputError(

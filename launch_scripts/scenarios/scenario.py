@@ -288,7 +288,7 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
     except msgspec.ValidationError as error:
         document = msgspec.toml.decode(text)
         raise InputError(f"{path}: {readable(error, Scenario, document)}") from None
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, RecursionError) as error:
         raise InputError(f"{path}: expected TOML, got {error}") from None
     check_scenario(scenario, str(path))
     return ScenarioFile(scenario, text, path, data_folder or path.parent)
