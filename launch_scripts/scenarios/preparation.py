@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from agents.control.correlation import HourlyMatrices, hourly_covariance
 from agents.periods import Periods
-from agents.plan import Actuator, RunPlan, Scheme, check_size
+from agents.plan import Actuator, Revert, RunPlan, Scheme, check_plan, check_size
 from bus_schemas.errors import InputError
 from bus_schemas.times import FIRST_YEAR, LAST_YEAR, parse_duration_s, read_time
 from bus_schemas.tree import ControlTree, depth
@@ -145,6 +145,8 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
             regulation = regulation_kw(offer, day.times, zone, data_path)
     except InputError as error:
         raise InputError(_with_file(scenario_file, str(error))) from None
+    if plan.revert is not None and plan.revert != scenario.plant.revert:
+        remarks.append(f"inverters revert after {plan.revert.after_s:g} s, which is three cycles")
     if of_commitment := hindsight(scenario.commitment):
         remarks.append(of_commitment)
     if offer is not None:
@@ -207,7 +209,7 @@ def _plan(
     seed = options.seed
     if seed is None and isinstance(scenario.irradiance, CloudIrradiance):
         seed = scenario.irradiance.seed
-    return RunPlan(
+    plan = RunPlan(
         run_id=run_id,
         plant=scenario.name,
         inverters=day.tree.inverters,
@@ -238,12 +240,30 @@ def _plan(
         ),
         correction=scheme == "predictive" if control.correction is None else control.correction,
         available_bias=scenario.plant.available_bias,
-        revert=scenario.plant.revert,
+        revert=_renewable(scenario.plant.revert, scenario),
+        ramp_percent_per_s=scenario.plant.ramp_percent_per_s,
+        delay_s=scenario.plant.delay_s,
+        settings=tuple(
+            replace(entry, revert=_renewable(entry.revert, scenario))
+            for entry in scenario.plant.settings
+        ),
         restart=scenario.restart,
         tier_deadlines_ns=deadlines_ns,
         seed=seed,
         positions_m=day.positions_m,
     )
+    check_plan(plan)
+    return plan
+
+
+def _renewable(revert: Revert | None, scenario: Scenario) -> Revert | None:
+    """Let a revert time be three cycles at least.
+
+    Controllers renew commands in each cycle, and must do so within a third of the revert time.
+    """
+    if revert is None:
+        return None
+    return replace(revert, after_s=max(revert.after_s, 3.0 * scenario.time.cycle_s))
 
 
 def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:

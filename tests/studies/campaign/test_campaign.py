@@ -6,6 +6,7 @@ from collections.abc import Callable
 from math import inf
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -74,7 +75,7 @@ def inverters_never_revert(patch: Patch) -> None:
 
     def wrong(self: Plant, plan: RunPlan, profile: Profile) -> None:
         right(self, plan, profile)
-        self._revert_cycles = float("inf")
+        self._revert_cycles = np.full(len(plan.tree.leaves), inf)
 
     patch.setattr(Plant, "__init__", wrong)
 
