@@ -19,12 +19,13 @@ from bus_schemas.faults import FaultRule, links
 from bus_schemas.tree import agent_name
 from launch_scripts.launcher.simulation import RESTART_TAKES_S, MemoryRun, on_the_clock
 from launch_scripts.launcher.supervision import RunFailure
+from launch_scripts.scenarios.fault_rules import parse_fault
 from launch_scripts.scenarios.preparation import Preparation
 from sim_plant.profile import Profile
 from studies.campaign.invariants import SETTLES_S, Trace, Violation, violations
 
 MOST_FAULTS: Final = 5
-_FIRST_S: Final = 10.0
+FIRST_S: Final = 10.0
 """No fault begins before: estimates need some cycles."""
 
 _LONGEST_S: Final = 40.0
@@ -56,6 +57,11 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     under_kwh: float
     over_kw: float
     under_kw: float
+
+    @property
+    def fault_rules(self) -> tuple[FaultRule, ...]:
+        """Its faults."""
+        return tuple(map(parse_fault, self.rules))
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +108,11 @@ def run_seed(campaign: Campaign, seed: int) -> Outcome:
     )
 
 
+def rerun(campaign: Campaign, outcome: Outcome) -> Trace:
+    """Return the messages of a seed once more."""
+    return _tried(campaign, outcome.fault_rules)[0]
+
+
 def judge(campaign: Campaign, rules: tuple[FaultRule, ...], trace: Trace) -> list[Violation]:
     """Return the invariants that a run under some faults breaks."""
     plan = campaign.plan
@@ -139,7 +150,7 @@ def _slowest_s(plan: RunPlan) -> float:
 
 def least_length_s(plan: RunPlan) -> float:
     """Length of a run in which faults can come about and be over [s]."""
-    return 2 * _FIRST_S + _LONGEST_S + _settles_s(plan)
+    return 2 * FIRST_S + _LONGEST_S + _settles_s(plan)
 
 
 def _settles_s(plan: RunPlan) -> float:
@@ -151,7 +162,7 @@ def random_rules(plan: RunPlan, seed: int) -> tuple[FaultRule, ...]:
     """Draw the faults of a seed."""
     draw = random.Random(seed)
     length_s = plan.cycles * plan.cycle_ns / 1e9
-    last_s = length_s - _settles_s(plan) - _FIRST_S
+    last_s = length_s - _settles_s(plan) - FIRST_S
     # The upper tiers are few and matter most: each tier is as likely as the others.
     tiers: dict[int, list[str]] = {}
     for node in plan.tree.nodes:
@@ -159,7 +170,7 @@ def random_rules(plan: RunPlan, seed: int) -> tuple[FaultRule, ...]:
     pairs = sorted({(port.publisher, listener) for port, listener in links(plan.tree)})
     found = []
     for _ in range(draw.randint(1, MOST_FAULTS)):
-        begin_s = round(draw.uniform(_FIRST_S, last_s - _FIRST_S), 1)
+        begin_s = round(draw.uniform(FIRST_S, last_s - FIRST_S), 1)
         end_s = round(min(begin_s + draw.uniform(0.5, _LONGEST_S), last_s), 1)
         at = (begin_s, end_s)
         agent = draw.choice(draw.choice(list(tiers.values())))
