@@ -26,7 +26,7 @@ from bus_schemas.keys import KeyTable
 from bus_schemas.links import Links, explicit_links
 from bus_schemas.messages import Message, Run
 from bus_schemas.signals import Occurrence, Port, Wiring
-from bus_schemas.tree import PLANT, ControlTree, depth, parent_of, some_of
+from bus_schemas.tree import PLANT, ControlTree, depth, parent_of, some_of, standby_of
 
 Scheme: TypeAlias = Literal["paper", "predictive"]
 """`paper`: the IMPP is the last cycle's (eq. 1). `predictive`: it is a forecast of this cycle's."""
@@ -70,24 +70,36 @@ class RestartPolicy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What the launcher does when a controller's process ends before the run does."""
 
     when: Annotated[
-        Literal["never", "on-failure"],
-        Meta(description="Start it again, or end the run. In lockstep the run ends always."),
-    ] = "on-failure"
+        Literal["never", "on-failure", "always"] | None,
+        Meta(
+            description="`never`: the run ends. `on-failure`: it is started again. `always`: as "
+            "often as it takes. Default: `on-failure` in real time, `never` in lockstep."
+        ),
+    ] = None
     most: Annotated[
-        int, Meta(ge=1, le=1000, description="So many restarts of one controller at most ...")
+        int, Meta(ge=1, le=1000, description="So many restarts of one process at most ...")
     ] = 5
     within_s: Annotated[
         float, Meta(gt=0.0, le=1e6, description="... in this time; one more ends the run [s].")
     ] = 60.0
+    backoff_s: Annotated[
+        float,
+        Meta(ge=0.0, le=1e6, description="Wait before a second restart in it; then doubled [s]."),
+    ] = 0.5
     frozen_s: Annotated[
         float,
-        Meta(gt=0.0, le=1e6, description="A controller that stands still so long is killed [s]."),
+        Meta(gt=0.0, le=1e6, description="A process that says nothing for so long is killed [s]."),
     ] = 5.0
 
-    def allows(self, earlier_s: Iterable[float], now_s: float) -> bool:
-        """Whether a controller that was started again at these times may be once more."""
+    def wait_s(self, earlier_s: Iterable[float], now_s: float) -> float | None:
+        """Return how long to wait before one more restart of a process; None: there is none.
+
+        `earlier_s` are the times at which it was started again.
+        """
         recent = sum(now_s - at_s < self.within_s for at_s in earlier_s)
-        return self.when != "never" and recent < self.most
+        if self.when == "never" or (recent >= self.most and self.when != "always"):
+            return None
+        return min(self.backoff_s * 2.0 ** (recent - 1), self.within_s) if recent else 0.0
 
 
 Ramp: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e6)]
@@ -188,6 +200,9 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         after what time it begins to.
     settings
         Inverters that are set otherwise; the last entry that fits one counts, field by field.
+    standby
+        Parents of which a second process stands by. In lockstep, where nothing has a deadline, none
+        does.
     positions_m
         Where each inverter stands: metres east and north of a point that is the same for all of
         them. Empty: not known.
@@ -226,6 +241,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     delay_s: float = 0.0
     settings: tuple[InverterSettings, ...] = ()
     positions_m: tuple[tuple[float, float], ...] = ()
+    standby: tuple[str, ...] = ()
 
     @cached_property
     def tree(self) -> ControlTree:
@@ -240,12 +256,22 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     @cached_property
     def wiring(self) -> Wiring:
         """Who publishes and hears what."""
-        return Wiring(self.tree)
+        return Wiring(self.tree, self.standbys)
 
     @cached_property
     def links(self) -> Links:
         """The TCP links between the agents."""
-        return explicit_links(self.tree)
+        return explicit_links(self.tree, self.standbys)
+
+    @property
+    def standbys(self) -> tuple[str, ...]:
+        """Agents that have a standby."""
+        return () if self.lockstep else self.standby
+
+    @property
+    def processes(self) -> tuple[str, ...]:
+        """Names of the processes of a run: agents, then standbys."""
+        return (*self.tree.agents(), *map(standby_of, self.standbys))
 
     @property
     def alpha_floor(self) -> float:

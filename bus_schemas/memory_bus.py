@@ -16,6 +16,7 @@ from bus_schemas.bus import Arrival, Outbox
 from bus_schemas.faults import UNHARMED, FaultTally, NetworkFaults
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port, Wiring
+from bus_schemas.tree import agent_of
 
 
 class VirtualClock:
@@ -55,7 +56,7 @@ class MemoryBus:
     ) -> None:
         self.outbox = Outbox()
         self.tally = FaultTally()
-        self._listeners = wiring.listeners
+        self._listeners = wiring.processes
         self._on_publish = on_publish
         self._clock = clock
         self._faults = faults
@@ -80,7 +81,7 @@ class MemoryBus:
             self._on_publish(port, message)
         faults, arrived = self._faults, self._arrived
         for agent in self._listeners[port]:
-            fate = UNHARMED if faults is None else faults.fates(port, agent, message)
+            fate = UNHARMED if faults is None else faults.fates(port, agent_of(agent), message)
             if fate is UNHARMED:
                 arrived.append(Arrival(agent, port, message, now_ns))
             else:

@@ -209,6 +209,17 @@ class Notice(Message, kw_only=True):
     count: LongCount
 
 
+class Takeover(Message, kw_only=True):
+    """A standby takes over: from here on its messages are the agent's.
+
+    `incarnation` is this cycle. `stage` is the first stage that it decides, and `memory` what it
+    remembers at its beginning, field by field: with both a recording can be repeated.
+    """
+
+    stage: Annotated[str, msgspec.Meta(max_length=20)]
+    memory: Annotated[dict[str, int | float], msgspec.Meta(max_length=100)]
+
+
 class Clock(Message, kw_only=True):
     """Where the replay of a recording stands: the simulated time that begins now.
 

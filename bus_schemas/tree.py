@@ -39,6 +39,19 @@ RESERVED_NAMES: Final = frozenset({CENTRAL, PLANT, RECORDER, REPLAYER, "alive"})
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
+_STANDBY: Final = "+standby"
+
+
+def standby_of(agent: str) -> str:
+    """Name of the second process of an agent."""
+    return f"{agent}{_STANDBY}"
+
+
+def agent_of(process: str) -> str:
+    """Name of the agent that a process runs: most are named as it is, its standby is not."""
+    return process.removesuffix(_STANDBY)
+
+
 def agent_name(path: str) -> str:
     """Name of the agent at a node: its path, or `central` for the root."""
     return path or CENTRAL

@@ -169,6 +169,8 @@ def _type_name(kind: inspect.Type) -> str:
         case inspect.VarTupleType(item_type=inspect.StructType() as entry):
             inner = ", ".join(f"{field.name}: {_type_name(field.type)}" for field in entry.fields)
             return f"array of arrays [{inner}]"
+        case inspect.DictType():
+            return "map from strings to numbers"
         case inspect.VarTupleType():
             return f"array of {_type_name(kind.item_type)}"
     names: dict[type[inspect.Type], str] = {

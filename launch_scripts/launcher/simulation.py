@@ -27,8 +27,8 @@ from bus_schemas.codec import encode
 from bus_schemas.faults import Incident, incidents
 from bus_schemas.memory_bus import MemoryBus, VirtualClock
 from bus_schemas.messages import Message
-from bus_schemas.signals import RUN, Port
-from bus_schemas.tree import PLANT, ROOT
+from bus_schemas.signals import RUN, TAKEOVER, Port
+from bus_schemas.tree import PLANT, ROOT, agent_of, standby_of
 from launch_scripts.launcher.interruption import interruptible
 from launch_scripts.launcher.live_view import View
 from launch_scripts.launcher.run_folder import RunFolder
@@ -83,7 +83,11 @@ class MemoryRun:
         self._restarted_s: dict[str, list[float]] = {}
         self.bus = MemoryBus(self.plan.wiring, on_publish, clock, faults)
         team: list[Agent[Any]] = [Plant(self.plan, profile), *controllers(self.plan)]
-        self.loops = {agent.name: AgentLoop(agent, self.plan) for agent in team}
+        loops = [
+            *(AgentLoop(agent, self.plan) for agent in team),
+            *(self._loop(standby_of(agent)) for agent in self.plan.standbys),
+        ]
+        self.loops = {loop.name: loop for loop in loops}
         self._driver = Driver(self.loops.values(), self.bus, clock or time.monotonic_ns)
         self._clock = clock
 
@@ -138,7 +142,9 @@ class MemoryRun:
 
     def _befall(self, incident: Incident) -> Iterator[tuple[float, Incident]]:
         """Kill, freeze, thaw or start a controller; yield what follows from it, after how long."""
-        name, driver, policy = incident.agent, self._driver, self.plan.restart
+        driver, policy = self._driver, self.plan.restart
+        name = self._process_of(incident)
+        incident = incident._replace(agent=name)
         match incident.what:
             case "freeze" if name in driver.loops:
                 self._frozen[name] = (driver.leave(name), driver.now_ns())
@@ -151,26 +157,46 @@ class MemoryRun:
             case "watch" if name in self._frozen:
                 _, since_ns = self._frozen[name]
                 if driver.now_ns() - since_ns >= round(policy.frozen_s * 1e9):
-                    yield 0.0, incident._replace(what="kill")
+                    yield from self._kill(incident)
             case "kill" if name in driver.loops or name in self._frozen:
-                if name in driver.loops:
-                    driver.leave(name)
-                self._frozen.pop(name, None)
-                self.bus.hold(name, keep=False)
-                if isfinite(self._restart_takes_s):
-                    self._allow_restart(name)
-                    yield self._restart_takes_s, incident._replace(what="start")
+                yield from self._kill(incident)
             case "start":
-                self.bus.outbox.begin_again(name)
-                self.loops[name] = AgentLoop(controller(self.plan, name), self.plan)
+                self.loops[name] = self._loop(name)
                 self.bus.go_on(name)
                 driver.join(self.loops[name])
 
-    def _allow_restart(self, name: str) -> None:
+    def _kill(self, incident: Incident) -> Iterator[tuple[float, Incident]]:
+        """Kill a process; yield its return."""
+        name = incident.agent
+        if name in self._driver.loops:
+            self._driver.leave(name)
+        self._frozen.pop(name, None)
+        self.bus.hold(name, keep=False)
+        if isfinite(self._restart_takes_s):
+            wait_s = self._wait_for_restart_s(name)
+            yield wait_s + self._restart_takes_s, incident._replace(what="start")
+
+    def _loop(self, name: str) -> AgentLoop[Any]:
+        """Return the loop of a process of this name."""
+        return AgentLoop(controller(self.plan, agent_of(name)), self.plan, process=name)
+
+    def _process_of(self, incident: Incident) -> str:
+        """Return the process that something happens to: of an agent with a standby, who speaks."""
+        name, what = incident.agent, incident.what
+        if name not in self.plan.standbys or what in {"watch", "start"}:
+            return name
+        both = (name, standby_of(name))
+        if what == "thaw":
+            return next((one for one in both if one in self._frozen), name)
+        there = [one for one in both if one in self._driver.loops]
+        return min(there, key=lambda one: self.loops[one].silent, default=name)
+
+    def _wait_for_restart_s(self, name: str) -> float:
         """Note a death; end the run if the policy does not let the controller be replaced."""
         policy, now_s = self.plan.restart, self._driver.now_ns() / 1e9
         earlier_s = self._restarted_s.setdefault(name, [])
-        if not policy.allows(earlier_s, now_s):
+        wait_s = policy.wait_s(earlier_s, now_s)
+        if wait_s is None:
             why = (
                 'restart.when is "never"'
                 if policy.when == "never"
@@ -178,6 +204,7 @@ class MemoryRun:
             )
             raise RunFailure(f"{name} was killed in the middle of the run, and {why}")
         earlier_s.append(now_s)
+        return wait_s
 
     @property
     def restarts(self) -> dict[str, int]:
@@ -224,7 +251,10 @@ def simulate(
         on_end=lambda text: view.say(f"{text}; the run goes on without it"),
     )
 
+    takeovers: Counter[str] = Counter()
+
     def record(port: Port[Message], message: Message) -> None:
+        takeovers[port.publisher] += port.signal is TAKEOVER
         if port.signal.logged:
             writer.add(port, message, encode(message), message.publish_time_ns)
             monitor.see(port, message)
@@ -265,6 +295,7 @@ def simulate(
         interrupted=interrupted,
         recording_ended=writer.trouble,
         restarts=run.restarts,
+        takeovers=dict(+takeovers),
     )
 
 

@@ -18,7 +18,7 @@ from agents.periods import Periods
 from agents.plan import Actuator, Revert, RunPlan, Scheme, check_plan, check_size
 from bus_schemas.errors import InputError
 from bus_schemas.times import FIRST_YEAR, LAST_YEAR, parse_duration_s, read_time
-from bus_schemas.tree import ControlTree, depth
+from bus_schemas.tree import ROOT, ControlTree, agent_name, depth
 from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
 from launch_scripts.scenarios.externals import check_externals
 from launch_scripts.scenarios.fault_rules import fault_remarks, fault_rules
@@ -251,6 +251,7 @@ def _plan(
         tier_deadlines_ns=deadlines_ns,
         seed=seed,
         positions_m=day.positions_m,
+        standby=_standby(scenario.standby, day.tree, external),
     )
     check_plan(plan)
     return plan
@@ -264,6 +265,13 @@ def _renewable(revert: Revert | None, scenario: Scenario) -> Revert | None:
     if revert is None:
         return None
     return replace(revert, after_s=max(revert.after_s, 3.0 * scenario.time.cycle_s))
+
+
+def _standby(kinds: Sequence[str], tree: ControlTree, external: Sequence[str]) -> tuple[str, ...]:
+    """Return the parents that have a standby: devices are the user's own affair."""
+    kind_of = dict.fromkeys(tree.parents, "supervisors") | {ROOT: "central"}
+    names = [agent_name(node) for node, kind in kind_of.items() if kind in kinds]
+    return tuple(name for name in names if name not in external)
 
 
 def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:

@@ -245,6 +245,10 @@ class Scenario(_Table, frozen=True):
     restart: Annotated[
         RestartPolicy, Meta(description="When a controller's process ends before the run does.")
     ] = RestartPolicy()
+    standby: Annotated[
+        tuple[Literal["central", "supervisors"], ...],
+        Meta(description="Parents of which a second process stands by, in real time."),
+    ] = ()
     machine: MachineTable = MachineTable()
     timing: TimingTable = TimingTable()
 

@@ -19,6 +19,13 @@ from recordings.read.outline import Outline
 from recordings.read.run_clock import RunClock
 
 RECORDING_NAME: Final = "run.mcap"
+
+
+def further_file(recording: Path, number: int) -> Path:
+    """Return the file in which a recording goes on, the second or a later one of its recorders."""
+    return recording.with_stem(f"{recording.stem}-{number}")
+
+
 SCHEMA_VERSION: Final = "3"
 """Version of the message types. A reader refuses what it does not know."""
 

@@ -30,7 +30,7 @@ RATES_PER_H: Final = (1.0, 3.0, 10.0, 30.0, 100.0)
 REPAIRS_S: Final = (RESTART_TAKES_S, 5.0, 30.0, 120.0, inf)
 """How long one is away: restarted by a launcher, later by hand, or never."""
 
-Protection: TypeAlias = Literal["all", "no ladder", "no revert", "neither"]
+Protection: TypeAlias = Literal["with standby", "default", "no ladder", "no revert", "neither"]
 
 _LAST_VALUES_HOLD: Final = 10**9
 """Cycles. Without the ladder a node obeys the last message that it heard, however old that is."""
@@ -68,6 +68,8 @@ def run_under(campaign: Campaign, condition: Condition) -> Point:
     """Run a plant under random failures of all its controllers."""
     protection, rate_per_h, repair_s, seed = condition
     plan = replace(campaign.plan, restart=RestartPolicy(within_s=1e-6))  # As often as it takes.
+    if protection == "with standby":
+        plan = replace(plan, standby=tuple(map(agent_name, plan.tree.parents)))
     if protection in {"no ladder", "neither"}:
         plan = replace(plan, hold_cycles=_LAST_VALUES_HOLD)
     if protection in {"no revert", "neither"}:

@@ -29,6 +29,7 @@ from bus_schemas.messages import (
     Residual,
     Run,
     Setpoint,
+    Takeover,
     Telemetry,
 )
 from bus_schemas.signals import IMPP, RESIDUAL, SETPOINT, SIGNALS, Signal
@@ -59,6 +60,7 @@ OWN_FIELDS = {
     Ready: [],
     Notice: ["text", "count"],
     Clock: ["rate", "paused"],
+    Takeover: ["stage", "memory"],
 }
 
 OPTIONAL = {
@@ -92,6 +94,8 @@ FIELDS: dict[str, st.SearchStrategy[object]] = {
     "paused": st.booleans(),
     "inverter_mpp_kw": KWS,
     "inverter_power_kw": KWS,
+    "stage": st.sampled_from(["report", "solve"]),
+    "memory": st.dictionaries(st.text(), st.integers(-(2**63), 2**63) | KW, max_size=5),
     "help_given": st.lists(st.builds(HelpGiven, st.text(), KW), max_size=4).map(tuple),
 }
 
@@ -112,6 +116,7 @@ def one(signal: Signal[Message]) -> Message:
         **{"state": "start", "start_time_ns": 5, "cycle_wall_ns": 0, "text": "words"},
         **{"inverter_mpp_kw": (1.0, 2.0), "inverter_power_kw": (0.5, 2.0)},
         **{"help_given": (HelpGiven("c1/inv08", 12.5),), "paused": True},
+        **{"stage": "solve", "memory": {"correction_kw": 1.5, "readings": 1}},
     }
     names = signal.type.__struct_fields__
     return msgspec.convert({name: plain.get(name, 1.5) for name in names}, signal.type)
@@ -172,7 +177,7 @@ def test_a_field_of_the_wrong_type_is_refused(signal: Signal[Message]) -> None:
     whole = msgpack.unpackb(encode(one(signal)))
     for name in whole:
         with pytest.raises(msgspec.DecodeError, match=rf"at `\$\.{name}`"):
-            decode(signal, msgpack.packb({**whole, name: {}}))
+            decode(signal, msgpack.packb({**whole, name: b"x"}))
 
 
 @each_signal
@@ -230,6 +235,7 @@ JSON_TYPES = {
     int: "integer",
     float: "number",
     str: "string",
+    dict: "object",
     list: "array",
     bool: "boolean",
 }
