@@ -138,14 +138,23 @@ class AgentProcess:
         self._bus.__exit__(*error)
 
     def drive(self) -> Iterator[None]:
-        """Drive the agent through the run; tell the launcher if nothing comes in lockstep.
+        """Drive the agent through the run; tell the launcher if it cannot go on in lockstep.
 
         A process that stands by says so every now and then: nothing else is heard of it.
         """
         loop = self.loop
         was_silent, tell_at = loop.silent, 0.0
-        for arrivals in self.driver.run():
-            if not arrivals and self.plan.lockstep and loop.waiting and loop.cycle >= 0:
+        place, waits_since = (loop.cycle, loop.stage), time.monotonic()
+        for _ in self.driver.run():
+            if self.plan.lockstep and (loop.cycle, loop.stage) != place:
+                place, waits_since = (loop.cycle, loop.stage), time.monotonic()
+            elif (
+                self.plan.lockstep
+                and loop.waiting
+                and loop.cycle >= 0
+                and time.monotonic() - waits_since >= self.plan.stall_timeout_s
+            ):
+                waits_since = time.monotonic()
                 self.link.tell(Waiting(loop.cycle, loop.stage, loop.needs))
             if loop.silent and time.monotonic() >= tell_at:
                 tell_at = time.monotonic() + STANDING_S

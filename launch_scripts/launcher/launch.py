@@ -127,6 +127,8 @@ class _Launch:
                 raise RunFailure(text) from failure
             ended_at = time.monotonic()
             self._restarts.end()
+            # Who was away as the plant ended the run has not heard of it.
+            children.ask_to_end([name for name in self._restarts.counts if name != RECORDER])
             recorded = self._finish(children)
             return self._summary(children, recorded, ended_at, refused)
 

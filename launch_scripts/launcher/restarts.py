@@ -92,8 +92,6 @@ class Restarts:
     def end(self) -> None:
         """Replace nobody any more: the run is over, and who ends now has nothing left to do."""
         self._began_at = None
-        # Who was away may not have heard of it.
-        self._children.ask_to_end([name for name in self.counts if name != RECORDER])
 
     def replaces(self, child: Child, why: str) -> bool:
         """Start a process again that has ended; return False if the policy does not."""
@@ -132,7 +130,8 @@ class Restarts:
             self._say(f"fault: {what} {some_of([child.agent for child in victims])}{again}")
             for child in victims:
                 self._send(child, _SIGNALS[what])
-        if self._allowed and recorder_silent_s >= self._policy.frozen_s:
+        started_at = max(self._times.get(RECORDER, [self._began_at]))
+        if self._allowed and min(recorder_silent_s, now - started_at) >= self._policy.frozen_s:
             self._kill_silent(self._children[RECORDER])
 
     def hear(self, child: Child, event: AnyEvent) -> None:
@@ -199,9 +198,8 @@ class Restarts:
                 self._kill_silent(child)
 
     def _kill_silent(self, child: Child) -> None:
-        if child.agent not in self._killed:
-            pid = child.pid
-            self._say(f"{child.agent} (process {pid}) says nothing: killed and started again")
+        if child.pid and child.agent not in self._killed:
+            self._say(f"{child.agent} (process {child.pid}) says nothing: killed and started again")
             self._send(child, signal.SIGKILL)
 
     def _send(self, child: Child, number: signal.Signals) -> None:

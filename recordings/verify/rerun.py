@@ -30,7 +30,6 @@ from recordings.verify.comparison import Comparison
 from recordings.verify.findings import Difference, Findings, Kind, by_key
 from recordings.verify.recorded_cycles import RecentMessages, RecordedCycle
 
-
 _MOST_CHOICES: Final = 256
 """Combinations of inputs that are tried at most, where standbys took over in a stage's cycle."""
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 import re
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 from running import Heliarch, assert_none_left, small_plant
-from verifying import assert_equal_as_far_as_recorded, verified
+from verifying import assert_equal_as_far_as_recorded, findings, verified
 
 from bus_schemas.signals import SETPOINT
+from launch_scripts.launcher.fork_requests import log_name
 from recordings.read.reader import RunReader
 
 pytestmark = pytest.mark.processes
@@ -24,6 +25,18 @@ Start = Callable[..., Heliarch]
 def summary_of(run: Heliarch) -> dict[str, Any]:
     found: dict[str, Any] = json.loads((run.folder / "summary.json").read_bytes())
     return found
+
+
+def joined(run: Heliarch, process: str) -> int:
+    """How often a process has joined the run that was under way."""
+    log = run.folder / "logs" / log_name(process)
+    return log.read_text().count("joined the run in cycle") if log.exists() else 0
+
+
+def ended(run: Heliarch) -> None:
+    """End a run after the cycle under way."""
+    run.process.send_signal(signal.SIGINT)
+    assert run.wait() == 130, run.error_text()
 
 
 def incarnations(run: Heliarch, source: str) -> list[int]:
@@ -38,14 +51,12 @@ def test_a_killed_controller_is_started_again_and_the_run_goes_on(
     heliarch: Start, tmp_path: Path, victim: str
 ) -> None:
     scenario = small_plant(tmp_path / "plant")
-    run = heliarch("launch", scenario, "--duration", "150s", "--pace", "10")
+    run = heliarch("launch", scenario, "--duration", "1h", "--pace", "10")
     run.until_running()
     process = run.process_of(victim)
     process.send_signal(signal.SIGKILL)
-    run.until(lambda: "started again" in run.output.read_text(), "a restart")
-    log = run.folder / "logs" / f"{victim.replace('/', '.')}.log"
-    run.until(lambda: "joined the run in cycle" in log.read_text(), "its return")
-    assert run.wait() == 0
+    run.until(lambda: joined(run, victim) > 0, "its return")
+    ended(run)
     assert f"{victim} (process {process.pid}) was killed by signal 9" in run.output.read_text()
     assert summary_of(run)["restarts"] == {victim: 1}
     assert_none_left(run.folder)
@@ -64,11 +75,12 @@ def test_setpoints_say_which_process_they_are_of(heliarch: Start, tmp_path: Path
 def test_a_controller_that_stands_still_is_killed_and_replaced(
     heliarch: Start, tmp_path: Path
 ) -> None:
-    words = ("--duration", "120s", "--pace", "10", "--set", "restart.frozen_s=1")
+    words = ("--duration", "1h", "--pace", "10", "--set", "restart.frozen_s=1")
     run = heliarch("launch", small_plant(tmp_path / "plant"), *words)
     run.until_running()
     run.process_of("c1").send_signal(signal.SIGSTOP)
-    assert run.wait() == 0
+    run.until(lambda: joined(run, "c1") > 0, "its return")
+    ended(run)
     assert re.search(r"c1 \(process \d+\) says nothing: killed", run.output.read_text())
     assert "signal 9" not in run.output.read_text()
     assert summary_of(run)["restarts"] == {"c1": 1}
@@ -87,51 +99,115 @@ def test_a_controller_that_dies_again_and_again_ends_the_run(
     assert_none_left(run.folder)
 
 
-STANDBY = ("--set", 'standby=["central","supervisors"]')
+# A standby ----------------------------------------------------------------------------------------
+
+REAL_TIME = ("--duration", "1h", "--pace", "10")
+STANDBY = (*REAL_TIME, "--set", 'standby=["central","supervisors"]')
 
 
-@pytest.mark.parametrize("victim", ["c2", "central"])
 def test_a_standby_takes_over_from_a_killed_parent_which_then_stands_by(
-    heliarch: Start, tmp_path: Path, victim: str
+    heliarch: Start, tmp_path: Path
 ) -> None:
-    words = ("--duration", "200s", "--pace", "10", *STANDBY)
-    run = heliarch("launch", small_plant(tmp_path / "plant"), *words)
+    run = heliarch("launch", small_plant(tmp_path / "plant"), *STANDBY)
     run.until_running()
-    for speaker in (victim, f"{victim}+standby"):
-        said = run.output.read_text().count("took over")
-        run.process_of(speaker).send_signal(signal.SIGKILL)
-        run.until(lambda: run.output.read_text().count("took over") > said, "a takeover")
-    assert run.wait() == 0
+    for number, process in enumerate(("central", "central+standby"), start=1):
+        run.process_of(process).send_signal(signal.SIGKILL)
+        run.until(lambda name=process: joined(run, name) > 0, "its return")
+        run.until(lambda count=number: takeovers(run, "central") >= count, "a takeover")
+    ended(run)
     summary = summary_of(run)
-    assert summary["takeovers"][victim] >= 2
-    assert summary["restarts"] == {victim: 1, f"{victim}+standby": 1}
+    assert summary["takeovers"]["central"] >= 2
+    assert summary["restarts"] == {"central": 1, "central+standby": 1}
     assert_none_left(run.folder)
     assert_equal_as_far_as_recorded(run, verified(run))
 
 
+def takeovers(run: Heliarch, agent: str) -> int:
+    """How often a standby has taken an agent over so far."""
+    return len(re.findall(rf"^{agent}\S* took over", run.output.read_text(), re.MULTILINE))
+
+
 def test_a_thawed_parent_does_not_fight_its_standby(heliarch: Start, tmp_path: Path) -> None:
-    words = ("--duration", "200s", "--pace", "10", *STANDBY)
-    run = heliarch("launch", small_plant(tmp_path / "plant"), *words)
+    run = heliarch("launch", small_plant(tmp_path / "plant"), *STANDBY)
     run.until_running()
     stopped = run.process_of("c1")
     stopped.send_signal(signal.SIGSTOP)
-    run.until(lambda: "c1+standby took over" in run.output.read_text(), "a takeover")
+    run.until(lambda: takeovers(run, "c1") > 0, "a takeover")
     stopped.send_signal(signal.SIGCONT)
     log = run.folder / "logs" / "c1.log"
     run.until(lambda: "falls silent" in log.read_text(), "its silence")
-    assert run.wait() == 0
+    ended(run)
     assert summary_of(run)["restarts"] == {}
     assert_equal_as_far_as_recorded(run, verified(run))
 
 
-def test_a_standby_that_says_nothing_is_killed_and_replaced(
-    heliarch: Start, tmp_path: Path
-) -> None:
-    words = ("--duration", "200s", "--pace", "10", "--set", "restart.frozen_s=1", *STANDBY)
-    run = heliarch("launch", small_plant(tmp_path / "plant"), *words)
+def test_a_standby_that_says_nothing_is_replaced(heliarch: Start, tmp_path: Path) -> None:
+    run = heliarch("launch", small_plant(tmp_path / "plant"), *STANDBY, *IMPATIENT)
     run.until_running()
     run.process_of("c1+standby").send_signal(signal.SIGSTOP)
-    run.until(lambda: "c1+standby (process" in run.output.read_text(), "its end")
-    assert run.wait() == 0
+    run.until(lambda: joined(run, "c1+standby") > 0, "its return")
+    ended(run)
     assert summary_of(run)["restarts"] == {"c1+standby": 1}
     assert_none_left(run.folder)
+
+
+# Controllers that run and say nothing -------------------------------------------------------------
+
+IMPATIENT = ("--set", "restart.frozen_s=1")
+HANG = """
+from pathlib import Path
+from agents.parent import Supervisor
+
+step = Supervisor.step
+
+def stuck(self, state, turn):
+    if self.name == "c1" and turn.cycle == 20 and not Path(FLAG).exists():
+        Path(FLAG).touch()
+        while True:
+            pass
+    return step(self, state, turn)
+
+Supervisor.step = stuck
+"""
+
+
+@pytest.mark.parametrize(
+    "words", [(*REAL_TIME, *IMPATIENT), ("--duration", "1h", "--set", "restart.when=always")]
+)
+def test_a_controller_that_is_busy_for_ever_is_killed_and_replaced(
+    heliarch: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: Sequence[str]
+) -> None:
+    code = HANG.replace("FLAG", repr(str(tmp_path / "flag")))
+    (tmp_path / "sitecustomize.py").write_text(code, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    soon = ("stall_timeout_s = 60", "stall_timeout_s = 3")
+    run = heliarch("launch", small_plant(tmp_path / "plant", soon), *words)
+    run.until(lambda: joined(run, "c1") > 0, "its return")
+    run.until_recorded(40)
+    ended(run)
+    assert re.search(r"c1 \(process \d+\) says nothing: killed", run.output.read_text())
+    assert_none_left(run.folder)
+    assert_equal_as_far_as_recorded(run, verified(run))
+
+
+# In lockstep --------------------------------------------------------------------------------------
+
+
+def test_in_lockstep_the_run_waits_for_controllers_that_are_started_again(
+    heliarch: Start, tmp_path: Path
+) -> None:
+    words = ("--duration", "5h", "--set", "restart.when=on-failure")
+    run = heliarch("launch", small_plant(tmp_path / "plant"), *words)
+    run.until_recorded()
+    for victim in ("c1", "c2/inv03", "central"):
+        run.process_of(victim).send_signal(signal.SIGKILL)
+        run.until(lambda name=victim: joined(run, name) > 0, "its return")
+        run.until_recorded(run.recorded_cycles() + 1)
+    ended(run)
+    summary = summary_of(run)
+    assert summary["restarts"] == {"c1": 1, "c2/inv03": 1, "central": 1}
+    assert summary["messages_lost"] == 0
+    assert_none_left(run.folder)
+    found = verified(run)
+    assert findings(found) == {}
+    assert found.equal
