@@ -57,10 +57,7 @@ def campaign_page(preparation: Preparation, campaign: Campaign, outcomes: Sequen
 
 def curve_figure(points: Sequence[Point]) -> ReportFigure:
     """Draw each measure against the failure rate, in a panel for each repair time."""
-    titles = [f"back after {repair_text(repair_s)}" for repair_s in REPAIRS_S]
-    figure = make_subplots(
-        2, len(REPAIRS_S), shared_yaxes=True, shared_xaxes=True, column_titles=titles
-    )
+    figure = make_subplots(2, len(REPAIRS_S), shared_yaxes=True, shared_xaxes=True)
     for row, (measure, name) in enumerate(MEASURES.items(), start=1):
         for column, repair_s in enumerate(REPAIRS_S, start=1):
             for colour, protection in zip(SCHEMES, get_args(Protection), strict=False):
@@ -75,11 +72,13 @@ def curve_figure(points: Sequence[Point]) -> ReportFigure:
                     marker={"color": colour, "size": 5},
                 )
                 figure.add_trace(line, row, column)
-            figure.update_xaxes(row=row, col=column, type="log")
+            title = f"/h, back: {repair_text(repair_s)}" if row == len(MEASURES) else None
+            figure.update_xaxes(row=row, col=column, type="log", title_text=title)
+            figure.update_yaxes(row=row, col=column, type="log", title_text=None)
         figure.update_yaxes(row=row, col=1, title_text=f"{name} [%]")
-    figure.update_xaxes(row=2, col=3, title_text="failures of each controller in an hour")
     caption = (
-        "Every controller dies at random. Without the ladder a node obeys the last message for "
+        "Every controller dies at random, as often in an hour as the axis says, and is back after "
+        "the time below it. Nothing, 0, is not drawn. Without the ladder a node obeys the last message for "
         "ever; without revert an inverter obeys its last command for ever."
     )
     figure = dress(figure, 2 * _PANEL_PX)
