@@ -163,8 +163,8 @@ class Command(Message, kw_only=True):
     nothing is to be held back. A run has one actuator: `fraction` inverters apply alpha to their
     true maximum, `limit` inverters hold `power_kw`.
 
-    An inverter that hears nothing more for its revert time goes to the limit `revert_kw`, or, where
-    that is not given, to what is set in the inverter.
+    An inverter that hears nothing more for its revert time goes to the limit `revert_kw` if it is
+    set to its request and that is given, else to what is set in it.
     """
 
     alpha: float

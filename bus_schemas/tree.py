@@ -32,6 +32,9 @@ MOST_CHILDREN: Final = 1_000
 MOST_INVERTERS: Final = 4_000
 """Of one plant, which waits for a command of each."""
 
+LARGEST_RATING_KW: Final = 1e9
+"""Of one inverter."""
+
 RESERVED_NAMES: Final = frozenset({CENTRAL, PLANT, RECORDER, REPLAYER, "alive"})
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -224,9 +227,10 @@ def _check_leaf(path: str, rating_kw: float) -> None:
             f"control tree, node {path[:40]}...: expected a path of up to {LONGEST_PATH} "
             f"characters, got {len(path):,}"
         )
-    if not 0.0 < rating_kw < float("inf"):
+    if not 0.0 < rating_kw <= LARGEST_RATING_KW:
         raise InputError(
-            f"control tree, node {path}: rating_kw: expected a number above 0, got {rating_kw:g}"
+            f"control tree, node {path}: rating_kw: expected a number above 0 and up to "
+            f"{LARGEST_RATING_KW:g}, got {rating_kw:g}"
         )
 
 

@@ -160,5 +160,5 @@ def _title(run: RunReader) -> str:
     """Return the title of the scenario that the recording carries, if it has one."""
     try:
         return str(tomllib.loads(run.scenario).get("title", ""))
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         return ""

@@ -167,18 +167,22 @@ def _settled(
 
 def _reverted(plan: RunPlan, trace: Trace) -> Iterator[Violation]:
     """Check that no command stays in force for longer than the revert time."""
-    if plan.revert is None:
-        return
-    # A cycle more, for what is sent and under way.
-    longest = plan.revert.after_s * 1e9 / plan.cycle_ns + 1
     for leaf in plan.tree.leaves:
+        revert = plan.settings_of(leaf).revert
+        if revert is None:
+            continue
+        # A cycle more, for what is sent and under way.
+        longest = (revert.after_s + plan.follows_within_s(leaf)) * 1e9 / plan.cycle_ns + 1
+        rating_kw = plan.tree.rating_kw(leaf)
         commands = trace.commands.get(COMMAND.of(leaf), [])
         sent = [command.cycle for command in commands]
         for telemetry in trace.telemetry.get(TELEMETRY.of(leaf), ()):
             place = bisect_right(sent, telemetry.cycle - 1) - 1
             if place < 0 or telemetry.cycle - 1 - sent[place] <= longest:
                 continue
-            limit_kw = commands[place].revert_kw
+            limit_kw = commands[place].revert_kw if revert.to == "request" else rating_kw
+            if isinstance(revert.to, float):
+                limit_kw = revert.to * rating_kw
             if telemetry.alpha < 1.0 or (limit_kw is not None and telemetry.limit_kw > limit_kw):
                 text = f"{leaf} obeys a command of cycle {sent[place]}"
                 yield Violation("revert", telemetry.cycle - 1, text)

@@ -24,6 +24,7 @@ from launch_scripts.scenarios.fault_rules import fault_rules, parse_fault
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings import open_run
+from studies.compare.cases import with_settings
 
 CYCLES = 150
 KILLED_AT = 30
@@ -245,3 +246,18 @@ def test_a_recording_with_deaths_is_repeated_and_says_who_came_back(tmp_path: Pa
     inspected = " ".join(CliRunner().invoke(app, ["inspect", str(run)]).output.split())
     assert "c2: nothing in cycle 5 (12:00:05), then back, numbered from 0 again" in inspected
     assert "never acted: the run was over" in inspected
+
+
+def test_inverters_that_a_scenario_sets_otherwise_must_exist(oahu: Preparation) -> None:
+    slow = with_settings(oahu.scenario, ('plant.settings=[{nodes="c1/*", delay_s=20}]',))
+    found = prepare(slow, RunOptions(duration="5"), "slow").plan
+    assert [found.follows_within_s(leaf) for leaf in ("c1/inv01", "c2/inv03")] == [20.0, 0.0]
+    absent = with_settings(oahu.scenario, ('plant.settings=[{nodes="c9/*"}]',))
+    with pytest.raises(InputError, match=r"plant\.settings\[0\]\.nodes: .*c1/inv01"):
+        prepare(absent, RunOptions(duration="5"), "absent")
+
+
+def test_a_revert_time_leaves_controllers_three_cycles(oahu: Preparation) -> None:
+    rare = prepare(oahu.scenario, RunOptions(duration="60", cycle_s=30.0), "rare")
+    assert rare.plan.revert == Revert(after_s=90.0)
+    assert any("90 s" in remark for remark in rare.remarks)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from math import inf
-from typing import Any
+from pathlib import Path
+from typing import Any, get_args
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -24,6 +27,7 @@ from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepar
 from launch_scripts.scenarios.scenario import load_scenario
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
+from studies.campaign.curves import Protection, failures, run_under
 from studies.campaign.study import campaign, judge, random_rules, run_seed, trace_of
 
 Patch = pytest.MonkeyPatch
@@ -74,7 +78,7 @@ def inverters_never_revert(patch: Patch) -> None:
 
     def wrong(self: Plant, plan: RunPlan, profile: Profile) -> None:
         right(self, plan, profile)
-        self._revert_cycles = float("inf")
+        self._revert_cycles = np.full(len(plan.tree.leaves), inf)
 
     patch.setattr(Plant, "__init__", wrong)
 
@@ -156,3 +160,29 @@ def test_a_policy_that_ends_the_run_is_named() -> None:
     assert result.exit_code == 1
     assert ": end, cycle" in result.output
     assert "was killed in the middle of the run" in result.output
+
+
+# What failures cost -------------------------------------------------------------------------------
+
+
+def test_failures_are_the_same_for_every_protection_and_cost_more_without(
+    oahu: Preparation,
+) -> None:
+    found = campaign(oahu)
+    rules = failures(found.plan, 100.0, 1)
+    assert rules == failures(found.plan, 100.0, 1) != failures(found.plan, 100.0, 2)
+    assert len(failures(found.plan, 1000.0, 1)) > len(rules) > 20
+    points = {name: run_under(found, (name, 100.0, inf, 1)) for name in get_args(Protection)}
+    assert points["neither"].over_percent > 2.0 * points["default"].over_percent > 0.0
+    assert run_under(found, ("default", 100.0, 0.5, 1)).over_percent < 0.1
+
+
+def test_a_page_draws_the_worst_seeds(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    words = ["campaign", "oahu", "--seeds", "1..5", "--report", str(page)]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    text = page.read_text(encoding="utf-8")
+    assert "0 of 5 seeds broke an invariant" in text
+    assert 3 <= len(re.findall(r'id="seed-\d-plot-data"', text)) <= 5
+    assert re.search(r"Faults: .*(kill|freeze|partition|loss)=", text)
