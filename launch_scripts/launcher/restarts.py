@@ -43,6 +43,8 @@ class Restarts:
         Starts a process.
     say
         Called with a line for the user.
+    now_s
+        Clock.
 
     Attributes
     ----------
@@ -58,6 +60,7 @@ class Restarts:
         children: Children,
         start: Callable[[str], None],
         say: Callable[[str], None],
+        now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.counts: Counter[str] = Counter()
         self.takeovers: Counter[str] = Counter()
@@ -69,6 +72,7 @@ class Restarts:
         self._children = children
         self._start = start
         self._say = say
+        self._now_s = now_s
         self._times: dict[str, list[float]] = {}
         self._start_at: dict[str, float] = {}
         self._killed: set[str] = set()
@@ -85,7 +89,7 @@ class Restarts:
 
     def begin(self, start_s: float) -> None:
         """Replace processes and let rules act from the beginning of cycle 0 on."""
-        now = self._status_at = time.monotonic()
+        now = self._status_at = self._now_s()
         # An external plant on another host has another clock.
         self._began_at = start_s if abs(start_s - now) < _SAME_CLOCK_S else now
 
@@ -97,7 +101,7 @@ class Restarts:
         """Start a process again that has ended; return False if the policy does not."""
         if not self._allowed or self._began_at is None or child.kind == "plant":
             return False
-        name, now = child.agent, time.monotonic()
+        name, now = child.agent, self._now_s()
         earlier = self._times.setdefault(name, [])
         wait_s = self._policy.wait_s(earlier, now)
         if wait_s is None:
@@ -117,7 +121,7 @@ class Restarts:
 
     def look(self, recorder_silent_s: float) -> None:
         """Do what is due: by fault rules, and to those that were to wait or that say nothing."""
-        now = time.monotonic()
+        now = self._now_s()
         if self._began_at is None:
             return
         self._start_due(now)
@@ -152,7 +156,7 @@ class Restarts:
         for child in children:
             if child is None or child.kind in {"plant", "recorder"} or child.waiting is not None:
                 return False
-            if time.monotonic() - max(self._times.get(child.agent, [0.0])) > _RETURN_S:
+            if self._now_s() - max(self._times.get(child.agent, [0.0])) > _RETURN_S:
                 self._kill_silent(child)
         return True
 
@@ -180,7 +184,7 @@ class Restarts:
 
     def _note_silence(self, silent: Sequence[str]) -> None:
         """Count how long each controller has said nothing; name it, and kill it after a while."""
-        now = time.monotonic()
+        now = self._now_s()
         step_s, self._status_at = min(now - self._status_at, _LONGEST_STEP_S), now
         for child in self._children.controllers():
             name, agent = child.agent, agent_of(child.agent)

@@ -27,10 +27,10 @@ def summary_of(run: Heliarch) -> dict[str, Any]:
     return found
 
 
-def joined(run: Heliarch, process: str) -> int:
-    """How often a process has joined the run that was under way."""
+def until_joined(run: Heliarch, process: str) -> None:
+    """Wait until a process has joined the run that is under way."""
     log = run.folder / "logs" / log_name(process)
-    return log.read_text().count("joined the run in cycle") if log.exists() else 0
+    run.until(lambda: log.exists() and "joined the run in" in log.read_text(), "its return")
 
 
 def ended(run: Heliarch) -> None:
@@ -55,7 +55,7 @@ def test_a_killed_controller_is_started_again_and_the_run_goes_on(
     run.until_running()
     process = run.process_of(victim)
     process.send_signal(signal.SIGKILL)
-    run.until(lambda: joined(run, victim) > 0, "its return")
+    until_joined(run, victim)
     ended(run)
     assert f"{victim} (process {process.pid}) was killed by signal 9" in run.output.read_text()
     assert summary_of(run)["restarts"] == {victim: 1}
@@ -79,7 +79,7 @@ def test_a_controller_that_stands_still_is_killed_and_replaced(
     run = heliarch("launch", small_plant(tmp_path / "plant"), *words)
     run.until_running()
     run.process_of("c1").send_signal(signal.SIGSTOP)
-    run.until(lambda: joined(run, "c1") > 0, "its return")
+    until_joined(run, "c1")
     ended(run)
     assert re.search(r"c1 \(process \d+\) says nothing: killed", run.output.read_text())
     assert "signal 9" not in run.output.read_text()
@@ -112,8 +112,8 @@ def test_a_standby_takes_over_from_a_killed_parent_which_then_stands_by(
     run.until_running()
     for number, process in enumerate(("central", "central+standby"), start=1):
         run.process_of(process).send_signal(signal.SIGKILL)
-        run.until(lambda name=process: joined(run, name) > 0, "its return")
-        run.until(lambda count=number: takeovers(run, "central") >= count, "a takeover")
+        until_joined(run, process)
+        until_taken_over(run, "central", number)
     ended(run)
     summary = summary_of(run)
     assert summary["takeovers"]["central"] >= 2
@@ -122,9 +122,10 @@ def test_a_standby_takes_over_from_a_killed_parent_which_then_stands_by(
     assert_equal_as_far_as_recorded(run, verified(run))
 
 
-def takeovers(run: Heliarch, agent: str) -> int:
-    """How often a standby has taken an agent over so far."""
-    return len(re.findall(rf"^{agent}\S* took over", run.output.read_text(), re.MULTILINE))
+def until_taken_over(run: Heliarch, agent: str, times: int = 1) -> None:
+    """Wait until a standby has taken an agent over so many times."""
+    took_over = re.compile(rf"^{agent}\S* took over", re.MULTILINE)
+    run.until(lambda: len(took_over.findall(run.output.read_text())) >= times, "a takeover")
 
 
 def test_a_thawed_parent_does_not_fight_its_standby(heliarch: Start, tmp_path: Path) -> None:
@@ -132,7 +133,7 @@ def test_a_thawed_parent_does_not_fight_its_standby(heliarch: Start, tmp_path: P
     run.until_running()
     stopped = run.process_of("c1")
     stopped.send_signal(signal.SIGSTOP)
-    run.until(lambda: takeovers(run, "c1") > 0, "a takeover")
+    until_taken_over(run, "c1")
     stopped.send_signal(signal.SIGCONT)
     log = run.folder / "logs" / "c1.log"
     run.until(lambda: "falls silent" in log.read_text(), "its silence")
@@ -145,7 +146,7 @@ def test_a_standby_that_says_nothing_is_replaced(heliarch: Start, tmp_path: Path
     run = heliarch("launch", small_plant(tmp_path / "plant"), *STANDBY, *IMPATIENT)
     run.until_running()
     run.process_of("c1+standby").send_signal(signal.SIGSTOP)
-    run.until(lambda: joined(run, "c1+standby") > 0, "its return")
+    until_joined(run, "c1+standby")
     ended(run)
     assert summary_of(run)["restarts"] == {"c1+standby": 1}
     assert_none_left(run.folder)
@@ -182,7 +183,7 @@ def test_a_controller_that_is_busy_for_ever_is_killed_and_replaced(
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     soon = ("stall_timeout_s = 60", "stall_timeout_s = 3")
     run = heliarch("launch", small_plant(tmp_path / "plant", soon), *words)
-    run.until(lambda: joined(run, "c1") > 0, "its return")
+    until_joined(run, "c1")
     run.until_recorded(40)
     ended(run)
     assert re.search(r"c1 \(process \d+\) says nothing: killed", run.output.read_text())
@@ -201,7 +202,7 @@ def test_in_lockstep_the_run_waits_for_controllers_that_are_started_again(
     run.until_recorded()
     for victim in ("c1", "c2/inv03", "central"):
         run.process_of(victim).send_signal(signal.SIGKILL)
-        run.until(lambda name=victim: joined(run, name) > 0, "its return")
+        until_joined(run, victim)
         run.until_recorded(run.recorded_cycles() + 1)
     ended(run)
     summary = summary_of(run)
