@@ -11,6 +11,7 @@ from bus_schemas.signals import (
     READY,
     RUN,
     SIGNALS,
+    TAKEOVER,
     Wiring,
     listeners,
     ports,
@@ -123,6 +124,7 @@ def test_each_signal_is_about_the_nodes_that_it_makes_sense_for() -> None:
         "run": (ROOT,),
         "ready": (ROOT,),
         "clock": (ROOT,),
+        "takeover": (ROOT, "c1", "c2", *leaves),
     }
 
 
@@ -131,7 +133,12 @@ def test_all_is_logged_but_the_messages_of_recorder_and_replayer() -> None:
 
 
 def test_all_is_decided_by_agents_but_what_is_said_about_the_run() -> None:
-    assert {signal for signal in SIGNALS if not signal.decided} == {RUN, READY, CLOCK}
+    assert {signal for signal in SIGNALS if not signal.decided} == {
+        RUN,
+        READY,
+        CLOCK,
+        TAKEOVER,
+    }
 
 
 @pytest.mark.parametrize("tree", TREES)
