@@ -31,6 +31,7 @@ PLAN: dict[str, Any] = {
     "tcp_ports": {"recorder": 7500, "plant": 7501, "central": 7502, "c1": 7503},
     "start_time_ns": 0,
     "cycle_ns": 1_000_000_000,
+    "cycles": 1_000,
     "cycle_wall_ns": int(CYCLE_S * 1e9),
     "period_cycles": [1, 5],
     "alpha_min": 0.05,

@@ -1,0 +1,58 @@
+"""The device's program: started for each trial, killed and started again where a trial says so."""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from bus_schemas.errors import InputError
+
+_END_S: Final = 10.0
+
+
+class Device:
+    """A program that is started by a command; without one the user starts it."""
+
+    def __init__(self, command: str | None, node: str, folder: Path) -> None:
+        self.can_restart = command is not None
+        self._command = command
+        self._node = node
+        self._log = folder / "device.log"
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> Device:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.kill()
+
+    def start(self, plan: Path) -> None:
+        """Start it, unless it runs."""
+        if self._command is None or (self._process and self._process.poll() is None):
+            return
+        try:
+            words = shlex.split(self._command.format(plan=plan, node=self._node))
+            self._log.parent.mkdir(parents=True, exist_ok=True)
+            with self._log.open("ab") as log:
+                self._process = subprocess.Popen(words, stdout=log, stderr=log)
+        except (OSError, ValueError, KeyError, IndexError) as error:
+            raise InputError(
+                f"--device: expected a command with {{plan}} and {{node}}, got {self._command}: "
+                f"{error}"
+            ) from None
+
+    def kill(self) -> None:
+        """End it at once."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+    def end(self) -> None:
+        """Let it end by itself after a stop; then at once."""
+        if self._process is not None:
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_END_S)
+            self.kill()
