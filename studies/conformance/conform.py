@@ -99,23 +99,24 @@ class Conformance:
         self._device.end()
 
     @contextmanager
-    def _around(self, trial: Trial, folder: RunFolder, wait_s: float) -> Iterator[None]:
+    def _around(
+        self, trial: Trial, folder: RunFolder, wait_s: float, of: str = "arming"
+    ) -> Iterator[None]:
         with Neighbours(trial.plan, self._agent) as neighbours:
             self._device.start(folder.plan)
-            trial.begin(neighbours, wait_s)
+            trial.begin(neighbours, wait_s, of)
             yield
 
     def _close_links(self, trial: Trial, folder: RunFolder, wait_s: float) -> None:
         """Run once more, now that the links have closed."""
-        self.findings.try_("links closed")
         try:
-            with self._around(trial, folder, wait_s):
+            with self._around(trial, folder, wait_s, "links closed"):
                 for _ in range(situations.UNDISTURBED):
                     trial.play("links closed")
                 trial.stop()
         except FailureError as failure:
             self.findings.fail("links closed", str(failure))
-            self._device.kill()
+            self._device.kill()  # The next trial begins with a new process.
 
     def _restart(self, trial: Trial, folder: RunFolder) -> None:
         self._device.kill()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, TypeAlias
 
 import msgspec
@@ -17,7 +17,7 @@ from bus_schemas.codec import decode, encode
 from bus_schemas.errors import FailureError
 from bus_schemas.messages import Message
 from bus_schemas.signals import NOTICE, RUN, Occurrence, Port
-from bus_schemas.tree import RECORDER, ROOT
+from bus_schemas.tree import RECORDER, ROOT, some_of
 from recordings.record.plausibility import absurdity
 from recordings.verify.comparison import Comparison
 from studies.conformance.neighbours import Heard, Neighbours
@@ -103,8 +103,8 @@ class Trial:
 
     # The beginning and the end --------------------------------------------------------------------
 
-    def begin(self, neighbours: Neighbours, wait_s: float) -> None:
-        """Wait for the device, arm it, and start the run.
+    def begin(self, neighbours: Neighbours, wait_s: float, of: str = "arming") -> None:
+        """Wait for the device, arm it, and start the run; `of` is the requirement that it shows.
 
         Raises
         ------
@@ -113,15 +113,15 @@ class Trial:
         """
         self._bus = neighbours
         self._forget()
-        self._await(lambda: not neighbours.absent, wait_s, "no liveliness token was seen")
-        self.findings.try_("token")
+        self._await(neighbours, wait_s)
+        self.findings.try_(of)
         give_up_at, number = time.monotonic() + _ARMING_S, FIRST_ROUND
-        while not self._round(number):
+        while not self._round(number, of):
             number += 1
             if time.monotonic() > give_up_at:
-                text = f"nothing came on {', '.join(self._unanswered)}"
-                self.findings.fail("arming", text)
-                raise FailureError(f"{self.agent} does not answer the arming rounds: {text}")
+                text = f"in arming rounds nothing came on {some_of(self._unanswered)}"
+                self.findings.fail(of, text)
+                raise FailureError(f"{self.agent}: {text}")
         self.reference = Reference(self.plan, self.agent)
         self.start_ns = time.monotonic_ns() + 200_000_000
         start = self.plan.run_message("start", 0, self.start_ns)
@@ -146,21 +146,22 @@ class Trial:
         self._incarnation: int | None = 0
         self._unanswered: list[str] = []
 
-    def _await(self, condition: Callable[[], bool], wait_s: float, what: str) -> None:
+    def _await(self, neighbours: Neighbours, wait_s: float) -> None:
+        """Wait until each neighbour sees the device's token."""
+        self.findings.try_("token")
         give_up_at = time.monotonic() + wait_s
-        while not condition():
+        while absent := neighbours.absent:
             if time.monotonic() > give_up_at:
-                absent = ", ".join(self._bus.absent)
-                self.findings.fail("token", f"{what} by {absent} in {wait_s:g} s")
-                raise FailureError(f"{self.agent}: {what} by {absent} in {wait_s:g} s")
+                text = f"{some_of(absent)} saw no liveliness token in {wait_s:g} s"
+                self.findings.fail("token", text)
+                raise FailureError(f"{self.agent}: {text}")
             time.sleep(0.02)
 
-    def _round(self, number: int) -> bool:
+    def _round(self, number: int, of: str) -> bool:
         """Play an arming round; return whether all answers came."""
         self.reference = Reference(self.plan, self.agent)
         self.reference.loop.enter(number, 0)
-        self.findings.try_("arming")
-        return self._play(number, {}, "arming", _ROUND_S)
+        return self._play(number, {}, of, _ROUND_S)
 
     # Cycles ---------------------------------------------------------------------------------------
 
