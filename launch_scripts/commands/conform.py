@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from bus_schemas.errors import InputError
+from bus_schemas.tree import PLANT
 from launch_scripts.commands.boundary import FAILED, OK
 from launch_scripts.commands.options import JsonOption, SchemeOption, SeedOption
 from launch_scripts.commands.output import say, write_json
@@ -88,22 +89,28 @@ def conform(
     from launch_scripts.launcher.request import RunRequest, prepare_run
     from launch_scripts.scenarios.preparation import RunOptions
     from launch_scripts.scenarios.scenario import load_scenario
-    from studies.conformance.conform import CYCLES
+    from studies.conformance import conform as of_controller
+    from studies.conformance import plant as of_plant
 
     if not 0.0 <= tolerance < inf:
         raise InputError(f"--tolerance: expected a number from 0 on, got {tolerance:g}")
     console = console_for(json)
     scenario_file = load_scenario(scenario)
+    cycles = of_plant.CYCLES if agent == PLANT else of_controller.CYCLES
     options = RunOptions(
-        duration=f"{CYCLES * scenario_file.scenario.time.cycle_s:g}",
+        duration=f"{cycles * scenario_file.scenario.time.cycle_s:g}",
         pace=pace,
         seed=seed,
         scheme=scheme,
         external=(agent,),
         external_timeout_s=wait_s,
         base_port=base_port,
+        faults=[of_plant.FROZEN] if agent == PLANT else None,
     )
-    preparation, folder = prepare_run(RunRequest(scenario_file, options, out))
+    try:
+        preparation, folder = prepare_run(RunRequest(scenario_file, options, out))
+    except InputError as error:
+        raise InputError(str(error).replace("--external:", "AGENT:")) from None
     findings = _tried(preparation, folder, device, tolerance, console)
     print_table(console, findings.table(agent))
     say(console, f"trials: {folder.path}")
@@ -119,7 +126,6 @@ def _tried(
     tolerance: float,
     console: Console,
 ) -> Findings:
-    from bus_schemas.tree import PLANT
     from recordings.verify.comparison import Comparison
     from studies.conformance.conform import Conformance
     from studies.conformance.device import Device

@@ -22,7 +22,7 @@ from recordings.verify.comparison import Comparison
 from studies.conformance import situations
 from studies.conformance.device import Device
 from studies.conformance.neighbours import Neighbours
-from studies.conformance.requirements import Findings
+from studies.conformance.requirements import REQUIREMENTS, Findings
 from studies.conformance.trial import Trial
 
 CYCLES: Final = 240
@@ -53,7 +53,7 @@ class Conformance:
         say: Callable[[str], None],
     ) -> None:
         (self._agent,) = preparation.plan.external
-        self.findings = Findings()
+        self.findings = Findings(REQUIREMENTS)
         self._preparation = preparation
         self._folder = folder
         self._comparison = comparison

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 import subprocess
 from contextlib import suppress
 from pathlib import Path
@@ -22,6 +23,8 @@ class Device:
         self._node = node
         self._log = folder / "device.log"
         self._process: subprocess.Popen[bytes] | None = None
+        if command is not None and not self._words(folder):
+            raise InputError(f"--device: expected a program with its words, got {command!r}")
 
     def __enter__(self) -> Device:
         return self
@@ -33,16 +36,17 @@ class Device:
         """Start it, unless it runs."""
         if self._command is None or (self._process and self._process.poll() is None):
             return
+        self._log.parent.mkdir(parents=True, exist_ok=True)
+        with self._log.open("ab") as log:
+            self._process = subprocess.Popen(self._words(plan), stdout=log, stderr=log)
+
+    def _words(self, plan: Path) -> list[str]:
+        """Return the command's words; none if it is no command."""
         try:
-            words = shlex.split(self._command.format(plan=plan, node=self._node))
-            self._log.parent.mkdir(parents=True, exist_ok=True)
-            with self._log.open("ab") as log:
-                self._process = subprocess.Popen(words, stdout=log, stderr=log)
-        except (OSError, ValueError, KeyError, IndexError) as error:
-            raise InputError(
-                f"--device: expected a command with {{plan}} and {{node}}, got {self._command}: "
-                f"{error}"
-            ) from None
+            words = shlex.split((self._command or "").format(plan=plan, node=self._node))
+        except (ValueError, KeyError, IndexError):
+            return []
+        return words if words and shutil.which(words[0]) else []
 
     def kill(self) -> None:
         """End it at once."""

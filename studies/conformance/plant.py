@@ -18,28 +18,31 @@ from launch_scripts.scenarios.preparation import Preparation
 from recordings.verify.comparison import Comparison
 from recordings.verify.verification import verify
 from studies.conformance.device import Device
-from studies.conformance.requirements import Findings
+from studies.conformance.requirements import OF_PLANT, Findings
 
-_REQUIREMENT_OF: Final = {
-    "undecodable": "bounds",
-    "absurd": "bounds",
-    "unknown": "decisions",
-    "foreign": "decisions",
-    "repeated": "links",
-    "duplicate": "links",
-}
-"""What is not met by messages that are wrong for a cause."""
+CYCLES: Final = 60
+
+FROZEN: Final = "freeze=c*,at=20s..23s"
+"""What happens in the run in real time: commands come late, or not at all."""
+
+_OF_NUMBERS: Final = frozenset({"undecodable", "absurd"})
+"""Causes of messages that are wrong in what they say, not in when and where they come."""
 
 
 def try_plant(
     preparation: Preparation, folder: RunFolder, device: Device, console: Console
 ) -> Findings:
     """Let the device conduct a run in lockstep, and one in real time."""
-    findings = Findings()
+    findings = Findings(OF_PLANT)
     plan = preparation.plan
     walls_ns = {"lockstep": 0} | ({} if plan.lockstep else {"real-time": plan.cycle_wall_ns})
     for name, wall_ns in walls_ns.items():
-        one = msgspec.structs.replace(plan, cycle_wall_ns=wall_ns, run_id=f"{plan.run_id}-{name}")
+        one = msgspec.structs.replace(
+            plan,
+            cycle_wall_ns=wall_ns,
+            run_id=f"{plan.run_id}-{name}",
+            faults=plan.faults if wall_ns else (),
+        )
         its_folder = RunFolder(folder.path / name)
         its_preparation = replace(preparation, plan=one)
         device.start(its_folder.plan)
@@ -51,7 +54,8 @@ def try_plant(
             ):
                 summary = launch(its_preparation, its_folder, view, time.monotonic(), server)
         except RunFailure as failure:
-            findings.fail("token" if "no sign of" in str(failure) else "stop", str(failure))
+            text = str(failure).splitlines()[0]
+            findings.fail("token" if "no sign of" in text else "stop", text)
             break
         _look(summary, its_folder, findings)
         device.end()
@@ -60,17 +64,19 @@ def try_plant(
 
 def _look(summary: RunSummary, folder: RunFolder, findings: Findings) -> None:
     """Note what a run shows of its plant."""
-    for name in ("arming", "decisions", "head", "bounds", "links", "stop"):
+    for name in ("arming", "cycles", "head", "bounds", "links", "stop"):
         findings.try_(name)
     (account,) = summary.external
+    kind = "missing" if summary.skipped_cycles or summary.missing_inputs else "cycles"
+    findings.try_(kind)
     if account.answered < account.expected:
         count = account.expected - account.answered
-        findings.fail("decisions", f"{count:,} of {account.expected:,} messages did not come")
+        findings.fail(kind, f"{count:,} of {account.expected:,} messages did not come")
     if account.lost:
         findings.fail("head", f"sequence: {account.lost:,} numbers are missing")
     for wrong in summary.wrong:
-        text = f"{wrong.key}: {wrong.cause}, {wrong.example}"
-        findings.fail(_REQUIREMENT_OF.get(wrong.cause, "head"), text)
+        of = "bounds" if wrong.cause in _OF_NUMBERS else "cycles"
+        findings.fail(of, f"{wrong.key}: {wrong.cause}, {wrong.example}")
     found = verify(folder.path, (), Comparison())
     if found.first is not None:
         agent, difference = found.first

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 from studies.tables import Table, key_column, word_column
@@ -23,13 +24,26 @@ REQUIREMENTS: Final[dict[str, str]] = {
     "restart": "a new process joins the run in the cycle under way, and counts from 0",
     "stop": "publishes nothing after the last cycle",
 }
-"""Requirements by name, in the order of the report."""
+"""Requirements of a controller by name, in the order of the report."""
+
+OF_PLANT: Final[dict[str, str]] = {
+    "token": "declares its liveliness token on each link, after its subscriptions",
+    "arming": "conducts arming rounds, and begins the run once one is closed",
+    "cycles": "publishes each of its signals in each cycle, once, and on no other keys",
+    "head": "source, simulated time, sequence and times are right",
+    "bounds": "each message is of its type, and its numbers are within their bounds",
+    "links": "each listener decides on what was recorded",
+    "missing": "completes its cycles in real time also without a command",
+    "stop": "completes all cycles, and says that the run is over",
+}
+"""Requirements of a plant."""
 
 
 class Findings:
     """What was tried, and the first failure of each requirement."""
 
-    def __init__(self) -> None:
+    def __init__(self, requirements: Mapping[str, str]) -> None:
+        self._requirements = requirements
         self._tried: set[str] = set()
         self._failures: dict[str, str] = {}
 
@@ -47,10 +61,6 @@ class Findings:
         """Whether nothing that was tried has failed."""
         return not self._failures
 
-    def failure(self, requirement: str) -> str:
-        """Return the first failure of a requirement; empty if there is none."""
-        return self._failures.get(requirement, "")
-
     def table(self, agent: str) -> Table:
         """Return a row for each requirement."""
         return Table(
@@ -61,8 +71,8 @@ class Findings:
                 word_column("what a device must do, or the first failure", "text"),
             ),
             tuple(
-                (name, self._result(name), self.failure(name) or text)
-                for name, text in REQUIREMENTS.items()
+                (name, self._result(name), self._failures.get(name, text))
+                for name, text in self._requirements.items()
             ),
         )
 
