@@ -25,7 +25,7 @@ from studies.conformance.requirements import Findings
 
 FIRST_ROUND: Final = -999_999
 _ROUND_S: Final = 1.0
-_ARMING_S: Final = 30.0
+_ARMING_S: Final = 10.0
 _PATIENCE_S: Final = 5.0
 _QUIET_S: Final = 0.3
 """How long nothing may come where nothing is expected, outside the cycles of real time."""
@@ -133,9 +133,11 @@ class Trial:
 
     def stop(self) -> None:
         """Say that the run is over; nothing may come after that."""
+        self.findings.try_("stop")
+        while (heard := self._bus.next(_QUIET_S)) is not None:
+            self._take(heard)
         stop = self.plan.run_message("stop", self.cycle, self.start_ns)
         self._bus.put(self._run, encode(stop))
-        self.findings.try_("stop")
         while (heard := self._bus.next(_QUIET_S)) is not None:
             self.findings.fail("stop", f"{heard.key} was published after the run had stopped")
 
