@@ -16,7 +16,7 @@ from bus_schemas.bus import Delivery
 from bus_schemas.codec import decode, encode
 from bus_schemas.errors import FailureError
 from bus_schemas.messages import Message
-from bus_schemas.signals import NOTICE, RUN, Occurrence, Port
+from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import RECORDER, ROOT, some_of
 from recordings.record.plausibility import absurdity
 from recordings.verify.comparison import Comparison
@@ -27,6 +27,9 @@ FIRST_ROUND: Final = -999_999
 _ROUND_S: Final = 1.0
 _ARMING_S: Final = 10.0
 _PATIENCE_S: Final = 5.0
+_SILENT_CYCLES: Final = 5
+"""After so many cycles without a word a trial ends."""
+
 _QUIET_S: Final = 0.3
 """How long nothing may come where nothing is expected, outside the cycles of real time."""
 
@@ -96,9 +99,7 @@ class Trial:
         self._inputs = inputs
         self._comparison = comparison
         self._ours = controller(plan, agent)
-        self._published = [
-            port for port in plan.wiring.published[agent] if port.signal is not NOTICE
-        ]
+        self._published = [port for port in plan.wiring.published[agent] if port.signal.is_cyclic]
         self._run = RUN.of(ROOT)
 
     # The beginning and the end --------------------------------------------------------------------
@@ -209,11 +210,20 @@ class Trial:
         if is_there:
             self.findings.try_(requirement)
         patience_s = wall_ns / 1e9 if wall_ns else _PATIENCE_S
-        self._play(cycle, edit or {}, requirement, patience_s, is_there=is_there)
+        if not self._play(cycle, edit or {}, requirement, patience_s, is_there=is_there):
+            self._give_up_without_answers(cycle, requirement)
         for port, payloads in (late or {}).items():
             for payload in payloads:
                 self._send(port, payload)
         self.cycle += 1
+
+    def _give_up_without_answers(self, cycle: int, requirement: str) -> None:
+        """End the trial if the device has gone, or has been silent for some cycles."""
+        last = max((of for _, of in self._outputs), default=-1)
+        if self._bus.absent or cycle - last >= _SILENT_CYCLES:
+            text = f"cycle {cycle}: {'it has gone' if self._bus.absent else 'it is silent'}"
+            self.findings.fail(requirement, text)
+            raise FailureError(f"{self.agent}: {text}")
 
     def message(self, port: Port[Message], **changes: object) -> Message:
         """Return the undisturbed message of a port in the next cycle, with changes."""
@@ -305,7 +315,7 @@ class Trial:
         where = f"cycle {message.cycle}, {port}"
         place = (heard.listener, port, message.cycle)
         self._arrived[place] += 1
-        if self._arrived[place] > 1 and port.signal.occurrence is not Occurrence.EVENT:
+        if self._arrived[place] > 1 and port.signal.is_cyclic:
             fail("links", f"{where}: it came twice to {heard.listener}")
         elif is_recorder:
             self._outputs[port, message.cycle] = message
