@@ -400,7 +400,7 @@ def _vector() -> Iterator[str]:
         "residual": ("power_kw",),
         "command": ("alpha", "power_kw"),
     }
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for number, cycle in enumerate(_cycles()):
         of_signal = {port.signal.name: message for port, message in cycle}
         row = [str(number)]
@@ -408,7 +408,7 @@ def _vector() -> Iterator[str]:
             message = of_signal.get(signal)
             values = [] if message is None else [getattr(message, name) for name in names]
             row.append(" ".join(repr(value) for value in values if value is not None) or "-")
-        rows.append(row)
+        rows.append(tuple(row))
     return _rows(("cycle", *(f"{name}: {', '.join(of)}" for name, of in fields.items())), rows)
 
 

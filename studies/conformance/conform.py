@@ -104,7 +104,7 @@ class Conformance:
     ) -> Iterator[None]:
         with Neighbours(trial.plan, self._agent) as neighbours:
             self._device.start(folder.plan)
-            trial.begin(neighbours, wait_s, of)
+            trial.begin(neighbours, self._device, wait_s, of)
             yield
 
     def _close_links(self, trial: Trial, folder: RunFolder, wait_s: float) -> None:

@@ -48,6 +48,13 @@ class Device:
             return []
         return words if words and shutil.which(words[0]) else []
 
+    @property
+    def end_text(self) -> str:
+        """How its program has ended, and where its last words are; empty if it runs."""
+        if self._process is None or self._process.poll() is None:
+            return ""
+        return f"its program has ended with status {self._process.returncode}, see {self._log}"
+
     def kill(self) -> None:
         """End it at once."""
         if self._process is not None:

@@ -20,6 +20,7 @@ from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import RECORDER, ROOT, some_of
 from recordings.record.plausibility import absurdity
 from recordings.verify.comparison import Comparison
+from studies.conformance.device import Device
 from studies.conformance.neighbours import Heard, Neighbours
 from studies.conformance.requirements import Findings
 
@@ -104,7 +105,9 @@ class Trial:
 
     # The beginning and the end --------------------------------------------------------------------
 
-    def begin(self, neighbours: Neighbours, wait_s: float, of: str = "arming") -> None:
+    def begin(
+        self, neighbours: Neighbours, device: Device, wait_s: float, of: str = "arming"
+    ) -> None:
         """Wait for the device, arm it, and start the run; `of` is the requirement that it shows.
 
         Raises
@@ -114,7 +117,7 @@ class Trial:
         """
         self._bus = neighbours
         self._forget()
-        self._await(neighbours, wait_s)
+        self._await(neighbours, device, wait_s)
         self.findings.try_(of)
         give_up_at, number = time.monotonic() + _ARMING_S, FIRST_ROUND
         while not self._round(number, of):
@@ -149,13 +152,15 @@ class Trial:
         self._incarnation: int | None = 0
         self._unanswered: list[str] = []
 
-    def _await(self, neighbours: Neighbours, wait_s: float) -> None:
+    def _await(self, neighbours: Neighbours, device: Device, wait_s: float) -> None:
         """Wait until each neighbour sees the device's token."""
         self.findings.try_("token")
         give_up_at = time.monotonic() + wait_s
         while absent := neighbours.absent:
-            if time.monotonic() > give_up_at:
+            text = device.end_text
+            if not text and time.monotonic() > give_up_at:
                 text = f"{some_of(absent)} saw no liveliness token in {wait_s:g} s"
+            if text:
                 self.findings.fail("token", text)
                 raise FailureError(f"{self.agent}: {text}")
             time.sleep(0.02)
