@@ -20,6 +20,7 @@ from typing import Any
 import msgpack
 import zenoh
 
+PROTOCOL = 1  # Version of docs/wire.md that it was written from.
 METER_TOLERANCE = 0.05  # Share of the rating by which a meter may read above the rating.
 ROUNDING = 1e-9
 BEFORE_ALL = -(2**31)  # No cycle has begun: each message takes it further.
@@ -289,6 +290,8 @@ def main() -> None:
     )
     options = parser.parse_args()
     plan = read_plan(options.plan)
+    if plan["protocol"] != PROTOCOL:
+        parser.error(f"expected a plan of protocol {PROTOCOL}, got {plan['protocol']}")
     arrived: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
     with zenoh.open(session_config(plan, options.node, options.connect)) as session:
         controller = DirectController(plan, options.node, session)

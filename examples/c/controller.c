@@ -18,7 +18,7 @@ enum { TELEMETRY, DISPATCH, SETPOINT, RUN, INPUTS };
 enum { IMPP, RESIDUAL, HELP, COMMAND, OUTPUTS };
 enum { CYCLE, INCARNATION, PUBLISHED, POWER, ALPHA, RATING, AVAILABLE, FIELDS };
 enum { IDLE, ESTIMATE, ACTUATE };
-enum { LONGEST = 4096, MOST_WAITING = 64, KEY = 1024 };
+enum { PROTOCOL = 1, LONGEST = 4096, MOST_WAITING = 64, KEY = 1024 };
 static const char *const HEARD[] = {"telemetry", "dispatch", "setpoint", "run"};
 static const char *const SAID[] = {"impp", "residual", "help", "command"};
 static const char *const NAMES[] = {"cycle", "incarnation",     "publish_time_ns", "power_kw",
@@ -345,6 +345,8 @@ int main(int count, char **words) {
     FILE *file = count == 3 || count == 6 ? fopen(words[1], "r") : NULL;
     if (!file || !fread(json, 1, sizeof json - 1, file) || !*value_of(json, words[2]))
         return fprintf(stderr, "expected: controller PLAN.JSON NODE [RECORDER PLANT PARENT]\n"), 2;
+    if (atoi(value_of(json, "protocol")) != PROTOCOL)
+        return fprintf(stderr, "%s: expected a plan of protocol %d\n", words[1], PROTOCOL), 2;
     read_plan(json, words[2], words + 3);
     z_mutex_init(&queue.lock), z_condvar_init(&queue.wake);
     self.cycle = BEFORE_ALL;
