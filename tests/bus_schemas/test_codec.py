@@ -94,7 +94,9 @@ FIELDS: dict[str, st.SearchStrategy[object]] = {
     "paused": st.booleans(),
     "inverter_mpp_kw": KWS,
     "inverter_power_kw": KWS,
-    "help_given": st.lists(st.builds(HelpGiven, st.text(max_size=LONGEST_PATH), KW), max_size=4).map(tuple),
+    "help_given": st.lists(
+        st.builds(HelpGiven, st.text(max_size=LONGEST_PATH), KW), max_size=4
+    ).map(tuple),
 }
 
 each_signal = pytest.mark.parametrize("signal", SIGNALS, ids=lambda signal: signal.name)

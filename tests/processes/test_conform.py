@@ -26,7 +26,6 @@ EXAMPLES = REPOSITORY / "examples"
 WRONG = Path(__file__).with_name("wrong_device.py")
 NODE = "c1/inv01"
 CONTROLLER = f"{sys.executable} {EXAMPLES / 'direct_controller.py'} --plan {{plan}} --node {{node}}"
-IN_REAL_TIME = {"missing", "silent", "late", "restart"}
 
 
 @pytest.fixture
@@ -94,6 +93,13 @@ def test_a_device_with_a_fault_fails_where_it_is_wrong(
     found = results(heliarch, plant, NODE, command, "max")
     assert found[fault] == "FAIL"
     assert found["token"] == "PASS"
+
+
+def test_a_device_that_holds_its_inputs_for_ever_fails_in_real_time(
+    heliarch: Start, plant: str
+) -> None:
+    command = f"{sys.executable} {WRONG} silent {{plan}} {{node}}"
+    assert "silent" in failed(results(heliarch, plant, NODE, command, "2"))
 
 
 # In C ---------------------------------------------------------------------------------------------
