@@ -38,7 +38,7 @@ static struct { /* What the controller needs of the plan. */
     char prefix[512], node[256], parent[256], endpoints[LINKS][256];
     int64_t start_ns, cycle_ns, cycle_wall_ns, cycles, hold, parent_period;
     double rating_kw, alpha_min;
-    bool reverts_to_request;
+    bool reverts;
 } plan;
 
 static struct {
@@ -246,14 +246,15 @@ static void estimate(void) {
     put(&help, HELP, RECORDER);
 }
 
-/* Command the setpoint (eq. 6), else the own request; without either the inverter decides. */
+/* Command the setpoint (eq. 6), else the own request; without either, and before the first
+   telemetry, the inverter decides. */
 static void actuate(void) {
     const message *setpoint = input(SETPOINT);
     double wanted_kw = request_kw(), target_kw = setpoint ? setpoint->number[POWER] : wanted_kw, alpha = 1.0;
-    if (isnan(target_kw)) return;
+    if (isnan(target_kw) || self.measured_cycle == BEFORE_ALL) return;
     if (target_kw < self.impp_kw * (1.0 - ROUNDING))
         alpha = fmin(fmax(target_kw / self.impp_kw, plan.alpha_min), 1.0);
-    bool reverts = plan.reverts_to_request && !isnan(wanted_kw);
+    bool reverts = plan.reverts && !isnan(wanted_kw);
     mp_writer command = begin(COMMAND, reverts ? 3 : 2);
     mp_number(&command, "alpha", alpha);
     mp_number(&command, "power_kw", alpha < 1.0 ? alpha * self.impp_kw : plan.rating_kw);
@@ -280,7 +281,7 @@ static void enter(int64_t cycle) { /* A round, cycle 0 and a run under way begin
     if (cycle < 0 || self.cycle < 0) {
         int64_t clock_ns = self.clock_ns;
         memset(&self, 0, sizeof self);
-        self.clock_ns = clock_ns, self.measured_cycle = -1, self.incarnation = cycle > 0 ? cycle : 0;
+        self.clock_ns = clock_ns, self.measured_cycle = BEFORE_ALL, self.incarnation = cycle > 0 ? cycle : 0;
         for (int signal = 0; signal < INPUTS; signal++)
             self.heard[signal] = self.newest[signal].integer[CYCLE] = BEFORE_ALL;
     }
@@ -336,7 +337,7 @@ static void read_plan(const char *json, const char *node, char **endpoints) {
     plan.hold = atoll(value_of(json, "hold_cycles"));
     while ((node = strchr(node, '/'))) node++, period += strcspn(period, ",") + 1; /* One entry a tier. */
     plan.parent_period = atoll(period);
-    plan.reverts_to_request = !strncmp(value_of(value_of(json, "revert"), "to"), "request", 7);
+    plan.reverts = *value_of(json, "revert") == '{';
 }
 
 int main(int count, char **words) {

@@ -54,7 +54,8 @@ class Conformance:
     ) -> None:
         (self._agent,) = preparation.plan.external
         self.findings = Findings(REQUIREMENTS)
-        self._preparation = preparation
+        plan = replace(preparation.plan, faults=(), standby=())
+        self._preparation = dataclasses.replace(preparation, plan=plan)
         self._folder = folder
         self._comparison = comparison
         self._say = say
@@ -142,7 +143,6 @@ class Conformance:
             if port in heard and port.signal.occurrence is not Occurrence.EVENT:
                 inputs.setdefault(message.cycle, {})[port] = message
 
-        plan = replace(self._preparation.plan, faults=())
-        for _ in MemoryRun(plan, self._preparation.profile, hear).cycles():
+        for _ in MemoryRun(self._preparation.plan, self._preparation.profile, hear).cycles():
             pass
         return inputs
