@@ -98,11 +98,14 @@ class ExternalWatch:
             back = self._gone_in.pop(agent, None)
             if back is None or not running:
                 return f"{name} is here"
+            if self._plan.lockstep:
+                self._gone_in[agent] = back
+                return f"{name} is back, but what it missed since cycle {back} does not come again"
             return f"{name} is back in cycle {event.cycle}, gone since cycle {back}"
         self._gone_in[agent] = event.cycle
         if not running:
             return f"{name} is gone before cycle 0"
-        goes_on = "waits for it" if self._plan.lockstep else "goes on without it"
+        goes_on = "cannot go on without it" if self._plan.lockstep else "goes on without it"
         rest = "" if agent == PLANT else f"; the run {goes_on}"
         return f"{name} is gone in cycle {event.cycle}{rest}"
 
@@ -133,10 +136,11 @@ class ExternalWatch:
         if not running and self._unheard:
             wrong = (f"wrong message on {key}: {text}" for key, text in self._complaints.items())
             return "\n".join([self._silence(), failure, *wrong])
-        gone = [f"{agent} is gone since cycle {cycle}" for agent, cycle in self._gone_in.items()]
+        gone = [f"{agent} went away in cycle {cycle}" for agent, cycle in self._gone_in.items()]
         if not gone:
             return failure
-        return f"{failure}\nof the external agents: {'; '.join(gone)}"
+        again = ": in lockstep no message is sent twice" if self._plan.lockstep else ""
+        return f"of the external agents {', '.join(gone)}{again}\n{failure}"
 
     def _silence(self) -> str:
         """Say who does not answer the arming rounds, the most silent one first."""
