@@ -20,7 +20,7 @@ from bus_schemas.bounds import bounds_of, is_within
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Run
 from bus_schemas.missing import Missing
-from bus_schemas.signals import DISPATCH, Occurrence, Port
+from bus_schemas.signals import DISPATCH, RUN, Occurrence, Port
 from bus_schemas.tree import ROOT
 
 S = TypeVar("S")
@@ -36,7 +36,14 @@ _PLANT_HORIZON: Final = 1_000
 """Cycles by which controllers may be ahead of a plant that stood still."""
 
 Cause: TypeAlias = Literal[
-    "late", "other_cycle", "unexpected", "duplicate", "foreign", "absurd", "replaced"
+    "late",
+    "other_cycle",
+    "unexpected",
+    "duplicate",
+    "foreign",
+    "absurd",
+    "replaced",
+    "contradicted",
 ]
 """Why a message was not used."""
 
@@ -177,7 +184,7 @@ class AgentLoop(Generic[S]):
             self._drop("foreign", port, message, f"is from {message.source!r}")
             return
         if isinstance(message, Run):
-            self._heed(message, time_ns)
+            self._heed(port, message, time_ns)
             return
         heard = self._inputs.get(port)
         if heard is None or message.cycle < 0 <= self.cycle:  # What is left of arming rounds.
@@ -189,6 +196,8 @@ class AgentLoop(Generic[S]):
                 self.enter(message.cycle, time_ns)
             elif message.cycle > 0:
                 self._join(message, time_ns)
+        if port is self._dispatch and self.end_cycle <= message.cycle < self._plan.cycles:
+            self._go_on_after_false_stop(message, time_ns)
         if message.cycle > self.cycle:
             self._keep_ahead(heard, message)
         else:
@@ -234,13 +243,26 @@ class AgentLoop(Generic[S]):
         else:
             heard.ahead.append(message)
 
-    def _heed(self, run: Run, time_ns: int) -> None:
+    def _heed(self, port: Port[Message], run: Run, time_ns: int) -> None:
         """Follow the plant on the beginning and the end of the run."""
         if run.state == "stop":
+            if run.cycle <= self._inputs[self._dispatch].heard:
+                self._drop("contradicted", port, run, "ends a cycle that the plant has begun")
+                return
             self.end_before(run.cycle)
             self.stop_heard = True
         elif self.cycle < 0:
             self.begin(self._believable_start_ns(run, time_ns), time_ns)
+
+    def _go_on_after_false_stop(self, dispatch: Message, now_ns: int) -> None:
+        """Go on with the run: the plant has begun a cycle that a stop said would not take place."""
+        why = f"stopped the run before cycle {self.end_cycle}, which the plant has begun"
+        self._drop("contradicted", RUN.of(ROOT), dispatch, why)
+        was_finished = self.finished
+        self.end_cycle = self._plan.cycles
+        self.stop_heard = False
+        if was_finished:
+            self._go_to(self.cycle, now_ns)
 
     def _believable_start_ns(self, run: Run, now_ns: int) -> int:
         """Return when cycle 0 begins: as the plant says, or now if its clock is another one."""

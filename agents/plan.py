@@ -151,6 +151,13 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         What happens when a controller's process ends before the run does.
     revert
         What an inverter does that hears no command any more; None: it obeys the last one for ever.
+    secret
+        What the ids of the agents' sessions are made from: who knows it may speak as any of them
+        where there are no keys. Empty: everybody may.
+    keys_folder
+        Folder of the agents' certificates; empty: the links are not encrypted.
+    address
+        Where the agents listen.
     positions_m
         Where each inverter stands: metres east and north of a point that is the same for all of
         them. Empty: not known.
@@ -186,6 +193,9 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     restart: RestartPolicy = RestartPolicy()
     revert: Revert | None = None
     positions_m: tuple[tuple[float, float], ...] = ()
+    secret: str = ""
+    keys_folder: str = ""
+    address: str = "127.0.0.1"
 
     @cached_property
     def tree(self) -> ControlTree:
@@ -206,6 +216,12 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     def links(self) -> Links:
         """The TCP links between the agents."""
         return explicit_links(self.tree)
+
+    @property
+    def host(self) -> str:
+        """Protocol and address of the links, as Zenoh's endpoints begin."""
+        address = f"[{self.address}]" if ":" in self.address else self.address
+        return f"{'tls' if self.keys_folder else 'tcp'}/{address}"
 
     @property
     def alpha_floor(self) -> float:

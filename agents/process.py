@@ -21,9 +21,10 @@ from agents.launcher_link import LauncherLink
 from agents.loop import AgentLoop
 from agents.machine import take_machine
 from agents.plan import RunPlan
+from agents.session import session_settings
 from agents.team import controller
 from bus_schemas.faulty_bus import FaultyBus
-from bus_schemas.zenoh_bus import SessionSettings, ZenohBus
+from bus_schemas.zenoh_bus import ZenohBus
 
 log = logging.getLogger(__name__)
 
@@ -33,6 +34,9 @@ _SET_PARENT_DEATH_SIGNAL: Final = 1
 
 _STOP_PATIENCE_S: Final = 10.0
 """How long a controller waits after its last cycle for the plant to end the run."""
+
+_LOOK_NS: Final = 100_000_000
+"""Meanwhile, time between two looks at whether the launcher wants it to end [ns]."""
 
 
 def die_with_parent(death_signal: signal.Signals = signal.SIGKILL) -> None:
@@ -72,17 +76,31 @@ def run_guarded(
 def _run_controller(plan: RunPlan, name: str, link: LauncherLink) -> None:
     with AgentProcess(plan, controller(plan, name), link) as process:
         log.info("%s is on the bus", name)
-        for _ in process.drive():
-            if link.dismissed:
-                break
-        # Nobody ends a controller that was started by hand, should the plant have died.
-        give_up_at = time.monotonic() + _STOP_PATIENCE_S + 2.0 * plan.cycle_wall_ns / 1e9
-        while not process.loop.stop_heard and not link.dismissed:
-            process.driver.turn(longest_ns=round(give_up_at * 1e9))
-            if time.monotonic() > give_up_at:
-                log.warning("%s ends: the plant did not say that the run is over", name)
+        while not link.dismissed:
+            for _ in process.drive():
+                if link.dismissed:
+                    break
+            if _is_over(process, link):
                 break
         process.report()
+
+
+def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
+    """Wait for the plant to end the run; return False if the run goes on after all.
+
+    Anybody may say that the run ends early: the launcher confirms it, or the plant goes on.
+    Nobody ends a controller that was started by hand, should the plant have died.
+    """
+    loop, plan = process.loop, process.plan
+    give_up_at = time.monotonic() + _STOP_PATIENCE_S + 2.0 * plan.cycle_wall_ns / 1e9
+    while loop.finished and not link.dismissed:
+        if loop.stop_heard and loop.end_cycle == plan.cycles:
+            return True
+        process.driver.turn(longest_ns=time.monotonic_ns() + _LOOK_NS)
+        if time.monotonic() > give_up_at:
+            log.warning("%s ends: the plant did not say that the run is over", loop.agent.name)
+            return True
+    return link.dismissed
 
 
 class AgentProcess:
@@ -153,12 +171,6 @@ class AgentProcess:
                 dismissed=self.link.dismissed and loop.cycle < self.plan.cycles,
             )
         )
-
-
-def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
-    """Return how an agent of the plan joins the bus."""
-    listen, connect = plan.links.endpoints(agent, plan.tcp_ports)
-    return SessionSettings(plan.bus_namespace, listen, connect, lockstep=plan.lockstep)
 
 
 def set_up_process(plan: RunPlan, agent: str) -> None:

@@ -13,8 +13,10 @@ from launch_scripts.commands import (
     clusters,
     compare,
     delays,
+    doctor,
     export,
     inspect,
+    keys,
     launch,
     recover,
     replay,
@@ -33,6 +35,7 @@ COMMANDS: Final[dict[str, tuple[ModuleType, ...]]] = {
     "Look": (view, report, inspect, verify, replay),
     "Compare": (compare, clusters, delays, campaign),
     "Files": (export, recover),
+    "Set up": (doctor, keys),
 }
 """The commands under the headings of `heliarch --help`."""
 

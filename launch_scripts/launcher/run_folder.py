@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -61,10 +62,13 @@ class RunFolder:
             self.logs.mkdir(parents=True)
         except OSError as error:
             raise _no_folder(self.path, error.strerror) from None
-        plan = msgspec.structs.replace(preparation.plan, tcp_ports=tcp_ports)
+        secret = secrets.token_hex(16) if tcp_ports else ""
+        plan = msgspec.structs.replace(preparation.plan, tcp_ports=tcp_ports, secret=secret)
         preparation.profile.save(self.path / "profile.npz")
         (self.path / "scenario.toml").write_text(preparation.scenario.text, encoding="utf-8")
         unfinished = self.plan.with_suffix(".json.part")
+        # It holds what lets a program join the run: for the user alone.
+        unfinished.touch(mode=0o600)
         unfinished.write_bytes(plan.as_json())
         unfinished.replace(self.plan)
         return plan

@@ -6,6 +6,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, time
+from ipaddress import ip_address
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -56,6 +58,8 @@ class RunOptions:
     external, external_timeout_s, base_port
         Agents that the launcher must not start, how long it waits for them to appear [s], and the
         port of the first agent that listens; None: free ports.
+    secure, keys, address
+        Whether the links are encrypted, where the keys are, and where the agents listen.
     cpus, priority
         What the processes take of the machine.
     cycle_s
@@ -73,6 +77,9 @@ class RunOptions:
     external: Sequence[str] | None = None
     external_timeout_s: float = 60.0
     base_port: int | None = None
+    secure: bool | None = None
+    keys: Path | None = None
+    address: str = "127.0.0.1"
     cpus: Sequence[str] | None = None
     priority: int | None = None
     cycle_s: float | None = None
@@ -243,8 +250,29 @@ def _plan(
         restart=scenario.restart,
         tier_deadlines_ns=deadlines_ns,
         seed=seed,
+        keys_folder=_keys_folder(scenario, options),
+        address=options.address,
         positions_m=day.positions_m,
     )
+
+
+def _keys_folder(scenario: Scenario, options: RunOptions) -> str:
+    """Return the folder of the keys; empty: the links are not encrypted."""
+    try:
+        is_loopback = ip_address(options.address).is_loopback
+    except ValueError:
+        expected = "expected an IP address such as 10.0.0.1"
+        raise InputError(f"--address: {expected}, got {options.address}") from None
+    if not (scenario.secure if options.secure is None else options.secure):
+        if options.keys is not None:
+            raise InputError("--keys: expected --secure with it")
+        if not is_loopback:
+            raise InputError(
+                f"--address {options.address}: expected --secure with it, since whoever reaches "
+                "that address could command the plant"
+            )
+        return ""
+    return str((options.keys or Path("keys") / scenario.name).absolute())
 
 
 def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:

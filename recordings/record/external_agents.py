@@ -23,21 +23,28 @@ class ExternalAgents:
         self._gaps = {port: SequenceGaps() for port in theirs}
         self._last_cycle = dict.fromkeys(theirs, -1)
         self._answers: Counter[Port[Message]] = Counter()
+        self._outages: dict[str, list[tuple[int, int | None]]] = {}
 
     def named(self, alive_key: str) -> str | None:
         """Return whose liveliness token this is, if it is one of theirs."""
         return self._agent_of.get(alive_key)
 
-    def hear(self, port: Port[Message], message: Message) -> bool:
-        """Count a message that is recorded; return whether it is the first of its cycle."""
+    def note_presence(self, agent: str, alive: bool, cycle: int) -> None:
+        """Note that one of them has come or gone; before cycle 0 that does not count."""
+        outages = self._outages.setdefault(agent, [])
+        if not alive and cycle >= 0:
+            outages.append((cycle, None))
+        elif alive and outages:
+            outages[-1] = (outages[-1][0], cycle)
+
+    def hear(self, port: Port[Message], message: Message) -> None:
+        """Count a message that is recorded."""
         self.heard += 1
         self._recorded[port.publisher][port.signal.name] += 1
         self._gaps[port].see(message.cycle, message.sequence)
-        is_first = message.cycle > self._last_cycle[port]
-        if is_first:
+        if message.cycle > self._last_cycle[port]:
             self._last_cycle[port] = message.cycle
             self._answers[port] += 1
-        return is_first
 
     def accounts(self, cycles: int) -> tuple[ExternalAccount, ...]:
         """Return an account of each of them, after so many cycles."""
@@ -54,4 +61,5 @@ class ExternalAgents:
             lost=sum(self._gaps[port].lost for port in own),
             expected=sum(due.values()),
             answered=sum(min(self._answers[port], due[port]) for port in own),
+            outages=tuple(self._outages.get(agent, ())),
         )
