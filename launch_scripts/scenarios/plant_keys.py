@@ -215,7 +215,8 @@ def _new_key() -> ec.EllipticCurvePrivateKey:
 
 
 def _pem(certificate: x509.Certificate) -> bytes:
-    return certificate.public_bytes(Encoding.PEM)
+    content: bytes = certificate.public_bytes(Encoding.PEM)
+    return content
 
 
 def _write_key(path: Path, key: ec.EllipticCurvePrivateKey) -> None:

@@ -37,14 +37,16 @@ class ExternalAgents:
         elif alive and outages:
             outages[-1] = (outages[-1][0], cycle)
 
-    def hear(self, port: Port[Message], message: Message) -> None:
-        """Count a message that is recorded."""
+    def hear(self, port: Port[Message], message: Message) -> bool:
+        """Count a message that is recorded; return whether it is the first of its cycle."""
         self.heard += 1
         self._recorded[port.publisher][port.signal.name] += 1
         self._gaps[port].see(message.cycle, message.sequence)
-        if message.cycle > self._last_cycle[port]:
+        is_first = message.cycle > self._last_cycle[port]
+        if is_first:
             self._last_cycle[port] = message.cycle
             self._answers[port] += 1
+        return is_first
 
     def accounts(self, cycles: int) -> tuple[ExternalAccount, ...]:
         """Return an account of each of them, after so many cycles."""

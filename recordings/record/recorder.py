@@ -34,7 +34,7 @@ from bus_schemas.zenoh_bus import ZenohTap
 from recordings.read.gaps import due_step
 from recordings.read.run_file import RECORDING_NAME
 from recordings.record.external_agents import ExternalAgents
-from recordings.record.message_complaints import ABSURD, TWO_SENDERS, Complaints
+from recordings.record.message_complaints import ABSURD, REPEATED, TWO_SENDERS, Complaints
 from recordings.record.monitor import RunMonitor
 from recordings.record.plausibility import absurdity
 from recordings.record.second_senders import SecondSenders
@@ -246,9 +246,12 @@ class Recorder:
         heard_ns = time.monotonic_ns()
         self._writer.add(port, head, payload, heard_ns)
         is_external = port.publisher in self._plan.external
+        wrong = self._senders.see(port, head.cycle, head.incarnation, payload)
         if is_external and message is not None:
-            self._external.hear(port, message)
-        if wrong := self._senders.see(port, head.cycle, head.incarnation, payload):
+            is_first = self._external.hear(port, message)
+            if not is_first and port.signal.is_cyclic:
+                wrong = wrong or (REPEATED, f"it came again for cycle {message.cycle}")
+        if wrong:
             self.complaints.add(self._plan.keys.key(port), *wrong)
             if not is_external:
                 self._extra[port.signal.name] += 1
