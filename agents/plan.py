@@ -151,9 +151,9 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         What happens when a controller's process ends before the run does.
     revert
         What an inverter does that hears no command any more; None: it obeys the last one for ever.
-    secret
-        What the ids of the agents' sessions are made from: who knows it may speak as any of them
-        where there are no keys. Empty: everybody may.
+    secret, users_file
+        What ids and passwords of the agents' sessions are made from, and the file of passwords:
+        who knows one of them may speak as any agent where there are no keys. Empty: everybody may.
     keys_folder
         Folder of the agents' certificates; empty: the links are not encrypted.
     address
@@ -194,6 +194,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     revert: Revert | None = None
     positions_m: tuple[tuple[float, float], ...] = ()
     secret: str = ""
+    users_file: str = ""
     keys_folder: str = ""
     address: str = "127.0.0.1"
 

@@ -98,9 +98,20 @@ def access_rules(
 
 
 def session_id(secret: str, agent: str) -> str:
-    """Return the Zenoh id of an agent's session in a run with this secret."""
-    digest = hashlib.blake2b(agent.encode(), key=secret.encode(), digest_size=16).hexdigest()
-    return f"a{digest[1:]}"  # Zenoh accepts no leading zero.
+    """Return the Zenoh id of an agent's session in a run with this secret.
+
+    Whoever links with the agent learns it.
+    """
+    return f"a{_digest(secret, f'id of {agent}')}"  # Zenoh accepts no leading zero.
+
+
+def password(secret: str, agent: str) -> str:
+    """Return what an agent proves itself with, in a run with this secret, where it connects to."""
+    return _digest(secret, f"password of {agent}")
+
+
+def _digest(secret: str, text: str) -> str:
+    return hashlib.blake2b(text.encode(), key=secret.encode(), digest_size=15).hexdigest()
 
 
 def common_name(agent: str) -> str:

@@ -104,6 +104,10 @@ class SessionSettings:
         time a message that cannot go out within 20 ms is dropped instead.
     session_id
         Zenoh's id of the session. Empty: any.
+    user, password
+        By which those whom the session connects to know it. Empty: by none.
+    users_file
+        Users and passwords of those who may connect to it. Empty: everybody may.
     access
         What the others may do, see `bus_schemas.access`. None: everything.
     keys
@@ -117,6 +121,9 @@ class SessionSettings:
     connect: list[str]
     lockstep: bool = True
     session_id: str = ""
+    user: str = ""
+    password: str = ""
+    users_file: str = ""
     access: dict[str, object] | None = None
     keys: KeyFiles | None = None
     largest_bytes: int = 1 << 20
@@ -152,6 +159,11 @@ class SessionSettings:
         }
         if self.session_id:
             settings["id"] = self.session_id
+        if self.user:
+            settings["transport/auth/usrpwd/user"] = self.user
+            settings["transport/auth/usrpwd/password"] = self.password
+        if self.users_file:
+            settings["transport/auth/usrpwd/dictionary_file"] = self.users_file
         if self.access is not None:
             settings["access_control"] = self.access
         if self.keys is not None:

@@ -13,10 +13,12 @@ import time
 from collections.abc import Callable, Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from textwrap import wrap
 from typing import Annotated, Final, Literal, NamedTuple
 
 import typer
 
+from bus_schemas.errors import InputError
 from launch_scripts.commands.boundary import FAILED, OK
 from launch_scripts.commands.options import JsonOption
 from launch_scripts.commands.output import write_json
@@ -28,6 +30,7 @@ _PACKAGES: Final = ("heliarch", "eclipse-zenoh", "numpy", "msgspec", "mcap", "cr
 _BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome", "firefox")
 _CLOCK: Final = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 _GOVERNOR: Final = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
+_INDENT: Final = 19
 
 
 class Finding(NamedTuple):
@@ -54,6 +57,8 @@ def doctor(
     """
     from rich.text import Text
 
+    if not out.is_dir():
+        raise InputError(f"--out: expected an existing folder, got {out}")
     found = [finding for check in _CHECKS for finding in check()]
     found += _disk(out)
     write_json([finding._asdict() for finding in found], json)
@@ -61,10 +66,11 @@ def doctor(
     width = min(console.width, 100)
     for finding in found:
         style = {"ok": "green", "slow": "yellow", "wrong": "bold red"}[finding.verdict]
-        head = Text.assemble(f"{finding.about:12} ", (f"{finding.verdict:6}", style), finding.found)
-        console.print(head, width=width)
-        if finding.advice:
-            console.print(Text(f"{'':19}{finding.advice}", "dim"), width=width)
+        head = Text.assemble(f"{finding.about:12} ", (f"{finding.verdict:6}", style))
+        text = wrap(finding.found, width - _INDENT) or [""]
+        console.print(head + Text(f"\n{'':{_INDENT}}".join(text)), width=width)
+        for line in wrap(finding.advice, width - _INDENT):
+            console.print(Text(f"{'':{_INDENT}}{line}", "dim"), width=width)
     return FAILED if any(finding.verdict == "wrong" for finding in found) else OK
 
 
@@ -200,7 +206,7 @@ def _zenoh() -> Iterator[Finding]:
     except zenoh.ZError as error:
         yield Finding("Zenoh", f"{error}", "wrong", "no agent can open its session")
         return
-    text = f"a session has {threads} threads"
+    text = f"a session has {threads} thread" + "s" * (threads != 1)
     if given in {None, ZENOH_RUNTIME}:
         yield Finding("Zenoh", text)
     else:
@@ -272,11 +278,7 @@ def _versions() -> Iterator[Finding]:
 
 
 def _disk(folder: Path) -> Iterator[Finding]:
-    try:
-        free_gb = shutil.disk_usage(folder).free / 1e9
-    except OSError as error:
-        yield Finding("disk", f"{folder}: {error.strerror}", "wrong", "choose a folder with --out")
-        return
+    free_gb = shutil.disk_usage(folder).free / 1e9
     # 17 inverters take about 6 kB a cycle.
     hours = free_gb * 1e6 / 6.0 / 3600.0
     text = f"{free_gb:,.1f} GB free, some {hours:,.0f} h of 17 inverters each second"

@@ -127,6 +127,10 @@ def run(
             f"{where}: expected a --pace such as 1 with it, got lockstep, where a lost message is "
             "waited for without end"
         )
+    if server is not None and plan.keys_folder:
+        from launch_scripts.scenarios.plant_keys import check_keys  # Its package is optional.
+
+        check_keys(plan)
     try:
         with view_for(console, plan, scenario.time.timezone) as view:
             for line in (scenario.title, *preparation.remarks):

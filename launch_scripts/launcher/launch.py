@@ -323,11 +323,6 @@ def launch(
     RunFailure
         A process died or gave up, a cycle stalled, or messages got lost.
     """
-    if preparation.plan.keys_folder:
-        # It needs a package that is optional.
-        from launch_scripts.scenarios.plant_keys import check_keys  # noqa: PLC0415
-
-        check_keys(preparation.plan)
     agents, base_port = preparation.plan.links.listening, preparation.options.base_port
     with reserved_ports(agents, base_port, preparation.plan.address) as tcp_ports:
         plan = folder.fill(preparation, tcp_ports)

@@ -11,6 +11,7 @@ from pathlib import Path
 import msgspec
 
 from agents.plan import RunPlan
+from agents.session import users
 from bus_schemas.errors import InputError
 from launch_scripts.scenarios.preparation import Preparation
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
@@ -62,8 +63,13 @@ class RunFolder:
             self.logs.mkdir(parents=True)
         except OSError as error:
             raise _no_folder(self.path, error.strerror) from None
-        secret = secrets.token_hex(16) if tcp_ports else ""
-        plan = msgspec.structs.replace(preparation.plan, tcp_ports=tcp_ports, secret=secret)
+        plan = preparation.plan
+        if tcp_ports:
+            file = self.path.absolute() / "users"
+            new = {"secret": secrets.token_hex(16), "users_file": str(file)}
+            plan = msgspec.structs.replace(plan, tcp_ports=tcp_ports, **new)
+            file.touch(mode=0o600)
+            file.write_text(users(plan), encoding="utf-8")
         preparation.profile.save(self.path / "profile.npz")
         (self.path / "scenario.toml").write_text(preparation.scenario.text, encoding="utf-8")
         unfinished = self.plan.with_suffix(".json.part")

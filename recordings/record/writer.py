@@ -190,7 +190,7 @@ class RunWriter:
 
     def _write_origin(self, plan: RunPlan, scenario: str, driver: str) -> None:
         now_ns = self._anchor.wall_ns
-        public = msgspec.structs.replace(plan, secret="", keys_folder="")
+        public = msgspec.structs.replace(plan, secret="", users_file="", keys_folder="")
         self._writer.add_attachment(
             now_ns, now_ns, "scenario.toml", "application/toml", scenario.encode()
         )

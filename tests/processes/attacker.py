@@ -60,11 +60,13 @@ class Attacker:
         for session in self._sessions:
             session.put(self.plan.keys.key(port), encode(message))
 
-    def forge(self, cycle: int) -> None:
-        """Forge what decides of power, for a cycle and the one after it."""
+    def forge(self, cycle: int, spared: str = "") -> None:
+        """Forge what decides of power, for a cycle and the one after it, but for one agent's."""
         for number in (cycle, cycle + 1):
             head = {"cycle": number, "sim_time_ns": self.plan.sim_time_ns(number), "missing": ()}
             for port, message in self._forgeries():
+                if port.publisher == spared:
+                    continue
                 self.put(port, replace(message, **head, source=port.publisher))
 
     def _forgeries(self) -> Iterator[tuple[Port[Message], Message]]:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from attacker import attacker_of
+from command_line import done
 from msgspec.structs import replace
-from running import Heliarch, assert_none_left, small_plant
+from running import REPOSITORY, Heliarch, assert_none_left, small_plant
 from test_launch import summary_of
 
 from agents.plan import RunPlan, load_plan
@@ -26,6 +30,7 @@ from recordings.read.reader import RunReader
 pytestmark = pytest.mark.processes
 
 Start = Callable[..., Heliarch]
+DEVICE = "c1/inv01"
 
 
 def running(heliarch: Start, folder: Path, *words: str) -> tuple[Heliarch, RunPlan]:
@@ -43,10 +48,6 @@ def ended(run: Heliarch) -> RunSummary:
     return summary_of(run.folder)
 
 
-def causes(summary: RunSummary) -> dict[tuple[str, str], int]:
-    return {(wrong.key, wrong.cause): wrong.count for wrong in summary.wrong}
-
-
 def test_the_plan_is_for_its_user_alone(heliarch: Start, tmp_path: Path) -> None:
     run, _ = running(heliarch, tmp_path, "--pace", "20")
     assert (run.folder / "plan.json").stat().st_mode & 0o077 == 0
@@ -54,22 +55,53 @@ def test_the_plan_is_for_its_user_alone(heliarch: Start, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("mode", ["peer", "client"])
-def test_what_a_stranger_forges_reaches_no_agent_and_is_named(
-    heliarch: Start, tmp_path: Path, mode: str
-) -> None:
+def test_nothing_that_a_stranger_says_is_heard(heliarch: Start, tmp_path: Path, mode: str) -> None:
     run, plan = running(heliarch, tmp_path)
-    with attacker_of(plan, mode) as attacker:
-        for _ in range(20):
-            attacker.forge(run.recorded_cycles())
-            attacker.stop_run(run.recorded_cycles() + 50)
-            time.sleep(0.05)
+    attack(run, plan, mode)
     summary = ended(run)
+    assert run.process.returncode == 130, run.error_text()
+    assert summary.wrong == ()
+    assert_right(run, summary.cycles)
+
+
+def test_beside_a_device_what_a_stranger_forges_reaches_no_agent_and_is_named(
+    heliarch: Start, tmp_path: Path
+) -> None:
+    run = heliarch(
+        "launch", small_plant(tmp_path / "plant"), "--scheme", "paper", "--external", DEVICE
+    )
+    with example_controller(run):
+        run.until_running()
+        attack(run, load_plan(run.folder / "plan.json"), "peer", spared=DEVICE)
+        summary = ended(run)
     assert run.process.returncode == 1
     assert "more than one program sent messages on" in run.error_text()
-    assert not attacker.heard
-    found = {cause for _, cause in causes(summary)}
-    assert "two senders" in found
+    found = {(wrong.key, wrong.cause) for wrong in summary.wrong}
+    assert {("run", "two senders"), ("c1/setpoint", "two senders")} <= found
     assert_right(run, summary.cycles)
+
+
+def attack(run: Heliarch, plan: RunPlan, mode: str, spared: str = "") -> None:
+    """Forge messages of the cycle under way for a second, and stops of the run."""
+    with attacker_of(plan, mode) as attacker:
+        for _ in range(20):
+            attacker.forge(run.recorded_cycles(), spared)
+            attacker.stop_run(run.recorded_cycles() + 50)
+            time.sleep(0.05)
+        assert spared or not attacker.heard, "without keys anybody hears what a device may"
+
+
+@contextmanager
+def example_controller(run: Heliarch) -> Iterator[None]:
+    """The example in the place of a device, for as long as the context lasts."""
+    program = REPOSITORY / "examples" / "direct_controller.py"
+    words = ("--plan", str(run.folder / "plan.json"), "--node", DEVICE)
+    process = subprocess.Popen([sys.executable, str(program), *words])
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
 
 
 def assert_right(run: Heliarch, cycles: int) -> None:
@@ -93,3 +125,16 @@ def assert_right(run: Heliarch, cycles: int) -> None:
 
 def timeless(port: Port[Message], message: Message) -> bytes:
     return str(port).encode() + encode(replace(message, publish_time_ns=0, ready_time_ns=0))
+
+
+@pytest.mark.parametrize("pace", ["max", "10"])
+def test_with_its_keys_a_plant_runs_as_without(heliarch: Start, tmp_path: Path, pace: str) -> None:
+    pytest.importorskip("cryptography")
+    plant, keys = small_plant(tmp_path / "plant"), str(tmp_path / "keys")
+    done("keys", plant, "--out", keys)
+    words = ("--duration", "20", "--scheme", "paper", "--pace", pace, "--secure", "--keys", keys)
+    run = heliarch("launch", plant, *words)
+    assert run.wait() == 0, run.error_text()
+    summary = summary_of(run.folder)
+    assert (summary.cycles, summary.wrong) == (20, ())
+    assert_none_left(run.folder)
