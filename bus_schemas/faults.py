@@ -60,7 +60,7 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """One way in which links are imperfect."""
 
     source: Annotated[
-        str, Meta(description="Publishing agent: `plant`, `c1/inv07`, or a pattern such as `c1/*`.")
+        str, Meta(description="Publishing agent: `plant`, `c2/inv07`, or a pattern such as `c1/*`.")
     ] = "*"
     listener: Annotated[str, Meta(description="Receiving agent, named in the same way.")] = "*"
     signal: Annotated[str | None, Meta(description="Name of a cyclic signal. Default: any.")] = None

@@ -24,7 +24,7 @@ class KeyTable:
         return tuple(self._port_of.values())
 
     def key(self, port: Port[Message]) -> str:
-        """Key of a port, for instance `oahu/c1/inv07/impp` or `oahu/dispatch`."""
+        """Key of a port, for instance `oahu/c2/inv07/impp` or `oahu/dispatch`."""
         return f"{self.plant}/{port}"
 
     def port(self, key: str) -> Port[Message] | None:

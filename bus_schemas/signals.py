@@ -1,8 +1,8 @@
 """The one table of signals. Keys, subscriptions, links, channels and schemas are derived from it.
 
 A signal is always *about* one node of the control tree, and that node's path stands in its key:
-`oahu/c1/inv07/setpoint` is the setpoint OF `c1/inv07` (given by its parent), `oahu/c1/inv07/impp`
-is the IMPP that `c1/inv07` states itself. The table says for each signal about which nodes it exists,
+`oahu/c2/inv07/setpoint` is the setpoint OF `c2/inv07` (given by its parent), `oahu/c2/inv07/impp`
+is the IMPP that `c2/inv07` states itself. The table says for each signal about which nodes it exists,
 who publishes it and who listens, both as seen from that node.
 """
 

@@ -45,7 +45,7 @@ def agent_name(path: str) -> str:
 class ControlTree:
     """Inverters as leaves, clusters above them, the central controller at the root.
 
-    Nothing here knows how many tiers there are: `c1/inv07` has two above it, `z1/c2/inv07` three.
+    Nothing here knows how many tiers there are: `c2/inv07` has two above it, `z1/c2/inv07` three.
 
     Parameters
     ----------

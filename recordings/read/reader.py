@@ -438,6 +438,6 @@ def open_run(path: Path | str) -> RunReader:
     Examples
     --------
     >>> with open_run("runs/oahu-20261121-120000-4711") as run:
-    ...     impp = run.frame("impp", nodes="c1/inv07", start="12:20", end="12:30")
+    ...     impp = run.frame("impp", nodes="c2/inv07", start="12:20", end="12:30")
     """
     return RunReader(Path(path))

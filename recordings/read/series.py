@@ -37,7 +37,7 @@ class RunSeries:
     label
         What to call it in a table or a legend, for instance the control scheme.
     inverters
-        Paths of the inverters in the control tree (`c1/inv07`), n of them.
+        Paths of the inverters in the control tree (`c2/inv07`), n of them.
     rating_kw
         AC rating of each inverter, shape (n,).
     timezone

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterator
-from typing import Final, TextIO
+from typing import Final, Literal, TextIO
 
 import msgspec
 
@@ -44,7 +44,7 @@ class ReplayFigures(msgspec.Struct, frozen=True):
     messages: int
     cycles: int
     wall_s: float
-    rate: float
+    pace: float | Literal["max"]
     clock: ClockKind
     timing_error: TimingFigures | None
     interrupted: bool
@@ -107,7 +107,7 @@ def replay_recording(
         messages,
         cycles,
         wall_s,
-        rate,
+        rate or "max",
         kind,
         timing,
         bool(interruption),

@@ -72,7 +72,7 @@ def help_metrics(residual_kw: NDArray[np.float64], inverters: Sequence[str]) -> 
     residual_kw
         Residual of each inverter in each cycle, finite, shape (T, n).
     inverters
-        Paths of the n inverters in the control tree, such as `c1/inv07`: they tell the clusters.
+        Paths of the n inverters in the control tree, such as `c2/inv07`: they tell the clusters.
     """
     needy, lacking = _by_cluster(residual_kw, inverters)
     plant_needy = np.logical_or.reduce(needy, axis=1)

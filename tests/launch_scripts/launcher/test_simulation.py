@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from plans_by_hand import plan_of
 from sent_messages import Sent
 
 from agents.events import Waiting
@@ -32,25 +33,7 @@ from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepar
 from launch_scripts.scenarios.scenario import load_scenario
 from sim_plant.profile import Profile
 
-PLAN = RunPlan(
-    run_id="by-hand",
-    plant="pair",
-    inverters=(("a", 100.0), ("b", 100.0)),
-    start_time_ns=0,
-    cycle_ns=1_000_000_000,
-    cycles=3,
-    timezone="UTC",
-    regulation_capacity_kw=0.0,
-    cycle_wall_ns=0,
-    period_cycles=(1,),
-    scheme="paper",
-    actuator="fraction",
-    alpha_min=0.05,
-    hold_cycles=3,
-    stall_timeout_s=3.0,
-    neighbourhoods=(),
-    tcp_ports={},
-)
+PLAN = plan_of({"a": 100.0, "b": 100.0}, cycles=3)
 """Two inverters of 100 kW below the central controller, three cycles."""
 
 # A cloud covers a in cycle 1, and both in cycle 2.
