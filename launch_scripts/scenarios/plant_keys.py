@@ -94,17 +94,23 @@ def check_keys(plan: RunPlan) -> None:
         )
     authority = _read(folder / "ca.pem")
     _check_plant(folder / "ca.pem", authority, plan.plant)
+    # Links close when a certificate expires. How long a run in lockstep takes nobody knows.
+    ends = datetime.now(UTC) + timedelta(seconds=plan.cycles * plan.cycle_wall_ns / 1e9)
     for agent in plan.tree.agents():
         if agent not in plan.external:
-            _check(KeyFiles.of(folder, agent), agent, authority, ip_address(plan.address))
+            _check(KeyFiles.of(folder, agent), agent, authority, ip_address(plan.address), ends)
 
 
 def _check(
-    files: KeyFiles, agent: str, authority: x509.Certificate, address: IPv4Address | IPv6Address
+    files: KeyFiles,
+    agent: str,
+    authority: x509.Certificate,
+    address: IPv4Address | IPv6Address,
+    ends: datetime,
 ) -> None:
     """Refuse a certificate with which Zenoh would not open a link, and would not say why."""
     path = files.certificate
-    certificate, now = _read(path), datetime.now(UTC)
+    certificate = _read(path)
     try:
         certificate.verify_directly_issued_by(authority)
     except (ValueError, TypeError, InvalidSignature):
@@ -113,9 +119,10 @@ def _check(
         ) from None
     if _name(certificate) != common_name(agent):
         raise InputError(f"{path}: expected a certificate for {agent}, got {_name(certificate)}")
-    if not certificate.not_valid_before_utc <= now <= certificate.not_valid_after_utc:
+    is_valid = certificate.not_valid_before_utc <= datetime.now(UTC)
+    if not is_valid or ends > certificate.not_valid_after_utc:
         raise InputError(
-            f"{path}: expected a certificate that is valid now, got one from "
+            f"{path}: expected a certificate that is valid up to the end of the run, got one from "
             f"{certificate.not_valid_before_utc:%Y-%m-%d %H:%M} to "
             f"{certificate.not_valid_after_utc:%Y-%m-%d %H:%M} UTC; `heliarch keys` renews it"
         )

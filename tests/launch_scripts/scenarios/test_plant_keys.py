@@ -71,7 +71,7 @@ def never_made(folder: Path, plant: str) -> None:
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [
-        (expired, "valid now"),
+        (expired, "valid up to the end"),
         (of_another_plant, "another plant"),
         (of_another_agent, "a certificate for c1, got c2"),
         (for_everybody, "c1.key"),
@@ -87,6 +87,12 @@ def test_wrong_keys_are_refused_before_anything_starts(
     spoil(Path("keys/small"), plant)
     assert told in refusal("launch", plant, *SHORT, "--secure")
     assert not Path("runs").exists()
+
+
+def test_keys_that_expire_in_the_middle_of_a_run_are_refused(plant: str) -> None:
+    done("keys", plant, "--days", "0.02")
+    told = refusal("launch", plant, "--pace", "1", "--duration", "30m", "--secure")
+    assert "valid up to the end" in told
 
 
 def test_an_address_that_others_reach_needs_keys_that_are_for_it(plant: str) -> None:
