@@ -84,13 +84,19 @@ class Team:
             for listener in {*self.plan.wiring.listeners[port], RECORDER} - {agent}
         }
 
-    def intrude(self, mode: str = "peer", **changes: object) -> Heard:
+    def intrude(
+        self, mode: str = "peer", keys: KeyFiles | None = None, session_id: str = ""
+    ) -> Heard:
         """Let a program speak that is none of the agents; return who hears what of it."""
         with ExitStack() as stack:
             sessions = []
             for port in self.plan.tcp_ports.values():
                 settings = SessionSettings(
-                    self.plan.bus_namespace, [], [f"{self.plan.host}:{port}"], **changes
+                    self.plan.bus_namespace,
+                    [],
+                    [f"{self.plan.host}:{port}"],
+                    keys=keys,
+                    session_id=session_id,
                 )
                 config = settings.config()
                 config.insert_json5("mode", f'"{mode}"')
