@@ -191,17 +191,22 @@ class AgentLoop(Generic[S]):
             return
         if message.incarnation != heard.incarnation and not self._is_successor(heard, message):
             return
-        if self.cycle < 0 and port is self._dispatch and message.cycle > self.cycle:
-            if message.cycle < 0:
-                self.enter(message.cycle, time_ns)
-            elif message.cycle > 0:
-                self._join(message, time_ns)
-        if port is self._dispatch and self.end_cycle <= message.cycle < self._plan.cycles:
-            self._go_on_after_false_stop(message, time_ns)
+        if port is self._dispatch:
+            self._follow_dispatch(message, time_ns)
         if message.cycle > self.cycle:
             self._keep_ahead(heard, message)
         else:
             self._take(heard, message, time_ns)
+
+    def _follow_dispatch(self, dispatch: Message, time_ns: int) -> None:
+        """Go where the plant is: to another round, into a run under way, or on with this one."""
+        if self.cycle < 0 and dispatch.cycle > self.cycle:
+            if dispatch.cycle < 0:
+                self.enter(dispatch.cycle, time_ns)
+            elif dispatch.cycle > 0:
+                self._join(dispatch, time_ns)
+        if self.end_cycle <= dispatch.cycle < self._plan.cycles:
+            self._go_on_after_false_stop(dispatch, time_ns)
 
     def _is_successor(self, heard: _Input, message: Message) -> bool:
         """Whether a message is of a process that replaced the publisher, not of one replaced."""
