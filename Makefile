@@ -62,7 +62,7 @@ results: $(READY) ## the tables of docs/results.md, about 10 minutes; DATA=FOLDE
 bench-study: $(READY) ## a whole day through the agents and over arrays
 	$(BIN)/python benchmarks/study_rate.py
 
-soak: $(READY) ## the recorder killed 20 times at random moments: what a recording loses
+soak: $(READY) ## long runs: a random kill every 10 s for SOAK_S (1800) s; the recorder killed 20 times
 	$(BIN)/pytest -m soak
 
 clean: ## remove what the tasks made, recordings of runs excepted

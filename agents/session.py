@@ -7,6 +7,7 @@ from pathlib import Path
 
 from agents.plan import RunPlan
 from bus_schemas.access import Subject, access_rules, common_name, password, session_id
+from bus_schemas.tree import agent_of
 from bus_schemas.zenoh_bus import KeyFiles, SessionSettings
 
 _LARGEST_BYTES = 65_536
@@ -16,7 +17,7 @@ and `missing` names a few inputs of each child."""
 
 
 def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
-    """Return how an agent of the plan joins the bus."""
+    """Return how an agent of the plan, or a standby, joins the bus."""
     listen, connect = plan.links.endpoints(agent, plan.tcp_ports, plan.host)
     settings = SessionSettings(
         plan.bus_namespace,
@@ -26,7 +27,7 @@ def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
         largest_bytes=_LARGEST_BYTES + _BYTES_PER_INVERTER * len(plan.inverters),
     )
     if plan.keys_folder:
-        keys = KeyFiles.of(Path(plan.keys_folder), agent)
+        keys = KeyFiles.of(Path(plan.keys_folder), agent_of(agent))
         return replace(settings, keys=keys, access=_rules(plan, agent))
     if not plan.secret:
         return settings
@@ -41,14 +42,14 @@ def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
 
 def users(plan: RunPlan) -> str:
     """Return the users and passwords of a run, as Zenoh reads them from a file."""
-    return "".join(f"{agent}:{password(plan.secret, agent)}\n" for agent in plan.tree.agents())
+    return "".join(f"{agent}:{password(plan.secret, agent)}\n" for agent in plan.processes)
 
 
 def _rules(plan: RunPlan, agent: str) -> dict[str, object]:
     peers = plan.links.peers(agent)
     subjects: dict[str, Subject] = {}
     if plan.keys_folder:
-        subjects = {peer: {"cert_common_names": [common_name(peer)]} for peer in peers}
+        subjects = {peer: {"cert_common_names": [common_name(agent_of(peer))]} for peer in peers}
     else:
         # Without keys nobody can tell an external agent's session from a stranger's.
         subjects = {

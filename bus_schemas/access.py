@@ -13,7 +13,7 @@ from typing import TypeAlias
 from bus_schemas.keys import KeyTable
 from bus_schemas.links import Links
 from bus_schemas.signals import Wiring
-from bus_schemas.tree import RECORDER
+from bus_schemas.tree import RECORDER, agent_of
 
 Subject: TypeAlias = dict[str, list[str]]
 """How Zenoh recognises the other end of a link. Empty: anybody."""
@@ -59,6 +59,8 @@ def access_rules(
         return rule
 
     listens = ["declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"]
+    # In lockstep a process that replaces another asks for what it has missed.
+    listens += ["declare_queryable", "query"]
     of_all = [
         add("subscriptions", ["ingress", "egress"], listens, [f"{keys.plant}/**"]),
         add("own token", ["egress"], ["liveliness_token"], [keys.alive_key(agent)]),
@@ -66,19 +68,19 @@ def access_rules(
     for peer in links.peers(agent):
         heard = [
             keys.key(port)
-            for port in wiring.published.get(peer, ())
-            if agent == RECORDER or agent in wiring.listeners[port]
+            for port in wiring.published.get(agent_of(peer), ())
+            if agent == RECORDER or agent in wiring.processes[port]
         ]
         told = [
             keys.key(port)
-            for port in wiring.published.get(agent, ())
-            if peer == RECORDER or peer in wiring.listeners[port]
+            for port in wiring.published.get(agent_of(agent), ())
+            if peer == RECORDER or peer in wiring.processes[port]
         ]
         own = [add(f"token of {peer}", ["ingress"], ["liveliness_token"], [keys.alive_key(peer)])]
         if heard:
-            own.append(add(f"from {peer}", ["ingress"], ["put"], heard))
+            own.append(add(f"from {peer}", ["ingress"], ["put", "reply"], heard))
         if told:
-            own.append(add(f"to {peer}", ["egress"], ["put"], told))
+            own.append(add(f"to {peer}", ["egress"], ["put", "reply"], told))
         policies.append({"rules": [*of_all, *own], "subjects": [peer]})
     known = {peer: subjects[peer] for peer in links.peers(agent)}
     if agent == RECORDER and "" in subjects:

@@ -93,7 +93,10 @@ class Heliarch:
                 [sys.executable, "-m", "launch_scripts", *words, "--out", str(folder)],
                 stdout=out,
                 stderr=err,
-                env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+                env={
+                    **os.environ,
+                    "PYTHONPATH": f"{REPOSITORY}:{os.environ.get('PYTHONPATH', '')}",
+                },
                 # Ctrl-C at the test's own terminal is not meant for the run.
                 process_group=0,
             )

@@ -123,10 +123,10 @@ def run(
     if server is not None and plan.lockstep and plan.faults:
         given = request.options.faults
         where = f"--fault {given[0]}" if given else "faults of the scenario"
-        raise InputError(
-            f"{where}: expected a --pace such as 1 with it, got lockstep, where a lost message is "
-            "waited for without end"
-        )
+        why = "a lost message is waited for without end"
+        if all(rule.stops for rule in plan.faults):
+            why = "cycles keep to no clock"
+        raise InputError(f"{where}: expected a --pace such as 1 with it, got lockstep, where {why}")
     if server is not None and plan.keys_folder:
         from launch_scripts.scenarios.plant_keys import check_keys  # Its package is optional.
 

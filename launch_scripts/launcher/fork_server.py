@@ -115,6 +115,8 @@ class ForkServer:
     def _fork(self, agent: str, plan: RunPlan, request: Start) -> None:
         expected = None
         if agent == RECORDER:
+            if self._to_recorder is not None:
+                os.close(self._to_recorder)
             expected, self._to_recorder = os.pipe()
             os.set_blocking(expected, False)
         pid = os.fork()
@@ -185,7 +187,7 @@ def _run(agent: str, plan: RunPlan, link: LauncherLink, request: Start) -> int:
         case "plant":
             return run_plant(plan, load_profile(folder / "profile.npz"), link, request.patience_s)
         case _:
-            return run_controller(plan, agent, link)
+            return run_controller(plan, agent, link, rejoins=request.again)
 
 
 def main() -> None:

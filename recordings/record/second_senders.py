@@ -6,7 +6,7 @@ says so by its incarnation, and the one it replaced is silent from then on.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 import msgspec
 
@@ -32,10 +32,14 @@ class _Key:
 
 
 class SecondSenders:
-    """The newest messages of all keys on which each cycle has one message."""
+    """The newest messages of all keys on which each cycle has one message.
 
-    def __init__(self, ports: Iterable[Port[Message]]) -> None:
+    Of agents with a standby two processes may speak, until one has heard the other.
+    """
+
+    def __init__(self, ports: Iterable[Port[Message]], standbys: Collection[str] = ()) -> None:
         self._keys = {port: _Key() for port in ports}
+        self._standbys = standbys
 
     def see(
         self, port: Port[Message], cycle: int, incarnation: int, payload: bytes
@@ -45,7 +49,7 @@ class SecondSenders:
         if key is None:
             return None
         if incarnation < key.incarnation:
-            if cycle <= key.incarnation:  # It was on its way.
+            if cycle <= key.incarnation or port.publisher in self._standbys:  # It was on its way.
                 return None
             joined = f"one joined in cycle {key.incarnation}, another in {incarnation}"
             return TWO_SENDERS, f"{joined}, and both sent after that"
