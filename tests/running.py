@@ -15,8 +15,8 @@ import pytest
 
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
-from launch_scripts.launcher.fork_requests import log_name
 from recordings.read.reader import RunReader
+from recordings.read.run_file import log_name
 
 REPOSITORY = Path(__file__).parent.parent
 

@@ -43,8 +43,3 @@ class Signal(msgspec.Struct, frozen=True, tag=True):
 
 
 Request: TypeAlias = Start | Expect | Signal
-
-
-def log_name(agent: str) -> str:
-    """Return the name of an agent's log file."""
-    return f"{agent.replace('/', '.')}.log"

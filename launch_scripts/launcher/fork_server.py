@@ -33,7 +33,8 @@ from agents.process import die_with_parent, run_controller
 from agents.session import session_settings
 from agents.team import controller
 from bus_schemas.tree import RECORDER, agent_name
-from launch_scripts.launcher.fork_requests import Expect, Request, Signal, Start, log_name
+from launch_scripts.launcher.fork_requests import Expect, Request, Signal, Start
+from recordings.read.run_file import log_name
 from recordings.record.recorder import run_recorder
 from sim_plant.process import run_plant
 from sim_plant.profile import load_profile

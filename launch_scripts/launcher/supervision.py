@@ -32,7 +32,8 @@ from agents.launcher_link import EventReader
 from agents.plan import RunPlan
 from bus_schemas.errors import FailureError
 from bus_schemas.tree import RECORDER, some_of
-from launch_scripts.launcher.fork_requests import Expect, Request, Signal, log_name
+from launch_scripts.launcher.fork_requests import Expect, Request, Signal
+from recordings.read.run_file import log_name
 
 _LOG_LINES: Final = 5
 """Lines of a log that are shown when its process is to blame."""

@@ -30,6 +30,11 @@ SCHEMA_VERSION: Final = "3"
 """Version of the message types. A reader refuses what it does not know."""
 
 
+def log_name(agent: str) -> str:
+    """Return the name of an agent's log file, in the folder `logs` of its run."""
+    return f"{agent.replace('/', '.')}.log"
+
+
 _NUMBER_OF: Final = {
     signal: number for number, signal in enumerate((s for s in SIGNALS if s.logged), start=1)
 }

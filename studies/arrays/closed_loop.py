@@ -253,6 +253,7 @@ def take_turn(last: Central, impp_kw: float, plant_rating_kw: float, settings: S
             last.dispatch_kw >= impp_kw,
             plant_rating_kw,
             last.metered_cycles * settings.cycle_s,
+            0.0,
         )
     return Central(
         dispatch_kw=last.dispatch_kw,
