@@ -10,7 +10,7 @@ from typing import NamedTuple
 import zenoh
 
 from agents.plan import RunPlan
-from agents.process import session_settings
+from agents.session import session_settings
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from bus_schemas.tree import RECORDER
