@@ -6,6 +6,8 @@ import logging
 from collections import Counter
 from typing import Final
 
+from bus_schemas.printable import printable
+
 log = logging.getLogger(__name__)
 
 _WITHOUT_DIGITS: Final = str.maketrans("", "", "0123456789")
@@ -32,4 +34,4 @@ class DropLog:
         self._of_kind[kind] += 1
         count = self._of_kind[kind]
         if count <= 10 or count & (count - 1) == 0:
-            log.warning("dropped (%d so far): %s", self.total, text)
+            log.warning("dropped (%d so far): %s", self.total, printable(text))

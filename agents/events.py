@@ -157,6 +157,8 @@ class ExternalAccount(msgspec.Struct, frozen=True):
         How many messages it should have sent on the keys on which one comes in each cycle.
     answered
         How many of them came.
+    outages
+        Cycles in which it went away and came back; None: it did not.
     """
 
     agent: str
@@ -164,6 +166,7 @@ class ExternalAccount(msgspec.Struct, frozen=True):
     lost: int
     expected: int
     answered: int
+    outages: tuple[tuple[int, int | None], ...] = ()
 
 
 class Recorded(Event, frozen=True):
@@ -182,7 +185,10 @@ class Recorded(Event, frozen=True):
     external
         An account of each external agent. Their messages are among the others in `recorded`.
     complaints
-        What was wrong with messages that are none of the run, and with those of external agents.
+        What was wrong with messages that are none of the run, with those of external agents, and
+        with those that contradict others of their key.
+    extra
+        Messages of `recorded` that came second on keys of the launcher's own processes, by signal.
     """
 
     recorded: dict[str, int]
@@ -191,6 +197,7 @@ class Recorded(Event, frozen=True):
     ended_early: str = ""
     external: tuple[ExternalAccount, ...] = ()
     complaints: tuple[Complaint, ...] = ()
+    extra: dict[str, int] = msgspec.field(default_factory=dict)
 
 
 class RecordingEnded(Event, frozen=True):

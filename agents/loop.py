@@ -28,7 +28,7 @@ from bus_schemas.bounds import bounds_of, is_within
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Run, Takeover
 from bus_schemas.missing import Missing
-from bus_schemas.signals import DISPATCH, TAKEOVER, Occurrence, Port
+from bus_schemas.signals import DISPATCH, RUN, TAKEOVER, Occurrence, Port
 from bus_schemas.tree import CENTRAL, ROOT
 
 S = TypeVar("S")
@@ -49,7 +49,14 @@ _DEPOSED_WAITS: Final = 0.75
 that it replaced. If both are silent, both do not speak at once."""
 
 Cause: TypeAlias = Literal[
-    "late", "other_cycle", "unexpected", "duplicate", "foreign", "absurd", "replaced"
+    "late",
+    "other_cycle",
+    "unexpected",
+    "duplicate",
+    "foreign",
+    "absurd",
+    "replaced",
+    "contradicted",
 ]
 """Why a message was not used."""
 
@@ -202,7 +209,7 @@ class AgentLoop(Generic[S]):
             self._drop("foreign", port, message, f"is from {message.source!r}")
             return
         if isinstance(message, Run):
-            self._heed(message, time_ns)
+            self._heed(port, message, time_ns)
             return
         heard = self._inputs.get(port)
         if heard is None or message.cycle < 0 <= self.cycle:  # What is left of arming rounds.
@@ -211,11 +218,8 @@ class AgentLoop(Generic[S]):
             return
         if message.incarnation != heard.incarnation and not self._is_successor(heard, message):
             return
-        if self.cycle < 0 and port is self._dispatch and message.cycle > self.cycle:
-            if message.cycle < 0:
-                self.enter(message.cycle, time_ns)
-            elif message.cycle > 0:
-                self._join(message, time_ns)
+        if port is self._dispatch:
+            self._follow_dispatch(message, time_ns)
         if message.cycle > self.cycle:
             self._keep_ahead(heard, message)
         else:
@@ -227,6 +231,16 @@ class AgentLoop(Generic[S]):
         if self.silent:
             log.info("falls silent: its standby has taken over in cycle %d", message.incarnation)
         return self.silent
+
+    def _follow_dispatch(self, dispatch: Message, time_ns: int) -> None:
+        """Go where the plant is: to another round, into a run under way, or on with this one."""
+        if self.cycle < 0 and dispatch.cycle > self.cycle:
+            if dispatch.cycle < 0:
+                self.enter(dispatch.cycle, time_ns)
+            elif dispatch.cycle > 0:
+                self._join(dispatch, time_ns)
+        if self.end_cycle <= dispatch.cycle < self._plan.cycles:
+            self._go_on_after_false_stop(dispatch, time_ns)
 
     def _is_successor(self, heard: _Input, message: Message) -> bool:
         """Whether a message is of a process that replaced the publisher, not of one replaced."""
@@ -268,13 +282,26 @@ class AgentLoop(Generic[S]):
         else:
             heard.ahead.append(message)
 
-    def _heed(self, run: Run, time_ns: int) -> None:
+    def _heed(self, port: Port[Message], run: Run, time_ns: int) -> None:
         """Follow the plant on the beginning and the end of the run."""
         if run.state == "stop":
+            if run.cycle <= self._inputs[self._dispatch].heard:
+                self._drop("contradicted", port, run, "ends a cycle that the plant has begun")
+                return
             self.end_before(run.cycle)
             self.stop_heard = True
         elif self.cycle < 0:
             self.begin(self._believable_start_ns(run, time_ns), time_ns)
+
+    def _go_on_after_false_stop(self, dispatch: Message, now_ns: int) -> None:
+        """Go on with the run: the plant has begun a cycle that a stop said would not take place."""
+        why = f"stopped the run before cycle {self.end_cycle}, which the plant has begun"
+        self._drop("contradicted", RUN.of(ROOT), dispatch, why)
+        was_finished = self.finished
+        self.end_cycle = self._plan.cycles
+        self.stop_heard = False
+        if was_finished:
+            self._go_to(self.cycle, now_ns)
 
     def _believable_start_ns(self, run: Run, now_ns: int) -> int:
         """Return when cycle 0 begins: as the plant says, or now if its clock is another one."""

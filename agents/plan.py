@@ -195,6 +195,13 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         What happens when a controller's process ends before the run does.
     revert
         What an inverter does that hears no command any more; None: it obeys the last one for ever.
+    secret, users_file
+        What ids and passwords of the agents' sessions are made from, and the file of passwords:
+        who knows one of them may speak as any agent where there are no keys. Empty: everybody may.
+    keys_folder
+        Folder of the agents' certificates; empty: the links are not encrypted.
+    address
+        Where the agents listen.
     ramp_percent_per_s, delay_s
         How fast an inverter follows a command, in % of its rating per second (None: at once), and
         after what time it begins to.
@@ -243,6 +250,10 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     delay_s: float = 0.0
     settings: tuple[InverterSettings, ...] = ()
     positions_m: tuple[tuple[float, float], ...] = ()
+    secret: str = ""
+    users_file: str = ""
+    keys_folder: str = ""
+    address: str = "127.0.0.1"
     standby: tuple[str, ...] = ()
     protocol: int = PROTOCOL
 
@@ -275,6 +286,12 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     def processes(self) -> tuple[str, ...]:
         """Names of the processes of a run: agents, then standbys."""
         return (*self.tree.agents(), *map(standby_of, self.standbys))
+
+    @property
+    def host(self) -> str:
+        """Protocol and address of the links, as Zenoh's endpoints begin."""
+        address = f"[{self.address}]" if ":" in self.address else self.address
+        return f"{'tls' if self.keys_folder else 'tcp'}/{address}"
 
     @property
     def alpha_floor(self) -> float:

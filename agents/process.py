@@ -21,10 +21,11 @@ from agents.launcher_link import LauncherLink
 from agents.loop import AgentLoop
 from agents.machine import take_machine
 from agents.plan import RunPlan
+from agents.session import session_settings
 from agents.team import controller
 from bus_schemas.faulty_bus import FaultyBus
 from bus_schemas.tree import agent_of
-from bus_schemas.zenoh_bus import SessionSettings, ZenohBus
+from bus_schemas.zenoh_bus import ZenohBus
 
 log = logging.getLogger(__name__)
 
@@ -80,17 +81,31 @@ def _run_controller(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool)
         log.info("%s is on the bus", name)
         if rejoins and plan.lockstep:
             process.catch_up()
-        for _ in process.drive():
-            if link.dismissed:
-                break
-        # Nobody ends a controller that was started by hand, should the plant have died.
-        give_up_at = time.monotonic() + _STOP_PATIENCE_S + 2.0 * plan.cycle_wall_ns / 1e9
-        while not process.loop.stop_heard and not link.dismissed:
-            process.driver.turn(longest_ns=round(give_up_at * 1e9))
-            if time.monotonic() > give_up_at:
-                log.warning("%s ends: the plant did not say that the run is over", name)
+        while not link.dismissed:
+            for _ in process.drive():
+                if link.dismissed:
+                    break
+            if _is_over(process, link):
                 break
         process.report()
+
+
+def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
+    """Wait for the plant to end the run; return False if the run goes on after all.
+
+    Anybody may say that the run ends early: the launcher confirms it, or the plant goes on.
+    Nobody ends a controller that was started by hand, should the plant have died.
+    """
+    loop, plan = process.loop, process.plan
+    give_up_at = time.monotonic() + _STOP_PATIENCE_S + 2.0 * plan.cycle_wall_ns / 1e9
+    while loop.finished and not link.dismissed:
+        if loop.stop_heard and loop.end_cycle == plan.cycles:
+            return True
+        process.driver.turn(longest_ns=time.monotonic_ns() + round(_LOOK_S * 1e9))
+        if time.monotonic() > give_up_at:
+            log.warning("%s ends: the plant did not say that the run is over", loop.agent.name)
+            return True
+    return link.dismissed
 
 
 class AgentProcess:
@@ -197,12 +212,6 @@ class AgentProcess:
                 dismissed=self.link.dismissed and loop.cycle < self.plan.cycles,
             )
         )
-
-
-def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
-    """Return how an agent of the plan, or a standby, joins the bus."""
-    listen, connect = plan.links.endpoints(agent, plan.tcp_ports)
-    return SessionSettings(plan.bus_namespace, listen, connect, lockstep=plan.lockstep)
 
 
 def set_up_process(plan: RunPlan, agent: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -31,8 +32,16 @@ class Launch(msgspec.Struct, frozen=True, kw_only=True):
     own_mb: float
 
 
-def launch(heliarch: Path, scenario: str, cycles: int, keep: Path | None = None) -> Launch:
+def launch(
+    heliarch: Path,
+    scenario: str,
+    cycles: int,
+    keep: Path | None = None,
+    words: Sequence[str] = (),
+) -> Launch:
     """Launch a scenario at full pace, recorded, in a folder that is thrown away unless kept.
+
+    `words` are further options.
 
     The scenarios that come with the project have cycles of one second.
 
@@ -44,7 +53,16 @@ def launch(heliarch: Path, scenario: str, cycles: int, keep: Path | None = None)
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         summary = Path(folder) / "summary.json"
         out = keep or Path(folder) / "run"
-        command = [str(heliarch), "launch", scenario, "--pace", "max", "--duration", f"{cycles}s"]
+        command = [
+            str(heliarch),
+            "launch",
+            scenario,
+            "--pace",
+            "max",
+            "--duration",
+            f"{cycles}s",
+            *words,
+        ]
         watched = run([*command, "--out", str(out), "--json", str(summary)])
         if not summary.exists():
             raise Failure(f"{heliarch} wrote no summary:\n{watched.output}")

@@ -33,11 +33,20 @@ class Links:
         """Agents that need a port."""
         return tuple(dict.fromkeys(listener for listener, _ in self.pairs))
 
-    def endpoints(self, agent: str, tcp_ports: Mapping[str, int]) -> tuple[list[str], list[str]]:
-        """Endpoints that an agent listens on, and those it connects to."""
-        listens = [_endpoint(tcp_ports[agent])] if agent in self.listening else []
-        connects = [_endpoint(tcp_ports[top]) for top in self._tops.get(agent, ())]
+    def endpoints(
+        self, agent: str, tcp_ports: Mapping[str, int], host: str = "tcp/127.0.0.1"
+    ) -> tuple[list[str], list[str]]:
+        """Endpoints that an agent listens on, and those it connects to.
+
+        `host` is the protocol and the address of all of them.
+        """
+        listens = [f"{host}:{tcp_ports[agent]}"] if agent in self.listening else []
+        connects = [f"{host}:{tcp_ports[top]}" for top in self._tops.get(agent, ())]
         return listens, connects
+
+    def peers(self, agent: str) -> tuple[str, ...]:
+        """Agents that an agent is linked with."""
+        return self._peers[agent]
 
     @cached_property
     def _tops(self) -> dict[str, list[str]]:
@@ -46,6 +55,14 @@ class Links:
         for top, below in self.pairs:
             tops.setdefault(below, []).append(top)
         return tops
+
+    @cached_property
+    def _peers(self) -> dict[str, tuple[str, ...]]:
+        peers: dict[str, list[str]] = {}
+        for top, below in self.pairs:
+            peers.setdefault(top, []).append(below)
+            peers.setdefault(below, []).append(top)
+        return {agent: tuple(linked) for agent, linked in peers.items()}
 
 
 def explicit_links(tree: ControlTree, standbys: Collection[str] = ()) -> Links:
@@ -68,7 +85,3 @@ def explicit_links(tree: ControlTree, standbys: Collection[str] = ()) -> Links:
             pairs.add((top, below))
         pairs.add((agent, beside))
     return Links(tuple(sorted(pairs, key=lambda pair: (rank[pair[0]], rank[pair[1]]))))
-
-
-def _endpoint(tcp_port: int) -> str:
-    return f"tcp/127.0.0.1:{tcp_port}"

@@ -12,10 +12,11 @@ import os
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Final
 
 import msgspec
@@ -64,6 +65,34 @@ each declaration, which among 1,000 inverters would be a million messages."""
 
 
 @dataclass(frozen=True)
+class KeyFiles:
+    """Files of an agent's certificate and key, and of its plant's certificate authority."""
+
+    authority: Path
+    certificate: Path
+    key: Path
+
+    @classmethod
+    def of(cls, folder: Path, agent: str) -> KeyFiles:
+        """Return those that a folder of keys has for an agent."""
+        name = agent.replace("/", ".")
+        return cls(folder / "ca.pem", folder / f"{name}.pem", folder / f"{name}.key")
+
+    def config(self) -> dict[str, object]:
+        """Return Zenoh's settings for links of TLS on which both ends show their certificate."""
+        return {
+            "root_ca_certificate": str(self.authority),
+            "listen_certificate": str(self.certificate),
+            "listen_private_key": str(self.key),
+            "connect_certificate": str(self.certificate),
+            "connect_private_key": str(self.key),
+            "enable_mtls": True,
+            "verify_name_on_connect": True,
+            "close_link_on_expiration": True,
+        }
+
+
+@dataclass(frozen=True)
 class SessionSettings:
     """How an agent's session joins the others.
 
@@ -76,17 +105,36 @@ class SessionSettings:
     lockstep
         In lockstep nothing may be lost: a publisher waits for a listener who falls behind. In real
         time a message that cannot go out within 20 ms is dropped instead.
+    session_id
+        Zenoh's id of the session. Empty: any.
+    user, password
+        By which those whom the session connects to know it. Empty: by none.
+    users_file
+        Users and passwords of those who may connect to it. Empty: everybody may.
+    access
+        What the others may do, see `bus_schemas.access`. None: everything.
+    keys
+        For links of TLS. None: links of TCP.
+    largest_bytes
+        Larger messages are not received.
     """
 
     namespace: str
     listen: list[str]
     connect: list[str]
     lockstep: bool = True
+    session_id: str = ""
+    user: str = ""
+    password: str = ""
+    users_file: str = ""
+    access: dict[str, object] | None = None
+    keys: KeyFiles | None = None
+    largest_bytes: int = 1 << 20
 
     def config(self) -> zenoh.Config:
         """Return these settings as Zenoh wants them."""
         config = zenoh.Config()
-        settings: Mapping[str, object] = {
+        settings: dict[str, object] = {
             "mode": "peer",
             "namespace": self.namespace,
             "listen/endpoints": self.listen,
@@ -109,7 +157,20 @@ class SessionSettings:
             # A plant of 1,000 inverters puts 200 kB at once on its link to the recorder.
             "transport/link/tx/queue/size/data": 16,
             "transport/link/tx/lease": LEASE_MS,
+            "transport/link/rx/max_message_size": self.largest_bytes,
+            "transport/link/protocols": ["tcp" if self.keys is None else "tls"],
         }
+        if self.session_id:
+            settings["id"] = self.session_id
+        if self.user:
+            settings["transport/auth/usrpwd/user"] = self.user
+            settings["transport/auth/usrpwd/password"] = self.password
+        if self.users_file:
+            settings["transport/auth/usrpwd/dictionary_file"] = self.users_file
+        if self.access is not None:
+            settings["access_control"] = self.access
+        if self.keys is not None:
+            settings["transport/link/tls"] = self.keys.config()
         for key, value in settings.items():
             config.insert_json5(key, json.dumps(value))
         return config

@@ -14,8 +14,10 @@ from launch_scripts.commands import (
     compare,
     conform,
     delays,
+    doctor,
     export,
     inspect,
+    keys,
     launch,
     recover,
     replay,
@@ -34,6 +36,7 @@ COMMANDS: Final[dict[str, tuple[ModuleType, ...]]] = {
     "Look": (view, report, inspect, verify, replay),
     "Compare": (compare, clusters, delays, campaign),
     "Files": (export, recover),
+    "Set up": (doctor, keys),
 }
 """The commands under the headings of `heliarch --help`."""
 

@@ -17,6 +17,8 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from bus_schemas.printable import printable
+
 WIDTH: Final = 100
 """Columns of a terminal that a table uses at most."""
 
@@ -130,7 +132,7 @@ class Table:
 def cell_text(cell: Cell, column: Column) -> str:
     """Return a cell as it stands in a terminal and in a page."""
     if isinstance(cell, str):
-        return cell
+        return printable(cell)
     if isinstance(cell, bool):
         return "PASS" if cell else "FAIL"
     value, decimals = cell if isinstance(cell, Number) else (cell, column.decimals)
@@ -142,19 +144,19 @@ def cell_text(cell: Cell, column: Column) -> str:
 def print_table(console: Console, table: Table) -> None:
     """Print a table, whole: where it is too wide, its parts stand below one another."""
     width = min(console.width, WIDTH)
-    console.print(Text(table.title, "bold"), width=width)
+    console.print(Text(printable(table.title), "bold"), width=width)
     for place, part in enumerate(table.parts(width) if table.rows else ()):
         console.print("\n" * (place > 0), end="")
         console.print(_rich_table(part), width=width)
     for note in table.notes:
-        console.print(Text(note, "dim"), width=width)
+        console.print(Text(printable(note), "dim"), width=width)
     console.print()
 
 
 def print_lines(console: Console, lines: Iterable[str]) -> None:
     """Print paragraphs of plain text, wrapped as tables are."""
     for line in lines:
-        console.print(Text(line), width=min(console.width, WIDTH))
+        console.print(Text(printable(line)), width=min(console.width, WIDTH))
 
 
 def json_rows(table: Table) -> list[dict[str, str | float | bool | None]]:

@@ -16,6 +16,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from bus_schemas.errors import FailureError, InputError
+from bus_schemas.printable import printable
 
 BEGAN_AT: Final = time.monotonic()
 """When the program was started [s]."""
@@ -115,7 +116,7 @@ def boundary() -> Iterator[None]:
 
 def complain(text: object, status: int) -> int:
     """Say on standard error what is wrong; return the exit status."""
-    sys.stderr.write(f"heliarch: {text}\n")
+    sys.stderr.write(f"heliarch: {printable(str(text))}\n")
     return status
 
 

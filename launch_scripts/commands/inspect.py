@@ -9,6 +9,7 @@ import typer
 from rich.text import Text
 
 from bus_schemas.errors import InputError
+from bus_schemas.printable import printable
 from launch_scripts.commands.boundary import OK, complain
 from launch_scripts.commands.options import FirstOption, JsonOption, LastOption, RunArgument
 from launch_scripts.commands.output import progress_bar, write_json
@@ -137,7 +138,7 @@ def _plant_text(central: NodeCycle) -> str:
 
 def _print_lines(console: Console, lines: Iterable[str], style: str = "") -> None:
     for line in lines:
-        console.print(Text(line, style), soft_wrap=True)
+        console.print(Text(printable(line), style), soft_wrap=True)
 
 
 # The whole recording -------------------------------------------------------------------------

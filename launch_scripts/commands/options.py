@@ -219,6 +219,25 @@ class ProcessOptions:
             metavar="PORT",
         ),
     ] = None
+    secure: Annotated[
+        bool | None,
+        typer.Option(
+            "--secure",
+            help="Encrypt every link, and admit each agent by its certificate alone, see "
+            "`heliarch keys`.",
+        ),
+    ] = None
+    keys: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the keys; default keys/PLANT.", metavar="DIR"),
+    ] = None
+    address: Annotated[
+        str,
+        typer.Option(
+            help="Address at which the agents listen, for devices on other hosts: with --secure.",
+            metavar="ADDRESS",
+        ),
+    ] = "127.0.0.1"
     cpus: Annotated[
         list[str] | None,
         typer.Option(

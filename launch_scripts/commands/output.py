@@ -18,13 +18,15 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from bus_schemas.printable import printable
+
 Item = TypeVar("Item")
 
 
 def say(console: Console, *lines: str) -> None:
     """Print lines as they are."""
     for line in lines:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        console.print(printable(line), highlight=False, markup=False, soft_wrap=True)
 
 
 @contextmanager

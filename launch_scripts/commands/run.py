@@ -28,6 +28,7 @@ from launch_scripts.launcher.simulation import simulate
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.summary_table import print_summary
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
+from launch_scripts.launcher.wrong_messages import one_line_each
 from launch_scripts.scenarios.preparation import RunOptions
 from launch_scripts.scenarios.scenario import load_scenario
 from live_page.process import PageProcess
@@ -77,6 +78,9 @@ def _print_result(
         say(console, f"report: {write_run_report(folder.path, page)}")
     if summary.recording_ended:
         return complain(f"{summary.recording_ended}; what it holds can be read", FAILED)
+    if attacked := summary.two_senders:
+        text = "; ".join(f"{one.key}: {one.example}" for one in one_line_each(attacked))
+        return complain(f"more than one program sent messages on {text}", FAILED)
     if summary.lost_by_processes:
         lost = "; ".join(
             f"{count.signal}: {count.published:,} published, {count.recorded:,} recorded"
@@ -108,6 +112,10 @@ def run(
         if all(rule.stops for rule in plan.faults):
             why = "cycles keep to no clock"
         raise InputError(f"{where}: expected a --pace such as 1 with it, got lockstep, where {why}")
+    if server is not None and plan.keys_folder:
+        from launch_scripts.scenarios.plant_keys import check_keys  # Its package is optional.
+
+        check_keys(plan)
     try:
         with view_for(console, plan, scenario.time.timezone) as view:
             for line in (scenario.title, *preparation.remarks):

@@ -29,7 +29,8 @@ from agents.events import Event, Exited, Failed, Started
 from agents.launcher_link import LauncherLink, server_packet
 from agents.loop import AgentLoop
 from agents.plan import RunPlan, load_plan
-from agents.process import die_with_parent, run_controller, session_settings
+from agents.process import die_with_parent, run_controller
+from agents.session import session_settings
 from agents.team import controller
 from bus_schemas.tree import RECORDER, agent_name
 from launch_scripts.launcher.fork_requests import Expect, Request, Signal, Start

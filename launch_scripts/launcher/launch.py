@@ -97,7 +97,7 @@ class _Launch:
         self._rounds = 0
         self._cpu_at_start_s: dict[str, float | None] = {}
         self._started_at = began_at
-        self._over = False
+        self._over = self._ended_early = False
         self._external = ExternalWatch(plan, folder.plan, self._patience_s, time.monotonic())
         self._interruption = Interruption()
 
@@ -186,6 +186,7 @@ class _Launch:
                 self._view.say(self._external.hear(event, now, running=bool(self._rounds)))
             case Over():
                 self._over = True
+                self._ended_early = event.cycle < self._plan.cycles
             case Complaint():
                 self._external.complain(event)
                 self._view.say(f"wrong message on {event.key}: {event.example}")
@@ -243,6 +244,9 @@ class _Launch:
     def _finish(self, children: Children) -> Recorded:
         """Wait until all agents have ended; then let the recorder close its file."""
         longest_s = _PATIENCE_S + _PER_PROCESS_S * len(children.by_agent)
+        if self._interruption or self._ended_early:
+            # A controller that hears of an early end waits whether the plant goes on after all.
+            children.ask_to_end([child.agent for child in children.controllers()])
         late = children.await_exit(children.controllers(), longest_s)
         if late and all(child.finished for child in late):
             server = f"the fork server (process {self._server.pid})"
@@ -343,8 +347,8 @@ def launch(
     RunFailure
         A process died or gave up, a cycle stalled, or messages got lost.
     """
-    agents = preparation.plan.links.listening
-    with reserved_ports(agents, preparation.options.base_port) as tcp_ports:
+    agents, base_port = preparation.plan.links.listening, preparation.options.base_port
+    with reserved_ports(agents, base_port, preparation.plan.address) as tcp_ports:
         plan = folder.fill(preparation, tcp_ports)
         try:
             return _Launch(preparation, plan, folder, view, began_at, server).run()

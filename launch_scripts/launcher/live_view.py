@@ -16,6 +16,7 @@ from rich.text import Text
 
 from agents.events import Status
 from agents.plan import RunPlan
+from bus_schemas.printable import printable
 
 _PLAIN_S: Final = 2.0
 _IN_PLACE_S: Final = 0.1
@@ -90,7 +91,7 @@ class PlainLines(View):
 
     def say(self, text: str) -> None:
         """Print a line."""
-        self._console.print(text, highlight=False, soft_wrap=True, markup=False)
+        self._console.print(printable(text), highlight=False, soft_wrap=True, markup=False)
 
     def show(self, status: Status) -> None:
         """Print a line if the last one is old enough."""
@@ -146,7 +147,7 @@ class LivePanel(PlainLines):
         title = f"{self._plan.plant} {self.local_time(status)}"
         subtitle = f"{status.recorded:,} messages recorded"
         body = Group(powers, needy, self._progress)
-        self._live.update(Panel(body, title=title, subtitle=subtitle, width=90))
+        self._live.update(Panel(body, title=Text(title), subtitle=subtitle, width=90))
 
     def _bar(self, power_kw: float, style: str) -> Text:
         filled = round(_BAR_WIDTH * min(power_kw / self._rating_kw, 1.0))

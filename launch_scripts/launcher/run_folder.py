@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import msgspec
 
 from agents.plan import RunPlan
+from agents.session import users
 from bus_schemas.errors import InputError
 from launch_scripts.scenarios.preparation import Preparation
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
@@ -61,10 +63,18 @@ class RunFolder:
             self.logs.mkdir(parents=True)
         except OSError as error:
             raise _no_folder(self.path, error.strerror) from None
-        plan = msgspec.structs.replace(preparation.plan, tcp_ports=tcp_ports)
+        plan = preparation.plan
+        if tcp_ports:
+            file = self.path.absolute() / "users"
+            new = {"secret": secrets.token_hex(16), "users_file": str(file)}
+            plan = msgspec.structs.replace(plan, tcp_ports=tcp_ports, **new)
+            file.touch(mode=0o600)
+            file.write_text(users(plan), encoding="utf-8")
         preparation.profile.save(self.path / "profile.npz")
         (self.path / "scenario.toml").write_text(preparation.scenario.text, encoding="utf-8")
         unfinished = self.plan.with_suffix(".json.part")
+        # It holds what lets a program join the run: for the user alone.
+        unfinished.touch(mode=0o600)
         unfinished.write_bytes(plan.as_json())
         unfinished.replace(self.plan)
         return plan

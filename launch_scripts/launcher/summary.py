@@ -135,6 +135,16 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
         return sum(abs(count.lost) for count in self.messages)
 
     @property
+    def two_senders(self) -> tuple[WrongMessages, ...]:
+        """Keys of the launcher's own processes on which another program sent messages as well."""
+        external = {account.agent for account in self.external}
+        return tuple(
+            wrong
+            for wrong in self.wrong
+            if wrong.cause == "two senders" and wrong.publisher not in external
+        )
+
+    @property
     def troubled(self) -> bool:
         """Whether messages, inputs or agents were missing at some time."""
         return bool(
@@ -187,10 +197,14 @@ def count_messages(
 
 
 def without_external(recorded: Recorded) -> dict[str, int]:
-    """Return how many messages of each signal were recorded, those of external agents set aside."""
+    """Return how many messages of each signal of the processes were recorded.
+
+    Those of external agents are set aside, and those of strangers on keys of the processes.
+    """
     counts = Counter(recorded.recorded)
     for account in recorded.external:
         counts.subtract(account.recorded)
+    counts.subtract(recorded.extra)
     # A recording that had to end early may hold less than was heard.
     return {signal: max(count, 0) for signal, count in counts.items()}
 

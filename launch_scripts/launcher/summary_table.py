@@ -119,9 +119,19 @@ def _listed(counts: Mapping[str, int]) -> str:
 def _external_rows(summary: RunSummary) -> Iterator[Row]:
     for account in summary.external:
         answered = f"answered {account.answered:,} of {account.expected:,} times"
-        lost = f"; {account.lost:,} never came or could not be decoded" if account.lost else ""
-        recorded = sum(account.recorded.values())
-        yield f"External {account.agent}", recorded, "", f"messages recorded; {answered}{lost}"
+        notes = ["messages recorded", answered]
+        if account.lost:
+            notes.append(f"{account.lost:,} never came or could not be decoded")
+        own = [wrong for wrong in summary.wrong if wrong.publisher == account.agent]
+        late = sum(wrong.count for wrong in own if wrong.cause == "late")
+        refused = sum(wrong.count for wrong in own if wrong.cause not in {"late", "repeated"})
+        notes += [f"{late:,} late"] * bool(late) + [f"{refused:,} refused"] * bool(refused)
+        notes += [_outage_text(*cycles) for cycles in account.outages]
+        yield f"External {account.agent}", sum(account.recorded.values()), "", "; ".join(notes)
+
+
+def _outage_text(gone: int, back: int | None) -> str:
+    return f"gone since cycle {gone:,}" if back is None else f"gone in cycles {gone:,} to {back:,}"
 
 
 def _wrong_rows(summary: RunSummary) -> Iterator[Row]:

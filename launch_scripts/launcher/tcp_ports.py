@@ -1,4 +1,4 @@
-"""TCP ports on the loopback address, kept free for the run that asked for them."""
+"""TCP ports of this host, kept free for the run that asked for them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from bus_schemas.errors import InputError
 
 
 @contextmanager
-def reserved_ports(agents: Sequence[str], base_port: int | None = None) -> Iterator[dict[str, int]]:
+def reserved_ports(
+    agents: Sequence[str], base_port: int | None = None, address: str = "127.0.0.1"
+) -> Iterator[dict[str, int]]:
     """Reserve a port for each agent, as long as the context lasts.
 
     A socket stays bound to each port without listening on it, so that the kernel gives the port to
@@ -22,6 +24,8 @@ def reserved_ports(agents: Sequence[str], base_port: int | None = None) -> Itera
         Who needs one.
     base_port
         Port of the first agent; the others get the next ones. None: whatever is free.
+    address
+        Of this host, where the agents listen.
 
     Raises
     ------
@@ -32,11 +36,17 @@ def reserved_ports(agents: Sequence[str], base_port: int | None = None) -> Itera
         ports: dict[str, int] = {}
         for place, agent in enumerate(agents):
             wanted = 0 if base_port is None else base_port + place
-            holder = sockets.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
+            family = socket.AF_INET6 if ":" in address else socket.AF_INET
+            holder = sockets.enter_context(socket.socket(family, socket.SOCK_STREAM))
             holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
-                holder.bind(("127.0.0.1", wanted))
+                holder.bind((address, wanted))
             except OSError as error:
+                if base_port is None:
+                    raise InputError(
+                        f"--address: expected an address of this host, got {address}: "
+                        f"{error.strerror}"
+                    ) from None
                 raise InputError(
                     f"--base-port {base_port}: expected free ports, got port {wanted} of {agent}: "
                     f"{error.strerror}"

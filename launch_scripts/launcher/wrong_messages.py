@@ -24,6 +24,7 @@ _LISTENERS_CAUSES: Final = {
     "duplicate": "came twice in a cycle",
     "foreign": "not from who may publish there",
     "flooded": "more than can be looked at",
+    "contradicted": "contradicts what the publisher goes on saying",
 }
 """Texts for the causes that agents name."""
 

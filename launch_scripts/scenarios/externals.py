@@ -157,8 +157,8 @@ class ExternalWatch:
 
     def _place(self, agent: str) -> str:
         plan = self._plan
-        listeners = {f"tcp/127.0.0.1:{port}": name for name, port in plan.tcp_ports.items()}
-        listens, connects = explicit_links(plan.tree).endpoints(agent, plan.tcp_ports)
+        listeners = {f"{plan.host}:{port}": name for name, port in plan.tcp_ports.items()}
+        listens, connects = plan.links.endpoints(agent, plan.tcp_ports, plan.host)
         targets = ", ".join(f"{end} ({listeners[end]})" for end in connects)
         parts = [f"listens on {', '.join(listens)}"] if listens else []
         parts += [f"connects to {targets}"] if targets else []

@@ -6,6 +6,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, time
+from ipaddress import ip_address
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -61,6 +63,9 @@ class RunOptions:
     external: Sequence[str] | None = None
     external_timeout_s: float = 60.0
     base_port: int | None = None
+    secure: bool | None = None
+    keys: Path | None = None
+    address: str = "127.0.0.1"
     cpus: Sequence[str] | None = None
     priority: int | None = None
     cycle_s: float | None = None
@@ -234,6 +239,8 @@ def _plan(
         restart=scenario.restart,
         tier_deadlines_ns=deadlines_ns,
         seed=seed,
+        keys_folder=_keys_folder(scenario, options),
+        address=options.address,
         positions_m=day.positions_m,
         standby=_standby(scenario.standby, day.tree, external),
     )
@@ -256,6 +263,25 @@ def _standby(kinds: Sequence[str], tree: ControlTree, external: Sequence[str]) -
     kind_of = dict.fromkeys(tree.parents, "supervisors") | {ROOT: "central"}
     names = [agent_name(node) for node, kind in kind_of.items() if kind in kinds]
     return tuple(name for name in names if name not in external)
+
+
+def _keys_folder(scenario: Scenario, options: RunOptions) -> str:
+    """Return the folder of the keys; empty: the links are not encrypted."""
+    try:
+        is_loopback = ip_address(options.address).is_loopback
+    except ValueError:
+        expected = "expected an IP address such as 10.0.0.1"
+        raise InputError(f"--address: {expected}, got {options.address}") from None
+    if not (scenario.secure if options.secure is None else options.secure):
+        if options.keys is not None:
+            raise InputError("--keys: expected --secure with it")
+        if not is_loopback:
+            raise InputError(
+                f"--address {options.address}: expected --secure with it, since whoever reaches "
+                "that address could command the plant"
+            )
+        return ""
+    return str((options.keys or Path("keys") / scenario.name).absolute())
 
 
 def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:

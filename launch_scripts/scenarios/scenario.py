@@ -245,6 +245,9 @@ class Scenario(_Table, frozen=True):
     restart: Annotated[
         RestartPolicy, Meta(description="When a controller's process ends before the run does.")
     ] = RestartPolicy()
+    secure: Annotated[
+        bool, Meta(description="Whether a launched plant's links are encrypted, as by `--secure`.")
+    ] = False
     standby: Annotated[
         tuple[Literal["central", "supervisors"], ...],
         Meta(description="Parents of which a second process stands by, in real time."),

@@ -23,10 +23,19 @@ class ExternalAgents:
         self._gaps = {port: SequenceGaps() for port in theirs}
         self._last_cycle = dict.fromkeys(theirs, -1)
         self._answers: Counter[Port[Message]] = Counter()
+        self._outages: dict[str, list[tuple[int, int | None]]] = {}
 
     def named(self, alive_key: str) -> str | None:
         """Return whose liveliness token this is, if it is one of theirs."""
         return self._agent_of.get(alive_key)
+
+    def note_presence(self, agent: str, alive: bool, cycle: int) -> None:
+        """Note that one of them has come or gone; before cycle 0 that does not count."""
+        outages = self._outages.setdefault(agent, [])
+        if not alive and cycle >= 0:
+            outages.append((cycle, None))
+        elif alive and outages:
+            outages[-1] = (outages[-1][0], cycle)
 
     def hear(self, port: Port[Message], message: Message) -> bool:
         """Count a message that is recorded; return whether it is the first of its cycle."""
@@ -54,4 +63,5 @@ class ExternalAgents:
             lost=sum(self._gaps[port].lost for port in own),
             expected=sum(due.values()),
             answered=sum(min(self._answers[port], due[port]) for port in own),
+            outages=tuple(self._outages.get(agent, ())),
         )

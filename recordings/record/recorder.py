@@ -12,6 +12,7 @@ import signal
 import time
 from collections import Counter
 from collections.abc import Callable, Collection
+from math import inf
 from pathlib import Path
 from typing import Final
 
@@ -23,7 +24,8 @@ from agents.events import Armed, Joined, Over, Presence, Recorded, RecordingEnde
 from agents.launcher_link import LauncherLink
 from agents.machine import stand_back
 from agents.plan import RunPlan
-from agents.process import run_guarded, session_settings, set_up_process
+from agents.process import run_guarded, set_up_process
+from agents.session import session_settings
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message, Ready, Run
 from bus_schemas.signals import DISPATCH, PRODUCTION, READY, RUN, Port, ports
@@ -33,9 +35,10 @@ from recordings.read.gaps import due_step
 from recordings.read.reader import RunReader
 from recordings.read.run_file import RECORDING_NAME, further_file
 from recordings.record.external_agents import ExternalAgents
-from recordings.record.message_complaints import ABSURD, REPEATED, Complaints
+from recordings.record.message_complaints import ABSURD, REPEATED, TWO_SENDERS, Complaints
 from recordings.record.monitor import RunMonitor
 from recordings.record.plausibility import absurdity
+from recordings.record.second_senders import SecondSenders
 from recordings.record.writer import ClockAnchor, RunWriter
 
 log = logging.getLogger(__name__)
@@ -48,6 +51,10 @@ _STATUS_S: Final = 0.25
 _MOST_AT_ONCE: Final = 2000
 _QUIET_S: Final = 2.0
 """How long nothing must come before the recorder stops waiting for announced messages."""
+
+_STOP_WAIT_S: Final = 0.5
+"""How long a stop before the run's last cycle may be contradicted by the plant, and more in real
+time, before it counts."""
 
 _FAR_AHEAD: Final = 1000
 """A message this many cycles ahead of the dispatch is of a cycle that cannot be."""
@@ -66,6 +73,7 @@ class Head(msgspec.Struct, gc=False):
     sim_time_ns: int = 0
     publish_time_ns: int = 0
     sequence: int = 0
+    incarnation: int = 0
 
 
 _decode_head = msgspec.msgpack.Decoder(Head).decode
@@ -155,6 +163,12 @@ class Recorder:
         nodes = () if plan.lockstep else plan.tree.nodes
         self._heard_ns = {agent_name(node): now_ns for node in nodes}
         self._stop_cycle: int | None = None
+        self._over_at = inf
+        self._senders = SecondSenders(
+            (port for port in plan.keys.ports if port.signal.is_cyclic or port.signal is RUN),
+            plan.standbys,
+        )
+        self._extra: Counter[str] = Counter()
         self._first: Path | None = None
         self._round = Round(plan)
         self._port_of = {plan.keys.key(port): port for port in plan.keys.ports}
@@ -187,6 +201,9 @@ class Recorder:
             if now >= flush_at:
                 self._writer.flush()
                 flush_at = now + FLUSH_S
+            if now >= self._over_at and self._stop_cycle is not None:
+                self._over_at = inf
+                self._link.tell(Over(self._stop_cycle))
             if now >= status_at:
                 self._tell_presence()
                 self._tell_status()
@@ -206,7 +223,8 @@ class Recorder:
             return False
         if expected is None:
             return quiet_s > FLUSH_S or time.monotonic() > asked_at + _QUIET_S
-        return self._writer.heard - self._external.heard >= expected or quiet_s > _QUIET_S
+        heard = self._writer.heard - self._external.heard - self._extra.total()
+        return heard >= expected or quiet_s > _QUIET_S
 
     def _drain(self) -> int:
         heard = 0
@@ -238,10 +256,13 @@ class Recorder:
             self._record(port, head, message, payload)
 
     def _is_far_off(self, key: str, port: Port[Message], cycle: int) -> bool:
-        """Whether a message of an external agent is of a cycle that cannot be."""
-        if port.publisher not in self._plan.external or port.publisher == PLANT:
-            return False
-        if self._round.answered and cycle <= self._newest_cycle + _FAR_AHEAD:
+        """Whether a message is of a cycle that cannot be."""
+        if port.publisher in self._plan.external:
+            is_near = self._round.answered and cycle <= self._newest_cycle + _FAR_AHEAD
+            is_far = port.publisher != PLANT and not is_near
+        else:
+            is_far = cycle > self._plan.cycles
+        if not is_far:
             return False
         self.complaints.add(key, "other_cycle", f"it is of cycle {cycle}, not {self._newest_cycle}")
         return True
@@ -252,20 +273,25 @@ class Recorder:
         heard_ns = time.monotonic_ns()
         self._writer.add(port, head, payload, heard_ns)
         self._heard_ns[head.source] = heard_ns
-        if message is None:
+        is_external = port.publisher in self._plan.external
+        wrong = self._senders.see(port, head.cycle, head.incarnation, payload)
+        if is_external and message is not None:
+            is_first = self._external.hear(port, message)
+            if not is_first and port.signal.is_cyclic:
+                wrong = wrong or (REPEATED, f"it came again for cycle {message.cycle}")
+        if wrong:
+            self.complaints.add(self._plan.keys.key(port), *wrong)
+            if not is_external:
+                self._extra[port.signal.name] += 1
+        elif message is None:
             self.monitor.see_head(port, head.cycle)
-        elif port.publisher not in self._plan.external or self._is_right(port, message, heard_ns):
+        elif not is_external or self._is_right(port, message, heard_ns):
             self._follow(port, message)
 
     def _is_right(self, port: Port[Message], message: Message, heard_ns: int) -> bool:
-        """Count a message of an external agent; complain if it came again or is absurd."""
-        is_first = self._external.hear(port, message)
-        key = self._plan.keys.key(port)
-        if not is_first and port.signal.is_cyclic:
-            self.complaints.add(key, REPEATED, f"it came again for cycle {message.cycle}")
-            return False
+        """Complain of a message of an external agent that is absurd."""
         if absurd := absurdity(self._plan, port, message, heard_ns):
-            self.complaints.add(key, ABSURD, absurd)
+            self.complaints.add(self._plan.keys.key(port), ABSURD, absurd)
         return not absurd
 
     def _follow(self, port: Port[Message], message: Message) -> None:
@@ -274,22 +300,38 @@ class Recorder:
             self._heed_run(message)
         elif port.signal is DISPATCH:
             self._newest_cycle = max(message.cycle, self._newest_cycle)
+            if self._stop_cycle is not None and self._stop_cycle <= message.cycle:
+                self._contradict_stop(self._stop_cycle)
         self.monitor.see(port, message)
 
     def _heed_run(self, message: Run) -> None:
         """Note the beginning or end of the run; tell the launcher if the plant is external."""
         if message.state == "stop":
+            if message.cycle <= self._newest_cycle:
+                self._contradict_stop(message.cycle)
+                return
             self._stop_cycle = message.cycle
-        if PLANT in self._plan.external:
-            began = message.state == "start"
-            armed = Armed(self._round.count, message.start_time_ns)
-            self._link.tell(armed if began else Over(message.cycle))
+            if PLANT in self._plan.external:
+                wait_s = _STOP_WAIT_S + 1.5e-9 * self._plan.cycle_wall_ns
+                is_early = message.cycle < self._plan.cycles
+                self._over_at = time.monotonic() + wait_s * is_early
+        elif PLANT in self._plan.external:
+            self._link.tell(Armed(self._round.count, message.start_time_ns))
+
+    def _contradict_stop(self, cycle: int) -> None:
+        """Complain of a stop before a cycle that the plant has begun."""
+        self._stop_cycle, self._over_at = None, inf
+        text = f"it stops the run before cycle {cycle}, and cycle {self._newest_cycle} has begun"
+        self.complaints.add(self._plan.keys.key(RUN.of(ROOT)), TWO_SENDERS, text)
+        if PLANT not in self._plan.external:
+            self._extra[RUN.name] += 1
 
     def _tell_presence(self) -> None:
         """Say which external agents have come or gone, until the run ends and all of them go."""
         for key, alive in self._tap.presence():
             agent = self._external.named(key)
             if agent is not None and self._stop_cycle is None:
+                self._external.note_presence(agent, alive, self._newest_cycle)
                 self._link.tell(Presence(agent, alive, self._newest_cycle))
 
     def _tell_status(self) -> None:
@@ -321,6 +363,7 @@ class Recorder:
                 ended_early=self._writer.trouble,
                 external=external.accounts(cycles),
                 complaints=self.complaints.all(),
+                extra=dict(self._extra),
             )
         )
 

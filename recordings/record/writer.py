@@ -17,6 +17,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Final, Protocol
 
+import msgspec
 from mcap.writer import CompressionType, Writer
 
 from agents.plan import RunPlan
@@ -189,10 +190,13 @@ class RunWriter:
 
     def _write_origin(self, plan: RunPlan, scenario: str, driver: str) -> None:
         now_ns = self._anchor.wall_ns
+        public = msgspec.structs.replace(plan, secret="", users_file="", keys_folder="")
         self._writer.add_attachment(
             now_ns, now_ns, "scenario.toml", "application/toml", scenario.encode()
         )
-        self._writer.add_attachment(now_ns, now_ns, "plan.json", "application/json", plan.as_json())
+        self._writer.add_attachment(
+            now_ns, now_ns, "plan.json", "application/json", public.as_json()
+        )
         self._writer.add_metadata(
             "run",
             {

@@ -18,6 +18,8 @@ Kind: TypeAlias = Literal[
     "recorded twice",
     "not recorded",
     "input not recorded",
+    "two senders",
+    "input of two senders",
     "fails",
 ]
 
@@ -47,6 +49,16 @@ KINDS: Final[dict[Kind, tuple[str, str, str]]] = {
         "used, but not recorded",
         "input was not recorded",
         "inputs were not recorded",
+    ),
+    "two senders": (
+        "another program sent this message beside the agent's",
+        "message of another program",
+        "messages of another program",
+    ),
+    "input of two senders": (
+        "two programs sent it, so what the agent used is not certain",
+        "input was of two senders",
+        "inputs were of two senders",
     ),
     "fails": ("raises an error, or sends what cannot be sent", "error", "errors"),
 }

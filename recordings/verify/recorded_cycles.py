@@ -6,8 +6,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
+from msgspec.structs import replace
+
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
+from bus_schemas.codec import encode
 from bus_schemas.messages import Message, Takeover
 from bus_schemas.signals import Port
 from bus_schemas.tree import RECORDER
@@ -26,6 +29,14 @@ class RecordedCycle:
     number: int
     messages: dict[Port[Message], Message] = field(default_factory=dict)
     repeated: list[Delivery] = field(default_factory=list)
+
+
+def differ(one: Message, other: Message) -> bool:
+    """Whether two messages of a port and cycle are not of one sender, or of its successor."""
+    if one.incarnation != other.incarnation:
+        return False
+    undecided = {"ready_time_ns": 0, "publish_time_ns": 0, "sequence": 0}
+    return encode(replace(one, **undecided)) != encode(replace(other, **undecided))
 
 
 class RecordedCycles:
@@ -134,6 +145,9 @@ class RecentMessages:
     others
         What another process of the same publisher sent in the same cycle: which of them came first
         may be different for each listener.
+    contested
+        Ports on which two senders said different things, by cycle. Of a device that repeats itself
+        the first message counts.
     """
 
     def __init__(self, plan: RunPlan) -> None:
@@ -141,10 +155,19 @@ class RecentMessages:
         self.of_port: dict[Port[Message], dict[int, Message]] = {
             port: {} for port in plan.keys.ports
         }
+        self.contested: dict[int, set[Port[Message]]] = {}
+        self._external = plan.external
         self._most = plan.hold_cycles + 2
 
     def add(self, cycle: RecordedCycle) -> None:
         """Take in the messages of the next cycle."""
+        contested = {
+            port
+            for port, second in cycle.repeated
+            if port.publisher not in self._external and differ(cycle.messages[port], second)
+        }
+        if contested:
+            self.contested[cycle.number] = contested
         for port, message in cycle.messages.items():
             kept = self.of_port[port]
             kept[cycle.number] = message

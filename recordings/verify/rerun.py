@@ -78,6 +78,8 @@ class AgentRerun:
         self.findings = Findings(from_cycle=from_cycle)
         self._plan = plan
         self._recent = recent.of_port
+        self._contested = recent.contested
+        self._rivals: dict[Port[Message], list[Message]] = {}
         self._others = recent.others
         self._takeovers = takeovers
         self._comparison = comparison
@@ -102,6 +104,7 @@ class AgentRerun:
     def take(self, cycle: RecordedCycle) -> None:
         """Run a cycle again and compare what the agent publishes in it."""
         processes: dict[int, dict[Port[Message], Message]] = {}
+        self._rivals = {}
         for port in self._stage_of:
             if (message := cycle.messages.get(port)) is not None:
                 processes.setdefault(message.incarnation, {})[port] = message
@@ -139,9 +142,13 @@ class AgentRerun:
         return process
 
     def _note_repeated(self, cycle: int, port: Port[Message], message: Message) -> None:
+        kind: Kind = "recorded twice"
+        if port in self._contested.get(cycle, ()):
+            self._rivals.setdefault(port, []).append(message)
+            kind = "two senders"
         if cycle >= self.findings.from_cycle:
             self.findings.recorded += 1
-            self._add("recorded twice", cycle, self._stage_of[port], port, message)
+            self._add(kind, cycle, self._stage_of[port], port, message)
 
     def _take(self, number: int, messages: dict[Port[Message], Message], *, is_last: bool) -> None:
         """Run a cycle of one process again; `is_last`: no newer process sent anything in it."""
@@ -200,20 +207,22 @@ class AgentRerun:
             self._compare(cycle, stage.name, recorded, outputs)
             return
         # What the agent knows from here on is not certain.
-        for port in lost:
+        for port, kind in lost.items():
             if self._lost.get(port) != cycle:  # Both stages of a cycle may use it.
                 self._lost[port] = cycle
-                self._add("input not recorded", cycle, stage.name, port)
+                self._add(kind, cycle, stage.name, port)
         if not lost:
             self._add("not recorded", cycle, stage.name)
         self.findings.leave_out(cycle, len(recorded))
         recorded.clear()
         self._process.is_over = self._remembers
 
-    def _hear_inputs(self, stage: Stage, cycle: int, missing: Sequence[str]) -> list[Port[Message]]:
-        """Give the agent the messages that a stage used; return the ports where one is lost."""
+    def _hear_inputs(
+        self, stage: Stage, cycle: int, missing: Sequence[str]
+    ) -> dict[Port[Message], Kind]:
+        """Give the agent the messages that a stage used; return the ports where it is not known."""
         used_of = dict(map(parse_missing, missing))
-        lost = []
+        lost: dict[Port[Message], Kind] = {}
         for port in (*stage.awaits, *stage.uses):
             due = cycle - cycle % self._period[port]
             used = used_of.get(str(port), due) if used_of else due
@@ -221,8 +230,10 @@ class AgentRerun:
                 continue
             message = self._recent[port].get(used)
             if message is None:
-                lost.append(port)
+                lost[port] = "input not recorded"
                 continue
+            if port in self._contested.get(used, ()):
+                lost[port] = "input of two senders"
             self._process.heard[port] = used
             self._inputs[port] = message
             self._process.loop.hear(port, message, 0)
@@ -258,6 +269,9 @@ class AgentRerun:
         sequence = self._process.sequence
         for port, new in outputs:
             old = recorded.pop(port, None)
+            for rival in self._rivals.get(port, ()):
+                if not self._comparison.differences(port, rival, new):
+                    old = rival
             if old is None:  # If the recording lost it, its number is known to be missing.
                 self._process.unsent.append((port, new, stage, dict(self._inputs)))
                 sequence[port] = sequence.get(port, 0) + 1
@@ -281,10 +295,13 @@ class AgentRerun:
             return
         for stage, outputs in recorded.items():
             for port, message in outputs.items():
-                if message.sequence > self._process.sequence.get(port, 0):
+                sequence, expected = message.sequence, self._process.sequence.get(port, 0)
+                if any(rival.sequence == expected for rival in self._rivals.get(port, ())):
+                    sequence = expected
+                if sequence > expected:
                     self._add("not recorded", cycle, stage, port, message)
                     self._process.is_over = self._remembers
-                self._process.sequence[port] = message.sequence + 1
+                self._process.sequence[port] = sequence + 1
 
     def _fail(self, cycle: int, stage: str, error: BaseException) -> None:
         text = f"{type(error).__name__}: {error}"
@@ -300,6 +317,6 @@ class AgentRerun:
         port: Port[Message] | None = None,
         message: Message | None = None,
     ) -> None:
-        inputs = by_key(self._inputs) if kind == "input not recorded" else {}
+        inputs = by_key(self._inputs) if kind.startswith("input") else {}
         key = "" if port is None else str(port)
         self.findings.add(Difference(kind, cycle, stage, key, content=message, inputs=inputs))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from queue import Empty, SimpleQueue
 from typing import NamedTuple
 
 import zenoh
 
 from agents.plan import RunPlan
-from agents.process import session_settings
+from agents.session import session_settings
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from bus_schemas.tree import RECORDER
@@ -56,7 +57,7 @@ class Neighbours:
         settings = session_settings(self._plan, name)
         own, _ = self._plan.links.endpoints(self._agent, self._plan.tcp_ports)
         connect = [endpoint for endpoint in settings.connect if endpoint in own]
-        return SessionSettings(settings.namespace, settings.listen, connect)
+        return replace(settings, connect=connect)
 
     def _join(self, name: str) -> None:
         session, keys, agent = self._sessions[name], self._plan.keys, self._agent

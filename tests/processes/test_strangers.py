@@ -1,61 +1,140 @@
-"""Messages that do not belong on the bus are dropped, counted and named; they stop nobody."""
+"""Programs that do not belong on the bus change nothing; what they say is named and counted."""
 
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-import zenoh
-from running import Heliarch, assert_none_left, small_plant
+from attacker import attacker_of
+from command_line import done
+from msgspec.structs import replace
+from running import REPOSITORY, Heliarch, assert_none_left, small_plant
 from test_launch import summary_of
 
 from agents.plan import RunPlan, load_plan
 from bus_schemas.codec import encode
-from bus_schemas.messages import Impp
-from bus_schemas.zenoh_bus import SessionSettings
+from bus_schemas.messages import Message
+from bus_schemas.signals import Port
+from launch_scripts.launcher.simulation import MemoryRun
+from launch_scripts.launcher.summary import RunSummary
+from launch_scripts.scenarios.preparation import RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
+from recordings.read.reader import RunReader
 
 pytestmark = pytest.mark.processes
 
-CHILD = "c1/inv01"
+Start = Callable[..., Heliarch]
+DEVICE = "c1/inv01"
+
+
+def running(heliarch: Start, folder: Path, *words: str) -> tuple[Heliarch, RunPlan]:
+    """A run of the small plant, under way."""
+    run = heliarch("launch", small_plant(folder / "plant"), "--scheme", "paper", *words)
+    run.until_running()
+    return run, load_plan(run.folder / "plan.json")
+
+
+def ended(run: Heliarch) -> RunSummary:
+    """End a run with Ctrl-C."""
+    run.process.send_signal(signal.SIGINT)
+    run.wait()
+    assert_none_left(run.folder)
+    return summary_of(run.folder)
+
+
+def test_the_plan_is_for_its_user_alone(heliarch: Start, tmp_path: Path) -> None:
+    run, _ = running(heliarch, tmp_path, "--pace", "20")
+    assert (run.folder / "plan.json").stat().st_mode & 0o077 == 0
+    ended(run)
+
+
+@pytest.mark.parametrize("mode", ["peer", "client"])
+def test_nothing_that_a_stranger_says_is_heard(heliarch: Start, tmp_path: Path, mode: str) -> None:
+    run, plan = running(heliarch, tmp_path)
+    attack(run, plan, mode)
+    summary = ended(run)
+    assert run.process.returncode == 130, run.error_text()
+    assert summary.wrong == ()
+    assert_right(run, summary.cycles)
+
+
+def test_beside_a_device_what_a_stranger_forges_reaches_no_agent_and_is_named(
+    heliarch: Start, tmp_path: Path
+) -> None:
+    run = heliarch(
+        "launch", small_plant(tmp_path / "plant"), "--scheme", "paper", "--external", DEVICE
+    )
+    with example_controller(run):
+        run.until_running()
+        attack(run, load_plan(run.folder / "plan.json"), "peer", spared=DEVICE)
+        summary = ended(run)
+    assert run.process.returncode == 1
+    assert "more than one program sent messages on" in run.error_text()
+    found = {(wrong.key, wrong.cause) for wrong in summary.wrong}
+    assert {("run", "two senders"), ("c1/setpoint", "two senders")} <= found
+    assert_right(run, summary.cycles)
+
+
+def attack(run: Heliarch, plan: RunPlan, mode: str, spared: str = "") -> None:
+    """Forge messages of the cycle under way for a second, and stops of the run."""
+    with attacker_of(plan, mode) as attacker:
+        for _ in range(20):
+            attacker.forge(run.recorded_cycles(), spared)
+            attacker.stop_run(run.recorded_cycles() + 50)
+            time.sleep(0.05)
+        assert spared or not attacker.heard, "without keys anybody hears what a device may"
 
 
 @contextmanager
-def stranger_at(plan: RunPlan, agent: str) -> Iterator[zenoh.Session]:
-    """A session that is linked with an agent of the run, and is none itself."""
-    endpoint = f"tcp/127.0.0.1:{plan.tcp_ports[agent]}"
-    with zenoh.open(SessionSettings(plan.run_id, [], [endpoint]).config()) as session:
-        yield session
+def example_controller(run: Heliarch) -> Iterator[None]:
+    """The example in the place of a device, for as long as the context lasts."""
+    program = REPOSITORY / "examples" / "direct_controller.py"
+    words = ("--plan", str(run.folder / "plan.json"), "--node", DEVICE)
+    process = subprocess.Popen([sys.executable, str(program), *words])
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
 
 
-def impp(cycle: int, source: str) -> bytes:
-    """An IMPP message as it would be on the wire."""
-    return encode(Impp(cycle, 0, source, (), power_kw=1e9, stale_cycles=0))
+def assert_right(run: Heliarch, cycles: int) -> None:
+    """Assert that every message of the undisturbed run is in the recording."""
+    scenario = load_scenario(str(run.folder.parent / "plant" / "small.toml"))
+    preparation = prepare(scenario, RunOptions(scheme="paper"), "undisturbed")
+    right: set[bytes] = set()
+
+    def hear(port: Port[Message], message: Message) -> None:
+        if port.signal.decided and message.cycle < cycles:
+            right.add(timeless(port, message))
+
+    for cycle in MemoryRun(preparation.plan, preparation.profile, hear).cycles():
+        if cycle == cycles:
+            break
+    with RunReader(run.folder) as reader:
+        recorded = {timeless(port, message) for port, message in reader.messages()}
+    assert len(right) > 1000
+    assert right <= recorded
 
 
-def test_strange_messages_are_named_counted_and_harmless(
-    heliarch: Callable[..., Heliarch], tmp_path: Path
-) -> None:
-    run = heliarch("launch", small_plant(tmp_path / "plant"), "--pace", "20")
-    run.until_running()
-    plan = load_plan(run.folder / "plan.json")
-    strange = (b"\xc1 garbage", impp(0, "c9/inv99"), impp(0, CHILD), impp(10**9, CHILD))
-    log = run.folder / "logs" / "c1.log"
+def timeless(port: Port[Message], message: Message) -> bytes:
+    return str(port).encode() + encode(replace(message, publish_time_ns=0, ready_time_ns=0))
 
-    def named() -> bool:
-        """Send until all are named: the first ones may go before the link is up."""
-        for payload in strange:
-            session.put(f"small/{CHILD}/impp", payload)
-        return all(text in log.read_text() for text in ("c9/inv99", "cycle 0 ", "cycle 1000000000"))
 
-    with stranger_at(plan, "c1") as session:
-        run.until(named, "complaints")
-    run.process.send_signal(signal.SIGINT)
-    assert run.wait() == 130, run.error_text()
+@pytest.mark.parametrize("pace", ["max", "10"])
+def test_with_its_keys_a_plant_runs_as_without(heliarch: Start, tmp_path: Path, pace: str) -> None:
+    pytest.importorskip("cryptography")
+    plant, keys = small_plant(tmp_path / "plant"), str(tmp_path / "keys")
+    done("keys", plant, "--out", keys)
+    words = ("--duration", "20", "--scheme", "paper", "--pace", pace, "--secure", "--keys", keys)
+    run = heliarch("launch", plant, *words)
+    assert run.wait() == 0, run.error_text()
     summary = summary_of(run.folder)
-    account = next(process for process in summary.processes if process.agent == "c1")
-    assert {"undecodable", "foreign", "late", "other_cycle"} <= set(account.dropped)
-    assert {process.agent for process in summary.processes if process.dropped} == {"c1"}
+    assert (summary.cycles, summary.wrong) == (20, ())
     assert_none_left(run.folder)

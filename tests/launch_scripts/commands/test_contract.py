@@ -55,6 +55,8 @@ QUICK: Final[dict[str, tuple[str, ...]]] = {
     "campaign": ("small.toml", "--seeds", "1..2", "--duration", "110"),
     "export": (RUN, "--format", "csv"),
     "recover": (RUN,),
+    "doctor": (),
+    "keys": ("small.toml",),
 }
 """For each command words with which it has done its work in seconds; `view` serves until Ctrl-C."""
 
@@ -210,6 +212,9 @@ BAD: Final = [
     ("export", "--clock", "sim"),
     ("export", "--out", "run"),
     ("recover", "--out", "run"),
+    ("keys", "--days", "-1"),
+    ("keys", "--address", "moon"),
+    ("doctor", "--out", "nowhere"),
 ]  # fmt: skip
 
 

@@ -9,18 +9,21 @@ from typing import cast
 import pytest
 from msgspec.structs import replace
 
-from agents.events import Event, Recorded
+from agents.events import Complaint, Event, Recorded
 from agents.launcher_link import LauncherLink
 from agents.plan import RunPlan
 from bus_schemas.codec import encode
-from bus_schemas.messages import Impp, Message
-from bus_schemas.signals import IMPP, Port
+from bus_schemas.messages import Impp, Message, Setpoint
+from bus_schemas.signals import DISPATCH, IMPP, RUN, SETPOINT, Port
+from bus_schemas.tree import CENTRAL, ROOT
 from bus_schemas.zenoh_bus import ZenohTap
 from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.reader import RunReader
+from recordings.record.message_complaints import Complaints
 from recordings.record.recorder import Recorder, RecordingEnd
+from recordings.record.second_senders import SecondSenders
 from recordings.record.writer import RunWriter
 
 CYCLES = 8
@@ -111,7 +114,7 @@ def test_a_device_that_answers_ahead_is_recorded_with_both_messages_and_named(
     kept, account = recorded(arming + said, tmp_path)
     assert [message.cycle for message in kept] == [0, 1, 6, 2, 3, 4, 5, 6, 7]
     assert account.foreign == 0
-    assert "repeated" in {entry.cause for entry in account.complaints}
+    assert "two senders" in {entry.cause for entry in account.complaints}
     assert account.cycles == CYCLES
 
 
@@ -155,3 +158,73 @@ def test_what_a_device_lost_is_told_from_the_numbers_of_all_that_came(
 ) -> None:
     (device,) = of_a_run(answers, tmp_path).external
     assert device.lost == lost
+
+
+SETPOINT_OF_C1 = SETPOINT.of("c1")
+GENUINE = Setpoint(3, 0, CENTRAL, (), sequence=3, power_kw=5.0, share_kw=1.0, help_given=())
+
+
+@pytest.mark.parametrize(
+    ("second", "cause"),
+    [
+        (replace(GENUINE, power_kw=6.0, sequence=4), "two senders"),
+        (replace(GENUINE, publish_time_ns=9), "two senders"),
+        (GENUINE, "repeated"),
+        (replace(GENUINE, incarnation=3), None),
+    ],
+    ids=["says another thing", "does not count up", "came again", "replaces its predecessor"],
+)
+def test_a_second_message_of_a_key_in_a_cycle_is_named(second: Setpoint, cause: str | None) -> None:
+    senders = SecondSenders([SETPOINT_OF_C1])
+    assert see(senders, GENUINE) is None
+    assert see(senders, second) == cause
+    assert see(senders, replace(GENUINE, cycle=4, incarnation=second.incarnation)) is None
+
+
+def test_one_that_was_replaced_and_goes_on_is_named() -> None:
+    senders = SecondSenders([SETPOINT_OF_C1])
+    for cycle, incarnation in ((3, 0), (4, 4), (4, 0)):
+        assert see(senders, replace(GENUINE, cycle=cycle, incarnation=incarnation)) is None
+    assert see(senders, replace(GENUINE, cycle=5)) == "two senders"
+
+
+def test_a_forged_message_of_a_cycle_to_come_is_named_once_the_right_one_comes() -> None:
+    senders = SecondSenders([SETPOINT_OF_C1])
+    assert see(senders, replace(GENUINE, cycle=9, power_kw=6.0)) is None
+    for cycle in range(3, 9):
+        assert see(senders, replace(GENUINE, cycle=cycle)) is None
+    assert see(senders, replace(GENUINE, cycle=9)) == "two senders"
+
+
+def see(senders: SecondSenders, message: Setpoint) -> str | None:
+    """The cause of the complaint about a message."""
+    found = senders.see(SETPOINT_OF_C1, message.cycle, message.incarnation, encode(message))
+    return found[0] if found else None
+
+
+def test_what_comes_second_on_a_key_of_a_process_is_no_loss_and_a_false_stop_is_named(
+    tmp_path: Path,
+) -> None:
+    said = messages_of_a_run()
+    arming = [(port, replace(message, cycle=-1)) for port, message in said if message.cycle == 0]
+    place = next(
+        n for n, (port, m) in enumerate(said) if port is DISPATCH.of(ROOT) and m.cycle == 4
+    )
+    said.insert(place, (RUN.of(ROOT), IN_LOCKSTEP.run_message("stop", 4, 0)))
+    said.insert(place, (RUN.of(ROOT), IN_LOCKSTEP.run_message("stop", 1, 0)))
+    _, account = recorded(arming + said, tmp_path)
+    (complaint,) = account.complaints
+    assert (complaint.key, complaint.cause, complaint.count) == ("oahu/run", "two senders", 2)
+    assert account.extra == {"run": 2}
+    assert account.cycles == CYCLES
+
+
+def test_keys_without_end_are_named_up_to_a_number_and_shown_without_control_characters() -> None:
+    told: list[Complaint] = []
+    complaints = Complaints(lambda text: None, told.append)
+    for number in range(3000):
+        complaints.add(f"oahu/\x1b[31m{number}", "unknown", "x" * 10_000)
+    found = complaints.all()
+    assert len(found) == len(told) < 1000
+    assert sum(entry.count for entry in found) == 3000
+    assert all(entry.key.isprintable() and len(entry.example) < 1000 for entry in found)

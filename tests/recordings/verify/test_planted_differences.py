@@ -153,12 +153,22 @@ def test_a_message_that_was_recorded_twice_is_found_and_the_first_one_counts(
     verified: Verify,
 ) -> None:
     place = place_of(SETPOINT.of("c1/a"), 6)
-    other = replace(PUBLISHED[place][1], power_kw=0.0)
-    found = verified(
-        [*PUBLISHED[: place + 1], (PUBLISHED[place][0], other), *PUBLISHED[place + 1 :]]
-    )
+    found = verified([*PUBLISHED[: place + 1], PUBLISHED[place], *PUBLISHED[place + 1 :]])
     assert first_of(found, "c1").kind == "recorded twice"
     assert found.differences == 1
+
+
+@pytest.mark.parametrize("after", [0, 1])
+def test_of_two_senders_the_agent_s_own_message_is_compared_and_nobody_is_blamed(
+    verified: Verify, after: int
+) -> None:
+    place = place_of(SETPOINT.of("c1/a"), 6) + after
+    port, genuine = PUBLISHED[place - after]
+    forged = replace(genuine, power_kw=0.0, sequence=7)
+    found = verified([*PUBLISHED[:place], (port, forged), *PUBLISHED[place:]])
+    kinds = {name: dict(one.differences) for name, one in found.agents.items() if one.differences}
+    assert kinds == {"c1": {"two senders": 1}, "c1/a": {"input of two senders": 1}}
+    assert not found.equal
 
 
 def test_nothing_is_compared_after_an_input_is_lost_that_the_agent_remembers(

@@ -1,0 +1,300 @@
+"""`heliarch doctor`: what this machine is good for, what slows a run down, and what to do."""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+import shutil
+import socket
+import statistics
+import threading
+import time
+from collections.abc import Callable, Iterator
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from textwrap import wrap
+from typing import Annotated, Final, Literal, NamedTuple
+
+import typer
+
+from bus_schemas.errors import InputError
+from launch_scripts.commands.boundary import FAILED, OK
+from launch_scripts.commands.options import JsonOption
+from launch_scripts.commands.output import write_json
+from studies.tables import console_for
+
+EXAMPLE: Final = "heliarch doctor"
+
+_PACKAGES: Final = ("heliarch", "eclipse-zenoh", "numpy", "msgspec", "mcap", "cryptography")
+_BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome", "firefox")
+_CLOCK: Final = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
+_GOVERNOR: Final = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
+_INDENT: Final = 19
+
+
+class Finding(NamedTuple):
+    """What was found of one thing, how good it is, and what to do about it.
+
+    `verdict` is `ok`, `slow` where it costs time, and `wrong` where a run will not work.
+    """
+
+    about: str
+    found: str
+    verdict: Literal["ok", "slow", "wrong"] = "ok"
+    advice: str = ""
+
+
+def doctor(
+    out: Annotated[
+        Path, typer.Option(help="Folder where recordings are to go.", metavar="DIR")
+    ] = Path(),
+    json: JsonOption = None,
+) -> int:
+    """Look at this machine as a run will meet it: what is fine, what costs time, what to do.
+
+    The exit status is 1 if something is wrong, so that a run would not work.
+    """
+    from rich.text import Text
+
+    if not out.is_dir():
+        raise InputError(f"--out: expected an existing folder, got {out}")
+    found = [finding for check in _CHECKS for finding in check()]
+    found += _disk(out)
+    write_json([finding._asdict() for finding in found], json)
+    console = console_for(json)
+    width = min(console.width, 100)
+    for finding in found:
+        style = {"ok": "green", "slow": "yellow", "wrong": "bold red"}[finding.verdict]
+        head = Text.assemble(f"{finding.about:12} ", (f"{finding.verdict:6}", style))
+        text = wrap(finding.found, width - _INDENT) or [""]
+        console.print(head + Text(f"\n{'':{_INDENT}}".join(text)), width=width)
+        for line in wrap(finding.advice, width - _INDENT):
+            console.print(Text(f"{'':{_INDENT}}{line}", "dim"), width=width)
+    return FAILED if any(finding.verdict == "wrong" for finding in found) else OK
+
+
+def _processors() -> Iterator[Finding]:
+    affinity = getattr(os, "sched_getaffinity", lambda pid: range(os.cpu_count() or 1))
+    cores = len(affinity(0))
+    if cores < 4:
+        yield Finding(
+            "processors",
+            f"{cores}",
+            "slow",
+            "23 processes share them: with 4 or more fewer messages are late",
+        )
+    else:
+        yield Finding("processors", f"{cores}")
+    load = os.getloadavg()[0]
+    if load > 0.5 * cores:
+        yield Finding(
+            "load", f"{load:.1f}", "slow", "other programs run: end them before you measure"
+        )
+    else:
+        yield Finding("load", f"{load:.1f}")
+    if _GOVERNOR.exists():
+        governor = _GOVERNOR.read_text(encoding="ascii").strip()
+        if governor in {"performance", "schedutil"}:
+            yield Finding("frequency", governor)
+        else:
+            advice = "cpupower frequency-set -g performance"
+            yield Finding("frequency", governor, "slow", advice)
+
+
+def _scheduling() -> Iterator[Finding]:
+    from agents.machine import MachineSettings, refusals, scheduling_policy
+
+    yield Finding("policy", scheduling_policy())
+    refused = refusals(MachineSettings(priority=20, lock_memory=True), lockstep=False)
+    for refusal in refused:
+        about, _, why = refusal.partition(": ")
+        yield Finding(about, why, "slow", "matters for --priority and machine.lock_memory alone")
+    if not refused:
+        yield Finding("real time", "SCHED_FIFO and locked memory are permitted")
+
+
+def _clock() -> Iterator[Finding]:
+    calls = 20_000
+    began_ns = time.perf_counter_ns()
+    for _ in range(calls):
+        time.monotonic_ns()
+    each_ns = (time.perf_counter_ns() - began_ns) / calls
+    name = _CLOCK.read_text(encoding="ascii").strip() if _CLOCK.exists() else "unknown"
+    text = f"{name}, read in {each_ns:.0f} ns"
+    if each_ns < 500.0:
+        yield Finding("clock", text)
+    else:
+        yield Finding("clock", text, "slow", "boot with clocksource=tsc if the processor has it")
+    late_us = sorted(_lateness_us(200))
+    text = f"median {late_us[100]:.0f} µs late, 99 of 100 within {late_us[197]:.0f} µs"
+    if late_us[197] < 1000.0:
+        yield Finding("wake-up", text)
+    else:
+        yield Finding("wake-up", text, "slow", "deadlines are met this much later: try --priority")
+
+
+def _lateness_us(times: int) -> list[float]:
+    """Sleep for 1 ms so many times, in a thread set up like an agent; return how late it woke."""
+    from agents.machine import wake_precisely
+
+    late: list[float] = []
+
+    def sleep() -> None:
+        wake_precisely()
+        for _ in range(times):
+            due_ns = time.monotonic_ns() + 1_000_000
+            time.sleep(0.001)
+            late.append((time.monotonic_ns() - due_ns) / 1e3)
+
+    thread = threading.Thread(target=sleep)
+    thread.start()
+    thread.join()
+    return late
+
+
+def _loopback() -> Iterator[Finding]:
+    try:
+        trips_us = sorted(_round_trips_us(500))
+    except OSError as error:
+        yield Finding("loopback", f"{error.strerror}", "wrong", "agents listen on 127.0.0.1")
+        return
+    text = f"median {trips_us[250]:.0f} µs there and back, 99 of 100 within {trips_us[495]:.0f} µs"
+    if statistics.median(trips_us) < 200.0:
+        yield Finding("loopback", text)
+    else:
+        yield Finding("loopback", text, "slow", "a cycle takes eight such hops and their work")
+
+
+def _round_trips_us(times: int) -> list[float]:
+    """Send a byte to a thread and back over TCP so many times."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        near = socket.create_connection(server.getsockname())
+        far, _ = server.accept()
+    for end in (near, far):
+        end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def answer() -> None:
+        while byte := far.recv(1):
+            far.send(byte)
+
+    thread = threading.Thread(target=answer)
+    thread.start()
+    trips = []
+    for _ in range(times):
+        began_ns = time.monotonic_ns()
+        near.send(b".")
+        near.recv(1)
+        trips.append((time.monotonic_ns() - began_ns) / 1e3)
+    near.close()
+    thread.join()
+    far.close()
+    return trips
+
+
+def _zenoh() -> Iterator[Finding]:
+    import psutil
+    import zenoh
+
+    from bus_schemas.zenoh_bus import ZENOH_RUNTIME, SessionSettings, open_session
+
+    given = os.environ.get("ZENOH_RUNTIME")
+    before = psutil.Process().num_threads()
+    try:
+        with open_session(SessionSettings("doctor", ["tcp/127.0.0.1:0"], [])):
+            threads = psutil.Process().num_threads() - before
+    except zenoh.ZError as error:
+        yield Finding("Zenoh", f"{error}", "wrong", "no agent can open its session")
+        return
+    text = f"a session has {threads} thread" + "s" * (threads != 1)
+    if given in {None, ZENOH_RUNTIME}:
+        yield Finding("Zenoh", text)
+    else:
+        advice = "ZENOH_RUNTIME is set: without it each agent has one worker, the fastest"
+        yield Finding("Zenoh", text, "slow", advice)
+
+
+def _limits() -> Iterator[Finding]:
+    files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    text = f"{files:,} at once" if files != resource.RLIM_INFINITY else "any number"
+    # Recorder and plant have a link with each inverter.
+    if files == resource.RLIM_INFINITY or files >= 4096:
+        yield Finding("open files", text)
+    else:
+        inverters = max(files - 100, 0)
+        advice = f"enough for {inverters:,} inverters; ulimit -n 65536 for more"
+        yield Finding("open files", text, "slow" if inverters > 50 else "wrong", advice)
+    first, last = _free_port_range()
+    text = f"{last - first + 1:,} from {first} on"
+    if _is_free(7500):
+        yield Finding("ports", f"{text}; 7500 is free")
+    else:
+        yield Finding("ports", f"{text}; 7500 is taken", "ok", "choose another --base-port")
+
+
+def _free_port_range() -> tuple[int, int]:
+    path = Path("/proc/sys/net/ipv4/ip_local_port_range")
+    first, last = path.read_text(encoding="ascii").split() if path.exists() else (49_152, 65_535)
+    return int(first), int(last)
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket() as tried:
+        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            tried.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True
+
+
+def _memory() -> Iterator[Finding]:
+    import psutil
+
+    free_mb = psutil.virtual_memory().available / 1e6
+    processes = int(free_mb // 25)
+    advice = "a process takes some 25 MB of its own"
+    is_enough = processes >= 40
+    text = f"{free_mb:,.0f} MB free, enough for some {processes:,} processes"
+    yield Finding("memory", text, "ok" if is_enough else "slow", "" if is_enough else advice)
+
+
+def _versions() -> Iterator[Finding]:
+    found, absent = [f"Python {platform.python_version()}"], []
+    for name in _PACKAGES:
+        try:
+            found.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            absent.append(name)
+    yield Finding("versions", ", ".join(found))
+    if "cryptography" in absent:
+        advice = "--secure needs it: pip install 'heliarch[keys]'"
+        yield Finding("cryptography", "not installed", "ok", advice)
+    browser = next(filter(None, map(shutil.which, _BROWSERS)), None)
+    if browser:
+        yield Finding("browser", browser)
+    else:
+        yield Finding("browser", "none here", "ok", "open --page from another host: --page-address")
+
+
+def _disk(folder: Path) -> Iterator[Finding]:
+    free_gb = shutil.disk_usage(folder).free / 1e9
+    # 17 inverters take about 6 kB a cycle.
+    hours = free_gb * 1e6 / 6.0 / 3600.0
+    text = f"{free_gb:,.1f} GB free, some {hours:,.0f} h of 17 inverters each second"
+    if free_gb < 0.1:
+        yield Finding("disk", text, "wrong", "a recording ends early when the disk is full")
+    else:
+        yield Finding("disk", text)
+
+
+_CHECKS: Final[tuple[Callable[[], Iterator[Finding]], ...]] = (
+    _processors,
+    _scheduling,
+    _clock,
+    _loopback,
+    _zenoh,
+    _limits,
+    _memory,
+    _versions,
+)

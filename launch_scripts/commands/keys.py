@@ -1,0 +1,56 @@
+"""`heliarch keys`: certificates with which a plant's agents know each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+from launch_scripts.commands.options import DataOption, JsonOption, ScenarioArgument
+from launch_scripts.commands.output import say, write_json
+from studies.tables import console_for
+
+EXAMPLE: Final = "heliarch keys oahu && heliarch launch oahu --secure --duration 30"
+
+
+def keys(
+    scenario: ScenarioArgument = "oahu",
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the keys; default keys/PLANT.", metavar="DIR")
+    ] = None,
+    days: Annotated[
+        float, typer.Option(min=0.0, max=3650.0, help="How long the certificates are valid.")
+    ] = 365.0,
+    address: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="An address besides 127.0.0.1 at which agents listen. May be given several times.",
+            metavar="ADDRESS",
+        ),
+    ] = None,
+    data: DataOption = None,
+    json: JsonOption = None,
+) -> None:
+    """Make a certificate authority for a plant, and a certificate for each of its agents.
+
+    Called again, it renews the certificates; those that a run has read stay
+    valid until they expire. Give a device its own certificate and key, and
+    ca.pem: nothing else. Whoever has ca.key can make certificates.
+    """
+    from launch_scripts.scenarios.plant_keys import make_keys
+    from launch_scripts.scenarios.preparation import RunOptions, prepare
+    from launch_scripts.scenarios.scenario import load_scenario
+
+    plan = prepare(load_scenario(scenario, data), RunOptions(), "keys").plan
+    folder = out or Path("keys") / plan.plant
+    made = make_keys(folder, plan.plant, plan.tree.agents(), days, address or ())
+    write_json(
+        {"folder": str(folder), "agents": made.agents, "expires": made.expires.isoformat()}, json
+    )
+    authority = "a new authority" if made.new_authority else "renewed by the authority there"
+    say(
+        console_for(json),
+        f"{folder}: {len(made.agents)} certificates, {authority}, valid until "
+        f"{made.expires:%Y-%m-%d %H:%M} UTC",
+    )

@@ -1,0 +1,238 @@
+"""The keys of a plant: a certificate authority of its own, and a certificate for each agent.
+
+The common name of a certificate is the agent that it is for, and its organization the plant.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime, timedelta
+from ipaddress import IPv4Address, IPv6Address, ip_address
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from agents.plan import RunPlan
+from bus_schemas.access import common_name
+from bus_schemas.errors import FailureError, InputError
+from bus_schemas.zenoh_bus import KeyFiles
+
+try:
+    from cryptography import x509
+    from cryptography.exceptions import InvalidSignature
+    from cryptography.hazmat.primitives import hashes
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.hazmat.primitives.serialization import (
+        Encoding,
+        NoEncryption,
+        PrivateFormat,
+        load_pem_private_key,
+    )
+except ImportError as error:
+    raise FailureError(
+        "keys need the package cryptography: pip install 'heliarch[keys]'"
+    ) from error
+
+LOOPBACK: Final = "127.0.0.1"
+
+_AUTHORITY_KEY: Final = "ca.key"
+_AUTHORITY_DAYS: Final = 3650
+_BEFORE: Final = timedelta(hours=1)
+"""Certificates hold from a little before now on: clocks of hosts differ."""
+
+
+class MadeKeys(NamedTuple):
+    """What `make_keys` has made, and until when it holds."""
+
+    agents: tuple[str, ...]
+    expires: datetime
+    new_authority: bool
+
+
+def make_keys(
+    folder: Path, plant: str, agents: Sequence[str], days: float, addresses: Iterable[str]
+) -> MadeKeys:
+    """Make a certificate for each agent, and the authority that signs them if there is none yet.
+
+    Raises
+    ------
+    InputError
+        The folder has the authority of another plant, or an address is none.
+    """
+    hosts = [_address("--address", address) for address in (LOOPBACK, *addresses)]
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError as error:
+        raise InputError(f"--out: expected a folder, got {folder}: {error.strerror}") from None
+    new_authority = not (folder / _AUTHORITY_KEY).exists()
+    if new_authority:
+        _make_authority(folder, plant)
+    authority, key = _authority(folder, plant)
+    expires = min(datetime.now(UTC) + timedelta(days=days), authority.not_valid_after_utc)
+    for agent in agents:
+        own = _new_key()
+        certificate = _certificate(plant, common_name(agent), own, expires, (authority, key), hosts)
+        files = KeyFiles.of(folder, agent)
+        _write_key(files.key, own)
+        _write(files.certificate, _pem(certificate))
+    return MadeKeys(tuple(agents), expires, new_authority)
+
+
+def check_keys(plan: RunPlan) -> None:
+    """Refuse keys with which Zenoh would not open the links of a run.
+
+    Raises
+    ------
+    InputError
+        Names the first file that is wrong.
+    """
+    folder = Path(plan.keys_folder)
+    if not (folder / "ca.pem").exists():
+        raise InputError(
+            f"--keys: expected a folder that `heliarch keys` has made, got {folder}, which has "
+            "no ca.pem"
+        )
+    authority = _read(folder / "ca.pem")
+    _check_plant(folder / "ca.pem", authority, plan.plant)
+    # Links close when a certificate expires. How long a run in lockstep takes nobody knows.
+    ends = datetime.now(UTC) + timedelta(seconds=plan.cycles * plan.cycle_wall_ns / 1e9)
+    for agent in plan.tree.agents():
+        if agent not in plan.external:
+            _check(KeyFiles.of(folder, agent), agent, authority, ip_address(plan.address), ends)
+
+
+def _check(
+    files: KeyFiles,
+    agent: str,
+    authority: x509.Certificate,
+    address: IPv4Address | IPv6Address,
+    ends: datetime,
+) -> None:
+    """Refuse a certificate with which Zenoh would not open a link, and would not say why."""
+    path = files.certificate
+    certificate = _read(path)
+    try:
+        certificate.verify_directly_issued_by(authority)
+    except (ValueError, TypeError, InvalidSignature):
+        raise InputError(
+            f"{path}: expected a certificate by {files.authority}, got one of another plant"
+        ) from None
+    if _name(certificate) != common_name(agent):
+        raise InputError(f"{path}: expected a certificate for {agent}, got {_name(certificate)}")
+    is_valid = certificate.not_valid_before_utc <= datetime.now(UTC)
+    if not is_valid or ends > certificate.not_valid_after_utc:
+        raise InputError(
+            f"{path}: expected a certificate that is valid up to the end of the run, got one from "
+            f"{certificate.not_valid_before_utc:%Y-%m-%d %H:%M} to "
+            f"{certificate.not_valid_after_utc:%Y-%m-%d %H:%M} UTC; `heliarch keys` renews it"
+        )
+    names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    if address not in names.get_values_for_type(x509.IPAddress):
+        raise InputError(
+            f"{path}: expected a certificate for the address {address}; `heliarch keys --address "
+            f"{address}` makes one"
+        )
+    if not files.key.exists():
+        raise InputError(f"{files.key}: no such file, expected the key of {agent}")
+    if files.key.stat().st_mode & 0o077:
+        raise InputError(f"{files.key}: expected a key that its owner alone can read (mode 600)")
+
+
+def _address(where: str, text: str) -> IPv4Address | IPv6Address:
+    try:
+        return ip_address(text)
+    except ValueError:
+        raise InputError(f"{where}: expected an IP address such as 10.0.0.1, got {text}") from None
+
+
+def _read(path: Path) -> x509.Certificate:
+    try:
+        return x509.load_pem_x509_certificate(path.read_bytes())
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; `heliarch keys` makes it") from None
+    except ValueError:
+        raise InputError(f"{path}: expected a certificate in PEM") from None
+
+
+def _authority(folder: Path, plant: str) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
+    path = folder / _AUTHORITY_KEY
+    try:
+        key = load_pem_private_key(path.read_bytes(), password=None)
+    except ValueError:
+        key = None
+    if not isinstance(key, ec.EllipticCurvePrivateKey):
+        raise InputError(f"{path}: expected a key that `heliarch keys` has made")
+    certificate = _read(folder / "ca.pem")
+    _check_plant(folder / "ca.pem", certificate, plant)
+    return certificate, key
+
+
+def _check_plant(path: Path, authority: x509.Certificate, plant: str) -> None:
+    if _name(authority) != plant[:64]:
+        raise InputError(
+            f"{path}: expected the certificate authority of {plant}, got that of {_name(authority)}"
+        )
+
+
+def _name(certificate: x509.Certificate) -> str:
+    found = certificate.subject.get_attributes_for_oid(x509.oid.NameOID.COMMON_NAME)
+    return str(found[0].value) if found else ""
+
+
+def _make_authority(folder: Path, plant: str) -> None:
+    key = _new_key()
+    expires = datetime.now(UTC) + timedelta(days=_AUTHORITY_DAYS)
+    _write_key(folder / _AUTHORITY_KEY, key)
+    _write(folder / "ca.pem", _pem(_certificate(plant, plant[:64], key, expires, None, ())))
+
+
+def _certificate(
+    plant: str,
+    name: str,
+    key: ec.EllipticCurvePrivateKey,
+    expires: datetime,
+    issuer: tuple[x509.Certificate, ec.EllipticCurvePrivateKey] | None,
+    hosts: Sequence[IPv4Address | IPv6Address],
+) -> x509.Certificate:
+    """Return a certificate; without an issuer that of an authority, signed by itself."""
+    subject = x509.Name(
+        [
+            x509.NameAttribute(x509.oid.NameOID.ORGANIZATION_NAME, plant[:64]),
+            x509.NameAttribute(x509.oid.NameOID.COMMON_NAME, name),
+        ]
+    )
+    builder = (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(subject if issuer is None else issuer[0].subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(datetime.now(UTC) - _BEFORE)
+        .not_valid_after(expires)
+        .add_extension(x509.BasicConstraints(ca=issuer is None, path_length=None), critical=True)
+    )
+    if hosts:
+        names = x509.SubjectAlternativeName([x509.IPAddress(host) for host in hosts])
+        builder = builder.add_extension(names, critical=False)
+    return builder.sign(key if issuer is None else issuer[1], hashes.SHA256())
+
+
+def _new_key() -> ec.EllipticCurvePrivateKey:
+    return ec.generate_private_key(ec.SECP256R1())
+
+
+def _pem(certificate: x509.Certificate) -> bytes:
+    content: bytes = certificate.public_bytes(Encoding.PEM)
+    return content
+
+
+def _write_key(path: Path, key: ec.EllipticCurvePrivateKey) -> None:
+    _write(path, key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()), mode=0o600)
+
+
+def _write(path: Path, content: bytes, mode: int = 0o644) -> None:
+    """Write a file that nobody reads half: a run may be using its predecessor."""
+    part = path.with_name(f"{path.name}.part")
+    with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, mode), "wb") as file:
+        file.write(content)
+    part.replace(path)

@@ -1,0 +1,181 @@
+"""Who can say what to whom: sessions of all agents of a run, and of programs that are none.
+
+The sessions are set up as the agents' own are, with and without keys. Each hears all that it is
+sent; an intruder links with all that listen, and puts a message on each key.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+import pytest
+import zenoh
+from msgspec.structs import replace
+from plans_by_hand import plan_of
+
+from agents.plan import RunPlan
+from agents.session import session_settings, users
+from bus_schemas.access import session_id
+from bus_schemas.signals import CLOCK
+from bus_schemas.tree import PLANT, RECORDER
+from bus_schemas.zenoh_bus import KeyFiles, SessionSettings
+from launch_scripts.launcher.tcp_ports import reserved_ports
+
+BARE = plan_of({"c1/a": 100.0, "c2/b": 100.0}, secret="told to nobody")
+AGENTS = BARE.tree.agents()
+PORTS = [port for port in BARE.keys.ports if port.signal is not CLOCK]
+LISTENING = BARE.links.listening
+DEVICE = "c2/b"
+INTRUDING_S = 1.0
+
+Heard = set[tuple[str, str]]
+"""Agent and key."""
+
+
+class Team:
+    """Sessions of all agents, linked; what they hear of others, each under a name of its own."""
+
+    def __init__(self, plan: RunPlan, stack: ExitStack) -> None:
+        self.plan = plan
+        self._heard: list[tuple[str, str, bytes]] = []
+        self.sessions = {
+            agent: stack.enter_context(zenoh.open(session_settings(plan, agent).config()))
+            for agent in AGENTS
+        }
+        for agent, session in self.sessions.items():
+            self._listen(agent, session)
+            session.liveliness().declare_token(plan.keys.alive_key(agent))
+
+    def _listen(self, agent: str, session: zenoh.Session) -> None:
+        def hear(sample: zenoh.Sample) -> None:
+            key = str(sample.key_expr).partition("/")[2]
+            self._heard.append((agent, key, sample.payload.to_bytes()))
+
+        remote = zenoh.Locality.REMOTE
+        session.declare_subscriber(f"{self.plan.plant}/**", hear, allowed_origin=remote)
+
+    def heard_of(self, name: str) -> Heard:
+        """Who has heard what of a sender."""
+        return {(agent, key) for agent, key, said in self._heard if said == name.encode()}
+
+    def say(self, session: zenoh.Session, name: str) -> None:
+        """Put a message of a sender on each key."""
+        for port in PORTS:
+            session.put(self.plan.keys.key(port), name)
+
+    def until_linked(self) -> None:
+        """Wait until each agent's messages come through to each that is to hear them."""
+        give_up_at = time.monotonic() + 30.0
+        while any(self.heard_of(agent) != self.due(agent) for agent in AGENTS):
+            assert time.monotonic() < give_up_at, "the links never came up"
+            for agent, session in self.sessions.items():
+                self.say(session, agent)
+            time.sleep(0.1)
+
+    def due(self, agent: str) -> Heard:
+        """Who is to hear what of an agent: its keys, their listeners and the recorder."""
+        return {
+            (listener, str(port))
+            for port in PORTS
+            if port.publisher == agent
+            for listener in {*self.plan.wiring.listeners[port], RECORDER} - {agent}
+        }
+
+    def intrude(
+        self, mode: str = "peer", keys: KeyFiles | None = None, session_id: str = ""
+    ) -> Heard:
+        """Let a program speak that is none of the agents; return who hears what of it."""
+        with ExitStack() as stack:
+            sessions = []
+            for port in self.plan.tcp_ports.values():
+                settings = SessionSettings(
+                    self.plan.bus_namespace,
+                    [],
+                    [f"{self.plan.host}:{port}"],
+                    keys=keys,
+                    session_id=session_id,
+                )
+                config = settings.config()
+                config.insert_json5("mode", f'"{mode}"')
+                config.insert_json5("connect/timeout_ms", "500")
+                with suppress(zenoh.ZError):  # A client that is not admitted has no session.
+                    sessions.append(stack.enter_context(zenoh.open(config)))
+            until = time.monotonic() + INTRUDING_S
+            while time.monotonic() < until:
+                for session in sessions:
+                    self.say(session, "intruder")
+                time.sleep(0.05)
+        found = self.heard_of("intruder")
+        self._heard.clear()
+        return found
+
+
+def team_of(plan: RunPlan, folder: Path) -> Iterator[Team]:
+    (folder / "users").write_text(users(plan))
+    with reserved_ports(plan.links.listening) as tcp_ports, ExitStack() as stack:
+        team = Team(replace(plan, tcp_ports=tcp_ports, users_file=str(folder / "users")), stack)
+        team.until_linked()
+        yield team
+
+
+@pytest.fixture(scope="module")
+def without_keys(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Team]:
+    yield from team_of(BARE, tmp_path_factory.mktemp("run"))
+
+
+@pytest.fixture(scope="module")
+def with_a_device(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Team]:
+    yield from team_of(replace(BARE, external=(DEVICE,)), tmp_path_factory.mktemp("run"))
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two folders of keys: `own`, and those of another plant."""
+    pytest.importorskip("cryptography")
+    from launch_scripts.scenarios.plant_keys import make_keys  # noqa: PLC0415
+
+    folder = tmp_path_factory.mktemp("keys")
+    for name in ("own", "other"):
+        make_keys(folder / name, BARE.plant, AGENTS, 1.0, ())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def with_keys(keys: Path) -> Iterator[Team]:
+    yield from team_of(replace(BARE, keys_folder=str(keys / "own")), keys)
+
+
+@pytest.mark.parametrize("mode", ["peer", "client"])
+def test_without_keys_nobody_hears_a_stranger(without_keys: Team, mode: str) -> None:
+    assert without_keys.intrude(mode) == set()
+    # Whoever links with an agent is told the id of its session.
+    assert without_keys.intrude(mode, session_id=session_id(BARE.secret, PLANT)) == set()
+
+
+@pytest.mark.parametrize("mode", ["peer", "client"])
+def test_beside_a_device_a_stranger_can_say_what_the_device_may_and_is_heard_by_the_recorder(
+    with_a_device: Team, mode: str
+) -> None:
+    everything = {(RECORDER, str(port)) for port in PORTS if port.publisher != RECORDER}
+    of_device = {place for place in with_a_device.due(DEVICE) if place[0] in LISTENING}
+    assert with_a_device.intrude(mode) == everything | of_device
+
+
+@pytest.mark.parametrize("mode", ["peer", "client"])
+def test_with_keys_nobody_hears_a_stranger_or_an_agent_of_another_plant(
+    with_keys: Team, keys: Path, mode: str
+) -> None:
+    assert with_keys.intrude(mode) == set()
+    others = KeyFiles.of(keys / "other", PLANT)
+    assert with_keys.intrude(mode, keys=others) == set()
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_with_the_keys_of_an_agent_a_program_can_say_what_that_agent_may_and_no_more(
+    with_keys: Team, keys: Path, agent: str
+) -> None:
+    found = with_keys.intrude(keys=KeyFiles.of(keys / "own", agent))
+    assert found == {place for place in with_keys.due(agent) if place[0] in LISTENING}

@@ -1,0 +1,110 @@
+"""Keys of a plant: made, checked before a run, and refused in one line where they are wrong."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from command_line import done, refusal
+from running import small_plant
+
+pytest.importorskip("cryptography")
+
+SHORT = ("--duration", "5")
+
+
+@pytest.fixture
+def plant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A scenario in a working folder that has its keys."""
+    monkeypatch.chdir(tmp_path)
+    path = small_plant(tmp_path / "plant")
+    done("keys", path)
+    return path
+
+
+def test_keys_are_for_their_owner_alone(plant: str) -> None:
+    keys = sorted(Path("keys/small").glob("*.key"))
+    assert len(keys) == 10, "nine agents and the authority"
+    assert all(key.stat().st_mode & 0o077 == 0 for key in keys)
+
+
+def test_renewed_certificates_are_of_the_same_authority(plant: str) -> None:
+    folder = Path("keys/small")
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    done("keys", plant)
+    after = {path.name: path.read_bytes() for path in folder.iterdir()}
+    same = {name for name in before if before[name] == after[name]}
+    assert same == {"ca.pem", "ca.key"}
+
+
+def expired(folder: Path, plant: str) -> None:
+    done("keys", plant, "--days", "0")
+
+
+def of_another_plant(folder: Path, plant: str) -> None:
+    done("keys", plant, "--out", "other")
+    shutil.copy("other/c1.pem", folder / "c1.pem")
+
+
+def of_another_agent(folder: Path, plant: str) -> None:
+    shutil.copy(folder / "c2.pem", folder / "c1.pem")
+
+
+def for_everybody(folder: Path, plant: str) -> None:
+    (folder / "c1.key").chmod(0o644)
+
+
+def gone(folder: Path, plant: str) -> None:
+    (folder / "c1.pem").unlink()
+
+
+def broken(folder: Path, plant: str) -> None:
+    (folder / "c1.pem").write_text("nothing")
+
+
+def never_made(folder: Path, plant: str) -> None:
+    shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (expired, "valid up to the end"),
+        (of_another_plant, "another plant"),
+        (of_another_agent, "a certificate for c1, got c2"),
+        (for_everybody, "c1.key"),
+        (gone, "c1.pem: no such file"),
+        (broken, "c1.pem"),
+        (never_made, "heliarch keys"),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_wrong_keys_are_refused_before_anything_starts(
+    plant: str, spoil: Callable[[Path, str], None], told: str
+) -> None:
+    spoil(Path("keys/small"), plant)
+    assert told in refusal("launch", plant, *SHORT, "--secure")
+    assert not Path("runs").exists()
+
+
+def test_keys_that_expire_in_the_middle_of_a_run_are_refused(plant: str) -> None:
+    done("keys", plant, "--days", "0.02")
+    told = refusal("launch", plant, "--pace", "1", "--duration", "30m", "--secure")
+    assert "valid up to the end" in told
+
+
+def test_an_address_that_others_reach_needs_keys_that_are_for_it(plant: str) -> None:
+    words = ("launch", plant, *SHORT, "--address", "10.1.2.3")
+    assert "--secure" in refusal(*words)
+    assert "10.1.2.3" in refusal(*words, "--secure")
+    assert "--address" in refusal("launch", plant, *SHORT, "--address", "moon")
+    assert "--secure" in refusal("launch", plant, *SHORT, "--keys", "keys/small")
+
+
+def test_a_folder_with_the_authority_of_another_plant_is_refused(
+    plant: str, tmp_path: Path
+) -> None:
+    other = small_plant(tmp_path / "other", ('name = "small"', 'name = "large"'))
+    assert "certificate authority of large" in refusal("keys", other, "--out", "keys/small")

@@ -1,0 +1,103 @@
+"""A program that wants to take a plant over: it forges each signal of a run, to whoever listens."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import zenoh
+from msgspec.structs import replace
+
+from agents.plan import RunPlan
+from bus_schemas.codec import encode
+from bus_schemas.messages import Command, Dispatch, Impp, Message, Setpoint, Telemetry
+from bus_schemas.signals import COMMAND, DISPATCH, IMPP, RUN, SETPOINT, TELEMETRY, Port
+from bus_schemas.tree import ROOT
+from bus_schemas.zenoh_bus import KeyFiles, SessionSettings
+
+FORGED_KW = 123.0
+
+
+class Attacker:
+    """One session linked with every agent of a run that listens.
+
+    Parameters
+    ----------
+    plan
+        Of the run.
+    mode
+        Of the session: what a client says, peers relay to everybody.
+    agent
+        Whose keys it has; empty: none.
+    """
+
+    def __init__(self, plan: RunPlan, stack: ExitStack, mode: str, agent: str) -> None:
+        self.plan = plan
+        self.heard: list[str] = []
+        keys = KeyFiles.of(Path(plan.keys_folder), agent) if agent else None
+        self._sessions = []
+        for port in plan.tcp_ports.values():
+            endpoint = f"{'tls' if keys else 'tcp'}/127.0.0.1:{port}"
+            config = SessionSettings(plan.bus_namespace, [], [endpoint], keys=keys).config()
+            config.insert_json5("mode", json.dumps(mode))
+            config.insert_json5("connect/timeout_ms", "3000")
+            try:
+                session = stack.enter_context(zenoh.open(config))
+            except zenoh.ZError:  # A client's session does not open where it is not admitted.
+                continue
+            self._sessions.append(session)
+            session.declare_subscriber(
+                f"{plan.plant}/**",
+                lambda sample: self.heard.append(str(sample.key_expr)),
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+
+    def put(self, port: Port[Message], message: Message) -> None:
+        """Send a message to everybody."""
+        for session in self._sessions:
+            session.put(self.plan.keys.key(port), encode(message))
+
+    def forge(self, cycle: int, spared: str = "") -> None:
+        """Forge what decides of power, for a cycle and the one after it, but for one agent's."""
+        for number in (cycle, cycle + 1):
+            head = {"cycle": number, "sim_time_ns": self.plan.sim_time_ns(number), "missing": ()}
+            for port, message in self._forgeries():
+                if port.publisher == spared:
+                    continue
+                self.put(port, replace(message, **head, source=port.publisher))
+
+    def _forgeries(self) -> Iterator[tuple[Port[Message], Message]]:
+        for node in self.plan.tree.leaves:
+            yield COMMAND.of(node), Command(0, 0, "", (), alpha=1.0, power_kw=FORGED_KW)
+            yield IMPP.of(node), Impp(0, 0, "", (), power_kw=FORGED_KW, stale_cycles=0)
+            yield (
+                TELEMETRY.of(node),
+                Telemetry(0, 0, "", (), power_kw=FORGED_KW, alpha=1.0, limit_kw=FORGED_KW),
+            )
+        for node in self.plan.tree.nodes:
+            if node != ROOT:
+                forged = Setpoint(0, 0, "", (), power_kw=FORGED_KW, share_kw=0.0, help_given=())
+                yield SETPOINT.of(node), forged
+        yield (
+            DISPATCH.of(ROOT),
+            Dispatch(
+                0, 0, "", (),
+                power_kw=FORGED_KW, plant_rating_kw=1900.0, commitment_kw=0.0, regulation_kw=0.0,
+            ),
+        )  # fmt: skip
+
+    def stop_run(self, cycle: int) -> None:
+        """Say in the plant's name that the run ends before a cycle."""
+        self.put(RUN.of(ROOT), self.plan.run_message("stop", cycle, time.monotonic_ns()))
+
+
+@contextmanager
+def attacker_of(plan: RunPlan, mode: str = "peer", agent: str = "") -> Iterator[Attacker]:
+    """An attacker, linked; it leaves at the end."""
+    with ExitStack() as stack:
+        attacker = Attacker(plan, stack, mode, agent)
+        time.sleep(1.0)  # Links that are refused never come up: there is nothing to wait for.
+        yield attacker
