@@ -151,6 +151,8 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         What happens when a controller's process ends before the run does.
     revert
         What an inverter does that hears no command any more; None: it obeys the last one for ever.
+    devices
+        Inverters that are real, each with its address: `modbus://host:port/unit`.
     positions_m
         Where each inverter stands: metres east and north of a point that is the same for all of
         them. Empty: not known.
@@ -185,6 +187,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     seed: int | None = None
     restart: RestartPolicy = RestartPolicy()
     revert: Revert | None = None
+    devices: tuple[tuple[str, str], ...] = ()
     positions_m: tuple[tuple[float, float], ...] = ()
 
     @cached_property

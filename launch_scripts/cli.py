@@ -15,6 +15,7 @@ from launch_scripts.commands import (
     delays,
     export,
     inspect,
+    inverters,
     launch,
     recover,
     replay,
@@ -29,7 +30,7 @@ from launch_scripts.commands.boundary import BAD_INPUT, Command, CommandLine
 from launch_scripts.commands.options import with_groups
 
 COMMANDS: Final[dict[str, tuple[ModuleType, ...]]] = {
-    "Run": (launch, simulate, timing, scenarios),
+    "Run": (launch, simulate, timing, inverters, scenarios),
     "Look": (view, report, inspect, verify, replay),
     "Compare": (compare, clusters, delays, campaign),
     "Files": (export, recover),

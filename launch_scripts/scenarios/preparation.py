@@ -20,6 +20,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.times import parse_duration_s, read_time
 from bus_schemas.tree import ControlTree, depth
 from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
+from launch_scripts.scenarios.devices import devices
 from launch_scripts.scenarios.externals import check_externals
 from launch_scripts.scenarios.fault_rules import fault_remarks, fault_rules
 from launch_scripts.scenarios.fields import field_names
@@ -58,6 +59,8 @@ class RunOptions:
         port of the first agent that listens; None: free ports.
     cpus, priority
         What the processes take of the machine.
+    devices
+        Real inverters: `node=address`.
     cycle_s
         Length of a cycle [s].
     """
@@ -75,6 +78,7 @@ class RunOptions:
     base_port: int | None = None
     cpus: Sequence[str] | None = None
     priority: int | None = None
+    devices: Sequence[str] | None = None
     cycle_s: float | None = None
 
 
@@ -243,6 +247,7 @@ def _plan(
         restart=scenario.restart,
         tier_deadlines_ns=deadlines_ns,
         seed=seed,
+        devices=devices(scenario.devices, options.devices or (), day.tree),
         positions_m=day.positions_m,
     )
 

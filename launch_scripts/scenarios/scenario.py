@@ -17,6 +17,7 @@ from bus_schemas.faults import FaultRule
 from bus_schemas.times import LONGEST_S
 from bus_schemas.tree import check_name
 from launch_scripts.scenarios.budget_table import TimingTable
+from launch_scripts.scenarios.devices import DeviceTable
 from launch_scripts.scenarios.fields import readable
 from launch_scripts.scenarios.machine_table import MachineTable
 from launch_scripts.scenarios.real_time import (
@@ -229,6 +230,9 @@ class Scenario(_Table, frozen=True):
     restart: Annotated[
         RestartPolicy, Meta(description="When a controller's process ends before the run does.")
     ] = RestartPolicy()
+    devices: Annotated[
+        tuple[DeviceTable, ...], Meta(description="Real inverters; `--device` adds to them.")
+    ] = ()
     machine: MachineTable = MachineTable()
     timing: TimingTable = TimingTable()
 
