@@ -140,7 +140,8 @@ class GatewayProcess:
 
     def _events(self, *, wait: bool = False) -> list[Event]:
         assert self._process.stdout is not None
-        pipe, events = self._process.stdout.fileno(), []
+        pipe = self._process.stdout.fileno()
+        events: list[Event] = []
         while (wait and not events) or select.select([pipe], [], [], 0.0)[0]:
             found = os.read(pipe, 1 << 16)
             if not found:

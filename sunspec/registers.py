@@ -167,6 +167,16 @@ class InverterRegisters(Registers):
         return _POINTS[number](self._inverter, at)
 
 
+def no_unit() -> SimDevice:
+    """Return what answers for units that do not exist."""
+
+    async def refuse(*request: object) -> ExcCodes:
+        return ExcCodes.GATEWAY_NO_RESPONSE
+
+    nothing = SimData(FIRST_ADDRESS, count=4, values=0, datatype=DataType.REGISTERS)
+    return SimDevice(0, nothing, action=refuse)
+
+
 def meter_registers(
     unit: int, now: Callable[[], float], inverters: Iterable[LimitedInverter]
 ) -> Registers:

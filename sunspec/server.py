@@ -15,7 +15,13 @@ from pymodbus.server import ModbusTcpServer
 
 from bus_schemas.errors import InputError
 from sunspec.limited_inverter import LimitedInverter
-from sunspec.registers import INVERTER_MODELS, InverterRegisters, Registers, meter_registers
+from sunspec.registers import (
+    INVERTER_MODELS,
+    InverterRegisters,
+    Registers,
+    meter_registers,
+    no_unit,
+)
 
 _MOST_UNITS = 247
 
@@ -144,7 +150,7 @@ async def _serve(plant: ServedPlant, servers: list[ModbusTcpServer]) -> dict[str
     for number, names in enumerate(shared):
         wanted = plant.port + number if plant.port else 0
         devices = [units[name].device for name in names]
-        server = ModbusTcpServer(devices, address=(plant.host, wanted))
+        server = ModbusTcpServer([*devices, no_unit()], address=(plant.host, wanted))
         servers.append(server)
         try:
             await server.serve_forever(background=True)
