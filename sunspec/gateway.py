@@ -101,8 +101,11 @@ class _Link:
 
     def connect(self) -> None:
         """Connect and read once, before there is a run."""
-        self._inverter.connect()
-        self._reading = self._inverter.read()
+        try:
+            self._inverter.connect()
+            self._reading = self._inverter.read()
+        except DeviceError as error:
+            raise DeviceError(f"device {self._node}: {error}") from None
         self._state = self._inverter.state
 
     def begin(self, pipes: Pipes) -> None:
