@@ -11,9 +11,10 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from math import isfinite
-from typing import Any, Final
+from typing import Final
 
 from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP, SunSpecModbusClientError
+from sunspec2.modbus.client import SunSpecModbusClientModel as Model
 from sunspec2.modbus.modbus import ModbusClientError
 
 from sim_plant.devices import Reading, parse_address
@@ -167,7 +168,7 @@ class SunSpecInverter:
     def _percent(self, kw: float) -> float:
         return min(max(100.0 * kw / self.rating_kw, 0.0), 100.0)
 
-    def _watts(self, model: Any, name: str) -> float | None:  # noqa: ANN401 - of pysunspec2
+    def _watts(self, model: Model, name: str) -> float | None:
         watts = model.points[name].cvalue
         return watts / 1e3 if watts is not None and isfinite(watts) else None
 
@@ -186,7 +187,7 @@ class SunSpecInverter:
         names = {symbol["value"]: symbol["name"] for symbol in point.pdef.get("symbols", ())}
         return str(names.get(point.value, ""))
 
-    def _model(self, *wanted: int) -> Any:  # noqa: ANN401 - of pysunspec2
+    def _model(self, *wanted: int) -> Model:
         for model in wanted:
             if model in self._device.models:
                 return self._device.models[model][0]
@@ -194,7 +195,7 @@ class SunSpecInverter:
         needed = " or ".join(map(str, wanted[:2]))
         raise DeviceError(f"{self.address}: expected SunSpec model {needed}, got {has or 'none'}")
 
-    def _need(self, model: Any, name: str) -> None:  # noqa: ANN401 - of pysunspec2
+    def _need(self, model: Model, name: str) -> None:
         if model.points[name].value is None:
             raise DeviceError(
                 f"{self.address}: expected the point {name} in SunSpec model {model.model_id}, got "

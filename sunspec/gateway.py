@@ -146,7 +146,7 @@ class _Link:
                     read_at = time.monotonic() + _READ_AT * self._cycle_s
                     self._write(self._commands.pop())
                 if time.monotonic() >= read_at:
-                    read_at += self._cycle_s
+                    read_at = max(read_at + self._cycle_s, time.monotonic())
                     self._read()
             except DeviceError as error:
                 self._reconnect(error)

@@ -7,7 +7,7 @@ what is written to the points of a limit is what the inverter is told.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from math import ceil, inf, log10, sqrt
 from typing import Any, Final, TypeAlias
 
@@ -121,6 +121,8 @@ class InverterRegisters(Registers):
         The inverter, and its path in the control tree.
     on_limit
         Called when it is told a limit.
+    missing
+        Points that it has not.
     """
 
     def __init__(
@@ -131,8 +133,10 @@ class InverterRegisters(Registers):
         inverter: LimitedInverter,
         name: str,
         on_limit: Callable[[], None],
+        missing: Collection[str] = (),
     ) -> None:
         self._inverter, self._name, self._unit, self._on_limit = inverter, name, unit, on_limit
+        self._missing = missing
         super().__init__(unit, models, now, self._inverter_points)
 
     def _write(
@@ -164,7 +168,8 @@ class InverterRegisters(Registers):
         self._inverter.advance(at)
         if number == 1:
             return common("simulated inverter", self._name, self._unit)
-        return _POINTS[number](self._inverter, at)
+        points = _POINTS[number](self._inverter, at)
+        return {name: value for name, value in points.items() if name not in self._missing}
 
 
 def no_unit() -> SimDevice:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from math import inf
@@ -76,8 +76,8 @@ class ServedPlant:
         Whether each inverter has a port of its own, in place of a unit of its own.
     delay_s, ramp_percent_per_s
         How the inverters follow a limit.
-    models
-        Which models they have.
+    models, missing
+        Which models they have, and points in them that they have not.
     """
 
     inverters: Sequence[tuple[str, float]]
@@ -89,6 +89,7 @@ class ServedPlant:
     delay_s: float = 0.0
     ramp_percent_per_s: float = inf
     models: Sequence[int] = INVERTER_MODELS
+    missing: Collection[str] = ()
 
     def units(self) -> dict[str, Registers]:
         """Return the inverters by path, and the `meter`.
@@ -112,7 +113,9 @@ class ServedPlant:
             )
             simulated.append(inverter)
             unit = 1 if self.a_port_each else place + 1
-            found[name] = InverterRegisters(unit, self.models, self.now, inverter, name, self._told)
+            found[name] = InverterRegisters(
+                unit, self.models, self.now, inverter, name, self._told, self.missing
+            )
         unit = 1 if self.a_port_each else len(self.inverters) + 1
         return found | {"meter": meter_registers(unit, self.now, simulated)}
 
