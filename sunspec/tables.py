@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from studies.tables import Column, Table, key_column, word_column
+from studies.tables import Column, Table, key_column
 from sunspec.process import DeviceAccount
 
 
@@ -33,7 +33,6 @@ def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:
             for figure, unit, decimals in (("", "", 0), (" p50", "ms", 1), (" p99", "ms", 1))
         ),
         Column("reconnects"),
-        word_column("address"),
     )
     rows = tuple(
         (
@@ -41,7 +40,6 @@ def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:
             *(device.reads.count, device.reads.p50_ms, device.reads.p99_ms),
             *(device.writes.count, device.writes.p50_ms, device.writes.p99_ms),
             device.reconnects,
-            device.address,
         )
         for device in devices
     )

@@ -48,7 +48,9 @@ def test_energies_are_those_of_simulated_inverters(
     assert (plain.wait(), real.wait()) == (0, 0), real.error_text()
     expected, found = (_summary(run.folder) for run in (plain, real))
     for energy in ("desired_kwh", "possible_kwh", "delivered_kwh"):
-        assert found["metrics"]["commitment"][energy] == pytest.approx(expected["metrics"]["commitment"][energy], rel=0.05)
+        assert found["metrics"]["commitment"][energy] == pytest.approx(
+            expected["metrics"]["commitment"][energy], rel=0.05
+        )
     assert [device["node"] for device in found["devices"]] == [
         "c1/inv01", "c1/inv02", "c2/inv03", "c2/inv04"
     ]  # fmt: skip
