@@ -56,13 +56,13 @@ $(PEERS_READY): pyproject.toml constraints.txt benchmarks/requirements-peers.txt
 	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --requirement benchmarks/requirements-peers.txt --editable .
 	@touch $@
 
-results: $(READY) ## the tables of docs/results.md, about 10 minutes; DATA=FOLDER for those of measurements
-	cd $${TMPDIR:-/tmp} && $(CURDIR)/$(BIN)/python $(CURDIR)/docs/results_tables.py $(abspath $(DATA))
+results: $(READY) ## every measured table of the documents; DATA=FOLDER for those of measurements, PAGES=delays.md for one page
+	PYTHONPATH=$(CURDIR):$(CURDIR)/tests/sim_plant $(BIN)/python docs/measured $(abspath $(DATA)) $(PAGES)
 
 bench-study: $(READY) ## a whole day through the agents and over arrays
 	$(BIN)/python benchmarks/study_rate.py
 
-soak: $(READY) ## the recorder killed 20 times at random moments: what a recording loses
+soak: $(READY) ## long runs: a random kill every 10 s for SOAK_S (1800) s; the recorder killed 20 times
 	$(BIN)/pytest -m soak
 
 clean: ## remove what the tasks made, recordings of runs excepted

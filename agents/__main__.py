@@ -11,7 +11,7 @@ from agents.launcher_link import LauncherLink
 from agents.plan import load_plan
 from agents.process import run_controller
 from bus_schemas.errors import InputError
-from bus_schemas.tree import CENTRAL, agent_name
+from bus_schemas.tree import CENTRAL, PLANT, RECORDER
 
 
 def main() -> int:
@@ -23,7 +23,7 @@ def main() -> int:
     logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
     try:
         plan = load_plan(options.plan)
-        names = [agent_name(node) for node in plan.tree.nodes]
+        names = [name for name in plan.processes if name not in {PLANT, RECORDER}]
         if options.agent not in names:
             raise InputError(f"{options.agent}: expected one of {', '.join(names)}")
     except InputError as error:

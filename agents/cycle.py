@@ -12,7 +12,7 @@ from typing import Final, Literal, TypeAlias, get_args
 
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
-from bus_schemas.tree import CENTRAL, PLANT, RECORDER, ControlTree, depth
+from bus_schemas.tree import CENTRAL, PLANT, RECORDER, ControlTree, agent_of, depth
 
 Kind: TypeAlias = Literal["plant", "central", "supervisor", "direct", "recorder"]
 """What an agent is."""
@@ -49,7 +49,8 @@ _LATER: Final = {"setpoint": "solve", "command": "actuate", "production": "apply
 
 
 def kind_of(agent: str, tree: ControlTree) -> Kind:
-    """Return the kind of an agent by its name."""
+    """Return the kind of an agent by its name, or by that of its standby."""
+    agent = agent_of(agent)
     return _ALONE.get(agent) or ("direct" if tree.is_leaf(agent) else "supervisor")
 
 

@@ -7,6 +7,7 @@ actuate   setpoint            -> command (alpha)
 from __future__ import annotations
 
 from math import nan
+from typing import Final
 
 import msgspec
 
@@ -21,6 +22,8 @@ from bus_schemas.bus import Delivery
 from bus_schemas.messages import Command, Help, Impp, Residual, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, HELP, IMPP, RESIDUAL, SETPOINT, TELEMETRY
 from bus_schemas.tree import ROOT, parent_of
+
+_NEVER: Final = -(2**31)
 
 
 class DirectState(msgspec.Struct, frozen=True, gc=False):
@@ -50,7 +53,7 @@ class DirectController:
         self._predicts = plan.scheme == "predictive"
         self._limits = plan.actuator == "limit"
         self._alpha_min = plan.alpha_floor
-        self._reverts_to_request = plan.revert is not None and plan.revert.to == "request"
+        self._reverts = plan.settings_of(node).revert is not None
         self._periods, self._parent = plan.periods, parent_of(node)
         self._telemetry = TELEMETRY.of(node)
         self._dispatch = DISPATCH.of(ROOT)
@@ -65,7 +68,7 @@ class DirectController:
 
     def initial_state(self) -> DirectState:
         """Nothing measured."""
-        return DirectState(NOTHING_KNOWN, -1)
+        return DirectState(NOTHING_KNOWN, _NEVER)
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages; between its parent's turns it waits for nobody but its inverter."""
@@ -116,8 +119,11 @@ class DirectController:
     def _actuate(self, state: DirectState, turn: Turn) -> list[Delivery]:
         """Command the setpoint; without one the inverter's own share of the dispatch.
 
-        Where the dispatch is silent too, nothing is sent: the inverter decides for itself.
+        Where the dispatch is silent too, nothing is sent: the inverter decides for itself. Nor is
+        anything before the first telemetry, since that would wipe a limit which the inverter has.
         """
+        if state.telemetry_cycle == _NEVER:
+            return []
         setpoint = turn.get(self._setpoint)
         request_kw = own_request_kw(turn.get(self._dispatch), self._rating_kw)
         target_kw = request_kw if setpoint is None else setpoint.power_kw
@@ -126,6 +132,6 @@ class DirectController:
         impp_kw = state.estimate.power_kw
         alpha = curtailment_level(target_kw, impp_kw, self._alpha_min)
         power_kw = alpha * impp_kw if alpha < 1.0 else self._rating_kw
-        revert_kw = request_kw if self._reverts_to_request else None
+        revert_kw = request_kw if self._reverts else None
         command = Command(*turn.stamp, alpha=alpha, power_kw=power_kw, revert_kw=revert_kw)
         return [(self._command, command)]

@@ -33,7 +33,7 @@ class Driver:
     def __init__(
         self, loops: Iterable[AgentLoop[Any]], bus: Bus, now_ns: Callable[[], int]
     ) -> None:
-        self.loops = {loop.agent.name: loop for loop in loops}
+        self.loops = {loop.name: loop for loop in loops}
         self.bus = bus
         self.now_ns = now_ns
         self._only = next(iter(self.loops.values())) if len(self.loops) == 1 else None
@@ -48,8 +48,8 @@ class Driver:
 
     def join(self, loop: AgentLoop[Any]) -> None:
         """Go on with an agent, whose process is new or goes on itself."""
-        self.loops[loop.agent.name] = loop
-        self._deadline_of[loop.agent.name] = None
+        self.loops[loop.name] = loop
+        self._deadline_of[loop.name] = None
         loop.catch_up(self.now_ns())
         self.go_on(loop)
 
@@ -96,9 +96,9 @@ class Driver:
         while loop.is_complete:
             self._close(loop)
         deadline_ns = loop.deadline_ns
-        if deadline_ns is not None and deadline_ns != self._deadline_of[loop.agent.name]:
-            self._deadline_of[loop.agent.name] = deadline_ns
-            heappush(self._deadlines, (deadline_ns, next(self._numbers), loop.agent.name))
+        if deadline_ns is not None and deadline_ns != self._deadline_of[loop.name]:
+            self._deadline_of[loop.name] = deadline_ns
+            heappush(self._deadlines, (deadline_ns, next(self._numbers), loop.name))
 
     def publish(self, port: Port[Message], message: Message) -> None:
         """Publish a message that no agent decides."""

@@ -36,7 +36,8 @@ class Waiting(Event, frozen=True):
 class Status(Event, frozen=True):
     """What the recorder has seen so far: the run's state for a live view. Powers in kW.
 
-    `unheard` are the keys on which external agents have said nothing in an arming round.
+    `unheard` are the keys on which external agents have said nothing in an arming round, `silent`
+    the controllers that have said nothing for longer than they may between two cycles.
     """
 
     cycle: int
@@ -47,6 +48,17 @@ class Status(Event, frozen=True):
     needy: list[str]
     recorded: int
     unheard: list[str] = msgspec.field(default_factory=list)
+    silent: list[str] = msgspec.field(default_factory=list)
+
+
+class Standing(Event, frozen=True):
+    """The process stands by: another one of its agent speaks."""
+
+
+class TookOver(Event, frozen=True):
+    """The process stood by, and has taken over in this cycle."""
+
+    cycle: int
 
 
 class Finished(Event, frozen=True):
@@ -197,6 +209,8 @@ AnyEvent: TypeAlias = (
     Joined
     | Armed
     | Waiting
+    | Standing
+    | TookOver
     | Status
     | Finished
     | Presence

@@ -15,7 +15,7 @@ from typing import Final
 
 import msgspec
 
-from agents.events import AnyEvent, Event, Status
+from agents.events import AnyEvent, Event, Standing, Status
 
 _PART: Final = 60_000
 """Bytes of an event in one packet: a socket takes packets of some 200 kB at most."""
@@ -64,7 +64,7 @@ class LauncherLink:
             sys.stdout.buffer.flush()
             return
         # A launcher that stands still must not delay the run: its view can wait.
-        flags = socket.MSG_DONTWAIT if isinstance(event, Status) else 0
+        flags = socket.MSG_DONTWAIT if isinstance(event, Status | Standing) else 0
         # Without a launcher nobody is told; the recorder still closes its file.
         with suppress(BrokenPipeError, ConnectionResetError, BlockingIOError):
             for packet in packets(self._agent, data):

@@ -5,6 +5,11 @@ input that it awaits is of this cycle, or at its deadline. Its decision rests on
 messages; an input older than `hold_cycles` is silent. What the agent sends names, in `missing`, the
 inputs that were older than they should have been. Lockstep has no deadlines: that is the whole
 difference.
+
+A standby is a second process of an agent. It goes through the same stages in silence, and awaits in
+each one the other process's last message of that stage as well. If that has not come some time
+after the stage's deadline, it takes over: it publishes, from this stage on, and the other process
+falls silent as soon as it hears of it.
 """
 
 from __future__ import annotations
@@ -14,14 +19,17 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Final, Generic, Literal, TypeAlias, TypeVar
 
+import msgspec
+
 from agents.agent import Agent, Stage, Turn
+from agents.cycle import stage_of
 from agents.plan import START_WITHIN_NS, RunPlan
 from bus_schemas.bounds import bounds_of, is_within
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Message, Run
+from bus_schemas.messages import Message, Run, Takeover
 from bus_schemas.missing import Missing
-from bus_schemas.signals import DISPATCH, Occurrence, Port
-from bus_schemas.tree import ROOT
+from bus_schemas.signals import DISPATCH, TAKEOVER, Occurrence, Port
+from bus_schemas.tree import CENTRAL, ROOT
 
 S = TypeVar("S")
 
@@ -34,6 +42,11 @@ _NONE_YET: Final = -(2**62)
 
 _PLANT_HORIZON: Final = 1_000
 """Cycles by which controllers may be ahead of a plant that stood still."""
+
+_STANDBY_WAITS: Final = 0.5
+_DEPOSED_WAITS: Final = 0.75
+"""Part of its stage's time that a silent process waits after the deadline: a standby, and a process
+that it replaced. If both are silent, both do not speak at once."""
 
 Cause: TypeAlias = Literal[
     "late", "other_cycle", "unexpected", "duplicate", "foreign", "absurd", "replaced"
@@ -113,13 +126,23 @@ class AgentLoop(Generic[S]):
     skipped_cycles
         Cycles that were over before the agent was through them.
     incarnation
-        The cycle in which it joined the run: 0, unless its process replaces another.
+        The cycle in which it joined the run, or took over: 0, unless its process replaces another.
+    name
+        Of its process: the agent's, or that of its standby.
+    silent
+        Whether it publishes nothing: its agent's other process does.
     """
 
     def __init__(
-        self, agent: Agent[S], plan: RunPlan, on_drop: Callable[[str], None] = lambda text: None
+        self,
+        agent: Agent[S],
+        plan: RunPlan,
+        on_drop: Callable[[str], None] = lambda text: None,
+        process: str | None = None,
     ) -> None:
         self.agent = agent
+        self.name = process or agent.name
+        self.silent = self.name != agent.name
         self.cycle = BEFORE_ARMING
         self.end_cycle = plan.cycles
         self.stop_heard = False
@@ -146,6 +169,8 @@ class AgentLoop(Generic[S]):
             if port.signal.occurrence is not Occurrence.EVENT
         }
         self._deadlines_ns: dict[str, int] = {}
+        self._signs = plan.wiring.signs.get(agent.name, ())
+        self._waits = _STANDBY_WAITS if self.silent else _DEPOSED_WAITS
 
     @property
     def stage(self) -> str:
@@ -182,6 +207,8 @@ class AgentLoop(Generic[S]):
         heard = self._inputs.get(port)
         if heard is None or message.cycle < 0 <= self.cycle:  # What is left of arming rounds.
             return
+        if port in self._signs and not self.silent and not self._yields_to(message):
+            return
         if message.incarnation != heard.incarnation and not self._is_successor(heard, message):
             return
         if self.cycle < 0 and port is self._dispatch and message.cycle > self.cycle:
@@ -193,6 +220,13 @@ class AgentLoop(Generic[S]):
             self._keep_ahead(heard, message)
         else:
             self._take(heard, message, time_ns)
+
+    def _yields_to(self, message: Message) -> bool:
+        """Fall silent if the agent's other process has taken over; return whether it has."""
+        self.silent = message.incarnation > self.incarnation
+        if self.silent:
+            log.info("falls silent: its standby has taken over in cycle %d", message.incarnation)
+        return self.silent
 
     def _is_successor(self, heard: _Input, message: Message) -> bool:
         """Whether a message is of a process that replaced the publisher, not of one replaced."""
@@ -254,6 +288,10 @@ class AgentLoop(Generic[S]):
         )
         return now_ns
 
+    def use_instead(self, port: Port[Message], message: Message) -> None:
+        """Use another message of the same cycle than the one that came first."""
+        self._inputs[port].newest = message
+
     # Cycles ---------------------------------------------------------------------------------------
 
     def begin(self, start_ns: int, now_ns: int, cycle: int = 0) -> None:
@@ -269,6 +307,7 @@ class AgentLoop(Generic[S]):
         if abs(dispatch.ready_time_ns - now_ns) <= START_WITHIN_NS:
             began_ns = dispatch.ready_time_ns
         log.info("joined the run in cycle %d", dispatch.cycle)
+        self.silent = bool(self._signs)  # Its agent's other process lives, or it will take over.
         self.begin(began_ns - dispatch.cycle * self._plan.cycle_wall_ns, now_ns, dispatch.cycle)
 
     def end_before(self, cycle: int) -> None:
@@ -315,12 +354,28 @@ class AgentLoop(Generic[S]):
         self._ready_ns = now_ns
         if self._place < len(self._stages):
             stage, inputs, cycle = self._stages[self._place], self._inputs, self.cycle
-            for port in stage.awaits:
+            for port in (*stage.awaits, *self._sign_of(stage)) if self.silent else stage.awaits:
                 if inputs[port].heard != cycle:
                     self.waiting.add(port)
             if cycle >= 0 and self._start_ns is not None:
                 begin_ns = self._start_ns + cycle * self._plan.cycle_wall_ns
                 self.deadline_ns = begin_ns + self._deadline_after_ns(stage.name)
+                if self.silent:
+                    self.deadline_ns += self._grace_ns(stage)
+
+    def _sign_of(self, stage: Stage) -> tuple[Port[Message], ...]:
+        """Return the last port that the agent's other process publishes on in a stage."""
+        signs = [
+            port
+            for port in self._signs
+            if stage_of(port, self._plan.tree) == stage.name
+            and (self.cycle < 0 or self.cycle % self._inputs[port].period == 0)
+        ]
+        return tuple(signs[-1:])
+
+    def _grace_ns(self, stage: Stage) -> int:
+        """How long after the deadline of a stage a silent process waits for the other one."""
+        return round(self._waits * self._plan.deadlines.slice_ns(self.agent.name, stage.name))
 
     def _deadline_after_ns(self, stage: str) -> int:
         """Deadline of a stage after the beginning of its cycle."""
@@ -333,15 +388,21 @@ class AgentLoop(Generic[S]):
     def close_stage(self, now_ns: int) -> list[Delivery]:
         """Close the open stage with what there is; return what the agent sends."""
         stage = self._stages[self._place]
+        takes_over = self._may_take_over(stage, now_ns)
         if self.waiting or stage.timed:
             deadline_ns = self.deadline_ns
             self._ready_ns = now_ns if deadline_ns is None else deadline_ns
-            self.missing_inputs += len(self.waiting)
+            self.missing_inputs += len(self.waiting.difference(self._signs))
         inputs, missing = self._inputs_of(stage)
         cycle, sim_time_ns = self.cycle, self._plan.sim_time_ns(self.cycle)
         stamp = (cycle, sim_time_ns, self.agent.name, missing)
         turn = Turn(stage.name, cycle, sim_time_ns, stamp, inputs)
-        self._state, outputs = self.agent.step(self._state, turn)
+        before = self._state
+        self._state, outputs = self.agent.step(before, turn)
+        if takes_over and outputs:
+            outputs = [self._take_over(before, turn), *outputs]
+        elif self.silent:
+            outputs = []
         for _, message in outputs:
             message.ready_time_ns = self._ready_ns
             message.incarnation = self.incarnation
@@ -351,6 +412,33 @@ class AgentLoop(Generic[S]):
         elif cycle >= 0:
             self._go_to(cycle + 1, now_ns)
         return outputs
+
+    # Taking over ----------------------------------------------------------------------------------
+
+    def _may_take_over(self, stage: Stage, now_ns: int) -> bool:
+        """Whether the agent's other process has missed its deadline.
+
+        A process that comes late to a deadline itself knows nothing of the other one.
+        """
+        if not self.silent or self.deadline_ns is None or self.waiting.isdisjoint(self._signs):
+            return False
+        newest = max(self._inputs[port].incarnation for port in self._signs)
+        return self.cycle > newest and now_ns <= self.deadline_ns + self._grace_ns(stage)
+
+    def _take_over(self, state: S, turn: Turn) -> Delivery:
+        """Speak from now on; return the message that says so, with what it knows."""
+        log.info("takes over in cycle %d", turn.cycle)
+        self.silent, self.incarnation = False, turn.cycle
+        known = msgspec.structs.asdict(state) if isinstance(state, msgspec.Struct) else {}
+        port = TAKEOVER.of("" if self.agent.name == CENTRAL else self.agent.name)
+        return port, Takeover(*turn.stamp, stage=turn.stage, **known)
+
+    def resume(self, takeover: Takeover) -> None:
+        """Go on with the state of a process that took over."""
+        state = self._state
+        if isinstance(state, msgspec.Struct):
+            names = state.__struct_fields__
+            self._state = type(state)(**{name: getattr(takeover, name) for name in names})
 
     def _inputs_of(
         self, stage: Stage

@@ -292,7 +292,9 @@ class CentralController:
             outputs.append((self._notice, _clamped(turn, dispatch, state.clamped)))
         if self._periods.is_turn(ROOT, turn.cycle):
             possible_kw = total([report.impp_kw for report in reports])
-            state = self._correct(state, usable_kw(dispatch), possible_kw)
+            # The way down to the inverters is taken to be as long as that of their reports up.
+            delay = min(r.stale_cycles for r in reports) + turn.cycle - state.meter_cycle
+            state = self._correct(state, usable_kw(dispatch), possible_kw, delay * self._cycle_s)
             target_kw = min(state.wanted_kw + state.correction_kw, self._children.rating_kw)
             outputs += self._children.setpoints(turn, target_kw, reports)
         return state, outputs
@@ -308,7 +310,9 @@ class CentralController:
             readings=state.readings + 1,
         )
 
-    def _correct(self, state: CentralState, dispatch_kw: float, possible_kw: float) -> CentralState:
+    def _correct(
+        self, state: CentralState, dispatch_kw: float, possible_kw: float, delay_s: float
+    ) -> CentralState:
         """Correct by the mean of the readings since the last turn."""
         correction_kw = state.correction_kw
         if self._corrects and state.readings:
@@ -319,6 +323,7 @@ class CentralController:
                 dispatch_kw >= possible_kw,
                 self._children.rating_kw,
                 state.readings * self._cycle_s,
+                delay_s,
             )
         return replace(
             state, correction_kw=correction_kw, wanted_kw=dispatch_kw, metered_kw=0.0, readings=0

@@ -6,24 +6,27 @@ reading one takes.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Final, Literal, TypeAlias
 
 import msgspec
 from msgspec import Meta
+from msgspec.structs import asdict, replace
 
 from agents.control.forecast import HIDDEN_ALPHA_MIN
 from agents.cycle import Deadlines
 from agents.machine import MachineSettings
 from agents.periods import Periods
 from bus_schemas.errors import InputError
-from bus_schemas.faults import FaultRule, NetworkFaults
+from bus_schemas.faults import FaultRule, NetworkFaults, check_rule
 from bus_schemas.keys import KeyTable
 from bus_schemas.links import Links, explicit_links
 from bus_schemas.messages import Message, Run
 from bus_schemas.signals import Occurrence, Port, Wiring
-from bus_schemas.tree import PLANT, ControlTree, depth, parent_of
+from bus_schemas.tree import PLANT, ControlTree, depth, parent_of, some_of, standby_of
 
 Scheme: TypeAlias = Literal["paper", "predictive"]
 """`paper`: the IMPP is the last cycle's (eq. 1). `predictive`: it is a forecast of this cycle's."""
@@ -31,6 +34,11 @@ Scheme: TypeAlias = Literal["paper", "predictive"]
 Actuator: TypeAlias = Literal["fraction", "limit"]
 """`fraction`: P = alpha x MPP, as in the paper. `limit`: P = min(limit, MPP), as real inverters."""
 
+
+LONGEST_CYCLE_NS: Final = 3_600_000_000_000
+MOST_CYCLES: Final = 10_000_000
+MOST_VALUES: Final = 100_000_000
+"""A run has at most so many cycles, and cycles times inverters: 0.8 GB for one number of each."""
 
 START_WITHIN_NS: Final = 10_000_000_000
 """A run that is said to begin further from now than this was timed by another host's clock."""
@@ -62,19 +70,40 @@ class RestartPolicy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What the launcher does when a controller's process ends before the run does."""
 
     when: Annotated[
-        Literal["never", "on-failure"],
-        Meta(description="Start it again, or end the run. In lockstep the run ends always."),
-    ] = "on-failure"
+        Literal["never", "on-failure", "always"] | None,
+        Meta(
+            description="`never`: the run ends. `on-failure`: it is started again. `always`: as "
+            "often as it takes. Default: `on-failure` in real time, `never` in lockstep."
+        ),
+    ] = None
     most: Annotated[
-        int, Meta(ge=1, le=1000, description="So many restarts of one controller at most ...")
+        int, Meta(ge=1, le=1000, description="So many restarts of one process at most ...")
     ] = 5
     within_s: Annotated[
         float, Meta(gt=0.0, le=1e6, description="... in this time; one more ends the run [s].")
     ] = 60.0
+    backoff_s: Annotated[
+        float,
+        Meta(ge=0.0, le=1e6, description="Wait before a second restart in it; then doubled [s]."),
+    ] = 0.5
     frozen_s: Annotated[
         float,
-        Meta(gt=0.0, le=1e6, description="A controller that stands still so long is killed [s]."),
+        Meta(gt=0.0, le=1e6, description="A process that says nothing for so long is killed [s]."),
     ] = 5.0
+
+    def wait_s(self, earlier_s: Iterable[float], now_s: float) -> float | None:
+        """Return how long to wait before one more restart of a process; None: there is none.
+
+        `earlier_s` are the times at which it was started again.
+        """
+        recent = sum(now_s - at_s < self.within_s for at_s in earlier_s)
+        if self.when == "never" or (recent >= self.most and self.when != "always"):
+            return None
+        return min(self.backoff_s * 2.0 ** (recent - 1), self.within_s) if recent else 0.0
+
+
+Ramp: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e6)]
+Delay: TypeAlias = Annotated[float, Meta(ge=0.0, le=600.0)]
 
 
 class Revert(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -90,6 +119,21 @@ class Revert(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             "`release`: all it has. A number: this share of its rating."
         ),
     ] = "request"
+
+
+class InverterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How some inverters take commands. What is not given is as for all others."""
+
+    nodes: Annotated[str, Meta(description="Which: `c1/inv07`, or a pattern such as `c1/*`.")] = "*"
+    revert: Annotated[
+        Revert | None, Meta(description="What they do that hear no command any more.")
+    ] = None
+    ramp_percent_per_s: Annotated[
+        Ramp | None, Meta(description="How fast they follow, in % of the rating per second.")
+    ] = None
+    delay_s: Annotated[
+        Delay | None, Meta(description="After what time a command takes effect [s].")
+    ] = None
 
 
 class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
@@ -153,6 +197,14 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         What an inverter does that hears no command any more; None: it obeys the last one for ever.
     devices
         Inverters that are real, each with its address: `modbus://host:port/unit`.
+    ramp_percent_per_s, delay_s
+        How fast an inverter follows a command, in % of its rating per second (None: at once), and
+        after what time it begins to.
+    settings
+        Inverters that are set otherwise; the last entry that fits one counts, field by field.
+    standby
+        Parents of which a second process stands by. In lockstep, where nothing has a deadline, none
+        does.
     positions_m
         Where each inverter stands: metres east and north of a point that is the same for all of
         them. Empty: not known.
@@ -188,7 +240,11 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     restart: RestartPolicy = RestartPolicy()
     revert: Revert | None = None
     devices: tuple[tuple[str, str], ...] = ()
+    ramp_percent_per_s: float | None = None
+    delay_s: float = 0.0
+    settings: tuple[InverterSettings, ...] = ()
     positions_m: tuple[tuple[float, float], ...] = ()
+    standby: tuple[str, ...] = ()
 
     @cached_property
     def tree(self) -> ControlTree:
@@ -203,12 +259,22 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     @cached_property
     def wiring(self) -> Wiring:
         """Who publishes and hears what."""
-        return Wiring(self.tree)
+        return Wiring(self.tree, self.standbys)
 
     @cached_property
     def links(self) -> Links:
         """The TCP links between the agents."""
-        return explicit_links(self.tree)
+        return explicit_links(self.tree, self.standbys)
+
+    @property
+    def standbys(self) -> tuple[str, ...]:
+        """Agents that have a standby."""
+        return () if self.lockstep else self.standby
+
+    @property
+    def processes(self) -> tuple[str, ...]:
+        """Names of the processes of a run: agents, then standbys."""
+        return (*self.tree.agents(), *map(standby_of, self.standbys))
 
     @property
     def alpha_floor(self) -> float:
@@ -242,6 +308,23 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     def deadlines(self) -> Deadlines:
         """The deadlines of the stages, in real time."""
         return Deadlines(self.tree, self.cycle_wall_ns, self.tier_deadlines_ns)
+
+    def settings_of(self, leaf: str) -> InverterSettings:
+        """Return how an inverter takes commands."""
+        found = InverterSettings(
+            revert=self.revert, ramp_percent_per_s=self.ramp_percent_per_s, delay_s=self.delay_s
+        )
+        for entry in self.settings:
+            if fnmatchcase(leaf, entry.nodes):
+                given = {name: value for name, value in asdict(entry).items() if value is not None}
+                found = replace(found, **given)
+        return found
+
+    def follows_within_s(self, leaf: str) -> float:
+        """Return the longest time in which an inverter comes to obey a command [s]."""
+        settings = self.settings_of(leaf)
+        ramp = settings.ramp_percent_per_s
+        return (settings.delay_s or 0.0) + (100.0 / ramp if ramp is not None else 0.0)
 
     @property
     def bus_namespace(self) -> str:
@@ -295,13 +378,42 @@ def load_plan(path: Path) -> RunPlan:
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: {error}, expected the plan.json of a run") from None
     try:
-        _check_tiers(plan)
+        check_plan(plan)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     return plan
 
 
-def _check_tiers(plan: RunPlan) -> None:
+def check_size(cycles: int, inverters: int, where: str) -> None:
+    """Refuse a run that would take more memory than any machine is asked for."""
+    most = min(MOST_CYCLES, MOST_VALUES // inverters)
+    if not 0 < cycles <= most:
+        raise InputError(
+            f"{where}: expected up to {most:,} cycles with {inverters:,} inverters, got {cycles:,}"
+        )
+
+
+def check_plan(plan: RunPlan) -> None:
+    """Check what the types of the fields do not tell.
+
+    Raises
+    ------
+    InputError
+        A plan that no scenario leads to.
+    """
+    check_size(plan.cycles, len(plan.tree.leaves), "cycles")
+    if not 0 < plan.cycle_ns <= LONGEST_CYCLE_NS:
+        raise InputError(
+            f"cycle_ns: expected above 0, up to {LONGEST_CYCLE_NS:,}, got {plan.cycle_ns:,}"
+        )
+    for number, rule in enumerate(plan.faults):
+        check_rule(rule, plan.tree, f"faults[{number}]", plan.external)
+    for number, entry in enumerate(plan.settings):
+        if not any(fnmatchcase(leaf, entry.nodes) for leaf in plan.tree.leaves):
+            raise InputError(
+                f"plant.settings[{number}].nodes: expected inverters "
+                f"({some_of(plan.tree.leaves)}) or a pattern such as c1/*, got {entry.nodes!r}"
+            )
     tiers = 1 + max(depth(parent) for parent in plan.tree.parents)
     if len(plan.periods.cycles) != tiers:
         raise InputError(

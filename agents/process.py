@@ -16,13 +16,14 @@ from agents.agent import Agent
 from agents.cycle import kind_of
 from agents.driver import Driver
 from agents.drop_log import DropLog
-from agents.events import Failed, Finished, Joined, Waiting
+from agents.events import Failed, Finished, Joined, Standing, TookOver, Waiting
 from agents.launcher_link import LauncherLink
 from agents.loop import AgentLoop
 from agents.machine import take_machine
 from agents.plan import RunPlan
 from agents.team import controller
 from bus_schemas.faulty_bus import FaultyBus
+from bus_schemas.tree import agent_of
 from bus_schemas.zenoh_bus import SessionSettings, ZenohBus
 
 log = logging.getLogger(__name__)
@@ -30,6 +31,11 @@ log = logging.getLogger(__name__)
 _SET_PARENT_DEATH_SIGNAL: Final = 1
 """PR_SET_PDEATHSIG of prctl(2). It outlives execve(2)."""
 
+
+STANDING_S: Final = 1.0
+"""How often a process that stands by says that it is there."""
+
+_LOOK_S: Final = 0.02
 
 _STOP_PATIENCE_S: Final = 10.0
 """How long a controller waits after its last cycle for the plant to end the run."""
@@ -41,9 +47,9 @@ def die_with_parent(death_signal: signal.Signals = signal.SIGKILL) -> None:
         ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, int(death_signal))
 
 
-def run_controller(plan: RunPlan, name: str, link: LauncherLink) -> int:
-    """Take a controller through a run. Returns the exit status."""
-    return run_guarded(name, link, lambda: _run_controller(plan, name, link))
+def run_controller(plan: RunPlan, name: str, link: LauncherLink, *, rejoins: bool = False) -> int:
+    """Take a controller through a run; `rejoins`: that is under way. Returns the exit status."""
+    return run_guarded(name, link, lambda: _run_controller(plan, name, link, rejoins))
 
 
 def run_guarded(
@@ -69,9 +75,11 @@ def run_guarded(
     return 0
 
 
-def _run_controller(plan: RunPlan, name: str, link: LauncherLink) -> None:
-    with AgentProcess(plan, controller(plan, name), link) as process:
+def _run_controller(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> None:
+    with AgentProcess(plan, controller(plan, agent_of(name)), link, name) as process:
         log.info("%s is on the bus", name)
+        if rejoins and plan.lockstep:
+            process.catch_up()
         for _ in process.drive():
             if link.dismissed:
                 break
@@ -96,9 +104,13 @@ class AgentProcess:
         The agent.
     link
         To the launcher.
+    name
+        Of the process, where it is a standby.
     """
 
-    def __init__(self, plan: RunPlan, agent: Agent[Any], link: LauncherLink) -> None:
+    def __init__(
+        self, plan: RunPlan, agent: Agent[Any], link: LauncherLink, name: str | None = None
+    ) -> None:
         self.plan = plan
         self.link = link
         self._drop_log = DropLog()
@@ -107,13 +119,14 @@ class AgentProcess:
             agent.name,
             plan.keys,
             plan.wiring,
-            session_settings(plan, agent.name),
+            session_settings(plan, name or agent.name),
             patience_s=plan.stall_timeout_s,
+            process=name,
         )
         self._faults: FaultyBus | None = None
         if plan.network_faults.concern(agent.name):
             self._faults = FaultyBus(self._bus, agent.name, plan.network_faults)
-        self.loop = AgentLoop(agent, plan, self._drop_log)
+        self.loop = AgentLoop(agent, plan, self._drop_log, name)
         self.driver = Driver([self.loop], self._faults or self._bus, time.monotonic_ns)
         self.watch_alive = self._bus.watch_alive
         link.tell(Joined())
@@ -125,12 +138,43 @@ class AgentProcess:
         self._bus.__exit__(*error)
 
     def drive(self) -> Iterator[None]:
-        """Drive the agent through the run; in lockstep, tell the launcher if nothing comes."""
+        """Drive the agent through the run; tell the launcher if it cannot go on in lockstep.
+
+        A process that stands by says so every now and then: nothing else is heard of it.
+        """
         loop = self.loop
-        for arrivals in self.driver.run():
-            if not arrivals and self.plan.lockstep and loop.waiting and loop.cycle >= 0:
+        was_silent, tell_at = loop.silent, 0.0
+        place, waits_since = (loop.cycle, loop.stage), time.monotonic()
+        for _ in self.driver.run():
+            if self.plan.lockstep and (loop.cycle, loop.stage) != place:
+                place, waits_since = (loop.cycle, loop.stage), time.monotonic()
+            elif (
+                self.plan.lockstep
+                and loop.waiting
+                and loop.cycle >= 0
+                and time.monotonic() - waits_since >= self.plan.stall_timeout_s
+            ):
+                waits_since = time.monotonic()
                 self.link.tell(Waiting(loop.cycle, loop.stage, loop.needs))
+            if loop.silent and time.monotonic() >= tell_at:
+                tell_at = time.monotonic() + STANDING_S
+                self.link.tell(Standing())
+            elif was_silent and not loop.silent:
+                tell_at = 0.0
+                self.link.tell(TookOver(loop.incarnation))
+            was_silent = loop.silent
             yield
+
+    def catch_up(self) -> None:
+        """Join a run in lockstep, where the others wait: ask them for what they have said last."""
+        heard = self.plan.wiring.heard[self.loop.agent.name]
+        publishers = {self.plan.keys.alive_key(port.publisher) for port in heard}
+        alive = self.watch_alive()
+        while self.loop.cycle < 0 and not self.link.dismissed:
+            if publishers <= alive():
+                for _, port, message, time_ns in self._bus.newest():
+                    self.loop.hear(port, message, time_ns)
+            time.sleep(_LOOK_S)
 
     def report(self) -> None:
         """Tell the launcher what went out and what was not used."""
@@ -156,7 +200,7 @@ class AgentProcess:
 
 
 def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
-    """Return how an agent of the plan joins the bus."""
+    """Return how an agent of the plan, or a standby, joins the bus."""
     listen, connect = plan.links.endpoints(agent, plan.tcp_ports)
     return SessionSettings(plan.bus_namespace, listen, connect, lockstep=plan.lockstep)
 

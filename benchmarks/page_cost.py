@@ -19,7 +19,7 @@ import tempfile
 import threading
 import time
 import urllib.request
-from collections import defaultdict
+from collections import defaultdict, deque
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -124,12 +124,15 @@ def main() -> None:
         read(options.read[0], int(options.read[1]))
         return
     costs: dict[tuple[str, str], list[Cost]] = defaultdict(list)
+    cases = deque(CASES.items())
     for _ in range(options.rounds):
+        cases.rotate()  # Other work on the machine comes and goes.
         for pace in ("max", options.pace):
             cycles = options.cycles if pace == "max" else options.cycles // 4
-            for case, browsers in CASES.items():
+            for case, browsers in cases:
                 cost = measure(browsers, options.scenario, pace, cycles)
-                sys.stderr.write(f"{case}, pace {pace}: {cost}\n")
+                load = psutil.getloadavg()[0]
+                sys.stderr.write(f"{case}, pace {pace}, load {load:.1f}: {cost}\n")
                 costs[case, pace].append(cost)
     table = Table(title=f"{options.scenario}: median of {options.rounds} rounds")
     table.add_column("")

@@ -37,31 +37,27 @@ class Bus(Protocol):
 
 
 class Outbox:
-    """Stamps messages with their publish time and number, and counts those of the run."""
+    """Stamps messages with their publish time and number, and counts those of the run.
+
+    The messages of each incarnation of their publisher are numbered from 0.
+    """
 
     def __init__(self) -> None:
-        self._sent: dict[Port[Message], int] = {}
-        self._before: Counter[str] = Counter()
+        self._sent: dict[tuple[Port[Message], int], int] = {}
 
     def stamp(self, port: Port[Message], message: Message, now_ns: int) -> None:
         """Complete the head of a message that goes out."""
         message.publish_time_ns = now_ns
         if message.cycle >= 0:
-            message.sequence = sequence = self._sent.get(port, 0)
-            self._sent[port] = sequence + 1
-
-    def begin_again(self, agent: str) -> None:
-        """Count the messages of an agent from 0 again: its process is a new one."""
-        for port in [port for port in self._sent if port.publisher == agent]:
-            sent = self._sent.pop(port)
-            if port.signal.logged:
-                self._before[port.signal.name] += sent
+            key = (port, message.incarnation)
+            message.sequence = sequence = self._sent.get(key, 0)
+            self._sent[key] = sequence + 1
 
     @property
     def published(self) -> Counter[str]:
         """Messages published in the cycles of the run, by signal name: what must be recorded."""
-        counts = self._before.copy()
-        for port, sent in self._sent.items():
+        counts: Counter[str] = Counter()
+        for (port, _), sent in self._sent.items():
             if port.signal.logged:
                 counts[port.signal.name] += sent
         return counts

@@ -24,7 +24,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from hashlib import blake2b
-from math import ceil, cos, log, pi, sqrt
+from math import ceil, cos, inf, log, pi, sqrt
 from typing import Annotated, Final, Literal, NamedTuple, TypeAlias
 
 import msgspec
@@ -134,6 +134,12 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         """Whether it does more than to be silent at times."""
         return any((self.delay_ms, self.jitter_ms, self.loss, self.duplicate, self.reorder))
 
+    @property
+    def spans(self) -> tuple[tuple[float, ...], ...]:
+        """Intervals of simulated time since cycle 0 in which it does something to messages [s]."""
+        acts = self.acts_outside_silence or self.partition is not None
+        return (*self.silent, self.at or (0.0, inf)) if acts else self.silent
+
     def is_silent(self, time_s: float) -> bool:
         """Whether nothing arrives at a simulated time since cycle 0."""
         is_cut = self.partition is not None and self.is_active(time_s)
@@ -179,7 +185,7 @@ class Incident(NamedTuple):
 
     time_s: float
     agent: str
-    what: Literal["kill", "freeze", "thaw", "start"]
+    what: Literal["kill", "freeze", "thaw", "watch", "start"]
 
 
 def incidents(rules: tuple[FaultRule, ...], tree: ControlTree) -> list[Incident]:
@@ -208,16 +214,14 @@ def stopped_by(rule: FaultRule, tree: ControlTree) -> list[str]:
 
 @dataclass(slots=True)
 class FaultTally:
-    """What faults did to the messages that were seen: of a lost one no copy arrived."""
+    """What faults did to messages: of a lost one no copy arrived."""
 
-    seen: int = 0
     lost: int = 0
     duplicated: int = 0
     delayed: int = 0
 
     def count(self, fate: tuple[int, ...]) -> None:
         """Count the fate of one message."""
-        self.seen += 1
         self.lost += not fate
         self.duplicated += len(fate) > 1
         self.delayed += any(fate)
@@ -328,12 +332,17 @@ class _Link:
         self._stretches = [
             _Stretch(rule, f"{seed} {number} {port} {listener}") for number, rule in rules
         ]
+        spans = [span for _, rule in rules for span in rule.spans]
+        self._begin_s = min((begin_s for begin_s, _ in spans), default=0.0)
+        self._end_s = max((end_s for _, end_s in spans), default=0.0)
         self._cycle_s = cycle_ns / 1e9
         self._cycle_wall_s = cycle_wall_ns / 1e9
 
     def fate(self, cycle: int, acts: Sequence[RuleActs]) -> tuple[int, ...]:
         """Return the delays [ns] of the copies that arrive; note which rules did something."""
         time_s = cycle * self._cycle_s
+        if not self._begin_s <= time_s < self._end_s:
+            return UNHARMED
         active = [
             (number, stretch)
             for (number, rule), stretch in zip(self._rules, self._stretches, strict=True)

@@ -6,12 +6,12 @@ docs/decisions/0002-explicit-links.md for the alternatives, measured).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 from bus_schemas.signals import listeners, ports
-from bus_schemas.tree import RECORDER, ControlTree
+from bus_schemas.tree import RECORDER, ControlTree, standby_of
 
 
 @dataclass(frozen=True)
@@ -48,16 +48,25 @@ class Links:
         return tops
 
 
-def explicit_links(tree: ControlTree) -> Links:
-    """Return one link for each pair of agents of which one publishes what the other listens to."""
+def explicit_links(tree: ControlTree, standbys: Collection[str] = ()) -> Links:
+    """Return one link for each pair of agents of which one publishes what the other listens to.
+
+    A standby has the links of its agent, and one to its agent's process.
+    """
     agents = tree.agents()
-    rank = {agent: place for place, agent in enumerate(agents)}
+    rank = {agent: place for place, agent in enumerate((*agents, *map(standby_of, standbys)))}
     pairs: set[tuple[str, str]] = {(RECORDER, agent) for agent in agents if agent != RECORDER}
     for port in ports(tree):
         source = port.publisher
         for sink in listeners(port, tree):
             top, below = sorted((source, sink), key=rank.__getitem__)
             pairs.add((top, below))
+    for agent in standbys:
+        beside = standby_of(agent)
+        for pair in [pair for pair in pairs if agent in pair]:
+            top, below = (beside if end == agent else end for end in pair)
+            pairs.add((top, below))
+        pairs.add((agent, beside))
     return Links(tuple(sorted(pairs, key=lambda pair: (rank[pair[0]], rank[pair[1]]))))
 
 

@@ -13,9 +13,10 @@ from heapq import heappop, heappush
 from itertools import count
 
 from bus_schemas.bus import Arrival, Outbox
-from bus_schemas.faults import FaultTally, NetworkFaults
+from bus_schemas.faults import UNHARMED, FaultTally, NetworkFaults
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port, Wiring
+from bus_schemas.tree import agent_of
 
 
 class VirtualClock:
@@ -55,7 +56,7 @@ class MemoryBus:
     ) -> None:
         self.outbox = Outbox()
         self.tally = FaultTally()
-        self._listeners = wiring.listeners
+        self._listeners = wiring.processes
         self._on_publish = on_publish
         self._clock = clock
         self._faults = faults
@@ -78,36 +79,45 @@ class MemoryBus:
         self.outbox.stamp(port, message, now_ns)
         if self._on_publish is not None:
             self._on_publish(port, message)
+        faults, arrived = self._faults, self._arrived
         for agent in self._listeners[port]:
-            arrival = Arrival(agent, port, message, now_ns)
-            if self._faults is None:
-                self._arrived.append(arrival)
+            fate = UNHARMED if faults is None else faults.fates(port, agent_of(agent), message)
+            if fate is UNHARMED:
+                arrived.append(Arrival(agent, port, message, now_ns))
             else:
-                self._send(self._faults, arrival)
+                self._send(Arrival(agent, port, message, now_ns), fate)
 
     def receive(self, until_ns: int | None, wanted: int = 1) -> Sequence[Arrival]:
-        """Return the next message; nothing if none comes before a time."""
+        """Return the next messages, all of one moment; nothing if none comes before a time."""
         # A message that arrives at a deadline is in time.
         while self._arrived or (
             self._under_way and (until_ns is None or self._under_way[0][0] <= until_ns)
         ):
             if self._arrived:
-                arrival = self._arrived.popleft()
+                arrivals = list(self._arrived)
+                self._arrived.clear()
             else:
-                arrival = heappop(self._under_way)[2]
-                self._set_clock(arrival.time_ns)
-            if arrival.agent not in self._held:
-                return (arrival,)
-            kept = self._held[arrival.agent]
-            if kept is not None:
-                kept.append(arrival)
+                arrivals = [heappop(self._under_way)[2]]
+                self._set_clock(arrivals[0].time_ns)
+            if self._held:
+                arrivals = [arrival for arrival in arrivals if not self._is_held(arrival)]
+            if arrivals:
+                return arrivals
         if until_ns is not None:
             self._set_clock(until_ns)
         return ()
 
-    def _send(self, faults: NetworkFaults, arrival: Arrival) -> None:
+    def _is_held(self, arrival: Arrival) -> bool:
+        """Whether a message is for an agent that is brought nothing; keep it if it is to be."""
+        if arrival.agent not in self._held:
+            return False
+        kept = self._held[arrival.agent]
+        if kept is not None:
+            kept.append(arrival)
+        return True
+
+    def _send(self, arrival: Arrival, fate: tuple[int, ...]) -> None:
         """Let a message go the way that the faults of its link leave it."""
-        fate = faults.fates(arrival.port, arrival.agent, arrival.message)
         self.tally.count(fate)
         for delay_ns in fate:
             if delay_ns:

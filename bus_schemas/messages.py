@@ -163,8 +163,8 @@ class Command(Message, kw_only=True):
     nothing is to be held back. A run has one actuator: `fraction` inverters apply alpha to their
     true maximum, `limit` inverters hold `power_kw`.
 
-    An inverter that hears nothing more for its revert time goes to the limit `revert_kw`, or, where
-    that is not given, to what is set in the inverter.
+    An inverter that hears nothing more for its revert time goes to the limit `revert_kw` if it is
+    set to its request and that is given, else to what is set in it.
     """
 
     alpha: float
@@ -207,6 +207,24 @@ class Notice(Message, kw_only=True):
 
     text: str
     count: LongCount
+
+
+class Takeover(Message, kw_only=True):
+    """A standby takes over: from here on its messages are the agent's.
+
+    `incarnation` is this cycle, and `stage` the first stage that it decides. The other fields are
+    what a central controller remembers at its beginning, so that a recording can be repeated: what
+    it adds to the dispatch, the dispatch of its last turn, the sum of the meter's readings since
+    then, their number, the cycle of the last one, and how many dispatches it has clamped.
+    """
+
+    stage: Annotated[str, msgspec.Meta(max_length=20)]
+    correction_kw: float | None = None
+    wanted_kw: float | None = None
+    metered_kw: float | None = None
+    readings: Count | None = None
+    meter_cycle: Cycle | None = None
+    clamped: Count | None = None
 
 
 class Clock(Message, kw_only=True):

@@ -8,6 +8,7 @@ who publishes it and who listens, both as seen from that node.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, Generic, TypeVar
@@ -23,6 +24,7 @@ from bus_schemas.tree import (
     ControlTree,
     agent_name,
     parent_of,
+    standby_of,
 )
 
 M_co = TypeVar("M_co", bound=Message, covariant=True)
@@ -151,6 +153,7 @@ NOTICE: Final     = Signal("notice",     messages.Notice,     About.NODES,    Ro
 RUN: Final        = Signal("run",        messages.Run,        About.PLANT,    Role.PLANT,    (Role.CONTROLLERS,), Occurrence.EVENT, decided=False)
 READY: Final      = Signal("ready",      messages.Ready,      About.PLANT,    Role.RECORDER, (Role.PLANT,),   Occurrence.EVENT, logged=False, decided=False)
 CLOCK: Final      = Signal("clock",      messages.Clock,      About.PLANT,    Role.REPLAYER, (),              Occurrence.REPLAY, logged=False, decided=False)
+TAKEOVER: Final   = Signal("takeover",   messages.Takeover,   About.NODES,    Role.NODE,     (),              Occurrence.EVENT, decided=False)
 # fmt: on
 
 SIGNALS: Final[tuple[Signal[Message], ...]] = (
@@ -167,6 +170,7 @@ SIGNALS: Final[tuple[Signal[Message], ...]] = (
     RUN,
     READY,
     CLOCK,
+    TAKEOVER,
 )
 """The table itself, in the order of one cycle. A new signal is one row more, at the end: recordings
 number their channels in this order."""
@@ -201,16 +205,30 @@ class Wiring:
         Agents that hear each port.
     published, heard
         Ports of each agent.
+    signs
+        Of an agent with a standby: its last port in each cycle, and in each of its turns. Its two
+        processes hear them from each other.
+    processes
+        Processes that hear each port: agents, and standbys of agents.
     """
 
-    def __init__(self, tree: ControlTree) -> None:
+    def __init__(self, tree: ControlTree, standbys: Collection[str] = ()) -> None:
         self.listeners = {port: listeners(port, tree) for port in ports(tree)}
         self.published: dict[str, list[Port[Message]]] = {}
         self.heard: dict[str, list[Port[Message]]] = {}
+        self.signs: dict[str, tuple[Port[Message], ...]] = {}
         for port, names in self.listeners.items():
             self.published.setdefault(port.publisher, []).append(port)
             for name in names:
                 self.heard.setdefault(name, []).append(port)
+        self.processes = dict(self.listeners)
+        for agent in standbys:
+            last = {port.signal.occurrence: port for port in self.published[agent]}
+            self.signs[agent] = (last[Occurrence.CYCLE], last[Occurrence.TURN])
+            self.heard[agent] += self.signs[agent]
+            for port in self.heard[agent]:
+                own = (agent,) if port in self.signs[agent] else ()
+                self.processes[port] += (*own, standby_of(agent))
 
 
 def _agents(role: Role, node: str, tree: ControlTree | None = None) -> tuple[str, ...]:

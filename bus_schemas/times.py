@@ -16,6 +16,10 @@ from bus_schemas.errors import InputError
 LONGEST_S: Final = 31 * 86400.0
 """The longest run."""
 
+FIRST_YEAR: Final = 1900
+LAST_YEAR: Final = 2200
+"""Years in which a run may take place."""
+
 _UNITS_S: Final = {"h": 3600.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6}
 _NUMBER: Final = r"\d+(?:\.\d+)?"
 _DURATION: Final = re.compile("".join(f"(?:({_NUMBER}){unit})?" for unit in _UNITS_S))

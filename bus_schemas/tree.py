@@ -32,8 +32,24 @@ MOST_CHILDREN: Final = 1_000
 MOST_INVERTERS: Final = 4_000
 """Of one plant, which waits for a command of each."""
 
+LARGEST_RATING_KW: Final = 1e9
+"""Of one inverter."""
+
 RESERVED_NAMES: Final = frozenset({CENTRAL, PLANT, RECORDER, REPLAYER, "alive"})
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
+
+
+_STANDBY: Final = "+standby"
+
+
+def standby_of(agent: str) -> str:
+    """Name of the second process of an agent."""
+    return f"{agent}{_STANDBY}"
+
+
+def agent_of(process: str) -> str:
+    """Name of the agent that a process runs: most are named as it is, its standby is not."""
+    return process.removesuffix(_STANDBY)
 
 
 def agent_name(path: str) -> str:
@@ -211,9 +227,10 @@ def _check_leaf(path: str, rating_kw: float) -> None:
             f"control tree, node {path[:40]}...: expected a path of up to {LONGEST_PATH} "
             f"characters, got {len(path):,}"
         )
-    if not 0.0 < rating_kw < float("inf"):
+    if not 0.0 < rating_kw <= LARGEST_RATING_KW:
         raise InputError(
-            f"control tree, node {path}: rating_kw: expected a number above 0, got {rating_kw:g}"
+            f"control tree, node {path}: rating_kw: expected a number above 0 and up to "
+            f"{LARGEST_RATING_KW:g}, got {rating_kw:g}"
         )
 
 

@@ -25,7 +25,7 @@ from bus_schemas.bus import Arrival, Outbox
 from bus_schemas.codec import decode, encode
 from bus_schemas.keys import KeyTable
 from bus_schemas.messages import Message
-from bus_schemas.signals import Occurrence, Port, Signal, Wiring
+from bus_schemas.signals import DISPATCH, Occurrence, Port, Signal, Wiring
 
 ENCODING: Final = "application/msgpack"
 
@@ -48,6 +48,9 @@ _TAP_BATCH_BYTES: Final = 16_384
 """A message that waits keeps the buffer in memory that its batch came in, here some 21 kB: a full
 queue takes 512 MB. With Zenoh's own 64 kB it was 48 kB. The 16 batches of a link's queue still hold
 what a plant of 1,000 inverters sends at once."""
+
+_ANSWER_S: Final = 5.0
+"""How long others may take to repeat their newest messages."""
 
 _CROWDED: Final = 10_000
 """Messages that wait for an agent from which on each port has a limit: a flood of one port must
@@ -215,6 +218,8 @@ class ZenohBus:
         Of the session.
     patience_s
         How long to wait for a message where the agent waits for no time of its own.
+    process
+        Name of the process, where it is another one than the agent's.
     """
 
     def __init__(
@@ -224,15 +229,17 @@ class ZenohBus:
         wiring: Wiring,
         settings: SessionSettings,
         patience_s: float = 0.5,
+        process: str | None = None,
     ) -> None:
         self.outbox = Outbox()
         self.undecodable: Counter[str] = Counter()
-        self._agent = agent
+        self._process = process or agent
         self._keys = keys
         self._patience_s = patience_s
         self._inbox = Inbox()
         self._session = open_session(settings)
         published, heard = wiring.published[agent], wiring.heard.get(agent, [])
+        self._heard = frozenset(heard)
         many = _signals_of_many(published)
         self._put = {
             port: self._putter(port, settings.lockstep, declared=port.signal not in many)
@@ -251,7 +258,13 @@ class ZenohBus:
                 for signal in many
             ),
         ]
-        self._token = self._session.liveliness().declare_token(keys.alive_key(agent))
+        self._newest: dict[Port[Message], bytes] | None = None
+        if settings.lockstep:
+            self._newest = {}
+            self._queryable = self._session.declare_queryable(
+                f"{keys.plant}/**", zenoh.handlers.Callback(self._answer, indirect=False)
+            )
+        self._token = self._session.liveliness().declare_token(keys.alive_key(self._process))
 
     def __enter__(self) -> ZenohBus:
         return self
@@ -267,7 +280,29 @@ class ZenohBus:
     def publish(self, port: Port[Message], message: Message, now_ns: int) -> None:
         """Send a message. In lockstep this waits for a listener who has fallen behind."""
         self.outbox.stamp(port, message, now_ns)
-        self._put[port](encode(message))
+        payload = encode(message)
+        if self._newest is not None:
+            self._newest[port] = payload
+        self._put[port](payload)
+
+    def newest(self) -> list[Arrival]:
+        """Return the newest messages of those that are heard in lockstep, the dispatch first."""
+        replies = self._session.get(
+            f"{self._keys.plant}/**",
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=_ANSWER_S,
+        )
+        samples = [reply.ok for reply in replies if reply.ok is not None]
+        found = [(self._keys.port(str(one.key_expr)), one.payload) for one in samples]
+        now_ns = time.monotonic_ns()
+        taken = [(port, payload, now_ns) for port, payload in found if port in self._heard]
+        return self._decoded(sorted(taken, key=lambda one: one[0].signal is not DISPATCH))
+
+    def _answer(self, query: zenoh.Query) -> None:
+        with query:
+            for port, payload in list((self._newest or {}).items()):
+                query.reply(self._keys.key(port), payload, encoding=ENCODING)
 
     def receive(self, until_ns: int | None, wanted: int = 1) -> list[Arrival]:
         """Return what has arrived: once `wanted` messages are there, or when the time has come."""
@@ -289,7 +324,7 @@ class ZenohBus:
             except msgspec.DecodeError:
                 self.undecodable[str(port)] += 1
             else:
-                arrivals.append(Arrival(self._agent, port, message, time_ns))
+                arrivals.append(Arrival(self._process, port, message, time_ns))
         return arrivals
 
     def watch_alive(self) -> Callable[[], set[str]]:

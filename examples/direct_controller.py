@@ -46,7 +46,8 @@ class DirectController:
 
     def forget(self) -> None:
         """Go back to the initial state: each arming round begins with it."""
-        self.impp_kw, self.stale_cycles, self.measured_cycle = 0.0, 0, -1
+        self.impp_kw, self.stale_cycles = 0.0, 0
+        self.measured_cycle: int | None = None
         self.heard: dict[str, int] = {}  # Newest cycle of each input, usable or not.
         self.newest: dict[str, dict[str, Any]] = {}  # Newest usable message of each input.
         self.missing: list[str] = []
@@ -132,7 +133,8 @@ class DirectController:
     def estimate(self) -> None:
         """Say what the inverter could give (eq. 1), and how far that is from its request."""
         telemetry, dispatch = self.inputs("telemetry", "dispatch")
-        if telemetry is not None and 0 <= telemetry["cycle"] <= self.measured_cycle:
+        last = -1 if self.measured_cycle is None else self.measured_cycle
+        if telemetry is not None and 0 <= telemetry["cycle"] <= last:
             telemetry = None  # The estimate rests on it already.
         self.measure(telemetry)
         residual_kw = self.impp_kw - (self.request_kw(dispatch) or 0.0)
@@ -167,8 +169,11 @@ class DirectController:
     def actuate(self) -> None:
         """Command the setpoint; without one the inverter's own share of the dispatch (eq. 6).
 
-        Without either nothing is sent: the inverter decides for itself.
+        Without either nothing is sent: the inverter decides for itself. Nor is anything before the
+        first telemetry, since that would wipe a limit which the inverter has.
         """
+        if self.measured_cycle is None:
+            return
         setpoint, dispatch = self.inputs("setpoint", "dispatch")
         request_kw = self.request_kw(dispatch)
         target_kw = request_kw if setpoint is None else setpoint["power_kw"]
@@ -178,8 +183,8 @@ class DirectController:
         if target_kw < self.impp_kw * (1.0 - ROUNDING):
             alpha = min(max(target_kw / self.impp_kw, self.plan["alpha_min"]), 1.0)
         power_kw = alpha * self.impp_kw if alpha < 1.0 else self.rating_kw
-        revert = self.plan.get("revert")  # Where to the inverter goes that hears no more of us.
-        revert_kw = request_kw if revert is not None and revert["to"] == "request" else None
+        # Where to an inverter goes that hears no more of us.
+        revert_kw = request_kw if self.plan.get("revert") is not None else None
         self.publish("command", alpha=alpha, power_kw=power_kw, revert_kw=revert_kw)
 
     # The bus -------------------------------------------------------------------------------------

@@ -2,12 +2,13 @@
 
 Examples
 --------
->>> from heliarch import compare, open_run, simulate
+>>> from heliarch import compare, compare_runs, open_run, simulate
 >>> run = simulate("oahu", duration="10m", out="runs/first")
 >>> print(run.summary.metrics)
 >>> with open_run(run.folder) as recording:
 ...     print(recording.plan.inverters)
 >>> table = compare("oahu", schemes=["paper", "uniform-cap"], seeds=range(1, 6))
+>>> print(compare_runs("runs/first", "runs/second").differences)
 """
 
 from __future__ import annotations
@@ -16,15 +17,25 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from heliarch.runs import SimulatedRun, compare, simulate
+    from heliarch.runs import ComparedRuns, SimulatedRun, compare, compare_runs, simulate
     from launch_scripts.scenarios.scenario import load_scenario
     from recordings import open_run
 
-__all__ = ["SimulatedRun", "compare", "load_scenario", "open_run", "simulate"]
+__all__ = [
+    "ComparedRuns",
+    "SimulatedRun",
+    "compare",
+    "compare_runs",
+    "load_scenario",
+    "open_run",
+    "simulate",
+]
 
 _MODULES = {
+    "ComparedRuns": "heliarch.runs",
     "SimulatedRun": "heliarch.runs",
     "compare": "heliarch.runs",
+    "compare_runs": "heliarch.runs",
     "load_scenario": "launch_scripts.scenarios.scenario",
     "open_run": "recordings",
     "simulate": "heliarch.runs",

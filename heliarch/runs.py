@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import date
 from functools import partial
 from pathlib import Path
-from typing import get_args
+from typing import NamedTuple, get_args
 
 import pandas as pd
 from rich.console import Console
@@ -24,8 +24,10 @@ from launch_scripts.scenarios.scenario import ScenarioFile, load_scenario
 from launch_scripts.scenarios.toml_text import toml_value
 from studies.arrays.schemes import SCHEMES
 from studies.compare.cases import cases, parse_setting, with_settings
+from studies.compare.runs import read_two_runs, two_runs_tables
 from studies.compare.study import Comparison, run_case
 from studies.compare.tables import json_rows
+from studies.tables import json_rows as table_rows
 from studies.workers import share_work
 
 
@@ -158,6 +160,48 @@ def compare(
     results = dict(share_work(partial(run_case, comparison), found, workers))
     table = pd.DataFrame(json_rows([results[number] for number in sorted(results)]))
     return table.drop(columns=["metrics", "remarks"])
+
+
+class ComparedRuns(NamedTuple):
+    """Two recorded runs, A and B, side by side.
+
+    Attributes
+    ----------
+    figures
+        A row for each figure of merit: `figure`, `unit`, `A`, `B` and `difference`, B less A.
+    differences
+        A row for each message that differs: its first `cycle`, `time` and `node`, the values of `A`
+        and `B` there, and in how many cycles it differs. The first row is where it began; no rows:
+        both runs are the same, bit for bit.
+    notes
+        What is compared: a line for each run, and what differs between them.
+    """
+
+    figures: pd.DataFrame
+    differences: pd.DataFrame
+    notes: tuple[str, ...]
+
+
+def compare_runs(first: str | Path, second: str | Path) -> ComparedRuns:
+    """Compare two recordings, as `heliarch compare RUN RUN` does.
+
+    Parameters
+    ----------
+    first, second
+        A and B: the folders of two runs of the same plant that begin at the same time, or their
+        `run.mcap`. Of the longer one only the cycles that both have count.
+
+    Raises
+    ------
+    InputError
+        One is no recording, or they differ in their inverters, cycles or beginning.
+    """
+    series, notes = read_two_runs((Path(first), Path(second)))
+    tables = two_runs_tables(*series)
+    figures, differences = (
+        pd.DataFrame(table_rows(table), columns=table.names()) for table in tables
+    )
+    return ComparedRuns(figures, differences, tuple(notes))
 
 
 def _loaded(scenario: str | ScenarioFile) -> ScenarioFile:

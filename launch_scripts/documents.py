@@ -21,9 +21,10 @@ from agents.agent import Agent, Stage, Turn
 from agents.team import controllers
 from bus_schemas import messages
 from bus_schemas.bounds import BOUNDS, LARGEST, Bound
+from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
-from bus_schemas.messages import Dispatch, Message
-from bus_schemas.signals import DISPATCH, HELP, RESIDUAL, SIGNALS
+from bus_schemas.messages import Dispatch, Message, Telemetry
+from bus_schemas.signals import DISPATCH, HELP, RESIDUAL, SIGNALS, TELEMETRY
 from bus_schemas.tree import CENTRAL, PLANT, ROOT
 from launch_scripts.scenarios.fields import description, members, takes
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
@@ -212,15 +213,19 @@ def _team() -> Iterator[tuple[str, Agent[Any]]]:
 
 
 def _published(agent: Agent[Any], stage: Stage) -> Iterator[str]:
-    """Yield the signals that a stage publishes in a cycle in which it hears the dispatch alone."""
+    """Yield the signals that a stage publishes in a cycle in which it hears the plant alone."""
     dispatch = Dispatch(
         0, 0, PLANT, (), power_kw=0.0, plant_rating_kw=1.0, commitment_kw=0.0, regulation_kw=0.0
     )
-    inputs: dict[Any, Any] = dict.fromkeys((*stage.awaits, *stage.uses))
-    inputs[DISPATCH.of(ROOT)] = dispatch
-    _, outputs = agent.step(
-        agent.initial_state(), Turn(stage.name, 0, 0, (0, 0, agent.name, ()), inputs)
-    )
+    telemetry = Telemetry(0, 0, PLANT, (), power_kw=0.0, alpha=1.0, limit_kw=0.0)
+    state, outputs = agent.initial_state(), list[Delivery]()
+    for done in agent.stages(0):
+        inputs: dict[Any, Any] = dict.fromkeys((*done.awaits, *done.uses))
+        inputs |= {DISPATCH.of(ROOT): dispatch, TELEMETRY.of(INVERTER): telemetry}
+        turn = Turn(done.name, 0, 0, (0, 0, agent.name, ()), inputs)
+        state, outputs = agent.step(state, turn)
+        if done.name == stage.name:
+            break
     for name in dict.fromkeys(port.signal.name for port, _ in outputs if port.signal is not HELP):
         yield name
         if name == RESIDUAL.name:

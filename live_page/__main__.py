@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import socket
 import sys
 from pathlib import Path
@@ -12,10 +11,9 @@ from typing import Final
 import msgspec
 
 from live_page.place import Place
-from live_page.process import PageSettings
+from live_page.process import PageSettings, get_behind_others
 from live_page.server import PageServer
 
-_NICE: Final = 10
 _LAST_NEWS_S: Final = 0.5
 """For browsers to learn that the run has failed."""
 
@@ -52,13 +50,8 @@ async def _main() -> None:
 
 
 def main() -> None:
-    """Serve a page beside a run, behind the run's own processes.
-
-    In lockstep these do not interrupt a process of the normal policies when they wake.
-    """
-    os.nice(_NICE)
-    if sys.platform == "linux":
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    """Serve a page beside a run, behind the run's own processes."""
+    get_behind_others()
     asyncio.run(_main())
 
 

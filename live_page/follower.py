@@ -93,6 +93,7 @@ class RunFollower:
         """Read on for a while; return whether all that is in the file has been read."""
         outline = self.run.outline
         if not outline.closed and self._next_chunk() is None:
+            self.run.join()
             walk_on(outline, self.run.file)
         until = time.monotonic() + budget_s
         while (place := self._next_chunk()) is not None:

@@ -36,10 +36,18 @@ class _Stage(NamedTuple):
 
 
 class NodeStates:
-    """Reads the state of a plant's nodes from its recording, cycle by cycle."""
+    """Reads the state of a plant's nodes from its recording, cycle by cycle.
+
+    Attributes
+    ----------
+    follower
+        The recording.
+    agents
+        The plant, then the controllers in the order of the tree's nodes.
+    """
 
     def __init__(self, follower: RunFollower) -> None:
-        self._follower = follower
+        self.follower = follower
         self._plan = plan = follower.plan
         self._tree = tree = plan.tree
         self._place = {node: place for place, node in enumerate(tree.nodes)}
@@ -54,9 +62,12 @@ class NodeStates:
         wanted = {DISPATCH.of(ROOT), PRODUCTION.of(ROOT), IMPP.of(node)}
         if node != ROOT:
             wanted.add(SETPOINT.of(node))
-        found, _ = self._messages_at(cycle, wanted)
-        columns = self._powers(found, [node])
+        columns = self._powers(self.messages(cycle, wanted), [node])
         return {name: values[0] for name, values in columns.items()}
+
+    def messages(self, cycle: int, ports: Collection[Port[Message]]) -> Messages:
+        """Return what was said on some ports in a cycle; of setpoints the newest."""
+        return self._messages_at(cycle, ports)[0]
 
     def _frame(self, cycle: int) -> dict[str, Any]:
         """Return the state of all nodes in a cycle, a list for each quantity."""
@@ -133,7 +144,7 @@ class NodeStates:
             "older": [len(older) for older in ages],
             "input_age": [max(older, default=0) for older in ages],
             "loop_ms": [loop_ms.get(agent) for agent in self.agents],
-            "restarts": [self._follower.restarts[agent] for agent in self.agents],
+            "restarts": [self.follower.restarts[agent] for agent in self.agents],
         }
 
     def _timing(self, cycle: int, found: Messages) -> list[dict[str, object]]:
@@ -151,8 +162,8 @@ class NodeStates:
         if not out:
             return []
         begin_ns = min(time_ns for _, time_ns in out)
-        if not self._plan.lockstep and self._follower.start_time_ns is not None:
-            begin_ns = self._follower.start_time_ns + cycle * self._plan.cycle_wall_ns
+        if not self._plan.lockstep and self.follower.start_time_ns is not None:
+            begin_ns = self.follower.start_time_ns + cycle * self._plan.cycle_wall_ns
         times: dict[_Stage, list[float]] = {}
         for stage, time_ns in out:
             times.setdefault(stage, []).append(round((time_ns - begin_ns) / 1e6, 3))
@@ -193,7 +204,7 @@ class NodeStates:
         Of setpoints, which do not come in every cycle, the newest one.
         """
         longest = self._plan.periods.longest
-        parsed = [self._parsed(place) for place in self._follower.chunks_with(cycle, longest)]
+        parsed = [self._parsed(place) for place in self.follower.chunks_with(cycle, longest)]
         payloads: dict[Port[Message], bytes] = {}
         newest: dict[str, int] = {}
         for back in range(max(longest, _FURTHEST_BACK if ports is None else 1)):
@@ -215,9 +226,9 @@ class NodeStates:
     def _parse(self, place: ChunkPlace) -> dict[int, list[tuple[Port[Message], bytes]]]:
         """Return the messages in a chunk by their cycle."""
         found: dict[int, list[tuple[Port[Message], bytes]]] = {}
-        ports = self._follower.ports
+        ports = self.follower.ports
         try:
-            records = unpack_chunk(self._follower.run.file, place)
+            records = unpack_chunk(self.follower.run.file, place)
         except DamagedChunkError:
             return found
         for channel, _, _, _, payload in messages_in(records, ports):

@@ -28,11 +28,15 @@ class Place:
     @property
     def address(self) -> str:
         """What to open in a browser."""
+        return self.address_of("")
+
+    def address_of(self, path: str) -> str:
+        """Return the address of a document of the page."""
         host, port = self.socket.getsockname()[:2]
         if ipaddress.ip_address(host).is_unspecified:
             host = socket.gethostname()
         host = f"[{host}]" if ":" in host else host
-        return f"http://{host}:{port}/" + (f"?token={self.token}" if self.token else "")
+        return f"http://{host}:{port}/{path}" + (f"?token={self.token}" if self.token else "")
 
 
 def open_place(address: str | None, port: int | None) -> Place:

@@ -19,6 +19,7 @@ import msgspec
 from live_page.place import open_place
 
 _ENDING_S: Final = 3.0
+_NICE: Final = 10
 
 
 class PageSettings(msgspec.Struct):
@@ -89,3 +90,13 @@ class PageProcess:
         with suppress(BrokenPipeError):
             self._process.stdin.write(line + b"\n")
             self._process.stdin.flush()
+
+
+def get_behind_others() -> None:
+    """Let this process run when no other wants the core.
+
+    In lockstep the processes of a run do not interrupt one of the normal policies when they wake.
+    """
+    os.nice(_NICE)
+    if sys.platform == "linux":
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))

@@ -16,7 +16,6 @@ from studies.metrics.figures_of_merit import shown_in
 class _Summary(msgspec.Struct):
     """What the list shows of a run's summary."""
 
-    scenario: str = ""
     sim_start: str = ""
     cycles: int = 0
     cycle_s: float = 0.0
@@ -56,7 +55,7 @@ class RunList:
         figures = shown_in("compare", "commitment")
         return {
             "folder": str(self._folder),
-            "figures": [figure.heading for figure in figures],
+            "figures": [{"heading": one.heading, "decimals": one.decimals} for one in figures],
             "runs": [
                 self._row(name, recording, [figure.name for figure in figures])
                 for name, recording in self.recordings().items()
@@ -74,7 +73,6 @@ class RunList:
             "state": "over" if summary else "failed" if (folder / FAILURE_NAME).exists() else "",
             "recorded_ms": written.st_mtime * 1e3,
             "size_mb": written.st_size / 1e6,
-            "scenario": summary.scenario if summary else "",
             "start": summary.sim_start if summary else "",
             "simulated_s": summary.cycles * summary.cycle_s if summary else None,
             "figures": [summary.figures.get(figure) if summary else None for figure in figures],

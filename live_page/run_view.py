@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from math import ceil
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import msgspec
 
@@ -16,7 +16,10 @@ from bus_schemas.errors import InputError
 from bus_schemas.tree import parent_of
 from live_page.follower import RunFollower
 from live_page.nodes import NodeStates
+from live_page.processes import RunProcesses
+from recordings.export.viewer_layout import viewer_layout
 from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
+from studies.metrics import RunMetrics
 from studies.metrics.figures_of_merit import shown_in
 
 UPDATE_S: Final = 0.1
@@ -28,7 +31,9 @@ _READING_S: Final = 0.03
 _CATCH_UP: Final = 5
 """The page shows a fifth of what is new with each update: a recording grows in steps."""
 
-_FIGURES_S: Final = 2.0
+_SLOW_S: Final = 2.0
+"""Between two looks at the figures of merit and the processes."""
+
 _HEARTBEAT_S: Final = 2.0
 _WAITING_S: Final = 0.5
 _UPDATE_POINTS: Final = 60
@@ -45,8 +50,16 @@ class _Sent:
     state: dict[str, Any] = field(default_factory=dict)
     cycle: int = -1
     revision: int = 0
-    figures_at: float = 0.0
+    slow_at: float = 0.0
     at: float = 0.0
+
+
+class Moment(NamedTuple):
+    """What to show of a run: a cycle, -1 before the first; and how much is read, if not all."""
+
+    states: NodeStates
+    cycle: int
+    read_share: float | None
 
 
 class RunView:
@@ -63,42 +76,40 @@ class RunView:
     def __init__(self, path: Path) -> None:
         self.path = path / RECORDING_NAME if path.is_dir() else path
         self.watched = 0
-        self._follower: RunFollower | None = None
         self._states: NodeStates | None = None
-        self._figures: list[dict[str, Any]] = []
-        self._figures_at = 0.0
-        self._figures_cycles = 0
+        self._processes: RunProcesses | None = None
+        self._slow: dict[str, Any] = {}
+        self._slow_at = 0.0
+        self._slow_cycles = 0
 
     def close(self) -> None:
         """Close the recording."""
-        if self._follower is not None:
-            self._follower.close()
+        if self._states is not None:
+            self._states.follower.close()
 
-    def open(self) -> RunFollower | None:
+    def open(self) -> NodeStates | None:
         """Return the recording; None while it has not begun."""
-        if self._follower is None:
+        if self._states is None:
             try:
-                self._follower = RunFollower(self.path)
+                self._states = NodeStates(RunFollower(self.path))
             except NothingRecordedError:
                 return None
             except InputError:
                 if self.path.exists():
                     raise
                 return None
-            self._states = NodeStates(self._follower)
-        return self._follower
+        return self._states
 
     def plan(self) -> dict[str, Any] | None:
         """Return what stays the same throughout the run."""
-        follower = self.open()
-        if follower is None:
+        states = self.open()
+        if states is None:
             return None
-        plan, tree = follower.plan, follower.plan.tree
+        plan, tree = states.follower.plan, states.follower.plan.tree
         place = {node: number for number, node in enumerate(tree.nodes)}
         return {
             "run": plan.run_id,
             "plant": plan.plant,
-            "driver": follower.run.metadata["run"].get("driver"),
             "scheme": plan.scheme,
             "nodes": [
                 {
@@ -119,18 +130,25 @@ class RunView:
             "timezone": plan.timezone,
         }
 
+    def layout(self) -> dict[str, object] | None:
+        """Return a layout of the run for Foxglove and Lichtblick."""
+        states = self.open()
+        return None if states is None else viewer_layout(states.follower.plan)
+
     def window(self, cycles: range, points: int) -> dict[str, Any]:
         """Return the plant's powers over some cycles."""
-        follower = self.open()
-        return {} if follower is None else follower.powers(cycles, min(points, _MOST_POINTS))
+        states = self.open()
+        points = min(points, _MOST_POINTS)
+        return {} if states is None else states.follower.powers(cycles, points)
 
     async def node(self, node: str, cycles: range) -> dict[str, list[float | None]]:
         """Return the powers of a node over some cycles, at most so many that it takes a second."""
-        follower, states = self.open(), self._states
-        if follower is None or states is None or node not in follower.plan.tree.nodes:
+        states = self.open()
+        nodes = states.follower.plan.tree.nodes if states is not None else ()
+        if states is None or node not in nodes:
             raise InputError(f"{node}: the run has no such node")
-        cycles = range(max(cycles.start, 0), min(cycles.stop, follower.cycles))
-        most = max(_NODE_MESSAGES // (8 * len(follower.plan.tree.nodes)), 20)
+        cycles = range(max(cycles.start, 0), min(cycles.stop, states.follower.cycles))
+        most = max(_NODE_MESSAGES // (8 * len(nodes)), 20)
         step = max(ceil(len(cycles) / min(_NODE_POINTS, most)), 1)
         columns: dict[str, list[float | None]] = {"cycle": []}
         for cycle in cycles[::step]:
@@ -151,24 +169,32 @@ class RunView:
             Simulated seconds a second; 0: stay there.
         """
         self.watched += 1
+        sent = _Sent()
         try:
-            async for message in self._messages(position, speed):
-                yield msgspec.json.encode(message)
+            async for moment in self.moments(position, speed):
+                news: dict[str, Any] = {"state": "waiting"}
+                if moment is not None:
+                    self._look_at_slow(moment.states)
+                    news = self._news(moment, sent)
+                if news:
+                    yield msgspec.json.encode(news)
         finally:
             self.watched -= 1
 
-    async def _messages(
-        self, position: float | None, speed: float
-    ) -> AsyncIterator[dict[str, Any]]:
-        sent = _Sent()
+    async def moments(self, position: float | None, speed: float) -> AsyncIterator[Moment | None]:
+        """Yield what to show, at most ten times a second; None while the run has not begun.
+
+        The parameters are those of `updates`.
+        """
         shown = position
         now = time.monotonic()
         while True:
-            follower = self.open()
-            if follower is None:
-                yield {"state": "waiting"}
+            states = self.open()
+            if states is None:
+                yield None
                 await asyncio.sleep(_WAITING_S)
                 continue
+            follower = states.follower
             up_to_date = follower.advance(_READING_S)
             before, now = now, time.monotonic()
             newest = follower.cycles - 1
@@ -178,55 +204,60 @@ class RunView:
                 shown += ceil((newest - shown) / _CATCH_UP)
             elif shown < newest:
                 shown = min(shown + speed * (now - before) * 1e9 / follower.plan.cycle_ns, newest)
-            self._work_out_figures(follower, now)
             read_share = None if up_to_date else round(follower.read_share, 3)
-            news = self._news(follower, min(int(shown), newest), read_share, sent)
-            if news:
-                sent.at = now
-                yield news
+            yield Moment(states, min(int(shown), newest), read_share)
             await asyncio.sleep(UPDATE_S if up_to_date else _READING_S / 3)
 
-    def _news(
-        self, follower: RunFollower, cycle: int, read_share: float | None, sent: _Sent
-    ) -> dict[str, Any]:
+    def _news(self, moment: Moment, sent: _Sent) -> dict[str, Any]:
         """Return what a browser does not know yet; nothing if it was told all and recently."""
+        states, cycle, reading = moment
+        follower = states.follower
         state: dict[str, Any] = {
             "state": follower.state,
             "cycles": follower.cycles,
-            "reading": read_share,
+            "reading": reading,
         }
-        is_new = (state, cycle) != (sent.state, sent.cycle) or self._figures_at > sent.figures_at
-        if not (
-            is_new
+        is_new = (
+            (state, cycle) != (sent.state, sent.cycle)
+            or self._slow_at > sent.slow_at
             or follower.events.revision > sent.revision
             or time.monotonic() > sent.at + _HEARTBEAT_S
-        ):
+        )
+        if not is_new:
             return {}
         message = {**state, "cycle": cycle, "events": follower.events.since(sent.revision)}
-        if cycle >= 0 and cycle != sent.cycle and self._states is not None:
+        if cycle >= 0 and cycle != sent.cycle:
             begin = sent.cycle + 1 if 0 <= sent.cycle < cycle else cycle
-            message["frame"] = self._states.frame(cycle)
+            message["frame"] = states.frame(cycle)
             message["plant"] = follower.powers(range(begin, cycle + 1), _UPDATE_POINTS)
-        if self._figures_at > sent.figures_at:
-            message["figures"] = self._figures
-        sent.state, sent.cycle = state, cycle
-        sent.revision, sent.figures_at = follower.events.revision, self._figures_at
+        if self._slow_at > sent.slow_at:
+            message |= self._slow
+        sent.state, sent.cycle, sent.at = state, cycle, time.monotonic()
+        sent.revision, sent.slow_at = follower.events.revision, self._slow_at
         return message
 
-    def _work_out_figures(self, follower: RunFollower, now: float) -> None:
-        """Work out the figures of merit so far, unless that was just done."""
-        if now < self._figures_at + _FIGURES_S or follower.cycles == self._figures_cycles:
+    def _look_at_slow(self, states: NodeStates) -> None:
+        """Work out the figures of merit so far and what the processes take, if that is due."""
+        follower = states.follower
+        now, is_over = time.monotonic(), follower.run.outline.closed
+        is_new = follower.cycles > self._slow_cycles
+        if now < self._slow_at + _SLOW_S or (is_over and not is_new):
             return
-        metrics = follower.metrics()
-        self._figures_at, self._figures_cycles = now, follower.cycles
-        if metrics is not None:
-            values = [(figure, figure.read(metrics)) for figure in shown_in("summary")]
-            self._figures = [
-                {
-                    "title": figure.title,
-                    "unit": figure.unit,
-                    "value": None if value is None else f"{value:,.{figure.decimals}f}",
-                }
-                for figure, value in values
-                if value is not None
-            ]
+        self._slow_at, self._slow_cycles = now, follower.cycles
+        if is_new:
+            self._slow["figures"] = _figures(follower.metrics())
+        if not is_over:
+            self._processes = self._processes or RunProcesses(self.path.parent, states.agents)
+            self._slow["processes"] = self._processes.use()
+
+
+def _figures(metrics: RunMetrics | None) -> list[dict[str, str]]:
+    """Return the figures that a summary shows, as texts."""
+    if metrics is None:
+        return []
+    values = [(figure, figure.read(metrics)) for figure in shown_in("summary")]
+    return [
+        {"title": figure.title, "unit": figure.unit, "value": f"{value:,.{figure.decimals}f}"}
+        for figure, value in values
+        if value is not None
+    ]

@@ -87,6 +87,7 @@ class PageServer:
                 log_level="error",
                 access_log=False,
                 lifespan="off",
+                ws="none",
                 server_header=False,
                 timeout_graceful_shutdown=1,
             )
@@ -104,6 +105,7 @@ class PageServer:
         of_run = [
             Route("/", _file("run.html")),
             Route("/plan", self._plan),
+            Route("/layout.json", self._layout),
             Route("/window", self._window),
             Route("/node", self._node),
             Route("/stream", self._stream),
@@ -144,6 +146,9 @@ class PageServer:
 
     async def _plan(self, request: Request) -> Response:
         return _json(self._view(request).plan())
+
+    async def _layout(self, request: Request) -> Response:
+        return _json(self._view(request).layout())
 
     async def _window(self, request: Request) -> Response:
         points = int(_number(request, "points", 1000))

@@ -20,7 +20,7 @@ from recordings.read.chunks import (
 )
 from recordings.read.gaps import RunGaps
 from recordings.read.outline import Outline
-from recordings.read.reader import RunReader, cycle_of
+from recordings.read.reader import RunReader, cycle_of, head_of
 from recordings.read.whole_file import new_path
 
 RECOVERY_METADATA: Final = "recovery"
@@ -174,8 +174,8 @@ class _Copy:
 
     def _add(self, raw: RawMessage) -> None:
         channel, sequence, log_time_ns, publish_time_ns, payload = raw
-        cycle = cycle_of(payload)
-        port = self._port_of[channel]
+        head = head_of(payload)
+        cycle, port = head.cycle, self._port_of[channel]
         if port is not None and port.signal is RUN:
             message = decode(RUN, payload)
             self._end_cycle = message.cycle if message.state == "stop" else self._end_cycle
@@ -183,7 +183,7 @@ class _Copy:
             self._productions += port is not None and port.signal is PRODUCTION
             self._last_cycle = max(self._last_cycle, cycle)
         if port is not None:
-            self._gaps.see(port, cycle, sequence)
+            self._gaps.see(port, cycle, sequence, head.incarnation)
         self._writer.add_message(
             self._channel_of[channel], log_time_ns, payload, publish_time_ns, sequence
         )

@@ -7,12 +7,13 @@ apply  command of each inverter -> production: what really happened in the inter
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import ceil, inf
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.agent import Stage, Turn
-from agents.plan import RunPlan
+from agents.plan import InverterSettings, RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Dispatch, Meter, Production, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY
@@ -28,6 +29,8 @@ class PlantState:
 
     Attributes
     ----------
+    ordered_alpha, ordered_kw
+        Its commands of the last intervals, the newest first, shape (1 + longest delay, n).
     renewed
         Cycle of the last command.
     revert_kw
@@ -37,6 +40,8 @@ class PlantState:
     alpha: NDArray[np.float64]
     limit_kw: NDArray[np.float64]
     power_kw: NDArray[np.float64]
+    ordered_alpha: NDArray[np.float64]
+    ordered_kw: NDArray[np.float64]
     renewed: NDArray[np.int64]
     revert_kw: NDArray[np.float64]
 
@@ -66,8 +71,7 @@ class Plant:
         self._available_bias = plan.available_bias
         self._rating_kw = np.array([tree.rating_kw(leaf) for leaf in tree.leaves])
         self._plant_rating_kw = tree.rating_kw(ROOT)
-        self._revert = plan.revert
-        self._revert_cycles = plan.revert.after_s * 1e9 / plan.cycle_ns if plan.revert else np.inf
+        self._take_settings([plan.settings_of(leaf) for leaf in tree.leaves], plan.cycle_ns / 1e9)
         self._telemetry = tuple(TELEMETRY.of(leaf) for leaf in tree.leaves)
         self._commands = tuple(COMMAND.of(leaf) for leaf in tree.leaves)
         self._dispatch = DISPATCH.of(ROOT)
@@ -75,13 +79,34 @@ class Plant:
         self._production = PRODUCTION.of(ROOT)
         self._stages = (Stage("sense", (), timed=True), Stage("apply", self._commands))
 
+    def _take_settings(self, settings: list[InverterSettings], cycle_s: float) -> None:
+        """Work out how each inverter takes commands."""
+        reverts = [entry.revert for entry in settings]
+        after_s = [inf if revert is None else revert.after_s for revert in reverts]
+        self._revert_cycles = np.array(after_s) / cycle_s
+        self._heeds_revert_kw = [
+            revert is not None and revert.to == "request" for revert in reverts
+        ]
+        shares = [1.0 if revert is None else revert.to for revert in reverts]
+        self._revert_kw = self._rating_kw * [1.0 if isinstance(to, str) else to for to in shares]
+        self._delay = np.array([ceil((entry.delay_s or 0.0) / cycle_s) for entry in settings])
+        ramps = [entry.ramp_percent_per_s or inf for entry in settings]
+        self._step = np.array(ramps) / 100.0 * cycle_s
+
     def initial_state(self) -> PlantState:
         """Every inverter at its maximum under the first sample."""
         first_kw = self._profile.mpp_kw[0]
-        share = self._revert.to if self._revert is not None else 1.0
-        revert_kw = self._rating_kw * (1.0 if isinstance(share, str) else share)
-        renewed = np.zeros(len(first_kw), dtype=np.int64)
-        return PlantState(np.ones_like(first_kw), self._rating_kw, first_kw, renewed, revert_kw)
+        free = np.ones_like(first_kw)
+        kept = (1 + max(self._delay), 1)
+        return PlantState(
+            alpha=free,
+            limit_kw=self._rating_kw,
+            power_kw=first_kw,
+            ordered_alpha=np.tile(free, kept),
+            ordered_kw=np.tile(self._rating_kw, kept),
+            renewed=np.zeros(len(first_kw), dtype=np.int64),
+            revert_kw=self._revert_kw,
+        )
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
         """Return the stages, the same in each cycle."""
@@ -182,8 +207,11 @@ class Plant:
                 devices.command(place, command)
 
     def _obey(self, state: PlantState, turn: Turn) -> PlantState:
-        """Obey the commands; an inverter that has heard none for its revert time reverts."""
-        alpha, limit_kw = state.alpha.tolist(), state.limit_kw.tolist()
+        """Obey the commands; an inverter that has heard none for its revert time reverts.
+
+        What an inverter is told takes effect after its delay, and as fast as its ramp allows.
+        """
+        alpha, limit_kw = state.ordered_alpha[0].tolist(), state.ordered_kw[0].tolist()
         renewed, revert_kw = state.renewed.tolist(), state.revert_kw.tolist()
         for place, port in enumerate(self._commands):
             command = turn.get(port)
@@ -192,14 +220,28 @@ class Plant:
                 renewed[place] = max(command.cycle, 0)
                 if self._limits:
                     limit_kw[place] = min(command.power_kw, self._rating_kw[place])
-                if command.revert_kw is not None:
+                if command.revert_kw is not None and self._heeds_revert_kw[place]:
                     revert_kw[place] = min(command.revert_kw, self._rating_kw[place])
-            if turn.cycle - renewed[place] >= self._revert_cycles:
-                alpha[place], limit_kw[place] = 1.0, revert_kw[place]
+        renewed_in, reverts_to_kw = np.array(renewed), np.array(revert_kw)
+        ordered_alpha = np.vstack([alpha, state.ordered_alpha[:-1]])
+        ordered_kw = np.vstack([limit_kw, state.ordered_kw[:-1]])
+        is_over = turn.cycle - renewed_in >= self._revert_cycles
+        ordered_alpha[:, is_over] = 1.0
+        ordered_kw[:, is_over] = reverts_to_kw[is_over]
+        every, step_kw = np.arange(len(self._delay)), self._step * self._rating_kw
         return replace(
             state,
-            alpha=np.array(alpha),
-            limit_kw=np.array(limit_kw),
-            renewed=np.array(renewed),
-            revert_kw=np.array(revert_kw),
+            alpha=_towards(ordered_alpha[self._delay, every], state.alpha, self._step),
+            limit_kw=_towards(ordered_kw[self._delay, every], state.limit_kw, step_kw),
+            ordered_alpha=ordered_alpha,
+            ordered_kw=ordered_kw,
+            renewed=renewed_in,
+            revert_kw=reverts_to_kw,
         )
+
+
+def _towards(
+    wanted: NDArray[np.float64], now: NDArray[np.float64], step: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return what is wanted, as far as a step from now reaches."""
+    return np.clip(wanted, now - step, now + step)

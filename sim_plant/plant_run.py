@@ -113,7 +113,7 @@ class PlantRun:
 
     def _await_everybody(self, give_up_at: float) -> None:
         alive_key = self._plan.keys.alive_key
-        others = {alive_key(agent): agent for agent in self._plan.tree.agents() if agent != PLANT}
+        others = {alive_key(agent): agent for agent in self._plan.processes if agent != PLANT}
         alive = self._process.watch_alive()
         while not others.keys() <= alive():
             if time.monotonic() > give_up_at:

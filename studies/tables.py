@@ -91,6 +91,10 @@ class Table:
                     f"got {len(row)}"
                 )
 
+    def names(self) -> list[str]:
+        """Return the names of the columns in JSON."""
+        return [column.name or column.title for column in self.columns]
+
     def texts(self) -> list[tuple[str, ...]]:
         """Return all cells as text."""
         return [tuple(map(cell_text, row, self.columns)) for row in self.rows]
@@ -165,8 +169,7 @@ def print_lines(console: Console, lines: Iterable[str]) -> None:
 
 def json_rows(table: Table) -> list[dict[str, str | float | bool | None]]:
     """Return a row of a table as a JSON object by column name; numbers keep all their digits."""
-    names = [column.name or column.title for column in table.columns]
-    return [dict(zip(names, map(_json_cell, row), strict=True)) for row in table.rows]
+    return [dict(zip(table.names(), map(_json_cell, row), strict=True)) for row in table.rows]
 
 
 def console_for(json: str | None) -> Console:

@@ -10,6 +10,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from importlib import import_module
+from multiprocessing.resource_tracker import ensure_running
 from typing import Any, Final, TypeVar
 
 from agents.process import die_with_parent
@@ -48,6 +49,7 @@ def share_work(
         initializer=_die_with_study,
     )
     try:
+        ensure_running()  # Its start lifts a block of signals, so it must not fall within ours.
         with _signals_blocked():
             places = {pool.submit(function, item): place for place, item in enumerate(items)}
         for future in as_completed(places):

@@ -82,18 +82,19 @@ class _Link:
         self, plan: RunPlan, node: str, address: str, tell: Callable[[Event], None]
     ) -> None:
         self.place = plan.tree.leaves.index(node)
-        revert = plan.revert
+        revert = plan.settings_of(node).revert
         self._node, self._tell = node, tell
         self._cycle_s = plan.cycle_wall_ns / 1e9
         self._revert_s = revert.after_s if revert is not None else 0.0
-        self._revert_to = None
+        self._heeds_revert_kw = revert is not None and revert.to == "request"
+        self._revert_kw = None
         if revert is not None and not isinstance(revert.to, str):
-            self._revert_to = revert.to * plan.tree.rating_kw(node)
+            self._revert_kw = revert.to * plan.tree.rating_kw(node)
         self._inverter = SunSpecInverter(address, needs_revert=revert is not None)
         self._reading: Reading | None = None
         self._commands: deque[Limit] = deque(maxlen=1)
         self._wake, self._over = threading.Event(), threading.Event()
-        self._written: Limit | None = None
+        self._written_kw: float | None = None
         self._written_at = 0.0
         self._state = ""
         self._reconnects = 0
@@ -164,20 +165,21 @@ class _Link:
     def _write(self, limit: Limit) -> None:
         """Write a limit if it is new, or the inverter would revert before long."""
         limit_kw, revert_kw = limit
-        revert_kw = self._revert_to if revert_kw is None else revert_kw
+        if not self._heeds_revert_kw:
+            revert_kw = self._revert_kw
         renew_at = self._written_at + (self._revert_s / 3.0 if self._revert_s else float("inf"))
-        if self._written is not None and time.monotonic() < renew_at:
+        if self._written_kw is not None and time.monotonic() < renew_at:
             smallest_kw = _SMALL_CHANGE * self._inverter.rating_kw
-            if abs(limit_kw - self._written[0]) < smallest_kw:
+            if abs(limit_kw - self._written_kw) < smallest_kw:
                 return
         with self._timed("write"):
             self._inverter.limit(limit_kw, self._revert_s, revert_kw)
-        self._written, self._written_at = (limit_kw, revert_kw), time.monotonic()
+        self._written_kw, self._written_at = limit_kw, time.monotonic()
 
     def _reconnect(self, error: DeviceError) -> None:
         """Try until the inverter is back. It may have lost its limit, so the next one is new."""
         self._say(f"{error}; trying again")
-        self._written = None
+        self._written_kw = None
         while not self._over.is_set():
             try:
                 self._inverter.close()

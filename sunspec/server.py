@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,27 +66,25 @@ class ServedPlant:
     Attributes
     ----------
     inverters
-        Path and rating [kW] of each.
+        The inverters, by path.
+    sky
+        Begins with the first limit, if it has not begun.
     now
         The time [s].
     host, port
         Where to listen. Port 0: any that is free.
     a_port_each
         Whether each inverter has a port of its own, in place of a unit of its own.
-    delay_s, ramp_percent_per_s
-        How the inverters follow a limit.
     models, missing
         Which models they have, and points in them that they have not.
     """
 
-    inverters: Sequence[tuple[str, float]]
+    inverters: Mapping[str, LimitedInverter]
     sky: Sky
     now: Callable[[], float]
     host: str = "127.0.0.1"
     port: int = 0
     a_port_each: bool = False
-    delay_s: float = 0.0
-    ramp_percent_per_s: float = inf
     models: Sequence[int] = INVERTER_MODELS
     missing: Collection[str] = ()
 
@@ -105,19 +102,13 @@ class ServedPlant:
                 f"{len(self.inverters)}; --base-port gives each a port of its own"
             )
         found: dict[str, Registers] = {}
-        simulated = []
-        for place, (name, rating_kw) in enumerate(self.inverters):
-            possible_kw = self.sky.possible_kw(place)
-            inverter = LimitedInverter(
-                rating_kw, possible_kw, self.delay_s, self.ramp_percent_per_s
-            )
-            simulated.append(inverter)
+        for place, (name, inverter) in enumerate(self.inverters.items()):
             unit = 1 if self.a_port_each else place + 1
             found[name] = InverterRegisters(
                 unit, self.models, self.now, inverter, name, self._told, self.missing
             )
         unit = 1 if self.a_port_each else len(self.inverters) + 1
-        return found | {"meter": meter_registers(unit, self.now, simulated)}
+        return found | {"meter": meter_registers(unit, self.now, self.inverters.values())}
 
     def _told(self) -> None:
         self.sky.begin(self.now())

@@ -15,8 +15,8 @@ import pytest
 
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
-from launch_scripts.launcher.fork_requests import log_name
 from recordings.read.reader import RunReader
+from recordings.read.run_file import log_name
 
 REPOSITORY = Path(__file__).parent.parent
 
@@ -93,7 +93,10 @@ class Heliarch:
                 [sys.executable, "-m", "launch_scripts", *words, "--out", str(folder)],
                 stdout=out,
                 stderr=err,
-                env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
+                env={
+                    **os.environ,
+                    "PYTHONPATH": f"{REPOSITORY}:{os.environ.get('PYTHONPATH', '')}",
+                },
                 # Ctrl-C at the test's own terminal is not meant for the run.
                 process_group=0,
             )

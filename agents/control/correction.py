@@ -14,7 +14,10 @@ GAIN_PER_S: Final = 0.5
 """Share of what is missing that is added in a second."""
 
 HIGHEST_GAIN: Final = 0.7
-"""Share of it that is added at once, at most. Where a reading comes a cycle late, 1 would swing."""
+"""Share of it that is added at once, at most. Where a reading comes a cycle late, 1 would swing.
+
+If it comes later still, the share falls with the square of the delay: once to stay stable, and
+once because an old reading says little of what is missing now."""
 
 HIGHEST_CORRECTION: Final = 0.1
 """Largest correction, as a share of the plant's rating."""
@@ -27,6 +30,7 @@ def corrected(
     is_free: bool,
     rating_kw: float,
     cycle_s: float,
+    delay_s: float,
 ) -> float:
     """Return the correction that the central controller adds to its target [kW].
 
@@ -44,11 +48,14 @@ def corrected(
     cycle_s
         Time between two corrections [s]. A controller that acts in every m-th cycle corrects in its
         turns, by the means of the intervals since the last.
+    delay_s
+        Time that messages take to the inverters and back [s], beyond the cycle that a setpoint
+        holds.
     """
     if is_free:
         return 0.0
     missing_kw = desired_kw - metered_kw
     if not isfinite(missing_kw):
         return correction_kw
-    gain = min(GAIN_PER_S * cycle_s, HIGHEST_GAIN)
+    gain = min(GAIN_PER_S * cycle_s, HIGHEST_GAIN / (1.0 + delay_s / cycle_s) ** 2)
     return min(max(correction_kw + gain * missing_kw, 0.0), HIGHEST_CORRECTION * rating_kw)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, TypeVar
 
 import typer
 
@@ -13,19 +14,27 @@ from bus_schemas.errors import InputError
 from launch_scripts.commands.options import (
     DataOption,
     JsonOption,
+    ReportOption,
     ScenarioArgument,
     SettingsOption,
     StartOption,
     WorkersOption,
 )
-from launch_scripts.commands.output import counted, say, write_json
+from launch_scripts.commands.output import counted, say, write_json, write_page
 from studies.tables import console_for, print_table
 
 if TYPE_CHECKING:
-    from studies.campaign.study import Outcome
+    from rich.console import Console
+
+    from launch_scripts.scenarios.preparation import Preparation
+    from studies.campaign.study import Campaign, Outcome
 
 EXAMPLE: Final = "heliarch campaign oahu --seeds 1..200 --workers 2"
+PAGE_NAME: Final = "campaign.html"
 _LISTED: Final = 10
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def campaign(
@@ -39,33 +48,46 @@ def campaign(
     ] = "150s",
     settings: SettingsOption = None,
     workers: WorkersOption = 1,
+    curves: Annotated[
+        bool,
+        typer.Option(
+            "--curves", help="Measure what failures cost at growing rates and repair times instead."
+        ),
+    ] = False,
     data: DataOption = None,
+    report: ReportOption = None,
     json: JsonOption = None,
 ) -> None:
     """Kill, freeze, cut off and disturb controllers at random, and check that the plant stays safe.
 
     Each seed is one simulated run. A seed that breaks an invariant (docs/resilience.md) is shrunk
     to the shortest list of faults that does, and printed as a command that repeats it. Exit status
-    1: an invariant was broken.
+    1: an invariant was broken. --report writes campaign.html by default.
     """
     from launch_scripts.scenarios.preparation import RunOptions, prepare
     from launch_scripts.scenarios.scenario import load_scenario
     from studies.campaign import study, tables
     from studies.compare.cases import parse_seeds, with_settings
-    from studies.workers import share_work
 
-    found = with_settings(load_scenario(scenario, data), tuple(settings or ()))
-    preparation = prepare(found, RunOptions(start, duration), "campaign")
+    changed = with_settings(load_scenario(scenario, data), tuple(settings or ()))
+    preparation = prepare(changed, RunOptions(start, duration), "campaign")
     length_s = preparation.plan.cycles * preparation.plan.cycle_ns / 1e9
     least_s = study.least_length_s(preparation.plan)
     if length_s < least_s:
         raise InputError(f"--duration: expected {least_s:g} s or more, got {length_s:g} s")
     chosen = parse_seeds(seeds)
     console = console_for(json)
-    shared = share_work(partial(study.run_seed, study.campaign(preparation)), chosen, workers)
-    outcomes = dict(counted(shared, "seeds", len(chosen), console))
-    ordered = [outcomes[place] for place in sorted(outcomes)]
+    found = study.campaign(preparation)
+    page = Path(report or PAGE_NAME) if report is not None else None
+    if curves:
+        _measure_curves(preparation, found, chosen, workers, page, json)
+        return
+    ordered = _shared(study.run_seed, found, chosen, workers, console)
     write_json(ordered, json)
+    if page is not None:
+        from studies.campaign.page import campaign_page  # Plotly is slow to import.
+
+        write_page(campaign_page(preparation, found, ordered), page)
     print_table(console, tables.campaign_table(preparation, ordered))
     broken = [outcome for outcome in ordered if outcome.violations]
     for outcome in broken[:_LISTED]:
@@ -74,8 +96,55 @@ def campaign(
         say(console, f"  {_command(scenario, start, duration, settings or (), outcome)}")
     if len(broken) > _LISTED:
         say(console, f"and {len(broken) - _LISTED:,} other seeds; --json lists all of them")
+    if page is not None:
+        say(console, f"report: {page}")
     if broken:
         raise typer.Exit(1)
+
+
+def _measure_curves(
+    preparation: Preparation,
+    campaign: Campaign,
+    seeds: Sequence[int],
+    workers: int,
+    page: Path | None,
+    json: str | None,
+) -> None:
+    """Measure what failures cost; print the tables and write the page."""
+    from studies.campaign import curves
+
+    console = console_for(json)
+    points = _shared(curves.run_under, campaign, curves.conditions(seeds), workers, console)
+    write_json(points, json)
+    plan = preparation.plan
+    title = f"{plan.plant}, {plan.cycles} cycles from {preparation.local_start()}"
+    title += f", mean of {len(seeds)} seeds"
+    tables = curves.curve_tables(title, points)
+    if page is not None:
+        from studies.campaign.page import curve_figure  # Plotly is slow to import.
+        from studies.report.page import html_page
+
+        figure = curve_figure(points)
+        write_page(html_page(f"What failures cost: {title}", [], [figure, *tables]), page)
+    for table in tables:
+        print_table(console, table)
+    if page is not None:
+        say(console, f"report: {page}")
+
+
+def _shared(
+    function: Callable[[Campaign, Item], Result],
+    campaign: Campaign,
+    items: Sequence[Item],
+    workers: int,
+    console: Console,
+) -> list[Result]:
+    """Apply a function of a campaign to each item; return the results in their order."""
+    from studies.workers import share_work
+
+    shared = share_work(partial(function, campaign), items, workers)
+    found = dict(counted(shared, "runs", len(items), console))
+    return [found[place] for place in sorted(found)]
 
 
 def _command(

@@ -15,6 +15,7 @@ from launch_scripts.commands.options import (
     ReportOption,
     ScenarioArgument,
     SchemeOption,
+    SeedOption,
     SettingsOption,
     StartOption,
     WorkersOption,
@@ -42,6 +43,7 @@ def clusters(
     random: Annotated[
         int, typer.Option(min=1, max=1000, help="How many random choices of clusters to try.")
     ] = 20,
+    seed: SeedOption = None,
     scheme: SchemeOption = None,
     learn: Annotated[
         str | None,
@@ -80,7 +82,7 @@ def clusters(
 
     console = console_for(json)
     changed = with_settings(load_scenario(scenario, data), settings or ())
-    options = RunOptions(start, duration, scheme=scheme, end=end)
+    options = RunOptions(start, duration, seed=seed, scheme=scheme, end=end)
     preparation = prepare(changed, options, "clusters")
     plan = preparation.plan
     if learn is None:

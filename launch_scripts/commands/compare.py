@@ -126,7 +126,7 @@ def compare(
         _refuse_options_of_studies(context)
         _two_runs((Path(scenario), other), page, json, console)
         return
-    if (Path(scenario) / "run.mcap").exists() or scenario.endswith(".mcap"):
+    if _is_run(Path(scenario)):
         raise InputError(f"{scenario}: expected a second run to compare it with, or a scenario")
     from launch_scripts.scenarios.preparation import RunOptions
     from launch_scripts.scenarios.scenario import load_scenario
@@ -140,14 +140,13 @@ def compare(
         load_scenario(scenario, data),
         RunOptions(start, duration, end=end),
         [parse_setting(text) for text in settings or ()],
-        parse_days(days) if days else (),
-        parse_seeds(seeds) if seeds else (),
+        () if days is None else parse_days(days),
+        () if seeds is None else parse_seeds(seeds),
     )
-    for option, value in (("--scheduler", scheduler), ("--csv", csv)):
-        if value is not None and len(found) == 1:
-            raise InputError(f"{option}: expected more than one case, got one")
+    if scheduler is not None and len(found) == 1:
+        raise InputError("--scheduler: expected cases to share (--seeds, --days, --set), got one")
     if page is not None and len(found) > 1:
-        raise InputError(f"--report: expected one case, got {len(found):,}")
+        raise InputError(f"--report: expected one case, got {len(found):,}; see --csv and --json")
     comparison = Comparison(
         tuple(SCHEMES) if schemes is None else _names("--schemes", schemes, SCHEMES),
         _groups(reference),
@@ -156,10 +155,14 @@ def compare(
         else (),
     )
     if len(found) == 1:
-        _one(found[0], comparison, page, json, console)
+        _one(found[0], comparison, page, json, csv, console)
     else:
         results = _many(found, comparison, workers, scheduler, console)
         _tell_many(results, shown, json, csv, console)
+
+
+def _is_run(path: Path) -> bool:
+    return path.suffix == ".mcap" or (path / "run.mcap").exists()
 
 
 def _refuse_options_of_studies(context: typer.Context) -> None:
@@ -193,12 +196,17 @@ def _groups(text: str | None) -> ReferenceGroups:
 
 
 def _one(
-    case: Case, comparison: Comparison, page: Path | None, json: str | None, console: Console
+    case: Case,
+    comparison: Comparison,
+    page: Path | None,
+    json: str | None,
+    csv: str | None,
+    console: Console,
 ) -> None:
-    """Run one case and print the paper's tables; write a page and JSON of it if asked for."""
+    """Run one case and print the paper's tables; write a page and files of it if asked for."""
     from launch_scripts.scenarios.preparation import prepare
     from studies.compare.study import CaseResult, remarks_of, results_of
-    from studies.compare.tables import case_tables, json_rows
+    from studies.compare.tables import case_tables
 
     preparation = prepare(case.scenario, case.options, "compare")
     remarks = remarks_of(preparation)
@@ -209,7 +217,7 @@ def _one(
         f"{plan.plant} from {preparation.local_start()}, {plan.cycles:,} cycles of "
         f"{plan.cycle_ns / 1e9:g} s"
     )
-    write_json(json_rows([CaseResult(case.label, "", schemes, 0.0, 0.0, remarks)]), json)
+    _write_figures([CaseResult(case.label, "", schemes, 0.0, 0.0, remarks)], json, csv)
     tables = case_tables(title, schemes)
     if page is not None:
         from studies.compare.page import frontier
@@ -231,6 +239,12 @@ def _two_runs(
     from studies.report.run_report import write_report
     from studies.tables import json_rows
 
+    for path in paths:
+        if not _is_run(path):
+            raise InputError(
+                f"{path}: expected a recorded run, its folder or run.mcap; schemes are compared on "
+                "one scenario alone"
+            )
     series, lines = read_two_runs(paths)
     tables = two_runs_tables(*series)
     figures, differences = map(json_rows, tables)
@@ -279,18 +293,11 @@ def _tell_many(
     csv: str | None,
     console: Console,
 ) -> None:
-    """Write all cases as JSON and their summary as CSV, where they are asked for; print both."""
-    from pandas import DataFrame
-
-    from recordings.read.whole_file import whole_file
-    from studies.compare.statistics import summaries
-    from studies.compare.tables import cases_tables, json_rows
+    """Print the cases and their summary; write files of them if asked for."""
+    from studies.compare.tables import cases_tables
 
     # The files first: whoever reads the table may leave before its end.
-    write_json(json_rows(results), json)
-    if csv is not None:
-        with whole_file(Path(csv)) as file:
-            DataFrame(summaries(results)).to_csv(file, index=False)
+    _write_figures(results, json, csv)
     remarks = dict.fromkeys(line for result in results for line in result.remarks)
     _print(console, list(remarks), cases_tables(shown, results), None)
     prepare_s = sum(result.prepare_s for result in results)
@@ -300,3 +307,18 @@ def _tell_many(
         f"sky and market took {prepare_s:.1f} s, the schemes and their figures {run_s:.1f} s, "
         "added up over all cases",
     )
+
+
+def _write_figures(results: Sequence[CaseResult], json: str | None, csv: str | None) -> None:
+    """Write all cases as JSON and their summary as CSV, where they are asked for."""
+    from studies.compare.tables import json_rows
+
+    write_json(json_rows(results), json)
+    if csv is not None:
+        from pandas import DataFrame
+
+        from recordings.read.whole_file import whole_file
+        from studies.compare.statistics import summaries
+
+        with whole_file(Path(csv)) as file:
+            DataFrame(summaries(results)).to_csv(file, index=False)

@@ -21,7 +21,7 @@ from launch_scripts.commands.options import (
     StartOption,
 )
 
-EXAMPLE: Final = "heliarch inverters oahu --port 5020 --delay 0.5 --ramp 20"
+EXAMPLE: Final = "heliarch inverters oahu --port 5020 --set plant.delay_s=1"
 
 
 def inverters(
@@ -39,16 +39,6 @@ def inverters(
         typer.Option(
             min=1, max=65535, help="A port for each inverter instead, from this one on; unit 1."
         ),
-    ] = None,
-    delay_s: Annotated[
-        float,
-        typer.Option(
-            "--delay", min=0.0, max=600.0, help="Time until a limit acts.", metavar="SECONDS"
-        ),
-    ] = 0.0,
-    ramp: Annotated[
-        float | None,
-        typer.Option(min=0.01, help="How fast power follows a limit, in % of the rating a second."),
     ] = None,
     wait: Annotated[
         bool, typer.Option("--wait", help="Let the sky stand still until the first limit comes.")
@@ -72,6 +62,7 @@ def inverters(
     from studies.compare.cases import with_settings
 
     try:
+        from sunspec.limited_inverter import LimitedInverter
         from sunspec.server import ServedPlant, Sky, served
     except ModuleNotFoundError as error:
         raise InputError(
@@ -83,15 +74,22 @@ def inverters(
     prepared = prepare(scenario_file, options, new_run_id(scenario_file.scenario.name))
     plan = prepared.plan
     sky = Sky(prepared.profile.mpp_kw, plan.cycle_ns / 1e9, None if wait else time.monotonic())
+
+    def simulated(place: int, name: str, rating_kw: float) -> LimitedInverter:
+        settings = plan.settings_of(name)
+        ramp = settings.ramp_percent_per_s or inf
+        return LimitedInverter(rating_kw, sky.possible_kw(place), settings.delay_s or 0.0, ramp)
+
     plant = ServedPlant(
-        inverters=plan.inverters,
+        inverters={
+            name: simulated(place, name, rating_kw)
+            for place, (name, rating_kw) in enumerate(plan.inverters)
+        },
         sky=sky,
         now=time.monotonic,
         host=address,
         port=port if base_port is None else base_port,
         a_port_each=base_port is not None,
-        delay_s=delay_s,
-        ramp_percent_per_s=inf if ramp is None else ramp,
     )
     with suppress(KeyboardInterrupt), served(plant) as addresses:
         for name, place in addresses.items():

@@ -141,7 +141,7 @@ CsvOption: TypeAlias = Annotated[
     str | None,
     typer.Option(
         "--csv",
-        help="Write the summary of many cases as CSV.",
+        help="Write the summary of the cases as CSV.",
         metavar="FILE",
         callback=_file_in_folder,
     ),

@@ -119,10 +119,10 @@ def run(
     if server is not None and plan.lockstep and plan.faults:
         given = request.options.faults
         where = f"--fault {given[0]}" if given else "faults of the scenario"
-        raise InputError(
-            f"{where}: expected a --pace such as 1 with it, got lockstep, where a lost message is "
-            "waited for without end"
-        )
+        why = "a lost message is waited for without end"
+        if all(rule.stops for rule in plan.faults):
+            why = "cycles keep to no clock"
+        raise InputError(f"{where}: expected a --pace such as 1 with it, got lockstep, where {why}")
     try:
         with view_for(console, plan, scenario.time.timezone) as view:
             for line in (scenario.title, *preparation.remarks):

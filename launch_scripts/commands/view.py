@@ -5,12 +5,16 @@ from __future__ import annotations
 import asyncio
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from bus_schemas.errors import InputError
 from launch_scripts.commands.options import PageAddressOption, PagePortOption
+
+if TYPE_CHECKING:
+    from live_page.foxglove_stream import FoxgloveStream
+    from live_page.server import PageServer
 
 EXAMPLE: Final = "heliarch view runs/oahu-20261121-120000-4711"
 
@@ -22,28 +26,79 @@ def view(
     ] = Path("runs"),
     page_port: PagePortOption = None,
     page_address: PageAddressOption = None,
+    foxglove: Annotated[
+        int | None,
+        typer.Option(
+            help="Also stream the run to Foxglove or Lichtblick, which connect to this port; "
+            "8765 is their default. Needs heliarch[foxglove].",
+            metavar="PORT",
+            min=1,
+            max=65535,
+        ),
+    ] = None,
 ) -> None:
     """Show a run in a browser: play, pause and scrub it, also while it is being recorded.
 
     Of a folder it lists the runs with their figures. Ends with Ctrl-C.
     """
     from live_page.place import open_place
-    from live_page.run_list import RunList
+    from live_page.process import get_behind_others
     from live_page.server import PageServer
+    from recordings.inspect.health import SUMMARY_NAME
+
+    several = _holds_several(path)
+    if several and foxglove is not None:
+        raise InputError(f"--foxglove: expected one run with it, got the runs in {path}")
+    place = open_place(page_address, page_port)
+    stream = None if foxglove is None else _foxglove_stream(path, foxglove)
+    typer.echo(f"page: {place.address}   (Ctrl-C ends it)")
+    if not several and not (path if path.is_dir() else path.parent).joinpath(SUMMARY_NAME).exists():
+        get_behind_others()  # Its run may go on.
+    if stream is not None:
+        layout = place.address_of("layout.json")
+        typer.echo(f"foxglove: ws://127.0.0.1:{foxglove}   (layout: {layout})")
+    with suppress(KeyboardInterrupt):
+        asyncio.run(_serve(PageServer(path, place, several=several), stream))
+
+
+def _holds_several(path: Path) -> bool:
+    """Tell a folder of runs from a run, which may not have begun yet."""
+    from live_page.run_list import RunList
     from recordings.read.reader import RunReader
     from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
 
     recording, begun = path / RECORDING_NAME, (path / "plan.json").exists()
-    several = path.is_dir() and not recording.exists() and not begun
-    if several and not RunList(path).recordings():
-        raise InputError(f"{path}: expected a run or a folder with runs, got neither")
-    if not several and (recording.exists() or not begun):
+    if path.is_dir() and not recording.exists() and not begun:
+        if not RunList(path).recordings():
+            raise InputError(f"{path}: expected a run or a folder with runs, got neither")
+        return True
+    if recording.exists() or not begun:
         try:
             RunReader(path).close()
         except NothingRecordedError:
             if not begun:
                 raise
-    place = open_place(page_address, page_port)
-    typer.echo(f"page: {place.address}   (Ctrl-C ends it)")
-    with suppress(KeyboardInterrupt):
-        asyncio.run(PageServer(path, place, several=several).serve())
+    return False
+
+
+def _foxglove_stream(path: Path, port: int) -> FoxgloveStream:
+    from live_page.run_view import RunView
+
+    try:
+        from live_page.foxglove_stream import FoxgloveStream
+    except ModuleNotFoundError:
+        raise InputError(
+            "--foxglove: expected the package foxglove-sdk; `pip install 'heliarch[foxglove]'` "
+            "installs it"
+        ) from None
+    return FoxgloveStream(RunView(path), port)
+
+
+async def _serve(server: PageServer, stream: FoxgloveStream | None) -> None:
+    """Serve until the page's server ends, as it does on Ctrl-C."""
+    tasks = [asyncio.create_task(server.serve())]
+    if stream is not None:
+        tasks.append(asyncio.create_task(stream.serve()))
+    done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    for task in done:
+        task.result()

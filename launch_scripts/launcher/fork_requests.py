@@ -18,12 +18,15 @@ class Start(msgspec.Struct, frozen=True, tag=True):
         Names, those first that the others connect to.
     patience_s
         How long the plant waits for everybody [s].
+    again
+        Whether they join a run that is under way.
     """
 
     plan: str
     agents: tuple[str, ...]
     logs: str
     patience_s: float
+    again: bool = False
 
 
 class Expect(msgspec.Struct, frozen=True, tag=True):
@@ -40,8 +43,3 @@ class Signal(msgspec.Struct, frozen=True, tag=True):
 
 
 Request: TypeAlias = Start | Expect | Signal
-
-
-def log_name(agent: str) -> str:
-    """Return the name of an agent's log file."""
-    return f"{agent.replace('/', '.')}.log"

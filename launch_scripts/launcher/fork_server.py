@@ -32,7 +32,8 @@ from agents.plan import RunPlan, load_plan
 from agents.process import die_with_parent, run_controller, session_settings
 from agents.team import controller
 from bus_schemas.tree import RECORDER, agent_name
-from launch_scripts.launcher.fork_requests import Expect, Request, Signal, Start, log_name
+from launch_scripts.launcher.fork_requests import Expect, Request, Signal, Start
+from recordings.read.run_file import log_name
 from recordings.record.recorder import run_recorder
 from sim_plant.process import run_plant
 from sim_plant.profile import load_profile
@@ -114,6 +115,8 @@ class ForkServer:
     def _fork(self, agent: str, plan: RunPlan, request: Start) -> None:
         expected = None
         if agent == RECORDER:
+            if self._to_recorder is not None:
+                os.close(self._to_recorder)
             expected, self._to_recorder = os.pipe()
             os.set_blocking(expected, False)
         pid = os.fork()
@@ -185,7 +188,7 @@ def _run(agent: str, plan: RunPlan, link: LauncherLink, request: Start) -> int:
             profile = load_profile(folder / "profile.npz")
             return run_plant(plan, profile, link, request.patience_s, folder)
         case _:
-            return run_controller(plan, agent, link)
+            return run_controller(plan, agent, link, rejoins=request.again)
 
 
 def main() -> None:

@@ -29,6 +29,7 @@ from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.run_watch import HEARTBEAT_S, RunWatch
 from launch_scripts.launcher.summary import (
     RunSummary,
+    count_lost,
     count_messages,
     dropped_by_cause,
     memory_use,
@@ -43,7 +44,7 @@ from launch_scripts.launcher.supervision import (
     Memory,
     RunFailure,
     blame,
-    explain_stall,
+    stall,
     with_log,
 )
 from launch_scripts.launcher.tcp_ports import reserved_ports
@@ -97,6 +98,7 @@ class _Launch:
         self._armed_at = began_at
         self._watch = RunWatch(plan, view.say)
         self._stalled_at: float | None = None
+        self._stalled_in: int | None = None
         self._asked_at: float | None = None
         self._rounds = 0
         self._cpu_at_start_s: dict[str, float | None] = {}
@@ -104,7 +106,6 @@ class _Launch:
         self._over = False
         self._external = ExternalWatch(plan, folder.plan, self._patience_s, time.monotonic())
         self._interruption = Interruption()
-        self._restarts = Restarts(plan, lambda agent: self._start((agent,)), view.say)
 
     def run(self) -> RunSummary:
         """Start the processes, see them through the run, compare what they say at its end."""
@@ -112,7 +113,9 @@ class _Launch:
         refused = refusals(plan.machine, lockstep=plan.lockstep)
         for refusal in refused:
             view.say(refusal)
-        agents = tuple(agent for agent in plan.tree.agents() if agent not in plan.external)
+        agents = tuple(agent for agent in plan.processes if agent not in plan.external)
+        if plan.lockstep and plan.standby:
+            view.say("no standby in lockstep, where nothing has a deadline: give a --pace")
         view.say(f"starting {len(agents)} processes, logs in {self._folder.logs}")
         for line in self._external.directions():
             view.say(line)
@@ -121,7 +124,7 @@ class _Launch:
             Children(self._server, plan, agents, self._folder.logs) as children,
         ):
             self._started_at = time.monotonic()
-            children.replaces = self._restarts.replaces
+            self._restarts = Restarts(plan, children, self._start_again, view.say)
             self._start(agents)
             try:
                 self._follow(children)
@@ -130,23 +133,29 @@ class _Launch:
                 raise RunFailure(text) from failure
             ended_at = time.monotonic()
             self._restarts.end()
+            # Who was away as the plant ended the run has not heard of it.
+            children.ask_to_end([name for name in self._restarts.counts if name != RECORDER])
             recorded = self._finish(children)
             return self._summary(children, recorded, ended_at, refused)
 
-    def _start(self, agents: tuple[str, ...]) -> None:
+    def _start(self, agents: tuple[str, ...], *, again: bool = False) -> None:
         patience_s = _PLANT_PATIENCE_S + _PER_PROCESS_S * len(agents) + self._patience_s
         logs = str(self._folder.logs)
-        self._server.ask(Start(str(self._folder.plan), agents, logs, patience_s))
+        self._server.ask(Start(str(self._folder.plan), agents, logs, patience_s, again))
+
+    def _start_again(self, agent: str) -> None:
+        self._start((agent,), again=True)
 
     def _follow(self, children: Children) -> None:
         """Show the run until the plant says that it is over."""
         while not self._is_over(children):
-            for _, event in children.events(0.1):
+            for child, event in children.events(0.1):
                 self._hear(event)
+                self._restarts.hear(child, event)
                 if isinstance(event, Armed):
                     self._cpu_at_start_s = {child.agent: child.cpu_s() for child in children}
-            self._restarts.look(children)
             self._hear_gateway()
+            self._restarts.look(self._watch.recorder_silent_s(time.monotonic()))
             self._check_progress(children)
             if self._interruption:
                 self._ask_stop(children)
@@ -173,10 +182,13 @@ class _Launch:
                 )
             case Status():
                 self._watch.hear(event.cycle, now)
+                if self._stalled_in is not None and event.cycle > self._stalled_in:
+                    self._stalled_at = self._stalled_in = None  # It has gone on meanwhile.
                 self._external.note(event)
                 self._view.show(event)
             case Waiting():
                 self._stalled_at = self._stalled_at or now
+                self._stalled_in = event.cycle if self._stalled_in is None else self._stalled_in
             case Presence():
                 self._view.say(self._external.hear(event, now, running=bool(self._rounds)))
             case Over():
@@ -199,7 +211,12 @@ class _Launch:
         if not self._rounds:
             self._check_arming(children, now)
         if self._stalled_at is not None and now > self._stalled_at + _GATHER_S:
-            raise RunFailure(explain_stall(children))
+            line, to_blame = stall(children)
+            if not self._restarts.mends(to_blame):
+                raise RunFailure(blame(children, to_blame[0], line))
+            self._stalled_at = self._stalled_in = None
+            for child in children:
+                child.waiting = None
         if self._rounds and (trouble := self._watch.check(now)) is not None:
             agent, text = trouble
             raise RunFailure(blame(children, agent, text))
@@ -269,11 +286,17 @@ class _Launch:
             dropped["at the recorder"] = recorded.foreign
         memory: dict[str, list[Memory]] = {}
         for child in children:
-            memory.setdefault(child.kind, []).append(child.memory)
+            if child.memory.resident_mb:  # A short run may be over before all were looked at.
+                memory.setdefault(child.kind, []).append(child.memory)
         published = merge_counts([account.published for account in accounts])
         heard = without_external(recorded)
         if self._restarts.counts:
-            published = {name: max(published.get(name, 0), heard[name]) for name in heard}
+            # Nobody knows what processes published that died: the numbers of messages tell.
+            lost = count_lost(self._folder.recording, plan.external)
+            published |= {
+                name: max(published.get(name, 0), heard.get(name, 0) + lost[name])
+                for name in {*heard, *lost}
+            }
         return RunSummary(
             run_id=plan.run_id,
             scenario=plan.plant,
@@ -289,6 +312,7 @@ class _Launch:
             metrics=recorded_metrics(self._folder.recording),
             messages=count_messages(published, heard),
             restarts=dict(self._restarts.counts),
+            takeovers=dict(self._restarts.takeovers),
             dropped=dropped,
             missing_inputs=sum(account.missing_inputs for account in accounts),
             memory=memory_use(memory),

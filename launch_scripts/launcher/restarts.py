@@ -1,4 +1,4 @@
-"""Controllers that die or stand still in the middle of a run, by themselves or by a fault rule."""
+"""Processes that die, or say nothing, in the middle of a run, by themselves or by a fault rule."""
 
 from __future__ import annotations
 
@@ -6,16 +6,24 @@ import os
 import signal
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Final
 
+from agents.events import AnyEvent, Standing, Status, TookOver
 from agents.plan import RunPlan
+from agents.process import STANDING_S
 from bus_schemas.faults import incidents
+from bus_schemas.tree import RECORDER, agent_of, some_of, standby_of
 from launch_scripts.launcher.supervision import Child, Children
+from recordings.record.recorder import longest_pause_s
 
-_LOOK_S: Final = 0.5
-"""Time between two looks at who stands still."""
+_LONGEST_STEP_S: Final = 0.5
+"""Between two reports no more than this counts as silence: a machine that stood still proves
+nothing."""
+
+_RETURN_S: Final = 10.0
+"""In lockstep: how long a process that was started again may take to join."""
 
 _SAME_CLOCK_S: Final = 10.0
 
@@ -23,41 +31,65 @@ _SIGNALS: Final = {"kill": signal.SIGKILL, "freeze": signal.SIGSTOP, "thaw": sig
 
 
 class Restarts:
-    """Starts controllers again, kills those that stand still, and does what fault rules ask for.
+    """Starts processes again, kills those that say nothing, and does what fault rules ask for.
 
     Parameters
     ----------
     plan
         Of the run, with its policy.
+    children
+        The processes.
     start
-        Starts an agent's process.
+        Starts a process.
     say
         Called with a line for the user.
+    now_s
+        Clock.
 
     Attributes
     ----------
     counts
-        How often each agent was started again.
+        How often each process was started again.
+    takeovers
+        How often a standby has taken each agent over.
     """
 
     def __init__(
-        self, plan: RunPlan, start: Callable[[str], None], say: Callable[[str], None]
+        self,
+        plan: RunPlan,
+        children: Children,
+        start: Callable[[str], None],
+        say: Callable[[str], None],
+        now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.counts: Counter[str] = Counter()
+        self.takeovers: Counter[str] = Counter()
         self._policy = plan.restart
-        self._allowed = plan.restart.when != "never" and not plan.lockstep
+        # In lockstep a parent that acts rarely would lack what came between its turns.
+        self._allowed = plan.restart.when != "never"
+        if plan.lockstep:
+            self._allowed &= plan.restart.when is not None and plan.periods.longest == 1
+        self._children = children
         self._start = start
         self._say = say
+        self._now_s = now_s
         self._times: dict[str, list[float]] = {}
-        self._stopped_since: dict[str, float] = {}
-        self._look_at = 0.0
+        self._start_at: dict[str, float] = {}
+        self._killed: set[str] = set()
         self._due = incidents(plan.faults, plan.tree)
+        self._frozen: dict[str, Child] = {}
         self._wall_per_s = plan.cycle_wall_ns / plan.cycle_ns
         self._began_at: float | None = None
+        # The process that speaks for an agent with a standby, and since which cycle.
+        self._speaker = {agent: (agent, 0) for agent in plan.standbys}
+        self._pause_s = longest_pause_s(plan)
+        self._status_at = 0.0
+        self._silent_s: dict[str, float] = {}
+        children.replaces = self.replaces
 
     def begin(self, start_s: float) -> None:
-        """Replace controllers and let rules act from the beginning of cycle 0 on."""
-        now = time.monotonic()
+        """Replace processes and let rules act from the beginning of cycle 0 on."""
+        now = self._status_at = self._now_s()
         # An external plant on another host has another clock.
         self._began_at = start_s if abs(start_s - now) < _SAME_CLOCK_S else now
 
@@ -66,49 +98,117 @@ class Restarts:
         self._began_at = None
 
     def replaces(self, child: Child, why: str) -> bool:
-        """Start a controller again that has ended; return False if the policy does not."""
-        if not self._allowed or self._began_at is None or child.kind in {"plant", "recorder"}:
+        """Start a process again that has ended; return False if the policy does not."""
+        if not self._allowed or self._began_at is None or child.kind == "plant":
             return False
-        now, policy = time.monotonic(), self._policy
-        recent = [at for at in self._times.get(child.agent, ()) if now - at < policy.within_s]
-        if len(recent) >= policy.most:
-            self._say(f"{child.agent} was started again {len(recent)} times: that is enough")
+        name, now = child.agent, self._now_s()
+        earlier = self._times.setdefault(name, [])
+        wait_s = self._policy.wait_s(earlier, now)
+        if wait_s is None:
+            self._say(f"{name} was started again {len(earlier)} times: that is enough")
             return False
-        self._times[child.agent] = [*recent, now]
-        self.counts[child.agent] += 1
-        self._stopped_since.pop(child.agent, None)
-        self._say(f"{why.splitlines()[0].split('; last lines')[0]}; it is started again")
+        earlier.append(now)
+        self.counts[name] += 1
+        if name not in self._killed:
+            later = f" in {wait_s:g} s" if wait_s else ""
+            self._say(f"{why.splitlines()[0].split('; last lines')[0]}; it is started again{later}")
+        self._killed.discard(name)
+        self._silent_s.pop(name, None)
         child.begin_again()
-        self._start(child.agent)
+        self._start_at[name] = now + wait_s
+        self._start_due(now)
         return True
 
-    def look(self, children: Children) -> None:
-        """Do what is due by fault rules; kill controllers that have stood still for too long."""
-        now = time.monotonic()
+    def look(self, recorder_silent_s: float) -> None:
+        """Do what is due: by fault rules, and to those that were to wait or that say nothing."""
+        now = self._now_s()
         if self._began_at is None:
             return
-        since_s = now - self._began_at
-        while self._due and self._due[0].time_s * self._wall_per_s <= since_s:
+        self._start_due(now)
+        due: dict[str, list[Child]] = {}
+        while self._due and self._due[0].time_s * self._wall_per_s <= now - self._began_at:
             incident = self._due.pop(0)
-            self._say(f"fault: {incident.what} {incident.agent}")
-            _send(children[incident.agent], _SIGNALS[incident.what])
-        if self._allowed and now >= self._look_at:
-            self._look_at = now + _LOOK_S
-            self._kill_stopped(children, now)
+            due.setdefault(incident.what, []).append(self._victim(incident.agent, incident.what))
+        for what, victims in due.items():
+            again = "; started again" if what == "kill" and self._allowed else ""
+            self._say(f"fault: {what} {some_of([child.agent for child in victims])}{again}")
+            for child in victims:
+                self._send(child, _SIGNALS[what])
+        started_at = max(self._times.get(RECORDER, [self._began_at]))
+        if self._allowed and min(recorder_silent_s, now - started_at) >= self._policy.frozen_s:
+            self._kill_silent(self._children[RECORDER])
 
-    def _kill_stopped(self, children: Children, now: float) -> None:
+    def hear(self, child: Child, event: AnyEvent) -> None:
+        """Take in what a process says of itself, or the recorder of all others."""
+        match event:
+            case Standing():
+                self._silent_s.pop(child.agent, None)
+            case TookOver():
+                self._note_takeover(child.agent, event.cycle)
+            case Status() if self._began_at is not None:
+                self._note_silence(event.silent)
+
+    def mends(self, to_blame: Sequence[str]) -> bool:
+        """In lockstep: start again those that a stalled run waits for, or wait for their return."""
+        children = [self._children.by_agent.get(name) for name in to_blame]
+        if not self._allowed or self._began_at is None:
+            return False
         for child in children:
-            if child.kind in {"plant", "recorder"} or not child.is_stopped():
-                self._stopped_since.pop(child.agent, None)
+            if child is None or child.kind in {"plant", "recorder"} or child.waiting is not None:
+                return False
+            if self._now_s() - max(self._times.get(child.agent, [0.0])) > _RETURN_S:
+                self._kill_silent(child)
+        return True
+
+    def _start_due(self, now: float) -> None:
+        for name in [name for name, at in self._start_at.items() if at <= now]:
+            del self._start_at[name]
+            self._start(name)
+
+    def _victim(self, agent: str, what: str) -> Child:
+        """Return the process that a rule means: the one that speaks, or that stands still."""
+        child = self._children[self._speaker.get(agent, (agent, 0))[0]]
+        if what == "freeze":
+            self._frozen[agent] = child
+        return self._frozen.pop(agent, child) if what == "thaw" else child
+
+    def _note_takeover(self, name: str, cycle: int) -> None:
+        agent = agent_of(name)
+        self._say(f"{name} took over in cycle {cycle}")
+        self.takeovers[agent] += 1
+        before, since = self._speaker[agent]
+        self._speaker[agent] = (name, cycle)
+        if since == cycle and before != name:  # Both at once: neither would yield to the other.
+            self._speaker[agent] = (agent, cycle)
+            self._send(self._children[standby_of(agent)], signal.SIGKILL)
+
+    def _note_silence(self, silent: Sequence[str]) -> None:
+        """Count how long each controller has said nothing; name it, and kill it after a while."""
+        now = self._now_s()
+        step_s, self._status_at = min(now - self._status_at, _LONGEST_STEP_S), now
+        for child in self._children.controllers():
+            name, agent = child.agent, agent_of(child.agent)
+            speaks = self._speaker.get(agent, (name, 0))[0] == name
+            if child.kind == "plant" or not child.pid or (speaks and agent not in silent):
+                self._silent_s.pop(name, None)
                 continue
-            since = self._stopped_since.setdefault(child.agent, now)
-            if now - since >= self._policy.frozen_s:
-                stood_s = f"{self._policy.frozen_s:g} s"
-                self._say(f"{child.agent} (process {child.pid}) has stood still for {stood_s}")
-                _send(child, signal.SIGKILL)
+            before_s = self._silent_s.get(name, 0.0)
+            self._silent_s[name] = before_s + step_s
+            # One that stands by says so every now and then.
+            pause_s = self._pause_s if speaks else -2.0 * STANDING_S
+            if speaks and 0.0 < before_s <= _LONGEST_STEP_S < before_s + step_s:
+                self._say(f"{name} (process {child.pid}) says nothing")
+            if self._allowed and before_s and before_s + step_s + pause_s >= self._policy.frozen_s:
+                self._kill_silent(child)
 
+    def _kill_silent(self, child: Child) -> None:
+        if child.pid and child.agent not in self._killed:
+            self._say(f"{child.agent} (process {child.pid}) says nothing: killed and started again")
+            self._send(child, signal.SIGKILL)
 
-def _send(child: Child, number: signal.Signals) -> None:
-    if child.pid and child.exited is None:
-        with suppress(ProcessLookupError):
-            os.kill(child.pid, number)
+    def _send(self, child: Child, number: signal.Signals) -> None:
+        if child.pid and child.exited is None:
+            if number == signal.SIGKILL:
+                self._killed.add(child.agent)
+            with suppress(ProcessLookupError):
+                os.kill(child.pid, number)

@@ -59,13 +59,17 @@ class RunWatch:
             self._cycle, self._went_on_at = cycle, now_s
         self._is_silent = False
 
+    def recorder_silent_s(self, now_s: float) -> float:
+        """Return how long the recorder has said nothing [s]."""
+        self._leave_out_own_pause(now_s)
+        return now_s - self._heard_at
+
     def check(self, now_s: float) -> tuple[str, str] | None:
         """Return who has been silent for too long, and what to say of it.
 
         A tolerable silence is only reported. To be called several times a second.
         """
-        self._leave_out_own_pause(now_s)
-        silent_s = now_s - self._heard_at
+        silent_s = self.recorder_silent_s(now_s)
         if silent_s > self._patience_s:
             return RECORDER, f"recorder has not been heard of for {self._patience_s:g} s"
         if silent_s > HEARTBEAT_S and not self._is_silent:

@@ -11,6 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from heapq import heapify, heappop, heappush
+from math import isfinite
 from typing import Any, Final
 
 import msgspec
@@ -26,8 +27,8 @@ from bus_schemas.codec import encode
 from bus_schemas.faults import Incident, incidents
 from bus_schemas.memory_bus import MemoryBus, VirtualClock
 from bus_schemas.messages import Message
-from bus_schemas.signals import RUN, Port
-from bus_schemas.tree import PLANT, ROOT
+from bus_schemas.signals import RUN, TAKEOVER, Port
+from bus_schemas.tree import PLANT, ROOT, agent_of, standby_of
 from launch_scripts.launcher.interruption import interruptible
 from launch_scripts.launcher.live_view import View
 from launch_scripts.launcher.run_folder import RunFolder
@@ -60,6 +61,9 @@ class MemoryRun:
         The run.
     on_publish
         Called with every message, with its port.
+    restart_takes_s
+        Time from the death of a controller until its successor hears messages [s]. Infinite: the
+        others go on without it.
     """
 
     def __init__(
@@ -67,17 +71,23 @@ class MemoryRun:
         plan: RunPlan,
         profile: Profile,
         on_publish: Callable[[Port[Message], Message], None] | None = None,
+        restart_takes_s: float = RESTART_TAKES_S,
     ) -> None:
         clock = VirtualClock() if plan.faults else None
         # Within one process nobody is late: without faults a pace needs no deadlines.
         self.plan = msgspec.structs.replace(plan, cycle_wall_ns=0) if clock is None else plan
         faults = self.plan.network_faults if plan.faults else None
         self._incidents = incidents(plan.faults, plan.tree)
-        self._frozen: dict[str, AgentLoop[Any]] = {}
-        self.restarts: Counter[str] = Counter()
+        self._restart_takes_s = restart_takes_s
+        self._frozen: dict[str, tuple[AgentLoop[Any], int]] = {}
+        self._restarted_s: dict[str, list[float]] = {}
         self.bus = MemoryBus(self.plan.wiring, on_publish, clock, faults)
         team: list[Agent[Any]] = [Plant(self.plan, profile), *controllers(self.plan)]
-        self.loops = {agent.name: AgentLoop(agent, self.plan) for agent in team}
+        loops = [
+            *(AgentLoop(agent, self.plan) for agent in team),
+            *(self._loop(standby_of(agent)) for agent in self.plan.standbys),
+        ]
+        self.loops = {loop.name: loop for loop in loops}
         self._driver = Driver(self.loops.values(), self.bus, clock or time.monotonic_ns)
         self._clock = clock
 
@@ -87,7 +97,7 @@ class MemoryRun:
         Raises
         ------
         RunFailure
-            The agents wait for each other.
+            The agents wait for each other, or a controller has died that may not be started again.
         """
         plant = self.loops[PLANT]
         start_ns = self._driver.now_ns()
@@ -121,9 +131,8 @@ class MemoryRun:
         while not self._is_over():
             while due and due[0][0] <= driver.now_ns():
                 time_ns, incident = heappop(due)
-                after = self._befall(incident)
-                if after is not None:
-                    heappush(due, (time_ns + round(RESTART_TAKES_S * 1e9), after))
+                for after_s, other in self._befall(incident):
+                    heappush(due, (time_ns + round(after_s * 1e9), other))
             yield driver.turn(longest_ns=due[0][0] if due else None)
 
     def _is_over(self) -> bool:
@@ -131,30 +140,76 @@ class MemoryRun:
         loops = self._driver.loops.values()
         return self.loops[PLANT].finished and all(one.finished or one.cycle < 0 for one in loops)
 
-    def _befall(self, incident: Incident) -> Incident | None:
-        """Kill, freeze, thaw or start a controller; return what follows from it."""
-        name, driver = incident.agent, self._driver
+    def _befall(self, incident: Incident) -> Iterator[tuple[float, Incident]]:
+        """Kill, freeze, thaw or start a controller; yield what follows from it, after how long."""
+        driver, policy = self._driver, self.plan.restart
+        name = self._process_of(incident)
+        incident = incident._replace(agent=name)
         match incident.what:
             case "freeze" if name in driver.loops:
-                self._frozen[name] = driver.leave(name)
+                self._frozen[name] = (driver.leave(name), driver.now_ns())
                 self.bus.hold(name, keep=True)
+                if policy.when != "never":
+                    yield policy.frozen_s, incident._replace(what="watch")
             case "thaw" if name in self._frozen:
                 self.bus.go_on(name)
-                driver.join(self._frozen.pop(name))
+                driver.join(self._frozen.pop(name)[0])
+            case "watch" if name in self._frozen:
+                _, since_ns = self._frozen[name]
+                if driver.now_ns() - since_ns >= round(policy.frozen_s * 1e9):
+                    yield from self._kill(incident)
             case "kill" if name in driver.loops or name in self._frozen:
-                if name in driver.loops:
-                    driver.leave(name)
-                self._frozen.pop(name, None)
-                self.bus.hold(name, keep=False)
-                if self.plan.restart.when != "never":
-                    return incident._replace(what="start")
+                yield from self._kill(incident)
             case "start":
-                self.restarts[name] += 1
-                self.bus.outbox.begin_again(name)
-                self.loops[name] = AgentLoop(controller(self.plan, name), self.plan)
+                self.loops[name] = self._loop(name)
                 self.bus.go_on(name)
                 driver.join(self.loops[name])
-        return None
+
+    def _kill(self, incident: Incident) -> Iterator[tuple[float, Incident]]:
+        """Kill a process; yield its return."""
+        name = incident.agent
+        if name in self._driver.loops:
+            self._driver.leave(name)
+        self._frozen.pop(name, None)
+        self.bus.hold(name, keep=False)
+        if isfinite(self._restart_takes_s):
+            wait_s = self._wait_for_restart_s(name)
+            yield wait_s + self._restart_takes_s, incident._replace(what="start")
+
+    def _loop(self, name: str) -> AgentLoop[Any]:
+        """Return the loop of a process of this name."""
+        return AgentLoop(controller(self.plan, agent_of(name)), self.plan, process=name)
+
+    def _process_of(self, incident: Incident) -> str:
+        """Return the process that something happens to: of an agent with a standby, who speaks."""
+        name, what = incident.agent, incident.what
+        if name not in self.plan.standbys or what in {"watch", "start"}:
+            return name
+        both = (name, standby_of(name))
+        if what == "thaw":
+            return next((one for one in both if one in self._frozen), name)
+        there = [one for one in both if one in self._driver.loops]
+        return min(there, key=lambda one: self.loops[one].silent, default=name)
+
+    def _wait_for_restart_s(self, name: str) -> float:
+        """Note a death; end the run if the policy does not let the controller be replaced."""
+        policy, now_s = self.plan.restart, self._driver.now_ns() / 1e9
+        earlier_s = self._restarted_s.setdefault(name, [])
+        wait_s = policy.wait_s(earlier_s, now_s)
+        if wait_s is None:
+            why = (
+                'restart.when is "never"'
+                if policy.when == "never"
+                else f"it was started again {policy.most} times within {policy.within_s:g} s"
+            )
+            raise RunFailure(f"{name} was killed in the middle of the run, and {why}")
+        earlier_s.append(now_s)
+        return wait_s
+
+    @property
+    def restarts(self) -> dict[str, int]:
+        """How often each controller was started again."""
+        return {name: len(times_s) for name, times_s in self._restarted_s.items()}
 
     def stop(self) -> None:
         """End the run after the cycle under way."""
@@ -179,7 +234,7 @@ def simulate(
     Raises
     ------
     RunFailure
-        The agents wait for each other.
+        The run could not go on, see `MemoryRun.cycles`.
     """
     plan = msgspec.structs.replace(preparation.plan, devices=())  # In memory none is real.
     preparation = dataclasses.replace(preparation, plan=on_the_clock(plan) if plan.faults else plan)
@@ -196,7 +251,10 @@ def simulate(
         on_end=lambda text: view.say(f"{text}; the run goes on without it"),
     )
 
+    takeovers: Counter[str] = Counter()
+
     def record(port: Port[Message], message: Message) -> None:
+        takeovers[port.publisher] += port.signal is TAKEOVER
         if port.signal.logged:
             writer.add(port, message, encode(message), message.publish_time_ns)
             monitor.see(port, message)
@@ -236,7 +294,8 @@ def simulate(
         remarks=preparation.remarks,
         interrupted=interrupted,
         recording_ended=writer.trouble,
-        restarts=dict(run.restarts),
+        restarts=run.restarts,
+        takeovers=dict(+takeovers),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -13,6 +13,8 @@ from agents.events import ExternalAccount, Finished, Recorded
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.supervision import Child, Memory
 from launch_scripts.launcher.wrong_messages import WrongMessages
+from recordings.read.gaps import RunGaps
+from recordings.read.reader import RunReader
 from recordings.read.series import read_plant_series
 from studies.metrics import RunMetrics, run_metrics
 from studies.metrics.figures_of_merit import figures_json
@@ -83,7 +85,8 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     `processes` is empty where the run was in one process. `messages` are those of the processes;
     of external agents, which give no account of themselves, `external` tells what was heard.
     `devices` tells what their gateway measured.
-    `restarts` says how often each controller was started again.
+    `restarts` says how often each process was started again, `takeovers` how often a standby took
+    an agent over.
     """
 
     run_id: str
@@ -114,6 +117,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     devices: tuple[DeviceAccount, ...] = ()
     wrong: tuple[WrongMessages, ...] = ()
     restarts: dict[str, int] = msgspec.field(default_factory=dict)
+    takeovers: dict[str, int] = msgspec.field(default_factory=dict)
 
     @property
     def cycles_per_s(self) -> float:
@@ -141,7 +145,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
             or self.missing_inputs
             or self.skipped_cycles
             or self.recording_ended
-            or any((self.dropped, self.faults, self.wrong, self.restarts))
+            or any((self.dropped, self.faults, self.wrong, self.restarts, self.takeovers))
         )
 
     def as_json(self) -> bytes:
@@ -160,6 +164,18 @@ def recorded_metrics(recording: Path) -> RunMetrics | None:
         return run_metrics(read_plant_series(recording))
     except InputError:
         return None
+
+
+def count_lost(recording: Path, external: Collection[str]) -> Counter[str]:
+    """Count by signal what the numbers of messages in a recording leave out, devices' set aside."""
+    with RunReader(recording) as run:
+        gaps = RunGaps(run.plan)
+        for record in run.records():
+            gaps.see(record.port, record.cycle, record.sequence, record.incarnation)
+    lost: Counter[str] = Counter()
+    for port, found in gaps.ports.items():
+        lost[port.signal.name] += found.sequence.lost * (port.publisher not in external)
+    return lost
 
 
 def count_messages(

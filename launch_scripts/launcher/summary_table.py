@@ -10,6 +10,7 @@ from typing import Final, TypeAlias
 from rich.console import Console
 
 from bus_schemas.errors import InputError
+from bus_schemas.tree import some_of
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.wrong_messages import one_line_each
 from recordings.read.reader import RunReader
@@ -101,9 +102,13 @@ def _message_rows(summary: RunSummary) -> Iterator[Row]:
         skipped = {process.agent: process.skipped_cycles for process in summary.processes}
         agent = max(skipped, key=skipped.__getitem__)
         yield "Cycles skipped", summary.skipped_cycles, "", f"most by {agent}: {skipped[agent]:,}"
-    if summary.restarts:
-        restarted = ", ".join(f"{agent} {count}" for agent, count in summary.restarts.items())
-        yield "Controllers restarted", sum(summary.restarts.values()), "", restarted
+    for title, counts in (
+        ("Takeovers by standbys", summary.takeovers),
+        ("Processes restarted", summary.restarts),
+    ):
+        if counts:
+            named = some_of([f"{agent} {count}" for agent, count in counts.items()])
+            yield title, sum(counts.values()), "", named
     if summary.faults:
         injected = f"injected between agents: {_listed(summary.faults)}"
         yield "Network faults", sum(summary.faults.values()), "", injected

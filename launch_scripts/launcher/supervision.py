@@ -32,7 +32,8 @@ from agents.launcher_link import EventReader
 from agents.plan import RunPlan
 from bus_schemas.errors import FailureError
 from bus_schemas.tree import RECORDER, some_of
-from launch_scripts.launcher.fork_requests import Expect, Request, Signal, log_name
+from launch_scripts.launcher.fork_requests import Expect, Request, Signal
+from recordings.read.run_file import log_name
 
 _LOG_LINES: Final = 5
 """Lines of a log that are shown when its process is to blame."""
@@ -151,7 +152,7 @@ class Child:
     def begin_again(self) -> None:
         """Forget all that its process, which has ended, has said."""
         self.pid, self.ready = 0, False
-        self.finished = self.waiting = self.failed = self.exited = None
+        self.finished = self.waiting = self.failed = self.exited = self.recorded = None
 
     def note(self, event: AnyEvent) -> None:
         """Keep what it says of itself."""
@@ -335,6 +336,8 @@ class Children:
         done = child.finished is not None or child.recorded is not None
         if exited is None or (done and not exited.status):
             return ""
+        if child.agent in self._asked_to_end and exited.status == -signal.SIGTERM:
+            return ""  # It had hardly begun.
         code = exited.status
         how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
         return f"{name} {how} in the middle of the run"
@@ -379,9 +382,8 @@ def who_waits(waiting: Mapping[str, Waiting], stopped: Sequence[str] = ()) -> tu
     return "; ".join(filter(None, (line, some_of(waits)))), to_blame
 
 
-def explain_stall(children: Children) -> str:
-    """Say who is to blame for a stall, with the last lines of their logs."""
+def stall(children: Children) -> tuple[str, list[str]]:
+    """Say in one line why a run stalls; return it with those to blame."""
     waiting = {child.agent: child.waiting for child in children if child.waiting is not None}
     stopped = [child.agent for child in children if child.is_stopped()]
-    line, to_blame = who_waits(waiting, stopped)
-    return blame(children, to_blame[0], line)
+    return who_waits(waiting, stopped)

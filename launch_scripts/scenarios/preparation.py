@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from agents.control.correlation import HourlyMatrices, hourly_covariance
 from agents.periods import Periods
-from agents.plan import Actuator, RunPlan, Scheme
+from agents.plan import Actuator, Revert, RunPlan, Scheme, check_plan, check_size
 from bus_schemas.errors import InputError
-from bus_schemas.times import parse_duration_s, read_time
-from bus_schemas.tree import ControlTree, depth
+from bus_schemas.times import FIRST_YEAR, LAST_YEAR, parse_duration_s, read_time
+from bus_schemas.tree import ROOT, ControlTree, agent_name, depth
 from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
 from launch_scripts.scenarios.devices import devices
 from launch_scripts.scenarios.externals import check_externals
@@ -42,8 +42,6 @@ from sim_plant.regulation import regulation_kw, regulation_remarks
 from sim_plant.sources import PowerSource
 
 _HOUR_NS: Final = 3_600_000_000_000
-_FIRST_YEAR: Final = 1900
-_LAST_YEAR: Final = 2200
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +149,8 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
             regulation = regulation_kw(offer, day.times, zone, data_path)
     except InputError as error:
         raise InputError(_with_file(scenario_file, str(error))) from None
+    if plan.revert is not None and plan.revert != scenario.plant.revert:
+        remarks.append(f"inverters revert after {plan.revert.after_s:g} s, which is three cycles")
     if of_commitment := hindsight(scenario.commitment):
         remarks.append(of_commitment)
     if offer is not None:
@@ -181,6 +181,7 @@ def _day(scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions) -
     own = scenario_file.scenario
     times = _times(scenario, options)
     source = power_source(scenario_file, options.seed, times)
+    check_size(len(times), len(source.sites.names), "time.duration_s")
     possible_kw = source.possible_kw(times)
     commitment = commitment_kw(
         scenario.commitment,
@@ -212,7 +213,7 @@ def _plan(
     seed = options.seed
     if seed is None and isinstance(scenario.irradiance, CloudIrradiance):
         seed = scenario.irradiance.seed
-    return RunPlan(
+    plan = RunPlan(
         run_id=run_id,
         plant=scenario.name,
         inverters=day.tree.inverters,
@@ -243,13 +244,39 @@ def _plan(
         ),
         correction=scheme == "predictive" if control.correction is None else control.correction,
         available_bias=scenario.plant.available_bias,
-        revert=scenario.plant.revert,
+        revert=_renewable(scenario.plant.revert, scenario),
+        ramp_percent_per_s=scenario.plant.ramp_percent_per_s,
+        delay_s=scenario.plant.delay_s,
+        settings=tuple(
+            replace(entry, revert=_renewable(entry.revert, scenario))
+            for entry in scenario.plant.settings
+        ),
         restart=scenario.restart,
         tier_deadlines_ns=deadlines_ns,
         seed=seed,
         devices=devices(scenario.devices, options.devices or (), day.tree),
         positions_m=day.positions_m,
+        standby=_standby(scenario.standby, day.tree, external),
     )
+    check_plan(plan)
+    return plan
+
+
+def _renewable(revert: Revert | None, scenario: Scenario) -> Revert | None:
+    """Let a revert time be three cycles at least.
+
+    Controllers renew commands in each cycle, and must do so within a third of the revert time.
+    """
+    if revert is None:
+        return None
+    return replace(revert, after_s=max(revert.after_s, 3.0 * scenario.time.cycle_s))
+
+
+def _standby(kinds: Sequence[str], tree: ControlTree, external: Sequence[str]) -> tuple[str, ...]:
+    """Return the parents that have a standby: devices are the user's own affair."""
+    kind_of = dict.fromkeys(tree.parents, "supervisors") | {ROOT: "central"}
+    names = [agent_name(node) for node, kind in kind_of.items() if kind in kinds]
+    return tuple(name for name in names if name not in external)
 
 
 def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
@@ -268,6 +295,7 @@ def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
         raise InputError(
             f"{where}: expected one or more cycles of {table.cycle_s:g} s, got {duration_s:g} s"
         )
+    check_size(cycles, 1, where)
     step = pd.Timedelta(seconds=table.cycle_s)
     first = pd.Timestamp(start).tz_convert("UTC")
     return pd.date_range(first, periods=cycles, freq=step, unit="ns")
@@ -276,9 +304,9 @@ def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
 def _start(
     table: TimeTable, option: str | None, name: str, day: datetime | None = None
 ) -> datetime:
-    if option is None and not _FIRST_YEAR <= table.start.year <= _LAST_YEAR:
+    if option is None and not FIRST_YEAR <= table.start.year <= LAST_YEAR:
         raise InputError(
-            f"time.start: expected a year from {_FIRST_YEAR} to {_LAST_YEAR}, got {table.start}"
+            f"time.start: expected a year from {FIRST_YEAR} to {LAST_YEAR}, got {table.start}"
         )
     scheduled = day or local_start(table)
     if option is None:
@@ -286,11 +314,11 @@ def _start(
     moment = read_time(option)
     if isinstance(moment, time) and moment.tzinfo is None:
         return datetime.combine(scheduled.date(), moment, scheduled.tzinfo)
-    if isinstance(moment, datetime) and _FIRST_YEAR <= moment.year <= _LAST_YEAR:
+    if isinstance(moment, datetime) and FIRST_YEAR <= moment.year <= LAST_YEAR:
         return moment if moment.tzinfo else moment.replace(tzinfo=scheduled.tzinfo)
     raise InputError(
         f"{name}: expected a local time such as 12:30 or 2010-04-01T12:30:00, "
-        f"year {_FIRST_YEAR} to {_LAST_YEAR}, got {option}"
+        f"year {FIRST_YEAR} to {LAST_YEAR}, got {option}"
     )
 
 

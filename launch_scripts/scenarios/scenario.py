@@ -11,7 +11,15 @@ from zoneinfo import ZoneInfo, available_timezones
 import msgspec
 from msgspec import Meta
 
-from agents.plan import Actuator, RestartPolicy, Revert, Scheme
+from agents.plan import (
+    Actuator,
+    Delay,
+    InverterSettings,
+    Ramp,
+    RestartPolicy,
+    Revert,
+    Scheme,
+)
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule
 from bus_schemas.times import LONGEST_S
@@ -88,6 +96,14 @@ class PlantTable(_Table, frozen=True):
     revert: Annotated[
         Revert | None, Meta(description="What an inverter does that hears no command any more.")
     ] = Revert()
+    ramp_percent_per_s: Annotated[
+        Ramp | None,
+        Meta(description="How fast an inverter follows, in % of its rating per second."),
+    ] = None
+    delay_s: Annotated[Delay, Meta(description="After what time a command takes effect [s].")] = 0.0
+    settings: Annotated[
+        tuple[InverterSettings, ...], Meta(description="Inverters that are set otherwise.")
+    ] = ()
     meter_seed: Annotated[Seed, Meta(description="Seed of the meter noise.")] = 0
     ramp_limit_percent_per_min: Annotated[
         RampLimit | None,
@@ -233,6 +249,10 @@ class Scenario(_Table, frozen=True):
     devices: Annotated[
         tuple[DeviceTable, ...], Meta(description="Real inverters; `--device` adds to them.")
     ] = ()
+    standby: Annotated[
+        tuple[Literal["central", "supervisors"], ...],
+        Meta(description="Parents of which a second process stands by, in real time."),
+    ] = ()
     machine: MachineTable = MachineTable()
     timing: TimingTable = TimingTable()
 
@@ -292,7 +312,7 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
     except msgspec.ValidationError as error:
         document = msgspec.toml.decode(text)
         raise InputError(f"{path}: {readable(error, Scenario, document)}") from None
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, RecursionError) as error:
         raise InputError(f"{path}: expected TOML, got {error}") from None
     check_scenario(scenario, str(path))
     return ScenarioFile(scenario, text, path, data_folder or path.parent)

@@ -1,6 +1,6 @@
 // The page of one run: asks for its plan, follows its stream of updates, and shows them.
 
-import {css, drawOverview, kw, redrawCharts, timeChart} from "./chart.js";
+import {drawOverview, kw, redrawCharts, timeChart} from "./chart.js";
 import {plantMap} from "./map.js";
 import {controlTree} from "./tree.js";
 import {eventList, figures, timingStrip, values} from "./panels.js";
@@ -109,24 +109,30 @@ function showRun(plan) {
     return loaded;
   }
 
-  // Of several that are asked for, the last one counts.
-  let asked = 0;
   async function load() {
-    const {from, to} = shown(), part = `from=${Math.floor(from)}&to=${to}`, number = ++asked, place = selected;
-    const plant = await json(`window?${part}&points=1500`);
-    if (number !== asked) return;
-    power = joined(plant, power);
+    const {from, to} = shown(), part = `from=${Math.floor(from)}&to=${to}`, place = selected;
+    power = joined(await json(`window?${part}&points=1500`), power);
     drawPower();
     if (place === null) return;
     const node = await json(`node?path=${encodeURIComponent(plan.nodes[place].path)}&${part}`);
-    if (number !== asked || place !== selected) return;
+    if (place !== selected) return;
     history = joined(node, history);
     drawNode();
+  }
+  // One at a time: the history of a node of a large plant takes the server a second.
+  let loading = false, again = false;
+  async function loadInTurn() {
+    again = true;
+    if (loading) return;
+    loading = true;
+    try {
+      while (again) { again = false; await load(); }
+    } finally { loading = false; }
   }
   let waiting = null;
   const reload = () => {
     clearTimeout(waiting);
-    waiting = setTimeout(load, 80);
+    waiting = setTimeout(loadInTurn, 80);
   };
 
   async function redrawBar() {
@@ -182,6 +188,7 @@ function showRun(plan) {
       figures($("figures"), news.figures);
       $("figures-about").textContent = `${cycles.toLocaleString("en")} cycles so far`;
     }
+    if (over || news.processes) tree.use(over ? null : news.processes);
     if (news.frame) showFrame(news, fresh);
     if (!live && playing && cycle >= cycles - 1) { playing = false; connect(); }
     redrawBar();

@@ -24,7 +24,7 @@ export function timeChart(element, lines, {height, timezone, onPick, cursorKey})
   };
   const chart = new uPlot({
     hooks: {draw: [markNow]},
-    width: element.clientWidth, height,
+    width: element.clientWidth, height, padding: [null, 32, null, null],
     tzDate: seconds => uPlot.tzDate(new Date(seconds * 1e3), timezone),
     legend: {show: false},
     cursor: {points: {size: 6}, drag: {x: false, y: false}, sync: {key: cursorKey}, y: false},

@@ -5,7 +5,7 @@ import {kw} from "./chart.js";
 const NS = "http://www.w3.org/2000/svg";
 const RAMP = ["#00224e", "#123570", "#3b496c", "#575d6d", "#707173", "#8a8678", "#a59c74", "#c3b369", "#e1cc55", "#fee838"];
 const CLUSTERS = ["#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#8c7ae6", "#b0a030"];
-const MOST_LINES = 400;
+const MOST_LINES = 60;
 
 // Cividis: it rises evenly in brightness, also for the colour-blind.
 function ramp(share) {
@@ -15,10 +15,10 @@ function ramp(share) {
   return `rgb(${[0, 1, 2].map(place => Math.round(part(RAMP[low], place) * (1 - rest) + part(next, place) * rest)).join()})`;
 }
 
-function make(name, attributes, parent) {
+export function make(name, attributes, parent) {
   const element = document.createElementNS(NS, name);
   for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-  parent?.append(element);
+  parent.append(element);
   return element;
 }
 
@@ -83,9 +83,10 @@ export function plantMap(svg, note, plan, select) {
   const shapes = new Map();  // What is drawn for each node, by its place.
   const back = make("g", {}, svg), helpLayer = make("g", {}, svg), front = make("g", {}, svg), labels = make("g", {class: "labels"}, svg);
   const clusters = [...members.keys()].filter(place => inverters.some(node => node.parent === place) && place !== 0);
+  back.classList.toggle("many", clusters.length > CLUSTERS.length);
   clusters.forEach((place, number) => {
     const outline = make("g", {class: "cluster"}, back);
-    make("path", {d: joined(members.get(place)), stroke: CLUSTERS[number % CLUSTERS.length], "stroke-width": Math.max(size * (clusters.length > 6 ? 0.4 : 0.7), 3)}, outline);
+    make("path", {d: joined(members.get(place)), stroke: CLUSTERS[number % CLUSTERS.length], "stroke-width": Math.max(size * (clusters.length > CLUSTERS.length ? 0.4 : 0.7), 3)}, outline);
     outline.addEventListener("click", () => select(place));
     shapes.set(place, outline);
     make("title", {}, outline).textContent = plan.nodes[place].path;
@@ -109,11 +110,10 @@ export function plantMap(svg, note, plan, select) {
   if (known) drawScale(svg, width, height, scale);
   note.textContent = known ? "" : "The recording does not say where the inverters stand: a row for each cluster.";
 
-  let selected = null;
   return {
     select(place) {
-      shapes.get(selected)?.classList.remove("selected");
-      shapes.get(selected = place)?.classList.add("selected");
+      for (const chosen of svg.querySelectorAll(".selected")) chosen.classList.remove("selected");
+      for (const chosen of [place, plan.nodes[place].parent]) shapes.get(chosen)?.classList.add("selected");
     },
     show(frame) {
       const {mpp, power} = frame.nodes;
@@ -135,7 +135,7 @@ export function plantMap(svg, note, plan, select) {
         const gap = Math.min(size + 2, length / 3), from = [a[0] + dx / length * gap, a[1] + dy / length * gap], to = [b[0] - dx / length * gap, b[1] - dy / length * gap];
         const bend = [(from[0] + to[0]) / 2 - dy * 0.12, (from[1] + to[1]) / 2 + dx * 0.12];
         line.setAttribute("d", `M${from}Q${bend} ${to}`);
-        line.setAttribute("stroke-width", Math.min(1 + size * power_kw / largest, 14).toFixed(1));
+        line.setAttribute("stroke-width", Math.min(1.5 + 3 * size * power_kw / largest, 14).toFixed(1));
         line.setAttribute("marker-end", "url(#arrow)");
       });
       return frame.help.length - shown.length;

@@ -1,8 +1,8 @@
 // The smaller panels: values beside a chart, figures of merit, events, timing of the cycle.
 
 import {kw} from "./chart.js";
+import {make} from "./map.js";
 
-const NS = "http://www.w3.org/2000/svg";
 const KEPT = 60;  // So many cycles the longest time is kept for.
 
 export function values(element, entries) {
@@ -60,12 +60,6 @@ export function eventList(list, timeOf, seek) {
 }
 
 export function timingStrip(svg, note, plan) {
-  const make = (name, attributes, parent = svg) => {
-    const element = document.createElementNS(NS, name);
-    for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
-    parent.append(element);
-    return element;
-  };
   const recent = new Map();
   const real = plan.cycle_wall_s > 0;
   const seen = {stages: 0, top: 0};
@@ -84,12 +78,12 @@ export function timingStrip(svg, note, plan) {
     svg.style.height = `${seen.stages * high + 4}px`;
     rows.forEach((row, place) => {
       const y = place * high + 2, late = row.deadline_ms !== null && row.last_ms > row.deadline_ms;
-      make("text", {x: 0, y: y + 15}).textContent = row.stage;
-      make("rect", {class: "lane", x: label, y: y + 2, width: width - label - right, height: high - 6, rx: 3});
-      make("rect", {class: late ? "span late" : "span", x: x(row.first_ms), y: y + 4, width: Math.max(x(row.last_ms) - x(row.first_ms), 3), height: high - 10, rx: 2});
-      make("path", {class: "longest", d: `M${x(longest[place])} ${y + 4}v${high - 10}`});
-      if (row.deadline_ms !== null) make("path", {class: "deadline", d: `M${x(row.deadline_ms)} ${y}v${high - 2}`});
-      make("text", {x: width, y: y + 15, "text-anchor": "end", class: late ? "" : "soft"}).textContent = `${row.last_ms.toFixed(row.last_ms < 100 ? 2 : 0)} ms${late ? " late" : ""}`;
+      make("text", {x: 0, y: y + 15}, svg).textContent = row.stage;
+      make("rect", {class: "lane", x: label, y: y + 2, width: width - label - right, height: high - 6, rx: 3}, svg);
+      make("rect", {class: late ? "span late" : "span", x: x(row.first_ms), y: y + 4, width: Math.max(x(row.last_ms) - x(row.first_ms), 3), height: high - 10, rx: 2}, svg);
+      make("path", {class: "longest", d: `M${x(longest[place])} ${y + 4}v${high - 10}`}, svg);
+      if (row.deadline_ms !== null) make("path", {class: "deadline", d: `M${x(row.deadline_ms)} ${y}v${high - 2}`}, svg);
+      make("text", {x: width, y: y + 15, "text-anchor": "end", class: late ? "" : "soft"}, svg).textContent = `${row.last_ms.toFixed(row.last_ms < 100 ? 2 : 0)} ms${late ? " late" : ""}`;
     });
   };
   new ResizeObserver(draw).observe(svg.parentElement);

@@ -13,18 +13,22 @@ async function refresh() {
   document.getElementById("about").textContent = list.folder;
   document.getElementById("heading").innerHTML = "<th>run<th>state<th>recorded<th>simulated from<th class=n>for<th class=n>MB";
   for (const figure of list.figures) {
-    document.getElementById("heading").append(Object.assign(document.createElement("th"), {textContent: figure, className: "n"}));
+    document.getElementById("heading").append(Object.assign(document.createElement("th"), {textContent: figure.heading, className: "n"}));
   }
   document.getElementById("rows").replaceChildren(...list.runs.map(run => {
     const row = document.createElement("tr");
     const link = Object.assign(document.createElement("a"), {href: `run/${encodeURIComponent(run.name)}/`, textContent: run.name.replaceAll("~", "/")});
     cell(row, "").append(link);
     cell(row, run.state || "unfinished");
-    cell(row, new Date(run.recorded_ms).toLocaleString("en-GB", {dateStyle: "medium", timeStyle: "short"}));
+    const recorded = new Date(run.recorded_ms), when = {day: "numeric", month: "short", hour: "2-digit", minute: "2-digit"};
+    cell(row, recorded.toLocaleString("en-GB", when)).title = recorded.toLocaleString("en-GB");
     cell(row, run.start || null);
     cell(row, run.simulated_s === null ? null : `${Math.round(run.simulated_s).toLocaleString("en")} s`, true);
     cell(row, run.size_mb.toFixed(1), true);
-    for (const value of run.figures) cell(row, value?.toLocaleString("en", {maximumFractionDigits: 3}), true);
+    run.figures.forEach((value, place) => {
+      const digits = list.figures[place].decimals;
+      cell(row, value?.toLocaleString("en", {minimumFractionDigits: digits, maximumFractionDigits: digits}), true);
+    });
     return row;
   }));
 }

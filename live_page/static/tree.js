@@ -23,12 +23,13 @@ export function controlTree(body, plan, select) {
     }
     name.append(row.path === "plant" ? "plant" : row.path.split("/").pop() || "central");
     if (row.external) name.append(" (device)");
-    row.cells = Array.from({length: 6}, (_, column) => { const cell = line.insertCell(); if (column) cell.className = "n"; return cell; });
+    row.cells = Array.from({length: 8}, (_, column) => { const cell = line.insertCell(); if (column) cell.className = "n"; return cell; });
     if (row.place !== null) line.addEventListener("click", () => select(row.place));
   }
   body.replaceChildren(...order.map(row => row.line));
 
-  let frame = null, selected = null;
+  let frame = null, processes = null, selected = null;
+  const isLost = ({agent}) => frame.agents.age[agent] === null || frame.agents.age[agent] > plan.hold_cycles;
   const below = row => [row, ...row.children.flatMap(below)];
   function arrange() {
     const hidden = new Set(order.filter(row => row.folded).flatMap(row => below(row).slice(1)));
@@ -43,9 +44,9 @@ export function controlTree(body, plan, select) {
     const agents = frame.agents;
     for (const row of order) {
       if (row.line.hidden) continue;
-      const own = row.agent, age = agents.age[own], lost = age === null || age > plan.hold_cycles;
-      const dead = row.folded ? below(row).slice(1).filter(child => agents.age[child.agent] === null || agents.age[child.agent] > plan.hold_cycles).length : 0;
-      const [state, ages, inputs, oldest, loop, restarts] = row.cells;
+      const own = row.agent, age = agents.age[own], lost = isLost(row);
+      const dead = row.folded ? below(row).slice(1).filter(isLost).length : 0;
+      const [state, ages, inputs, oldest, loop, restarts, cpu, memory] = row.cells;
       state.className = lost || dead ? "dead" : "alive";
       state.textContent = lost ? "✕ silent" : dead ? `✕ ${dead} below silent` : "● alive";
       ages.textContent = age ?? "–";
@@ -54,11 +55,20 @@ export function controlTree(body, plan, select) {
       oldest.textContent = lost ? "–" : agents.input_age[own];
       loop.textContent = agents.loop_ms[own]?.toFixed(2) ?? "–";
       restarts.textContent = agents.restarts[own];
+      cpu.textContent = processes?.cpu[own]?.toFixed(1) ?? "–";
+      memory.textContent = processes?.memory_mb[own]?.toFixed(0) ?? "–";
+      row.line.title = processes?.pid[own] ? `process ${processes.pid[own]}` : "";
     }
   }
   arrange();
   return {
     show,
+    // Without processes on this machine, as in a recording, their columns are left out.
+    use(next) {
+      processes = next;
+      body.closest("table").classList.toggle("no-processes", !next?.pid.some(pid => pid));
+      if (frame) show(frame);
+    },
     select(place) {
       order.find(row => row.place === selected)?.line.classList.remove("selected");
       selected = place;

@@ -17,9 +17,9 @@ from agents.plan import RunPlan
 from bus_schemas.faults import UNHEARD, FaultRule, FaultTally
 from bus_schemas.messages import Message
 from bus_schemas.missing import parse_missing
-from bus_schemas.signals import Port
+from bus_schemas.signals import TAKEOVER, Port
 from bus_schemas.tree import PLANT
-from recordings.read.gaps import RunGaps, due_step
+from recordings.read.gaps import LISTED_GAPS, RunGaps, due_step
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.read.run_clock import RunClock
 
@@ -30,7 +30,7 @@ _NAMED: Final = 5
 
 
 class Absence(msgspec.Struct, frozen=True):
-    """An agent of which nothing came for longer than an input is held, or that restarted.
+    """An agent of which nothing came in a cycle or more, or that restarted.
 
     Attributes
     ----------
@@ -42,6 +42,8 @@ class Absence(msgspec.Struct, frozen=True):
         The cycle in which it was heard again; None: it was not.
     restarted
         Whether its messages were then numbered from 0 again.
+    by_standby
+        Whether its standby then took over.
     """
 
     agent: str
@@ -49,6 +51,14 @@ class Absence(msgspec.Struct, frozen=True):
     last_cycle: int | None
     back_in: int | None
     restarted: bool
+    by_standby: bool = False
+
+    @property
+    def weight(self) -> tuple[bool, int]:
+        """What it is sorted by: the agent did not come back as it was, or for how long."""
+        if self.first_cycle is None or self.last_cycle is None:
+            return (True, 0)
+        return (self.restarted or self.back_in is None, self.last_cycle - self.first_cycle + 1)
 
 
 class Misses(msgspec.Struct, frozen=True):
@@ -106,7 +116,9 @@ class Health(msgspec.Struct, frozen=True):
     misses
         Missed inputs by agent, most first.
     absences
-        Agents that were absent or restarted, in the order of time.
+        Agents that were absent or restarted, in the order of time: the first ones.
+    more_absences
+        How many others there were.
     ended
         Whether the recording goes up to the end of the run.
     failure
@@ -124,6 +136,7 @@ class Health(msgspec.Struct, frozen=True):
     ended: bool
     failure: str
     launcher: LauncherAccount | None
+    more_absences: int = 0
 
     @property
     def messages_lost(self) -> int:
@@ -140,15 +153,17 @@ class HealthWatch:
         # What became of a message follows from its link and cycle: it is worked out once more here.
         self._faults = plan.faults_at_work()
         self._tally = FaultTally()
-        # The agents that publish in every turn, and after how many cycles they are absent.
+        # The agents that publish in every turn, and after how many cycles.
         steps: dict[str, int] = {}
         for port in self.gaps.ports:
             if step := due_step(plan, port):
                 steps[port.publisher] = min(step, steps.get(port.publisher, step))
-        self._patience = {agent: step * (plan.hold_cycles + 1) for agent, step in steps.items()}
+        self._step = steps
         self._last_cycle = dict.fromkeys(steps, cycles.start - 1)
         self._restarted_in: dict[str, int] = {}
+        self._took_over: dict[str, int] = {}
         self._absences: list[Absence] = []
+        self._more_absences = 0
         self._misses: Counter[str] = Counter()
         self._missed_in: dict[str, tuple[int, int]] = {}
         self._missed_now: dict[str, tuple[int, set[str]]] = {}
@@ -157,10 +172,14 @@ class HealthWatch:
         """Take in a message."""
         port, cycle = record.port, record.cycle
         sequence = self.gaps.ports[port].sequence
-        restarts = sequence.restarts
-        self.gaps.see(port, cycle, record.sequence)
+        restarts, lost = sequence.restarts, sequence.lost
+        self.gaps.see(port, cycle, record.sequence, record.incarnation)
         agent = port.publisher
-        if agent in self._last_cycle:
+        if port.signal is TAKEOVER:
+            self._took_over[agent] = cycle
+        elif agent in self._last_cycle:
+            if sequence.lost > lost:  # It was there: its messages are not.
+                self._last_cycle[agent] = max(self._last_cycle[agent], cycle - 1)
             self._see_agent(agent, cycle, restarted=sequence.restarts > restarts)
         if self._plan.faults and port.signal.is_cyclic:
             self._see_faults(port, record.message())
@@ -171,8 +190,9 @@ class HealthWatch:
         """Note what is missing up to the cycle before which the run ended."""
         self.gaps.end(cycle)
         for agent, last in self._last_cycle.items():
-            if cycle > last + self._patience[agent]:
-                self._absences.append(Absence(agent, last + 1, cycle - 1, None, False))
+            # A run that broke off has not completed its last cycle.
+            if cycle > last + self._step[agent] + 1:
+                self._note(Absence(agent, last + 1, cycle - 1, None, False))
 
     def health(self, run: RunReader) -> Health:
         """Return how the run fared, with what lies beside its recording."""
@@ -196,6 +216,7 @@ class HealthWatch:
             ended=run.stop_cycle is not None,
             failure=_failure(run.path.parent),
             launcher=_launcher_account(run),
+            more_absences=self._more_absences,
         )
 
     def _stop_act(self, rule: FaultRule, run: RunReader) -> FaultAct:
@@ -217,19 +238,22 @@ class HealthWatch:
         last = self._last_cycle[agent]
         if cycle > last:
             self._last_cycle[agent] = cycle
-        if cycle > last + self._patience[agent]:
-            self._absences.append(Absence(agent, last + 1, cycle - 1, cycle, False))
-        if restarted and cycle > self._restarted_in.get(agent, -1):
-            # All ports of an agent restart, maybe a cycle later where it publishes rarely.
-            self._restarted_in[agent] = cycle + self._patience[agent]
-            self._note_restart(agent, cycle)
+        is_new = restarted and cycle > self._restarted_in.get(agent, -1)
+        if is_new:
+            # All ports of an agent restart, maybe later where it publishes rarely.
+            self._restarted_in[agent] = cycle + self._plan.periods.longest + 1
+        by_standby = is_new and cycle - self._took_over.get(agent, -2) in {0, 1}
+        if cycle > last + self._step[agent]:
+            self._note(Absence(agent, last + 1, cycle - 1, cycle, is_new, by_standby))
+        elif is_new:
+            self._note(Absence(agent, None, None, cycle, True, by_standby))
 
-    def _note_restart(self, agent: str, cycle: int) -> None:
-        for number, absence in enumerate(self._absences):
-            if absence.agent == agent and absence.back_in == cycle:
-                self._absences[number] = msgspec.structs.replace(absence, restarted=True)
-                return
-        self._absences.append(Absence(agent, None, None, cycle, True))
+    def _note(self, absence: Absence) -> None:
+        """Keep an absence; of many the short ones are counted."""
+        self._absences.append(absence)
+        if len(self._absences) > LISTED_GAPS:
+            self._absences.remove(min(self._absences, key=lambda one: one.weight))
+            self._more_absences += 1
 
     def _see_missing(self, message: Message) -> None:
         """Count an input once a cycle, however many messages of its agent name it."""
@@ -275,12 +299,14 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
         yield "repeated", f"{health.repeated:,} messages came again"
     yield "dropped", unknown if launcher is None else _dropped(launcher)
     yield "inputs", _missed_text(health.misses, clock)
-    for absence in health.absences[:_NAMED]:
-        yield "absent", _absence_text(absence, clock)
-    if len(health.absences) > _NAMED:
-        yield "absent", f"and {len(health.absences) - _NAMED:,} times more"
+    named = sorted(health.absences, key=lambda one: one.weight, reverse=True)[:_NAMED]
+    for absence in health.absences:
+        if absence in named:
+            yield "absent", _absence_text(absence, clock)
+    if others := len(health.absences) + health.more_absences - len(named):
+        yield "absent", f"and {others:,} times more"
     if not health.absences:
-        yield "absent", "nobody restarted, died, or was away for longer than inputs are held"
+        yield "absent", "nobody restarted, died, or missed a cycle"
     if health.failure:
         yield "run", f"failed: {health.failure}"
     else:
@@ -325,12 +351,15 @@ def _missed_text(misses: tuple[Misses, ...], clock: RunClock) -> str:
 
 def _absence_text(absence: Absence, clock: RunClock) -> str:
     if absence.first_cycle is None or absence.last_cycle is None:
-        return f"{absence.agent} restarted in cycle {absence.back_in:,}"
+        what = "was taken over by its standby" if absence.by_standby else "restarted"
+        return f"{absence.agent} {what} in cycle {absence.back_in:,}"
     when = clock.span_text(absence.first_cycle, absence.last_cycle)
     text = f"{absence.agent}: nothing {when}"
     if absence.back_in is None:
         gone = "the run ended without it" if absence.agent != PLANT else "the run ended there"
         return f"{text}; {gone}"
+    if absence.by_standby:
+        return f"{text}, then its standby took over"
     return f"{text}, then back{', numbered from 0 again' if absence.restarted else ''}"
 
 

@@ -45,6 +45,7 @@ class Overview(msgspec.Struct, frozen=True):
     title: str
     driver: str
     whole: bool
+    files: int
     size_mb: float
     chunks: int
     start: str
@@ -106,6 +107,7 @@ def read_overview(
         title=_title(run),
         driver=origin.get("driver", ""),
         whole=run.whole,
+        files=run.files,
         size_mb=run.outline.size / 1e6,
         chunks=len(run.outline.chunks),
         start=run.clock.local(wanted.start).isoformat(),
@@ -158,5 +160,5 @@ def _title(run: RunReader) -> str:
     """Return the title of the scenario that the recording carries, if it has one."""
     try:
         return str(tomllib.loads(run.scenario).get("title", ""))
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         return ""

@@ -98,7 +98,8 @@ def _facts(overview: Overview) -> Iterator[tuple[str, str]]:
     if "host" in origin:  # A run in memory does not depend on it.
         cpus, kernel = origin.get("cpu_count", "?"), origin.get("kernel", "?")
         yield "host", f"{origin['host']}, {cpus} CPUs, Linux {kernel}"
-    yield "file", f"{'whole' if overview.whole else 'cut'}{_recovered(overview)}"
+    files = f", {overview.files} files: its recorder was restarted" if overview.files > 1 else ""
+    yield "file", f"{'whole' if overview.whole else 'cut'}{files}{_recovered(overview)}"
 
 
 def _recovered(overview: Overview) -> str:

@@ -21,8 +21,9 @@ LISTED_GAPS: Final = 100
 class SequenceGaps:
     """Counts the messages that the numbers on one key leave out.
 
-    A lower number than expected in a newer cycle is that of a publisher that has restarted. In the
-    same or an older cycle it is a message that came again.
+    The messages of each incarnation are numbered from 0. What a process that was replaced still
+    sends is not counted. Of one incarnation, a lower number than expected in a newer cycle is that
+    of a device that has restarted. In the same or an older cycle it is a message that came again.
 
     Attributes
     ----------
@@ -34,17 +35,25 @@ class SequenceGaps:
         How often the publisher began again from 0.
     """
 
-    __slots__ = ("_cycle", "_expected", "lost", "repeated", "restarts")
+    __slots__ = ("_cycle", "_expected", "_incarnation", "lost", "repeated", "restarts")
 
     def __init__(self, expected: int | None = 0) -> None:
         self._expected = expected
+        self._incarnation = 0 if expected == 0 else None
         self._cycle = -1
         self.lost = self.repeated = self.restarts = 0
 
-    def see(self, cycle: int, sequence: int) -> int:
+    def see(self, cycle: int, sequence: int, incarnation: int = 0) -> int:
         """Take in a message; return how many were lost before it, -1 if it came before."""
         expected = sequence if self._expected is None else self._expected
-        if sequence < expected:
+        known = incarnation if self._incarnation is None else self._incarnation
+        if incarnation < known:
+            return 0
+        self._incarnation = incarnation
+        if incarnation > known:
+            self.restarts += 1
+            expected = 0
+        elif sequence < expected:
             if cycle <= self._cycle:
                 self.repeated += 1
                 return -1
@@ -83,10 +92,10 @@ class PortGaps:
         self._step = step
         self._cycle = -(-first_cycle // step) * step - step if step else 0
 
-    def see(self, cycle: int, sequence: int) -> range:
+    def see(self, cycle: int, sequence: int, incarnation: int = 0) -> range:
         """Take in a message; return the cycles before it in which one was due and none came."""
         self.messages += 1
-        if self.sequence.see(cycle, sequence) < 0:
+        if self.sequence.see(cycle, sequence, incarnation) < 0:
             return range(0)
         return self.end(cycle)
 
@@ -109,9 +118,9 @@ class RunGaps:
         self.gaps: list[Gap] = []
         self.more_gaps = 0
 
-    def see(self, port: Port[Message], cycle: int, sequence: int) -> None:
+    def see(self, port: Port[Message], cycle: int, sequence: int, incarnation: int = 0) -> None:
         """Take in a message."""
-        gap = self.ports[port].see(cycle, sequence)
+        gap = self.ports[port].see(cycle, sequence, incarnation)
         if gap:
             self._note(port, gap)
 

@@ -7,11 +7,12 @@ a cut recording is read like a whole one, up to the cut.
 from __future__ import annotations
 
 import zlib
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
-from os import SEEK_END
+from os import SEEK_CUR, SEEK_END
 from struct import Struct
 from typing import BinaryIO, Final, NamedTuple, TypeVar
 
@@ -67,6 +68,43 @@ class _Place(NamedTuple):
         return self.offset + RECORD_HEAD.size + self.length
 
 
+class JoinedFile:
+    """The files of one recording as one, each behind the one before as far as that reaches."""
+
+    def __init__(self, first: BinaryIO) -> None:
+        self._files = [first]
+        self._begins = [0]
+        self._file = first
+
+    def add(self, file: BinaryIO) -> int:
+        """Add a file; return where it begins."""
+        self._begins.append(self.seek(0, SEEK_END))
+        self._files.append(file)
+        return self._begins[-1]
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Go to a byte; from there on no more is read than the rest of its file."""
+        if whence == SEEK_CUR:
+            return self._file.seek(offset, SEEK_CUR)
+        last = len(self._files) - 1
+        number = last if whence == SEEK_END else bisect_right(self._begins, offset) - 1
+        self._file, begin = self._files[number], self._begins[number]
+        return begin + self._file.seek(offset - (0 if whence else begin), whence)
+
+    def read(self, size: int = -1) -> bytes:
+        """Read on in the file that is open there."""
+        return self._file.read(size)
+
+    def fileno(self) -> int:
+        """Return the descriptor of the last file."""
+        return self._files[-1].fileno()
+
+    def close(self) -> None:
+        """Close all files."""
+        for file in self._files:
+            file.close()
+
+
 @dataclass
 class Outline:
     """What a file consists of.
@@ -110,6 +148,15 @@ class Outline:
     def cut_early(self) -> bool:
         """Whether it was cut before its first message."""
         return not self.closed and not self.chunks
+
+    def go_on(self, other: Outline, begin: int) -> None:
+        """Go on with the outline of a further file, which begins at a byte."""
+        if self.chunks and self.chunks[-1].cut:
+            self.chunks.pop()
+        self.chunks += [one._replace(offset=one.offset + begin) for one in other.chunks]
+        self.channels, self.schemas = self.channels or other.channels, self.schemas or other.schemas
+        self.size, self.readable_end = begin + other.size, begin + other.readable_end
+        self.closed, self.indexed = other.closed, other.indexed
 
 
 def read_outline(file: BinaryIO) -> Outline:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Container, Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Final, NamedTuple, cast
 
 import msgspec
 
@@ -22,12 +22,13 @@ from recordings.read.chunks import (
     messages_in,
     unpack_chunk,
 )
-from recordings.read.outline import NoMcapError, Outline, read_outline
+from recordings.read.outline import JoinedFile, NoMcapError, Outline, read_outline
 from recordings.read.run_clock import RunClock
 from recordings.read.run_file import (
     RECORDING_NAME,
     NothingRecordedError,
     declare,
+    further_file,
     read_origin,
 )
 from recordings.read.selection import find_nodes, find_signals
@@ -50,19 +51,25 @@ _NAMED: Final = 3
 """So many damaged chunks are named, the rest is counted."""
 
 
-class _Head(msgspec.Struct, gc=False):
+class Head(msgspec.Struct, gc=False):
     """What a reader needs to choose a message; the rest is skipped."""
 
     cycle: Annotated[int, msgspec.Meta(ge=0, lt=_MOST_CYCLES)]
+    incarnation: Annotated[int, msgspec.Meta(ge=0)] = 0
 
 
-_head = msgspec.msgpack.Decoder(_Head).decode
+_head = msgspec.msgpack.Decoder(Head).decode
 
 
 def cycle_of(payload: bytes) -> int:
     """Return the cycle of a payload without decoding the rest; DecodeError if it has none."""
+    return head_of(payload).cycle
+
+
+def head_of(payload: bytes) -> Head:
+    """Return what a reader needs of a payload to choose it; DecodeError if it is not there."""
     try:
-        return _head(payload).cycle
+        return _head(payload)
     except UnicodeDecodeError as error:
         raise msgspec.DecodeError(f"invalid UTF-8 in a string: {error.reason}") from None
     except RecursionError:
@@ -78,6 +85,7 @@ class RecordedMessage(NamedTuple):
     log_time_ns: int
     publish_time_ns: int
     payload: bytes
+    incarnation: int = 0
 
     def message(self) -> Message:
         """Decode it; InputError if it is no message of its signal."""
@@ -98,12 +106,14 @@ def _decoded(port: Port[Message], sequence: int, payload: bytes) -> Message:
 class RunReader:
     """A recording of a run; of one that was cut, everything up to the cut.
 
+    Where the recorder was started again, `run-2.mcap` and further files are taken as one with it.
+
     Memory is bounded by the largest chunk, and some 300 bytes for each chunk of the file.
 
     Attributes
     ----------
-    path, file
-        Path of the MCAP file, and the open file.
+    path, file, files
+        Path of the MCAP file, the open file, and how many files that is.
     whole
         Whether the file was closed in order and has its index.
     outline
@@ -119,13 +129,15 @@ class RunReader:
     def __init__(self, path: Path, *, skip_damaged: bool = False) -> None:
         self.path = path / RECORDING_NAME if path.is_dir() else path
         try:
-            self.file = self.path.open("rb")
+            first = self.path.open("rb")
         except FileNotFoundError:
             raise InputError(
                 f"{self.path}: no such file, expected a run's folder or its {RECORDING_NAME}"
             ) from None
         except OSError as error:
             raise InputError(f"{self.path}: {error.strerror}, expected an MCAP file") from None
+        self.file = cast("BinaryIO", JoinedFile(first))
+        self.files = 1
         self.damage: dict[int, str] = {}
         self._skip_damaged = skip_damaged
         self._position = 0
@@ -134,12 +146,30 @@ class RunReader:
             self.outline = self._read_outline()
             self.metadata = {entry.name: entry.metadata for entry in self.outline.metadata}
             self.scenario, self.plan = read_origin(self.outline, self.path)
+            self.join()
             if self.outline.chunks and not self.outline.channels:
                 declare(self.outline, self.plan)  # The first chunk had them, and is damaged.
         except BaseException:
             self.file.close()
             raise
         self.whole = self.outline.indexed
+
+    def join(self) -> bool:
+        """Take in the files of recorders that were started again; return whether there was one."""
+        files = self.files
+        while (path := further_file(self.path, self.files + 1)).exists():
+            file = path.open("rb")
+            try:
+                outline = read_outline(file)
+            except NoMcapError:  # It has just been opened.
+                outline = Outline(0)
+            run_ids = [one.metadata.get("run_id") for one in outline.metadata if one.name == "run"]
+            if run_ids != [self.plan.run_id]:
+                file.close()
+                break
+            self.outline.go_on(outline, cast("JoinedFile", self.file).add(file))
+            self.files += 1
+        return self.files > files
 
     def messages(
         self,
@@ -203,10 +233,17 @@ class RunReader:
         port_of = self._channels_of(self.ports() if ports is None else ports)
         for raw in self._raw(port_of, cycles):
             channel, sequence, log_time_ns, publish_time_ns, payload = raw
-            cycle = self._cycle_of(raw)
-            if cycles is None or cycles.start <= cycle < cycles.stop:
-                port = port_of[channel]
-                yield RecordedMessage(port, cycle, sequence, log_time_ns, publish_time_ns, payload)
+            head = self._head_of(raw)
+            if cycles is None or cycles.start <= head.cycle < cycles.stop:
+                yield RecordedMessage(
+                    port_of[channel],
+                    head.cycle,
+                    sequence,
+                    log_time_ns,
+                    publish_time_ns,
+                    payload,
+                    head.incarnation,
+                )
 
     def frame(
         self,
@@ -374,8 +411,11 @@ class RunReader:
             return b""  # An error only for whoever reads its messages.
 
     def _cycle_of(self, raw: RawMessage) -> int:
+        return self._head_of(raw).cycle
+
+    def _head_of(self, raw: RawMessage) -> Head:
         try:
-            return cycle_of(raw[4])
+            return head_of(raw[4])
         except msgspec.DecodeError as error:
             topic = self.outline.channels[raw[0]].topic
             raise InputError(

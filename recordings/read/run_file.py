@@ -10,16 +10,29 @@ from zoneinfo import ZoneInfo
 import msgspec
 from mcap.records import Channel, Schema
 
-from agents.plan import RunPlan
+from agents.plan import RunPlan, check_plan
 from bus_schemas.codec import json_schema
 from bus_schemas.errors import InputError
 from bus_schemas.signals import SIGNALS, ports
+from bus_schemas.times import FIRST_YEAR, LAST_YEAR
 from recordings.read.outline import Outline
 from recordings.read.run_clock import RunClock
 
 RECORDING_NAME: Final = "run.mcap"
+
+
+def further_file(recording: Path, number: int) -> Path:
+    """Return the file in which a recording goes on, the second or a later one of its recorders."""
+    return recording.with_stem(f"{recording.stem}-{number}")
+
+
 SCHEMA_VERSION: Final = "3"
 """Version of the message types. A reader refuses what it does not know."""
+
+
+def log_name(agent: str) -> str:
+    """Return the name of an agent's log file, in the folder `logs` of its run."""
+    return f"{agent.replace('/', '.')}.log"
 
 
 _NUMBER_OF: Final = {
@@ -81,7 +94,11 @@ def read_origin(outline: Outline, path: Path) -> tuple[str, RunPlan]:
         raise InputError(f"{path}: recording without its attachment {error}{note}") from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{path}: its attachments do not decode: {error}") from None
-    _check_times(plan, f"{path} plan.json")
+    try:
+        check_plan(plan)
+        _check_times(plan)
+    except InputError as error:
+        raise InputError(f"{path} plan.json: {error}") from None
     return scenario, plan
 
 
@@ -99,14 +116,17 @@ def _check_version(outline: Outline, path: Path) -> None:
         )
 
 
-def _check_times(plan: RunPlan, where: str) -> None:
+def _check_times(plan: RunPlan) -> None:
     """Refuse a plan whose cycles have no time."""
     try:
         ZoneInfo(plan.timezone)
     except (KeyError, ValueError, OSError):
         raise InputError(
-            f"{where} timezone: expected a name such as Pacific/Honolulu, got {plan.timezone[:40]}"
+            f"timezone: expected a name such as Pacific/Honolulu, got {plan.timezone[:40]!r}"
         ) from None
-    if plan.cycle_ns <= 0:
-        raise InputError(f"{where} cycle_ns: expected above 0, got {plan.cycle_ns}")
-    RunClock(plan, 0).local(0)
+    years = [RunClock(plan, 0).local(cycle).year for cycle in (0, plan.cycles)]
+    if years[0] < FIRST_YEAR or years[1] > LAST_YEAR:
+        raise InputError(
+            f"start_time_ns: expected a run in the years {FIRST_YEAR} to {LAST_YEAR}, got "
+            f"{years[0]} to {years[1]}"
+        )

@@ -23,6 +23,9 @@ from bus_schemas.messages import Dispatch, Message, Production
 from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, RESIDUAL, Port, Signal
 from recordings.read.reader import RunReader
 
+_MOST_APART: Final = 1000
+"""A series has at least one cycle of so many; the rest would be gaps alone."""
+
 _OF_INVERTERS: Final[tuple[Signal[Message], ...]] = (IMPP, RESIDUAL, COMMAND)
 
 
@@ -148,7 +151,7 @@ class SeriesCollector:
         }
         self._commitment_kw, self._regulation_kw = _Values(), _Values()
         self._mpp_kw, self._power_kw = [_Values() for _ in leaves], [_Values() for _ in leaves]
-        self._cycles = 0
+        self._cycles = self._productions = 0
 
     def see(self, port: Port[Message], message: Message) -> None:
         """Take in a message; those that the series does not need are ignored."""
@@ -161,6 +164,7 @@ class SeriesCollector:
             self._regulation_kw.add(cycle, message.regulation_kw)
         elif isinstance(message, Production) and 0 <= cycle < self._plan.cycles:
             self._cycles = max(self._cycles, cycle + 1)
+            self._productions += 1
             # An external plant may list too few or too many inverters.
             for column, value in zip(self._mpp_kw, message.inverter_mpp_kw, strict=False):
                 column.add(cycle, value)
@@ -172,6 +176,11 @@ class SeriesCollector:
         cycles = self._cycles
         if not cycles:
             raise InputError("expected a run with at least one complete cycle, got none")
+        if cycles > _MOST_APART * (self._productions + 1):
+            raise InputError(
+                f"expected production of most cycles up to {cycles - 1:,}, got that of "
+                f"{self._productions:,}"
+            )
         tree = self._plan.tree
 
         def stacked(columns: Iterable[_Values]) -> NDArray[np.float64]:

@@ -32,7 +32,7 @@ class ExternalAgents:
         """Count a message that is recorded; return whether it is the first of its cycle."""
         self.heard += 1
         self._recorded[port.publisher][port.signal.name] += 1
-        self._gaps[port].see(message.cycle, message.sequence)
+        self._gaps[port].see(message.cycle, message.sequence, message.incarnation)
         is_first = message.cycle > self._last_cycle[port]
         if is_first:
             self._last_cycle[port] = message.cycle

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import signal
 import time
+from collections import Counter
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Final
@@ -26,15 +27,16 @@ from agents.process import run_guarded, session_settings, set_up_process
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message, Ready, Run
 from bus_schemas.signals import DISPATCH, PRODUCTION, READY, RUN, Port, ports
-from bus_schemas.tree import PLANT, RECORDER, ROOT
+from bus_schemas.tree import PLANT, RECORDER, ROOT, agent_name
 from bus_schemas.zenoh_bus import ZenohTap
 from recordings.read.gaps import due_step
-from recordings.read.run_file import RECORDING_NAME
+from recordings.read.reader import RunReader
+from recordings.read.run_file import RECORDING_NAME, further_file
 from recordings.record.external_agents import ExternalAgents
 from recordings.record.message_complaints import ABSURD, REPEATED, Complaints
 from recordings.record.monitor import RunMonitor
 from recordings.record.plausibility import absurdity
-from recordings.record.writer import RunWriter
+from recordings.record.writer import ClockAnchor, RunWriter
 
 log = logging.getLogger(__name__)
 
@@ -49,6 +51,11 @@ _QUIET_S: Final = 2.0
 
 _FAR_AHEAD: Final = 1000
 """A message this many cycles ahead of the dispatch is of a cycle that cannot be."""
+
+
+def longest_pause_s(plan: RunPlan) -> float:
+    """Return how long a controller may say nothing in real time [s]."""
+    return max(1.0, 2.0 * plan.cycle_wall_ns / 1e9)
 
 
 class Head(msgspec.Struct, gc=False):
@@ -79,13 +86,23 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
             log.error("%s", text)
             link.tell(RecordingEnded(text))
 
-        path = folder / RECORDING_NAME
-        writer = RunWriter(path, plan, scenario, driver="launch", on_end=on_end)
+        first = path = folder / RECORDING_NAME
+        number, anchor, last_cycle = 1, None, -1
+        while path.exists():
+            number += 1
+            path = further_file(first, number)
+        if path != first:
+            with RunReader(first) as before:
+                anchor, last_cycle = ClockAnchor.of(before.metadata), before.last_cycle
+        writer = RunWriter(path, plan, scenario, driver="launch", anchor=anchor, on_end=on_end)
         with ZenohTap(RECORDER, plan.keys, session_settings(plan, RECORDER)) as tap:
             link.tell(Joined())
             if not plan.lockstep:
                 stand_back()
-            Recorder(plan, tap, writer, link, end, DropLog()).run()
+            recorder = Recorder(plan, tap, writer, link, end, DropLog())
+            if path != first:
+                recorder.go_on(first, last_cycle)
+            recorder.run()
 
     return run_guarded(RECORDER, link, run)
 
@@ -134,7 +151,11 @@ class Recorder:
         self._end = end
         self._external = ExternalAgents(plan)
         self._newest_cycle = -1
+        now_ns = time.monotonic_ns()
+        nodes = () if plan.lockstep else plan.tree.nodes
+        self._heard_ns = {agent_name(node): now_ns for node in nodes}
         self._stop_cycle: int | None = None
+        self._first: Path | None = None
         self._round = Round(plan)
         self._port_of = {plan.keys.key(port): port for port in plan.keys.ports}
         # These are decoded, the others are only written down.
@@ -143,6 +164,12 @@ class Recorder:
             for port in plan.keys.ports
             if port.signal in {DISPATCH, PRODUCTION, RUN} or port.publisher in plan.external
         }
+
+    def go_on(self, first: Path, last_cycle: int) -> None:
+        """Record a run that is under way, of which there is a recording up to a cycle."""
+        self._first = first
+        self._newest_cycle = last_cycle
+        self._round.answered = True
 
     def run(self) -> None:
         """Record until told to end, then close the file and report."""
@@ -224,6 +251,7 @@ class Recorder:
     ) -> None:
         heard_ns = time.monotonic_ns()
         self._writer.add(port, head, payload, heard_ns)
+        self._heard_ns[head.source] = heard_ns
         if message is None:
             self.monitor.see_head(port, head.cycle)
         elif port.publisher not in self._plan.external or self._is_right(port, message, heard_ns):
@@ -268,17 +296,30 @@ class Recorder:
         status = self.monitor.status(self._writer.recorded.total())
         if self._plan.external and self._newest_cycle < 0:
             status = replace(status, unheard=self._round.unheard(self._plan.external))
+        quiet_since_ns = time.monotonic_ns() - round(longest_pause_s(self._plan) * 1e9)
+        silent = [agent for agent, at_ns in self._heard_ns.items() if at_ns < quiet_since_ns]
+        if silent and not self._plan.lockstep:
+            status = replace(status, silent=silent)
         self._link.tell(status)
 
     def _report(self) -> None:
         cycles = self._newest_cycle + 1 if self._stop_cycle is None else self._stop_cycle
+        recorded, completed, external = self._writer.recorded, self.monitor.cycles, self._external
+        if self._first is not None:
+            recorded, external = Counter(), ExternalAgents(self._plan)
+            with RunReader(self._first) as run:
+                for record in run.records():
+                    recorded[record.port.signal.name] += 1
+                    if record.port.publisher in self._plan.external:
+                        external.hear(record.port, record.message())
+            completed = recorded[PRODUCTION.name]
         self._link.tell(
             Recorded(
-                recorded=dict(self._writer.recorded),
+                recorded=dict(recorded),
                 foreign=self.complaints.set_aside,
-                cycles=self.monitor.cycles,
+                cycles=completed,
                 ended_early=self._writer.trouble,
-                external=self._external.accounts(cycles),
+                external=external.accounts(cycles),
                 complaints=self.complaints.all(),
             )
         )

@@ -8,7 +8,7 @@ from typing import Final
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Message
+from bus_schemas.messages import Message, Takeover
 from bus_schemas.signals import Port
 from bus_schemas.tree import RECORDER
 
@@ -21,7 +21,7 @@ _MARGIN: Final = 1
 
 @dataclass(slots=True)
 class RecordedCycle:
-    """The first recorded message of each port in a cycle, and further ones of the same ports."""
+    """The message of each port in a cycle that its listeners heard first, and further ones."""
 
     number: int
     messages: dict[Port[Message], Message] = field(default_factory=dict)
@@ -47,6 +47,8 @@ class RecordedCycles:
         Messages that belong to no cycle of the run, or come long after their cycle.
     cut_off
         Messages of cycles at the end that did not take place or are incomplete.
+    takeovers
+        What standbys said as they took over, by agent and incarnation.
     """
 
     def __init__(
@@ -67,12 +69,16 @@ class RecordedCycles:
         self._waiting: dict[int, RecordedCycle] = {}
         self._waiting_messages = 0
         self._next = 0
+        self._incarnation: dict[Port[Message], int] = {}
+        self.takeovers: dict[tuple[str, int], Takeover] = {}
 
     def __iter__(self) -> Iterator[RecordedCycle]:
         for port, message in self._deliveries:
             self.read += 1
             if not port.signal.decided:
                 self.not_decided += 1
+                if isinstance(message, Takeover):
+                    self.takeovers[port.publisher, message.incarnation] = message
             elif self._add(port, message):
                 slowest = min(self._newest.values())
                 while self._next < slowest - _MARGIN:
@@ -98,7 +104,10 @@ class RecordedCycles:
                 self.misplaced += 1
             return False
         cycle = self._waiting.setdefault(number, RecordedCycle(number))
-        if port in cycle.messages:
+        newest = self._incarnation.get(port, 0)
+        self._incarnation[port] = max(newest, message.incarnation)
+        # What a process that was replaced sends later, nobody uses.
+        if port in cycle.messages or message.incarnation < newest:
             cycle.repeated.append((port, message))
         else:
             cycle.messages[port] = message
@@ -116,9 +125,19 @@ class RecordedCycles:
 
 
 class RecentMessages:
-    """The newest messages of each port, by cycle: as many as an agent can still use."""
+    """The newest messages of each port, by cycle: as many as an agent can still use.
+
+    Attributes
+    ----------
+    of_port
+        The message of each cycle.
+    others
+        What another process of the same publisher sent in the same cycle: which of them came first
+        may be different for each listener.
+    """
 
     def __init__(self, plan: RunPlan) -> None:
+        self.others: dict[tuple[Port[Message], int], list[Message]] = {}
         self.of_port: dict[Port[Message], dict[int, Message]] = {
             port: {} for port in plan.keys.ports
         }
@@ -131,3 +150,9 @@ class RecentMessages:
             kept[cycle.number] = message
             if len(kept) > self._most:
                 del kept[next(iter(kept))]
+        for port, message in cycle.repeated:
+            first = self.of_port[port].setdefault(cycle.number, message)
+            if message.incarnation != first.incarnation:
+                self.others.setdefault((port, cycle.number), []).append(message)
+        for place in [place for place in self.others if place[1] < cycle.number - self._most]:
+            del self.others[place]

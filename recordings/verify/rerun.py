@@ -5,25 +5,60 @@ due, and every other one was. So a run in real time is repeated as exactly as on
 
 In lockstep an agent closes every stage of every cycle. In real time it may skip cycles: a stage
 without recorded outputs was not closed. A process that replaced another says so in its messages:
-its agent begins again.
+its agent begins again, or, if it was a standby, with what the standby says that it knew. One that
+was killed may have sent a part of its last messages. In the cycle of a takeover both processes may
+have spoken: each listener used what it heard first, and its outputs show which that was.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field
+from itertools import islice, product
+from typing import Any, Final
 
 from agents.agent import Agent, Stage
 from agents.cycle import stage_of
 from agents.loop import AgentLoop
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Message
+from bus_schemas.messages import Message, Takeover
 from bus_schemas.missing import parse_missing
 from bus_schemas.signals import Port
 from recordings.verify.comparison import Comparison
 from recordings.verify.findings import Difference, Findings, Kind, by_key
 from recordings.verify.recorded_cycles import RecentMessages, RecordedCycle
+
+_MOST_CHOICES: Final = 256
+"""Combinations of inputs that are tried at most, where standbys took over in a stage's cycle."""
+
+
+@dataclass(slots=True)
+class _Process:
+    """A process of an agent: an incarnation.
+
+    Attributes
+    ----------
+    began_in
+        The cycle in which a standby took over, maybe after its first stage; -1 for others.
+    heard, sequence
+        Newest cycle of each input, and number of the next message of each port.
+    is_over
+        Whether what the agent knows is not certain any more.
+    unsent
+        Messages of its last cycle that are not recorded, with stage and inputs: if it was killed
+        there, nothing is wrong.
+    """
+
+    loop: AgentLoop[Any]
+    began_in: int
+    heard: dict[Port[Message], int]
+    sequence: dict[Port[Message], int] = field(default_factory=dict)
+    is_over: bool = False
+    unsent: list[tuple[Port[Message], Message, str, dict[Port[Message], Message]]] = field(
+        default_factory=list
+    )
 
 
 class AgentRerun:
@@ -35,6 +70,7 @@ class AgentRerun:
         make: Callable[[], Agent[Any]],
         plan: RunPlan,
         recent: RecentMessages,
+        takeovers: Mapping[tuple[str, int], Takeover],
         comparison: Comparison,
         from_cycle: int,
     ) -> None:
@@ -42,6 +78,8 @@ class AgentRerun:
         self.findings = Findings(from_cycle=from_cycle)
         self._plan = plan
         self._recent = recent.of_port
+        self._others = recent.others
+        self._takeovers = takeovers
         self._comparison = comparison
         self._stage_of = {
             port: stage_of(port, plan.tree)
@@ -52,12 +90,12 @@ class AgentRerun:
         self._inputs: dict[Port[Message], Message] = {}
         self._lost: dict[Port[Message], int] = {}
         self._stage = ""
-        self._is_over = self._failed = False
-        self._incarnation = 0
+        self._failed = False
+        self._processes: dict[int, _Process] = {}
         try:
             self._agent = make()
             self._remembers = self._agent.initial_state() is not None
-            self._begin(0)
+            self._process = self._begin(0)
         except (Exception, SystemExit) as error:  # Every error of the tested code is a finding.
             self._fail(0, "", error)
 
@@ -73,53 +111,77 @@ class AgentRerun:
                 if published.setdefault(port, message) is not message:
                     self._note_repeated(cycle.number, port, message)
         if not processes:
-            self._take(cycle.number, {})
+            self._take(cycle.number, {}, is_last=True)
         for incarnation, messages in sorted(processes.items()):
-            if incarnation > self._incarnation and not self._failed:
-                self._begin(incarnation)
-                self._is_over = False
-            self._take(cycle.number, messages)
+            if not self._failed:
+                try:
+                    self._process = self._processes.get(incarnation) or self._begin(incarnation)
+                except (Exception, SystemExit) as error:
+                    self._fail(cycle.number, "", error)
+            self._take(cycle.number, messages, is_last=incarnation == max(processes))
 
-    def _begin(self, cycle: int) -> None:
+    def end(self) -> None:
+        """Take the end of the run for what it is: nobody was killed there and replaced."""
+        if self._processes:
+            self._process = self._processes[max(self._processes)]
+            self._compare_unsent()
+
+    def _begin(self, cycle: int) -> _Process:
         """Let a process of the agent join the run in a cycle."""
-        self._loop = AgentLoop(self._agent, self._plan)
-        self._loop.begin(0, 0, cycle)
-        self._incarnation = cycle
-        self._heard = dict.fromkeys(self._period, -1)
-        self._sequence: dict[Port[Message], int] = {}
+        loop = AgentLoop(self._agent, self._plan)
+        loop.begin(0, 0, cycle)
+        takeover = self._takeovers.get((self.name, cycle))
+        if takeover is not None:
+            loop.resume(takeover)
+        began_in = -1 if takeover is None else cycle
+        process = _Process(loop, began_in, dict.fromkeys(self._period, -1))
+        self._processes[cycle] = process
+        return process
 
     def _note_repeated(self, cycle: int, port: Port[Message], message: Message) -> None:
         if cycle >= self.findings.from_cycle:
             self.findings.recorded += 1
             self._add("recorded twice", cycle, self._stage_of[port], port, message)
 
-    def _take(self, number: int, messages: dict[Port[Message], Message]) -> None:
-        """Run a cycle of one process again."""
+    def _take(self, number: int, messages: dict[Port[Message], Message], *, is_last: bool) -> None:
+        """Run a cycle of one process again; `is_last`: no newer process sent anything in it."""
         findings = self.findings
         recorded: dict[str, dict[Port[Message], Message]] = {}
         for port, message in messages.items():
             recorded.setdefault(self._stage_of[port], {})[port] = message
         if number >= findings.from_cycle:
             findings.recorded += len(messages)
-        if not self._is_over:
+        if not self._is_over and messages:
+            self._compare_unsent()
             self._find_lost_outputs(number, recorded)
         if not self._is_over:
             try:
-                self._run(number, recorded)
+                self._run(number, recorded, is_last=is_last)
             except (Exception, SystemExit) as error:
                 self._fail(number, self._stage, error)
-            findings.missing_inputs = self._loop.missing_inputs
-            findings.old_inputs = self._loop.old_inputs
+            loops = [process.loop for process in self._processes.values()]
+            findings.missing_inputs = sum(loop.missing_inputs for loop in loops)
+            findings.old_inputs = sum(loop.old_inputs for loop in loops)
         findings.leave_out(number, sum(map(len, recorded.values())))
 
-    def _run(self, cycle: int, recorded: dict[str, dict[Port[Message], Message]]) -> None:
+    @property
+    def _is_over(self) -> bool:
+        return self._failed or self._process.is_over
+
+    def _run(
+        self, cycle: int, recorded: dict[str, dict[Port[Message], Message]], *, is_last: bool
+    ) -> None:
         stages = list(self._agent.stages(cycle))
         self._inputs, self._stage = {}, ""
-        if not self._plan.lockstep:
+        loop = self._process.loop
+        if not (self._plan.lockstep and is_last):
             while stages and stages[-1].name not in recorded:
                 stages.pop()
             if stages:
-                self._loop.catch_up(cycle * self._plan.cycle_wall_ns)
+                loop.catch_up(cycle * self._plan.cycle_wall_ns)
+        while stages and cycle == self._process.began_in and stages[0].name not in recorded:
+            loop.close_stage(0)
+            del stages[0]
         for stage in stages:
             self._run_stage(cycle, stage, recorded.get(stage.name, {}))
             if self._is_over:
@@ -131,7 +193,9 @@ class AgentRerun:
         missing = next(iter(recorded.values())).missing if recorded else ()
         self._stage = stage.name
         lost = self._hear_inputs(stage, cycle, missing)
-        outputs = self._loop.close_stage(0)
+        if recorded and self._others:
+            self._choose_inputs(recorded)
+        outputs = self._process.loop.close_stage(0)
         if not lost and (recorded or self._plan.lockstep):
             self._compare(cycle, stage.name, recorded, outputs)
             return
@@ -144,7 +208,7 @@ class AgentRerun:
             self._add("not recorded", cycle, stage.name)
         self.findings.leave_out(cycle, len(recorded))
         recorded.clear()
-        self._is_over = self._remembers
+        self._process.is_over = self._remembers
 
     def _hear_inputs(self, stage: Stage, cycle: int, missing: Sequence[str]) -> list[Port[Message]]:
         """Give the agent the messages that a stage used; return the ports where one is lost."""
@@ -153,16 +217,35 @@ class AgentRerun:
         for port in (*stage.awaits, *stage.uses):
             due = cycle - cycle % self._period[port]
             used = used_of.get(str(port), due) if used_of else due
-            if used is None or used <= self._heard[port]:
+            if used is None or used <= self._process.heard[port]:
                 continue
             message = self._recent[port].get(used)
             if message is None:
                 lost.append(port)
                 continue
-            self._heard[port] = used
+            self._process.heard[port] = used
             self._inputs[port] = message
-            self._loop.hear(port, message, 0)
+            self._process.loop.hear(port, message, 0)
         return lost
+
+    def _choose_inputs(self, recorded: dict[Port[Message], Message]) -> None:
+        """Of inputs that two processes of an agent sent, use those that the outputs show."""
+        loop = self._process.loop
+        choices = {
+            port: [message, *others]
+            for port, message in self._inputs.items()
+            if (others := self._others.get((port, message.cycle)))
+        }
+        for chosen in islice(product(*choices.values()), _MOST_CHOICES) if choices else ():
+            for message, port in zip(chosen, choices, strict=True):
+                loop.use_instead(port, message)
+            outputs = copy(loop).close_stage(0)
+            compared = [(port, recorded[port], new) for port, new in outputs if port in recorded]
+            if not any(self._comparison.differences(*pair) for pair in compared):
+                self._inputs |= dict(zip(choices, chosen, strict=True))
+                return
+        for port, messages in choices.items():
+            loop.use_instead(port, messages[0])
 
     def _compare(
         self,
@@ -172,15 +255,23 @@ class AgentRerun:
         outputs: Sequence[Delivery],
     ) -> None:
         """Compare the outputs of a stage, and remove from `recorded` what has been compared."""
+        sequence = self._process.sequence
         for port, new in outputs:
-            old = recorded.get(port)
-            self.findings.compare(self._comparison, port, old, new, stage, self._inputs)
-            recorded.pop(port, None)
+            old = recorded.pop(port, None)
             if old is None:  # If the recording lost it, its number is known to be missing.
-                self._sequence[port] = self._sequence.get(port, 0) + 1
+                self._process.unsent.append((port, new, stage, dict(self._inputs)))
+                sequence[port] = sequence.get(port, 0) + 1
+            else:
+                self.findings.compare(self._comparison, port, old, new, stage, self._inputs)
         for port, old in recorded.items():
             self.findings.compare(self._comparison, port, old, None, stage, self._inputs)
         recorded.clear()
+
+    def _compare_unsent(self) -> None:
+        """Find what the process did not send, though it went on."""
+        for port, new, stage, inputs in self._process.unsent:
+            self.findings.compare(self._comparison, port, None, new, stage, inputs)
+        self._process.unsent.clear()
 
     def _find_lost_outputs(
         self, cycle: int, recorded: dict[str, dict[Port[Message], Message]]
@@ -190,16 +281,16 @@ class AgentRerun:
             return
         for stage, outputs in recorded.items():
             for port, message in outputs.items():
-                if message.sequence > self._sequence.get(port, 0):
+                if message.sequence > self._process.sequence.get(port, 0):
                     self._add("not recorded", cycle, stage, port, message)
-                    self._is_over = self._remembers
-                self._sequence[port] = message.sequence + 1
+                    self._process.is_over = self._remembers
+                self._process.sequence[port] = message.sequence + 1
 
     def _fail(self, cycle: int, stage: str, error: BaseException) -> None:
         text = f"{type(error).__name__}: {error}"
         inputs = by_key(self._inputs)
         self.findings.add(Difference("fails", cycle, stage, inputs=inputs, text=text))
-        self._is_over = self._failed = True
+        self._failed = True
 
     def _add(
         self,

@@ -109,7 +109,7 @@ def verify(
         recorded = RecordedCycles(reader.messages(), plan, stop_cycle)
         recent = RecentMessages(plan)
         reruns = [
-            AgentRerun(name, make, plan, recent, comparison, wanted.start)
+            AgentRerun(name, make, plan, recent, recorded.takeovers, comparison, wanted.start)
             for name, make in team.items()
         ]
         cycles = 0
@@ -121,6 +121,8 @@ def verify(
                 rerun.take(cycle)
             cycles += bool(cycle.messages) and cycle.number >= wanted.start
             progress(reader.read_share)
+        for rerun in reruns:
+            rerun.end()
         found = Verification(
             reader.path,
             plan,

@@ -22,6 +22,7 @@ from agents.control.forecast import HIDDEN_ALPHA_MIN, forecast_impp
 from agents.control.impp import NOTHING_KNOWN, Estimate, estimate_impp
 from agents.control.request import request_kw, residual_kw, usable_dispatch_kw
 from agents.plan import Actuator, RunPlan, Scheme
+from bus_schemas.errors import InputError
 from sim_plant.profile import Profile
 from studies.arrays.compiled import compiled
 from studies.arrays.control_arrays import ControlArrays, control_arrays
@@ -109,7 +110,12 @@ def _compiled_loop(
 def loop_inputs(
     plan: RunPlan, profile: Profile, scheme: Scheme, actuator: Actuator
 ) -> tuple[ControlArrays, Settings, Floats, Floats, Floats, Floats]:
-    """Return the arguments of `closed_loop`."""
+    """Return the arguments of `closed_loop`; InputError where its inverters do not suffice."""
+    if any(plan.follows_within_s(leaf) for leaf in plan.tree.leaves):
+        raise InputError(
+            "plant.ramp_percent_per_s, delay_s: expected neither, since a study over arrays has "
+            "inverters that obey at once"
+        )
     is_forecast, is_limited = scheme == "predictive", actuator == "limit"
     settings = Settings(
         is_forecast=is_forecast,
@@ -247,6 +253,7 @@ def take_turn(last: Central, impp_kw: float, plant_rating_kw: float, settings: S
             last.dispatch_kw >= impp_kw,
             plant_rating_kw,
             last.metered_cycles * settings.cycle_s,
+            0.0,
         )
     return Central(
         dispatch_kw=last.dispatch_kw,

@@ -45,13 +45,17 @@ class Violation(NamedTuple):
 
 @dataclass
 class Trace:
-    """The messages of a run that the invariants are about. Call it with each message."""
+    """The messages of a run that the invariants are about. Call it with each message.
+
+    `ended` says why the run ended before its time; it is empty if it did not.
+    """
 
     produced: list[Production] = field(default_factory=list)
     telemetry: dict[Port[Telemetry], list[Telemetry]] = field(default_factory=dict)
     commands: dict[Port[Command], list[Command]] = field(default_factory=dict)
     setpoints: dict[Port[Setpoint], dict[int, Setpoint]] = field(default_factory=dict)
     twice: list[Delivery] = field(default_factory=list)
+    ended: str = ""
 
     def __call__(self, port: Port[Message], message: Message) -> None:
         """Take in a message as it is published."""
@@ -102,6 +106,9 @@ def violations(
     longest_s
         How long power may be out of bounds at a time [s]: what the faults of the run allow.
     """
+    if trace.ended:
+        yield Violation("end", len(trace.produced), trace.ended)
+        return
     cycle_s = plan.cycle_ns / 1e9
     longest = round(longest_s / cycle_s)
     settles = round(SETTLES_S / cycle_s) + plan.hold_cycles
@@ -160,18 +167,22 @@ def _settled(
 
 def _reverted(plan: RunPlan, trace: Trace) -> Iterator[Violation]:
     """Check that no command stays in force for longer than the revert time."""
-    if plan.revert is None:
-        return
-    # A cycle more, for what is sent and under way.
-    longest = plan.revert.after_s * 1e9 / plan.cycle_ns + 1
     for leaf in plan.tree.leaves:
+        revert = plan.settings_of(leaf).revert
+        if revert is None:
+            continue
+        # A cycle more, for what is sent and under way.
+        longest = (revert.after_s + plan.follows_within_s(leaf)) * 1e9 / plan.cycle_ns + 1
+        rating_kw = plan.tree.rating_kw(leaf)
         commands = trace.commands.get(COMMAND.of(leaf), [])
         sent = [command.cycle for command in commands]
         for telemetry in trace.telemetry.get(TELEMETRY.of(leaf), ()):
             place = bisect_right(sent, telemetry.cycle - 1) - 1
             if place < 0 or telemetry.cycle - 1 - sent[place] <= longest:
                 continue
-            limit_kw = commands[place].revert_kw
+            limit_kw = commands[place].revert_kw if revert.to == "request" else rating_kw
+            if isinstance(revert.to, float):
+                limit_kw = revert.to * rating_kw
             if telemetry.alpha < 1.0 or (limit_kw is not None and telemetry.limit_kw > limit_kw):
                 text = f"{leaf} obeys a command of cycle {sent[place]}"
                 yield Violation("revert", telemetry.cycle - 1, text)

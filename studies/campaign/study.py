@@ -18,16 +18,21 @@ from agents.plan import RunPlan
 from bus_schemas.faults import FaultRule, links
 from bus_schemas.tree import agent_name
 from launch_scripts.launcher.simulation import RESTART_TAKES_S, MemoryRun, on_the_clock
+from launch_scripts.launcher.supervision import RunFailure
+from launch_scripts.scenarios.fault_rules import parse_fault
 from launch_scripts.scenarios.preparation import Preparation
 from sim_plant.profile import Profile
 from studies.campaign.invariants import SETTLES_S, Trace, Violation, violations
 
 MOST_FAULTS: Final = 5
-_FIRST_S: Final = 10.0
+FIRST_S: Final = 10.0
 """No fault begins before: estimates need some cycles."""
 
 _LONGEST_S: Final = 40.0
 """How long a process stands still, or a network is bad, at most."""
+
+_SETTLED_S: Final = 10.0
+"""How long a run goes on once it must be as without faults."""
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
@@ -52,6 +57,11 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     under_kwh: float
     over_kw: float
     under_kw: float
+
+    @property
+    def fault_rules(self) -> tuple[FaultRule, ...]:
+        """Its faults."""
+        return tuple(map(parse_fault, self.rules))
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +91,11 @@ def campaign(preparation: Preparation) -> Campaign:
 def run_seed(campaign: Campaign, seed: int) -> Outcome:
     """Run one seed; shrink it if it breaks an invariant."""
     rules = random_rules(campaign.plan, seed)
-    trace = trace_of(campaign.plan, campaign.profile, rules)
-    broken = judge(campaign, rules, trace)
+    trace, broken = _tried(campaign, rules)
     if broken:
         rules = _shrunk(campaign, rules, broken[0].invariant)
-        trace = trace_of(campaign.plan, campaign.profile, rules)
-        broken = judge(campaign, rules, trace)
-    apart_kw = trace.delivered_kw - campaign.healthy_kw
+        trace, broken = _tried(campaign, rules)
+    apart_kw = trace.delivered_kw - campaign.healthy_kw[: len(trace.produced)]
     hours = campaign.plan.cycle_ns / 3.6e12
     return Outcome(
         seed=seed,
@@ -100,28 +108,61 @@ def run_seed(campaign: Campaign, seed: int) -> Outcome:
     )
 
 
+def rerun(campaign: Campaign, outcome: Outcome) -> Trace:
+    """Return the messages of a seed once more."""
+    return _tried(campaign, outcome.fault_rules)[0]
+
+
 def judge(campaign: Campaign, rules: tuple[FaultRule, ...], trace: Trace) -> list[Violation]:
     """Return the invariants that a run under some faults breaks."""
     plan = campaign.plan
-    last_s = max((_end_s(rule) for rule in rules), default=0.0)
+    last_s = _last_s(plan, rules)
     # Inverters that hear nothing more obey for the revert time. Where direct controllers live and
     # hear the plant, and somebody only divides on old reports, `hold_cycles` is the longest.
     hold_s = plan.hold_cycles * plan.cycle_ns / 1e9
-    revert_s = plan.revert.after_s if plan.revert is not None else last_s
+    reverts = [plan.settings_of(leaf).revert for leaf in plan.tree.leaves]
+    revert_s = max(last_s if revert is None else revert.after_s for revert in reverts)
     longest_s = hold_s + 3.0 if all(_is_above(plan, rule) for rule in rules) else revert_s + hold_s
-    return list(violations(plan, trace, campaign.healthy_kw, last_s, longest_s))
+    longest_s += _slowest_s(plan)
+    healthy_kw = campaign.healthy_kw[: len(trace.produced)]
+    return list(violations(plan, trace, healthy_kw, last_s, longest_s))
+
+
+def _tried(campaign: Campaign, rules: tuple[FaultRule, ...]) -> tuple[Trace, list[Violation]]:
+    """Return a run under some faults, up to when it must have settled, and what it breaks."""
+    plan = campaign.plan
+    last_s = max(map(_end_s, rules), default=0.0) + _settles_s(plan) + _SETTLED_S
+    last = round(last_s * 1e9 / plan.cycle_ns)
+    shorter = msgspec.structs.replace(plan, cycles=min(plan.cycles, last))
+    trace = trace_of(shorter, campaign.profile, rules)
+    return trace, judge(campaign, rules, trace)
+
+
+def _last_s(plan: RunPlan, rules: tuple[FaultRule, ...]) -> float:
+    """When the last of some faults is over, and inverters have done what they were told [s]."""
+    return max((_end_s(rule) for rule in rules), default=0.0) + _slowest_s(plan)
+
+
+def _slowest_s(plan: RunPlan) -> float:
+    """Return how long the slowest inverter takes to obey [s]."""
+    return max(map(plan.follows_within_s, plan.tree.leaves))
 
 
 def least_length_s(plan: RunPlan) -> float:
     """Length of a run in which faults can come about and be over [s]."""
-    return 2 * _FIRST_S + _LONGEST_S + SETTLES_S + plan.hold_cycles * plan.cycle_ns / 1e9
+    return 2 * FIRST_S + _LONGEST_S + _settles_s(plan)
+
+
+def _settles_s(plan: RunPlan) -> float:
+    """Return the time after the last fault in which the plant becomes as without any [s]."""
+    return SETTLES_S + plan.hold_cycles * plan.cycle_ns / 1e9 + _slowest_s(plan)
 
 
 def random_rules(plan: RunPlan, seed: int) -> tuple[FaultRule, ...]:
     """Draw the faults of a seed."""
     draw = random.Random(seed)
     length_s = plan.cycles * plan.cycle_ns / 1e9
-    last_s = length_s - SETTLES_S - plan.hold_cycles * plan.cycle_ns / 1e9 - _FIRST_S
+    last_s = length_s - _settles_s(plan) - FIRST_S
     # The upper tiers are few and matter most: each tier is as likely as the others.
     tiers: dict[int, list[str]] = {}
     for node in plan.tree.nodes:
@@ -129,7 +170,7 @@ def random_rules(plan: RunPlan, seed: int) -> tuple[FaultRule, ...]:
     pairs = sorted({(port.publisher, listener) for port, listener in links(plan.tree)})
     found = []
     for _ in range(draw.randint(1, MOST_FAULTS)):
-        begin_s = round(draw.uniform(_FIRST_S, last_s - _FIRST_S), 1)
+        begin_s = round(draw.uniform(FIRST_S, last_s - FIRST_S), 1)
         end_s = round(min(begin_s + draw.uniform(0.5, _LONGEST_S), last_s), 1)
         at = (begin_s, end_s)
         agent = draw.choice(draw.choice(list(tiers.values())))
@@ -180,18 +221,33 @@ def _shrunk(
         fewer = tuple(other for other in rules if other is not rule)
         if not fewer:
             break
-        trace = trace_of(campaign.plan, campaign.profile, fewer)
-        if any(one.invariant == invariant for one in judge(campaign, fewer, trace)):
+        if any(one.invariant == invariant for one in _tried(campaign, fewer)[1]):
             rules = fewer
     return rules
 
 
-def trace_of(plan: RunPlan, profile: Profile, rules: tuple[FaultRule, ...]) -> Trace:
-    """Return the messages of a run under some faults."""
+def trace_of(
+    plan: RunPlan,
+    profile: Profile,
+    rules: tuple[FaultRule, ...],
+    restart_takes_s: float = RESTART_TAKES_S,
+) -> Trace:
+    """Return the messages of a run under some faults.
+
+    Parameters
+    ----------
+    plan, profile, rules
+        The run, and its faults.
+    restart_takes_s
+        How long a killed controller is away [s]; infinite: it never comes back.
+    """
     trace = Trace()
     # A run without faults goes by the same clock: a rule of no length says so.
     idle = (FaultRule(loss=1.0, at=(1e9, 2e9)),)
-    run = MemoryRun(msgspec.structs.replace(plan, faults=rules or idle), profile, trace)
-    for _ in run.cycles():
-        pass
+    plan = msgspec.structs.replace(plan, faults=rules or idle)
+    try:
+        for _ in MemoryRun(plan, profile, trace, restart_takes_s).cycles():
+            pass
+    except RunFailure as failure:
+        trace.ended = str(failure)
     return trace

@@ -75,7 +75,7 @@ def with_settings(scenario: ScenarioFile, texts: Sequence[str]) -> ScenarioFile:
 def parse_seeds(text: str) -> tuple[int, ...]:
     """Read `1..5,9`."""
     if not re.fullmatch(r"\d+(\.\.\d+)?(,\d+(\.\.\d+)?)*", text):
-        raise InputError(f"--seeds: expected whole numbers and ranges such as 1..5,9, got {text}")
+        raise InputError(f"--seeds: expected whole numbers and ranges such as 1..5,9, got {text!r}")
     ranges = []
     for part in text.split(","):
         first, _, last = part.partition("..")
@@ -101,7 +101,7 @@ def parse_days(text: str) -> tuple[date, ...]:
         found = []
     if not found:
         raise InputError(
-            f"--days: expected dates and ranges such as 2010-04-01..2010-04-30, got {text}"
+            f"--days: expected dates and ranges such as 2010-04-01..2010-04-30, got {text!r}"
         )
     return tuple(found)
 

@@ -67,6 +67,7 @@ def summaries(
     for figure in figures:
         for settings, cases in samples.items():
             values = values_of(figure, cases)
+            actuators = actuators_of(cases)
             for place, entry in enumerate(entries):
                 beside = baselines.get(entry.actuator, names.index(baseline))
                 own = _known(values[:, place])
@@ -80,7 +81,7 @@ def summaries(
                         figure.unit,
                         settings,
                         entry.scheme,
-                        entry.actuator,
+                        actuators[place],
                         len(own),
                         *_mean_and_error(own),
                         low,
@@ -97,6 +98,12 @@ def values_of(figure: FigureOfMerit, cases: Sequence[CaseResult]) -> NDArray[np.
     """Return a figure in each case under each scheme, shape (cases, schemes); NaN: not defined."""
     rows = [[figure.read(entry.metrics) for entry in case.schemes] for case in cases]
     return np.array(rows, dtype=float)
+
+
+def actuators_of(cases: Sequence[CaseResult]) -> list[Actuator | None]:
+    """Return the actuator of each scheme; None for a bound, and where cases differ in it."""
+    of_schemes = zip(*([entry.actuator for entry in case.schemes] for case in cases), strict=True)
+    return [found[0] if len(set(found)) == 1 else None for found in of_schemes]
 
 
 def _known(values: NDArray[np.float64]) -> NDArray[np.float64]:

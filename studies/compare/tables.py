@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from studies.compare.statistics import QUANTILES, summaries, values_of
+from studies.compare.statistics import QUANTILES, actuators_of, summaries, values_of
 from studies.compare.study import CaseResult, SchemeResult
 from studies.metrics.figures_of_merit import (
     FIGURES_OF_MERIT,
@@ -83,10 +83,12 @@ def _cases_table(figures: Sequence[FigureOfMerit], results: Sequence[CaseResult]
     Mean and quantiles of all cases stand below.
     """
     first, *others = (figure.heading for figure in figures)
-    entries = results[0].schemes
     columns = (
         key_column("case"),
-        *(Column(entry.scheme, entry.actuator or "") for entry in entries),
+        *(
+            Column(entry.scheme, actuator or "")
+            for entry, actuator in zip(results[0].schemes, actuators_of(results), strict=True)
+        ),
     )
     values = np.stack([values_of(figure, results) for figure in figures], axis=-1)
     of_all = {"mean": values.mean(axis=0)}

@@ -65,5 +65,5 @@ def _scenario(reader: RunReader) -> dict[str, Any]:
     """Return the scenario that the recording carries, as it stands in its file."""
     try:
         return tomllib.loads(reader.scenario)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"{reader.path}: expected a scenario in TOML, got: {error}") from None

@@ -241,7 +241,7 @@ def _budgets_in(reader: RunReader) -> BudgetTable:
     try:
         stated = tomllib.loads(reader.scenario).get("timing", {})
         return msgspec.convert(stated, TimingTable).budgets
-    except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError, RecursionError) as error:
         raise InputError(f"{reader.path}: scenario.toml in it: {error}") from None
 
 

@@ -13,7 +13,6 @@ from studies.tables import (
     Cell,
     Column,
     Table,
-    cell_text,
     key_column,
     print_lines,
     print_table,
@@ -81,12 +80,12 @@ def header_lines(report: TimingReport) -> list[str]:
 
 def host_lines(host: Host) -> list[str]:
     """Return the machine and the software of a run."""
-    load = [
-        cell_text(value, Column("", decimals=2)) for value in (host.load_before, host.load_after)
-    ]
+    load = ""
+    if host.load_before is not None and host.load_after is not None:
+        load = f"; load average {host.load_before:.2f} before, {host.load_after:.2f} after"
     lines = [
         f"kernel {host.kernel}",
-        f"{host.cpus} CPUs; load average {load[0]} before, {load[1]} after",
+        f"{host.cpus} CPUs{load}",
         f"scheduling: {host.scheduling}{'; memory locked' if host.memory_locked else ''}",
         f"Python {host.python}, heliarch {host.heliarch}, Zenoh {host.zenoh}",
     ]

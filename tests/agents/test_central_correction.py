@@ -80,6 +80,18 @@ def test_a_reading_counts_once_however_long_it_holds() -> None:
     assert cycle_with_meter(central, 6, 40.0) == pytest.approx(50.0 + 10.0)
 
 
+def test_a_late_reading_counts_for_less() -> None:
+    set_kw = []
+    for metered_in in (3, 2, 1):
+        central = AtWork(central_plan(), "central")
+        for cycle in range(3):
+            cycle_with_meter(central, cycle, None)
+        central.hear(meter(metered_in, 40.0))
+        set_kw.append(cycle_with_meter(central, 3, None))
+    assert set_kw[0] == pytest.approx(50.0 + 0.5 * 10.0)
+    assert set_kw[0] > set_kw[1] > set_kw[2] > 50.0
+
+
 def test_a_controller_that_acts_rarely_corrects_by_the_mean_of_its_readings() -> None:
     central = AtWork(central_plan(period_cycles=(5,)), "central")
     set_kw = [cycle_with_meter(central, cycle, 45.0) for cycle in range(11)]

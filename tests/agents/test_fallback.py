@@ -294,3 +294,6 @@ def test_before_the_first_telemetry_there_is_no_power_to_count_on() -> None:
     found = at(sent, IMPP.of("c1/a"))
     assert (found.power_kw, found.missing) == (0.0, ("c1/a/telemetry",))
     assert at(sent, HELP.of("c1/a")).missing_kw == 50.0
+    # A command would free an inverter that may be limited.
+    assert COMMAND.of("c1/a") not in work.hear(setpoint("c1/a", 0, 20.0))
+    assert alpha_in(work, 1, setpoint_kw=20.0) == 0.25

@@ -29,6 +29,7 @@ from bus_schemas.messages import (
     Residual,
     Run,
     Setpoint,
+    Takeover,
     Telemetry,
 )
 from bus_schemas.signals import IMPP, RESIDUAL, SETPOINT, SIGNALS, Signal
@@ -59,11 +60,16 @@ OWN_FIELDS = {
     Ready: [],
     Notice: ["text", "count"],
     Clock: ["rate", "paused"],
+    Takeover: [
+        "stage",
+        *("correction_kw", "wanted_kw", "metered_kw", "readings", "meter_cycle", "clamped"),
+    ],
 }
 
 OPTIONAL = {
     *("ready_time_ns", "publish_time_ns", "sequence", "incarnation"),
     *("available_kw", "revert_kw"),
+    *("correction_kw", "wanted_kw", "metered_kw", "readings", "meter_cycle", "clamped"),
 }
 """Fields that may be left out: what the driver fills in, and what not every inverter states."""
 
@@ -92,6 +98,9 @@ FIELDS: dict[str, st.SearchStrategy[object]] = {
     "paused": st.booleans(),
     "inverter_mpp_kw": KWS,
     "inverter_power_kw": KWS,
+    "stage": st.sampled_from(["report", "solve"]),
+    **dict.fromkeys(("correction_kw", "wanted_kw", "metered_kw"), st.none() | KW),
+    **dict.fromkeys(("readings", "meter_cycle", "clamped"), st.none() | COUNT),
     "help_given": st.lists(st.builds(HelpGiven, st.text(), KW), max_size=4).map(tuple),
 }
 
@@ -112,6 +121,7 @@ def one(signal: Signal[Message]) -> Message:
         **{"state": "start", "start_time_ns": 5, "cycle_wall_ns": 0, "text": "words"},
         **{"inverter_mpp_kw": (1.0, 2.0), "inverter_power_kw": (0.5, 2.0)},
         **{"help_given": (HelpGiven("c1/inv08", 12.5),), "paused": True},
+        **{"stage": "solve", "readings": 1, "meter_cycle": 1, "clamped": 1},
     }
     names = signal.type.__struct_fields__
     return msgspec.convert({name: plain.get(name, 1.5) for name in names}, signal.type)

@@ -15,6 +15,7 @@ from bus_schemas.signals import (
     RESIDUAL,
     RUN,
     SIGNALS,
+    TAKEOVER,
     Port,
     Wiring,
     listeners,
@@ -137,6 +138,7 @@ def test_each_signal_is_about_the_nodes_that_it_makes_sense_for() -> None:
         "run": (ROOT,),
         "ready": (ROOT,),
         "clock": (ROOT,),
+        "takeover": (ROOT, "c1", "c2", *leaves),
     }
 
 
@@ -151,7 +153,12 @@ def test_all_is_logged_but_the_messages_of_recorder_and_replayer() -> None:
 
 
 def test_all_is_decided_by_agents_but_what_is_said_about_the_run() -> None:
-    assert {signal for signal in SIGNALS if not signal.decided} == {RUN, READY, CLOCK}
+    assert {signal for signal in SIGNALS if not signal.decided} == {
+        RUN,
+        READY,
+        CLOCK,
+        TAKEOVER,
+    }
 
 
 def test_names_and_types_of_signals_differ() -> None:

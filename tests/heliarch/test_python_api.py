@@ -66,6 +66,24 @@ def test_schemes_are_compared_with_matching_actuators(small: str) -> None:
         heliarch.compare(small, actuators=["magic"])  # type: ignore[list-item]
 
 
+def test_two_recordings_are_compared_with_their_first_difference(
+    small: str, tmp_path: Path
+) -> None:
+    runs = [
+        heliarch.simulate(small, duration="20s", settings=settings, out=tmp_path / name).folder
+        for name, settings in (("a", None), ("b", {"commitment.share": 0.4}))
+    ]
+    found = heliarch.compare_runs(*runs)
+    first = found.differences.to_dict("records")[0]
+    assert (first["message"], first["cycle"]) == ("dispatch, commitment", 0)
+    energy = {row["figure"]: row for row in found.figures.to_dict("records")}["Desired energy"]
+    assert energy["difference"] == pytest.approx(energy["B"] - energy["A"])
+    assert energy["difference"] < 0.0
+    alike = heliarch.compare_runs(runs[0], runs[0]).differences
+    assert len(alike) == 0
+    assert "cycle" in alike.columns
+
+
 @pytest.mark.parametrize(
     ("settings", "named"), [({"no.such": 1}, "no"), ({"commitment.share": "much"}, "share")]
 )

@@ -15,9 +15,11 @@ from pathlib import Path
 import msgspec
 import pytest
 from running import Heliarch, assert_none_left, small_plant
+from verifying import verified
 
 from bus_schemas.signals import PRODUCTION
 from launch_scripts.commands.recover import LOSSY, recover
+from recordings.inspect.health import read_health
 from recordings.read.reader import RunReader
 from recordings.record.recorder import FLUSH_S
 
@@ -77,6 +79,37 @@ def test_a_recorder_killed_at_a_random_moment_loses_nothing_that_it_had_flushed(
     phase_s = random.uniform(0.0, 2.0 * FLUSH_S)
     loss = kill_recorder(heliarch("launch", small_plant(tmp_path / "plant")), phase_s)
     assert loss.kept_cycles >= loss.flushed_cycles > 0, f"killed {phase_s:.3f} s after a flush"
+
+
+def test_in_real_time_a_recorder_is_started_again_and_all_its_files_are_one_recording(
+    heliarch: Start, tmp_path: Path
+) -> None:
+    words = ("--duration", "1h", "--pace", "10", "--set", "restart.frozen_s=3")
+    run = heliarch("launch", small_plant(tmp_path / "plant"), *words)
+    run.until_recorded()
+    run.process_of("recorder").send_signal(signal.SIGKILL)
+    run.until((run.folder / "run-2.mcap").exists, "its next file")
+    run.until_recorded(run.recorded_cycles() + 10)
+    run.process_of("recorder").send_signal(signal.SIGSTOP)
+    run.until((run.folder / "run-3.mcap").exists, "its third file")
+    run.until_recorded(run.recorded_cycles() + 10)
+    run.process.send_signal(signal.SIGINT)
+    assert run.wait() == 1
+    assert_none_left(run.folder)
+    assert "messages were lost" in run.error_text()
+    summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
+    assert summary["restarts"] == {"recorder": 2}
+    with RunReader(run.folder) as reader:
+        health = read_health(reader)
+        recorded = [message.cycle for _, message in reader.messages(PRODUCTION)]
+        assert reader.stop_cycle is not None
+        assert reader.last_cycle == recorded[-1] == reader.stop_cycle - 1
+    assert health.messages_lost == summary["messages_lost"] > 0
+    assert recorded == sorted(set(recorded))
+    assert len(recorded) == summary["cycles"]
+    found = verified(run)
+    kinds = {kind for one in found.agents.values() for kind in one.differences}
+    assert kinds <= {"not recorded", "input not recorded"}
 
 
 @pytest.mark.soak

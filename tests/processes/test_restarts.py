@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from running import Heliarch, assert_none_left, small_plant
-from verifying import assert_equal_as_far_as_recorded, verified
+from verifying import assert_equal_as_far_as_recorded, findings, verified
 
 from bus_schemas.signals import SETPOINT
+from launch_scripts.launcher.fork_requests import log_name
 from recordings.read.reader import RunReader
 
 pytestmark = pytest.mark.processes
@@ -19,9 +22,21 @@ pytestmark = pytest.mark.processes
 Start = Callable[..., Heliarch]
 
 
-def summary_of(run: Heliarch) -> dict[str, object]:
-    found: dict[str, object] = json.loads((run.folder / "summary.json").read_bytes())
+def summary_of(run: Heliarch) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((run.folder / "summary.json").read_bytes())
     return found
+
+
+def until_joined(run: Heliarch, process: str) -> None:
+    """Wait until a process has joined the run that is under way."""
+    log = run.folder / "logs" / log_name(process)
+    run.until(lambda: log.exists() and "joined the run in" in log.read_text(), "its return")
+
+
+def ended(run: Heliarch) -> None:
+    """End a run after the cycle under way."""
+    run.process.send_signal(signal.SIGINT)
+    assert run.wait() == 130, run.error_text()
 
 
 def incarnations(run: Heliarch, source: str) -> list[int]:
@@ -36,14 +51,12 @@ def test_a_killed_controller_is_started_again_and_the_run_goes_on(
     heliarch: Start, tmp_path: Path, victim: str
 ) -> None:
     scenario = small_plant(tmp_path / "plant")
-    run = heliarch("launch", scenario, "--duration", "150s", "--pace", "10")
+    run = heliarch("launch", scenario, "--duration", "1h", "--pace", "10")
     run.until_running()
     process = run.process_of(victim)
     process.send_signal(signal.SIGKILL)
-    run.until(lambda: "started again" in run.output.read_text(), "a restart")
-    log = run.folder / "logs" / f"{victim.replace('/', '.')}.log"
-    run.until(lambda: "joined the run in cycle" in log.read_text(), "its return")
-    assert run.wait() == 0
+    until_joined(run, victim)
+    ended(run)
     assert f"{victim} (process {process.pid}) was killed by signal 9" in run.output.read_text()
     assert summary_of(run)["restarts"] == {victim: 1}
     assert_none_left(run.folder)
@@ -62,12 +75,14 @@ def test_setpoints_say_which_process_they_are_of(heliarch: Start, tmp_path: Path
 def test_a_controller_that_stands_still_is_killed_and_replaced(
     heliarch: Start, tmp_path: Path
 ) -> None:
-    words = ("--duration", "120s", "--pace", "10", "--set", "restart.frozen_s=1")
+    words = ("--duration", "1h", "--pace", "10", "--set", "restart.frozen_s=1")
     run = heliarch("launch", small_plant(tmp_path / "plant"), *words)
     run.until_running()
     run.process_of("c1").send_signal(signal.SIGSTOP)
-    assert run.wait() == 0
-    assert "has stood still for 1 s" in run.output.read_text()
+    until_joined(run, "c1")
+    ended(run)
+    assert re.search(r"c1 \(process \d+\) says nothing: killed", run.output.read_text())
+    assert "signal 9" not in run.output.read_text()
     assert summary_of(run)["restarts"] == {"c1": 1}
     assert_none_left(run.folder)
 
@@ -82,3 +97,118 @@ def test_a_controller_that_dies_again_and_again_ends_the_run(
     assert "c1 was started again 2 times" in run.output.read_text()
     assert "c1 (process" in run.error_text()
     assert_none_left(run.folder)
+
+
+# A standby ----------------------------------------------------------------------------------------
+
+REAL_TIME = ("--duration", "1h", "--pace", "10")
+STANDBY = (*REAL_TIME, "--set", 'standby=["central","supervisors"]')
+
+
+def test_a_standby_takes_over_from_a_killed_parent_which_then_stands_by(
+    heliarch: Start, tmp_path: Path
+) -> None:
+    run = heliarch("launch", small_plant(tmp_path / "plant"), *STANDBY)
+    run.until_running()
+    for number, process in enumerate(("central", "central+standby"), start=1):
+        run.process_of(process).send_signal(signal.SIGKILL)
+        until_joined(run, process)
+        until_taken_over(run, "central", number)
+    ended(run)
+    summary = summary_of(run)
+    assert summary["takeovers"]["central"] >= 2
+    assert summary["restarts"] == {"central": 1, "central+standby": 1}
+    assert_none_left(run.folder)
+    assert_equal_as_far_as_recorded(run, verified(run))
+
+
+def until_taken_over(run: Heliarch, agent: str, times: int = 1) -> None:
+    """Wait until a standby has taken an agent over so many times."""
+    took_over = re.compile(rf"^{agent}\S* took over", re.MULTILINE)
+    run.until(lambda: len(took_over.findall(run.output.read_text())) >= times, "a takeover")
+
+
+def test_a_thawed_parent_does_not_fight_its_standby(heliarch: Start, tmp_path: Path) -> None:
+    run = heliarch("launch", small_plant(tmp_path / "plant"), *STANDBY)
+    run.until_running()
+    stopped = run.process_of("c1")
+    stopped.send_signal(signal.SIGSTOP)
+    until_taken_over(run, "c1")
+    stopped.send_signal(signal.SIGCONT)
+    log = run.folder / "logs" / "c1.log"
+    run.until(lambda: "falls silent" in log.read_text(), "its silence")
+    ended(run)
+    assert summary_of(run)["restarts"] == {}
+    assert_equal_as_far_as_recorded(run, verified(run))
+
+
+def test_a_standby_that_says_nothing_is_replaced(heliarch: Start, tmp_path: Path) -> None:
+    run = heliarch("launch", small_plant(tmp_path / "plant"), *STANDBY, *IMPATIENT)
+    run.until_running()
+    run.process_of("c1+standby").send_signal(signal.SIGSTOP)
+    until_joined(run, "c1+standby")
+    ended(run)
+    assert summary_of(run)["restarts"] == {"c1+standby": 1}
+    assert_none_left(run.folder)
+
+
+# Controllers that run and say nothing -------------------------------------------------------------
+
+IMPATIENT = ("--set", "restart.frozen_s=1")
+HANG = """
+from pathlib import Path
+from agents.parent import Supervisor
+
+step = Supervisor.step
+
+def stuck(self, state, turn):
+    if self.name == "c1" and turn.cycle == 20 and not Path(FLAG).exists():
+        Path(FLAG).touch()
+        while True:
+            pass
+    return step(self, state, turn)
+
+Supervisor.step = stuck
+"""
+
+
+@pytest.mark.parametrize(
+    "words", [(*REAL_TIME, *IMPATIENT), ("--duration", "1h", "--set", "restart.when=always")]
+)
+def test_a_controller_that_is_busy_for_ever_is_killed_and_replaced(
+    heliarch: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: Sequence[str]
+) -> None:
+    code = HANG.replace("FLAG", repr(str(tmp_path / "flag")))
+    (tmp_path / "sitecustomize.py").write_text(code, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    soon = ("stall_timeout_s = 60", "stall_timeout_s = 3")
+    run = heliarch("launch", small_plant(tmp_path / "plant", soon), *words)
+    until_joined(run, "c1")
+    run.until_recorded(40)
+    ended(run)
+    assert re.search(r"c1 \(process \d+\) says nothing: killed", run.output.read_text())
+    assert_none_left(run.folder)
+    assert_equal_as_far_as_recorded(run, verified(run))
+
+
+# In lockstep --------------------------------------------------------------------------------------
+
+
+def test_in_lockstep_the_run_waits_for_controllers_that_are_started_again(
+    heliarch: Start, tmp_path: Path
+) -> None:
+    words = ("--duration", "5h", "--set", "restart.when=on-failure")
+    run = heliarch("launch", small_plant(tmp_path / "plant"), *words)
+    run.until_recorded()
+    for victim in ("c1", "c2/inv03", "central"):
+        run.process_of(victim).send_signal(signal.SIGKILL)
+        until_joined(run, victim)
+        run.until_recorded(run.recorded_cycles() + 1)
+    ended(run)
+    summary = summary_of(run)
+    assert summary["restarts"] == {"c1": 1, "c2/inv03": 1, "central": 1}
+    assert summary["messages_lost"] == 0
+    assert_none_left(run.folder)
+    found = verified(run)
+    assert findings(found) == {}
+    assert found.equal

@@ -11,6 +11,7 @@ import pytest
 from plans_by_hand import CYCLE_NS, plan_of
 
 from agents.loop import AgentLoop
+from agents.plan import InverterSettings, Revert
 from bus_schemas.messages import Command, Message, Production
 from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY, Port
 from bus_schemas.tree import ROOT
@@ -175,3 +176,64 @@ def test_inverters_state_their_available_power_with_a_bias_up_to_the_rating_or_n
     # What was available in cycle 0, curtailed or not.
     sent = plant.command(0.5, 0.5)
     assert tuple(sent[TELEMETRY.of(leaf)].available_kw for leaf in LEAVES) == stated_kw
+
+
+# How inverters follow ----------------------------------------------------------------------------
+
+FLAT = Profile(np.full((12, 2), 100.0), np.full(12, 100.0))
+
+
+def followed(cycles: int = 4, **changes: object) -> list[tuple[float, float]]:
+    """Return what both deliver that are told to give half from cycle 1 on."""
+    plant = PlantAtWork(FLAT, **changes)
+    plant.begin()
+    found = [powers_kw(plant.command(*[1.0 if n == 0 else 0.5] * 2)) for n in range(cycles)]
+    return [(round(one, 6), round(other, 6)) for one, other in found]
+
+
+def test_a_command_takes_effect_after_its_delay_and_as_fast_as_the_ramp_allows() -> None:
+    at_once = followed()
+    assert at_once == [(100.0, 100.0)] + [(50.0, 50.0)] * 3
+    # A part of a cycle is a cycle.
+    assert followed(delay_s=1.5) == [(100.0, 100.0)] * 3 + [(50.0, 50.0)]
+    assert [kw for kw, _ in followed(ramp_percent_per_s=20.0)] == [100.0, 80.0, 60.0, 50.0]
+    assert [kw for kw, _ in followed(delay_s=1.0, ramp_percent_per_s=40.0)] == [100, 100, 60, 50]
+
+
+def test_inverters_may_be_set_otherwise_and_the_last_entry_counts() -> None:
+    settings = (
+        InverterSettings(nodes="c1/*", delay_s=9.0, ramp_percent_per_s=20.0),
+        InverterSettings(nodes="c1/a", delay_s=0.0),
+    )
+    assert followed(settings=settings) == [(100, 100), (80, 100), (60, 100), (50, 100)]
+
+
+def test_each_inverter_reverts_after_its_own_time_to_its_own_limit() -> None:
+    settings = (InverterSettings(nodes="c1/a", revert=Revert(after_s=2.0, to=0.2)),)
+    plant = PlantAtWork(FLAT, cycle_wall_ns=CYCLE_NS, revert=Revert(4.0), settings=settings)
+    plant.begin()
+    found = []
+    for cycle in range(7):
+        plant.at_deadline()
+        if cycle == 0:
+            for leaf in LEAVES:
+                message = Command(0, 0, leaf, (), alpha=0.5, power_kw=0.0, revert_kw=30.0)
+                plant.loop.hear(COMMAND.of(leaf), message, 0)
+            found.append(powers_kw(plant._sent()))
+        else:
+            found.append(powers_kw(plant.at_deadline()))
+    assert [kw for kw, _ in found] == [50.0] * 2 + [20.0] * 5
+    assert [kw for _, kw in found] == [50.0] * 4 + [30.0] * 3
+
+
+def test_a_revert_forgets_commands_that_had_not_yet_taken_effect() -> None:
+    plant = PlantAtWork(
+        FLAT, cycle_wall_ns=CYCLE_NS, delay_s=2.0, revert=Revert(after_s=3.0, to=0.2)
+    )
+    plant.begin()
+    found = []
+    for cycle in range(8):
+        plant.at_deadline()
+        found.append(powers_kw(plant.command(0.5, 0.5) if cycle in {0, 6} else plant.at_deadline()))
+    # The command of cycle 0 acts from cycle 2 on, is over in cycle 3, and that of 6 acts in 8.
+    assert [kw for kw, _ in found] == [100.0] * 2 + [50.0] + [20.0] * 5

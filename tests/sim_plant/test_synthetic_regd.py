@@ -96,11 +96,3 @@ def test_a_real_day_could_be_one_of_the_forty(
 ) -> None:
     for real in real_days:
         assert outside(real, single_days) == []
-
-
-def test_days_around_one_real_day_include_the_other(real_days: list[dict[str, float]]) -> None:
-    # The 40 days of docs/metrics.md.
-    single_days = [statistics(day) for day in synthetic_regd(seed=0).reshape(-1, DAY)]
-    first, second = real_days
-    assert outside(first, single_days, centre=second) == []
-    assert outside(second, single_days, centre=first) == []

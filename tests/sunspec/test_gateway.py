@@ -23,6 +23,7 @@ from bus_schemas.messages import Command
 from sim_plant.devices import Devices, Reading, parse_address
 from sunspec.client import DeviceError
 from sunspec.gateway import Gateway
+from sunspec.limited_inverter import LimitedInverter
 from sunspec.process import Accounts, Connected, Event, News
 from sunspec.server import ServedPlant, Sky, served
 
@@ -31,7 +32,8 @@ PLAN = plan_of({"c1/a": 100.0}, actuator="limit", cycle_ns=50_000_000, cycle_wal
 
 def one_inverter(port: int = 0) -> ServedPlant:
     sky = Sky(np.array([[80.0]]), 1.0, None)
-    return ServedPlant(inverters=(("c1/a", 100.0),), sky=sky, now=time.monotonic, port=port)
+    inverters = {"c1/a": LimitedInverter(100.0, sky.possible_kw(0))}
+    return ServedPlant(inverters=inverters, sky=sky, now=time.monotonic, port=port)
 
 
 def with_device(address: str, revert: Revert | None = None) -> RunPlan:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from sunspec2.modbus.modbus import ModbusClientException
 
 from bus_schemas.errors import InputError
 from sim_plant.devices import parse_address
+from sunspec.limited_inverter import LimitedInverter
 from sunspec.server import ServedPlant, Sky, served
 
 RATING_KW = 100.0
@@ -36,10 +38,15 @@ class Site:
     def seconds(self) -> float:
         return self.clock.now_ns / 1e9
 
-    def serve(self, *, waits: bool = False, **settings: Any) -> dict[str, str]:
+    def serve(
+        self, *, waits: bool = False, delay_s: float = 0.0, ramp: float = inf, **where: Any
+    ) -> dict[str, str]:
         sky = Sky(SKY_KW, CYCLE_S, None if waits else self.seconds())
-        inverters = (("c1/a", RATING_KW), ("c1/b", RATING_KW))
-        plant = ServedPlant(inverters=inverters, sky=sky, now=self.seconds, **settings)
+        inverters = {
+            name: LimitedInverter(RATING_KW, sky.possible_kw(place), delay_s, ramp)
+            for place, name in enumerate(("c1/a", "c1/b"))
+        }
+        plant = ServedPlant(inverters=inverters, sky=sky, now=self.seconds, **where)
         self.addresses = self._stack.enter_context(served(plant))
         return self.addresses
 
@@ -84,7 +91,7 @@ Limit = Callable[[Device, float, int], None]
 
 @pytest.mark.parametrize("limit", [limit_123, limit_704])
 def test_a_limit_acts_after_its_delay_along_its_ramp_and_reverts(site: Site, limit: Limit) -> None:
-    site.serve(delay_s=2.0, ramp_percent_per_s=10.0)
+    site.serve(delay_s=2.0, ramp=10.0)
     device = site.client()
     assert watts(device) == 80_000
     limit(device, 50.0, 60)

@@ -14,6 +14,7 @@ pytest.importorskip("sunspec2")
 from clock_by_hand import ClockByHand
 
 from sunspec.client import DeviceError, SunSpecInverter
+from sunspec.limited_inverter import LimitedInverter
 from sunspec.server import ServedPlant, Sky, served
 
 OLD = (1, 103, 120, 121, 122, 123)
@@ -36,7 +37,7 @@ def serve(clock: ClockByHand) -> Iterator[Serve]:
         sky = Sky(np.array([[80.0]]), 1.0, None)
         context = served(
             ServedPlant(
-                inverters=(("c1/a", 100.0),),
+                inverters={"c1/a": LimitedInverter(100.0, sky.possible_kw(0))},
                 sky=sky,
                 now=lambda: clock() / 1e9,
                 models=models,

@@ -9,15 +9,14 @@ from agents.control.correction import HIGHEST_CORRECTION, corrected
 RATING_KW = 1000.0
 
 
-def settled(
-    loss_kw: float, cycle_s: float, seconds: float, *, is_free: bool = False
-) -> list[float]:
+def settled(loss_kw: float, cycle_s: float, seconds: float, delay_s: float = 0.0) -> list[float]:
     """Metered power, cycle by cycle, of a plant that delivers so much less than it is asked for."""
-    correction_kw, metered_kw, found = 0.0, 500.0 - loss_kw, []
+    late = round(delay_s / cycle_s)
+    correction_kw, found = 0.0, [500.0 - loss_kw] * (late + 1)
     for _ in range(round(seconds / cycle_s)):
-        correction_kw = corrected(correction_kw, 500.0, metered_kw, is_free, RATING_KW, cycle_s)
-        metered_kw = 500.0 + correction_kw - loss_kw
-        found.append(metered_kw)
+        read_kw = found[-1 - late]
+        correction_kw = corrected(correction_kw, 500.0, read_kw, False, RATING_KW, cycle_s, delay_s)
+        found.append(500.0 + correction_kw - loss_kw)
     return found
 
 
@@ -28,14 +27,21 @@ def test_a_constant_loss_is_made_up_for_without_swinging(cycle_s: float) -> None
     assert metered_kw == sorted(metered_kw)
 
 
+@pytest.mark.parametrize("delay_s", [1.0, 7.0, 20.0])
+def test_nor_does_it_swing_where_readings_come_late(delay_s: float) -> None:
+    metered_kw = settled(20.0, 1.0, 20.0 * (1.0 + delay_s) ** 2, delay_s)
+    assert metered_kw[-1] == pytest.approx(500.0, abs=0.01)
+    assert max(metered_kw) < 500.01
+
+
 def test_it_takes_the_same_time_whatever_the_cycle() -> None:
     fast, slow = settled(20.0, 0.1, 3.0), settled(20.0, 1.0, 3.0)
     assert fast[-1] == pytest.approx(slow[-1], abs=2.5)
 
 
 def test_what_is_delivered_too_much_takes_a_correction_back_but_not_below_0() -> None:
-    assert corrected(10.0, 500.0, 510.0, False, RATING_KW, 1.0) == 5.0
-    assert corrected(2.0, 500.0, 510.0, False, RATING_KW, 1.0) == 0.0
+    assert corrected(10.0, 500.0, 510.0, False, RATING_KW, 1.0, 0.0) == 5.0
+    assert corrected(2.0, 500.0, 510.0, False, RATING_KW, 1.0, 0.0) == 0.0
 
 
 def test_it_never_exceeds_its_share_of_the_rating() -> None:
@@ -43,9 +49,9 @@ def test_it_never_exceeds_its_share_of_the_rating() -> None:
 
 
 def test_it_is_dropped_where_every_inverter_is_free() -> None:
-    assert corrected(50.0, 500.0, 400.0, True, RATING_KW, 1.0) == 0.0
+    assert corrected(50.0, 500.0, 400.0, True, RATING_KW, 1.0, 0.0) == 0.0
 
 
 @pytest.mark.parametrize(("desired_kw", "metered_kw"), [(math.nan, 1.0), (1.0, math.nan)])
 def test_a_missing_reading_leaves_it_as_it_is(desired_kw: float, metered_kw: float) -> None:
-    assert corrected(7.0, desired_kw, metered_kw, False, RATING_KW, 1.0) == 7.0
+    assert corrected(7.0, desired_kw, metered_kw, False, RATING_KW, 1.0, 0.0) == 7.0

@@ -96,12 +96,14 @@ def test_many_cases_have_a_row_each(small: str, tmp_path: Path) -> None:
         (("--schemes", "magic"), "--schemes"),
         (("--actuator", "magic"), "--actuator"),
         (("--show", "rmse,beauty"), "--show"),
-        (("--csv", "summary.csv"), "--csv"),
+        (("--scheduler", "tcp://127.0.0.1:8786"), "--scheduler"),
         (("--seeds", "1,2", "--csv", "nowhere/summary.csv"), "--csv"),
         (("--workers", "0"), "--workers"),
         (("--reference", "few"), "--reference"),
         (("--seeds", "x"), "--seeds"),
+        (("--seeds", ""), "--seeds"),
         (("--days", "x"), "--days"),
+        (("--days", ""), "--days"),
         (("--set", "x"), "--set"),
         (("--seeds", "1,2", "--report"), "--report"),
         (("--days", "2010-04-01", "--from", "2010-04-01T12:00"), "--from"),
@@ -192,7 +194,8 @@ def test_what_are_no_two_runs_of_one_plant_is_refused(
     write_run(later, whole_run(20), plan=plan)
     assert "second run" in refusal("compare", runs[0])
     assert "nowhere" in refusal("compare", runs[0], "nowhere")
-    assert "small.toml" in refusal("compare", small, runs[0])
+    assert "recorded run" in refusal("compare", small, runs[0])
+    assert "oahu" in refusal("compare", runs[0], "oahu")
     assert "B" in refusal("compare", runs[0], later)
     assert "--seeds" in refusal("compare", *runs, "--seeds", "1,2")
     assert "cycle" in refusal("compare", runs[0], other)

@@ -147,7 +147,7 @@ BAD: Final = [
     ("launch", "--external", "c9"),
     ("launch", "--cpus", "x"),
     ("launch", "--device", "c9=modbus://10.0.0.7/1"),
-    ("inverters", "--delay", "-1"),
+    ("inverters", "--port", "-1"),
     ("inverters", "--from", "noon"),
     ("timing", "--rate", "20"),
     ("timing", "--priority", "20"),

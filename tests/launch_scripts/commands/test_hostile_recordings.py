@@ -15,12 +15,15 @@ import zstandard
 from command_line import refusal
 from mcap.opcode import Opcode
 from msgspec.structs import replace
-from recordings_by_hand import PLAN, SCENARIO, whole_run, write_run
+from recordings_by_hand import PLAN, SCENARIO, cycle_of_the_plant, whole_run, write_run
 from running import REPOSITORY
+from typer.testing import CliRunner
 
 from bus_schemas.codec import encode
+from bus_schemas.faults import FaultRule
 from bus_schemas.messages import Impp
 from bus_schemas.signals import IMPP
+from launch_scripts.cli import app
 from recordings.record.writer import RunWriter
 
 PORT = IMPP.of("c1/a")
@@ -55,13 +58,22 @@ def nested(depth: int) -> bytes:
     [
         (with_plan(timezone="../../etc/passwd"), "timezone: expected a name"),
         (with_plan(timezone="Mars/Olympus"), "timezone: expected a name"),
-        (with_plan(cycle_ns=0), "cycle_ns: expected above 0, got 0"),
+        (with_plan(cycle_ns=0), "cycle_ns: expected above 0"),
+        (with_plan(cycle_ns=2**62), "cycle_ns: expected above 0, up to"),
+        (with_plan(cycles=10**15), "cycles: expected up to"),
+        (with_plan(start_time_ns=-(2**63)), "start_time_ns: expected"),
+        (with_plan(period_cycles=(1,)), "period_cycles"),
+        (with_plan(faults=(FaultRule(partition="x"),)), "faults[0]: partition: expected"),
+        (with_plan(faults=(FaultRule(kill="c1"),)), "faults[0]: at: expected"),
         (with_payload(nested(300_000)), "nested too deep"),
         (with_payload(encode(replace(HEAD, cycle=-(2**63)))), "c1/a/impp"),
         (with_payload(encode(replace(HEAD, cycle=2**63 - 1))), "c1/a/impp"),
         (with_payload(b"\x81\xa5cycle\xa1\xff"), "c1/a/impp"),
     ],
-    ids=["path", "Mars", "no length", "deep", "negative", "huge", "no UTF-8"],
+    ids=[
+        *("path", "Mars", "no length", "long", "endless", "1677", "no tiers", "half", "never"),
+        *("deep", "negative", "huge", "no UTF-8"),
+    ],
 )
 def test_hostile_content_is_refused_in_one_line(
     make: Callable[[Path], None], named: str, words: tuple[str, ...], tmp_path: Path
@@ -69,6 +81,30 @@ def test_hostile_content_is_refused_in_one_line(
     path = tmp_path / "run.mcap"
     make(path)
     assert named in refusal("inspect", path, *words)
+
+
+@pytest.mark.parametrize("command", ["inspect", "report", "timing"])
+def test_a_scenario_that_is_nested_deep_breaks_nothing(command: str, tmp_path: Path) -> None:
+    writer = RunWriter(tmp_path / "run.mcap", PLAN, "a = " + "[" * 300_000, driver="simulate")
+    for port, message in whole_run(3):
+        writer.add(port, message, encode(message), 1)
+    writer.close()
+    done = CliRunner().invoke(app, [command, str(tmp_path)])
+    assert isinstance(done.exception, SystemExit | None), done.exception
+    assert len(done.stderr.splitlines()) <= 1
+
+
+def test_production_of_a_cycle_far_from_all_others_is_refused(tmp_path: Path) -> None:
+    plan = replace(PLAN, cycles=10_000_000)
+    last = [(port, replace(message, cycle=9_999_999)) for port, message in cycle_of_the_plant(3)]
+    write_run(tmp_path / "run.mcap", [*whole_run(3), *last], plan=plan)
+    assert "production of most cycles" in refusal("report", tmp_path)
+
+
+@pytest.mark.parametrize("cycle_s", ["0.01", "0.4"])
+def test_a_scenario_of_more_cycles_than_memory_holds_is_refused(cycle_s: str) -> None:
+    words = ["--set", "time.duration_s=2590000", "--set", f"time.cycle_s={cycle_s}"]
+    assert "time.duration_s: expected up to" in refusal("simulate", "oahu", *words)
 
 
 def test_a_cycle_beyond_the_calendar_is_refused_in_one_line(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import inf
 from pathlib import Path
 
 import msgspec
@@ -18,13 +19,16 @@ from bus_schemas.messages import Message, Production
 from bus_schemas.signals import Port
 from launch_scripts.cli import app
 from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
+from launch_scripts.launcher.supervision import RunFailure
 from launch_scripts.scenarios.fault_rules import fault_rules, parse_fault
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
+from recordings import open_run
+from studies.compare.cases import with_settings
 
 CYCLES = 150
 KILLED_AT = 30
-NEVER = RestartPolicy(when="never")
+NEVER = inf
 
 
 @pytest.fixture(scope="module")
@@ -56,15 +60,16 @@ class Trace:
         return np.array([one.inverter_power_kw for one in self.produced])
 
 
-def run_with(prepared: Preparation, *faults: str, **changes: object) -> tuple[MemoryRun, Trace]:
+def run_with(
+    prepared: Preparation, *faults: str, restart_takes_s: float = 0.5, **changes: object
+) -> tuple[MemoryRun, Trace]:
     """Run through with fault rules as `--fault` reads them."""
     plan = msgspec.structs.replace(prepared.plan, **changes)
     # A rule that never does anything puts a run without faults on the same clock.
     rules = tuple(map(parse_fault, faults)) or (parse_fault("silent=1000000s..2000000s"),)
     trace = Trace()
-    run = MemoryRun(
-        on_the_clock(msgspec.structs.replace(plan, faults=rules)), prepared.profile, trace
-    )
+    plan = on_the_clock(msgspec.structs.replace(plan, faults=rules))
+    run = MemoryRun(plan, prepared.profile, trace, restart_takes_s)
     assert list(run.cycles()) == list(range(plan.cycles))
     return run, trace
 
@@ -80,13 +85,13 @@ def longest_above(over_kw: NDArray[np.float64], limit_kw: float) -> int:
 
 @pytest.mark.parametrize("victim", ["central", "c2", "c2/inv07", "c2/*"])
 @pytest.mark.parametrize("actuator", ["fraction", "limit"])
-@pytest.mark.parametrize("restart", [NEVER, RestartPolicy()])
+@pytest.mark.parametrize("restart_takes_s", [NEVER, 0.5])
 def test_without_a_controller_the_plant_hardly_delivers_too_much(
-    oahu: Preparation, victim: str, actuator: str, restart: RestartPolicy
+    oahu: Preparation, victim: str, actuator: str, restart_takes_s: float
 ) -> None:
-    changes = {"restart": restart, "actuator": actuator}
-    _, healthy = run_with(oahu, **changes)
-    _, trace = run_with(oahu, f"kill={victim},at={KILLED_AT}s", **changes)
+    _, healthy = run_with(oahu, actuator=actuator)
+    killed = f"kill={victim},at={KILLED_AT}s"
+    _, trace = run_with(oahu, killed, restart_takes_s=restart_takes_s, actuator=actuator)
     rating_kw = oahu.plan.tree.rating_kw("")
     beyond_kw = trace.over_kw - np.maximum(healthy.over_kw, 0.0)
     assert longest_above(beyond_kw, 0.05 * rating_kw) <= 3
@@ -105,17 +110,49 @@ def test_a_killed_controller_is_replaced_and_the_plant_is_as_before(
     assert len(apart) == 0 or apart.max() <= successor.incarnation + 3
 
 
-def test_a_policy_of_never_leaves_it_dead(oahu: Preparation) -> None:
-    run, _ = run_with(oahu, f"kill=c2,at={KILLED_AT}s", restart=NEVER)
-    assert not run.restarts
-    assert run.loops["c2"].cycle <= KILLED_AT + 1
+@pytest.mark.parametrize(
+    ("policy", "kills", "ended_by"),
+    [
+        (RestartPolicy(when="never"), [30], "never"),
+        (RestartPolicy(most=2, within_s=60.0), [30, 40, 50], "2 times within 60 s"),
+        (RestartPolicy(most=2, within_s=15.0), [30, 40, 50], None),
+    ],
+)
+def test_a_controller_that_may_not_be_started_again_ends_the_run(
+    oahu: Preparation, policy: RestartPolicy, kills: list[int], ended_by: str | None
+) -> None:
+    faults = [f"kill=c2,at={at}s" for at in kills]
+    if ended_by is None:
+        run, _ = run_with(oahu, *faults, restart=policy)
+        assert run.restarts == {"c2": len(kills)}
+        return
+    with pytest.raises(RunFailure, match=f"^c2 .*{ended_by}"):
+        run_with(oahu, *faults, restart=policy)
 
 
 def test_a_frozen_controller_goes_on_in_the_cycle_under_way(oahu: Preparation) -> None:
-    run, _ = run_with(oahu, f"freeze=c2,at={KILLED_AT}s..{KILLED_AT + 15}s")
+    run, _ = run_with(oahu, f"freeze=c2,at={KILLED_AT}s..{KILLED_AT + 4}s")
     loop = run.loops["c2"]
     assert (loop.finished, loop.incarnation, run.restarts) == (True, 0, {})
-    assert 13 <= loop.skipped_cycles <= 15
+    assert 2 <= loop.skipped_cycles <= 4
+
+
+def test_a_controller_that_stays_frozen_is_replaced_and_thaws_no_more(oahu: Preparation) -> None:
+    freezes = f"freeze=c2,at={KILLED_AT}s..{KILLED_AT + 15}s"
+    run, _ = run_with(oahu, freezes, restart=RestartPolicy(frozen_s=8.0))
+    assert run.restarts == {"c2": 1}
+    assert run.loops["c2"].incarnation == KILLED_AT + 9
+    run, _ = run_with(oahu, freezes, restart=RestartPolicy(when="never"))
+    assert run.loops["c2"].skipped_cycles >= 13, "nobody kills it where nobody would replace it"
+
+
+def test_a_policy_in_the_scenario_holds_in_simulation(tmp_path: Path) -> None:
+    words = ["--duration", "30s", "--fault", "kill=c2,at=5s", "--set", "restart.when=never"]
+    ended = CliRunner().invoke(app, ["simulate", "oahu", *words, "--out", str(tmp_path / "run")])
+    assert ended.exit_code == 1
+    assert "c2 was killed" in ended.output
+    with open_run(tmp_path / "run") as run:
+        assert run.last_cycle == 5
 
 
 def test_a_partition_cuts_both_ways_and_ends(oahu: Preparation) -> None:
@@ -131,8 +168,8 @@ def test_a_partition_cuts_both_ways_and_ends(oahu: Preparation) -> None:
 def test_inverters_that_hear_nothing_revert_to_their_share_of_the_last_dispatch(
     oahu: Preparation, actuator: str
 ) -> None:
-    changes = {"restart": NEVER, "actuator": actuator, "revert": Revert(after_s=60.0)}
-    _, trace = run_with(oahu, f"kill=*,at={KILLED_AT}s", **changes)
+    changes = {"actuator": actuator, "revert": Revert(after_s=60.0)}
+    _, trace = run_with(oahu, f"kill=*,at={KILLED_AT}s", restart_takes_s=NEVER, **changes)
     reverted = slice(KILLED_AT + 62, CYCLES)
     last_desired_kw = trace.produced[KILLED_AT].desired_kw
     share = np.array([rating for _, rating in oahu.plan.inverters]) / oahu.plan.tree.rating_kw("")
@@ -146,8 +183,8 @@ def test_inverters_may_be_set_to_release_or_to_a_share_of_their_rating(oahu: Pre
         (Revert(after_s=5.0, to="release"), rating_kw),
         (Revert(after_s=5.0, to=0.25), 0.25 * rating_kw),
     ):
-        changes = {"restart": NEVER, "revert": revert}
-        _, trace = run_with(oahu, f"kill=*,at={KILLED_AT}s", **changes)
+        killed = f"kill=*,at={KILLED_AT}s"
+        _, trace = run_with(oahu, killed, restart_takes_s=NEVER, revert=revert)
         expected_kw = np.minimum(oahu.profile.mpp_kw, limit_kw)
         np.testing.assert_array_equal(
             trace.power_kw[KILLED_AT + 10 :], expected_kw[KILLED_AT + 10 :]
@@ -207,5 +244,20 @@ def test_a_recording_with_deaths_is_repeated_and_says_who_came_back(tmp_path: Pa
     verified = CliRunner().invoke(app, ["verify", str(run)])
     assert verified.exit_code == 0, verified.output
     inspected = " ".join(CliRunner().invoke(app, ["inspect", str(run)]).output.split())
-    assert "c2 restarted in cycle 6" in inspected
+    assert "c2: nothing in cycle 5 (12:00:05), then back, numbered from 0 again" in inspected
     assert "never acted: the run was over" in inspected
+
+
+def test_inverters_that_a_scenario_sets_otherwise_must_exist(oahu: Preparation) -> None:
+    slow = with_settings(oahu.scenario, ('plant.settings=[{nodes="c1/*", delay_s=20}]',))
+    found = prepare(slow, RunOptions(duration="5"), "slow").plan
+    assert [found.follows_within_s(leaf) for leaf in ("c1/inv01", "c2/inv03")] == [20.0, 0.0]
+    absent = with_settings(oahu.scenario, ('plant.settings=[{nodes="c9/*"}]',))
+    with pytest.raises(InputError, match=r"plant\.settings\[0\]\.nodes: .*c1/inv01"):
+        prepare(absent, RunOptions(duration="5"), "absent")
+
+
+def test_a_revert_time_leaves_controllers_three_cycles(oahu: Preparation) -> None:
+    rare = prepare(oahu.scenario, RunOptions(duration="60", cycle_s=30.0), "rare")
+    assert rare.plan.revert == Revert(after_s=90.0)
+    assert any("90 s" in remark for remark in rare.remarks)

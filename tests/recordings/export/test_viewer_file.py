@@ -104,7 +104,7 @@ def test_every_message_is_json_as_its_schema_says(run: Path) -> None:
             Draft202012Validator.check_schema(document)
             validators[schema.name] = Draft202012Validator(document)
         validators[schema.name].validate(json.loads(message.data))
-    assert validators.keys() == {signal.type.__name__ for signal in RECORDED}
+    assert validators.keys() == {signal.type.__name__ for signal in RECORDED} - {"Takeover"}
 
 
 @pytest.mark.parametrize("signal", RECORDED, ids=[signal.name for signal in RECORDED])

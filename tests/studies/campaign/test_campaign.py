@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Any
+from math import inf
+from pathlib import Path
+from typing import Any, get_args
 
-import msgspec
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -16,7 +18,7 @@ from agents.control import allocation
 from agents.direct import DirectController, DirectState
 from agents.loop import AgentLoop
 from agents.parent import Children, Report, Supervisor
-from agents.plan import RestartPolicy, RunPlan
+from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Command, Dispatch
 from launch_scripts.cli import app
@@ -25,6 +27,7 @@ from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepar
 from launch_scripts.scenarios.scenario import load_scenario
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile
+from studies.campaign.curves import Protection, failures, run_under
 from studies.campaign.study import campaign, judge, random_rules, run_seed, trace_of
 
 Patch = pytest.MonkeyPatch
@@ -35,12 +38,11 @@ def oahu() -> Preparation:
     return prepare(load_scenario("oahu"), RunOptions(duration="150s"), "campaign")
 
 
-def broken_by(oahu: Preparation, *faults: str, **changes: object) -> set[str]:
-    """Return the invariants that a run under some faults breaks."""
+def broken_by(oahu: Preparation, fault: str, restart_takes_s: float) -> set[str]:
+    """Return the invariants that a run under a fault breaks."""
     found = campaign(oahu)
-    found = replace(found, plan=msgspec.structs.replace(found.plan, **changes))
-    rules = tuple(map(parse_fault, faults))
-    trace = trace_of(found.plan, found.profile, rules)
+    rules = (parse_fault(fault),)
+    trace = trace_of(found.plan, found.profile, rules, restart_takes_s)
     return {violation.invariant for violation in judge(found, rules, trace)}
 
 
@@ -76,7 +78,7 @@ def inverters_never_revert(patch: Patch) -> None:
 
     def wrong(self: Plant, plan: RunPlan, profile: Profile) -> None:
         right(self, plan, profile)
-        self._revert_cycles = float("inf")
+        self._revert_cycles = np.full(len(plan.tree.leaves), inf)
 
     patch.setattr(Plant, "__init__", wrong)
 
@@ -118,14 +120,14 @@ def commands_stop_the_inverter(patch: Patch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("plant_mistake", "fault", "never", "found"),
+    ("plant_mistake", "fault", "restart_takes_s", "found"),
     [
-        (silence_counts_as_zero, "kill=c2,at=30s", True, "over-delivery"),
-        (inverters_never_revert, "kill=c2/*,at=30s", True, "revert"),
-        (nobody_joins_later, "kill=c2/*,at=30s", False, "recovery"),
-        (more_is_shared_out_than_there_is, "kill=c2,at=30s", False, "shares"),
-        (setpoints_come_twice, "kill=c2,at=30s", False, "one authority"),
-        (commands_stop_the_inverter, "kill=c2,at=30s", False, "under-delivery"),
+        (silence_counts_as_zero, "kill=c2,at=30s", inf, "over-delivery"),
+        (inverters_never_revert, "kill=c2/*,at=30s", inf, "revert"),
+        (nobody_joins_later, "kill=c2/*,at=30s", 0.5, "recovery"),
+        (more_is_shared_out_than_there_is, "kill=c2,at=30s", 0.5, "shares"),
+        (setpoints_come_twice, "kill=c2,at=30s", 0.5, "one authority"),
+        (commands_stop_the_inverter, "kill=c2,at=30s", 0.5, "under-delivery"),
     ],
 )
 def test_a_planted_mistake_is_found(
@@ -133,13 +135,12 @@ def test_a_planted_mistake_is_found(
     monkeypatch: Patch,
     plant_mistake: Callable[[Patch], None],
     fault: str,
-    never: bool,
+    restart_takes_s: float,
     found: str,
 ) -> None:
-    restart = RestartPolicy(when="never" if never else "on-failure")
-    assert found not in broken_by(oahu, fault, restart=restart)
+    assert found not in broken_by(oahu, fault, restart_takes_s)
     plant_mistake(monkeypatch)
-    assert found in broken_by(oahu, fault, restart=restart)
+    assert found in broken_by(oahu, fault, restart_takes_s)
 
 
 def test_a_failing_seed_is_shrunk_and_printed_as_a_command(monkeypatch: Patch) -> None:
@@ -151,3 +152,37 @@ def test_a_failing_seed_is_shrunk_and_printed_as_a_command(monkeypatch: Patch) -
     commands = [line for line in result.output.splitlines() if "heliarch simulate oahu" in line]
     assert commands
     assert any(line.count("--fault") == 1 for line in commands)
+
+
+def test_a_policy_that_ends_the_run_is_named() -> None:
+    words = ["campaign", "oahu", "--seeds", "1..4", "--set", "restart.when=never"]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 1
+    assert ": end, cycle" in result.output
+    assert "was killed in the middle of the run" in result.output
+
+
+# What failures cost -------------------------------------------------------------------------------
+
+
+def test_failures_are_the_same_for_every_protection_and_cost_more_without(
+    oahu: Preparation,
+) -> None:
+    found = campaign(oahu)
+    rules = failures(found.plan, 100.0, 1)
+    assert rules == failures(found.plan, 100.0, 1) != failures(found.plan, 100.0, 2)
+    assert len(failures(found.plan, 1000.0, 1)) > len(rules) > 20
+    points = {name: run_under(found, (name, 100.0, inf, 1)) for name in get_args(Protection)}
+    assert points["neither"].over_percent > 2.0 * points["default"].over_percent > 0.0
+    assert run_under(found, ("default", 100.0, 0.5, 1)).over_percent < 0.1
+
+
+def test_a_page_draws_the_worst_seeds(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    words = ["campaign", "oahu", "--seeds", "1..5", "--report", str(page)]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    text = page.read_text(encoding="utf-8")
+    assert "0 of 5 seeds broke an invariant" in text
+    assert 3 <= len(re.findall(r'id="seed-\d-plot-data"', text)) <= 5
+    assert re.search(r"Faults: .*(kill|freeze|partition|loss)=", text)

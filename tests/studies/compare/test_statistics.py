@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import pytest
 from results_by_hand import case, result
 
+from agents.plan import Actuator
 from studies.compare.statistics import Summary, summaries
 from studies.compare.study import CaseResult
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
@@ -86,3 +89,12 @@ def test_one_case_has_a_mean_without_an_interval() -> None:
     found = by_scheme(case("seed=1", {"paper": 1.0, "predictive": 0.0}))["paper"]
     assert (found.mean, found.mean_error) == (1.0, None)
     assert (found.difference, found.difference_error) == (1.0, None)
+
+
+def test_cases_with_different_actuators_have_none_in_common() -> None:
+    cases = [
+        CaseResult(f"actuator={name}", f"actuator={name}", (result("paper", name, 1.0),), 0, 0, ())
+        for name in get_args(Actuator)
+    ]
+    (found,) = summaries(cases, CAUSED)
+    assert (found.actuator, found.cases) == (None, 2)

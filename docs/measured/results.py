@@ -1,27 +1,23 @@
-"""Fills the tables of docs/results.md that are measured: `make results DATA=FOLDER`.
-
-Each table stands between `<!-- measured: NAME -->` and `<!-- end -->`. FOLDER holds the
-measurements in folders of their own; without it, tables that rest on them stay as they are.
-"""
+"""The tables of docs/results.md."""
 
 from __future__ import annotations
 
-import re
-import sys
-import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
 import pandas as pd
+from tables import WORKERS, Lines, Tables, header, hope, plant, row
 
-from heliarch import compare, load_scenario
+from heliarch import compare
+from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import ScenarioFile
+from studies.arrays.closed_loop import run_loop
+from studies.compare.cases import with_settings
+from studies.metrics import commitment_metrics
 
-PAGE: Final = Path(__file__).with_name("results.md")
 BOTH: Final = ("fraction", "limit")
 SHARES: Final = [0.5, 0.7, 0.8, 0.9]
-WORKERS: Final = 2
 
 COMMITMENT: Final = {
     "satisfied": ("satisfied %", 2),
@@ -41,7 +37,6 @@ REGULATION: Final = {
     "score-unclipped": ("not clipped", 3),
 }
 Figures = dict[str, tuple[str, int]]
-Lines = Iterator[str]
 
 
 def case_study(data: Path) -> Lines:
@@ -104,26 +99,26 @@ def interval(values: pd.Series[float]) -> float:
     return float(1.984 * values.std() / len(values) ** 0.5)
 
 
-def hope(data: Path) -> Lines:
+def hope_schemes(data: Path) -> Lines:
     """Write all schemes on the HOPE hour."""
-    return by_scheme(compare(_hope(data), actuators=BOTH), COMMITMENT)
+    return by_scheme(compare(hope(data), actuators=BOTH), COMMITMENT)
 
 
 def hope_cells(data: Path) -> Lines:
     """Write the estimators on the HOPE hour, by share and noise."""
-    return cells(_hope(data), {})
+    return cells(hope(data), {})
 
 
 def hour_cells(letter: str) -> Callable[[Path], Lines]:
     """Return what writes the estimators on an hour of the real plant."""
-    return lambda data: cells(_plant(data), {"irradiance.currents": [f"hour_{letter}.csv"]})
+    return lambda data: cells(plant(data), {"irradiance.currents": [f"hour_{letter}.csv"]})
 
 
 def hours(data: Path) -> Lines:
     """Write all schemes on the hours of the real plant."""
     for letter in "abc":
         settings = {"irradiance.currents": [f"hour_{letter}.csv"]}
-        found = compare(_plant(data), actuators=BOTH, settings=settings)
+        found = compare(plant(data), actuators=BOTH, settings=settings)
         found["case"] = letter
         lines = list(by_scheme(found, COMMITMENT, case=str))
         yield from lines if letter == "a" else lines[2:]
@@ -143,12 +138,35 @@ def cycles(data: Path) -> Lines:
     return by_scheme(found, figures, case=str)
 
 
-def _hope(data: Path) -> ScenarioFile:
-    return load_scenario("hope-melpitz", data / "hope-melpitz-1s")
+def floor(data: Path) -> Lines:
+    """Write what margins make of hour a with limits, with and without hidden maxima."""
+    yield from header(["what is known", "margin", "80%", "90%"])
+    for known, stated in (
+        ("readings of inverters, some held by a limit", ()),
+        ("each maximum of the interval that ended", ("plant.available_bias=0",)),
+    ):
+        days = [
+            prepare(
+                with_settings(plant(data), [f"commitment.share={share}", *stated]),
+                RunOptions(),
+                "compare",
+            )
+            for share in (0.8, 0.9)
+        ]
+        for margin in (-0.5, 0.0, 0.5, 1.0):
+            yield row([known, f"{margin:g}", *(pair(day, margin) for day in days)])
+    yield row(["each maximum of the coming interval", "0", "0.000 (0.00)", "0.000 (0.00)"])
 
 
-def _plant(data: Path) -> ScenarioFile:
-    return load_scenario("plant20mw", data / "plant20mw-combiners-10s")
+def pair(day: Preparation, margin: float) -> str:
+    """Return control-caused and over-delivered of a day with limits and a margin."""
+    found = run_loop(day.plan, day.profile, "predictive", "limit", {"MARGIN": margin})
+    desired_kw = day.profile.commitment_kw + day.profile.regulation_kw
+    totals = day.profile.mpp_kw.sum(axis=1), found.power_kw.sum(axis=1)
+    energy = commitment_metrics(desired_kw, *totals, day.plan.cycle_ns / 1e9)
+    percent = 100.0 / energy.desired_kwh
+    missing, beyond = energy.control_caused_kwh, energy.over_delivered_kwh
+    return f"{percent * missing:.3f} ({percent * beyond:.2f})"
 
 
 # Tables -------------------------------------------------------------------------------------------
@@ -188,47 +206,17 @@ def cells(scenario: ScenarioFile, settings: dict[str, Any]) -> Lines:
         yield row([actuator, f"{scheme}, noise" if noise else scheme, *pairs])
 
 
-def header(titles: Iterable[str]) -> Lines:
-    """Write the heading of a table."""
-    titles = list(titles)
-    yield row(titles)
-    yield "|" + "---|" * len(titles)
-
-
-def row(cells: Iterable[object]) -> str:
-    """Return a row of a table."""
-    return f"| {' | '.join(map(str, cells))} |"
-
-
-FROM_SYNTHETIC: Final[dict[str, Callable[[Path], Lines]]] = {
+FROM_SYNTHETIC: Final[Tables] = {
     "case study": case_study,
     "case study, regulation": case_study_regulation,
     "headroom": headroom,
     "skies": skies,
     "cycles": cycles,
 }
-FROM_DATA: Final[dict[str, Callable[[Path], Lines]]] = {
-    "HOPE": hope,
+FROM_DATA: Final[Tables] = {
+    "HOPE": hope_schemes,
     "HOPE, estimators": hope_cells,
     **{f"hour {letter}, estimators": hour_cells(letter) for letter in "abc"},
+    "floor": floor,
     "hours": hours,
 }
-
-
-def main() -> None:
-    """Measure the tables, and write them into the page."""
-    data = Path(sys.argv[1]) if len(sys.argv) > 1 else None
-    tables = FROM_SYNTHETIC | (FROM_DATA if data else {})
-    text = PAGE.read_text(encoding="utf-8")
-    for name, write in tables.items():
-        began = time.monotonic()
-        lines = "\n".join(write(data or Path()))
-        marked = rf"(<!-- measured: {re.escape(name)} -->\n).*?(<!-- end -->)"
-        # A table has no backslash: it may stand in the replacement.
-        text, count = re.subn(marked, rf"\g<1>{lines}\n\g<2>", text, flags=re.S)
-        sys.stdout.write(f"{name}: {count} table, {time.monotonic() - began:.0f} s\n")
-        PAGE.write_text(text, encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,17 +1,12 @@
-"""Draws measured skies beside the cloud model's, and prints the numbers of docs/clouds.md.
-
-python docs/clouds_figures.py FOLDER docs/images
-
-FOLDER holds the measured data sets in folders of their own: hope-melpitz-1s, livermore-ghi-2s and
-plant20mw-combiners-10s. Those that are absent are left out.
-"""
+"""The tables of docs/clouds.md, and its figures: measured skies beside those of the model."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
+from typing import Final
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -33,6 +28,7 @@ from sky_statistics import (
     rotated,
     sky_shares,
 )
+from tables import DOCUMENTS, Lines, Tables, header, row
 
 from sim_plant.clouds import CloudSettings, clear_sky_ghi, clear_sky_index
 from sim_plant.irradiance import read_measured_ghi
@@ -41,10 +37,10 @@ mpl.use("Agg")
 
 Array = NDArray[np.float64]
 
-HOPE = "hope-melpitz-1s"
 SKIES_DRAWN = 12
 MOST_SEEDS = 300
 COVER_TOLERANCE = 0.1
+EVOLUTION_S = (1200.0, 1700.0, 2100.0)
 MEASURED, SYNTHETIC = "#b2182b", "#2166ac"
 CLASSES_M = np.array([0.0, 50.0, 100.0, 150.0, 200.0, 300.0, 400.0, 500.0, 700.0, 1000.0, 1500.0])
 # Two skies that are not the default's kind: sharp and fast clouds, and thin ones.
@@ -109,18 +105,14 @@ class Sky:
 
 
 def measured_skies(folder: Path) -> Iterator[Sky]:
-    """Read the data sets that are there."""
-    readers: dict[str, Callable[[Path], list[Sky]]] = {
-        HOPE: _hope,
-        "livermore-ghi-2s": _livermore,
-        "plant20mw-combiners-10s": lambda path: [_plant(path, hour) for hour in "abc"],
-    }
-    for name, reader in readers.items():
-        if (folder / name).is_dir():
-            yield from reader(folder / name)
+    """Read the data sets."""
+    yield _hope(folder / "hope-melpitz-1s")
+    yield _livermore(folder / "livermore-ghi-2s")
+    for hour in "abc":
+        yield _plant(folder / "plant20mw-combiners-10s", hour)
 
 
-def _hope(folder: Path) -> list[Sky]:
+def _hope(folder: Path) -> Sky:
     read = read_measured_ghi(folder / "ghi_20130908_0915_0955.csv", folder / "positions.csv")
     places = pd.read_csv(folder / "positions.csv", dtype={"station": str}).set_index("station")
     places = places.loc[list(read.sensors)]
@@ -129,28 +121,10 @@ def _hope(folder: Path) -> list[Sky]:
     motion = cloud_motion(index, east_m, north_m, 1.0)
     one_each = np.eye(east_m.size)
     speed_ms, from_deg = motion.speed_ms, motion.from_deg
-    return [Sky("HOPE", index, 1.0, east_m, north_m, one_each, True, speed_ms, from_deg)]
+    return Sky("HOPE", index, 1.0, east_m, north_m, one_each, True, speed_ms, from_deg)
 
 
-def beyond_the_atmosphere(folder: Path) -> str:
-    """Say how much of HOPE's irradiance is above what the sun sends, and who jumps."""
-    read = read_measured_ghi(folder / "ghi_20130908_0915_0955.csv", folder / "positions.csv")
-    sun = get_solarposition(read.times, read.lat_deg.mean(), read.lon_deg.mean(), altitude=86.0)
-    height = np.sin(np.deg2rad(sun["elevation"].to_numpy()))
-    limit_wm2 = get_extra_radiation(read.times).to_numpy() * height
-    above = read.ghi_wm2 > limit_wm2[:, None]
-    mean_above = read.ghi_wm2.mean(axis=1) > limit_wm2
-    jumps = (np.abs(np.diff(read.ghi_wm2, axis=0)) > 200.0).sum(axis=0)
-    jumping = {name: int(n) for name, n in zip(read.sensors, jumps, strict=True) if n}
-    return (
-        f"HOPE: {above.mean():.3f} of the values, of {above.any(axis=0).sum()} stations, and the"
-        f" mean of all for {mean_above.mean():.3f} of the time, are above the"
-        f" {limit_wm2.min():.0f} to {limit_wm2.max():.0f} W/m2 outside the atmosphere;"
-        f" stations with changes above 200 W/m2 in 1 s, and how many: {jumping}\n"
-    )
-
-
-def _livermore(folder: Path) -> list[Sky]:
+def _livermore(folder: Path) -> Sky:
     """Read the cloudy morning, 8 to 12 h; turbidity 2.5 makes the cloudless afternoon 1."""
     table = pd.read_csv(folder / "ghi_20140518.csv")
     table = table[(table["t_s"] >= 8 * 3600) & (table["t_s"] < 12 * 3600)]
@@ -159,7 +133,7 @@ def _livermore(folder: Path) -> list[Sky]:
     clear_wm2 = clear_sky_ghi(times, np.array([37.676208]), np.array([-121.703118]), 200.0, 2.5)
     index = (table["ghi_wm2"].to_numpy(float) / clear_wm2)[:, None]
     place = np.zeros(1)
-    return [Sky("Livermore", index, 2.0, place, place, np.eye(1), False, None, None)]
+    return Sky("Livermore", index, 2.0, place, place, np.eye(1), False, None, None)
 
 
 def _plant(folder: Path, hour: str) -> Sky:
@@ -212,8 +186,8 @@ def draw_correlation(skies: list[Sky], drawn: dict[str, list[Array]]) -> Figure:
         ("across", 30.0, "30 s changes,\nacross the motion"),
     ]
     for column, sky in enumerate(skies):
-        for row, (direction, interval_s, title) in enumerate(rows):
-            axes = panels[row, column]
+        for at, (direction, interval_s, title) in enumerate(rows):
+            axes = panels[at, column]
             curves = [by_distance(sky, index, direction, interval_s) for index in drawn[sky.name]]
             band(axes, middle_m, curves, SYNTHETIC, "synthetic")
             real = by_distance(sky, sky.index, direction, interval_s)
@@ -348,38 +322,17 @@ def numbers(sky: Sky, index: Array) -> dict[str, float]:
     return found
 
 
-def table(sky: Sky, drawn: list[Array], seeds: int) -> str:
-    """Return a table in Markdown: measured, median and range of the synthetic skies."""
-    settings = sky.settings()
-    lines = [
-        f"\n{sky.name}: cover {settings.cloud_cover:.2f}, {settings.drift_speed_ms:.1f} m/s from"
-        f" {settings.drift_from_deg:.0f} degrees {sky.by_hand or ''}",
-        f"{len(drawn)} skies of {seeds} seeds\n",
-        "| | measured | synthetic, median | 10 % to 90 % |",
-        "|---|---|---|---|",
-    ]
-    rows = [numbers(sky, index) for index in drawn]
-    for name, real in numbers(sky, sky.index).items():
-        low, middle, high = np.quantile([row[name] for row in rows], [0.1, 0.5, 0.9])
-        cells = (
-            f"{value:.{3 if 'change, ' in name else 2}f}" for value in (real, middle, low, high)
-        )
-        lines.append("| {} | {} | {} | {} to {} |".format(name, *cells))
-    return "\n".join(lines) + "\n"
+@cache
+def compared(folder: Path) -> dict[str, tuple[Sky, dict[str, float], list[dict[str, float]], int]]:
+    """Return each sky with its figures, those of the model's skies, and the seeds looked at.
 
-
-def main(folder: Path, pictures: Path) -> None:
-    """Draw all figures into a folder and print the numbers."""
+    Their pictures are drawn on the way.
+    """
+    found, drawn = {}, {}
     skies = list(measured_skies(folder))
-    if (folder / HOPE).is_dir():
-        sys.stdout.write(beyond_the_atmosphere(folder / HOPE))
-    drawn = {}
     for sky in skies:
         drawn[sky.name], seeds = sky.alike()
-        sys.stdout.write(table(sky, drawn[sky.name], seeds))
-        if sky.name in OF_ANOTHER_KIND:
-            by_hand = replace(sky, by_hand=OF_ANOTHER_KIND[sky.name])
-            sys.stdout.write(table(by_hand, *by_hand.alike()))
+        found[sky.name] = sky, numbers(sky, sky.index), of_model(sky, drawn[sky.name]), seeds
     fields = [sky for sky in skies if sky.speed_ms is not None]
     figures = {
         "clouds_correlation": draw_correlation(fields, drawn),
@@ -388,8 +341,115 @@ def main(folder: Path, pictures: Path) -> None:
         "clouds_index": draw_shares(skies, drawn),
     }
     for name, figure in figures.items():
-        figure.savefig(pictures / f"{name}.png", dpi=110)
+        figure.savefig(DOCUMENTS / "images" / f"{name}.png", dpi=110)
+    return found
 
 
-if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+def of_model(sky: Sky, drawn: list[Array]) -> list[dict[str, float]]:
+    """Return the figures of synthetic skies."""
+    return [numbers(sky, index) for index in drawn]
+
+
+def side_by_side(folder: Path) -> Lines:
+    """Write measured skies beside the model's, with their median and middle 80 %."""
+    names = ("HOPE", "plant, hour a", "plant, hour b", "plant, hour c")
+    found = [compared(folder)[name] for name in names]
+    yield from header(["measured / synthetic (10 % to 90 %)", *names])
+    settings = [sky.settings() for sky, *_ in found]
+    yield row(
+        ["cover, speed", *(f"{s.cloud_cover:.2f}, {s.drift_speed_ms:.1f} m/s" for s in settings)]
+    )
+    yield row(["skies, of so many seeds", *(f"{len(rows)} of {n}" for _, _, rows, n in found)])
+    for figure in found[0][1] | found[1][1]:
+        cells = []
+        for _, real, rows, _ in found:
+            if figure not in real:
+                cells.append("")
+                continue
+            low, middle, high = np.quantile([one[figure] for one in rows], [0.1, 0.5, 0.9])
+            first, *others = (written(figure, value) for value in (real[figure], middle, low, high))
+            cells.append("{} / {} ({} to {})".format(first, *others))
+        yield row([figure, *cells])
+
+
+def written(figure: str, value: float) -> str:
+    """Return a figure as it stands in a table."""
+    return f"{value:.{3 if 'change, ' in figure else 2}f}"
+
+
+def another_kind(folder: Path) -> Lines:
+    """Write the two skies of another kind by default and with settings chosen by hand."""
+    yield from header(["", "measured", "by default", "by hand"])
+    for name, by_hand in OF_ANOTHER_KIND.items():
+        sky, real, rows, _ = compared(folder)[name]
+        changed = replace(sky, by_hand=by_hand)
+        reached = of_model(changed, changed.alike()[0])
+        for figure, value in real.items():
+            if figure.startswith("r of") or "99.9" in figure:
+                continue
+            medians = [float(np.median([one[figure] for one in of])) for of in (rows, reached)]
+            cells = [written(figure, one) for one in (value, *medians)]
+            yield row([f"{name}: {figure}", *cells])
+
+
+def evolution(folder: Path) -> Lines:
+    """Write how far the model is from each sky by its evolution time.
+
+    Distance: mean over the 99 % quantiles of the changes, as the logarithm of the ratio, and over
+    the correlations of the changes, as their difference.
+    """
+    skies = [sky for sky in measured_skies(folder) if sky.name not in OF_ANOTHER_KIND]
+    yield from header(["evolution time [s]", *(sky.name for sky in skies)])
+    for evolution_s in EVOLUTION_S:
+        changed = [replace(sky, by_hand={"evolution_s": evolution_s}) for sky in skies]
+        yield row([f"{evolution_s:,.0f}", *(f"{distance(sky):.3f}" for sky in changed)])
+
+
+def distance(sky: Sky) -> float:
+    """Return how far the median of the model's skies is from the measured one."""
+    real, rows = numbers(sky, sky.index), of_model(sky, sky.alike()[0])
+    apart = []
+    for figure, value in real.items():
+        middle = float(np.median([one[figure] for one in rows]))
+        if figure.endswith("change, 99 %"):
+            apart.append(abs(np.log(middle / value)))
+        elif figure.startswith("r of") and "index" not in figure:
+            apart.append(abs(middle - value))
+    return float(np.mean(apart))
+
+
+def beyond_the_atmosphere(folder: Path) -> Lines:
+    """Write how much of HOPE's irradiance is above what the sun sends, and which stations jump."""
+    hope = folder / "hope-melpitz-1s"
+    read = read_measured_ghi(hope / "ghi_20130908_0915_0955.csv", hope / "positions.csv")
+    sun = get_solarposition(read.times, read.lat_deg.mean(), read.lon_deg.mean(), altitude=86.0)
+    height = np.sin(np.deg2rad(sun["elevation"].to_numpy()))
+    limit_wm2 = get_extra_radiation(read.times).to_numpy() * height
+    above = read.ghi_wm2 > limit_wm2[:, None]
+    mean_above = read.ghi_wm2.mean(axis=1) > limit_wm2
+    jumps = (np.abs(np.diff(read.ghi_wm2, axis=0)) > 200.0).sum(axis=0)
+    jumping = [f"{name} ({n})" for name, n in zip(read.sensors, jumps, strict=True) if n]
+    yield from header(["HOPE", ""])
+    yield row(
+        [
+            "irradiance outside the atmosphere",
+            f"{limit_wm2.min():.0f} to {limit_wm2.max():.0f} W/m²",
+        ]
+    )
+    yield row(
+        ["values above it", f"{100.0 * above.mean():.1f} %, of {above.any(axis=0).sum()} stations"]
+    )
+    yield row(
+        ["time in which the mean of all stations is above it", f"{100.0 * mean_above.mean():.1f} %"]
+    )
+    yield row(
+        ["stations that change by more than 200 W/m² in 1 s, and how often", ", ".join(jumping)]
+    )
+
+
+TABLES: Final[Tables] = {
+    "beyond the atmosphere": beyond_the_atmosphere,
+    "skies": side_by_side,
+    "another kind": another_kind,
+    "evolution": evolution,
+}

@@ -1,0 +1,191 @@
+"""What the death, the standstill and the isolation of each kind of controller cost.
+
+`python benchmarks/faults.py` simulates six parts of the hour and takes the worst of each figure;
+`--real` runs real processes at the pace of the clock, two minutes for each row. `--standby` gives
+every parent a standby. `--only central,c2` chooses rows.
+
+One fault comes 30.7 s after the first cycle, so that what takes half a second costs a cycle. All
+figures are taken from the recording, beside that of a simulated run without a fault:
+
+noticed     until the first message that goes without an input of the stopped controller
+normal      until no message lacks an input and power is within 1 % of the rating of the run
+            without a fault, for good; "-": it never left that state
+over        most power, and energy, above what was desired, or given without a fault
+under       most power, and energy, below both
+missing     messages that were not sent, and those that were lost on their way
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+import heliarch
+from bus_schemas.messages import Production, Run
+from recordings import open_run
+from studies.tables import Cell, Column, Table, key_column, print_table
+
+AT_S: Final = 30.7
+LENGTH: Final = "120s"
+NEAR_SHARE: Final = 0.01
+VICTIMS: Final = {
+    "central": "central controller",
+    "c2": "supervisor",
+    "c2/inv07": "direct controller",
+    "*": "all controllers",
+}
+FAULTS: Final = {
+    "kill": "kill={},at=30.7s",
+    "freeze 3 s": "freeze={},at=30.7s..33.7s",
+    "freeze 15 s": "freeze={},at=30.7s..45.7s",
+    "cut off 30 s": "partition={}|*,at=30.7s..60.7s",
+}
+STARTS: Final = ("12:00", "12:10", "12:20", "12:30", "12:40", "12:50")
+REAL: Final = ("kill", "freeze 15 s")
+"""Of real processes a smaller set: each row takes two minutes."""
+
+
+class Recorded(NamedTuple):
+    """What the figures rest on.
+
+    Attributes
+    ----------
+    power_kw, desired_kw
+        Of the plant, shape (cycles,).
+    sent
+        Key and cycle of each message that comes in every cycle.
+    lacking
+        Messages that go without an input: time after cycle 0 [s], cycle, and the keys they lack.
+    rating_kw, lost
+        Of the plant; messages that were lost on their way.
+    """
+
+    power_kw: NDArray[np.float64]
+    desired_kw: NDArray[np.float64]
+    sent: set[tuple[str, int]]
+    lacking: list[tuple[float, int, str]]
+    rating_kw: float
+    lost: int
+
+
+def main() -> None:
+    """Run every fault; print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--real", action="store_true")
+    parser.add_argument("--standby", action="store_true")
+    parser.add_argument("--scenario", default="oahu")
+    parser.add_argument("--only", default=",".join(VICTIMS))
+    words = parser.parse_args()
+    settings = {"standby": ["central", "supervisors"]} if words.standby else {}
+    rows: list[tuple[Cell, ...]] = []
+    with TemporaryDirectory() as folder:
+
+        def run(start: str, faults: tuple[str, ...] = ()) -> Recorded:
+            place = Path(folder, str(len(list(Path(folder).iterdir()))))
+            if words.real and faults:
+                launch(words.scenario, start, faults[0], settings, place)
+            else:
+                heliarch.simulate(
+                    words.scenario,
+                    start=start,
+                    duration=LENGTH,
+                    faults=faults,
+                    settings=settings if faults else {},
+                    out=place,
+                )
+            return recorded(place)
+
+        starts = STARTS[:1] if words.real else STARTS
+        healthy = [run(start) for start in starts]
+        for victim in words.only.split(","):
+            for name in REAL if words.real else FAULTS:
+                found = [run(start, (FAULTS[name].format(victim),)) for start in starts]
+                worst = map(max, zip(*map(figures, found, healthy), strict=True))
+                numbers = (None if number < 0.0 else number for number in worst)
+                rows.append((VICTIMS.get(victim, victim), name, *numbers))
+    how = "real processes" if words.real else "simulated"
+    title = f"{words.scenario}, {how}, {'with' if words.standby else 'without'} standby"
+    keys = (key_column("Controller"), key_column("Fault"))
+    measures = (
+        *(("noticed", "s", 2), ("normal", "s", 1), ("over", "kW", 0), ("over", "kWh", 2)),
+        *(("under", "kW", 0), ("under", "kWh", 2), ("missing", "", 0)),
+    )
+    columns = (*keys, *(Column(*measure) for measure in measures))
+    print_table(Console(width=100), Table(title, columns, tuple(rows)))
+
+
+def launch(
+    scenario: str, start: str, fault: str, settings: dict[str, list[str]], folder: Path
+) -> None:
+    """Run a scenario over real processes, with a fault."""
+    words = ["--from", start, "--duration", LENGTH, "--pace", "1", "--fault", fault]
+    for name, value in settings.items():
+        words += ["--set", f"{name}={json.dumps(value)}"]
+    program = [sys.executable, "-m", "launch_scripts", "launch", scenario, "--out", str(folder)]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    done = subprocess.run(
+        [*program, *words], env=environment, capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        raise SystemExit(f"{fault}: {done.stderr}")
+
+
+def recorded(folder: Path) -> Recorded:
+    """Read what the figures rest on from a recording."""
+    produced: list[Production] = []
+    sent: set[tuple[str, int]] = set()
+    lacking = []
+    start_ns = 0
+    with open_run(folder) as run:
+        for port, message in run.messages():
+            if isinstance(message, Run):
+                start_ns = message.start_time_ns if message.state == "start" else start_ns
+                continue
+            if run.plan.period(port) and port.signal.name not in {"help", "notice", "takeover"}:
+                sent.add((str(port), message.cycle))
+            if isinstance(message, Production):
+                produced.append(message)
+            for key in message.missing:
+                lacking.append(((message.publish_time_ns - start_ns) / 1e9, message.cycle, key))
+        rating_kw = run.plan.tree.rating_kw("")
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    return Recorded(
+        np.array([one.delivered_kw for one in produced]),
+        np.array([one.desired_kw for one in produced]),
+        sent,
+        lacking,
+        rating_kw,
+        summary["faults"].get("lost", 0),
+    )
+
+
+def figures(found: Recorded, healthy: Recorded) -> Iterator[float]:
+    """Yield the numbers of a row; -1 for a time at which nothing came about."""
+    after = [entry for entry in found.lacking if entry[0] >= AT_S]
+    noticed_s = min((time_s for time_s, _, _ in after), default=None)
+    yield -1.0 if noticed_s is None else noticed_s - AT_S
+    apart_kw = np.abs(found.power_kw - healthy.power_kw)
+    apart = np.flatnonzero(apart_kw > NEAR_SHARE * found.rating_kw)
+    last = max([*apart.tolist(), *(cycle for _, cycle, _ in after)], default=None)
+    yield -1.0 if last is None else last + 1 - AT_S
+    over_kw = found.power_kw - np.maximum(found.desired_kw, healthy.power_kw)
+    under_kw = np.minimum(found.desired_kw, healthy.power_kw) - found.power_kw
+    for kw in (over_kw, under_kw):
+        yield max(float(kw.max()), 0.0)
+        yield float(np.maximum(kw, 0.0).sum()) / 3600.0
+    yield float(len(healthy.sent - found.sent) + found.lost)
+
+
+if __name__ == "__main__":
+    main()

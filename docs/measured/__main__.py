@@ -1,0 +1,59 @@
+"""Measures the tables of the documents: `make results DATA=FOLDER`.
+
+    python docs/measured [DATA [PAGE...]]
+
+Each table stands between `<!-- measured: NAME -->` and `<!-- end -->`. DATA holds the measurements
+in folders of their own; without it, tables that rest on them stay as they are. With pages, such as
+clusters.md, only theirs are measured.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+from pathlib import Path
+from typing import Final
+
+import clouds
+import clusters
+import delays
+import regulation
+import results
+from tables import DOCUMENTS, Tables
+
+FROM_SYNTHETIC: Final[dict[str, Tables]] = {
+    "results.md": results.FROM_SYNTHETIC,
+    "clusters.md": clusters.FROM_SYNTHETIC,
+    "delays.md": delays.TABLES,
+}
+FROM_DATA: Final[dict[str, Tables]] = {
+    "results.md": results.FROM_DATA,
+    "clusters.md": clusters.FROM_DATA,
+    "clouds.md": clouds.TABLES,
+    "metrics.md": regulation.TABLES,
+}
+
+
+def main() -> None:
+    """Measure the tables, and write each into its document when it is done."""
+    data = Path(sys.argv[1]) if len(sys.argv) > 1 else None
+    began = time.monotonic()
+    for page in sys.argv[2:] or dict.fromkeys((*FROM_SYNTHETIC, *FROM_DATA)):
+        tables = FROM_SYNTHETIC.get(page, {}) | (FROM_DATA.get(page, {}) if data else {})
+        for name, write in tables.items():
+            start = time.monotonic()
+            lines = "\n".join(write(data or Path()))
+            text = (DOCUMENTS / page).read_text(encoding="utf-8")
+            marked = rf"(<!-- measured: {re.escape(name)} -->\n).*?(<!-- end -->)"
+            # A table has no backslash: it may stand in the replacement.
+            text, count = re.subn(marked, rf"\g<1>{lines}\n\g<2>", text, flags=re.S)
+            (DOCUMENTS / page).write_text(text, encoding="utf-8")
+            if count != 1:
+                sys.exit(f"{page}: expected one table {name}, got {count}")
+            print(f"{page}, {name}: {time.monotonic() - start:.0f} s", flush=True)
+    print(f"{(time.monotonic() - began) / 60.0:.0f} min in all")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,283 @@
+"""The tables of docs/clusters.md."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from statistics import fmean, median
+from typing import Any, Final
+
+import pandas as pd
+from tables import WORKERS, Lines, Tables, header, heliarch, hope, plant, row
+
+from agents.periods import Periods
+from heliarch import compare, load_scenario
+from launch_scripts.scenarios.scenario import ScenarioFile
+
+HOUR_C: Final = "--set irradiance.currents=hour_c.csv"
+
+
+def cases(data: Path) -> dict[str, str]:
+    """Return the command of each measured case, and of its half without hindsight."""
+    hope_data = data / "hope-melpitz-1s"
+    plant_data = data / "plant20mw-combiners-10s"
+    found = {
+        "HOPE": f"hope-melpitz --data {hope_data} --random 200",
+        "hour a": f"plant20mw --data {plant_data} --random 200",
+        "hour c": f"plant20mw --data {plant_data} --random 200 {HOUR_C}",
+    }
+    for name, learn in (("HOPE", "20m"), ("hour a", "30m"), ("hour c", "30m")):
+        found[f"{name}, second half"] = f"{found[name]} --learn {learn}"
+    return found
+
+
+SYNTHETIC: Final = {"oahu": "oahu", "oahu-day": "oahu-day --random 10"}
+
+
+@cache
+def study(words: str) -> Any:
+    """Return the JSON of `heliarch clusters`."""
+    return heliarch(f"clusters {words} --workers {WORKERS}")
+
+
+def ways(found: dict[str, str]) -> Lines:
+    """Write each way to choose clusters, of each case."""
+    studies = {case: study(words) for case, words in found.items()}
+    periods = [
+        one["central_period_s"] for one in next(iter(studies.values()))["ways"][0]["shortfalls"]
+    ]
+    yield from header(
+        [
+            *("", "clusters", "correlation, past", "run", "to central %, all", "able"),
+            *(f"control-caused %, {period_s:g} s" for period_s in periods),
+            "begun lacking",
+        ]
+    )
+    for case, one in studies.items():
+        of_way: dict[str, list[list[float]]] = {}
+        for way in one["ways"]:
+            of_way.setdefault(way["clusters"], []).append(figures(way))
+        for name, rows in of_way.items():
+            columns = list(zip(*rows, strict=True))
+            means = [written(at, fmean(column)) for at, column in enumerate(columns)]
+            yield row([case, name if len(rows) == 1 else f"{name}, mean of {len(rows)}", *means])
+            if len(rows) > 1:
+                ranges = [
+                    f"{written(at, min(column))} to {written(at, max(column))}"
+                    for at, column in enumerate(columns)
+                ]
+                yield row([case, f"{name}, least to most", *ranges])
+
+
+def figures(way: Any) -> list[float]:
+    """Return the figures of one choice of clusters."""
+    return [
+        way["past_correlation"],
+        way["run_correlation"],
+        way["central_percent"],
+        way["central_percent_if_plant_sufficient"],
+        *(one["control_caused_percent"] for one in way["shortfalls"]),
+        way["shortfalls"][-1]["begun_lacking_percent"],
+    ]
+
+
+def written(column: int, value: float) -> str:
+    """Return a figure as it stands in the table: shares of cycles with one decimal."""
+    return f"{value:.1f}" if column in {2, 3} else f"{value:.3f}"
+
+
+def measured_ways(*names: str) -> Callable[[Path], Lines]:
+    """Return what writes the ways to choose clusters of some measured cases."""
+    return lambda data: ways({name: cases(data)[name] for name in names})
+
+
+def better_than_virtual(data: Path) -> Lines:
+    """Write how many random choices do better than the virtual clusters."""
+    yield from header(
+        ["", "random choices", "call the central controller less", "miss less at 60 s"]
+    )
+    for case, words in (cases(data) | SYNTHETIC).items():
+        virtual, *others = (
+            (way["central_percent"], way["shortfalls"][-1]["control_caused_percent"])
+            for way in study(words)["ways"]
+            if way["clusters"] in {"virtual", "random"}
+        )
+        counts = [sum(other[at] < virtual[at] for other in others) for at in (0, 1)]
+        yield row([case, len(others), *counts])
+
+
+def orders(data: Path) -> Lines:
+    """Write what each order of help misses at 60 s."""
+    found = {name: words for name, words in cases(data).items() if "half" not in name} | SYNTHETIC
+    studies = {name: study(words) for name, words in found.items()}
+    yield from header(["", *(one["order"] for one in studies["HOPE"]["orders"])])
+    for name, one in studies.items():
+        missed = [order["shortfalls"][-1]["control_caused_percent"] for order in one["orders"]]
+        yield row([name, *(f"{value:.4f}" for value in missed)])
+
+
+def search(data: Path) -> Lines:
+    """Write how the search for virtual clusters ended."""
+    yield from header(["", "best", "median", "worst", "starts at the best, of 20"])
+    found = {name: words for name, words in cases(data).items() if "half" not in name} | SYNTHETIC
+    for name, words in found.items():
+        starts = study(words)["search"]["correlation_of_starts"]
+        best = sum(value < min(starts) + 1e-9 for value in starts)
+        yield row([name, *(f"{pick(starts):.4f}" for pick in (min, median, max)), best])
+
+
+def ten_skies(data: Path) -> Lines:
+    """Write the means over ten skies at 60 s."""
+    found: dict[str, list[float]] = {}
+    for seed in range(1, 11):
+        one = study(f"oahu --random 5 --periods 1,60 --seed {seed}")
+        of_way: dict[str, list[float]] = {}
+        for way in one["ways"]:
+            missed = way["shortfalls"][-1]["control_caused_percent"]
+            of_way.setdefault(way["clusters"], []).append(missed)
+        for name, values in of_way.items():
+            found.setdefault(name, []).append(fmean(values))
+    virtual = found["virtual"]
+    yield from header(
+        ["clusters", "control-caused %, 60 s", "skies on which they miss less than virtual"]
+    )
+    for name in ("virtual", "geographic", "random"):
+        values = found[name]
+        less = sum(a < b for a, b in zip(values, virtual, strict=True))
+        yield row([name, f"{fmean(values):.3f}", "" if name == "virtual" else less])
+
+
+# Topping up ---------------------------------------------------------------------------------------
+
+
+@contextmanager
+def nothing_topped_up() -> Iterator[None]:
+    """Let no parent top up its children between its turns."""
+    before = Periods.rests_between
+    Periods.rests_between = lambda self, node: False  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        Periods.rests_between = before  # type: ignore[method-assign]
+
+
+def once_a_minute(data: Path) -> dict[str, tuple[ScenarioFile, dict[str, Any], int]]:
+    """Return scenario and settings of each case, and the cycles in a minute."""
+    real = plant(data)
+    return {
+        "HOPE": (hope(data), {}, 60),
+        "hour a": (real, {}, 6),
+        "hour c": (real, {"irradiance.currents": "hour_c.csv"}, 6),
+        "oahu": (load_scenario("oahu"), {}, 60),
+        "oahu-day": (load_scenario("oahu-day"), {}, 60),
+    }
+
+
+@cache
+def topped(data: Path, case: str, clusters: str, scheme: str, tops_up: bool, always: bool) -> Any:
+    """Return the figures of one run."""
+    scenario, settings, minute = once_a_minute(data)[case]
+    chosen: dict[str, Any] = {
+        "virtual": {},
+        "geographic": {"control.clusters": "geographic"},
+        "one": {"control.cluster_count": [[1]]}
+        if minute == 6
+        else {"control.cluster_sizes": [[[17]]]},
+    }[clusters]
+    period = {"control.period_cycles": [[1 if always else minute, 1]]}
+    run = compare(scenario, schemes=[scheme], settings=settings | chosen | period)
+    return run.iloc[0]
+
+
+def topping_up(data: Path) -> Lines:
+    """Write what topping up saves, by the choice of clusters."""
+    columns = {
+        **{
+            f"{name}, {'topped up' if tops_up else 'not topped up'}": (name, "predictive", tops_up)
+            for name in ("one", "virtual", "geographic")
+            for tops_up in (False, True)
+        },
+        "virtual, `paper`": ("virtual", "paper", True),
+        "geographic, `paper`": ("geographic", "paper", True),
+    }
+    yield from header(["", *columns, "virtual, always acting"])
+    for case in once_a_minute(data):
+        found = [run_of(data, case, *what) for what in columns.values()]
+        found.append(topped(data, case, "virtual", "predictive", True, True))
+        yield row([case, *(f"{one['control-caused']:.3f}" for one in found)])
+
+
+def run_of(data: Path, case: str, clusters: str, scheme: str, tops_up: bool) -> pd.Series[Any]:
+    """Return the figures of a run whose central controller acts once a minute."""
+    if tops_up:
+        return topped(data, case, clusters, scheme, True, False)
+    with nothing_topped_up():
+        return topped(data, case, clusters, scheme, False, False)
+
+
+def cost_of_topping_up(data: Path) -> Lines:
+    """Write what topping up costs with virtual clusters."""
+    figures_of = {"over-delivered": ("over-delivered %", 3), "mileage": ("mileage kW/h", 0)}
+    ways_to_act = ("not topped up", "topped up", "always acting", "paper")
+    titles = [f"{title}, {way}" for title, _ in figures_of.values() for way in ways_to_act]
+    yield from header(["", *titles])
+    for case in once_a_minute(data):
+        found = [
+            run_of(data, case, "virtual", "predictive", False),
+            run_of(data, case, "virtual", "predictive", True),
+            topped(data, case, "virtual", "predictive", True, True),
+            run_of(data, case, "virtual", "paper", True),
+        ]
+        numbers = [
+            f"{one[name]:,.{decimals}f}"
+            for name, (_, decimals) in figures_of.items()
+            for one in found
+        ]
+        yield row([case, *numbers])
+
+
+def by_share(data: Path) -> Lines:
+    """Write needy cycles with the paper's scheme on HOPE, by the commitment."""
+    yield from header(
+        [
+            *("commitment, share of median", "needy cycles %"),
+            *("to central %, all, virtual / geographic", "able"),
+            *("by cluster, all", "by cluster, able"),
+        ]
+    )
+    for share in (0.5, 0.6, 0.7, 0.8, 0.9):
+        one = study(
+            f"hope-melpitz --data {data / 'hope-melpitz-1s'} --scheme paper --periods 1 --random 1 "
+            f"--set commitment.share={share}"
+        )
+        virtual, geographic = (
+            next(way["help"] for way in one["ways"] if way["clusters"] == name)
+            for name in ("virtual", "geographic")
+        )
+        needy = 100.0 * virtual["plant"]["needy"] / virtual["cycles"]
+        counts = ("plant", "plant_sufficient", "clusters", "clusters_sufficient")
+        pairs = [f"{share_of(virtual[k])} / {share_of(geographic[k])}" for k in counts]
+        yield row([share, f"{needy:.1f}", *pairs])
+
+
+def share_of(calls: dict[str, int]) -> str:
+    """Return the share of the needy cycles that reach the central controller."""
+    return f"{100.0 * calls['central'] / calls['needy']:.1f}" if calls["needy"] else "-"
+
+
+FROM_SYNTHETIC: Final[Tables] = {
+    "oahu": lambda data: ways(SYNTHETIC),
+    "ten skies": ten_skies,
+}
+FROM_DATA: Final[Tables] = {
+    "HOPE": measured_ways("HOPE", "HOPE, second half"),
+    "plant": measured_ways("hour a", "hour c", "hour a, second half", "hour c, second half"),
+    "better": better_than_virtual,
+    "topping up": topping_up,
+    "cost of topping up": cost_of_topping_up,
+    "orders": orders,
+    "search": search,
+    "by share": by_share,
+}

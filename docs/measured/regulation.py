@@ -1,0 +1,128 @@
+"""The tables of docs/metrics.md: the synthetic RegD beside two days of the real one."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from regd_statistics import DAY, outside, statistics
+from scipy.optimize import least_squares
+from tables import Lines, Tables, header, row
+
+from sim_plant import synthetic_regd
+from sim_plant.regulation import read_signal
+
+DAYS: Final = ("2020-07-16", "2020-07-22")
+BEGINNING: Final = {
+    "_NEUTRAL_S": 3000.0,
+    "_PLATEAU_S": 1000.0,
+    "_SLOPE": 1.0,
+    "_PACE_LOG_STD": 1.0,
+    "_PACE_MEMORY_S": 60.0,
+    "_SMOOTH_S": 60.0,
+    "_ROUGHNESS": 0.05,
+    "_STD": 0.5,
+}
+"""The constants that are fitted, and where the fit begins."""
+SEEDS: Final = range(1)
+JUDGED_WITH: Final = range(5)
+
+Days = list[dict[str, float]]
+
+
+@cache
+def real_day(data: Path, date: str) -> dict[str, float]:
+    """Return the statistics of a day of the real signal."""
+    return statistics(read_signal(data / "pjm-regd-2s" / f"regd_{date}.csv").value[:DAY])
+
+
+def synthetic_days(seed: int) -> Days:
+    """Return the statistics of the 40 days of a seed."""
+    return [statistics(day) for day in synthetic_regd.synthetic_regd(seed).reshape(-1, DAY)]
+
+
+def days(data: Path) -> Lines:
+    """Write both real days beside the synthetic ones."""
+    whole = statistics(synthetic_regd.synthetic_regd(0))
+    single = synthetic_days(0)
+    yield from header(["", *DAYS, "synthetic", "its days"])
+    for name, value in whole.items():
+        least, most = (pick(day[name] for day in single) for pick in (min, max))
+        figures = [*(real_day(data, date)[name] for date in DAYS), value]
+        yield row([name, *(f"{one:.3f}" for one in figures), f"{least:.3f} to {most:.3f}"])
+
+
+def held_out(data: Path) -> Lines:
+    """Fit the constants to each real day alone; write in what both are outside of 40 days."""
+    yield from header(["fitted to", "seed", *(f"{date} is outside in" for date in DAYS)])
+    shipped = {name: getattr(synthetic_regd, name) for name in BEGINNING}
+    try:
+        for date in DAYS:
+            fit(real_day(data, date))
+            for seed in JUDGED_WITH:
+                single = synthetic_days(seed)
+                found = [outside(real_day(data, one), single) for one in DAYS]
+                yield row([date, seed, *("; ".join(names) or "nothing" for names in found)])
+            use(shipped)
+    finally:
+        use(shipped)
+
+
+def fit(real: dict[str, float]) -> None:
+    """Fit the constants to a real day, and leave them in use."""
+    names = [name for name in real if name != "mean"]
+    spread = {name: np.std([day[name] for day in synthetic_days(0)]) for name in names}
+
+    def apart(logarithms: NDArray[np.float64]) -> NDArray[np.float64]:
+        use(dict(zip(BEGINNING, np.exp(logarithms).tolist(), strict=True)))
+        days = [day for seed in SEEDS for day in synthetic_days(seed)]
+        medians = {name: np.median([day[name] for day in days]) for name in names}
+        return np.array([(medians[name] - real[name]) / spread[name] for name in names])
+
+    apart(least_squares(apart, np.log(list(BEGINNING.values())), diff_step=0.03, max_nfev=14).x)
+
+
+def use(constants: dict[str, float]) -> None:
+    """Put constants of the synthetic signal in place."""
+    for name, value in constants.items():
+        setattr(synthetic_regd, name, value)
+
+
+def parts(data: Path) -> Lines:
+    """Write by how much parts of the first day differ, beyond parts of equal synthetic days."""
+    alike = synthetic_regd._DAY_STDS
+    synthetic_regd._DAY_STDS = (0.0, 0.0, 0.0, 0.0)
+    try:
+        equal_days = synthetic_regd.synthetic_regd(0).reshape(-1, DAY)
+    finally:
+        synthetic_regd._DAY_STDS = alike
+    real = read_signal(data / "pjm-regd-2s" / f"regd_{DAYS[0]}.csv").value[:DAY]
+    differing = synthetic_regd.synthetic_regd(0).reshape(-1, DAY)
+    yield from header(
+        ["standard deviation of", "parts of 2 h", "3 h", "4 h", "whole synthetic days"]
+    )
+    for title, measure in (
+        ("the logarithm of the mileage", lambda of: np.abs(np.diff(of)).mean(axis=-1)),
+        ("the logarithm of the mean absolute value", lambda of: np.abs(of).mean(axis=-1)),
+    ):
+
+        def variance(day: NDArray[np.float64], hours: int) -> float:
+            of_parts = measure(day.reshape(24 // hours, -1))  # noqa: B023
+            return float(np.var(np.log(of_parts), ddof=1))
+
+        beyond = [
+            variance(real, hours) - np.mean([variance(day, hours) for day in equal_days])
+            for hours in (2, 3, 4)
+        ]
+        of_days = np.std(np.log(measure(differing)))
+        yield row([title, *(f"{max(one, 0.0) ** 0.5:.2f}" for one in beyond), f"{of_days:.2f}"])
+
+
+TABLES: Final[Tables] = {
+    "RegD": days,
+    "RegD, held out": held_out,
+    "RegD, parts": parts,
+}

@@ -1,0 +1,126 @@
+"""Standbys of parents, in memory on a virtual clock: they take over within one cycle."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import msgspec
+import pytest
+from typer.testing import CliRunner
+
+from agents.plan import RunPlan
+from bus_schemas.messages import Message, Takeover
+from bus_schemas.signals import SETPOINT, Port
+from bus_schemas.tree import CENTRAL
+from launch_scripts.cli import app
+from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
+from launch_scripts.scenarios.fault_rules import parse_fault
+from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.scenario import load_scenario
+
+CYCLES = 60
+PARENTS = ("central", "c1", "c2", "c3")
+
+
+@pytest.fixture(scope="module")
+def oahu() -> Preparation:
+    return prepare(load_scenario("oahu"), RunOptions(duration=str(CYCLES)), "standby")
+
+
+class Run:
+    """A run with a standby of each parent, and what was sent."""
+
+    def __init__(self, prepared: Preparation, *faults: str, **changes: object) -> None:
+        self.sent: list[tuple[Port[Message], Message]] = []
+        rules = tuple(map(parse_fault, faults))
+        changed = {"standby": PARENTS, **changes}
+        plan: RunPlan = msgspec.structs.replace(prepared.plan, faults=rules, **changed)
+        self.memory = MemoryRun(
+            on_the_clock(plan), prepared.profile, lambda *sent: self.sent.append(sent)
+        )
+        assert list(self.memory.cycles()) == list(range(CYCLES))
+
+    @property
+    def takeovers(self) -> list[tuple[str, int]]:
+        return [(one.source, one.cycle) for _, one in self.sent if isinstance(one, Takeover)]
+
+    def setpoints_of(self, agent: str) -> dict[int, set[int]]:
+        """The incarnations that sent setpoints, cycle by cycle."""
+        found: dict[int, set[int]] = {}
+        for port, message in self.sent:
+            if port.signal is SETPOINT and message.source == agent:
+                found.setdefault(message.cycle, set()).add(message.incarnation)
+        return found
+
+    @property
+    def missed(self) -> int:
+        return sum(loop.missing_inputs for loop in self.memory.loops.values())
+
+
+@pytest.mark.parametrize("victim", ["central", "c2"])
+@pytest.mark.parametrize("at_s", [20.0, 20.8])
+def test_nobody_misses_a_parent_that_has_a_standby(
+    oahu: Preparation, victim: str, at_s: float
+) -> None:
+    run = Run(oahu, f"kill={victim},at={at_s}s")
+    ((agent, cycle),) = run.takeovers
+    assert (agent, cycle in {20, 21}) == (victim, True)
+    setpoints = run.setpoints_of(victim)
+    assert setpoints == {k: {0 if k < cycle else cycle} for k in range(CYCLES)}
+    assert run.missed == 0
+    assert Run(oahu, f"kill={victim},at={at_s}s", standby=()).missed > 0
+
+
+def test_it_goes_on_with_what_the_other_process_knew(oahu: Preparation) -> None:
+    faults = ("delay=1ms",)
+    healthy = Run(oahu, *faults)
+    run = Run(oahu, *faults, "kill=central,at=40s")
+    assert healthy.takeovers == []
+    decided = [
+        [message.power_kw for port, message in one.sent if port.signal is SETPOINT]  # type: ignore[attr-defined]
+        for one in (healthy, run)
+    ]
+    assert decided[0] == decided[1]
+
+
+def test_one_that_stood_still_is_refused_and_stands_by(oahu: Preparation) -> None:
+    run = Run(oahu, "freeze=c2,at=20s..23s", "kill=c2,at=40s")
+    assert run.takeovers == [("c2", 20), ("c2", 40)]
+    loops = run.memory.loops
+    assert not loops["c2"].silent, "the first process speaks again, after the second one was killed"
+    assert loops["c2+standby"].silent
+    assert run.missed == 0
+
+
+def test_where_both_are_gone_one_takes_over_after_its_return(oahu: Preparation) -> None:
+    run = Run(oahu, "kill=c2,at=20s", "kill=c2,at=20.4s")
+    assert [agent for agent, _ in run.takeovers] == ["c2", "c2"]
+    assert run.memory.restarts == {"c2": 1, "c2+standby": 1}
+    speaking = [name for name in ("c2", "c2+standby") if not run.memory.loops[name].silent]
+    assert len(speaking) == 1
+    assert all(len(incarnations) == 1 for incarnations in run.setpoints_of("c2").values())
+
+
+def test_an_agent_cut_off_from_others_keeps_its_process(oahu: Preparation) -> None:
+    run = Run(oahu, f"partition=c2|{CENTRAL},at=20s..30s", "loss=20%")
+    assert run.takeovers == []
+
+
+def test_a_recording_with_takeovers_is_repeated_and_says_who_took_over(tmp_path: Path) -> None:
+    faults = ("kill=central,at=10.2s", "freeze=c1,at=15s..17s", "kill=c2,at=20s", "loss=5%")
+    words = [word for fault in faults for word in ("--fault", fault)]
+    run = tmp_path / "run"
+    standby = ["--set", 'standby=["central","supervisors"]']
+    command = ["simulate", "oahu", "--duration", "30s", *standby, *words, "--out", str(run)]
+    simulated = CliRunner().invoke(app, command)
+    assert simulated.exit_code == 0, simulated.output
+    assert json.loads((run / "summary.json").read_bytes())["takeovers"] == {
+        "central": 1,
+        "c1": 1,
+        "c2": 1,
+    }
+    verified = CliRunner().invoke(app, ["verify", str(run)])
+    assert verified.exit_code == 0, verified.output
+    inspected = " ".join(CliRunner().invoke(app, ["inspect", str(run)]).output.split())
+    assert "c1 was taken over by its standby in cycle 15" in inspected

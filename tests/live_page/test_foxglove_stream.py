@@ -1,0 +1,154 @@
+"""A viewer that speaks Foxglove's protocol is sent the messages of a run."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from jsonschema import Draft202012Validator
+from recordings_by_hand import PLAN, SCENARIO, cycle_of_the_plant, whole_run, write_run
+
+from bus_schemas.bus import Outbox
+from bus_schemas.codec import encode
+from bus_schemas.errors import InputError
+from live_page.run_view import RunView
+from recordings.record.writer import RunWriter
+
+pytest.importorskip("foxglove", reason="foxglove-sdk is not installed: heliarch[foxglove]")
+client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
+from live_page.foxglove_stream import FoxgloveStream  # noqa: E402
+
+TIME, MESSAGE = 2, 1
+KEYS = {PLAN.keys.key(port) for port in PLAN.keys.ports if port.signal.logged}
+
+
+class Viewer:
+    """A viewer that has asked for some topics."""
+
+    def __init__(self, connection: Any) -> None:  # noqa: ANN401 - websockets may not be there
+        self._connection = connection
+        self.channels: dict[str, dict[str, Any]] = {}
+        self.times: set[int] = set()
+        self._asked: list[str] = []
+
+    def await_channels(self) -> None:
+        """Take what is said until all topics are known."""
+        while len(self.channels) < len(KEYS):
+            said = json.loads(self._connection.recv(timeout=30))
+            self.channels |= {channel["topic"]: channel for channel in said.get("channels", ())}
+
+    def ask(self, *topics: str) -> None:
+        """Subscribe to topics."""
+        self._asked += topics
+        wanted = [
+            {"id": self._asked.index(topic), "channelId": self.channels[topic]["id"]}
+            for topic in topics
+        ]
+        self._connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+    def messages(self) -> Iterator[tuple[str, int, dict[str, Any]]]:
+        """Yield messages as they come: topic, time, fields."""
+        while True:
+            said = self._connection.recv(timeout=30)
+            if isinstance(said, bytes) and said[0] == TIME:
+                self.times.add(struct.unpack_from("<Q", said, 1)[0])
+            elif isinstance(said, bytes) and said[0] == MESSAGE:
+                number, time_ns = struct.unpack_from("<IQ", said, 1)
+                yield self._asked[number], time_ns, json.loads(said[13:])
+
+
+@contextmanager
+def viewer_of(run: Path) -> Iterator[Viewer]:
+    """Stream a run; connect a viewer to it."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    stream = FoxgloveStream(RunView(run), port)
+    loop = asyncio.new_event_loop()
+    serving = loop.create_task(stream.serve())
+    serving.add_done_callback(lambda _: loop.stop())
+    thread = threading.Thread(target=loop.run_forever)
+    thread.start()
+    try:
+        with client.connect(
+            f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], max_size=None
+        ) as connection:
+            yield Viewer(connection)
+    finally:
+        loop.call_soon_threadsafe(serving.cancel)
+        thread.join(20)
+        assert not thread.is_alive()
+
+
+def test_a_recording_is_played_on_a_channel_for_each_key(tmp_path: Path) -> None:
+    write_run(tmp_path / "run.mcap", whole_run(60))
+    with viewer_of(tmp_path) as viewer:
+        viewer.await_channels()
+        assert viewer.channels.keys() == KEYS
+        assert {channel["encoding"] for channel in viewer.channels.values()} == {"json"}
+        viewer.ask("field/production", "field/c1/b/setpoint")
+        seen = []
+        for topic, time_ns, fields in viewer.messages():
+            Draft202012Validator(json.loads(viewer.channels[topic]["schema"])).validate(fields)
+            seen.append((topic, fields["cycle"]))
+            if topic == "field/production":
+                assert time_ns == fields["sim_time_ns"] == PLAN.sim_time_ns(fields["cycle"])
+                assert fields["delivered_kw"] == 239.0
+            else:
+                assert fields["help_given"] == [{"needy": "c1/a", "power_kw": 20.0}]
+            if len(seen) == 20:
+                break
+        assert PLAN.sim_time_ns(0) in viewer.times
+        assert seen == [
+            (topic, cycle)
+            for cycle in range(10)
+            for topic in sorted({"field/production", "field/c1/b/setpoint"})
+        ]
+
+
+def test_a_run_is_followed_while_it_is_recorded(tmp_path: Path) -> None:
+    outbox = Outbox()
+    writer = RunWriter(tmp_path / "run.mcap", PLAN, SCENARIO, driver="simulate")
+
+    def add(cycle: int) -> None:
+        for port, message in cycle_of_the_plant(cycle):
+            outbox.stamp(port, message, time.monotonic_ns())
+            writer.add(port, message, encode(message), time.monotonic_ns())
+        writer.flush()
+
+    for cycle in range(10):
+        add(cycle)
+    with viewer_of(tmp_path) as viewer:
+        viewer.await_channels()
+        viewer.ask("field/production")
+        cycles = (fields["cycle"] for _, _, fields in viewer.messages())
+        assert 9 in cycles
+        add(10)
+        assert next(cycles) == 10
+    writer.close()
+
+
+def test_the_channels_are_there_before_the_run_begins(tmp_path: Path) -> None:
+    (tmp_path / "plan.json").write_bytes(PLAN.as_json())
+    with viewer_of(tmp_path) as viewer:
+        viewer.await_channels()
+        viewer.ask("field/dispatch")
+        write_run(tmp_path / "run.mcap", whole_run(20))
+        _, _, fields = next(viewer.messages())
+    assert fields["power_kw"] == 240.0
+
+
+def test_a_port_in_use_is_named(tmp_path: Path) -> None:
+    write_run(tmp_path / "run.mcap", whole_run(1))
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=f"--foxglove.*{port}"):
+            FoxgloveStream(RunView(tmp_path), port)

@@ -1,0 +1,104 @@
+"""Random kills on real processes, for long: what they leave behind. `make soak`."""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+import signal
+from collections import Counter
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import psutil
+import pytest
+from running import Heliarch, assert_none_left, small_plant
+from verifying import findings, verified
+
+from agents.plan import load_plan
+from bus_schemas.tree import PLANT, RECORDER
+
+pytestmark = [pytest.mark.processes, pytest.mark.soak]
+
+SOAK_S = int(os.environ.get("SOAK_S", "1800"))
+RATE = 5
+CYCLES_BETWEEN_KILLS = 10 * RATE
+
+
+class Use(NamedTuple):
+    """What a process has taken of the machine."""
+
+    files: int
+    threads: int
+    own_mb: float
+
+
+def use_of(process: psutil.Process) -> Use:
+    with process.oneshot():
+        own_mb = process.memory_full_info().uss / 1e6
+        return Use(process.num_fds(), process.num_threads(), own_mb)
+
+
+def until_cycle(run: Heliarch, cycle: int) -> None:
+    """Wait until the run shows a cycle."""
+    shown = re.compile(r"cycle (\d+)/")
+    run.until(lambda: int(shown.findall(run.output.read_text())[-1]) >= cycle, f"cycle {cycle}")
+
+
+@pytest.mark.timeout(SOAK_S + 900)
+def test_a_kill_every_ten_seconds_leaves_no_orphan_no_leak_and_nothing_unaccounted_for(
+    heliarch: Callable[..., Heliarch], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seed = random.randrange(2**32)
+    drawn, cycles = random.Random(seed), SOAK_S * RATE
+    scenario = small_plant(tmp_path / "plant", ("duration_s = 3600", f"duration_s = {cycles}"))
+    options = ('standby=["central","supervisors"]', "restart.when=always")
+    words = [word for option in options for word in ("--set", option)]
+    run = heliarch("launch", scenario, "--pace", str(RATE), *words)
+    run.until_running()
+    victims = [
+        name
+        for name in load_plan(run.folder / "plan.json").processes
+        if name not in {PLANT, RECORDER}
+    ]
+    lasting = {
+        "launcher": psutil.Process(run.process.pid),
+        "fork server": run.fork_server(),
+        **{name: run.process_of(name) for name in (PLANT, RECORDER)},
+    }
+    kills: Counter[str] = Counter()
+    uses: dict[str, list[Use]] = {name: [] for name in lasting}
+    for cycle in count(CYCLES_BETWEEN_KILLS, CYCLES_BETWEEN_KILLS):
+        if cycle > cycles - CYCLES_BETWEEN_KILLS:
+            break
+        until_cycle(run, cycle)
+        for name, process in lasting.items():
+            uses[name].append(use_of(process))
+        victim = drawn.choice(victims)
+        run.process_of(victim).send_signal(signal.SIGKILL)
+        kills[victim] += 1
+    assert run.wait() == 0, run.error_text()
+    assert_none_left(run.folder)
+    summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
+    with capsys.disabled():
+        print(f"\nseed {seed}: {kills.total()} kills in {cycles:,} cycles, {dict(kills)}")
+        print(f"takeovers {summary['takeovers']}, dropped {summary['dropped']}")
+        for name, found in uses.items():
+            print(f"{name}: {found[1]} after 2 kills, {found[-1]} at the end")
+    assert summary["restarts"] == kills
+    assert summary["cycles"] == cycles
+    assert summary["messages_lost"] == 0
+    assert set(summary["dropped"]) <= {"replaced", "duplicate", "late"}
+    for name, found in uses.items():
+        early, late = found[1 : 2 + len(found) // 3], found[-len(found) // 3 :]
+        assert max(use.files for use in late) <= max(use.files for use in early), name
+        assert max(use.threads for use in late) <= max(use.threads for use in early), name
+        # A recorder keeps what its file's index will say: some 6 kB a second.
+        growth_mb = 8e-3 * SOAK_S if name == RECORDER else 0.0
+        assert late[-1].own_mb <= early[-1].own_mb + 2.0 + growth_mb, name
+    found_again = verified(run)
+    assert findings(found_again) == {}
+    assert found_again.equal
