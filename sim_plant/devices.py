@@ -69,10 +69,10 @@ def parse_address(address: str, where: str) -> tuple[str, int, int]:
 
 
 class Pipes:
-    """The two named pipes, at the end of the gateway, which makes and removes them."""
+    """The two named pipes, at the end of the gateway, which makes them."""
 
     def __init__(self, folder: Path) -> None:
-        self._paths = [folder / name for name in ("device-readings", "device-commands")]
+        self._paths = _paths(folder)
         for path in self._paths:
             os.mkfifo(path, 0o600)
         self._readings, self.commands = (
@@ -80,7 +80,7 @@ class Pipes:
         )
 
     def close(self) -> None:
-        """Remove the pipes."""
+        """Remove the pipes if the plant has not come."""
         for path in self._paths:
             path.unlink(missing_ok=True)
 
@@ -112,8 +112,11 @@ class Devices:
         self.newest: dict[int, Reading] = {}
         self._oldest_ns = round(_FRESH_CYCLES * plan.cycle_wall_ns)
         self._handed = dict.fromkeys(self.places, -1)
-        self._readings = os.open(folder / "device-readings", os.O_RDONLY | os.O_NONBLOCK)
-        self._commands = os.open(folder / "device-commands", os.O_WRONLY | os.O_NONBLOCK)
+        readings, commands = _paths(folder)
+        self._readings = os.open(readings, os.O_RDONLY | os.O_NONBLOCK)
+        self._commands = os.open(commands, os.O_WRONLY | os.O_NONBLOCK)
+        for path in (readings, commands):  # Nobody else comes, and whoever reads a folder waits.
+            path.unlink()
 
     def read(self) -> None:
         """Take what the gateway has read."""
@@ -133,6 +136,10 @@ class Devices:
             self._handed[place] = command.cycle
             revert_kw = nan if command.revert_kw is None else command.revert_kw
             _write(self._commands, place, time.monotonic_ns(), command.power_kw, revert_kw, 0.0)
+
+
+def _paths(folder: Path) -> tuple[Path, Path]:
+    return folder / "device-readings", folder / "device-commands"
 
 
 def _write(pipe: int, *record: float) -> None:

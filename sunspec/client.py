@@ -13,9 +13,9 @@ from contextlib import contextmanager
 from math import isfinite
 from typing import Final
 
-from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP, SunSpecModbusClientError
+from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP
 from sunspec2.modbus.client import SunSpecModbusClientModel as Model
-from sunspec2.modbus.modbus import ModbusClientError
+from sunspec2.modbus.modbus import ModbusClientException
 
 from sim_plant.devices import Reading, parse_address
 
@@ -39,10 +39,16 @@ _RATINGS: Final = ((702, "WMax"), (702, "WMaxRtg"), (121, "WMax"), (120, "WRtg")
 """What 100 % stands for, in the order of preference."""
 
 _TIMEOUT_S: Final = 2.0
+_LONGEST_REVERT_S: Final = 65_534
+"""Most that the register of model 123 holds."""
 
 
 class DeviceError(Exception):
     """An inverter does not answer, or not as it must; the text is one line."""
+
+
+class DeviceRefusedError(DeviceError):
+    """An inverter answers that it does not do what is asked; the connection stays."""
 
 
 class SunSpecInverter:
@@ -119,15 +125,16 @@ class SunSpecInverter:
             self._limited.read()
             if self._extended is not None:
                 self._extended.read()
-        power_kw = self._watts(self._measured, "W")
-        if power_kw is None:
-            raise DeviceError(f"{self.address}: model {self._measured.model_id} states no power W")
-        enabled, percent = (self._limited.points[name].cvalue for name in self._points[:2])
-        limit_kw = self.rating_kw
-        if enabled == 1 and percent is not None:
-            limit_kw *= min(max(percent, 0.0), 100.0) / 100.0
-        self.state = self._state()
-        available_kw = self._available_kw(power_kw)
+            power_kw = self._watts(self._measured, "W")
+            if power_kw is None:
+                number = self._measured.model_id
+                raise DeviceRefusedError(f"{self.address}: model {number} states no power W")
+            enabled, percent = (self._limited.points[name].cvalue for name in self._points[:2])
+            limit_kw = self.rating_kw
+            if enabled == 1 and percent is not None:
+                limit_kw *= min(max(percent, 0.0), 100.0) / 100.0
+            self.state = self._state()
+            available_kw = self._available_kw(power_kw)
         return Reading(time.monotonic_ns(), power_kw, available_kw, limit_kw)
 
     def limit(self, kw: float, revert_s: float, revert_kw: float | None) -> None:
@@ -148,18 +155,20 @@ class SunSpecInverter:
             It does not answer, or refuses.
         """
         model, points = self._limited, self._limited.points
-        self._set(self._points[0], 1)
-        self._set(self._points[1], self._percent(kw))
-        if points[self._points[-1]].value is not None or self._needs_revert:
-            self._set(self._points[-1], round(revert_s))
-        if model.model_id == 704 and self._needs_revert:
-            released = revert_kw is None
-            self._set("WMaxLimPctEnaRvrt", 0 if released else 1)
-            self._set("WMaxLimPctRvrt", 100.0 if revert_kw is None else self._percent(revert_kw))
-        for name in _ALONG:
-            if name in points and points[name].value is not None:
-                points[name].dirty = True
         with self._errors():
+            self._set(self._points[0], 1)
+            self._set(self._points[1], self._percent(kw))
+            if self._needs_revert:
+                self._set(self._points[-1], min(max(round(revert_s), 1), _LONGEST_REVERT_S))
+                if model.model_id == 704:
+                    self._set("WMaxLimPctEnaRvrt", 0 if revert_kw is None else 1)
+                    reverts_to_kw = self.rating_kw if revert_kw is None else revert_kw
+                    self._set("WMaxLimPctRvrt", self._percent(reverts_to_kw))
+            elif points[self._points[-1]].value:
+                self._set(self._points[-1], 0)
+            for name in _ALONG:
+                if name in points and points[name].value is not None:
+                    points[name].dirty = True
             model.write()
 
     def _set(self, name: str, value: float) -> None:
@@ -204,12 +213,17 @@ class SunSpecInverter:
 
     @contextmanager
     def _errors(self) -> Iterator[None]:
-        """Turn what pysunspec2 raises into one line, and hang up."""
+        """Turn what pysunspec2 raises into one line; hang up unless the inverter has answered."""
         try:
             yield
-        except (ModbusClientError, SunSpecModbusClientError, OSError) as error:
+        except DeviceError:
+            raise
+        except ModbusClientException as error:
+            raise DeviceRefusedError(f"{self.address}: {error}") from None
+        except Exception as error:  # What is no SunSpec fails anywhere in pysunspec2.
             self.close()
-            raise DeviceError(f"{self.address}: {_reason(str(error))}") from None
+            reason = _reason(str(error)) or type(error).__name__
+            raise DeviceError(f"{self.address}: {reason}") from None
 
 
 def _reason(text: str) -> str:

@@ -21,7 +21,7 @@ from hdrh.histogram import HdrHistogram
 
 from agents.plan import RunPlan
 from sim_plant.devices import Pipes, Reading
-from sunspec.client import DeviceError, SunSpecInverter
+from sunspec.client import DeviceError, DeviceRefusedError, SunSpecInverter
 from sunspec.process import Accounts, Connected, DeviceAccount, Event, Latency, News
 
 _READ_AT: Final = 0.75
@@ -97,7 +97,8 @@ class _Link:
         self._written_kw: float | None = None
         self._written_at = 0.0
         self._state = ""
-        self._reconnects = 0
+        self._refused = self._reconnects = 0
+        self._said = ""
         self._took = {what: HdrHistogram(1, _LONGEST_US, 2) for what in ("read", "write")}
 
     def connect(self) -> None:
@@ -135,7 +136,8 @@ class _Link:
             )
             for took in (self._took["read"], self._took["write"])
         )
-        return DeviceAccount(self._node, self._inverter.address, reads, writes, self._reconnects)
+        address, counts = self._inverter.address, (self._refused, self._reconnects)
+        return DeviceAccount(self._node, address, reads, writes, *counts)
 
     def _run(self) -> None:
         read_at = time.monotonic() + self._cycle_s
@@ -149,6 +151,10 @@ class _Link:
                 if time.monotonic() >= read_at:
                     read_at = max(read_at + self._cycle_s, time.monotonic())
                     self._read()
+            except DeviceRefusedError as error:
+                self._refused += 1
+                self._written_kw = None  # The next command is written in any case.
+                self._say(str(error))
             except DeviceError as error:
                 self._reconnect(error)
 
@@ -199,4 +205,6 @@ class _Link:
         self._took[what].record_value(min(max(took_us, 1), _LONGEST_US))
 
     def _say(self, text: str) -> None:
-        self._tell(News(f"{self._node}: {text}"))
+        if text != self._said:
+            self._said = text
+            self._tell(News(f"{self._node}: {text}"))

@@ -11,6 +11,7 @@ import select
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, TypeAlias
 
@@ -31,12 +32,13 @@ class Latency(msgspec.Struct, frozen=True):
 
 
 class DeviceAccount(msgspec.Struct, frozen=True):
-    """A real inverter in a run: how long it took to answer, and how often the link broke."""
+    """A real inverter in a run: how long it took to answer, how often it refused or was gone."""
 
     node: str
     address: str
     reads: Latency
     writes: Latency
+    refused: int
     reconnects: int
 
 
@@ -136,7 +138,8 @@ class GatewayProcess:
 
     def _tell(self, line: bytes) -> None:
         assert self._process.stdin is not None
-        self._process.stdin.write(line + b"\n")
+        with suppress(BrokenPipeError):  # It has ended, and says so where it is listened to.
+            self._process.stdin.write(line + b"\n")
 
     def _events(self, *, wait: bool = False) -> list[Event]:
         assert self._process.stdout is not None

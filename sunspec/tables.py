@@ -32,6 +32,7 @@ def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:
             for what in ("reads", "writes")
             for figure, unit, decimals in (("", "", 0), (" p50", "ms", 1), (" p99", "ms", 1))
         ),
+        Column("refused"),
         Column("reconnects"),
     )
     rows = tuple(
@@ -39,7 +40,7 @@ def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:
             device.node,
             *(device.reads.count, device.reads.p50_ms, device.reads.p99_ms),
             *(device.writes.count, device.writes.p50_ms, device.writes.p99_ms),
-            device.reconnects,
+            *(device.refused, device.reconnects),
         )
         for device in devices
     )

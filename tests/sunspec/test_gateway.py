@@ -23,7 +23,7 @@ from bus_schemas.messages import Command
 from sim_plant.devices import Devices, Reading, parse_address
 from sunspec.client import DeviceError
 from sunspec.gateway import Gateway
-from sunspec.limited_inverter import LimitedInverter
+from sunspec.limited_inverter import LimitedInverter, LimitSettings
 from sunspec.process import Accounts, Connected, Event, News
 from sunspec.server import ServedPlant, Sky, served
 
@@ -128,6 +128,34 @@ def test_an_inverter_that_goes_and_comes_back_is_limited_again(tmp_path: Path) -
         running.__exit__(None, None, None)
     (account,) = next(event.devices for event in events if isinstance(event, Accounts))
     assert account.reconnects == 1
+
+
+class Busy(LimitedInverter):
+    """It fails at the first limit."""
+
+    was_told = False
+
+    def told(self, settings: LimitSettings, at: float) -> None:
+        self.was_told, first = True, not self.was_told
+        if first:
+            raise RuntimeError
+        super().told(settings, at)
+
+
+def test_a_limit_that_is_refused_is_written_again_with_the_next_command(tmp_path: Path) -> None:
+    sky = Sky(np.array([[80.0]]), 1.0, None)
+    inverters = {"c1/a": Busy(100.0, sky.possible_kw(0))}
+    plant = ServedPlant(inverters=inverters, sky=sky, now=time.monotonic)
+    with (
+        served(plant) as addresses,
+        gateway(with_device(addresses["c1/a"]), tmp_path) as (devices, events),
+    ):
+        devices.command(0, command(0, 30.0))
+        eventually(lambda: any(isinstance(event, News) for event in events))
+        devices.command(0, command(1, 30.0))
+        eventually(lambda: newest(devices).power_kw == 30.0)
+    (account,) = next(event.devices for event in events if isinstance(event, Accounts))
+    assert (account.refused, account.reconnects) == (1, 0)
 
 
 def test_an_inverter_that_is_not_there_is_refused_by_name() -> None:

@@ -43,13 +43,13 @@ def served_inverters(scenario: str) -> Iterator[list[str]]:
 def test_energies_are_those_of_simulated_inverters(
     scenario: str, served_inverters: list[str], heliarch: Callable[..., Heliarch]
 ) -> None:
-    span = ("launch", scenario, "--pace", "1", "--duration", "10s")
+    span = ("launch", scenario, "--pace", "1", "--duration", "15s")
     plain, real = heliarch(*span), heliarch(*span, *served_inverters)
     assert (plain.wait(), real.wait()) == (0, 0), real.error_text()
     expected, found = (_summary(run.folder) for run in (plain, real))
     for energy in ("desired_kwh", "possible_kwh", "delivered_kwh"):
         assert found["metrics"]["commitment"][energy] == pytest.approx(
-            expected["metrics"]["commitment"][energy], rel=0.05
+            expected["metrics"]["commitment"][energy], rel=0.1
         )
     assert [device["node"] for device in found["devices"]] == [
         "c1/inv01", "c1/inv02", "c2/inv03", "c2/inv04"
