@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from math import copysign, inf
+from typing import Final
 
 import msgspec
+
+_STEP_S: Final = 1.0
 
 
 class LimitSettings(msgspec.Struct, frozen=True):
@@ -119,6 +122,10 @@ class LimitedInverter:
         return self._from + copysign(moved, distance)
 
     def _integrate(self, until: float) -> None:
-        if self._at is not None:
-            self.energy_kwh += self.power_kw(self._at) * (until - self._at) / 3600.0
+        """Count the energy in steps, since the sky changes also while nobody asks."""
+        at = until if self._at is None else self._at
+        while at < until:
+            step_s = min(until - at, _STEP_S)
+            self.energy_kwh += self.power_kw(at) * step_s / 3600.0
+            at += step_s
         self._at = until

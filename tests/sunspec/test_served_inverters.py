@@ -148,11 +148,17 @@ def test_a_limited_inverter_says_what_it_could_give_and_what_throttles_it(site: 
 
 def test_the_meter_adds_up_power_and_energy(site: Site) -> None:
     site.serve()
-    limit_123(site.client("c1/a"), 50.0, 0)
+    limit_123(site.client("c1/a"), 40.0, 0)
     site.clock.sleep(360.0)
-    (meter,) = site.client("meter").models[203]
+    device = site.client("meter")
+    (meter,) = device.models[203]
+    assert meter.W.cvalue == 100_000
+    assert meter.TotWhExp.cvalue == 10_000
+    # Also where the sky changes while nobody asks: from 1,000 s on there are 10 kW more.
+    site.clock.sleep(1_000.0)
+    meter.read()
     assert meter.W.cvalue == 110_000
-    assert meter.TotWhExp.cvalue == 11_000
+    assert meter.TotWhExp.cvalue == pytest.approx(10_000 + 100_000 * 640 / 3600 + 11_000, abs=600)
 
 
 def test_only_limits_can_be_written_and_only_in_their_range(site: Site) -> None:
