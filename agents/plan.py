@@ -24,7 +24,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule, NetworkFaults, check_rule
 from bus_schemas.keys import KeyTable
 from bus_schemas.links import Links, explicit_links
-from bus_schemas.messages import Message, Run
+from bus_schemas.messages import PROTOCOL, Message, Run
 from bus_schemas.signals import Occurrence, Port, Wiring
 from bus_schemas.tree import PLANT, ControlTree, depth, parent_of, some_of, standby_of
 
@@ -208,6 +208,8 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     positions_m
         Where each inverter stands: metres east and north of a point that is the same for all of
         them. Empty: not known.
+    protocol
+        Version of what travels between the agents.
     """
 
     run_id: str
@@ -245,6 +247,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     settings: tuple[InverterSettings, ...] = ()
     positions_m: tuple[tuple[float, float], ...] = ()
     standby: tuple[str, ...] = ()
+    protocol: int = PROTOCOL
 
     @cached_property
     def tree(self) -> ControlTree:
@@ -377,6 +380,8 @@ def load_plan(path: Path) -> RunPlan:
         raise InputError(f"{path}: {error.strerror}, expected the plan.json of a run") from None
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: {error}, expected the plan.json of a run") from None
+    if plan.protocol != PROTOCOL:
+        raise InputError(f"{path}: protocol: expected {PROTOCOL}, got {plan.protocol}")
     try:
         check_plan(plan)
     except InputError as error:

@@ -7,7 +7,7 @@ from typing import Final, TypeVar
 
 import msgspec
 
-from bus_schemas.messages import Message
+from bus_schemas.messages import LARGEST_PAYLOAD, Message
 from bus_schemas.signals import SIGNALS, Signal
 
 M = TypeVar("M", bound=Message)
@@ -26,8 +26,10 @@ def decode(signal: Signal[M], payload: bytes) -> M:
     Raises
     ------
     msgspec.DecodeError
-        The payload is no msgpack, or not of the signal's type.
+        The payload is no msgpack, or not of the signal's type, or too large.
     """
+    if len(payload) > LARGEST_PAYLOAD:
+        raise msgspec.DecodeError(f"{len(payload)} bytes are more than {LARGEST_PAYLOAD}")
     try:
         return _decoders[signal.type].decode(payload)  # type: ignore[return-value]
     except UnicodeDecodeError as error:

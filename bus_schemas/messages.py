@@ -12,11 +12,20 @@ from typing import Annotated, Final, Literal, TypeAlias
 
 import msgspec
 
-from bus_schemas.tree import LONGEST_PATH
+from bus_schemas.tree import LONGEST_PATH, MOST_CHILDREN, MOST_INVERTERS
 
 Stamp: TypeAlias = tuple[int, int, str, tuple[str, ...]]
 """The first fields of a message, known before an agent decides: cycle, time, source, missing."""
 
+
+PROTOCOL: Final = 1
+"""Version of all that docs/wire.md says. Plan and `run` state it."""
+
+LARGEST_PAYLOAD: Final = 1 << 20
+"""Bytes of a message at most. One of the largest plant takes half of it."""
+
+LONGEST_TEXT: Final = 1_000
+"""Characters of a notice at most."""
 
 MOST_MISSING: Final = 4_096
 """Entries of `missing` at most: the largest tree has fewer inputs at any of its agents."""
@@ -35,6 +44,8 @@ LongCount: TypeAlias = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
 
 Name: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_PATH)]
 Entry: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_MISSING)]
+Text: TypeAlias = Annotated[str, msgspec.Meta(max_length=LONGEST_TEXT)]
+Powers: TypeAlias = Annotated[tuple[float, ...], msgspec.Meta(max_length=MOST_INVERTERS)]
 Entries: TypeAlias = Annotated[tuple[Entry, ...], msgspec.Meta(max_length=MOST_MISSING)]
 
 
@@ -140,7 +151,7 @@ class Help(Message, kw_only=True):
 class HelpGiven(msgspec.Struct, frozen=True, array_like=True, gc=False):
     """One line of a setpoint's account: `power_kw` more than its share, for the node `needy`."""
 
-    needy: str
+    needy: Name
     power_kw: float
 
 
@@ -153,7 +164,7 @@ class Setpoint(Message, kw_only=True):
 
     power_kw: float
     share_kw: float
-    help_given: tuple[HelpGiven, ...]
+    help_given: Annotated[tuple[HelpGiven, ...], msgspec.Meta(max_length=MOST_CHILDREN)]
 
 
 class Command(Message, kw_only=True):
@@ -181,8 +192,8 @@ class Production(Message, kw_only=True):
     desired_kw: float
     possible_kw: float
     delivered_kw: float
-    inverter_mpp_kw: tuple[float, ...]
-    inverter_power_kw: tuple[float, ...]
+    inverter_mpp_kw: Powers
+    inverter_power_kw: Powers
 
 
 class Run(Message, kw_only=True):
@@ -190,12 +201,13 @@ class Run(Message, kw_only=True):
 
     At `start`, cycle 0 begins at `start_time_ns` of the host's monotonic clock and a cycle lasts
     `cycle_wall_ns` (0: lockstep, no deadlines). At `stop`, `cycle` is the first cycle that does
-    not take place.
+    not take place. `protocol` is the version of the wire that the plant speaks.
     """
 
     state: Literal["start", "stop"]
     start_time_ns: Nanoseconds
     cycle_wall_ns: Nanoseconds
+    protocol: Count = PROTOCOL
 
 
 class Ready(Message, kw_only=True):
@@ -205,7 +217,7 @@ class Ready(Message, kw_only=True):
 class Notice(Message, kw_only=True):
     """Something that an agent had to refuse or to mend, in words, with how often it did so far."""
 
-    text: str
+    text: Text
     count: LongCount
 
 

@@ -20,11 +20,18 @@ from typing import Any
 import msgpack
 import zenoh
 
+PROTOCOL = 1  # Version of docs/wire.md that it was written from.
 METER_TOLERANCE = 0.05  # Share of the rating by which a meter may read above the rating.
 ROUNDING = 1e-9
 BEFORE_ALL = -(2**31)  # No cycle has begun: each message takes it further.
 ESTIMATE_BY = 0.14  # Share of a cycle, after its first message, in which estimate closes.
 ACTUATE_BY = 0.7  # The same for actuate.
+NUMBERS = {  # What it needs of each message beside cycle and source.
+    "telemetry": ("power_kw", "alpha"),
+    "dispatch": ("power_kw", "plant_rating_kw"),
+    "setpoint": ("power_kw",),
+    "run": (),
+}
 
 
 class DirectController:
@@ -34,8 +41,8 @@ class DirectController:
         self.plan, self.node, self.session = plan, node, session
         self.rating_kw: float = dict(plan["inverters"])[node]
         self.parent_period: int = plan["period_cycles"][node.count("/")]
+        self.parent = node.rpartition("/")[0] or "central"
         self.prefix = f"{plan['plant']}/{node}"
-        self.sequences: dict[str, int] = {}  # The next number on each key.
         self.cycle = BEFORE_ALL
         self.forget()
 
@@ -45,7 +52,10 @@ class DirectController:
         return self.sequences.get("command", 0)
 
     def forget(self) -> None:
-        """Go back to the initial state: each arming round begins with it."""
+        """Go back to the initial state: each arming round begins with it, and each process."""
+        self.sequences: dict[str, int] = {}  # The next number on each key.
+        self.incarnation = 0  # The cycle in which it joined.
+        self.processes: dict[str, int] = {}  # Newest incarnation of the publisher of each input.
         self.impp_kw, self.stale_cycles = 0.0, 0
         self.measured_cycle: int | None = None
         self.heard: dict[str, int] = {}  # Newest cycle of each input, usable or not.
@@ -57,9 +67,18 @@ class DirectController:
 
     def hear(self, signal: str, message: dict[str, Any]) -> None:
         """Take in one message, and answer if it was the last that a stage awaited."""
-        cycle = message["cycle"]
+        cycle, incarnation = message["cycle"], message.get("incarnation", 0)
+        if cycle >= self.plan["cycles"]:
+            return
+        if signal == "setpoint" and cycle > self.cycle:
+            return  # Only the plant begins a cycle.
+        if signal == "setpoint" and cycle >= 0 and cycle % self.parent_period:
+            return  # It is not the parent's turn.
         if cycle > self.cycle:
             self.enter(cycle)
+        if incarnation < self.processes.get(signal, 0):
+            return  # It is of a process that has been replaced.
+        self.processes[signal] = incarnation
         if cycle <= self.heard.get(signal, BEFORE_ALL):
             return  # It comes a second time, or after a newer one.
         self.heard[signal] = cycle
@@ -73,14 +92,22 @@ class DirectController:
         if signal == "setpoint":
             highest_kw: float = self.rating_kw * (1.0 + ROUNDING)
             return 0.0 <= power_kw <= highest_kw
-        return signal == "telemetry" or math.isfinite(power_kw)
+        if signal == "dispatch":
+            plant_rating_kw: float = message["plant_rating_kw"]
+            return math.isfinite(power_kw) and 0.0 < plant_rating_kw < math.inf
+        return True
 
     def enter(self, cycle: int) -> None:
         """Begin a cycle. In arming rounds, whose numbers are negative, nothing is remembered."""
         if cycle < 0 or self.cycle < 0:
             self.forget()
+            self.incarnation = max(cycle, 0)
         self.cycle, self.stage = cycle, "estimate"
         self.entered_at = time.monotonic()
+
+    def leave(self) -> None:
+        """Forget a run whose plant has gone without a stop: the next one may begin."""
+        self.cycle, self.stage = BEFORE_ALL, ""
 
     # Stages --------------------------------------------------------------------------------------
 
@@ -203,6 +230,7 @@ class DirectController:
             "ready_time_ns": self.ready_ns,
             "publish_time_ns": time.monotonic_ns(),
             "sequence": sequence,
+            "incarnation": self.incarnation,
             **fields,
         }
         self.session.put(
@@ -221,6 +249,20 @@ def read_plan(path: Path) -> dict[str, Any]:
             return plan
         except (FileNotFoundError, json.JSONDecodeError):
             time.sleep(0.1)
+
+
+def read_message(signal: str, payload: bytes, source: str) -> dict[str, Any] | None:
+    """Return a message; None if it is none of this signal, or from somebody else."""
+    try:
+        message = msgpack.unpackb(payload)
+    except ValueError:
+        return None
+    if not isinstance(message, dict) or message.get("source") != source:
+        return None
+    if not isinstance(message.get("cycle"), int):
+        return None
+    right = all(isinstance(message.get(name), int | float) for name in NUMBERS[signal])
+    return message if right else None
 
 
 def session_config(plan: dict[str, Any], node: str, endpoints: list[str]) -> zenoh.Config:
@@ -253,6 +295,8 @@ def main() -> None:
     )
     options = parser.parse_args()
     plan = read_plan(options.plan)
+    if plan["protocol"] != PROTOCOL:
+        parser.error(f"expected a plan of protocol {PROTOCOL}, got {plan['protocol']}")
     arrived: queue.SimpleQueue[zenoh.Sample] = queue.SimpleQueue()
     with zenoh.open(session_config(plan, options.node, options.connect)) as session:
         controller = DirectController(plan, options.node, session)
@@ -266,6 +310,10 @@ def main() -> None:
                 f"{plan['plant']}/run",
             )
         ]
+        plant_alive = f"{plan['plant']}/plant/alive"
+        subscribers.append(
+            session.liveliness().declare_subscriber(plant_alive, arrived.put, history=True)
+        )
         token = session.liveliness().declare_token(f"{controller.prefix}/alive")
         print(f"{options.node}: waiting for the plant", flush=True)
         while True:
@@ -274,11 +322,18 @@ def main() -> None:
             except queue.Empty:
                 controller.advance(time_is_up=True)
                 continue
-            message = msgpack.unpackb(sample.payload.to_bytes())
             signal = str(sample.key_expr).rpartition("/")[2]
+            if signal == "alive":
+                if sample.kind == zenoh.SampleKind.DELETE:
+                    controller.leave()
+                continue
+            source = controller.parent if signal == "setpoint" else "plant"
+            message = read_message(signal, sample.payload.to_bytes(), source)
+            if message is None:
+                continue
             if signal != "run":
                 controller.hear(signal, message)
-            elif message["state"] == "stop":
+            elif message.get("state") == "stop":
                 break
         print(
             f"{options.node}: commands in {controller.commands} of {message['cycle']} cycles, then "

@@ -12,6 +12,7 @@ from launch_scripts.commands import (
     campaign,
     clusters,
     compare,
+    conform,
     delays,
     export,
     inspect,
@@ -30,7 +31,7 @@ from launch_scripts.commands.boundary import BAD_INPUT, Command, CommandLine
 from launch_scripts.commands.options import with_groups
 
 COMMANDS: Final[dict[str, tuple[ModuleType, ...]]] = {
-    "Run": (launch, simulate, timing, inverters, scenarios),
+    "Run": (launch, simulate, timing, conform, inverters, scenarios),
     "Look": (view, report, inspect, verify, replay),
     "Compare": (compare, clusters, delays, campaign),
     "Files": (export, recover),

@@ -2,8 +2,8 @@
 
     .venv/bin/python -m launch_scripts.documents
 
-rewrites `docs/scenarios.md` and `docs/wire.md`. The prose is written there by hand; a test compares
-the parts between `<!-- table: NAME -->` and `<!-- end -->` with the code.
+rewrites `docs/scenarios.md`, `docs/device.md` and `docs/wire.md`. The prose is written there by
+hand; a test compares the parts between `<!-- table: NAME -->` and `<!-- end -->` with the code.
 """
 
 from __future__ import annotations
@@ -16,22 +16,25 @@ from typing import Any, Final, cast
 
 import msgpack
 from msgspec import NODEFAULT, inspect
+from msgspec.structs import replace
 
 from agents.agent import Agent, Stage, Turn
+from agents.plan import RunPlan
 from agents.team import controllers
 from bus_schemas import messages
 from bus_schemas.bounds import BOUNDS, LARGEST, Bound
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
 from bus_schemas.messages import Dispatch, Message, Telemetry
-from bus_schemas.signals import DISPATCH, HELP, RESIDUAL, SIGNALS, TELEMETRY
+from bus_schemas.signals import DISPATCH, HELP, RESIDUAL, SETPOINT, SIGNALS, TELEMETRY, Port
 from bus_schemas.tree import CENTRAL, PLANT, ROOT
 from launch_scripts.scenarios.fields import description, members, takes
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import Scenario, load_scenario
 from sim_plant.plant import Plant
+from studies.conformance.trial import Reference
 
-DOCUMENTS: Final = ("docs/scenarios.md", "docs/wire.md")
+DOCUMENTS: Final = ("docs/scenarios.md", "docs/device.md", "docs/wire.md")
 INVERTER: Final = "c2/inv07"
 
 _MARKED: Final = re.compile(r"(<!-- table: (.*?) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -61,7 +64,15 @@ def _lines(what: str, which: str = "") -> Iterator[str]:
             return _fields(getattr(messages, which))
         case "bytes":
             return _rows(("bytes (hex)", "what they are"), _parts(encode(_EXAMPLES[which])))
-    return {"signals": _signals, "stages": _stages, "bounds": _bounds}[what]()
+    tables = {
+        "signals": _signals,
+        "stages": _stages,
+        "bounds": _bounds,
+        "sizes": _sizes,
+        "vector": _vector,
+        "exchange": _exchange,
+    }
+    return tables[what]()
 
 
 def _rows(header: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> Iterator[str]:
@@ -144,19 +155,20 @@ def _signals() -> Iterator[str]:
 def _fields(kind: type[Message]) -> Iterator[str]:
     """Describe the fields that a type has beside those of every message."""
     known = () if kind is Message else Message.__struct_fields__
+    units = {"kw": "kW", "ns": "ns"}
     fields = cast("inspect.StructType", inspect.type_info(kind)).fields
     return _rows(
         ("field", "msgpack type", "unit"),
         (
-            (f"`{field.name}`", _type_name(field.type), _unit(field.name))
+            (
+                f"`{field.name}`",
+                _type_name(field.type),
+                units.get(field.name.rpartition("_")[2], ""),
+            )
             for field in fields
             if field.name not in known
         ),
     )
-
-
-def _unit(name: str) -> str:
-    return {"kw": "kW", "ns": "ns"}.get(name.rpartition("_")[2], "")
 
 
 def _type_name(kind: inspect.Type) -> str:
@@ -323,6 +335,129 @@ def _meaning(unpacker: msgpack.Unpacker, first: int) -> str:
         return f"integer {value}"
     sign, plural = "signed" if value < 0 else "unsigned", "s" if size > 1 else ""
     return f"{sign} integer of {size} byte{plural}: {value}"
+
+
+# A direct controller at work
+
+_INPUTS: Final = (TELEMETRY.of(INVERTER), DISPATCH.of(ROOT), SETPOINT.of(INVERTER))
+_VECTOR: Final[tuple[tuple[dict[str, float] | None, ...], ...]] = (
+    ({"power_kw": 250.0, "alpha": 1.0}, {"power_kw": 4000.0}, {"power_kw": 200.0}),
+    ({"power_kw": 192.5, "alpha": 0.8}, {"power_kw": 4200.0}, {"power_kw": 240.0}),
+    (
+        {"power_kw": 230.0, "alpha": 0.9, "available_kw": 301.0},
+        {"power_kw": 9000.0},
+        {"power_kw": 301.0},
+    ),
+    ({"power_kw": -3.0, "alpha": 1.0}, {"power_kw": 3900.0}, {"power_kw": 7.0}),
+    (None, {"power_kw": 3800.0}, None),
+    ({"power_kw": 310.0, "alpha": 1.0}, None, None),
+    ({"power_kw": 320.0, "alpha": 1.0}, {"power_kw": 3700.0}, None),
+    ({"power_kw": 330.0, "alpha": 1.0}, {"power_kw": 3600.0}, None),
+    ({"power_kw": 340.0, "alpha": 1.0}, {"power_kw": 3500.0}, {"power_kw": 150.0}),
+)
+"""Fields of telemetry, dispatch and setpoint in each cycle; None: the message does not come."""
+
+
+@cache
+def _cycles() -> list[list[tuple[Port[Message], Message]]]:
+    """Return what a direct controller hears and says in each cycle of the test vector."""
+    plan = replace(_example().plan, scheme="paper", hold_cycles=2, revert=None, cycles=len(_VECTOR))
+    ours = Reference(plan, INVERTER)
+    ours.loop.begin(0, 0)
+    found = []
+    for cycle, of_inputs in enumerate(_VECTOR):
+        one = list(_heard(plan, cycle, of_inputs))
+        for port, message in one:
+            ours.hear(port, encode(message), cycle)
+        for stage in ("estimate", "actuate"):
+            for port, message in ours.close(stage, cycle):
+                message.ready_time_ns = message.publish_time_ns = 0
+                message.sequence = cycle
+                one.append((port, message))
+        found.append(one)
+    return found
+
+
+def _heard(
+    plan: RunPlan, cycle: int, of_inputs: Iterable[dict[str, float] | None]
+) -> Iterator[tuple[Port[Message], Message]]:
+    rest: dict[str, dict[str, Any]] = {
+        "telemetry": {"limit_kw": plan.tree.rating_kw(INVERTER)},
+        "dispatch": {
+            "plant_rating_kw": plan.tree.rating_kw(ROOT),
+            "commitment_kw": 0.0,
+            "regulation_kw": 0.0,
+        },
+        "setpoint": {"share_kw": 0.0, "help_given": ()},
+    }
+    for port, fields in zip(_INPUTS, of_inputs, strict=True):
+        if fields is not None:
+            head = (cycle, plan.sim_time_ns(cycle), port.publisher, (), 0, 0, cycle)
+            yield port, port.signal.type(*head, **(rest[port.signal.name] | fields))
+
+
+def _vector() -> Iterator[str]:
+    """Show the fields that matter, each number with all its digits."""
+    fields = {
+        "telemetry": ("power_kw", "alpha", "available_kw"),
+        "dispatch": ("power_kw",),
+        "setpoint": ("power_kw",),
+        "impp": ("power_kw", "stale_cycles"),
+        "residual": ("power_kw",),
+        "command": ("alpha", "power_kw"),
+    }
+    rows: list[tuple[str, ...]] = []
+    for number, cycle in enumerate(_cycles()):
+        of_signal = {port.signal.name: message for port, message in cycle}
+        row = [str(number)]
+        for signal, names in fields.items():
+            message = of_signal.get(signal)
+            values = [] if message is None else [getattr(message, name) for name in names]
+            row.append(" ".join(repr(value) for value in values if value is not None) or "-")
+        rows.append(tuple(row))
+    return _rows(("cycle", *(f"{name}: {', '.join(of)}" for name, of in fields.items())), rows)
+
+
+def _exchange() -> Iterator[str]:
+    """Show all bytes of the first cycle in the order in which they travel."""
+    said = {port.signal.name: (port, message) for port, message in _cycles()[0]}
+    for name in ("telemetry", "dispatch", "impp", "residual", "setpoint", "command"):
+        port, message = said[name]
+        payload = encode(message)
+        way = "in" if port in _INPUTS else "out"
+        yield f"{way}, `{_example().plan.keys.key(port)}`, {len(payload)} bytes:"
+        yield ""
+        text = payload.hex(" ")
+        yield from (f"    {text[begin : begin + 96]}".rstrip() for begin in range(0, len(text), 96))
+        yield ""
+
+
+def _sizes() -> Iterator[str]:
+    """Show how long the messages of a plant of six inverters in a cluster can get."""
+    tree = _example().plan.tree
+    rows = []
+    for row in (row for row in SIGNALS if row.logged and (row.is_cyclic or row.listeners)):
+        port = row.of(INVERTER if INVERTER in row.nodes(tree) else ROOT)
+        missing = [f"{one}@{10**9}" for one in _example().plan.wiring.heard[port.publisher]]
+        rows.append((f"`{row.name}`", len(encode(_largest(row.type, missing)))))
+    return _rows(("signal", "bytes at most, in `oahu`"), rows)
+
+
+def _largest(kind: type[Message], missing: list[str]) -> Message:
+    """Return a message with the longest value in each field."""
+    values: dict[str, Any] = {
+        "source": INVERTER,
+        "missing": tuple(missing),
+        "help_given": tuple(messages.HelpGiven(INVERTER, 1.0) for _ in range(5)),
+        "inverter_mpp_kw": (1.0,) * 17,
+        "inverter_power_kw": (1.0,) * 17,
+        "state": "start",
+    }
+    fields = cast("inspect.StructType", inspect.type_info(kind)).fields
+    longest = {
+        field.name: 2**61 if isinstance(field.type, inspect.IntType) else 1.0 for field in fields
+    }
+    return kind(**(longest | {name: values[name] for name in longest.keys() & values.keys()}))
 
 
 def main() -> None:

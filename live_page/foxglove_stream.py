@@ -12,7 +12,7 @@ from foxglove.websocket import Capability
 from agents.plan import RunPlan, load_plan
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
-from bus_schemas.signals import Port
+from bus_schemas.signals import RUN, Port
 from live_page.nodes import NodeStates
 from live_page.run_view import RunView
 from recordings.export.json_messages import JsonEncoder, object_schema
@@ -44,9 +44,8 @@ class FoxgloveStream:
         else:
             plan = states.follower.plan
         # Before the server: a channel that comes later may be asked for before the server knows it.
-        self._channels = {
-            row: _channel(plan, row, self._context) for row in plan.keys.ports if row.signal.logged
-        }
+        rows = [row for row in plan.keys.ports if row.signal.logged and row.signal is not RUN]
+        self._channels = {row: _channel(plan, row, self._context) for row in rows}
         try:
             self._server = start_server(
                 name="Heliarch", port=port, capabilities=[Capability.Time], context=self._context

@@ -40,20 +40,10 @@ Cell: TypeAlias = str | int | float | bool | Number | None
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a table.
+    """A column of a table; only words, which stand to the left, wrap.
 
-    Attributes
-    ----------
-    title, unit
-        Heading. The unit stands below the title in a terminal.
-    decimals
-        Of the floats in it.
-    align
-        Numbers stand to the right, words to the left; only words wrap.
-    key
-        Whether it tells rows apart: every part of a table that had to be split repeats it.
-    name
-        In JSON; by default the title.
+    A key column tells rows apart: every part of a table that had to be split repeats it. `name` is
+    that of JSON, by default the title.
     """
 
     title: str

@@ -96,23 +96,8 @@ def run(
 ) -> tuple[RunSummary, RunFolder]:
     """Run a plant, recorded, and write its summary; show it meanwhile.
 
-    Parameters
-    ----------
-    request, console
-        What to run, and where it is shown.
-    began_at
-        Monotonic time at which the user asked for it [s].
-    server
-        Starts the processes. None: the run stays in this process.
-    page
-        Shows the run in a browser.
-
-    Raises
-    ------
-    InputError
-        Scenario, options and data do not go together.
-    FailureError
-        The run could not go on.
+    Without a server, which starts the processes, the run stays in this process. `began_at` is the
+    monotonic time at which the user asked for it [s].
     """
     preparation, folder = prepare_run(request)
     plan, scenario = preparation.plan, preparation.scenario.scenario

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -35,16 +34,6 @@ EXAMPLE: Final = "heliarch timing oahu --rate 20 --duration 60s --report"
 _RATE: Final = "1"
 _DURATION: Final = "60s"
 _SWEEP_DURATION: Final = "15s"
-
-
-@dataclass(frozen=True, slots=True)
-class _Output:
-    """How the result is shown, and where it is written: the values of the options."""
-
-    console: Console
-    json: str | None
-    report: str | None
-    by_agent: bool
 
 
 def timing(
@@ -96,7 +85,7 @@ def timing(
     from studies.timing.report import report_on
     from studies.timing.sweep import parse_rates
 
-    output = _Output(console_for(files.json), files.json, files.report, processes)
+    console = console_for(files.json)
     if (path := Path(scenario)).is_dir() or path.suffix == ".mcap":
         options = {
             "--rate": rate, "--duration": duration, "--out": files.out, "--from": start,
@@ -114,22 +103,24 @@ def timing(
                     f"{option}: expected only --processes, --report or --json with {path}, which "
                     "was run already"
                 )
-        return _print_one(report_on(path, by_agent=processes), path, output)
+        return _print_one(report_on(path, by_agent=processes), path, files, console, processes)
     rates = parse_rates(_RATE if rate is None else rate)
     request = run_request(scenario, files, plant, machine, start=start, end=end, duration=duration)
-    with page_beside(page, output.console) as shown:
+    with page_beside(page, console) as shown:
         if rates.single_hz is None:
             length_s = run_length_s(request, _SWEEP_DURATION)
-            return _time_several(rates, length_s, request, output, shown)
+            return _time_several(rates, length_s, request, files, console, shown)
         length_s = run_length_s(request, _DURATION)
         preparation, folder = prepare_at(rates.single_hz, length_s, request, request.out)
         if shown is not None:
-            say(output.console, f"page: {shown.show(folder.path)}")
-        reported = measured_run(preparation, folder, output.console, by_agent=processes)
-        return _print_one(reported, folder.path, output)
+            say(console, f"page: {shown.show(folder.path)}")
+        reported = measured_run(preparation, folder, console, by_agent=processes)
+        return _print_one(reported, folder.path, files, console, processes)
 
 
-def _print_one(reported: Reported, run: Path, output: _Output) -> int:
+def _print_one(
+    reported: Reported, run: Path, files: FileOptions, console: Console, processes: bool
+) -> int:
     """Print and write the result of a run."""
     from recordings.read.run_file import RECORDING_NAME
     from studies.timing.page import PAGE_NAME, run_page
@@ -138,17 +129,22 @@ def _print_one(reported: Reported, run: Path, output: _Output) -> int:
     report = reported.report
     recording = run / RECORDING_NAME if run.is_dir() else run
     # Files first: whoever reads the tables may leave before their end.
-    page = _write_page(lambda: run_page(reported), recording.with_name(PAGE_NAME), output)
-    write_json(report.document(), output.json)
-    print_report(report, output.console, processes=output.by_agent)
-    say(output.console, f"recording: {recording}", *page)
+    page = _write_page(lambda: run_page(reported), recording.with_name(PAGE_NAME), files.report)
+    write_json(report.document(), files.json)
+    print_report(report, console, processes=processes)
+    say(console, f"recording: {recording}", *page)
     if report.interrupted:
         return INTERRUPTED
     return OK if report.passed else FAILED
 
 
 def _time_several(
-    rates: Rates, length_s: float, request: RunRequest, output: _Output, shown: PageProcess | None
+    rates: Rates,
+    length_s: float,
+    request: RunRequest,
+    files: FileOptions,
+    console: Console,
+    shown: PageProcess | None,
 ) -> int:
     from launch_scripts.launcher.run_folder import new_run_id, run_folder
     from studies.timing.measured_run import measured_run, prepare_at
@@ -163,13 +159,13 @@ def _time_several(
         if (folder / name).exists():
             name = f"{name}-again"
         preparation, place = prepare_at(rate_hz, length_s, request, folder / name)
-        return lambda: measured_run(preparation, place, output.console)
+        return lambda: measured_run(preparation, place, console)
 
     # All listed rates are prepared before the first one runs, so that none is refused then.
     listed = {rate_hz: prepared(rate_hz) for rate_hz in rates.listed_hz}
 
     if shown is not None:
-        say(output.console, f"page: {shown.show(folder, several=True)}")
+        say(console, f"page: {shown.show(folder, several=True)}")
 
     def timed(rate_hz: float) -> TimingReport:
         run = listed.get(rate_hz) or prepared(rate_hz)
@@ -179,19 +175,19 @@ def _time_several(
     found = sweep(rates, timed)
     page: list[str] = []
     if reports:
-        page = _write_page(lambda: sweep_page(found, reports[-1]), folder / PAGE_NAME, output)
-    write_json(found, output.json)
-    print_sweep(found, output.console)
-    say(output.console, f"recordings: {folder}", *page)
+        page = _write_page(lambda: sweep_page(found, reports[-1]), folder / PAGE_NAME, files.report)
+    write_json(found, files.json)
+    print_sweep(found, console)
+    say(console, f"recordings: {folder}", *page)
     if found.interrupted:
         return INTERRUPTED
     return FAILED if found.highest_clean_hz is None else OK
 
 
-def _write_page(html: Callable[[], str], default: Path, output: _Output) -> list[str]:
+def _write_page(html: Callable[[], str], default: Path, report: str | None) -> list[str]:
     """Write the page if it is wanted; return the line that says where it is."""
-    if output.report is None:
+    if report is None:
         return []
-    page = Path(output.report) if output.report else default
+    page = Path(report) if report else default
     write_page(html(), page)
     return [f"report: {page}"]

@@ -25,22 +25,7 @@ _TIER_LETTERS: Final = "czar"
 def control_tree(
     control: ControlTable, sites: Sites, covariance: HourlyMatrices, hours: Sequence[int]
 ) -> ControlTree:
-    """Cluster the inverters, then the clusters, and so on up to the central controller.
-
-    Parameters
-    ----------
-    control, sites
-        Sizes of the clusters and how their members are chosen; the inverters.
-    covariance
-        Covariance of the inverters' power in the past, hour by hour.
-    hours
-        Hours whose mean correlation decides.
-
-    Raises
-    ------
-    InputError
-        The sizes of a tier do not add up, or there are more clusters than members.
-    """
+    """Cluster inverters, then clusters, and so on, by their mean correlation in these hours."""
     groups: list[tuple[int, ...]] = [(index,) for index in range(len(sites.names))]
     paths = list(sites.names)
     for tier in range(_tiers_of_clusters(control)):
@@ -57,15 +42,7 @@ def control_tree(
 def neighbourhoods(
     tree: ControlTree, covariance: HourlyMatrices, began_ns: dict[int, int]
 ) -> tuple[NodeNeighbourhoods, ...]:
-    """Return the correlation between each parent's children, for each hour of the run.
-
-    Parameters
-    ----------
-    tree, covariance
-        The control tree, and the covariance of the inverters' power in the order of its leaves.
-    began_ns
-        For each hour of the run the simulated time from which it counts.
-    """
+    """Return the correlation between each parent's children, from the beginning of each hour on."""
     return tuple(
         NodeNeighbourhoods(
             parent,

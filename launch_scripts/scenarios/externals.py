@@ -25,21 +25,7 @@ _PORTS: Final = range(1024, 65_536)
 def check_externals(
     external: Sequence[str], timeout_s: float, base_port: int | None, tree: ControlTree
 ) -> tuple[str, ...]:
-    """Return the external agents, in the order of the tree.
-
-    Parameters
-    ----------
-    external, timeout_s, base_port
-        Their names, how long they are waited for [s], and the port of the first agent that
-        listens; the others get the next ones.
-    tree
-        Control tree of the run.
-
-    Raises
-    ------
-    InputError
-        There is no such agent, or it cannot be external; a time-out or port that makes no sense.
-    """
+    """Check the options about external agents; return the agents in the order of the tree."""
     team = tuple(agent for agent in tree.agents() if agent != RECORDER)
     for agent in external:
         if agent == RECORDER:
@@ -70,14 +56,8 @@ def check_externals(
 class ExternalWatch:
     """Which external agents are present, and the messages to the user about them.
 
-    They are waited for from the monotonic time `began_at` on, for `timeout_s` [s].
-
-    Attributes
-    ----------
-    complete_at
-        Monotonic time at which all had been there once [s]; None before that.
-    plant_gone_at
-        Monotonic time at which an external plant went away [s]; None while it is there.
+    Times are monotonic [s]. `complete_at` is None until all have been there once, `plant_gone_at`
+    while an external plant is there.
     """
 
     def __init__(self, plan: RunPlan, plan_path: Path, timeout_s: float, began_at: float) -> None:
@@ -118,11 +98,14 @@ class ExternalWatch:
             back = self._gone_in.pop(agent, None)
             if back is None or not running:
                 return f"{name} is here"
+            if self._plan.lockstep:
+                self._gone_in[agent] = back
+                return f"{name} is back, but what it missed since cycle {back} does not come again"
             return f"{name} is back in cycle {event.cycle}, gone since cycle {back}"
         self._gone_in[agent] = event.cycle
         if not running:
             return f"{name} is gone before cycle 0"
-        goes_on = "waits for it" if self._plan.lockstep else "goes on without it"
+        goes_on = "cannot go on without it" if self._plan.lockstep else "goes on without it"
         rest = "" if agent == PLANT else f"; the run {goes_on}"
         return f"{name} is gone in cycle {event.cycle}{rest}"
 
@@ -151,11 +134,13 @@ class ExternalWatch:
         Before cycle 0 one that does not answer is the likely reason, and named first.
         """
         if not running and self._unheard:
-            return "\n".join([self._silence(), failure, *self._wrong()])
-        gone = [f"{agent} is gone since cycle {cycle}" for agent, cycle in self._gone_in.items()]
+            wrong = (f"wrong message on {key}: {text}" for key, text in self._complaints.items())
+            return "\n".join([self._silence(), failure, *wrong])
+        gone = [f"{agent} went away in cycle {cycle}" for agent, cycle in self._gone_in.items()]
         if not gone:
             return failure
-        return f"{failure}\nof the external agents: {'; '.join(gone)}"
+        again = ": in lockstep no message is sent twice" if self._plan.lockstep else ""
+        return f"of the external agents {', '.join(gone)}{again}\n{failure}"
 
     def _silence(self) -> str:
         """Say who does not answer the arming rounds, the most silent one first."""
@@ -169,9 +154,6 @@ class ExternalWatch:
             f"nothing came on {', '.join(silent_ports)}"
             for agent, silent_ports in ranked
         )
-
-    def _wrong(self) -> list[str]:
-        return [f"wrong message on {key}: {text}" for key, text in self._complaints.items()]
 
     def _place(self, agent: str) -> str:
         plan = self._plan

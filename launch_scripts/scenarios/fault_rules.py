@@ -29,13 +29,7 @@ def fault_rules(
     tree: ControlTree,
     external: Collection[str] = (),
 ) -> tuple[FaultRule, ...]:
-    """Return the rules of a run, the scenario's first.
-
-    Raises
-    ------
-    InputError
-        A rule cannot be read, or does not fit the run.
-    """
+    """Return the rules of a run, the scenario's first."""
     rules = scenario_file.scenario.faults
     for place, rule in enumerate(rules):
         check_rule(rule, tree, f"{scenario_file.path}: faults[{place}]", external)
@@ -58,11 +52,6 @@ def parse_fault(text: str) -> FaultRule:
     """Read a rule, `FIELD=VALUE,...`; `silent` may come several times.
 
     Whether it fits the run is checked by `check_rule`.
-
-    Raises
-    ------
-    InputError
-        A field or a value is not accepted.
     """
     where, values = f"--fault {text}", dict[str, Any]()
     for part in text.split(","):

@@ -15,17 +15,7 @@ _NO_BOUND: Final = 1e12
 
 
 def readable(error: msgspec.ValidationError, struct: type[Any], document: object) -> str:
-    """Say `FIELD: expected X, got Y`.
-
-    Parameters
-    ----------
-    error
-        The error that msgspec raised.
-    struct
-        The struct that the document should be.
-    document
-        The document as it was read: it has the value, and says which of several structs is meant.
-    """
+    """Say `FIELD: expected X, got Y` of an error in a document that should be a struct."""
     where, what = place_and_objection(error)
     if unknown := re.fullmatch(r"Object contains unknown field `(.*)`", what, re.DOTALL):
         names = ", ".join(field_names(struct, where, document))

@@ -33,14 +33,7 @@ class MachineTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 def machine_settings(
     table: MachineTable, cpus: Sequence[str], priority: int | None, *, lockstep: bool
 ) -> MachineSettings:
-    """Return what the processes of a run may take, by the scenario and the command line.
-
-    Raises
-    ------
-    InputError
-        There is no such processor or kind of process, the priority is none, or there is no clock
-        that would make one useful.
-    """
+    """Return what the processes of a run may take, by the scenario and the command line."""
     everywhere, of_kind = _cpus(*(("--cpus", cpus) if cpus else ("machine.cpus:", table.cpus)))
     if priority is not None:
         _check_priority(priority, lockstep)

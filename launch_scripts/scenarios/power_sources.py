@@ -27,22 +27,7 @@ from sim_plant.sources import CloudySky, MeasuredPlant, MeasuredSky, PowerSource
 def power_source(
     scenario_file: ScenarioFile, seed: int | None, times: pd.DatetimeIndex
 ) -> PowerSource:
-    """Read what the scenario names, or make the sky that it describes.
-
-    Parameters
-    ----------
-    scenario_file
-        The scenario, and where its files are.
-    seed
-        Seed of the run's sky, if it is not the scenario's own.
-    times
-        Beginnings of the run's cycles: an archive is opened at their day.
-
-    Raises
-    ------
-    InputError
-        There is a seed for a measured sky, or the data cannot be used.
-    """
+    """Read what the scenario names, or make the sky that it describes."""
     irradiance = scenario_file.scenario.irradiance
     if seed is not None and not isinstance(irradiance, CloudIrradiance):
         raise InputError("--seed: expected a scenario with synthetic clouds, got a measured one")

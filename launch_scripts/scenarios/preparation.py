@@ -46,21 +46,9 @@ _HOUR_NS: Final = 3_600_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """What the user may change about a scenario. None and an empty list leave it as it is.
+    """What the user may change about a scenario, as the options of `heliarch launch` say.
 
-    Attributes
-    ----------
-    start, duration, end, pace, seed, scheme, actuator, faults
-        As the options of `heliarch launch` say.
-    external, external_timeout_s, base_port
-        Agents that the launcher must not start, how long it waits for them to appear [s], and the
-        port of the first agent that listens; None: free ports.
-    cpus, priority
-        What the processes take of the machine.
-    devices
-        Real inverters: `node=address`.
-    cycle_s
-        Length of a cycle [s].
+    None and an empty list leave it as it is.
     """
 
     start: str | None = None
@@ -127,13 +115,7 @@ class _Day:
 
 
 def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Preparation:
-    """Work out a run.
-
-    Raises
-    ------
-    InputError
-        Scenario, options and data do not go together.
-    """
+    """Work out a run."""
     if options.seed is not None and not 0 <= options.seed <= LARGEST_SEED:
         raise InputError(f"--seed: expected 0 to {LARGEST_SEED}, got {options.seed}")
     scenario = scenario_file.scenario

@@ -45,22 +45,7 @@ def parse_pace(pace: str | float | None) -> float | Literal["max"] | None:
 
 
 def cycle_wall_ns(cycle_s: float, pace: float | Literal["max"], where: str) -> int:
-    """Return the length of a cycle on the wall clock [ns], 0 in lockstep.
-
-    Parameters
-    ----------
-    cycle_s
-        Length of a cycle in simulated time.
-    pace
-        Simulated seconds a second.
-    where
-        Where the pace comes from, to be named.
-
-    Raises
-    ------
-    InputError
-        The cycle is too short for any clock.
-    """
+    """Return the length of a cycle on the wall clock [ns], 0 in lockstep."""
     if pace == "max":
         return 0
     length_ns = round(cycle_s / pace * 1e9)
@@ -77,21 +62,8 @@ def tier_deadlines_ns(
 ) -> tuple[int, ...]:
     """Return when the last message of each tier must be out after the beginning of a cycle [ns].
 
-    Parameters
-    ----------
-    deadlines_ms
-        The scenario's, the central controller's first and the direct controllers' last. None: each
-        stage gets its share of the cycle, and nothing is returned.
-    tree
-        Control tree of the run.
-    cycle_ns
-        Length of a cycle on the wall clock; 0 in lockstep, where deadlines are not used.
-
-    Raises
-    ------
-    InputError
-        They are not one for each tier, within the cycle, and so far apart that each stage has at
-        least as much time as it may take to wake a process.
+    Without deadlines of the scenario nothing is returned: each stage gets its share of the cycle.
+    The central controller's come first. In lockstep, where `cycle_ns` is 0, none is used.
     """
     if deadlines_ms is None:
         return ()

@@ -286,20 +286,9 @@ def shipped_scenarios() -> tuple[str, ...]:
 
 
 def load_scenario(name_or_path: str, data_folder: Path | None = None) -> ScenarioFile:
-    """Read a scenario and check it.
+    """Read a shipped scenario or a TOML file, and check it.
 
-    Parameters
-    ----------
-    name_or_path
-        Name of a shipped scenario, or path of a TOML file.
-    data_folder
-        Where data files are looked for that are not beside the scenario. Default: the folder of
-        the scenario.
-
-    Raises
-    ------
-    InputError
-        There is no such scenario, or it does not say what it must.
+    Data files that are not beside the scenario are looked for in `data_folder`.
     """
     if data_folder is not None and not data_folder.is_dir():
         raise InputError(f"--data: expected a folder with data files, got {data_folder}")
@@ -319,13 +308,7 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
 
 
 def check_scenario(scenario: Scenario, where: str) -> None:
-    """Check what the types of the fields do not tell.
-
-    Raises
-    ------
-    InputError
-        The name is no part of a key, or the time zone is not known.
-    """
+    """Check what the types of the fields do not tell."""
     check_name(scenario.name, where)
     if scenario.time.timezone not in available_timezones():
         raise InputError(

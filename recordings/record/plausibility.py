@@ -62,6 +62,8 @@ def _bounded(
 
 
 def _absurd_start(plan: RunPlan, run: Run, heard_ns: int) -> str:
+    if run.protocol != plan.protocol:
+        return f"protocol: expected {plan.protocol}, got {run.protocol}"
     if run.state != "start":
         return ""
     within_ns = inf if plan.lockstep else START_WITHIN_NS

@@ -78,7 +78,8 @@ def curve_figure(points: Sequence[Point]) -> ReportFigure:
         figure.update_yaxes(row=row, col=1, title_text=f"{name} [%]")
     caption = (
         "Every controller dies at random, as often in an hour as the axis says, and is back after "
-        "the time below it. Nothing, 0, is not drawn. Without the ladder a node obeys the last message for "
+        "the time below it. Nothing, 0, is not drawn. Without the ladder a node obeys the last "
+        "message for "
         "ever; without revert an inverter obeys its last command for ever."
     )
     figure = dress(figure, 2 * _PANEL_PX)

@@ -26,18 +26,8 @@ WINDOW_S = 180.0
 class CloudPassage:
     """One inverter loses power while its virtual neighbour has some to spare.
 
-    Attributes
-    ----------
-    shaded, helping
-        Positions of the two inverters in the plant's order.
-    correlation
-        Pearson correlation of their true maximum power within the hour.
-    bottom
-        The cycle in which the drop ends.
-    drop_kw
-        How much the shaded inverter's IMPP fell within the minute before.
-    cycles
-        What to show: about three minutes around the drop.
+    Both are positions in the plant's order; `correlation` is that of their maximum power within the
+    hour. The IMPP of the shaded one fell by `drop_kw` within the minute before the cycle `bottom`.
     """
 
     shaded: int
@@ -57,7 +47,9 @@ def find_cloud_passage(series: RunSeries) -> CloudPassage | None:
     minute. None where no candidate has such a drop, or the scheme estimates no IMPP.
     """
     hours = hours_from_first_midnight(series)
-    drop_kw = _drops(series)
+    # By how much each IMPP is below its greatest value of the minute before.
+    greatest_kw = _minute_before(series, series.impp_kw).max().to_numpy()
+    drop_kw = np.nan_to_num(greatest_kw - series.impp_kw)
     needy = series.residual_kw < 0.0
     able = _minute_before(series, series.residual_kw).min().to_numpy() > 0.0
     best: CloudPassage | None = None
@@ -120,12 +112,6 @@ def _candidates(
             if len(members) > 1:
                 pair = min(combinations(members, 2), key=lambda two: matrix[two])
                 yield hour, pair, float(matrix[pair])
-
-
-def _drops(series: RunSeries) -> NDArray[np.float64]:
-    """Return by how much each IMPP is below its greatest value of the minute before [kW]."""
-    greatest_kw = _minute_before(series, series.impp_kw).max().to_numpy()
-    return np.nan_to_num(greatest_kw - series.impp_kw)
 
 
 def _minute_before(series: RunSeries, values: NDArray[np.float64]) -> Rolling[pd.DataFrame]:

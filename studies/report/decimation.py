@@ -15,21 +15,8 @@ COLUMNS = 900
 def extremes(values: NDArray[np.float64], buckets: int = BUCKETS) -> NDArray[np.intp]:
     """Find the rows of a series that a line must go through to look like the whole series.
 
-    The series is cut into buckets of equal length. Of each bucket the least and the greatest value
-    are kept, besides the first and the last value of the series.
-
-    Parameters
-    ----------
-    values
-        The series, shape (T,), T at least 1. NaN is no value: a bucket of nothing else keeps its
-        first row, so that a line is broken there.
-    buckets
-        Number of buckets. A series of up to twice as many values is kept whole.
-
-    Returns
-    -------
-    numpy.ndarray
-        Rows, ascending, each once; at most 2 `buckets` + 2.
+    Of each bucket the least and the greatest value are kept, besides the first and the last of the
+    series; of a bucket of NaN its first row, so that a line is broken there.
     """
     length = len(values)
     if length <= 2 * buckets:
@@ -45,20 +32,9 @@ def extremes(values: NDArray[np.float64], buckets: int = BUCKETS) -> NDArray[np.
 def least_per_bucket(
     values: NDArray[np.float64], buckets: int = COLUMNS
 ) -> tuple[NDArray[np.float64], int]:
-    """Return the least value of each bucket of several series at once.
+    """Return the least value of each bucket of n series, shape (buckets, n), and rows per bucket.
 
-    Parameters
-    ----------
-    values
-        n series, shape (T, n), T at least 1.
-    buckets
-        Greatest number of buckets.
-
-    Returns
-    -------
-    tuple of numpy.ndarray and int
-        Values of shape (B, n), B at most `buckets`, NaN where a bucket has nothing else; and the
-        number of rows in a bucket. The last bucket may have fewer.
+    It is NaN where a bucket has nothing else. The last bucket may have fewer rows.
     """
     columns = [_in_buckets(series, buckets) for series in values.T]
     return np.column_stack([np.fmin.reduce(table, axis=1) for table in columns]), len(columns[0][0])

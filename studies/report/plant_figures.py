@@ -185,19 +185,9 @@ def folded_distribution(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the cumulative distribution of an error, folded at zero.
 
-    Parameters
-    ----------
-    error_kw
-        The error, shape (T,).
-    points
-        Greatest number of points of either side, closest together in the tails.
-
-    Returns
-    -------
-    tuple of numpy.ndarray
-        Errors [kW], ascending, and for each the share of T that lies at least as far from zero on
-        the same side. Between the two sides stands one NaN. Errors that are but rounding (up to
-        1e-6 kW) belong to neither.
+    For each error, ascending, the share that lies at least as far from zero on the same side. One
+    NaN parts the two sides, which have at most so many points each, closest together in the tails.
+    Errors that are but rounding (up to 1e-6 kW) belong to neither.
     """
     low_kw, low_share = _tail(-error_kw, points)
     high_kw, high_share = _tail(error_kw, points)

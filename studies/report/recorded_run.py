@@ -14,7 +14,7 @@ from bus_schemas.errors import InputError
 from recordings.inspect.health import SUMMARY_NAME
 from recordings.read.reader import RunReader
 from recordings.read.series import read_series
-from studies.report.run_report import check_destination, run_line, write_report
+from studies.report.run_report import run_line, write_report
 from studies.report.tables import health_table, metrics_tables
 from sunspec.tables import devices_in, devices_tables
 
@@ -22,17 +22,10 @@ REPORT_NAME: Final = "report.html"
 
 
 def write_run_report(run: Path, out: Path | None = None) -> Path:
-    """Write the report of a recorded run, by default beside its recording; return where it is.
-
-    Raises
-    ------
-    InputError
-        There is no such run, no cycle of it is complete, or the report cannot be put there.
-    """
+    """Write the report of a recorded run, by default beside its recording; return where it is."""
     console = Console(stderr=True)
     with RunReader(run) as reader:
         path, plan = out or reader.path.with_name(REPORT_NAME), reader.plan
-        check_destination(path)
         notes = _notes(reader)
         size_mb = reader.path.stat().st_size / 1e6
         with console.status(f"reading {size_mb:,.0f} MB of {escape(str(run))}"):

@@ -55,36 +55,14 @@ def write_report(
 ) -> None:
     """Write a report as one HTML file, which opens without a network.
 
-    Parameters
-    ----------
-    path
-        The file. It appears whole or not at all; one that is there is replaced.
-    series
-        One run; or several of the same plant in the same cycles, each with a label of its own.
-    content
-        Tables and figures to stand before the figures of the runs.
-    notes
-        Paragraphs after the first one, plain text.
-    lead
-        First line of the page; `run_line` gives it for a run.
-
-    Raises
-    ------
-    InputError
-        There is nothing to report, or the runs do not belong together.
+    It shows one run, or several of the same plant in the same cycles, each with a label of its own.
+    `lead`, the notes, and tables and figures of `content` come before the figures of the runs.
     """
-    check_destination(path)
     check_comparable(series)
     figures = _figures(series)
     text = [lead or _plant_line(series), *_cycle_lines(series), *notes, *_absent(figures)]
     with whole_file(path) as file:
         file.write(html_page(title, text, [*content, *figures]).encode())
-
-
-def check_destination(path: Path) -> None:
-    """Refuse a place where no report can be written, before any work is done."""
-    if path.is_dir() or not path.parent.is_dir():
-        raise InputError(f"report {path}: expected a file in an existing folder")
 
 
 def check_comparable(series: Sequence[RunSeries]) -> None:

@@ -128,16 +128,9 @@ def time_line(
     cycles: range | None = None,
     **look: object,
 ) -> go.Scatter:
-    """Return a line of one value a cycle, thinned out to what a screen shows.
+    """Return a line of one value a cycle, in all cycles or some, thinned out for a screen.
 
-    Parameters
-    ----------
-    values
-        One for each cycle of the run, shape (T,).
-    cycles
-        The cycles to show; by default all.
-    look
-        Further properties of a Plotly scatter trace.
+    `look` are further properties of a Plotly scatter trace.
     """
     shown = cycles or range(series.cycles)
     rows = shown.start + extremes(values[shown.start : shown.stop])

@@ -25,13 +25,7 @@ _REGULATION_NOTE = (
 
 
 def metrics_tables(series: Sequence[RunSeries]) -> list[Table]:
-    """Return the tables of figures of merit: how the commitment was kept, and regulation if any.
-
-    Parameters
-    ----------
-    series
-        The runs, one column each; one or more, each with one cycle or more.
-    """
+    """Return the tables of figures of merit: how the commitment was kept, and regulation if any."""
     runs = [(one.label, run_metrics(one)) for one in series]
     commitment = runs_as_columns(
         "How the commitment was kept", runs, shown_in("report", "commitment")

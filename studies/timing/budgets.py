@@ -39,20 +39,10 @@ Limits: TypeAlias = dict[str, dict[str, float]]
 
 
 class Verdict(msgspec.Struct, frozen=True):
-    """One budget, and whether the run kept it.
+    """One budget, such as `hop residual p99`, and whether the run kept it.
 
-    Attributes
-    ----------
-    line
-        Its name: `hop residual p99`.
-    measure, of
-        The row of durations that it judges; empty if it judges a count.
-    value, limit
-        What was measured, None if nothing was, and the most that is allowed.
-    unit
-        Of both: `ms`, `%`, `MB`, or empty for a count.
-    passed
-        Whether the budget was kept. It was not if nothing was measured.
+    `measure` and `of` are the row of durations that it judges, empty for a count. `value` is None
+    if nothing was measured: then it was not kept.
     """
 
     line: str

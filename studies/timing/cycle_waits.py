@@ -35,16 +35,9 @@ _MOST_NAMED: Final = 3
 class Wait(NamedTuple):
     """A stage of an agent, from what it waited for to its own last message.
 
-    Attributes
-    ----------
-    cause
-        The input that was published last; None if the clock closed the stage.
-    message
-        What it published last.
-    began_ns, ended_ns
-        When cause and message were published, after the cycle's scheduled tick [ns].
-    without
-        Keys of inputs that had not come at its deadline.
+    It began when its `cause`, the input published last, was published, and ended with its last
+    `message`; both times are after the cycle's scheduled tick [ns]. Without a cause the clock
+    closed it. `without` are the keys of inputs that had not come at its deadline.
     """
 
     agent: str
@@ -71,16 +64,9 @@ class Wait(NamedTuple):
 
 
 class CycleWaits(NamedTuple):
-    """The waits of one cycle.
+    """The waits of one cycle, from the scheduled tick to the plant's production.
 
-    Attributes
-    ----------
-    loop_ns
-        From the scheduled tick to the plant's production [ns].
-    chain
-        The waits that made it so long, from the tick on.
-    waits
-        One for each stage of each agent that published, those of the chain included.
+    The `chain` made it so long; `waits` has all stages that published, those of the chain included.
     """
 
     cycle: int

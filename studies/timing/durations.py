@@ -23,14 +23,9 @@ _STEPS_PER_DECADE: Final = 12
 
 
 class Distribution(msgspec.Struct, frozen=True):
-    """A summary of durations.
+    """A summary of durations. A percentile is the least one that so many percent do not exceed.
 
-    Attributes
-    ----------
-    min_us, p50_us, p99_us, p99_9_us, max_us
-        Exact [us]. A percentile is the least duration that so many percent do not exceed.
-    histogram
-        The HdrHistogram encoded as text, values in ns. Others can merge it.
+    All figures are exact. The histogram is an HdrHistogram encoded as text, with values in ns.
     """
 
     count: int
@@ -43,18 +38,10 @@ class Distribution(msgspec.Struct, frozen=True):
 
 
 class Times(msgspec.Struct, frozen=True):
-    """A row of durations.
+    """A row of durations: `decision` of `direct estimate`, `hop` of `residual`.
 
-    Attributes
-    ----------
-    measure
-        What was measured: `decision`, `hop`, see `studies.timing.measures.MEASURES`.
-    of
-        Of what: a stage of a tier (`direct estimate`), a signal (`residual`).
-    kind
-        The kind of the agents, or the signal: names its budget if `of` does not.
-    outside
-        Whether they are of a device whose own times are not used.
+    `kind` is that of the agents, or the signal, and names the budget if `of` does not. `outside`
+    says that the times are of a device whose own times are not used.
     """
 
     measure: str
@@ -84,13 +71,9 @@ def distribution(durations_ns: NDArray[np.int64]) -> Distribution:
 
 
 def curve_ms(times: Distribution) -> tuple[list[float], list[float]]:
-    """Return percentiles of durations, as a curve to be drawn.
+    """Return a curve to be drawn: shares of the durations that exceed a value, and those values.
 
-    Returns
-    -------
-    tuple of list
-        Shares of the durations that exceed a value, from 1 down to half of one of them, in equal
-        steps of their logarithm; and those values [ms].
+    The shares go from 1 down to half of one duration, in equal steps of their logarithm.
     """
     histogram = HdrHistogram(_LOWEST_NS, _HIGHEST_NS, _FIGURES)
     histogram.decode_and_add(times.histogram)

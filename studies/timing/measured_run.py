@@ -26,20 +26,14 @@ def run_length_s(request: RunRequest, default: str) -> float:
     """Return how long a run lasts: up to `--to`, or for `--duration` or its default [s]."""
     if request.options.end is None:
         return parse_duration_s(request.options.duration or default, "--duration")
-    plan = _prepared(request)[0].plan
+    plan = prepare_run(request)[0].plan
     return plan.cycles * plan.cycle_ns / 1e9
 
 
 def prepare_at(
     rate_hz: float, length_s: float, request: RunRequest, out: Path | None
 ) -> tuple[Preparation, RunFolder]:
-    """Prepare a run at a rate, its length rounded to whole cycles. Nothing is written yet.
-
-    Raises
-    ------
-    InputError
-        Command line, scenario and data do not fit together.
-    """
+    """Prepare a run at a rate, its length rounded to whole cycles. Nothing is written yet."""
     if length_s * rate_hz < 1.0:
         raise InputError(
             f"--duration {length_s:g} s: shorter than one cycle, expected {1.0 / rate_hz:g} s or "
@@ -48,31 +42,13 @@ def prepare_at(
     cycle_s = 1.0 / rate_hz
     duration = f"{round(length_s * rate_hz) * cycle_s:.9f}"
     options = replace(request.options, pace="1", cycle_s=cycle_s, duration=duration, end=None)
-    return _prepared(RunRequest(request.scenario, options, out))
-
-
-def _prepared(request: RunRequest) -> tuple[Preparation, RunFolder]:
-    try:
-        return prepare_run(request)
-    except OSError as error:
-        # A file that must not be read, or a name that no file can have.
-        raise InputError(str(error)) from None
+    return prepare_run(RunRequest(request.scenario, options, out))
 
 
 def measured_run(
     preparation: Preparation, folder: RunFolder, console: Console, *, by_agent: bool = False
 ) -> Reported:
-    """Run a plant that `prepare_at` has prepared, and report on it.
-
-    Raises
-    ------
-    InputError
-        The folder or the ports are not available.
-    OSError
-        A file that the processes need cannot be written.
-    RunFailure
-        The run could not go on, or its recording cannot be read.
-    """
+    """Run a plant that `prepare_at` has prepared, and report on it."""
     plan, scenario = preparation.plan, preparation.scenario.scenario
     duration_s = plan.cycles * plan.cycle_wall_ns / 1e9
     began_at, load_before = time.monotonic(), psutil.getloadavg()[0]

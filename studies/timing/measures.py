@@ -43,20 +43,10 @@ Durations: TypeAlias = NDArray[np.int64]
 
 
 class RunTiming(NamedTuple):
-    """The timing of a run.
+    """The timing of a run, without devices among its processes.
 
-    Attributes
-    ----------
-    times
-        Durations by tier and stage, and by signal.
-    processes
-        One for each of our own agents.
-    slowest
-        The slowest cycles, the slowest first.
-    late_cycles
-        Cycles in which one of our agents missed a deadline, overran or said nothing.
-    loop_cycles, loop_ns
-        The cycles that the plant ended, and the loop time of each.
+    In a late cycle one of our agents missed a deadline, overran or said nothing. `loop_cycles` are
+    those that the plant ended.
     """
 
     times: tuple[Times, ...]
@@ -73,13 +63,7 @@ class RunTiming(NamedTuple):
 
 
 def run_timing(reader: RunReader, *, by_agent: bool = False) -> RunTiming:
-    """Work out the timing of a run; with `by_agent` each agent has rows of its own too.
-
-    Raises
-    ------
-    InputError
-        The run was not in real time, or its recording is damaged.
-    """
+    """Work out the timing of a run; with `by_agent` each agent has rows of its own too."""
     messages = read_message_times(reader)
     stages = stage_times(messages)
     measures = _Measures(messages)

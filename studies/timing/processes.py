@@ -19,20 +19,8 @@ N = TypeVar("N", int, float)
 class ProcessTiming(msgspec.Struct, frozen=True, kw_only=True):
     """Counts and resources of one process; None where only its launcher knew and is not asked.
 
-    Attributes
-    ----------
-    tier
-        Its kind; `supervisor 1` where there are several tiers of supervisors.
-    missed_deadlines, overruns
-        By stage. The recorder has none.
-    missing_inputs
-        By port.
-    dropped
-        Messages that could not be used, by cause.
-    cpu_percent, resident_mb
-        Processor time in % of one core, and the most resident memory seen.
-    times
-        Its own rows of durations; empty unless they were asked for.
+    Deadlines and overruns are counted by stage, missing inputs by port, dropped messages by cause.
+    Processor time is in % of one core.
     """
 
     agent: str

@@ -35,19 +35,7 @@ _NO_SUMMARY = (
 
 
 class Host(msgspec.Struct, frozen=True, kw_only=True):
-    """The machine and the software of a timed run: the figures mean nothing without them.
-
-    Attributes
-    ----------
-    kernel
-        Its name and release; empty if not known.
-    scheduling
-        Policy and processors that plant and controllers got: `SCHED_FIFO 20`.
-    load_before, load_after
-        Load average of the last minute; None if not known.
-    memory_locked
-        Whether the memory of plant and controllers was never paged out.
-    """
+    """The machine and the software of a timed run: the figures mean nothing without them."""
 
     kernel: str
     cpus: int
@@ -72,27 +60,7 @@ class SlowCycle(msgspec.Struct, frozen=True):
 
 
 class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
-    """A timed run.
-
-    Attributes
-    ----------
-    cycles, wall_s
-        How many cycles the plant ended, and how long they took.
-    late_cycles
-        Cycles in which one of our agents missed a deadline, overran or said nothing.
-    interrupted
-        Whether the user ended it early.
-    remarks
-        What a reader must know: what the machine did not permit, a recording that ended early.
-    external, wrong
-        What was heard of the user's own devices, and their messages that could not be used.
-    devices
-        The real inverters.
-    faults
-        What the network faults that were asked for did to messages.
-    lost_messages
-        Messages that were published and are not in the recording; None if not known.
-    """
+    """A timed run; docs/timing.md describes the fields. None: it is not known."""
 
     scenario: str
     run_id: str
@@ -148,21 +116,8 @@ def report_on(
 ) -> Reported:
     """Work out the timing of a run from its recording.
 
-    Parameters
-    ----------
-    run
-        Its folder, or the MCAP file.
-    summary
-        Of the run; by default the one in its folder, if there is one.
-    load
-        Load average of the machine before and after it, if known.
-    by_agent
-        Whether each process gets rows of durations of its own.
-
-    Raises
-    ------
-    InputError
-        It is no recording of a run in real time, or it is damaged.
+    Without a summary the one in the run's folder is used, if there is one. `load` is the machine's
+    load average before and after the run. With `by_agent` each process has rows of its own.
     """
     with RunReader(run) as reader:
         plan, table = reader.plan, _budgets_in(reader)

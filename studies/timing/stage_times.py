@@ -156,15 +156,10 @@ class StageTimes:
 
 
 def read_message_times(reader: RunReader) -> MessageTimes:
-    """Read the times of a run's messages.
-
-    Raises
-    ------
-    InputError
-        The run was not in real time, or its recording is damaged.
-    """
+    """Read the times of a run's messages."""
     plan, start_ns = reader.plan, _start_ns(reader)
-    columns = {port: column for column, port in enumerate(_timed_ports(plan))}
+    ports = [port for port in plan.keys.ports if port.signal.is_cyclic and port.signal.logged]
+    columns = {port: column for column, port in enumerate(ports)}
     cycles, places, readies, publishes = (array("q") for _ in range(4))
     missing: dict[Port[Message], dict[int, tuple[str, ...]]] = {}
     for record in reader.records(columns, range(_end_cycle(reader))):
@@ -219,10 +214,6 @@ def stage_times(messages: MessageTimes) -> list[StageTimes]:
         for agent, pattern in patterns.items()
         for name in STAGES[kind_of(agent, plan.tree)]
     ]
-
-
-def _timed_ports(plan: RunPlan) -> list[Port[Message]]:
-    return [p for p in plan.keys.ports if p.signal.is_cyclic and p.signal.logged]
 
 
 def _start_ns(reader: RunReader) -> int:

@@ -43,20 +43,10 @@ class Rates:
 
 
 class RateRow(msgspec.Struct, frozen=True):
-    """The run at one rate.
+    """The run at one rate; of one that was interrupted nothing is proved.
 
-    Attributes
-    ----------
-    loop_p50_us, loop_p99_us, loop_max_us
-        None if the plant ended no cycle.
-    missed_deadlines, overruns, lost_messages, cpu_percent
-        Of all processes together; processor time in % of one core.
-    trouble
-        What was missed, overran, was skipped or lost, and in which tier.
-    failed
-        Why the run failed; empty if it did not.
-    interrupted
-        Whether the user ended it early: then it proves nothing.
+    `trouble` says what was missed, overran, was skipped or lost, and in which tier; `failed` why
+    the run failed.
     """
 
     rate_hz: float
@@ -142,12 +132,8 @@ def sweep(rates: Rates, timed: Callable[[float], TimingReport]) -> Sweep:
 
     A search runs a rate that was not clean once more, and the second run counts: one stall of the
     machine must not end it. A rate of a search may be refused because stated deadlines do not fit
-    into its cycle, or its run may fail: that rate has failed, and the others still count.
-
-    Raises
-    ------
-    InputError
-        The very first rate is refused.
+    into its cycle, or its run may fail: that rate has failed, and the others still count. Only if
+    the very first rate is refused, so is the sweep.
     """
     rows: dict[float, RateRow] = {}
     for rate_hz in _search(rates.search_hz, rows) if rates.search_hz else rates.listed_hz:

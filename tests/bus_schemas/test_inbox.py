@@ -103,27 +103,6 @@ def test_nothing_is_lost_or_turned_round_between_several_threads() -> None:
         assert own == sorted(own)
 
 
-def test_an_agent_that_wants_one_at_a_time_gets_them_all() -> None:
-    inbox = Inbox()
-    replies = threading.Semaphore(0)
-
-    def put_one_after_the_other() -> None:
-        for number in range(200):
-            put(inbox, number)
-            replies.acquire()
-
-    puts = threading.Thread(target=put_one_after_the_other)
-    puts.start()
-    taken: list[int] = []
-    while len(taken) < 200:
-        got = take(inbox, 1, FOR_EVER_S)
-        taken += got
-        for _ in got:
-            replies.release()
-    puts.join()
-    assert taken == list(range(200))
-
-
 # A flood ------------------------------------------------------------------------------------------
 
 

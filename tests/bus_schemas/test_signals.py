@@ -6,17 +6,12 @@ import pytest
 
 from bus_schemas.keys import KeyTable
 from bus_schemas.links import explicit_links
-from bus_schemas.messages import Message
 from bus_schemas.signals import (
     CLOCK,
-    IMPP,
-    PRODUCTION,
     READY,
-    RESIDUAL,
     RUN,
     SIGNALS,
     TAKEOVER,
-    Port,
     Wiring,
     listeners,
     ports,
@@ -63,10 +58,6 @@ def test_who_speaks_and_who_listens(key: str, published_by: str, heard_by: tuple
 
 def test_every_controller_hears_when_the_run_begins_and_ends() -> None:
     assert set(listeners(RUN.of(ROOT), OAHU)) == set(OAHU.agents()) - {"plant", "recorder"}
-
-
-def test_no_controller_hears_what_really_happened() -> None:
-    assert listeners(PRODUCTION.of(ROOT), OAHU) == ()
 
 
 @pytest.mark.parametrize("tree", TREES)
@@ -116,11 +107,6 @@ def test_a_key_of_no_port_is_known_as_such(key: str) -> None:
     assert KEYS.port(key) is None
 
 
-def test_signs_of_life_have_keys_of_their_own() -> None:
-    assert KEYS.alive_key("c1/inv07") == "oahu/c1/inv07/alive"
-    assert KEYS.alive_key("central") == "oahu/central/alive"
-
-
 def test_each_signal_is_about_the_nodes_that_it_makes_sense_for() -> None:
     nodes = {signal.name: signal.nodes(OAHU) for signal in SIGNALS}
     leaves = LEAVES
@@ -142,12 +128,6 @@ def test_each_signal_is_about_the_nodes_that_it_makes_sense_for() -> None:
     }
 
 
-def test_a_port_is_one_object() -> None:
-    assert IMPP.of("c1") is IMPP.of("c1")
-    different: set[Port[Message]] = {IMPP.of("c1"), IMPP.of("c2"), RESIDUAL.of("c1")}
-    assert len(different) == 3
-
-
 def test_all_is_logged_but_the_messages_of_recorder_and_replayer() -> None:
     assert {signal for signal in SIGNALS if not signal.logged} == {READY, CLOCK}
 
@@ -159,11 +139,6 @@ def test_all_is_decided_by_agents_but_what_is_said_about_the_run() -> None:
         CLOCK,
         TAKEOVER,
     }
-
-
-def test_names_and_types_of_signals_differ() -> None:
-    assert len({signal.name for signal in SIGNALS}) == len(SIGNALS)
-    assert len({signal.type for signal in SIGNALS}) == len(SIGNALS)
 
 
 @pytest.mark.parametrize("tree", TREES)

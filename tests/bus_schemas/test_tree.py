@@ -41,10 +41,6 @@ def test_children_are_one_tier_below() -> None:
     assert TREE.children("inv09") == ()
 
 
-def test_leaves_are_the_inverters() -> None:
-    assert [node for node in TREE.nodes if TREE.is_leaf(node)] == list(TREE.leaves)
-
-
 def test_a_cluster_is_rated_as_its_inverters_together() -> None:
     tree = ControlTree((("c1/a", 100.0), ("c1/b", 50.0), ("c2/a", 25.0)))
     assert [tree.rating_kw(node) for node in ("c1/a", "c1", "c2", ROOT)] == [100, 150, 25, 175]
@@ -75,11 +71,6 @@ def test_the_way_up_from_a_node() -> None:
     assert ancestors(ROOT) == ()
     assert (parent_of("z1/c2"), parent_of("z1")) == ("z1", ROOT)
     assert [depth(path) for path in (ROOT, "z1", "z1/c2/inv07")] == [0, 1, 3]
-
-
-def test_the_central_controller_has_no_parent() -> None:
-    with pytest.raises(ValueError, match="the central controller has no parent"):
-        parent_of(ROOT)
 
 
 def test_a_tree_is_made_of_paths_and_ratings() -> None:

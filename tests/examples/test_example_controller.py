@@ -31,6 +31,7 @@ PLAN: dict[str, Any] = {
     "tcp_ports": {"recorder": 7500, "plant": 7501, "central": 7502, "c1": 7503},
     "start_time_ns": 0,
     "cycle_ns": 1_000_000_000,
+    "cycles": 1_000,
     "cycle_wall_ns": int(CYCLE_S * 1e9),
     "period_cycles": [1, 5],
     "alpha_min": 0.05,
@@ -41,7 +42,7 @@ PLAN: dict[str, Any] = {
 class Device:
     """The controller at work on a clock of the test's, and what it sends."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, **plan: int) -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, **plan: Any) -> None:
         self.now_s = 100.0
         self.sent: list[tuple[str, dict[str, Any]]] = []
         clock = SimpleNamespace(monotonic=lambda: self.now_s, monotonic_ns=lambda: 1)
@@ -178,6 +179,41 @@ def test_it_counts_the_cycles_that_it_controlled_and_no_others(
         device.hear("setpoint", cycle, power_kw=30.0)
     assert [name for name, _ in device.sent].count("command") == 5
     assert device.controller.commands == 3
+
+
+def test_it_answers_the_test_vector_of_the_documents(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "device.md").read_text(encoding="utf-8")
+    table = text.partition("<!-- table: vector -->")[2].partition("<!-- end -->")[0]
+    rows = [line.strip("| ").split(" | ") for line in table.splitlines() if line[2:3].isdigit()]
+    assert len(rows) > 5
+    rating_kw = 8_000.0 / 17.0
+    device = Device(
+        monkeypatch,
+        inverters=[[NODE, rating_kw], ["c1/inv02", 8_000.0 - rating_kw]],
+        period_cycles=[1, 1],
+    )
+    for cycle, row in enumerate(rows):
+        telemetry, dispatch, setpoint, *answers = (
+            [] if cell == "-" else list(map(float, cell.split())) for cell in row[1:]
+        )
+        if telemetry:
+            fields = dict(zip(("power_kw", "alpha", "available_kw"), telemetry, strict=False))
+            device.hear("telemetry", cycle, **fields)
+        if dispatch:
+            device.hear("dispatch", cycle, power_kw=dispatch[0], plant_rating_kw=8_000.0)
+        if not (telemetry and dispatch):
+            device.wait()
+        if setpoint:
+            device.hear("setpoint", cycle, power_kw=setpoint[0])
+        else:
+            device.wait()
+        sent = {name: message for name, message in device.sent if message["cycle"] == cycle}
+        impp, residual, command = sent["impp"], sent["residual"], sent["command"]
+        assert answers == [
+            [impp["power_kw"], impp["stale_cycles"]],
+            [residual["power_kw"]],
+            [command["alpha"], command["power_kw"]],
+        ]
 
 
 def test_it_listens_nowhere_and_connects_where_its_links_are() -> None:

@@ -9,12 +9,14 @@ import msgpack
 import msgspec
 import pytest
 
+from agents.loop import AgentLoop
 from agents.plan import RunPlan
+from agents.team import controller
 from bus_schemas.codec import decode
 from bus_schemas.faults import FaultRule
-from bus_schemas.messages import LONGEST_MISSING, MOST_MISSING
-from bus_schemas.signals import RESIDUAL, SIGNALS
-from bus_schemas.tree import LONGEST_PATH
+from bus_schemas.messages import LARGEST_PAYLOAD, LONGEST_MISSING, LONGEST_TEXT, MOST_MISSING
+from bus_schemas.signals import RESIDUAL, SETPOINT, SIGNALS
+from bus_schemas.tree import LONGEST_PATH, MOST_CHILDREN, MOST_INVERTERS
 from launch_scripts import cli
 from launch_scripts.documents import DOCUMENTS, filled, scenario_tables, table
 from launch_scripts.scenarios.fault_rules import parse_fault
@@ -122,6 +124,25 @@ def test_the_bounds_of_texts_are_those_that_are_kept() -> None:
     rules = WIRE.partition("\n## Rules")[2]
     assert f"`source` and paths {LONGEST_PATH} characters" in rules
     assert f"`missing` {MOST_MISSING:,} entries of {LONGEST_MISSING}\n" in rules
+    assert f"`help_given` {MOST_CHILDREN:,} entries" in rules
+    assert f"`inverter_power_kw` {MOST_INVERTERS:,};" in rules
+    assert (
+        f"notice {LONGEST_TEXT:,} characters. No message has more than {LARGEST_PAYLOAD:,}" in rules
+    )
+
+
+def test_what_is_larger_than_a_message_may_be_is_refused() -> None:
+    head = {"cycle": 1, "sim_time_ns": 2, "source": "c1", "missing": []}
+    setpoint = head | {
+        "power_kw": 3.5,
+        "share_kw": 3.5,
+        "help_given": [["c2", 1.0]] * MOST_CHILDREN,
+    }
+    assert decode(SETPOINT, msgpack.packb(setpoint)).cycle == 1
+    setpoint["help_given"] = [["c2", 1.0]] * (MOST_CHILDREN + 1)
+    for refused in (msgpack.packb(setpoint), msgpack.packb(head) + b"\xc0" * LARGEST_PAYLOAD):
+        with pytest.raises(msgspec.DecodeError):
+            decode(SETPOINT, refused)
 
 
 def test_each_stage_says_what_it_publishes() -> None:
@@ -154,3 +175,42 @@ def test_every_field_of_the_plan_is_in_the_document() -> None:
     opening = WIRE.partition("## Signals")[0]
     named = set(re.findall(r"`([a-z_]+)`", opening))
     assert {field.name for field in msgspec.structs.fields(RunPlan)} <= named
+
+
+def test_the_plan_table_names_all_fields_that_a_direct_controller_reads() -> None:
+    opening = WIRE.partition("## Signals")[0]
+    rows = [line.split("|") for line in opening.splitlines() if line.startswith("| `")]
+    needed = {
+        name
+        for row in rows
+        if any(who in row[3] for who in ("all", "controllers", "direct", "clock"))
+        for name in re.findall(r"`([a-z_]+)`", row[1])
+    }
+    read: set[str] = set()
+
+    class Watched(RunPlan, frozen=True, dict=True, kw_only=True):
+        def __getattribute__(self, name: str) -> object:
+            read.add(name)
+            return super().__getattribute__(name)
+
+    plan = prepare(load_scenario("oahu"), RunOptions(duration="10", pace=1.0), "run-1").plan
+    watched = Watched(**msgspec.structs.asdict(plan))
+    loop = AgentLoop(controller(watched, "c2/inv07"), watched)
+    loop.begin(0, 0)
+    while not loop.finished:
+        loop.close_stage(loop.deadline_ns or 0)
+    fields = {field.name for field in msgspec.structs.fields(RunPlan)}
+    assert {"cycle_ns", "alpha_min", "inverters"} < read & fields <= needed
+
+
+def test_the_controller_in_c_is_as_short_as_is_said_and_ends_its_declarations() -> None:
+    folder = HOUSE / "examples" / "c"
+    text = "\n".join((folder / name).read_text() for name in ("controller.c", "msgpack.h"))
+    code = [
+        line
+        for line in re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL).splitlines()
+        if line.strip()
+    ]
+    assert len(code) < 400
+    opening = text.partition("static bool open_link(")[2].partition("\n}")[0]
+    assert opening.index("declare_token") < opening.index("_z_make_decl_final()")

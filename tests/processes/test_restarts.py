@@ -14,8 +14,8 @@ from running import Heliarch, assert_none_left, small_plant
 from verifying import assert_equal_as_far_as_recorded, findings, verified
 
 from bus_schemas.signals import SETPOINT
-from launch_scripts.launcher.fork_requests import log_name
 from recordings.read.reader import RunReader
+from recordings.read.run_file import log_name
 
 pytestmark = pytest.mark.processes
 

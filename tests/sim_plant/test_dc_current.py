@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from complaints import complaint_of
 
-from bus_schemas.errors import InputError
-from sim_plant.dc_current import InverterCurrents, ac_power_kw, read_currents
+from sim_plant.dc_current import InverterCurrents, read_currents
 
 CURRENTS = """\
 t_s,A-1,A-2,B-1,B-2,B-3
@@ -48,14 +48,6 @@ def read(tmp_path: Path) -> Read:
     return read_texts
 
 
-def message_of(read: Read, **texts: object) -> str:
-    with pytest.raises(InputError) as caught:
-        read(**texts)
-    message = str(caught.value)
-    assert "\n" not in message
-    return message
-
-
 # Good files ---------------------------------------------------------------------------------------
 
 
@@ -76,17 +68,6 @@ def test_an_inverter_stands_amid_its_combiners(read: Read) -> None:
     found = read()
     np.testing.assert_allclose(found.x_m, [10.0, 110.0])
     np.testing.assert_allclose(found.y_m, [-5.0, 30.0])
-
-
-def test_power_is_the_share_of_the_rating_and_no_more_than_it() -> None:
-    share = np.array([[0.5, 1.0], [1.3, 0.0]])
-    np.testing.assert_array_equal(
-        ac_power_kw(share, np.array([800.0, 600.0])), [[400.0, 600.0], [800.0, 0.0]]
-    )
-
-
-def test_the_current_at_full_power_is_the_scenarios(read: Read) -> None:
-    np.testing.assert_allclose(read(full_power_current=125.0).share[0], [0.48, 0.16])
 
 
 def test_fractions_of_a_second_keep_their_step(read: Read) -> None:
@@ -118,36 +99,14 @@ def test_a_combiner_without_a_column_is_missing_throughout(read: Read) -> None:
     )
 
 
-def without_the_first_inverter() -> str:
-    lines = [line.split(",") for line in CURRENTS.splitlines()]
-    return "".join(
-        ",".join([fields[0], *([*fields[1:3]] if row == 0 else ["", ""]), *fields[3:]]) + "\n"
-        for row, fields in enumerate(lines)
-    )
-
-
-def test_an_inverter_without_any_current_is_left_out(read: Read) -> None:
-    found = read(currents=without_the_first_inverter())
-    assert found.inverters == ("02",)
-    np.testing.assert_allclose(found.x_m, [110.0])
-    assert found.share.shape == (4, 1)
-    assert found.listed == 2
-    assert found.report == (
-        "hour.csv: inverter 01: 8 of 8 currents of its 2 combiners missing: left out, with its"
-        " rating",
-    )
-
-
-def test_gaps_are_refused_where_they_shall_be(read: Read) -> None:
-    gaps = message_of(read, currents=without_the_first_inverter(), refuse_gaps=True)
-    assert gaps.startswith("hour.csv: line 2, column 'A-1': expected")
+def test_a_combiner_without_a_column_is_refused_where_gaps_are(read: Read) -> None:
     without = "\n".join(line.rpartition(",")[0] for line in CURRENTS.splitlines()) + "\n"
-    assert "inverter 02" in message_of(read, currents=without, refuse_gaps=True)
+    assert "inverter 02" in complaint_of(read, currents=without, refuse_gaps=True)
 
 
 def test_an_inverter_that_comes_and_goes_is_refused(read: Read) -> None:
     gone = CURRENTS.replace("10,60,80,", "10,,,").replace("20,90,130,", "20,,,")
-    assert message_of(read, currents=gone).startswith("hour.csv: line 3: ")
+    assert complaint_of(read, currents=gone).startswith("hour.csv: line 3: ")
 
 
 # Bad files ----------------------------------------------------------------------------------------
@@ -156,59 +115,31 @@ def test_an_inverter_that_comes_and_goes_is_refused(read: Read) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [
-        ("10,60,80", "10,60,NaN", "hour.csv: line 3, column 'A-2'"),
         ("10,60,80", "10,60,201", "hour.csv: line 3, column 'A-2'"),
         ("10,60,80", "10,60,-3", "hour.csv: line 3, column 'A-2'"),
         ("20,90", "10,90", "hour.csv: line 4, column 't_s'"),
         ("t_s,", "utc,", "hour.csv: line 1: expected t_s"),
         ("A-1,A-2", "A-1,A-1", "hour.csv: line 1: expected column 'A-1' once"),
         ("A-1,A-2", "A-1,A-9", "positions.csv: expected a line for each combiner"),
-    ],
-)
-def test_one_wrong_field_of_the_currents_is_located(
-    read: Read, old: str, new: str, complaint: str
-) -> None:
-    assert CURRENTS.count(old) == 1
-    assert message_of(read, currents=CURRENTS.replace(old, new)).startswith(complaint)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "complaint"),
-    [
         ("inverter,x_m", "inverter,east", "positions.csv: line 1: expected the columns"),
         ("A-2,01,20", "A-2,01,far", "positions.csv: line 3, column 'x_m'"),
         ("A-2,01", "A-1,01", "positions.csv: line 3, column 'combiner'"),
         ("A-2,01", "A-2,a/b", "positions.csv: line 3: name"),
     ],
 )
-def test_one_wrong_field_of_the_positions_is_located(
-    read: Read, old: str, new: str, complaint: str
-) -> None:
-    assert POSITIONS.count(old) == 1
-    assert message_of(read, positions=POSITIONS.replace(old, new)).startswith(complaint)
+def test_one_wrong_field_is_located(read: Read, old: str, new: str, complaint: str) -> None:
+    assert (CURRENTS + POSITIONS).count(old) == 1
+    texts = CURRENTS.replace(old, new), POSITIONS.replace(old, new)
+    assert complaint_of(read, *texts).startswith(complaint)
 
 
 def test_currents_in_another_unit_are_recognised(read: Read) -> None:
     for current in (1.0, 10_000.0):
-        assert "full_power_current" in message_of(read, full_power_current=current)
+        assert "full_power_current" in complaint_of(read, full_power_current=current)
 
 
 def test_a_file_without_any_current_is_refused(read: Read) -> None:
-    assert message_of(read, currents="t_s,A-1\n0,\n10,\n").startswith("hour.csv: expected")
+    assert complaint_of(read, currents="t_s,A-1\n0,\n10,\n").startswith("hour.csv: expected")
 
 
 # The real plant -----------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("hour", "inverters"), [("a", 25), ("b", 23), ("c", 25)])
-def test_the_hours_of_the_real_plant_are_read(data_folder: Path, hour: str, inverters: int) -> None:
-    folder = data_folder / "plant20mw-combiners-10s"
-    found = read_currents(
-        folder / f"hour_{hour}.csv", folder / "positions.csv", 100.0, refuse_gaps=False
-    )
-    assert found.share.shape == (361, inverters)
-    assert found.listed == 25
-    left_out = [line for line in found.report if "left out" in line]
-    assert len(left_out) == 25 - inverters
-    assert np.isfinite(found.share).all()
-    assert 690.0 < np.ptp(found.x_m) + np.ptp(found.y_m) < 1400.0

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from complaints import complaint_of
 from numpy.typing import NDArray
 
-from bus_schemas.errors import InputError
 from sim_plant.gap_filling import fill_from_neighbours
 from sim_plant.irradiance import Irradiance, read_measured_ghi
 
@@ -24,19 +24,6 @@ def line_of_sensors(ghi_wm2: NDArray[np.float64], north_m: list[float]) -> Irrad
         21.3 + np.array(north_m) / 111_200.0,
         np.full(count, -158.0),
     )
-
-
-def refusal(irradiance: Irradiance) -> str:
-    with pytest.raises(InputError) as caught:
-        fill_from_neighbours(irradiance, "day.txt", first_line=1)
-    return str(caught.value)
-
-
-def test_nothing_missing_is_nothing_changed() -> None:
-    whole = line_of_sensors(np.arange(12.0).reshape(4, 3), [0.0, 100.0, 300.0])
-    found, report = fill_from_neighbours(whole, "day.txt", first_line=1)
-    np.testing.assert_array_equal(found.ghi_wm2, whole.ghi_wm2)
-    assert report == ()
 
 
 def test_weights_are_the_inverse_squares_of_the_distances() -> None:
@@ -112,7 +99,7 @@ def test_where_no_sensor_has_a_value_each_draws_a_line_in_time() -> None:
 def test_a_silence_too_long_or_at_an_end_is_refused(first: int, after: int, lines: str) -> None:
     ghi_wm2 = np.full((100, 2), 500.0)
     ghi_wm2[first:after] = NAN
-    found = refusal(line_of_sensors(ghi_wm2, [0.0, 100.0]))
+    found = complaint_of(fill_from_neighbours, line_of_sensors(ghi_wm2, [0.0, 100.0]), "day.txt", 1)
     assert found.startswith(f"day.txt: lines {lines}: expected at most 60 lines")
 
 

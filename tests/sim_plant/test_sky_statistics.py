@@ -8,15 +8,11 @@ import pytest
 from numpy.typing import NDArray
 from sky_statistics import (
     SkyShares,
-    changes,
     cloud_cover,
     cloud_motion,
     exceedance,
     index_by_quantile,
-    lagged_correlations,
     pair_correlations,
-    peak_lags,
-    rotated,
     sky_shares,
 )
 
@@ -48,12 +44,6 @@ def test_the_motion_of_a_drifting_pattern_is_found(speed_ms: float, from_deg: fl
     # A few kilometres of sky are not quite alike in all directions.
     assert abs(off_deg) < 10.0
     assert motion.pairs > 15
-
-
-def test_the_motion_is_found_between_the_steps_of_a_coarse_clock() -> None:
-    motion = cloud_motion(waves(12.0, 100.0, step_s=10.0, count=600), EAST_M, NORTH_M, 10.0)
-    assert motion.speed_ms == pytest.approx(12.0, rel=0.05)
-    assert motion.from_deg == pytest.approx(100.0, abs=10.0)
 
 
 @pytest.mark.parametrize(("hour", "speed_ms", "angle_rad"), [("a", 10.7, 3.29), ("c", 3.14, 1.92)])
@@ -89,46 +79,6 @@ def test_pair_correlations_are_pearsons_and_a_dead_sensor_has_none() -> None:
     assert by_class[0] == pytest.approx(expected[0, 2])
     assert by_class[1] == pytest.approx(0.5 * (expected[0, 1] + expected[1, 2]))
     assert np.isnan(by_class[2])
-
-
-def test_pairs_along_a_direction_lie_within_thirty_degrees_of_it() -> None:
-    # From the first sensor: to the north, 25 and 35 degrees off, and to the south-west.
-    angle = np.deg2rad([0.0, 25.0, 35.0, 225.0])
-    east_m, north_m = np.append(0.0, np.sin(angle)), np.append(0.0, np.cos(angle))
-    pairs = pair_correlations(np.random.default_rng(2).random((9, 5)), east_m, north_m)
-    north_wind = pairs.within(180.0)
-    first = np.isin(north_wind.correlation, pairs.correlation[:4])
-    np.testing.assert_allclose(north_wind.north_m[first], np.cos(angle[:2]))
-    west_wind = pairs.within(90.0)
-    assert not np.isin(pairs.correlation[:4], west_wind.correlation).any()
-
-
-def test_a_direction_is_clockwise_from_north_and_left_is_across() -> None:
-    along_m, across_m = rotated(np.array([2.0, 0.0]), np.array([0.0, 3.0]), 90.0)
-    np.testing.assert_allclose(along_m, [2.0, 0.0], atol=1e-12)
-    np.testing.assert_allclose(across_m, [0.0, 3.0], atol=1e-12)
-
-
-def test_a_delayed_copy_is_most_alike_at_its_delay() -> None:
-    signal = np.random.default_rng(8).standard_normal(300).cumsum()
-    series = np.stack([signal[20:], signal[13:-7]], axis=1)
-    lagged = lagged_correlations(np.diff(series, axis=0), np.array([0]), np.array([1]), 12)
-    assert np.argmax(lagged[:, 0]) - 12 == 7
-    assert lagged[19, 0] == pytest.approx(1.0, abs=0.1)
-
-
-def test_a_peak_beyond_the_longest_lag_is_no_lag() -> None:
-    slow = waves(5.0, 270.0)
-    far = np.argsort(EAST_M)[[0, -1]]
-    lags = peak_lags(slow[:, far], EAST_M[far], NORTH_M[far], 1.0, longest_lag_s=20.0)
-    found = peak_lags(slow[:, far], EAST_M[far], NORTH_M[far], 1.0)
-    assert found.lag_s[0] == pytest.approx((EAST_M[far[1]] - EAST_M[far[0]]) / 5.0, rel=0.1)
-    assert np.isnan(lags.lag_s[0]) or abs(lags.lag_s[0]) < 20.0
-
-
-def test_changes_are_differences_over_the_interval() -> None:
-    index = np.array([[0.1], [0.4], [0.2], [0.9]])
-    np.testing.assert_allclose(changes(index, 2.0, 4.0), [[0.1], [0.5]])
 
 
 def test_exceedance_is_the_share_of_larger_changes_in_either_direction() -> None:

@@ -35,41 +35,11 @@ def least_cost_by_enumeration(correlation: np.ndarray, size: int) -> float:
     )
 
 
-def test_twins_are_parted() -> None:
-    # Inverters 0 and 1 see the same clouds, so do 2 and 3.
-    correlation = np.array(
-        [[1.0, 0.9, 0.1, 0.1], [0.9, 1.0, 0.1, 0.1], [0.1, 0.1, 1.0, 0.9], [0.1, 0.1, 0.9, 1.0]]
-    )
-    clusters = choose_clusters(correlation, (2, 2))
-    assert clusters in {((0, 2), (1, 3)), ((0, 3), (1, 2))}
-    assert within_cluster_correlation(correlation, clusters) == pytest.approx(0.1)
-
-
 @pytest.mark.parametrize(("seed", "size"), [(0, 3), (1, 4), (2, 5)])
 def test_the_best_of_all_partitions_is_found(seed: int, size: int) -> None:
     correlation = random_correlation(10, seed)
     found = cost(correlation, choose_clusters(correlation, (size, 10 - size)))
     assert found == pytest.approx(least_cost_by_enumeration(correlation, size), abs=1e-12)
-
-
-def least_cost_of_three_threes(correlation: np.ndarray) -> float:
-    """Least cost of all 280 partitions of nine into three clusters of three."""
-    partitions = [
-        [(0, *pair), other, sorted(set(range(1, 9)) - set(pair) - set(other))]
-        for pair in combinations(range(1, 9), 2)
-        for other in combinations(sorted(set(range(1, 9)) - set(pair)), 3)
-        # The second cluster holds the least of the six that are left: each partition once.
-        if other[0] == min(set(range(1, 9)) - set(pair))
-    ]
-    assert len(partitions) == 280
-    return min(cost(correlation, partition) for partition in partitions)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_best_of_all_partitions_of_nine_in_three_clusters_is_found(seed: int) -> None:
-    correlation = random_correlation(9, seed)
-    found = cost(correlation, choose_clusters(correlation, (3, 3, 3)))
-    assert found == pytest.approx(least_cost_of_three_threes(correlation), abs=1e-12)
 
 
 @given(
@@ -103,13 +73,6 @@ def test_no_swap_of_two_members_lowers_the_cost() -> None:
                 swapped[a][swapped[a].index(i)] = j
                 swapped[b][swapped[b].index(j)] = i
                 assert cost(correlation, swapped) >= least - 1e-9
-
-
-def test_the_same_arguments_give_the_same_clusters() -> None:
-    correlation = random_correlation(30, 3)
-    assert choose_clusters(correlation, (10, 10, 10), seed=7) == choose_clusters(
-        correlation, (10, 10, 10), seed=7
-    )
 
 
 def test_a_search_tells_what_each_of_its_starts_came_to() -> None:
@@ -152,15 +115,6 @@ def test_random_clusters_are_each_as_likely() -> None:
     counts = {partition: drawn.count(partition) for partition in set(drawn)}
     assert len(counts) == 3
     assert all(150 < count < 250 for count in counts.values())
-
-
-def test_random_clusters_of_no_inverter_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"cluster sizes \(3, 0\) are given for 3 inverters"):
-        random_clusters((3, 0), 1)
-
-
-def test_equal_correlations_come_to_an_end() -> None:
-    assert choose_clusters(np.ones((6, 6)), (3, 3))[0][0] == 0
 
 
 def test_the_diagonal_is_not_used_and_the_argument_not_changed() -> None:
@@ -206,9 +160,3 @@ def test_arguments_that_do_not_fit_are_refused(
 ) -> None:
     with pytest.raises(ValueError, match=message):
         choose_clusters(correlation, sizes, restarts=restarts)
-
-
-@pytest.mark.parametrize("y_m", [np.zeros(3), np.array([0.0, np.nan])])
-def test_positions_that_do_not_fit_are_refused(y_m: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="two finite series of one length"):
-        geographic_clusters(np.zeros(2), y_m, (1, 1))

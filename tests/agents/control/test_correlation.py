@@ -77,14 +77,6 @@ def test_group_correlation_is_that_of_the_summed_series() -> None:
     )
 
 
-def test_groups_of_two_tiers_may_overlap_with_their_members() -> None:
-    power = random_walks(600, 4)
-    covariance = hourly_covariance(power, np.full(600, 13)).at(13)
-    plant_and_member = group_correlation(covariance, [(0, 1, 2, 3), (2,)])
-    expected = np.corrcoef(power.sum(axis=1), power[:, 2])[0, 1]
-    assert plant_and_member[0, 1] == pytest.approx(expected, abs=1e-12)
-
-
 def test_members_that_cancel_each_other_sum_to_a_constant() -> None:
     walk = random_walks(600, 1)[:, 0]
     power = np.column_stack([walk, 1000.0 - walk, random_walks(600, 1, seed=5)[:, 0]])

@@ -28,17 +28,9 @@ def test_alpha_stays_at_its_minimum_so_that_the_impp_can_be_measured(setpoint_kw
     assert estimate_impp(alpha * 50.0, alpha, math.nan, 100.0, NOTHING_KNOWN).power_kw == 50.0
 
 
-def test_a_setpoint_above_the_impp_lets_the_inverter_free() -> None:
-    assert curtailment_level(80.0, 50.0, alpha_min=0.05) == 1.0
-
-
 @pytest.mark.parametrize("setpoint_kw", [0.0, 10.0])
 def test_an_inverter_without_power_is_let_free(setpoint_kw: float) -> None:
     assert curtailment_level(setpoint_kw, 0.0, alpha_min=0.05) == 1.0
-
-
-def test_a_minimum_of_one_never_curtails() -> None:
-    assert curtailment_level(10.0, 50.0, alpha_min=1.0) == 1.0
 
 
 def test_the_faintest_light_does_not_overflow() -> None:

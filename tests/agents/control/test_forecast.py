@@ -104,10 +104,6 @@ def test_a_limit_that_is_held_shows_that_there_is_at_least_as_much() -> None:
     assert hidden.power_kw == pytest.approx(80.0 * (1.0 + HIDDEN_GROWTH_PER_S))
 
 
-def test_what_is_assumed_never_exceeds_the_rating() -> None:
-    assert readings(50.0, [0.0] * 10, measured(99.0))[-1].power_kw == RATING_KW
-
-
 def test_an_inverter_that_falls_below_its_limit_shows_its_maximum_again_without_a_trend() -> None:
     hidden = forecast(40.0, 40.0, measured(60.0))
     shown = forecast(30.0, 40.0, hidden)

@@ -7,24 +7,10 @@ import pytest
 from agents.control.request import request_kw, residual_kw, usable_dispatch_kw
 
 
-def test_equation_3_asks_the_same_of_equal_inverters() -> None:
-    # 120 kW / 3 inverters.
-    assert request_kw(120.0, 50.0, 150.0) == pytest.approx(40.0)
-
-
 def test_unequal_ratings_are_asked_in_proportion() -> None:
     # 90 kW over 30 + 60 + 90 = 180 kW: half of each rating.
     found = [request_kw(90.0, rating_kw, 180.0) for rating_kw in (30.0, 60.0, 90.0)]
     assert found == pytest.approx([15.0, 30.0, 45.0])
-
-
-def test_the_requests_of_a_clusters_inverters_add_up_to_its_own() -> None:
-    inverters = [request_kw(333.3, rating_kw, 700.0) for rating_kw in (50.0, 100.0, 75.0)]
-    assert sum(inverters) == pytest.approx(request_kw(333.3, 225.0, 700.0))
-
-
-def test_nothing_asked_is_nothing_for_each() -> None:
-    assert request_kw(0.0, 50.0, 150.0) == 0.0
 
 
 @pytest.mark.parametrize(

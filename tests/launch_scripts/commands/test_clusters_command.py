@@ -105,12 +105,6 @@ def test_a_first_part_to_learn_from_is_not_run() -> None:
     ("words", "named"),
     [
         (("--periods", "15"), "--periods"),
-        (("--periods", "10,x"), "--periods"),
-        (("--periods", "inf"), "--periods"),
-        (("--random", "0"), "--random"),
-        (("--learn", "1h"), "--learn"),
-        (("--learn", "x"), "--learn"),
-        (("--set", "plant.meter_noise=0,0.01"), "--set"),
         (("--set", "control.period_cycles=[2,2]", "--periods", "30"), "control.period_cycles"),
     ],
 )

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import pytest
-from command_line import done, refusal
+from command_line import done
 from running import small_plant
 
 
@@ -27,16 +26,3 @@ def test_tables_json_and_page_have_every_run(tmp_path: Path) -> None:
         assert mileage in text
         assert mileage in html
     assert 'id="study-plot"' in html
-
-
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        (("--duration", "100"), "--duration"),
-        (("--workers", "0"), "--workers"),
-        (("--set", "commitment.share=0.3,0.4"), "--set commitment.share"),
-        (("no-such-scenario",), "no-such-scenario"),
-    ],
-)
-def test_what_it_cannot_study_is_refused(words: tuple[str, ...], named: str) -> None:
-    assert named in refusal("delays", *words)

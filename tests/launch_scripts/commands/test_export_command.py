@@ -9,7 +9,6 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from command_line import done, heliarch
-from mcap.reader import make_reader
 from recordings_by_hand import whole_run, write_run
 
 from recordings.read.reader import RunReader
@@ -49,49 +48,6 @@ def test_each_form_has_its_place_beside_the_recording(run: Path) -> None:
         assert (run / name).exists()
 
 
-def test_every_message_of_the_run_is_exported(run: Path) -> None:
-    told = json.loads((run / "summary.json").read_text())["messages"]
-    recorded = {entry["signal"]: entry["recorded"] for entry in told}
-    done("export", run, "--format", "json-mcap")
-    with (run / "run.json.mcap").open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    assert summary.statistics is not None
-    assert summary.statistics.message_count == sum(recorded.values())
-    done("export", run, "--format", "parquet")
-    for name, count in recorded.items():
-        assert len(pd.read_parquet(run / "run-parquet" / f"{name}.parquet")) == count
-
-
-def test_parquet_and_csv_say_the_same(run: Path) -> None:
-    done("export", run, "--format", "parquet")
-    done("export", run, "--format", "csv")
-    names = sorted(path.stem for path in (run / "run-parquet").iterdir())
-    assert names == sorted(path.stem for path in (run / "run-csv").iterdir())
-    for name in names:
-        parquet = pd.read_parquet(run / "run-parquet" / f"{name}.parquet")
-        csv = pd.read_csv(run / "run-csv" / f"{name}.csv", parse_dates=["time"])
-        if len(parquet):
-            pd.testing.assert_frame_equal(
-                parquet.assign(time=parquet["time"].dt.tz_convert("UTC")),
-                csv.assign(time=csv["time"].dt.tz_convert("UTC")),
-                check_dtype=False,
-                check_exact=True,
-            )
-
-
-def test_help_given_adds_up_to_what_setpoints_are_above_their_shares(run: Path) -> None:
-    done("export", run, "--format", "parquet")
-    folder = run / "run-parquet"
-    setpoints = pd.read_parquet(folder / "setpoint.parquet").set_index(["node", "sequence"])
-    given = pd.read_parquet(folder / "help_given.parquet")
-    assert len(given)
-    sums_kw = given.groupby(["donor", "sequence"])["power_kw"].sum()
-    above_kw = setpoints["power_kw"] - setpoints["share_kw"]
-    matched = above_kw.loc[list(sums_kw.index)]
-    assert list(matched) == pytest.approx(list(sums_kw), abs=1e-6)
-
-
 def test_a_part_of_the_run_may_be_exported(run: Path) -> None:
     part = ("--nodes", "c1/inv01,central", "--from", "12:00:10", "--to", "20")
     said = done("export", run, "--format", "csv", "--signals", "impp,setpoint", *part)
@@ -107,12 +63,6 @@ def test_a_part_of_the_run_may_be_exported(run: Path) -> None:
     assert set(impp["node"]) == {"c1/inv01", "central"}
     assert sorted(set(impp["cycle"])) == list(range(10, 21))
     assert len(impp) == 2 * 11
-
-
-@pytest.mark.parametrize("form", FORMS)
-def test_the_cycles_of_an_export_do_not_count_the_end_of_the_run(run: Path, form: str) -> None:
-    said = done("export", run, "--format", form)
-    assert f"cycles 0 to {CYCLES - 1}, " in " ".join(said.split())
 
 
 def test_the_figures_are_had_as_json(run: Path) -> None:

@@ -51,20 +51,6 @@ def test_the_timeline_of_a_node_has_a_line_for_each_cycle_of_the_span(recording:
     assert impp == ["40.00"] * 2 + ["-"] * 5 + ["40.00"] * 2
 
 
-def test_the_plant_in_one_cycle_is_a_tree(recording: Path) -> None:
-    text = done("inspect", recording, "--cycle", "12:00:18")
-    assert text.startswith("cycle 18, 2010-04-01 12:00:18\ndispatch 240.00 kW (commitment 230.00")
-    assert [line.split()[0] for line in text.splitlines()[5:] if not line.startswith("     ")] == [
-        "central",
-        "├─",
-        "│",
-        "│",
-        "└─",
-        "├─",
-        "└─",
-    ]
-
-
 def test_figures_come_as_json_too(recording: Path, tmp_path: Path) -> None:
     overview: dict[str, Any] = json.loads(done("inspect", recording, "--json", "-"))
     assert overview["complete_cycles"] == 120

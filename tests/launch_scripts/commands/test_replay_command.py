@@ -72,11 +72,6 @@ def test_some_nodes_and_signals_may_be_replayed_alone(recorded: Path) -> None:
     assert json.loads(result.stdout)["messages"] == len(wanted) > 0
 
 
-def test_a_selection_without_a_known_signal_is_refused(recorded: Path) -> None:
-    assert "wind" in refusal("replay", recorded, "--exclude", "wind")
-    assert "--exclude" in refusal("replay", recorded, "--signals", "impp", "--exclude", "impp")
-
-
 def test_an_address_that_is_taken_is_refused(recorded: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

@@ -8,34 +8,18 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner, Result
+from command_line import done, heliarch, refusal
 
 from agents.plan import load_plan
-from launch_scripts.cli import app
 from recordings.read.run_file import RECORDING_NAME
 from recordings.record.writer import RunWriter
-
-
-def heliarch(*words: str | Path) -> Result:
-    """Run the command line in this process."""
-    return CliRunner().invoke(app, [str(word) for word in words])
-
-
-def refused(*words: str | Path) -> str:
-    """The one line with which `heliarch report` refuses."""
-    result = heliarch("report", *words)
-    assert result.exit_code == 2
-    assert result.stdout == ""
-    (line,) = result.stderr.splitlines()
-    return line
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a run of 90 cycles."""
     folder = tmp_path_factory.mktemp("recorded") / "run"
-    result = heliarch("simulate", "oahu", "--duration", "90s", "--out", folder)
-    assert result.exit_code == 0, result.output
+    done("simulate", "oahu", "--duration", "90s", "--out", folder)
     return folder
 
 
@@ -46,9 +30,7 @@ def run(recorded: Path, tmp_path: Path) -> Path:
 
 
 def test_the_report_is_in_the_folder_of_the_run(run: Path) -> None:
-    result = heliarch("report", run)
-    assert result.exit_code == 0, result.output
-    assert result.stdout == f"report: {run / 'report.html'}\n"
+    assert done("report", run) == f"report: {run / 'report.html'}\n"
     page = (run / "report.html").read_text(encoding="utf-8")
     assert page.startswith("<!DOCTYPE html>")
     assert load_plan(run / "plan.json").run_id in page
@@ -74,8 +56,7 @@ def test_a_recording_that_was_cut_is_reported_as_far_as_it_goes(run: Path) -> No
     recording = run / RECORDING_NAME
     whole = recording.read_bytes()
     recording.write_bytes(whole[: len(whole) * 2 // 3])
-    result = heliarch("report", run)
-    assert result.exit_code == 0, result.output
+    done("report", run)
     assert "recording is incomplete" in (run / "report.html").read_text(encoding="utf-8")
 
 
@@ -84,7 +65,7 @@ def test_a_run_without_a_complete_cycle_is_refused(run: Path) -> None:
     recording.unlink()
     scenario = (run / "scenario.toml").read_text(encoding="utf-8")
     RunWriter(recording, load_plan(run / "plan.json"), scenario, driver="simulate").close()
-    assert "complete cycle" in refused(run)
+    assert "complete cycle" in refusal("report", run)
     assert not (run / "report.html").exists()
 
 
@@ -93,4 +74,4 @@ def test_a_recording_whose_scenario_is_damaged_is_refused(run: Path) -> None:
     recording.unlink()
     plan = load_plan(run / "plan.json")
     RunWriter(recording, plan, "name = oahu", driver="simulate").close()
-    assert "TOML" in refused(run)
+    assert "TOML" in refusal("report", run)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import resource
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -246,23 +245,3 @@ def test_runs_that_no_report_can_show_are_refused(
         write_report(tmp_path / "report.html", "A run", runs)
     assert list(tmp_path.iterdir()) == []
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("place", [".", "missing/report.html"])
-def test_a_place_where_no_file_can_be_is_refused(tmp_path: Path, place: str) -> None:
-    with pytest.raises(InputError, match=re.escape(str(tmp_path / place))):
-        write_report(tmp_path / place, "A run", [cloudy_run()])
-
-
-def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path: Path) -> None:
-    path = tmp_path / "report.html"
-    path.write_text("the old one")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))  # As a disk that fills up.
-    try:
-        with pytest.raises(OSError, match="File too large"):
-            write_report(path, "A run", [cloudy_run()])
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert path.read_text() == "the old one"
-    assert list(tmp_path.iterdir()) == [path]

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import msgspec
 import pytest
 from msgspec.structs import replace
 from reports_by_hand import MISSED, missed, reported
 from timed_recordings import PLAN, TIMES_MS, cycle, recorded
 
-from launch_scripts.scenarios.budget_table import BudgetTable, TimingTable
+from launch_scripts.scenarios.budget_table import BudgetTable
 from studies.timing.budgets import Verdict, p99_limits_ms
 from studies.timing.report import report_on
 
@@ -118,27 +117,3 @@ def test_what_only_a_launcher_knows_is_judged_by_nothing_without_its_summary(
     assert report.passed
     lines = {verdict.line for verdict in report.verdicts}
     assert not lines & {"messages not recorded", "dropped messages", "CPU of a direct"}
-
-
-def test_a_table_of_a_scenario_is_read_with_its_types() -> None:
-    text = "[budgets]\nloop_p99_ms = 25\nhop_p99_ms = { setpoint = 5.5 }\nmissed_deadlines = 3\n"
-    table = msgspec.toml.decode(text, type=TimingTable).budgets
-    assert (table.loop_p99_ms, table.missed_deadlines) == (25, 3)
-    assert table.hop_p99_ms == {"setpoint": 5.5}
-    assert TimingTable().budgets == BudgetTable()
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "foo = 3",
-        "hop_p99_ms = { production = 3 }",
-        "decision_p99_ms = { recorder = 3 }",
-        "loop_p99_ms = 0",
-        "loop_p99_ms = nan",
-        "missed_deadlines = 1.5",
-    ],
-)
-def test_a_budget_that_makes_no_sense_is_refused(line: str) -> None:
-    with pytest.raises(msgspec.ValidationError):
-        msgspec.toml.decode(f"[budgets]\n{line}\n", type=TimingTable)

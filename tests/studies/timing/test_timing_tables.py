@@ -81,9 +81,7 @@ def test_the_summary_beside_a_recording_is_used_if_it_is_of_that_run(tmp_path: P
     ("machine", "remarks", "scheduling", "locked"),
     [
         (MachineSettings(), (), "normal", False),
-        (MachineSettings(priority=20), (), "SCHED_FIFO 20", False),
         (MachineSettings(priority=20), ("priority 20: no SCHED_FIFO here",), "normal", False),
-        (MachineSettings(cpus=(0, 1)), (), "normal, all on CPU 0, 1", False),
         (
             MachineSettings(cpus=(0,), cpus_of={"direct": (1,)}, priority=7),
             (),

@@ -1,0 +1,140 @@
+"""`heliarch conform`: whether a device in the place of an agent does as docs/wire.md says."""
+
+from __future__ import annotations
+
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from bus_schemas.errors import InputError
+from bus_schemas.tree import PLANT
+from launch_scripts.commands.boundary import FAILED, OK
+from launch_scripts.commands.options import JsonOption, SchemeOption, SeedOption
+from launch_scripts.commands.output import say, write_json
+from studies.tables import console_for, json_rows, print_table
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from launch_scripts.launcher.run_folder import RunFolder
+    from launch_scripts.scenarios.preparation import Preparation
+    from studies.conformance.requirements import Findings
+
+EXAMPLE: Final = (
+    "heliarch conform c2/inv07 --device 'python examples/direct_controller.py --plan {plan} "
+    "--node {node}'"
+)
+
+
+def conform(
+    agent: Annotated[
+        str,
+        typer.Argument(
+            help="The agent whose place the device takes: c2/inv07, c2, central or plant.",
+            metavar="AGENT",
+            show_default=False,
+        ),
+    ],
+    *,
+    scenario: Annotated[
+        str, typer.Option(help="The plant around it, as for launch.", metavar="SCENARIO")
+    ] = "oahu",
+    device: Annotated[
+        str | None,
+        typer.Option(
+            help="Command that starts the device, with {plan} and {node} in it. Without it you "
+            "start the device, for each plan that is named, and its restart is not tried.",
+            metavar="COMMAND",
+        ),
+    ] = None,
+    pace: Annotated[
+        str,
+        typer.Option(
+            help="Simulated seconds per second in real time; max: lockstep alone.", metavar="PACE"
+        ),
+    ] = "1",
+    scheme: SchemeOption = "paper",
+    seed: SeedOption = None,
+    tolerance: Annotated[
+        float, typer.Option(help="Largest difference of two equal floats.", metavar="X")
+    ] = 0.0,
+    wait_s: Annotated[
+        float,
+        typer.Option(
+            "--external-timeout", help="How long to wait for the device.", metavar="SECONDS"
+        ),
+    ] = 60.0,
+    base_port: Annotated[
+        int | None,
+        typer.Option(
+            help="Listen on this port and those after it, with the plant's name as namespace.",
+            metavar="PORT",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the trials; default runs/NAME-TIME.", metavar="DIR"),
+    ] = None,
+    json: JsonOption = None,
+) -> int:
+    """Try a device of your own against each requirement of the wire document.
+
+    Plays the agents around it: a normal run, inputs at their limits, wrong
+    messages, random inputs, inputs that are late or missing, a restart. Its
+    answers are compared with those of Heliarch's own agent. Exit status 1: a
+    requirement is not met.
+    """
+    from launch_scripts.launcher.request import RunRequest, prepare_run
+    from launch_scripts.scenarios.preparation import RunOptions
+    from launch_scripts.scenarios.scenario import load_scenario
+    from studies.conformance import conform as of_controller
+    from studies.conformance import plant as of_plant
+
+    if not 0.0 <= tolerance < inf:
+        raise InputError(f"--tolerance: expected a number from 0 on, got {tolerance:g}")
+    console = console_for(json)
+    scenario_file = load_scenario(scenario)
+    cycles = of_plant.CYCLES if agent == PLANT else of_controller.CYCLES
+    options = RunOptions(
+        duration=f"{cycles * scenario_file.scenario.time.cycle_s:g}",
+        pace=pace,
+        seed=seed,
+        scheme=scheme,
+        external=(agent,),
+        external_timeout_s=wait_s,
+        base_port=base_port,
+        faults=[of_plant.FROZEN] if agent == PLANT else None,
+    )
+    try:
+        preparation, folder = prepare_run(RunRequest(scenario_file, options, out))
+    except InputError as error:
+        raise InputError(str(error).replace("--external:", "AGENT:")) from None
+    findings = _tried(preparation, folder, device, tolerance, console)
+    print_table(console, findings.table(agent))
+    say(console, f"trials: {folder.path}")
+    rows = json_rows(findings.table(agent))
+    write_json({"agent": agent, "passed": findings.passed, "requirements": rows}, json)
+    return OK if findings.passed else FAILED
+
+
+def _tried(
+    preparation: Preparation,
+    folder: RunFolder,
+    command: str | None,
+    tolerance: float,
+    console: Console,
+) -> Findings:
+    from recordings.verify.comparison import Comparison
+    from studies.conformance.conform import Conformance
+    from studies.conformance.device import Device
+    from studies.conformance.plant import try_plant
+
+    with Device(command, preparation.plan.external[0], folder.path) as device:
+        if preparation.plan.external == (PLANT,):
+            return try_plant(preparation, folder, device, console)
+        trials = Conformance(
+            preparation, folder, device, Comparison(tolerance), lambda line: say(console, line)
+        )
+        return trials.run(preparation.options.seed or 0)

@@ -1,0 +1,148 @@
+"""Takes a device through all trials."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from msgspec.structs import replace
+
+from agents.plan import RunPlan
+from bus_schemas.errors import FailureError
+from bus_schemas.messages import Message
+from bus_schemas.signals import Occurrence, Port
+from launch_scripts.launcher.run_folder import RunFolder
+from launch_scripts.launcher.simulation import MemoryRun
+from launch_scripts.launcher.tcp_ports import reserved_ports
+from launch_scripts.scenarios.externals import ExternalWatch
+from launch_scripts.scenarios.preparation import Preparation
+from recordings.verify.comparison import Comparison
+from studies.conformance import situations
+from studies.conformance.device import Device
+from studies.conformance.neighbours import Neighbours
+from studies.conformance.requirements import REQUIREMENTS, Findings
+from studies.conformance.trial import Trial
+
+CYCLES: Final = 240
+"""Cycles that a trial has at most."""
+
+_REJOIN_CYCLES: Final = 30
+
+
+class Conformance:
+    """The trials of one controller's device.
+
+    Parameters
+    ----------
+    preparation
+        The run in real time; it has `CYCLES` cycles.
+    folder
+        Has a folder for each trial.
+    say
+        Called with lines for the user.
+    """
+
+    def __init__(
+        self,
+        preparation: Preparation,
+        folder: RunFolder,
+        device: Device,
+        comparison: Comparison,
+        say: Callable[[str], None],
+    ) -> None:
+        (self._agent,) = preparation.plan.external
+        self.findings = Findings(REQUIREMENTS)
+        plan = replace(preparation.plan, faults=(), standby=())
+        self._preparation = dataclasses.replace(preparation, plan=plan)
+        self._folder = folder
+        self._comparison = comparison
+        self._say = say
+        self._device = device
+        self._inputs = self._undisturbed()
+
+    def run(self, seed: int) -> Findings:
+        """Take the device through all trials; the first that cannot go on is the last."""
+        plan = self._preparation.plan
+        trials: list[tuple[str, RunPlan, Callable[[Trial, int], None]]] = [
+            ("lockstep", replace(plan, cycle_wall_ns=0), situations.in_lockstep)
+        ]
+        if not plan.lockstep:
+            trials.append(("real-time", plan, situations.in_real_time))
+        try:
+            for name, its_plan, situation in trials:
+                self._try(name, its_plan, situation, seed)
+        except FailureError as failure:
+            self._say(str(failure))
+        return self.findings
+
+    def _try(
+        self, name: str, plan: RunPlan, situation: Callable[[Trial, int], None], seed: int
+    ) -> None:
+        options = self._preparation.options
+        wait_s = options.external_timeout_s
+        with reserved_ports(plan.links.listening, options.base_port) as tcp_ports:
+            folder = RunFolder(self._folder.path / name)
+            its_plan = replace(plan, run_id=f"{plan.run_id}-{name}")
+            own_plan = folder.fill(dataclasses.replace(self._preparation, plan=its_plan), tcp_ports)
+            for line in ExternalWatch(own_plan, folder.plan, wait_s, 0.0).directions():
+                self._say(line)
+            trial = Trial(own_plan, self._agent, self._inputs, self.findings, self._comparison)
+            with self._around(trial, folder, wait_s):
+                situation(trial, seed)
+                if not own_plan.lockstep:
+                    if self._device.can_restart:
+                        self._restart(trial, folder)
+                    trial.stop()
+            if own_plan.lockstep:
+                self._close_links(trial, folder, wait_s)
+        self._device.end()
+
+    @contextmanager
+    def _around(
+        self, trial: Trial, folder: RunFolder, wait_s: float, of: str = "arming"
+    ) -> Iterator[None]:
+        with Neighbours(trial.plan, self._agent) as neighbours:
+            self._device.start(folder.plan)
+            trial.begin(neighbours, self._device, wait_s, of)
+            yield
+
+    def _close_links(self, trial: Trial, folder: RunFolder, wait_s: float) -> None:
+        """Run once more, now that the links have closed."""
+        try:
+            with self._around(trial, folder, wait_s, "links closed"):
+                for _ in range(situations.UNDISTURBED):
+                    trial.play("links closed")
+                trial.stop()
+        except FailureError as failure:
+            self.findings.fail("links closed", str(failure))
+            self._device.kill()  # The next trial begins with a new process.
+
+    def _restart(self, trial: Trial, folder: RunFolder) -> None:
+        self._device.kill()
+        trial.skip()
+        trial.skip()
+        self._device.start(folder.plan)
+        self.findings.try_("restart")
+        for _ in range(_REJOIN_CYCLES):
+            if trial.skip():
+                break
+        else:
+            self.findings.fail("restart", f"no answer in {_REJOIN_CYCLES} cycles")
+            return
+        for _ in range(situations.UNDISTURBED):
+            trial.play("restart")
+
+    def _undisturbed(self) -> dict[int, dict[Port[Message], Message]]:
+        """Return what our own agent hears in the run, cycle by cycle."""
+        inputs: dict[int, dict[Port[Message], Message]] = {}
+        heard = set(self._preparation.plan.wiring.heard[self._agent])
+
+        def hear(port: Port[Message], message: Message) -> None:
+            if port in heard and port.signal.occurrence is not Occurrence.EVENT:
+                inputs.setdefault(message.cycle, {})[port] = message
+
+        for _ in MemoryRun(self._preparation.plan, self._preparation.profile, hear).cycles():
+            pass
+        return inputs

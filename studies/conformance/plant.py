@@ -1,0 +1,84 @@
+"""A device in the plant's place: it conducts launched runs, whose recordings are looked at."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Final
+
+import msgspec
+from rich.console import Console
+
+from launch_scripts.launcher.launch import launch
+from launch_scripts.launcher.live_view import view_for
+from launch_scripts.launcher.run_folder import RunFolder
+from launch_scripts.launcher.summary import RunSummary
+from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
+from launch_scripts.scenarios.preparation import Preparation
+from recordings.verify.comparison import Comparison
+from recordings.verify.verification import verify
+from studies.conformance.device import Device
+from studies.conformance.requirements import OF_PLANT, Findings
+
+CYCLES: Final = 60
+
+FROZEN: Final = "freeze=c*,at=20s..23s"
+"""What happens in the run in real time: commands come late, or not at all."""
+
+_OF_NUMBERS: Final = frozenset({"undecodable", "absurd"})
+"""Causes of messages that are wrong in what they say, not in when and where they come."""
+
+
+def try_plant(
+    preparation: Preparation, folder: RunFolder, device: Device, console: Console
+) -> Findings:
+    """Let the device conduct a run in lockstep, and one in real time."""
+    findings = Findings(OF_PLANT)
+    plan = preparation.plan
+    walls_ns = {"lockstep": 0} | ({} if plan.lockstep else {"real-time": plan.cycle_wall_ns})
+    for name, wall_ns in walls_ns.items():
+        one = msgspec.structs.replace(
+            plan,
+            cycle_wall_ns=wall_ns,
+            run_id=f"{plan.run_id}-{name}",
+            faults=plan.faults if wall_ns else (),
+        )
+        its_folder = RunFolder(folder.path / name)
+        its_preparation = replace(preparation, plan=one)
+        device.start(its_folder.plan)
+        findings.try_("token")
+        try:
+            with (
+                ForkServerProcess() as server,
+                view_for(console, one, preparation.scenario.scenario.time.timezone) as view,
+            ):
+                summary = launch(its_preparation, its_folder, view, time.monotonic(), server)
+        except RunFailure as failure:
+            text = str(failure).splitlines()[0]
+            findings.fail("token" if "no sign of" in text else "stop", text)
+            break
+        _look(summary, its_folder, findings)
+        device.end()
+    return findings
+
+
+def _look(summary: RunSummary, folder: RunFolder, findings: Findings) -> None:
+    """Note what a run shows of its plant."""
+    for name in ("arming", "cycles", "head", "bounds", "links", "stop"):
+        findings.try_(name)
+    (account,) = summary.external
+    kind = "missing" if summary.skipped_cycles or summary.missing_inputs else "cycles"
+    findings.try_(kind)
+    if account.answered < account.expected:
+        count = account.expected - account.answered
+        findings.fail(kind, f"{count:,} of {account.expected:,} messages did not come")
+    if account.lost:
+        findings.fail("head", f"sequence: {account.lost:,} numbers are missing")
+    for wrong in summary.wrong:
+        of = "bounds" if wrong.cause in _OF_NUMBERS else "cycles"
+        findings.fail(of, f"{wrong.key}: {wrong.cause}, {wrong.example}")
+    found = verify(folder.path, (), Comparison())
+    if found.first is not None:
+        agent, difference = found.first
+        text = f"cycle {difference.cycle}: {agent} decides otherwise on what was recorded"
+        findings.fail("links", text)

@@ -1,0 +1,183 @@
+"""What happens to a device in a trial: each situation is a few cycles with inputs of its own."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from math import nan
+from typing import Any, Final
+
+from bus_schemas.codec import encode
+from bus_schemas.messages import (
+    Dispatch,
+    Impp,
+    Message,
+    Meter,
+    Residual,
+    Setpoint,
+    Telemetry,
+)
+from bus_schemas.signals import Port
+from bus_schemas.tree import PLANT
+from studies.conformance.trial import Edit, Trial
+
+UNDISTURBED: Final = 5
+RANDOM: Final = 10
+"""Cycles of random inputs."""
+
+
+def in_lockstep(trial: Trial, seed: int) -> None:
+    """Take a device through all that needs no clock."""
+    for _ in range(UNDISTURBED):
+        trial.play("decisions")
+    for edit in _limits(trial):
+        trial.play("limits", edit)
+    for edit in _wrong_messages(trial):
+        trial.play("wrong messages", edit)
+        trial.play("wrong messages")
+    _replace_neighbours(trial)
+    draw = random.Random(seed)
+    for _ in range(RANDOM):
+        values = {port: _random(trial, port, draw) for port in trial.ports()}
+        trial.play("decisions", {port: (encode(message),) for port, message in values.items()})
+
+
+def in_real_time(trial: Trial, seed: int) -> None:
+    """Take a device through what comes late or not at all."""
+    for _ in range(UNDISTURBED):
+        trial.play("decisions")
+    units = _units(trial)
+    of_plant = [port for port in trial.ports(0) if port.publisher == PLANT]
+    for ports in (*units, of_plant):
+        trial.play("missing", dict.fromkeys(ports, ()))
+        trial.play("missing")
+    of_setpoint = [port for port in trial.ports(0) if port.signal.type in (Dispatch, Setpoint)]
+    for ports in (*units, of_setpoint):
+        for _ in range(trial.plan.hold_cycles + 2):
+            trial.play("silent", dict.fromkeys(ports, ()))
+        trial.play("silent")
+    for ports in units:
+        late = {port: (encode(trial.message(port)),) for port in ports if port in trial.ports()}
+        trial.play("late", dict.fromkeys(ports, ()), late=late)
+        trial.play("late", dict.fromkeys(ports, ()))
+        trial.play("late")
+    draw = random.Random(seed)
+    for _ in range(RANDOM):
+        chosen = [port for port in trial.ports() if port.publisher != PLANT and draw.random() < 0.3]
+        late = {port: (encode(trial.message(port)),) for port in chosen if draw.random() < 0.5}
+        trial.play("missing", dict.fromkeys(chosen, ()), late=late)
+
+
+def _units(trial: Trial) -> list[list[Port[Message]]]:
+    """Return inputs that come and stay away together: of the plant each one, of others all.
+
+    Of several children the first one stands for all.
+    """
+    found: dict[str, list[Port[Message]]] = {}
+    for port in _one_of_each(trial, 0):
+        name = str(port) if port.publisher == PLANT else port.publisher
+        found.setdefault(name, []).append(port)
+    return list(found.values())
+
+
+def _one_of_each(trial: Trial, cycle: int | None = None) -> list[Port[Message]]:
+    """Return the first port of each signal that is due."""
+    return list({port.signal: port for port in reversed(trial.ports(cycle))}.values())
+
+
+def _limits(trial: Trial) -> Iterator[Edit]:
+    """Yield inputs at and beyond what they can be, one field after the other."""
+    for port in _one_of_each(trial, 0):
+        for values in _extremes(trial, port):
+            if port in trial.ports():
+                yield {port: (encode(trial.message(port, **values)),)}
+
+
+def _extremes(trial: Trial, port: Port[Message]) -> list[dict[str, float]]:
+    rating_kw = trial.plan.tree.rating_kw(port.node)
+    above_kw = 1.5 * rating_kw
+    match port.signal.type:
+        case type() as kind if kind is Telemetry:
+            return [
+                {"power_kw": 0.0, "alpha": 1.0},
+                {"power_kw": rating_kw, "alpha": 1.0},
+                {"power_kw": 1.04 * rating_kw, "alpha": 1.0},
+                {"power_kw": 0.3 * rating_kw, "alpha": 0.5, "available_kw": 0.9 * rating_kw},
+                {"power_kw": 0.3 * rating_kw, "alpha": 0.5, "available_kw": above_kw},
+                {"power_kw": 0.3 * rating_kw, "alpha": 1.0, "available_kw": 0.9 * rating_kw},
+                *({"power_kw": wrong} for wrong in (above_kw, -1.0, nan)),
+                *({"alpha": wrong} for wrong in (0.0, 1.5, -0.5, nan)),
+            ]
+        case type() as kind if kind is Dispatch:
+            return [
+                *({"power_kw": value} for value in (0.0, -500.0, above_kw, nan, float("inf"))),
+                *({"plant_rating_kw": wrong} for wrong in (0.0, nan)),
+            ]
+    low_kw = -rating_kw if port.signal.type is Residual else 0.0
+    wrong_low_kw = 3.0 * low_kw - 1.0
+    return [{"power_kw": value} for value in (low_kw, rating_kw, wrong_low_kw, above_kw, nan)]
+
+
+def _wrong_messages(trial: Trial) -> Iterator[Edit]:
+    """Yield what no sender should send, each time beside the right message."""
+    for kind in ("bytes", "fields", "source", "ahead", "again", "before"):
+        for port in _one_of_each(trial, 0):
+            if port in trial.ports():
+                yield {port: tuple(_wrong(trial, port, kind))}
+
+
+def _wrong(trial: Trial, port: Port[Message], kind: str) -> Iterator[bytes]:
+    """Yield the messages of a cycle, the right one among them."""
+    right = encode(trial.message(port))
+    other: dict[str, Any] = {"power_kw": 0.25 * trial.plan.tree.rating_kw(port.node)}
+    cycle = trial.cycle
+    match kind:
+        case "bytes":
+            yield from (b"", b"\xc1", right[:-1], right + b"\xc0", b"\x93\x01\x02\x03")
+        case "fields":
+            yield right.replace(b"\xa8power_kw", b"\xa8power_xx")
+            yield right.replace(b"\xa5cycle", b"\xa5cycel")
+        case "source":
+            yield encode(trial.message(port, source="nobody", **other))
+        case "ahead":
+            beyond = trial.plan.cycles if port.publisher == PLANT else cycle
+            beyond += trial.plan.periods.longest + 3
+            yield encode(trial.message(port, cycle=beyond, **other))
+    yield right
+    if kind == "again":
+        yield encode(trial.message(port, **other))
+    if kind == "before":
+        yield encode(trial.message(port, cycle=max(cycle - 2, 0), **other))
+
+
+def _replace_neighbours(trial: Trial) -> None:
+    """Let each controller among the publishers be replaced, and its predecessor speak again."""
+    for publisher in {port.publisher for port in _one_of_each(trial, 0)} - {PLANT}:
+        trial.incarnations[publisher] = trial.cycle
+        trial.play("replaced")
+        edit = {}
+        for port in trial.ports():
+            if port.publisher == publisher:
+                other_kw = 0.25 * trial.plan.tree.rating_kw(port.node)
+                former = trial.message(port, incarnation=0, power_kw=other_kw)
+                edit[port] = (encode(former), encode(trial.message(port)))
+        trial.play("replaced", edit)
+
+
+def _random(trial: Trial, port: Port[Message], draw: random.Random) -> Message:
+    """Return a message with random numbers within their bounds."""
+    rating_kw = trial.plan.tree.rating_kw(port.node)
+    message = trial.message(port)
+    match message:
+        case Telemetry():
+            alpha = draw.choice((1.0, draw.uniform(trial.plan.alpha_min, 1.0)))
+            available_kw = draw.choice((None, draw.uniform(0.0, 1.04) * rating_kw))
+            power_kw = draw.uniform(0.0, 1.04) * rating_kw
+            return trial.message(port, power_kw=power_kw, alpha=alpha, available_kw=available_kw)
+        case Dispatch():
+            return trial.message(port, power_kw=draw.uniform(-0.2, 1.2) * rating_kw)
+        case Impp() | Setpoint() | Meter():
+            return trial.message(port, power_kw=draw.uniform(0.0, 1.0) * rating_kw)
+        case Residual():
+            return trial.message(port, power_kw=draw.uniform(-1.0, 1.0) * rating_kw)
+    return message

@@ -1,0 +1,387 @@
+"""One run around a device: plays its inputs, and holds its answers against our own agent's."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final, TypeAlias
+
+import msgspec
+
+from agents.loop import AgentLoop
+from agents.plan import RunPlan
+from agents.team import controller
+from bus_schemas.bus import Delivery
+from bus_schemas.codec import decode, encode
+from bus_schemas.errors import FailureError
+from bus_schemas.messages import Message
+from bus_schemas.signals import RUN, Port
+from bus_schemas.tree import RECORDER, ROOT, some_of
+from recordings.record.plausibility import absurdity
+from recordings.verify.comparison import Comparison
+from studies.conformance.device import Device
+from studies.conformance.neighbours import Heard, Neighbours
+from studies.conformance.requirements import Findings
+
+FIRST_ROUND: Final = -999_999
+_ROUND_S: Final = 1.0
+_ARMING_S: Final = 10.0
+_PATIENCE_S: Final = 5.0
+_SILENT_CYCLES: Final = 5
+"""After so many cycles without a word a trial ends."""
+
+_QUIET_S: Final = 0.3
+"""How long nothing may come where nothing is expected, outside the cycles of real time."""
+
+Inputs: TypeAlias = Mapping[int, Mapping[Port[Message], Message]]
+"""What our own agent hears in each cycle of an undisturbed run."""
+
+Edit: TypeAlias = Mapping[Port[Message], Sequence[bytes]]
+"""What is sent in a cycle in place of the messages of some ports."""
+
+
+class Reference:
+    """Our own agent, with the same inputs. Its clock counts from the beginning of cycle 0."""
+
+    def __init__(self, plan: RunPlan, agent: str) -> None:
+        self._plan = plan
+        self.loop: AgentLoop[Any] = AgentLoop(controller(plan, agent), plan)
+
+    def begin_ns(self, cycle: int) -> int:
+        """Return when a cycle begins."""
+        return max(cycle, 0) * self._plan.cycle_wall_ns
+
+    def hear(self, port: Port[Message], payload: bytes, cycle: int) -> None:
+        """Take in a payload, if it is a message."""
+        try:
+            message = decode(port.signal, payload)
+        except msgspec.DecodeError:
+            return
+        self.loop.hear(port, message, self.begin_ns(cycle))
+
+    def close(self, stage: str, cycle: int) -> list[Delivery]:
+        """Close a stage: now if it has what it awaits, else at its deadline."""
+        loop = self.loop
+        if loop.cycle != cycle or loop.stage != stage:
+            return []
+        at_ns = self.begin_ns(cycle) if loop.deadline_ns is None else loop.deadline_ns
+        if loop.waiting and loop.deadline_ns is None:
+            raise FailureError(
+                f"cycle {cycle}: {loop.needs} were not sent, and there is no deadline"
+            )
+        return loop.close_stage(at_ns)
+
+
+class Trial:
+    """One run around a device.
+
+    Parameters
+    ----------
+    plan, agent
+        The run, and the agent in whose place the device is.
+    inputs
+        What the agent hears in it.
+    findings, comparison
+        Take what is found; say what counts as equal.
+    """
+
+    def __init__(
+        self,
+        plan: RunPlan,
+        agent: str,
+        inputs: Inputs,
+        findings: Findings,
+        comparison: Comparison,
+    ) -> None:
+        self.plan, self.agent, self.findings = plan, agent, findings
+        self.cycle = 0
+        self.incarnations: dict[str, int] = {}
+        self._inputs = inputs
+        self._comparison = comparison
+        self._ours = controller(plan, agent)
+        self._published = [port for port in plan.wiring.published[agent] if port.signal.is_cyclic]
+        self._run = RUN.of(ROOT)
+
+    # The beginning and the end --------------------------------------------------------------------
+
+    def begin(
+        self, neighbours: Neighbours, device: Device, wait_s: float, of: str = "arming"
+    ) -> None:
+        """Wait for the device, arm it, and start the run; `of` is the requirement that it shows.
+
+        Raises
+        ------
+        FailureError
+            The device does not come, or answers no arming round.
+        """
+        self._bus = neighbours
+        self._forget()
+        self._await(neighbours, device, wait_s)
+        self.findings.try_(of)
+        give_up_at, number = time.monotonic() + _ARMING_S, FIRST_ROUND
+        while not self._round(number, of):
+            number += 1
+            if time.monotonic() > give_up_at:
+                text = f"in arming rounds nothing came on {some_of(self._unanswered)}"
+                self.findings.fail(of, text)
+                raise FailureError(f"{self.agent}: {text}")
+        self.reference = Reference(self.plan, self.agent)
+        self.start_ns = time.monotonic_ns() + 200_000_000
+        start = self.plan.run_message("start", 0, self.start_ns)
+        self.reference.loop.begin(0, 0)
+        self.cycle = 0
+        self._sequence.clear()
+        if self._run in self.plan.wiring.heard[self.agent]:
+            self._bus.put(self._run, encode(start))
+
+    def stop(self) -> None:
+        """Say that the run is over; nothing may come after that."""
+        self.findings.try_("stop")
+        while (heard := self._bus.next(_QUIET_S)) is not None:
+            self._take(heard)
+        stop = self.plan.run_message("stop", self.cycle, self.start_ns)
+        self._bus.put(self._run, encode(stop))
+        while (heard := self._bus.next(_QUIET_S)) is not None:
+            self.findings.fail("stop", f"{heard.key} was published after the run had stopped")
+
+    def _forget(self) -> None:
+        self._outputs: dict[tuple[Port[Message], int], Message] = {}
+        self._arrived: Counter[tuple[str, Port[Message], int]] = Counter()
+        self._sequence: Counter[Port[Message]] = Counter()
+        self._incarnation: int | None = 0
+        self._unanswered: list[str] = []
+
+    def _await(self, neighbours: Neighbours, device: Device, wait_s: float) -> None:
+        """Wait until each neighbour sees the device's token."""
+        self.findings.try_("token")
+        give_up_at = time.monotonic() + wait_s
+        while absent := neighbours.absent:
+            text = device.end_text
+            if not text and time.monotonic() > give_up_at:
+                text = f"{some_of(absent)} saw no liveliness token in {wait_s:g} s"
+            if text:
+                self.findings.fail("token", text)
+                raise FailureError(f"{self.agent}: {text}")
+            time.sleep(0.02)
+
+    def _round(self, number: int, of: str) -> bool:
+        """Play an arming round; return whether all answers came."""
+        self.reference = Reference(self.plan, self.agent)
+        self.reference.loop.enter(number, 0)
+        return self._play(number, {}, of, _ROUND_S)
+
+    # Cycles ---------------------------------------------------------------------------------------
+
+    def skip(self) -> bool:
+        """Play a cycle in which the device may be gone; return whether it answered anything.
+
+        It is a new process then: so is our own agent.
+        """
+        if self._incarnation is not None:
+            self._incarnation = None
+            self._sequence.clear()
+        cycle = self.cycle
+        self.reference = Reference(self.plan, self.agent)
+        self.reference.loop.begin(0, self.reference.begin_ns(cycle), cycle)
+        self.play("restart", is_there=False)
+        limit_ns = self.start_ns + round((cycle + 0.97) * self.plan.cycle_wall_ns)
+        while (heard := self._bus.next((limit_ns - time.monotonic_ns()) / 1e9)) is not None:
+            self._take(heard)
+        return any(place[1] == cycle for place in self._outputs)
+
+    def play(
+        self,
+        requirement: str,
+        edit: Edit | None = None,
+        *,
+        late: Edit | None = None,
+        is_there: bool = True,
+    ) -> None:
+        """Play the next cycle.
+
+        Parameters
+        ----------
+        requirement
+            What the answers show.
+        edit, late
+            What is sent in place of the undisturbed messages, and after the last answer.
+        is_there
+            Whether the device has to answer.
+        """
+        cycle, wall_ns = self.cycle, self.plan.cycle_wall_ns
+        if wall_ns:
+            time.sleep(max(self.start_ns + cycle * wall_ns - time.monotonic_ns(), 0) / 1e9)
+        if is_there:
+            self.findings.try_(requirement)
+        patience_s = wall_ns / 1e9 if wall_ns else _PATIENCE_S
+        if not self._play(cycle, edit or {}, requirement, patience_s, is_there=is_there):
+            self._give_up_without_answers(cycle, requirement)
+        for port, payloads in (late or {}).items():
+            for payload in payloads:
+                self._send(port, payload)
+        self.cycle += 1
+
+    def _give_up_without_answers(self, cycle: int, requirement: str) -> None:
+        """End the trial if the device has gone, or has been silent for some cycles."""
+        last = max((of for _, of in self._outputs), default=-1)
+        if self._bus.absent or cycle - last >= _SILENT_CYCLES:
+            text = f"cycle {cycle}: {'it has gone' if self._bus.absent else 'it is silent'}"
+            self.findings.fail(requirement, text)
+            raise FailureError(f"{self.agent}: {text}")
+
+    def message(self, port: Port[Message], **changes: object) -> Message:
+        """Return the undisturbed message of a port in the next cycle, with changes."""
+        return self._retimed(self._inputs[self.cycle][port], self.cycle, changes)
+
+    def ports(self, cycle: int | None = None) -> list[Port[Message]]:
+        """Return the ports of which a message is due in a cycle, the next one by default."""
+        return list(self._inputs[self.cycle if cycle is None else cycle])
+
+    def _retimed(self, message: Message, cycle: int, changes: Mapping[str, object]) -> Message:
+        now_ns = time.monotonic_ns()
+        head: dict[str, Any] = {
+            "cycle": cycle,
+            "sim_time_ns": self.plan.sim_time_ns(cycle),
+            "sequence": max(cycle, 0),
+            "incarnation": self.incarnations.get(message.source, 0) if cycle >= 0 else 0,
+            "ready_time_ns": now_ns,
+            "publish_time_ns": now_ns,
+        }
+        return msgspec.structs.replace(message, **(head | dict(changes)))
+
+    def _play(
+        self,
+        cycle: int,
+        edit: Edit,
+        requirement: str,
+        patience_s: float,
+        *,
+        is_there: bool = True,
+    ) -> bool:
+        """Play a cycle stage by stage; return whether all answers came in time."""
+        inputs = self._inputs[max(cycle, 0)]
+        limit_ns = time.monotonic_ns() + round(patience_s * 1e9)
+        if cycle >= 0 and self.plan.cycle_wall_ns:
+            limit_ns = self.start_ns + round((cycle + 0.97) * self.plan.cycle_wall_ns)
+        expected: dict[Port[Message], Message] = {}
+        sent: set[Port[Message]] = set()
+        stages = self._ours.stages(cycle)
+        self._unanswered = []
+        for stage in stages:
+            for port in (*stage.awaits, *stage.uses):
+                if port in inputs and port not in sent:
+                    sent.add(port)
+                    whole = (encode(self._retimed(inputs[port], cycle, {})),)
+                    for payload in edit.get(port, whole):
+                        self._send(port, payload, cycle)
+            due = dict(self.reference.close(stage.name, cycle))
+            expected |= due
+            if is_there:
+                self._collect([port for port in due if port in self._published], cycle, limit_ns)
+        # A device without a clock is silent in a cycle of whose beginning it hears nothing.
+        heard_nothing = not any(edit.get(port, True) for port in stages[0].awaits)
+        if is_there and not (self._unanswered and (heard_nothing or cycle < 0)):
+            self._judge(expected, cycle, requirement)
+        return not self._unanswered
+
+    def _send(self, port: Port[Message], payload: bytes, cycle: int | None = None) -> None:
+        self._bus.put(port, payload)
+        self.reference.hear(port, payload, self.cycle if cycle is None else cycle)
+
+    def _collect(self, wanted: Sequence[Port[Message]], cycle: int, limit_ns: int) -> None:
+        """Take in what comes until all listeners have what they should, or it is too late."""
+        due = {
+            (listener, port, cycle)
+            for port in wanted
+            for listener in (RECORDER, *self.plan.wiring.listeners[port])
+        }
+        while due := {place for place in due if not self._arrived[place]}:
+            heard = self._bus.next((limit_ns - time.monotonic_ns()) / 1e9)
+            if heard is None:
+                self._unanswered += sorted({str(port) for _, port, _ in due})
+                return
+            self._take(heard)
+
+    # What the device says -------------------------------------------------------------------------
+
+    def _take(self, heard: Heard) -> None:
+        """Take in one payload of the device's, and look at all that needs no comparison."""
+        fail, is_recorder = self.findings.fail, heard.listener == RECORDER
+        port = self.plan.keys.port(heard.key)
+        if port is None or port.publisher != self.agent:
+            fail("decisions", f"{heard.key} was published, a key of another or of nobody")
+            return
+        try:
+            message = decode(port.signal, heard.payload)
+        except msgspec.DecodeError as error:
+            fail("bounds", f"{port}: {error}")
+            return
+        where = f"cycle {message.cycle}, {port}"
+        place = (heard.listener, port, message.cycle)
+        self._arrived[place] += 1
+        if self._arrived[place] > 1 and port.signal.is_cyclic:
+            fail("links", f"{where}: it came twice to {heard.listener}")
+        elif is_recorder:
+            self._outputs[port, message.cycle] = message
+            for text in self._wrong_in_head(port, message, heard.time_ns):
+                fail("head", f"{where}: {text}")
+            self.findings.try_("bounds")
+            text = absurdity(self.plan, port, message, heard.time_ns)
+            if text and not text.startswith("sim_time_ns"):
+                fail("bounds", f"{where}: {text}")
+
+    def _wrong_in_head(self, port: Port[Message], message: Message, heard_ns: int) -> Iterator[str]:
+        self.findings.try_("head")
+        sequence = 0
+        if message.cycle >= 0:
+            sequence = self._sequence[port]
+            self._sequence[port] = message.sequence + 1
+            if self._incarnation is None:  # It joins with its first message.
+                self._incarnation = message.cycle
+        right = {
+            "source": self.agent,
+            "sim_time_ns": self.plan.sim_time_ns(message.cycle),
+            "sequence": sequence,
+            "incarnation": self._incarnation if message.cycle >= 0 else 0,
+        }
+        for field, value in right.items():
+            if getattr(message, field) != value:
+                yield f"{field}: expected {value}, got {getattr(message, field)}"
+        ready_ns, published_ns = message.ready_time_ns, message.publish_time_ns
+        if published_ns and not heard_ns - 10_000_000_000 < published_ns <= heard_ns + 50_000_000:
+            yield "publish_time_ns: expected the time of this host's monotonic clock, or 0"
+        if ready_ns and published_ns and ready_ns > published_ns:
+            yield "ready_time_ns: expected a time before publish_time_ns"
+
+    def _judge(self, expected: Mapping[Port[Message], Message], cycle: int, of: str) -> None:
+        """Compare the answers of a cycle with our own agent's."""
+        self.findings.try_("links")
+        ours = {port: message for port, message in expected.items() if port in self._published}
+        theirs = {port: self._outputs.get((port, cycle)) for port in self._published}
+        for port in self._published:
+            own, its, where = ours.get(port), theirs[port], f"cycle {cycle}, {port}"
+            if own is None and its is not None:
+                self.findings.fail(of, f"{where}: published, expected nothing")
+            elif own is not None and its is None:
+                self.findings.fail(of, f"{where}: nothing came, expected {_content(own)}")
+            elif own is not None and its is not None:
+                self._compare(port, own, its, of)
+
+    def _compare(self, port: Port[Message], own: Message, its: Message, of: str) -> None:
+        for listener in self.plan.wiring.listeners[port]:
+            if not self._arrived[listener, port, its.cycle]:
+                self.findings.fail("links", f"cycle {its.cycle}, {port}: not heard by {listener}")
+        ignored = {"source", "sim_time_ns", "incarnation"} | (
+            {"missing"} if not its.missing else set()
+        )
+        comparison = Comparison(self._comparison.tolerance, frozenset(ignored))
+        for found in comparison.differences(port, its, own):
+            text = f"{found.field}: expected {found.new}, got {found.recorded}"
+            self.findings.fail(of, f"cycle {its.cycle}, {port}, {text}")
+            return
+
+
+def _content(message: Message) -> str:
+    fields = [name for name in message.__struct_fields__ if name not in Message.__struct_fields__]
+    return ", ".join(f"{name} {getattr(message, name)}" for name in fields)

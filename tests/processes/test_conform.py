@@ -1,0 +1,162 @@
+"""`heliarch conform` on devices that meet all requirements, and on others that miss one."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from running import Heliarch, small_plant
+from split_links import free_ports, split_links
+from test_external import our_decisions
+from test_launch import decisions
+
+from studies.conformance.requirements import OF_PLANT, REQUIREMENTS
+
+pytestmark = pytest.mark.processes
+
+Start = Callable[..., Heliarch]
+
+REPOSITORY = Path(__file__).parents[2]
+EXAMPLES = REPOSITORY / "examples"
+WRONG = Path(__file__).with_name("wrong_device.py")
+NODE = "c1/inv01"
+CONTROLLER = f"{sys.executable} {EXAMPLES / 'direct_controller.py'} --plan {{plan}} --node {{node}}"
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> str:
+    return small_plant(tmp_path / "plant", ("[control]\n", "[control]\nhold_cycles = 2\n"))
+
+
+def results(
+    start: Start, plant: str, agent: str, command: str, pace: str, *more: str
+) -> dict[str, str]:
+    """Try a device; return the result of each requirement."""
+    file = Path(plant).with_name("results.json")
+    words = ("--scenario", plant, "--pace", pace, "--json", str(file), "--external-timeout", "20")
+    run = start("conform", agent, *words, "--device", command, *more)
+    status = run.wait()
+    found = json.loads(file.read_text(encoding="utf-8"))
+    text = json.dumps(found, indent=1) + run.error_text()
+    assert status == (0 if found["passed"] else 1), text
+    assert found["passed"] == all(row["result"] != "FAIL" for row in found["requirements"]), text
+    print(text)
+    return {row["requirement"]: row["result"] for row in found["requirements"]}
+
+
+def failed(found: dict[str, str]) -> set[str]:
+    return {name for name, result in found.items() if result == "FAIL"}
+
+
+def test_the_example_controller_meets_every_requirement(heliarch: Start, plant: str) -> None:
+    found = results(heliarch, plant, NODE, CONTROLLER, "2")
+    assert found == dict.fromkeys(REQUIREMENTS, "PASS")
+
+
+def test_the_example_plant_meets_every_requirement(heliarch: Start, plant: str) -> None:
+    command = f"{sys.executable} {EXAMPLES / 'plant.py'} --plan {{plan}}"
+    assert results(heliarch, plant, "plant", command, "4") == dict.fromkeys(OF_PLANT, "PASS")
+
+
+@pytest.mark.parametrize("agent", ["c1", "central"])
+def test_parents_are_tried_in_their_own_place(agent: str, heliarch: Start, plant: str) -> None:
+    command = f"{sys.executable} -m agents {{node}} --plan {{plan}}"
+    found = results(heliarch, plant, agent, command, "max")
+    assert failed(found) <= {"links closed"}, "our own processes end with their launcher"
+    tried = {name for name, result in found.items() if result == "PASS"}
+    assert tried >= {"arming", "decisions", "head", "bounds", "links", "limits", "replaced"}
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "arming",
+        "decisions",
+        "head",
+        "bounds",
+        "links",
+        "limits",
+        "wrong messages",
+        "replaced",
+        "links closed",
+    ],
+)
+def test_a_device_with_a_fault_fails_where_it_is_wrong(
+    fault: str, heliarch: Start, plant: str
+) -> None:
+    command = f"{sys.executable} {WRONG} '{fault}' {{plan}} {{node}}"
+    found = results(heliarch, plant, NODE, command, "max")
+    assert found[fault] == "FAIL"
+    assert found["token"] == "PASS"
+
+
+def test_a_device_that_holds_its_inputs_for_ever_fails_in_real_time(
+    heliarch: Start, plant: str
+) -> None:
+    command = f"{sys.executable} {WRONG} silent {{plan}} {{node}}"
+    assert "silent" in failed(results(heliarch, plant, NODE, command, "2"))
+
+
+# In C ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def controller_in_c(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The program of examples/c, where zenoh-pico is installed."""
+    if shutil.which("cmake") is None:
+        pytest.skip("cmake is not installed")
+    build = tmp_path_factory.mktemp("c")
+    configured = subprocess.run(
+        ["cmake", "-S", EXAMPLES / "c", "-B", build],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if configured.returncode:
+        assert "zenohpico" in configured.stderr
+        pytest.skip("zenoh-pico is not installed: see docs/device.md")
+    subprocess.run(["cmake", "--build", build], check=True, capture_output=True)
+    return build / "controller"
+
+
+def test_the_controller_in_c_meets_every_requirement(
+    controller_in_c: Path, heliarch: Start, plant: str
+) -> None:
+    found = results(heliarch, plant, NODE, f"{controller_in_c} {{plan}} {{node}}", "2")
+    assert found == dict.fromkeys(REQUIREMENTS, "PASS")
+
+
+def test_its_links_outlive_reads_that_split_the_length_of_a_batch(
+    controller_in_c: Path, heliarch: Start, plant: str
+) -> None:
+    first = free_ports(5)
+    with split_links(first, first + 1, first + 3) as links:
+        command = " ".join(
+            [f"{controller_in_c} {{plan}} {{node}}", *(one.endpoint for one in links)]
+        )
+        words = ("--base-port", str(first))
+        found = results(heliarch, plant, NODE, command, "max", *words)
+    assert not failed(found), "docs/device.md, With zenoh-pico: is the library patched?"
+
+
+def test_in_c_a_run_in_lockstep_is_that_of_simulate_and_nothing_is_sent_in_vain(
+    controller_in_c: Path, heliarch: Start, plant: str
+) -> None:
+    first = free_ports(5)
+    words = ("--duration", "25", "--seed", "3", "--scheme", "paper", "--base-port", str(first))
+    run = heliarch("launch", plant, *words, "--external", NODE)
+    with split_links(first, first + 1, first + 3) as links:
+        run.until((run.folder / "plan.json").exists, "a plan")
+        endpoints = [link.endpoint for link in links]
+        plan = run.folder / "plan.json"
+        device = subprocess.run([controller_in_c, plan, NODE, *endpoints], timeout=100, check=False)
+        assert run.wait() == 0, run.error_text()
+    assert device.returncode == 0
+    assert decisions(run.folder) == our_decisions(plant)
+    _, of_plant, _ = links
+    assert of_plant.received < 25 * 1_000, "it is sent what it has not subscribed to"
