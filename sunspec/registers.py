@@ -161,7 +161,7 @@ class InverterRegisters(Registers):
             **{field: getattr(self._inverter.settings, field) for field in known.values()} | told
         )
         self._on_limit()
-        self._inverter.told(settings, self._now())
+        self._inverter.told(settings, at)
         return None
 
     def _inverter_points(self, number: int, at: float) -> Points:
