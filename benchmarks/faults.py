@@ -8,8 +8,8 @@ One fault comes 30.7 s after the first cycle, so that what takes half a second c
 figures are taken from the recording, beside that of a simulated run without a fault:
 
 noticed     until the first message that goes without an input of the stopped controller
-normal      until no message lacks an input and power is within 1 % of the rating of the run
-            without a fault, for good; "-": it never left that state
+normal      until no message from or for it lacks an input, and power is within 1 % of the rating of
+            the run without a fault, for good; "-": it never left that state
 over        most power, and energy, above what was desired, or given without a fault
 under       most power, and energy, below both
 missing     messages that were not sent, and those that were lost on their way
@@ -23,6 +23,8 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from fnmatch import fnmatchcase
+from itertools import repeat
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final, NamedTuple
@@ -33,6 +35,7 @@ from rich.console import Console
 
 import heliarch
 from bus_schemas.messages import Production, Run
+from bus_schemas.missing import parse_missing
 from recordings import open_run
 from studies.tables import Cell, Column, Table, key_column, print_table
 
@@ -66,7 +69,7 @@ class Recorded(NamedTuple):
     sent
         Key and cycle of each message that comes in every cycle.
     lacking
-        Messages that go without an input: time after cycle 0 [s], cycle, and the keys they lack.
+        Inputs that messages go without: time after cycle 0 [s], cycle, publisher, who lacks it.
     rating_kw, lost
         Of the plant; messages that were lost on their way.
     """
@@ -74,7 +77,7 @@ class Recorded(NamedTuple):
     power_kw: NDArray[np.float64]
     desired_kw: NDArray[np.float64]
     sent: set[tuple[str, int]]
-    lacking: list[tuple[float, int, str]]
+    lacking: list[tuple[float, int, str, str]]
     rating_kw: float
     lost: int
 
@@ -87,7 +90,8 @@ def main() -> None:
     parser.add_argument("--scenario", default="oahu")
     parser.add_argument("--only", default=",".join(VICTIMS))
     words = parser.parse_args()
-    settings = {"standby": ["central", "supervisors"]} if words.standby else {}
+    # A list is several values to choose from: this one value is a list itself.
+    settings = {"standby": [["central", "supervisors"]]} if words.standby else {}
     rows: list[tuple[Cell, ...]] = []
     with TemporaryDirectory() as folder:
 
@@ -111,7 +115,7 @@ def main() -> None:
         for victim in words.only.split(","):
             for name in REAL if words.real else FAULTS:
                 found = [run(start, (FAULTS[name].format(victim),)) for start in starts]
-                worst = map(max, zip(*map(figures, found, healthy), strict=True))
+                worst = map(max, zip(*map(figures, repeat(victim), found, healthy), strict=True))
                 numbers = (None if number < 0.0 else number for number in worst)
                 rows.append((VICTIMS.get(victim, victim), name, *numbers))
     how = "real processes" if words.real else "simulated"
@@ -126,11 +130,11 @@ def main() -> None:
 
 
 def launch(
-    scenario: str, start: str, fault: str, settings: dict[str, list[str]], folder: Path
+    scenario: str, start: str, fault: str, settings: dict[str, list[list[str]]], folder: Path
 ) -> None:
     """Run a scenario over real processes, with a fault."""
     words = ["--from", start, "--duration", LENGTH, "--pace", "1", "--fault", fault]
-    for name, value in settings.items():
+    for name, (value,) in settings.items():
         words += ["--set", f"{name}={json.dumps(value)}"]
     program = [sys.executable, "-m", "launch_scripts", "launch", scenario, "--out", str(folder)]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
@@ -148,6 +152,7 @@ def recorded(folder: Path) -> Recorded:
     lacking = []
     start_ns = 0
     with open_run(folder) as run:
+        publisher_of = {str(port): port.publisher for port in run.plan.keys.ports}
         for port, message in run.messages():
             if isinstance(message, Run):
                 start_ns = message.start_time_ns if message.state == "start" else start_ns
@@ -156,8 +161,10 @@ def recorded(folder: Path) -> Recorded:
                 sent.add((str(port), message.cycle))
             if isinstance(message, Production):
                 produced.append(message)
-            for key in message.missing:
-                lacking.append(((message.publish_time_ns - start_ns) / 1e9, message.cycle, key))
+            time_s = (message.publish_time_ns - start_ns) / 1e9
+            for entry in message.missing:
+                publisher = publisher_of[parse_missing(entry).key]
+                lacking.append((time_s, message.cycle, publisher, port.publisher))
         rating_kw = run.plan.tree.rating_kw("")
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     return Recorded(
@@ -170,14 +177,18 @@ def recorded(folder: Path) -> Recorded:
     )
 
 
-def figures(found: Recorded, healthy: Recorded) -> Iterator[float]:
+def figures(victim: str, found: Recorded, healthy: Recorded) -> Iterator[float]:
     """Yield the numbers of a row; -1 for a time at which nothing came about."""
-    after = [entry for entry in found.lacking if entry[0] >= AT_S]
-    noticed_s = min((time_s for time_s, _, _ in after), default=None)
+    after = [
+        (time_s, cycle)
+        for time_s, cycle, *ends in found.lacking
+        if time_s >= AT_S and any(fnmatchcase(agent, victim) for agent in ends)
+    ]
+    noticed_s = min((time_s for time_s, _ in after), default=None)
     yield -1.0 if noticed_s is None else noticed_s - AT_S
     apart_kw = np.abs(found.power_kw - healthy.power_kw)
     apart = np.flatnonzero(apart_kw > NEAR_SHARE * found.rating_kw)
-    last = max([*apart.tolist(), *(cycle for _, cycle, _ in after)], default=None)
+    last = max([*apart.tolist(), *(cycle for _, cycle in after)], default=None)
     yield -1.0 if last is None else last + 1 - AT_S
     over_kw = found.power_kw - np.maximum(found.desired_kw, healthy.power_kw)
     under_kw = np.minimum(found.desired_kw, healthy.power_kw) - found.power_kw

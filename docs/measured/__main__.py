@@ -1,6 +1,6 @@
 """Measures the tables of the documents: `make results DATA=FOLDER`.
 
-    python docs/measured [DATA [PAGE...]]
+    python docs/measured [DATA] [PAGE...]
 
 Each table stands between `<!-- measured: NAME -->` and `<!-- end -->`. DATA holds the measurements
 in folders of their own; without it, tables that rest on them stay as they are. With pages, such as
@@ -37,9 +37,10 @@ FROM_DATA: Final[dict[str, Tables]] = {
 
 def main() -> None:
     """Measure the tables, and write each into its document when it is done."""
-    data = Path(sys.argv[1]) if len(sys.argv) > 1 else None
+    pages = [word for word in sys.argv[1:] if word.endswith(".md")]
+    data = next((Path(word) for word in sys.argv[1:] if word not in pages), None)
     began = time.monotonic()
-    for page in sys.argv[2:] or dict.fromkeys((*FROM_SYNTHETIC, *FROM_DATA)):
+    for page in pages or dict.fromkeys((*FROM_SYNTHETIC, *FROM_DATA)):
         tables = FROM_SYNTHETIC.get(page, {}) | (FROM_DATA.get(page, {}) if data else {})
         for name, write in tables.items():
             start = time.monotonic()

@@ -89,7 +89,7 @@ def test_a_controller_that_says_nothing_is_named_and_killed_after_a_while(run: W
 
 def test_one_that_is_heard_in_between_is_not(run: Watched) -> None:
     for _ in range(2):
-        run.pass_by(3.0, "c2")
+        run.pass_by(2.5, "c2")
         run.pass_by(0.25)
     assert run.killed == []
 
