@@ -202,6 +202,8 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         Folder of the agents' certificates; empty: the links are not encrypted.
     address
         Where the agents listen.
+    devices
+        Inverters that are real, each with its address: `modbus://host:port/unit`.
     ramp_percent_per_s, delay_s
         How fast an inverter follows a command, in % of its rating per second (None: at once), and
         after what time it begins to.
@@ -246,6 +248,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     seed: int | None = None
     restart: RestartPolicy = RestartPolicy()
     revert: Revert | None = None
+    devices: tuple[tuple[str, str], ...] = ()
     ramp_percent_per_s: float | None = None
     delay_s: float = 0.0
     settings: tuple[InverterSettings, ...] = ()

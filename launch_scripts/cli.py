@@ -17,6 +17,7 @@ from launch_scripts.commands import (
     doctor,
     export,
     inspect,
+    inverters,
     keys,
     launch,
     recover,
@@ -32,7 +33,7 @@ from launch_scripts.commands.boundary import BAD_INPUT, Command, CommandLine
 from launch_scripts.commands.options import with_groups
 
 COMMANDS: Final[dict[str, tuple[ModuleType, ...]]] = {
-    "Run": (launch, simulate, timing, conform, scenarios),
+    "Run": (launch, simulate, timing, conform, inverters, scenarios),
     "Look": (view, report, inspect, verify, replay),
     "Compare": (compare, clusters, delays, campaign),
     "Files": (export, recover),

@@ -31,7 +31,8 @@ def main() -> int:
     except InputError as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    return run_plant(plan, profile, LauncherLink(PLANT), options.patience)
+    folder = options.plan.parent
+    return run_plant(plan, profile, LauncherLink(PLANT), options.patience, folder)
 
 
 if __name__ == "__main__":

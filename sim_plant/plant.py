@@ -18,6 +18,7 @@ from bus_schemas.bus import Delivery
 from bus_schemas.messages import Dispatch, Meter, Production, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY
 from bus_schemas.tree import PLANT, ROOT
+from sim_plant.devices import Devices
 from sim_plant.inverter import delivered_power_kw
 from sim_plant.profile import Profile
 
@@ -55,14 +56,17 @@ class Plant:
     profile
         What sun and market do. Before the run begins the inverters stand under the first sample,
         uncurtailed.
+    devices
+        The inverters that are real: their readings take the place of what is simulated.
     """
 
     name = PLANT
     may_skip = False
 
-    def __init__(self, plan: RunPlan, profile: Profile) -> None:
+    def __init__(self, plan: RunPlan, profile: Profile, devices: Devices | None = None) -> None:
         tree = plan.tree
         self._profile = profile
+        self._devices = devices
         self._limits = plan.actuator == "limit"
         self._available_bias = plan.available_bias
         self._rating_kw = np.array([tree.rating_kw(leaf) for leaf in tree.leaves])
@@ -110,9 +114,19 @@ class Plant:
 
     def step(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
         """Close a stage."""
+        if self._devices is not None:
+            state = self._read(state, self._devices)
         if turn.stage == "sense":
             return state, self._sense(state, turn)
         return self._apply(state, turn)
+
+    def _read(self, state: PlantState, devices: Devices) -> PlantState:
+        """Return the state with what real inverters measure and obey."""
+        devices.read()
+        power_kw, limit_kw = state.power_kw.copy(), state.limit_kw.copy()
+        for place, reading in devices.newest.items():
+            power_kw[place], limit_kw[place] = reading.power_kw, reading.limit_kw
+        return replace(state, power_kw=power_kw, limit_kw=limit_kw)
 
     def _sense(self, state: PlantState, turn: Turn) -> list[Delivery]:
         cycle = max(turn.cycle, 0)
@@ -127,15 +141,20 @@ class Plant:
         )
         meter = Meter(*turn.stamp, power_kw=float(state.power_kw.sum()))
         outputs: list[Delivery] = [(self._dispatch, dispatch), (self._meter, meter)]
+        silent = set() if self._devices is None else self._devices.silent(turn.cycle)
         measured_kw = state.power_kw * (1.0 + self._profile.meter_error[cycle])
-        for port, power_kw, alpha, limit_kw, available_kw in zip(
-            self._telemetry,
-            measured_kw.tolist(),
-            state.alpha.tolist(),
-            state.limit_kw.tolist(),
-            self._available_kw(cycle),
-            strict=True,
+        for place, (port, power_kw, alpha, limit_kw, available_kw) in enumerate(
+            zip(
+                self._telemetry,
+                measured_kw.tolist(),
+                state.alpha.tolist(),
+                state.limit_kw.tolist(),
+                self._available_kw(cycle),
+                strict=True,
+            )
         ):
+            if place in silent:
+                continue
             telemetry = Telemetry(
                 *turn.stamp,
                 power_kw=power_kw,
@@ -146,12 +165,15 @@ class Plant:
             outputs.append((port, telemetry))
         return outputs
 
-    def _available_kw(self, cycle: int) -> list[float] | list[None]:
+    def _available_kw(self, cycle: int) -> list[float | None]:
         """Return what each inverter says that it could have given in the interval that ended."""
-        if self._available_bias is None:
-            return [None] * len(self._rating_kw)
-        stated_kw = self._profile.mpp_kw[max(cycle - 1, 0)] * (1.0 + self._available_bias)
-        found: list[float] = np.minimum(stated_kw, self._rating_kw).tolist()
+        found: list[float | None] = [None] * len(self._rating_kw)
+        if self._available_bias is not None:
+            stated_kw = self._profile.mpp_kw[max(cycle - 1, 0)] * (1.0 + self._available_bias)
+            found = np.minimum(stated_kw, self._rating_kw).tolist()
+        if self._devices is not None:
+            for place, reading in self._devices.newest.items():
+                found[place] = reading.available_kw
         return found
 
     def _apply(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
@@ -160,6 +182,13 @@ class Plant:
         state = self._obey(state, turn)
         share = np.ones_like(state.alpha) if self._limits else state.alpha
         power_kw = delivered_power_kw(mpp_kw, share, state.limit_kw)
+        if self._devices is not None:
+            mpp_kw = mpp_kw.copy()
+            self._command(self._devices, turn)
+            for place, reading in self._devices.newest.items():
+                # What states no possible power is taken to give all it has.
+                power_kw[place] = reading.power_kw
+                mpp_kw[place] = max(reading.available_kw or 0.0, reading.power_kw)
         desired_kw = float(self._profile.commitment_kw[cycle] + self._profile.regulation_kw[cycle])
         production = Production(
             *turn.stamp,
@@ -170,6 +199,12 @@ class Plant:
             inverter_power_kw=tuple(power_kw.tolist()),
         )
         return replace(state, power_kw=power_kw), [(self._production, production)]
+
+    def _command(self, devices: Devices, turn: Turn) -> None:
+        for place in devices.places:
+            command = turn.get(self._commands[place])
+            if command is not None and turn.cycle >= 0:
+                devices.command(place, command)
 
     def _obey(self, state: PlantState, turn: Turn) -> PlantState:
         """Obey the commands; an inverter that has heard none for its revert time reverts.

@@ -202,6 +202,15 @@ class ProcessOptions:
             metavar="AGENT",
         ),
     ] = None
+    devices: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--device",
+            help="This inverter is a real one: c2/inv07=modbus://10.0.0.7:502/1 (SunSpec models "
+            "over Modbus TCP). May be given several times.",
+            metavar="NODE=ADDRESS",
+        ),
+    ] = None
     external_timeout_s: Annotated[
         float,
         typer.Option(

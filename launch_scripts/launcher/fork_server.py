@@ -186,7 +186,8 @@ def _run(agent: str, plan: RunPlan, link: LauncherLink, request: Start) -> int:
         case "recorder":
             return run_recorder(plan, folder, link)
         case "plant":
-            return run_plant(plan, load_profile(folder / "profile.npz"), link, request.patience_s)
+            profile = load_profile(folder / "profile.npz")
+            return run_plant(plan, profile, link, request.patience_s, folder)
         case _:
             return run_controller(plan, agent, link, rejoins=request.again)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import nullcontext
 from typing import Final
 
 from agents.events import (
@@ -18,6 +19,7 @@ from agents.events import (
 )
 from agents.machine import refusals
 from agents.plan import RunPlan
+from bus_schemas.errors import FailureError
 from bus_schemas.tree import PLANT, RECORDER, some_of
 from launch_scripts.launcher.fork_requests import Start
 from launch_scripts.launcher.interruption import Interruption, interruptible
@@ -47,8 +49,10 @@ from launch_scripts.launcher.supervision import (
 )
 from launch_scripts.launcher.tcp_ports import reserved_ports
 from launch_scripts.launcher.wrong_messages import wrong_messages
+from launch_scripts.scenarios.devices import check_devices
 from launch_scripts.scenarios.externals import ExternalWatch
 from launch_scripts.scenarios.preparation import Preparation
+from sunspec.process import GatewayProcess
 
 _PLANT_PATIENCE_S: Final = 30.0
 """How long the plant waits for processes to appear, and how much longer for each of them."""
@@ -81,8 +85,10 @@ class _Launch:
         view: View,
         began_at: float,
         server: ForkServerProcess,
+        gateway: GatewayProcess | None,
     ) -> None:
         self._server = server
+        self._gateway = gateway
         self._preparation = preparation
         self._plan = plan
         self._folder = folder
@@ -148,6 +154,7 @@ class _Launch:
                 self._restarts.hear(child, event)
                 if isinstance(event, Armed):
                     self._cpu_at_start_s = {child.agent: child.cpu_s() for child in children}
+            self._hear_gateway()
             self._restarts.look(self._watch.recorder_silent_s(time.monotonic()))
             self._check_progress(children)
             if self._interruption:
@@ -192,6 +199,13 @@ class _Launch:
                 self._view.say(f"wrong message on {event.key}: {event.example}")
             case RecordingEnded():
                 self._view.say(f"{event.text}; the run goes on without it")
+
+    def _hear_gateway(self) -> None:
+        if self._gateway is not None:
+            try:
+                self._gateway.look(self._view.say)
+            except FailureError as error:
+                raise RunFailure(str(error)) from None
 
     def _check_progress(self, children: Children) -> None:
         now = time.monotonic()
@@ -318,6 +332,7 @@ class _Launch:
                 process_account(child, self._cpu_at_start_s.get(child.agent)) for child in children
             ),
             external=recorded.external,
+            devices=self._gateway.end() if self._gateway is not None else (),
             wrong=wrong_messages(
                 plan, recorded.complaints, [account.dropped for account in accounts]
             ),
@@ -348,10 +363,16 @@ def launch(
         A process died or gave up, a cycle stalled, or messages got lost.
     """
     agents, base_port = preparation.plan.links.listening, preparation.options.base_port
-    with reserved_ports(agents, base_port, preparation.plan.address) as tcp_ports:
+    check_devices(preparation.plan)
+    with (
+        GatewayProcess(preparation.plan) if preparation.plan.devices else nullcontext() as gateway,
+        reserved_ports(agents, base_port, preparation.plan.address) as tcp_ports,
+    ):
         plan = folder.fill(preparation, tcp_ports)
+        if gateway is not None:
+            gateway.join(folder.path)
         try:
-            return _Launch(preparation, plan, folder, view, began_at, server).run()
+            return _Launch(preparation, plan, folder, view, began_at, server, gateway).run()
         except RunFailure as failure:
             folder.failure.write_text(f"{failure}\n", encoding="utf-8")
             raise

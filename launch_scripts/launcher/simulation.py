@@ -236,8 +236,8 @@ def simulate(
     RunFailure
         The run could not go on, see `MemoryRun.cycles`.
     """
-    if preparation.plan.faults:
-        preparation = dataclasses.replace(preparation, plan=on_the_clock(preparation.plan))
+    plan = msgspec.structs.replace(preparation.plan, devices=())  # In memory none is real.
+    preparation = dataclasses.replace(preparation, plan=on_the_clock(plan) if plan.faults else plan)
     plan = folder.fill(preparation, tcp_ports={})
     monitor = RunMonitor()
     # A virtual clock stands at 0 when the run begins.

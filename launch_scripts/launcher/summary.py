@@ -18,6 +18,7 @@ from recordings.read.reader import RunReader
 from recordings.read.series import read_plant_series
 from studies.metrics import RunMetrics, run_metrics
 from studies.metrics.figures_of_merit import figures_json
+from sunspec.process import DeviceAccount
 
 
 class MessageCount(msgspec.Struct, frozen=True):
@@ -83,6 +84,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     `recording_ended` says why its recording does not go up to its end; it is empty if it does.
     `processes` is empty where the run was in one process. `messages` are those of the processes;
     of external agents, which give no account of themselves, `external` tells what was heard.
+    `devices` tells what their gateway measured.
     `restarts` says how often each process was started again, `takeovers` how often a standby took
     an agent over.
     """
@@ -112,6 +114,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     processes_startup_s: float = 0.0
     processes: tuple[ProcessAccount, ...] = ()
     external: tuple[ExternalAccount, ...] = ()
+    devices: tuple[DeviceAccount, ...] = ()
     wrong: tuple[WrongMessages, ...] = ()
     restarts: dict[str, int] = msgspec.field(default_factory=dict)
     takeovers: dict[str, int] = msgspec.field(default_factory=dict)

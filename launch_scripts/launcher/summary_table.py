@@ -18,6 +18,7 @@ from studies.metrics import RunMetrics
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT, shown_in
 from studies.report.tables import health_table
 from studies.tables import Cell, Column, Number, Table, key_column, print_table, word_column
+from sunspec.tables import devices_tables
 
 Row: TypeAlias = tuple[str, Cell, str, str]
 """Name, value, unit and note."""
@@ -39,7 +40,8 @@ _SHARES: Final = {
 
 def print_summary(summary: RunSummary, console: Console) -> None:
     """Print the table, and the health of a run with faults or where something went wrong."""
-    print_table(console, summary_table(summary))
+    for table in (summary_table(summary), *devices_tables(summary.devices)):
+        print_table(console, table)
     with suppress(InputError), RunReader(Path(summary.folder)) as run:
         if summary.troubled or run.plan.faults:
             print_table(console, health_table(run))

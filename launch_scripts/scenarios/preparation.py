@@ -22,6 +22,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.times import FIRST_YEAR, LAST_YEAR, parse_duration_s, read_time
 from bus_schemas.tree import ROOT, ControlTree, agent_name, depth
 from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
+from launch_scripts.scenarios.devices import devices
 from launch_scripts.scenarios.externals import check_externals
 from launch_scripts.scenarios.fault_rules import fault_remarks, fault_rules
 from launch_scripts.scenarios.fields import field_names
@@ -68,6 +69,7 @@ class RunOptions:
     address: str = "127.0.0.1"
     cpus: Sequence[str] | None = None
     priority: int | None = None
+    devices: Sequence[str] | None = None
     cycle_s: float | None = None
 
 
@@ -241,6 +243,7 @@ def _plan(
         seed=seed,
         keys_folder=_keys_folder(scenario, options),
         address=options.address,
+        devices=devices(scenario.devices, options.devices or (), day.tree),
         positions_m=day.positions_m,
         standby=_standby(scenario.standby, day.tree, external),
     )

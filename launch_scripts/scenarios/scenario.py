@@ -25,6 +25,7 @@ from bus_schemas.faults import FaultRule
 from bus_schemas.times import LONGEST_S
 from bus_schemas.tree import check_name
 from launch_scripts.scenarios.budget_table import TimingTable
+from launch_scripts.scenarios.devices import DeviceTable
 from launch_scripts.scenarios.fields import readable
 from launch_scripts.scenarios.machine_table import MachineTable
 from launch_scripts.scenarios.real_time import (
@@ -248,6 +249,9 @@ class Scenario(_Table, frozen=True):
     secure: Annotated[
         bool, Meta(description="Whether a launched plant's links are encrypted, as by `--secure`.")
     ] = False
+    devices: Annotated[
+        tuple[DeviceTable, ...], Meta(description="Real inverters; `--device` adds to them.")
+    ] = ()
     standby: Annotated[
         tuple[Literal["central", "supervisors"], ...],
         Meta(description="Parents of which a second process stands by, in real time."),

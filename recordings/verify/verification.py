@@ -172,6 +172,8 @@ def _team(
             left_out[name] = "it is external"
         elif name != PLANT:
             team[name] = partial(controller, plan, name)
+        elif plan.devices:
+            left_out[name] = "some of its inverters were devices"
         elif (profile := run_profile(plan, recording)) is not None:
             team[name] = partial(Plant, plan, profile)
         elif nodes:

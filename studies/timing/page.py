@@ -48,6 +48,7 @@ from studies.timing.tables import (
     times_tables,
     verdict_line,
 )
+from sunspec.tables import devices_tables
 
 PAGE_NAME: Final = "timing.html"
 
@@ -56,6 +57,7 @@ _CURVES: Final = (
     ("decision", "Decision time by tier", ("decision",)),
     ("hop", "Hop latency by signal", ("hop",)),
 )
+
 _CURVES_PX: Final = 440
 _ROW_PX: Final = 17
 _FRAME_PX: Final = 120
@@ -96,6 +98,7 @@ def run_page(reported: Reported) -> str:
             *curves,
             *times_tables(report),
             counts_table(report.tiers),
+            *devices_tables(report.devices),
             budgets_table(report.verdicts),
             processes_table(report.processes),
         ],

@@ -23,6 +23,7 @@ from studies.timing.cycle_waits import CycleWaits
 from studies.timing.durations import Times
 from studies.timing.measures import RunTiming, run_timing
 from studies.timing.processes import ProcessTiming, TierTiming, tier_timings, with_accounts
+from sunspec.process import DeviceAccount
 
 _CLEAN_SHARE: Final = 0.01
 """Share of late cycles up to which a run is clean: one long stall must not decide."""
@@ -72,6 +73,7 @@ class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
     interrupted: bool = False
     remarks: tuple[str, ...]
     external: tuple[ExternalAccount, ...] = ()
+    devices: tuple[DeviceAccount, ...] = ()
     wrong: tuple[WrongMessages, ...] = ()
     faults: dict[str, int] = {}
     lost_messages: int | None = None
@@ -132,6 +134,7 @@ def report_on(
         seen = {
             "interrupted": summary.interrupted,
             "external": summary.external,
+            "devices": summary.devices,
             "wrong": summary.wrong,
             "faults": summary.faults,
             "lost_messages": summary.lost,

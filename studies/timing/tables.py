@@ -22,6 +22,7 @@ from studies.timing.budgets import Verdict
 from studies.timing.durations import Distribution, Times
 from studies.timing.processes import ProcessTiming, TierTiming
 from studies.timing.report import Host, TimingReport
+from sunspec.tables import devices_tables
 
 MEANINGS: Final = {
     "loop": "from the plant's scheduled tick to its last command; each command: to its publishing",
@@ -48,7 +49,8 @@ _DECIMALS: Final = {"ms": 3, "%": 2, "MB": 1, "": 0}
 def print_report(report: TimingReport, console: Console, *, processes: bool) -> None:
     """Print the tables of a run; with `processes` one for each process as well."""
     print_lines(console, [*header_lines(report), ""])
-    for table in (*times_tables(report), counts_table(report.tiers)):
+    devices = devices_tables(report.devices)
+    for table in (*times_tables(report), counts_table(report.tiers), *devices):
         print_table(console, table)
     for process in report.processes if processes else ():
         print_table(console, _process_table(process))

@@ -35,6 +35,7 @@ QUICK: Final[dict[str, tuple[str, ...]]] = {
     "launch": ("small.toml", "--duration", "5"),
     "simulate": ("small.toml", "--duration", "5"),
     "timing": ("timed",),
+    "inverters": ("small.toml", "--duration", "1", "--port", "0"),
     "conform": (
         "c1/inv01",
         "--scenario",
@@ -103,7 +104,7 @@ def words_of(name: str, folder: Path) -> list[str]:
 
 
 def with_json(names: list[str]) -> list[str]:
-    return [name for name in names if name not in {"view", "report"}]
+    return [name for name in names if name not in {"view", "report", "inverters"}]
 
 
 def test_every_command_is_held_to_the_contract() -> None:
@@ -156,6 +157,9 @@ BAD: Final = [
     ("launch", "--out", "run"),
     ("launch", "--external", "c9"),
     ("launch", "--cpus", "x"),
+    ("launch", "--device", "c9=modbus://10.0.0.7/1"),
+    ("inverters", "--port", "-1"),
+    ("inverters", "--from", "noon"),
     ("timing", "--rate", "20"),
     ("timing", "--priority", "20"),
     ("timing", "--page-port", "8000"),

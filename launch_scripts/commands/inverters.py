@@ -1,0 +1,101 @@
+"""`heliarch inverters`: a plant's simulated inverters as SunSpec devices."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import suppress
+from math import inf
+from typing import Annotated, Final
+
+import typer
+
+from bus_schemas.errors import InputError
+from launch_scripts.commands.options import (
+    DataOption,
+    DurationOption,
+    EndOption,
+    ScenarioArgument,
+    SeedOption,
+    SettingsOption,
+    StartOption,
+)
+
+EXAMPLE: Final = "heliarch inverters oahu --port 5020 --set plant.delay_s=1"
+
+
+def inverters(
+    scenario: ScenarioArgument = "oahu",
+    *,
+    address: Annotated[
+        str,
+        typer.Option(help="Where to listen; 0.0.0.0: for other hosts too.", metavar="ADDRESS"),
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="One port, a unit for each inverter.")
+    ] = 5020,
+    base_port: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=65535, help="A port for each inverter instead, from this one on; unit 1."
+        ),
+    ] = None,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Let the sky stand still until the first limit comes.")
+    ] = False,
+    start: StartOption = None,
+    end: EndOption = None,
+    duration: DurationOption = None,
+    seed: SeedOption = None,
+    settings: SettingsOption = None,
+    data: DataOption = None,
+) -> None:
+    """Serve a plant's inverters over Modbus TCP under the scenario's sky, in real time.
+
+    They are SunSpec devices: another plant controller can read and limit
+    them. The last unit is the meter at the plant's connection. Ends with
+    the scenario, or with Ctrl-C.
+    """
+    from launch_scripts.launcher.run_folder import new_run_id
+    from launch_scripts.scenarios.preparation import RunOptions, prepare
+    from launch_scripts.scenarios.scenario import load_scenario
+    from studies.compare.cases import with_settings
+
+    try:
+        from sunspec.limited_inverter import LimitedInverter
+        from sunspec.server import ServedPlant, Sky, served
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"inverters: {error.name} is not installed: pip install 'heliarch[modbus]'"
+        ) from None
+
+    scenario_file = with_settings(load_scenario(scenario, data), settings or ())
+    options = RunOptions(start=start, end=end, duration=duration, seed=seed)
+    prepared = prepare(scenario_file, options, new_run_id(scenario_file.scenario.name))
+    plan = prepared.plan
+    sky = Sky(prepared.profile.mpp_kw, plan.cycle_ns / 1e9, None if wait else time.monotonic())
+
+    def simulated(place: int, name: str, rating_kw: float) -> LimitedInverter:
+        settings = plan.settings_of(name)
+        ramp = settings.ramp_percent_per_s or inf
+        return LimitedInverter(rating_kw, sky.possible_kw(place), settings.delay_s or 0.0, ramp)
+
+    plant = ServedPlant(
+        inverters={
+            name: simulated(place, name, rating_kw)
+            for place, (name, rating_kw) in enumerate(plan.inverters)
+        },
+        sky=sky,
+        now=time.monotonic,
+        host=address,
+        port=port if base_port is None else base_port,
+        a_port_each=base_port is not None,
+    )
+    with suppress(KeyboardInterrupt), served(plant) as addresses:
+        for name, place in addresses.items():
+            typer.echo(f"meter: {place}" if name == "meter" else f"--device {name}={place}")
+        begins = "stands still until the first limit comes" if wait else "moves on"
+        typer.echo(f"the sky of {prepared.local_start()} {begins}")
+        sys.stdout.flush()
+        while not sky.is_over(time.monotonic()):
+            time.sleep(0.2)

@@ -1,0 +1,68 @@
+"""Real inverters in a run: which they are, and what a run must be like for them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from agents.plan import RunPlan
+from bus_schemas.errors import InputError
+from bus_schemas.tree import PLANT, ControlTree
+from sim_plant.devices import parse_address
+
+
+class DeviceTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """An inverter that is real."""
+
+    node: Annotated[str, Meta(description="Path of the inverter: `c2/inv07`.")]
+    address: Annotated[str, Meta(description="`modbus://host:port/unit`; its models are SunSpec.")]
+
+
+def devices(
+    tables: Iterable[DeviceTable], options: Sequence[str], tree: ControlTree
+) -> tuple[tuple[str, str], ...]:
+    """Return node and address of each real inverter; options replace what the scenario says.
+
+    Raises
+    ------
+    InputError
+        There is no such inverter, or an address that cannot be read.
+    """
+    found = {table.node: ("devices", table.address) for table in tables}
+    for option in options:
+        node, _, address = option.partition("=")
+        found[node] = ("--device", address)
+    for node, (where, address) in found.items():
+        if node not in tree.leaves:
+            near = get_close_matches(node, tree.leaves, n=3, cutoff=0.5) or tree.leaves[:3]
+            raise InputError(
+                f"{where}: expected an inverter of this run such as {', '.join(near)}, got {node}"
+            )
+        parse_address(address, f"{where} {node}")
+    return tuple((leaf, found[leaf][1]) for leaf in tree.leaves if leaf in found)
+
+
+def check_devices(plan: RunPlan) -> None:
+    """Refuse real inverters where a run cannot have them.
+
+    Raises
+    ------
+    InputError
+        Lockstep, the actuator `fraction`, or a plant that is external.
+    """
+    if not plan.devices:
+        return
+    node = plan.devices[0][0]
+    if plan.lockstep:
+        raise InputError(f"device {node}: expected --pace 1 with it, got lockstep")
+    if plan.cycle_wall_ns != plan.cycle_ns:
+        pace = plan.cycle_ns / plan.cycle_wall_ns
+        raise InputError(f"device {node}: expected --pace 1 with it, got {pace:g}")
+    if plan.actuator != "limit":
+        raise InputError(f"device {node}: expected --actuator limit with it, got {plan.actuator}")
+    if PLANT in plan.external:
+        raise InputError(f"device {node}: expected our own plant with it, got an external one")

@@ -1,0 +1,234 @@
+"""An inverter over Modbus TCP, by the SunSpec models that it has.
+
+pysunspec2 knows the models and speaks Modbus. Power comes from 701 or 103, the limit is set in 704
+or 123, and 122 states the available power. https://github.com/sunspec/models
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import isfinite
+from typing import Final
+
+from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP
+from sunspec2.modbus.client import SunSpecModbusClientModel as Model
+from sunspec2.modbus.modbus import ModbusClientException
+
+from sim_plant.devices import Reading, parse_address
+
+_MEASUREMENTS: Final = (701, 103, 102, 101)
+_LIMITS: Final = {
+    704: (
+        "WMaxLimPctEna",
+        "WMaxLimPct",
+        "WMaxLimPctRvrt",
+        "WMaxLimPctEnaRvrt",
+        "WMaxLimPctRvrtTms",
+    ),
+    123: ("WMaxLim_Ena", "WMaxLimPct", "WMaxLimPct_RvrtTms"),
+}
+"""The points that limit the power: first whether a limit is in force, then the limit."""
+
+_ALONG: Final = ("WMaxLimPct_WinTms", "WMaxLimPct_RmpTms")
+"""Points of 123 between these: written back as they are, so that one write does it all."""
+
+_RATINGS: Final = ((702, "WMax"), (702, "WMaxRtg"), (121, "WMax"), (120, "WRtg"))
+"""What 100 % stands for, in the order of preference."""
+
+_TIMEOUT_S: Final = 2.0
+_LONGEST_REVERT_S: Final = 65_534
+"""Most that the register of model 123 holds."""
+
+
+class DeviceError(Exception):
+    """An inverter does not answer, or not as it must; the text is one line."""
+
+
+class DeviceRefusedError(DeviceError):
+    """An inverter answers that it does not do what is asked; the connection stays."""
+
+
+class SunSpecInverter:
+    """An inverter that is read and limited. Nothing is written to it before `limit` is called.
+
+    Parameters
+    ----------
+    address
+        `modbus://host:port/unit`.
+    needs_revert
+        Whether it must be able to revert by itself.
+
+    Attributes
+    ----------
+    rating_kw
+        What its limits are a share of.
+    state
+        The name of its state: `MPPT`, `THROTTLED`, `FAULT`; empty if it states none.
+    """
+
+    def __init__(self, address: str, *, needs_revert: bool = True) -> None:
+        host, port, unit = parse_address(address, "device")
+        self.address = address
+        self.rating_kw = 0.0
+        self.state = ""
+        self._needs_revert = needs_revert
+        self._device = SunSpecModbusClientDeviceTCP(unit, host, port, timeout=_TIMEOUT_S)
+
+    def connect(self) -> None:
+        """Connect and find out which models the inverter has.
+
+        Raises
+        ------
+        DeviceError
+            Nobody listens, there is no such unit, or it lacks a model or a point.
+        """
+        with self._errors():
+            self._device.connect()
+            self._device.scan(connect=False)
+        self._measured = self._model(*_MEASUREMENTS)
+        self._limited = self._model(*_LIMITS)
+        self._extended = self._device.models.get(122, (None,))[0]
+        self._points = _LIMITS[self._limited.model_id]
+        self._need(self._measured, "W")
+        for name in self._points:
+            if self._needs_revert or "Rvrt" not in name:
+                self._need(self._limited, name)
+        ratings = [
+            self._device.models[model][0].points[name].cvalue
+            for model, name in _RATINGS
+            if model in self._device.models
+        ]
+        self.rating_kw = next((watts / 1e3 for watts in ratings if watts), 0.0)
+        if not self.rating_kw:
+            raise DeviceError(
+                f"{self.address}: expected model 702, 121 or 120 with the power that 100 % stands "
+                "for, got none"
+            )
+
+    def close(self) -> None:
+        """Hang up; `connect` may be called again."""
+        self._device.disconnect()
+
+    def read(self) -> Reading:
+        """Read power, available power and limit.
+
+        Raises
+        ------
+        DeviceError
+            It does not answer.
+        """
+        with self._errors():
+            self._measured.read()
+            self._limited.read()
+            if self._extended is not None:
+                self._extended.read()
+            power_kw = self._watts(self._measured, "W")
+            if power_kw is None:
+                number = self._measured.model_id
+                raise DeviceRefusedError(f"{self.address}: model {number} states no power W")
+            enabled, percent = (self._limited.points[name].cvalue for name in self._points[:2])
+            limit_kw = self.rating_kw
+            if enabled == 1 and percent is not None:
+                limit_kw *= min(max(percent, 0.0), 100.0) / 100.0
+            self.state = self._state()
+            available_kw = self._available_kw(power_kw)
+        return Reading(time.monotonic_ns(), power_kw, available_kw, limit_kw)
+
+    def limit(self, kw: float, revert_s: float, revert_kw: float | None) -> None:
+        """Limit the power, for the revert time.
+
+        Parameters
+        ----------
+        kw
+            The limit.
+        revert_s
+            After this time without another limit the inverter goes to `revert_kw`; 0: never.
+        revert_kw
+            The limit from then on; None: it releases its power. Model 123 always releases it.
+
+        Raises
+        ------
+        DeviceError
+            It does not answer, or refuses.
+        """
+        model, points = self._limited, self._limited.points
+        with self._errors():
+            self._set(self._points[0], 1)
+            self._set(self._points[1], self._percent(kw))
+            if self._needs_revert:
+                self._set(self._points[-1], min(max(round(revert_s), 1), _LONGEST_REVERT_S))
+                if model.model_id == 704:
+                    self._set("WMaxLimPctEnaRvrt", 0 if revert_kw is None else 1)
+                    reverts_to_kw = self.rating_kw if revert_kw is None else revert_kw
+                    self._set("WMaxLimPctRvrt", self._percent(reverts_to_kw))
+            elif points[self._points[-1]].value:
+                self._set(self._points[-1], 0)
+            for name in _ALONG:
+                if name in points and points[name].value is not None:
+                    points[name].dirty = True
+            model.write()
+
+    def _set(self, name: str, value: float) -> None:
+        self._limited.points[name].cvalue = value
+
+    def _percent(self, kw: float) -> float:
+        return min(max(100.0 * kw / self.rating_kw, 0.0), 100.0)
+
+    def _watts(self, model: Model, name: str) -> float | None:
+        watts = model.points[name].cvalue
+        return watts / 1e3 if watts is not None and isfinite(watts) else None
+
+    def _available_kw(self, power_kw: float) -> float | None:
+        """Return the power that there could be: what is not throttled gives all there is."""
+        if self._extended is not None:
+            stated_kw = self._watts(self._extended, "WAval")
+            if stated_kw is not None:
+                return stated_kw
+        if "ThrotPct" in self._measured.points:
+            return power_kw if self._measured.points["ThrotPct"].value == 0 else None
+        return power_kw if self.state == "MPPT" else None
+
+    def _state(self) -> str:
+        point = self._measured.points["InvSt" if self._measured.model_id == 701 else "St"]
+        names = {symbol["value"]: symbol["name"] for symbol in point.pdef.get("symbols", ())}
+        return str(names.get(point.value, ""))
+
+    def _model(self, *wanted: int) -> Model:
+        for model in wanted:
+            if model in self._device.models:
+                return self._device.models[model][0]
+        has = ", ".join(str(model) for model in self._device.models if isinstance(model, int))
+        needed = " or ".join(map(str, wanted[:2]))
+        raise DeviceError(f"{self.address}: expected SunSpec model {needed}, got {has or 'none'}")
+
+    def _need(self, model: Model, name: str) -> None:
+        if model.points[name].value is None:
+            raise DeviceError(
+                f"{self.address}: expected the point {name} in SunSpec model {model.model_id}, got "
+                "one that is not implemented"
+            )
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        """Turn what pysunspec2 raises into one line; hang up unless the inverter has answered."""
+        try:
+            yield
+        except DeviceError:
+            raise
+        except ModbusClientException as error:
+            raise DeviceRefusedError(f"{self.address}: {error}") from None
+        except Exception as error:  # What is no SunSpec fails anywhere in pysunspec2.
+            self.close()
+            reason = _reason(str(error)) or type(error).__name__
+            raise DeviceError(f"{self.address}: {reason}") from None
+
+
+def _reason(text: str) -> str:
+    if scanned := re.search(r"Base address 40000 error = (.*?)\. ?\n", text):
+        return f"expected an inverter with SunSpec models, got {scanned[1]}; is the unit right?"
+    if refused := re.search(r"Connection error: (?:\[Errno -?\d+\] )?(.*)", text):
+        return f"expected a Modbus device, got: {refused[1]}"
+    return " ".join(text.split())

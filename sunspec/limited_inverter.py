@@ -1,0 +1,131 @@
+"""An inverter under a power limit, in continuous time: delay, ramp and revert timer."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from math import copysign, inf
+from typing import Final
+
+import msgspec
+
+_STEP_S: Final = 1.0
+
+
+class LimitSettings(msgspec.Struct, frozen=True):
+    """What an inverter is told of a limit, in per cent of its rating.
+
+    After `revert_s` without another limit (0: never) it goes to the limit `revert_percent` if
+    `revert_enabled`, and releases its power otherwise.
+    """
+
+    enabled: bool = False
+    percent: float = 100.0
+    revert_s: int = 0
+    revert_enabled: bool = False
+    revert_percent: float = 100.0
+
+    @property
+    def target(self) -> float:
+        """Where the limit goes [%]."""
+        return self.percent if self.enabled else 100.0
+
+
+class LimitedInverter:
+    """An inverter that is asked what it does now.
+
+    Parameters
+    ----------
+    rating_kw
+        Its rating.
+    possible_kw
+        What the sun allows at a time.
+    delay_s
+        Time from a limit until the inverter begins to follow it.
+    ramp_percent_per_s
+        How fast it follows; infinite: at once.
+
+    Attributes
+    ----------
+    settings
+        What it was told last.
+    energy_kwh
+        Delivered up to the last `advance`.
+    """
+
+    def __init__(
+        self,
+        rating_kw: float,
+        possible_kw: Callable[[float], float],
+        delay_s: float = 0.0,
+        ramp_percent_per_s: float = inf,
+    ) -> None:
+        self.rating_kw = rating_kw
+        self.ramp_percent_per_s = ramp_percent_per_s
+        self.possible_kw = possible_kw
+        self.settings = LimitSettings()
+        self.energy_kwh = 0.0
+        self._delay_s = delay_s
+        self._pending: deque[tuple[float, float]] = deque()
+        self._revert_at = inf
+        self._began_at, self._from, self._to = -inf, 100.0, 100.0
+        self._at: float | None = None
+
+    def told(self, settings: LimitSettings, at: float) -> None:
+        """Take new settings at a time [s]."""
+        self.advance(at)
+        self.settings = settings
+        self._pending.append((at + self._delay_s, settings.target))
+        reverts = settings.enabled and settings.revert_s > 0
+        self._revert_at = at + settings.revert_s if reverts else inf
+
+    def revert_in_s(self, at: float) -> float:
+        """Return the time until it reverts [s]; 0 if it does not."""
+        return self._revert_at - at if self._revert_at < inf else 0.0
+
+    def power_kw(self, at: float) -> float:
+        """Return the power at a time that it has advanced to."""
+        return min(self.possible_kw(at), self._limit(at) / 100.0 * self.rating_kw)
+
+    def advance(self, until: float) -> None:
+        """Let time pass up to a moment."""
+        while True:
+            pending_at = self._pending[0][0] if self._pending else inf
+            event_at = min(pending_at, self._revert_at)
+            if event_at > until:
+                break
+            self._integrate(event_at)
+            if pending_at <= self._revert_at:
+                self._follow(self._pending.popleft()[1], event_at)
+            else:
+                self._revert_at = inf
+                settings = self.settings
+                self.settings = msgspec.structs.replace(
+                    settings, enabled=settings.revert_enabled, percent=settings.revert_percent
+                )
+                self._pending.clear()
+                self._follow(self.settings.target, event_at)
+        self._integrate(until)
+
+    def _follow(self, target: float, at: float) -> None:
+        """Begin to move the limit; downwards from the power that it holds back, not from above."""
+        start = self._limit(at)
+        if target < start:
+            start = max(min(start, 100.0 * self.power_kw(at) / self.rating_kw), target)
+        self._began_at, self._from, self._to = at, start, target
+
+    def _limit(self, at: float) -> float:
+        distance = self._to - self._from
+        if not distance or self.ramp_percent_per_s == inf:
+            return self._to
+        moved = min(self.ramp_percent_per_s * (at - self._began_at), abs(distance))
+        return self._from + copysign(moved, distance)
+
+    def _integrate(self, until: float) -> None:
+        """Count the energy in steps, since the sky changes also while nobody asks."""
+        at = until if self._at is None else self._at
+        while at < until:
+            step_s = min(until - at, _STEP_S)
+            self.energy_kwh += self.power_kw(at) * step_s / 3600.0
+            at += step_s
+        self._at = until

@@ -1,0 +1,154 @@
+"""The gateway as a process of its own beside a run, and the launcher's hold on it.
+
+The launcher writes the plan to the gateway's standard input, and the run's folder when there is
+one. The gateway answers with events, one a line, and ends when its standard input does.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Final, TypeAlias
+
+import msgspec
+
+from agents.plan import RunPlan
+from bus_schemas.errors import FailureError, InputError
+
+_ENDING_S: Final = 5.0
+
+
+class Latency(msgspec.Struct, frozen=True):
+    """How long requests took."""
+
+    count: int
+    p50_ms: float
+    p99_ms: float
+
+
+class DeviceAccount(msgspec.Struct, frozen=True):
+    """A real inverter in a run: how long it took to answer, how often it refused or was gone."""
+
+    node: str
+    address: str
+    reads: Latency
+    writes: Latency
+    refused: int
+    reconnects: int
+
+
+class Connected(msgspec.Struct, frozen=True, tag=True):
+    """All inverters answer."""
+
+
+class Refused(msgspec.Struct, frozen=True, tag=True):
+    """An inverter cannot be part of the run."""
+
+    text: str
+
+
+class News(msgspec.Struct, frozen=True, tag=True):
+    """Something that the user should know."""
+
+    text: str
+
+
+class Accounts(msgspec.Struct, frozen=True, tag=True):
+    """The last event."""
+
+    devices: tuple[DeviceAccount, ...]
+
+
+Event: TypeAlias = Connected | Refused | News | Accounts
+
+_decoder = msgspec.json.Decoder(Event)
+
+
+class GatewayProcess:
+    """The gateway's process, as its launcher sees it. It ends with the context.
+
+    Raises
+    ------
+    InputError
+        An inverter does not answer, or lacks what is needed.
+    """
+
+    def __init__(self, plan: RunPlan) -> None:
+        self._process = subprocess.Popen(
+            (sys.executable, "-P", "-m", "sunspec"),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            bufsize=0,
+            process_group=0,  # Ctrl-C in a terminal is for the launcher.
+        )
+        self._rest = b""
+        try:
+            self._tell(msgspec.json.encode(plan))
+            first = self._events(wait=True)
+        except BaseException:
+            self.__exit__()
+            raise
+        if not isinstance(first[0], Connected):
+            self.__exit__()
+            text = first[0].text if isinstance(first[0], Refused) else "the gateway has failed"
+            raise InputError(text)
+
+    def __enter__(self) -> GatewayProcess:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        try:
+            self._process.wait(_ENDING_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def join(self, folder: Path) -> None:
+        """Let the plant's process find the gateway in a run's folder."""
+        self._tell(str(folder.absolute()).encode())
+        self._events(wait=True)
+
+    def look(self, say: Callable[[str], None]) -> None:
+        """Pass on what the gateway says.
+
+        Raises
+        ------
+        FailureError
+            It has ended.
+        """
+        for event in self._events():
+            if isinstance(event, News):
+                say(event.text)
+
+    def end(self) -> tuple[DeviceAccount, ...]:
+        """End the gateway; return what it measured."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        while True:
+            for event in self._events(wait=True):
+                if isinstance(event, Accounts):
+                    return event.devices
+
+    def _tell(self, line: bytes) -> None:
+        assert self._process.stdin is not None
+        with suppress(BrokenPipeError):  # It has ended, and says so where it is listened to.
+            self._process.stdin.write(line + b"\n")
+
+    def _events(self, *, wait: bool = False) -> list[Event]:
+        assert self._process.stdout is not None
+        pipe = self._process.stdout.fileno()
+        events: list[Event] = []
+        while (wait and not events) or select.select([pipe], [], [], 0.0)[0]:
+            found = os.read(pipe, 1 << 16)
+            if not found:
+                raise FailureError(f"the gateway to the devices ended ({self._process.wait()})")
+            *lines, self._rest = (self._rest + found).split(b"\n")
+            events += map(_decoder.decode, lines)
+        return events

@@ -1,0 +1,165 @@
+"""The simulated inverters of a plant as SunSpec devices, and a meter where it is connected."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pymodbus.server import ModbusTcpServer
+
+from bus_schemas.errors import InputError
+from sunspec.limited_inverter import LimitedInverter
+from sunspec.registers import (
+    INVERTER_MODELS,
+    InverterRegisters,
+    Registers,
+    meter_registers,
+    no_unit,
+)
+
+_MOST_UNITS = 247
+
+
+class Sky:
+    """The true maxima of a plant's inverters as time passes, one row after another.
+
+    Parameters
+    ----------
+    mpp_kw
+        Maximum power of each inverter in each cycle, shape (cycles, n).
+    cycle_s
+        Length of a cycle.
+    began_at
+        When the first cycle begins [s]; None: the sky stands still until `begin`.
+    """
+
+    def __init__(self, mpp_kw: NDArray[np.float64], cycle_s: float, began_at: float | None) -> None:
+        self._mpp_kw, self._cycle_s = mpp_kw, cycle_s
+        self.began_at = began_at
+
+    def begin(self, at: float) -> None:
+        """Let the sky move on from now, unless it does already."""
+        if self.began_at is None:
+            self.began_at = at
+
+    def is_over(self, at: float) -> bool:
+        """Whether the last cycle has ended."""
+        return self._cycle(at) >= len(self._mpp_kw)
+
+    def possible_kw(self, place: int) -> Callable[[float], float]:
+        """Return what gives the maximum of an inverter at a time."""
+        return lambda at: float(self._mpp_kw[min(self._cycle(at), len(self._mpp_kw) - 1), place])
+
+    def _cycle(self, at: float) -> int:
+        return 0 if self.began_at is None else max(int((at - self.began_at) / self._cycle_s), 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServedPlant:
+    """What is served, and where.
+
+    Attributes
+    ----------
+    inverters
+        The inverters, by path.
+    sky
+        Begins with the first limit, if it has not begun.
+    now
+        The time [s].
+    host, port
+        Where to listen. Port 0: any that is free.
+    a_port_each
+        Whether each inverter has a port of its own, in place of a unit of its own.
+    models, missing
+        Which models they have, and points in them that they have not.
+    """
+
+    inverters: Mapping[str, LimitedInverter]
+    sky: Sky
+    now: Callable[[], float]
+    host: str = "127.0.0.1"
+    port: int = 0
+    a_port_each: bool = False
+    models: Sequence[int] = INVERTER_MODELS
+    missing: Collection[str] = ()
+
+    def units(self) -> dict[str, Registers]:
+        """Return the inverters by path, and the `meter`.
+
+        Raises
+        ------
+        InputError
+            There are more than can be told apart at one port.
+        """
+        if not self.a_port_each and len(self.inverters) >= _MOST_UNITS:
+            raise InputError(
+                f"inverters: expected up to {_MOST_UNITS - 1} at one port, got "
+                f"{len(self.inverters)}; --base-port gives each a port of its own"
+            )
+        found: dict[str, Registers] = {}
+        for place, (name, inverter) in enumerate(self.inverters.items()):
+            unit = 1 if self.a_port_each else place + 1
+            found[name] = InverterRegisters(
+                unit, self.models, self.now, inverter, name, self._told, self.missing
+            )
+        unit = 1 if self.a_port_each else len(self.inverters) + 1
+        return found | {"meter": meter_registers(unit, self.now, self.inverters.values())}
+
+    def _told(self) -> None:
+        self.sky.begin(self.now())
+
+
+@contextmanager
+def served(plant: ServedPlant) -> Iterator[dict[str, str]]:
+    """Serve a plant as long as the context lasts, in a thread; gives the addresses by name.
+
+    Raises
+    ------
+    InputError
+        The ports cannot be had.
+    """
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever, name="Modbus", daemon=True)
+    thread.start()
+    servers: list[ModbusTcpServer] = []
+    try:
+        found = asyncio.run_coroutine_threadsafe(_serve(plant, servers), loop).result()
+        yield found
+    finally:
+        asyncio.run_coroutine_threadsafe(_shut(servers), loop).result()
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join()
+        loop.close()
+
+
+async def _serve(plant: ServedPlant, servers: list[ModbusTcpServer]) -> dict[str, str]:
+    units = plant.units()
+    shared = [[name] for name in units] if plant.a_port_each else [list(units)]
+    addresses = {}
+    for number, names in enumerate(shared):
+        wanted = plant.port + number if plant.port else 0
+        devices = [units[name].device for name in names]
+        server = ModbusTcpServer([*devices, no_unit()], address=(plant.host, wanted))
+        servers.append(server)
+        try:
+            await server.serve_forever(background=True)
+        except RuntimeError:
+            raise InputError(
+                f"inverters: expected a free port of this machine, got {plant.host} port {wanted}"
+            ) from None
+        transport = server.transport
+        assert isinstance(transport, asyncio.Server)
+        port = transport.sockets[0].getsockname()[1]
+        for name, device in zip(names, devices, strict=True):
+            addresses[name] = f"modbus://{plant.host}:{port}/{device.id}"
+    return addresses
+
+
+async def _shut(servers: list[ModbusTcpServer]) -> None:
+    for server in servers:
+        await server.shutdown()

@@ -1,0 +1,48 @@
+"""How fast real inverters answered, as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import msgspec
+
+from studies.tables import Column, Table, key_column
+from sunspec.process import DeviceAccount
+
+
+class _Summary(msgspec.Struct):
+    devices: tuple[DeviceAccount, ...] = ()
+
+
+def devices_in(summary: Path) -> tuple[DeviceAccount, ...]:
+    """Return the real inverters that the summary of a run tells of."""
+    try:
+        return msgspec.json.decode(summary.read_bytes(), type=_Summary).devices
+    except (OSError, msgspec.DecodeError):
+        return ()
+
+
+def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:
+    """Return the table of a run's real inverters; none where it had none."""
+    columns = (
+        key_column("device"),
+        *(
+            Column(f"{what}{figure}", unit, decimals)
+            for what in ("reads", "writes")
+            for figure, unit, decimals in (("", "", 0), (" p50", "ms", 1), (" p99", "ms", 1))
+        ),
+        Column("refused"),
+        Column("reconnects"),
+    )
+    rows = tuple(
+        (
+            device.node,
+            *(device.reads.count, device.reads.p50_ms, device.reads.p99_ms),
+            *(device.writes.count, device.writes.p50_ms, device.writes.p99_ms),
+            *(device.refused, device.reconnects),
+        )
+        for device in devices
+    )
+    note = "how long it takes over Modbus to read all that is needed, and to write a limit"
+    return [Table("Devices", columns, rows, (note,))] if rows else []

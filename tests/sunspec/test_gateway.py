@@ -1,0 +1,165 @@
+"""The gateway between a run's plant and inverters over Modbus."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+pytest.importorskip("pymodbus")
+pytest.importorskip("sunspec2")
+
+from plans_by_hand import plan_of
+
+from agents.plan import Revert, RunPlan
+from bus_schemas.messages import Command
+from sim_plant.devices import Devices, Reading, parse_address
+from sunspec.client import DeviceError
+from sunspec.gateway import Gateway
+from sunspec.limited_inverter import LimitedInverter, LimitSettings
+from sunspec.process import Accounts, Connected, Event, News
+from sunspec.server import ServedPlant, Sky, served
+
+PLAN = plan_of({"c1/a": 100.0}, actuator="limit", cycle_ns=50_000_000, cycle_wall_ns=50_000_000)
+
+
+def one_inverter(port: int = 0) -> ServedPlant:
+    sky = Sky(np.array([[80.0]]), 1.0, None)
+    inverters = {"c1/a": LimitedInverter(100.0, sky.possible_kw(0))}
+    return ServedPlant(inverters=inverters, sky=sky, now=time.monotonic, port=port)
+
+
+def with_device(address: str, revert: Revert | None = None) -> RunPlan:
+    return replace(PLAN, devices=(("c1/a", address),), revert=revert)
+
+
+@contextmanager
+def gateway(plan: RunPlan, folder: Path) -> Iterator[tuple[Devices, list[Event]]]:
+    """Run a gateway; gives the plant's end, and the gateway's events, all of them at its end."""
+    events: list[Event] = []
+    until, end = os.pipe()
+    found = Gateway(plan, events.append)
+    thread = threading.Thread(target=found.serve, args=(folder, until))
+    thread.start()
+    try:
+        eventually(lambda: Connected() in events)
+        yield Devices(plan, folder), events
+    finally:
+        os.close(end)
+        thread.join()
+        os.close(until)
+
+
+def eventually(condition: Callable[[], bool]) -> None:
+    give_up_at = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < give_up_at
+        time.sleep(0.005)
+
+
+def newest(devices: Devices) -> Reading:
+    devices.read()
+    return devices.newest[0]
+
+
+def command(cycle: int, kw: float) -> Command:
+    return Command(cycle, 0, "c1/a", (), alpha=kw / 80.0, power_kw=kw)
+
+
+def test_readings_and_commands_pass_and_are_measured(tmp_path: Path) -> None:
+    with (
+        served(one_inverter()) as addresses,
+        gateway(with_device(addresses["c1/a"]), tmp_path) as (devices, events),
+    ):
+        assert newest(devices).power_kw == 80.0
+        devices.command(0, command(0, 30.0))
+        eventually(lambda: newest(devices).power_kw == 30.0)
+        assert newest(devices).limit_kw == 30.0
+        # The same limit again is no news to the inverter, and has no revert time.
+        devices.command(0, command(1, 30.0))
+        devices.command(0, command(2, 40.0))
+        eventually(lambda: newest(devices).power_kw == 40.0)
+    (account,) = next(event.devices for event in events if isinstance(event, Accounts))
+    assert account.node == "c1/a"
+    assert account.reads.count >= 2
+    assert account.writes.count == 2
+    assert 0.0 < account.reads.p50_ms <= account.reads.p99_ms
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_limit_is_renewed_only_as_long_as_it_is_commanded(tmp_path: Path) -> None:
+    plan = with_device("", Revert(after_s=1.0, to="release"))
+    with served(one_inverter()) as addresses:
+        plan = replace(plan, devices=(("c1/a", addresses["c1/a"]),))
+        with gateway(plan, tmp_path) as (devices, events):
+            until = time.monotonic() + 1.5
+            cycle = 0
+            while time.monotonic() < until:
+                devices.command(0, command(cycle, 30.0))
+                cycle += 1
+                time.sleep(0.05)
+            eventually(lambda: newest(devices).power_kw == 30.0)
+            eventually(lambda: newest(devices).power_kw == 80.0)
+    (account,) = next(event.devices for event in events if isinstance(event, Accounts))
+    assert 2 <= account.writes.count < cycle
+
+
+def test_an_inverter_that_goes_and_comes_back_is_limited_again(tmp_path: Path) -> None:
+    with served(one_inverter()) as addresses:
+        address = addresses["c1/a"]
+        port = parse_address(address, "")[1]
+        running = gateway(with_device(address), tmp_path)
+        devices, events = running.__enter__()
+        devices.command(0, command(0, 30.0))
+        eventually(lambda: newest(devices).power_kw == 30.0)
+    eventually(lambda: any(isinstance(event, News) for event in events))
+    eventually(lambda: devices.silent(1) == {0})
+    with served(one_inverter(port)):  # It comes back without its limit.
+        eventually(lambda: newest(devices).power_kw == 80.0 and not devices.silent(1))
+        devices.command(0, command(1, 30.0))
+        eventually(lambda: newest(devices).power_kw == 30.0)
+        running.__exit__(None, None, None)
+    (account,) = next(event.devices for event in events if isinstance(event, Accounts))
+    assert account.reconnects == 1
+
+
+class Busy(LimitedInverter):
+    """It fails at the first limit."""
+
+    was_told = False
+
+    def told(self, settings: LimitSettings, at: float) -> None:
+        self.was_told, first = True, not self.was_told
+        if first:
+            raise RuntimeError
+        super().told(settings, at)
+
+
+def test_a_limit_that_is_refused_is_written_again_with_the_next_command(tmp_path: Path) -> None:
+    sky = Sky(np.array([[80.0]]), 1.0, None)
+    inverters = {"c1/a": Busy(100.0, sky.possible_kw(0))}
+    plant = ServedPlant(inverters=inverters, sky=sky, now=time.monotonic)
+    with (
+        served(plant) as addresses,
+        gateway(with_device(addresses["c1/a"]), tmp_path) as (devices, events),
+    ):
+        devices.command(0, command(0, 30.0))
+        eventually(lambda: any(isinstance(event, News) for event in events))
+        devices.command(0, command(1, 30.0))
+        eventually(lambda: newest(devices).power_kw == 30.0)
+    (account,) = next(event.devices for event in events if isinstance(event, Accounts))
+    assert (account.refused, account.reconnects) == (1, 0)
+
+
+def test_an_inverter_that_is_not_there_is_refused_by_name() -> None:
+    with served(one_inverter()) as addresses:
+        gone = addresses["c1/a"]
+    with pytest.raises(DeviceError, match="c1/a"):
+        Gateway(with_device(gone), lambda event: None)

@@ -1,0 +1,96 @@
+"""A whole plant whose inverters are all reached over Modbus, beside the same one without."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from running import REPOSITORY, Heliarch, small_plant
+
+pytest.importorskip("pymodbus")
+pytest.importorskip("sunspec2")
+
+pytestmark = pytest.mark.processes
+
+
+@pytest.fixture
+def scenario(tmp_path: Path) -> str:
+    return small_plant(
+        tmp_path / "scenario",
+        ("cycle_s = 1", "cycle_s = 0.25"),
+        ("[irradiance]", 'actuator = "limit"\navailable_bias = 0.0\n\n[irradiance]'),
+    )
+
+
+@pytest.fixture
+def served_inverters(scenario: str) -> Iterator[list[str]]:
+    """Serve the scenario's inverters; gives the options of `launch` that say where they are."""
+    words = [sys.executable, "-m", "launch_scripts", "inverters", scenario, "--port", "0", "--wait"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=REPOSITORY) as process:
+        assert process.stdout is not None
+        options: list[str] = []
+        while not (line := process.stdout.readline()).startswith("meter: "):
+            options += line.split()
+        yield options
+        process.kill()
+
+
+def test_energies_are_those_of_simulated_inverters(
+    scenario: str, served_inverters: list[str], heliarch: Callable[..., Heliarch]
+) -> None:
+    span = ("launch", scenario, "--pace", "1", "--duration", "15s")
+    plain, real = heliarch(*span), heliarch(*span, *served_inverters)
+    assert (plain.wait(), real.wait()) == (0, 0), real.error_text()
+    expected, found = (_summary(run.folder) for run in (plain, real))
+    for energy in ("desired_kwh", "possible_kwh", "delivered_kwh"):
+        assert found["metrics"]["commitment"][energy] == pytest.approx(
+            expected["metrics"]["commitment"][energy], rel=0.1
+        )
+    assert [device["node"] for device in found["devices"]] == [
+        "c1/inv01", "c1/inv02", "c2/inv03", "c2/inv04"
+    ]  # fmt: skip
+    assert all(
+        device["reads"]["count"] and device["writes"]["count"] for device in found["devices"]
+    )
+    assert not list(real.folder.glob("device-*"))
+
+    verified = subprocess.run(
+        [sys.executable, "-m", "launch_scripts", "verify", real.folder],
+        capture_output=True, text=True, cwd=REPOSITORY, check=False,
+    )  # fmt: skip
+    assert verified.returncode == 0, verified.stdout
+    assert "plant" in verified.stdout
+    assert "devices" in verified.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (("--pace", "1", "--device", "c9/inv01=modbus://127.0.0.1:1/1"), "c9/inv01"),
+        (("--pace", "1", "--device", "c1/inv01=127.0.0.1:502"), "modbus://"),
+        (("--pace", "1", "--device", "c1/inv01=modbus://127.0.0.1:1/1"), "refused"),
+        (("--device", "c1/inv01=modbus://127.0.0.1:1/1"), "--pace"),
+        (
+            ("--pace", "1", "--actuator", "fraction", "--device", "c1/inv01=modbus://h/1"),
+            "--actuator",
+        ),
+    ],
+)
+def test_devices_that_cannot_be_are_refused_in_one_line(
+    scenario: str, options: tuple[str, ...], named: str, heliarch: Callable[..., Heliarch]
+) -> None:
+    run = heliarch("launch", scenario, "--duration", "1s", *options)
+    assert run.wait() == 2
+    (line,) = run.error_text().splitlines()
+    assert named in line
+    assert not run.folder.exists()
+
+
+def _summary(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
+    return found

@@ -1,0 +1,198 @@
+"""Simulated inverters as SunSpec devices, read and limited by pysunspec2 as anybody's client."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from math import inf
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymodbus")
+pytest.importorskip("sunspec2")
+
+from clock_by_hand import ClockByHand
+from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP as Device
+from sunspec2.modbus.modbus import ModbusClientException
+
+from bus_schemas.errors import InputError
+from sim_plant.devices import parse_address
+from sunspec.limited_inverter import LimitedInverter
+from sunspec.server import ServedPlant, Sky, served
+
+RATING_KW = 100.0
+SKY_KW = np.array([[80.0, 60.0], [90.0, 70.0]])
+CYCLE_S = 1000.0
+
+
+class Site:
+    """Two inverters of 100 kW under a sky of 80 kW and 60 kW, and a clock to move."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        self._stack = stack
+        self.clock = ClockByHand()
+        self.addresses: dict[str, str] = {}
+
+    def seconds(self) -> float:
+        return self.clock.now_ns / 1e9
+
+    def serve(
+        self, *, waits: bool = False, delay_s: float = 0.0, ramp: float = inf, **where: Any
+    ) -> dict[str, str]:
+        sky = Sky(SKY_KW, CYCLE_S, None if waits else self.seconds())
+        inverters = {
+            name: LimitedInverter(RATING_KW, sky.possible_kw(place), delay_s, ramp)
+            for place, name in enumerate(("c1/a", "c1/b"))
+        }
+        plant = ServedPlant(inverters=inverters, sky=sky, now=self.seconds, **where)
+        self.addresses = self._stack.enter_context(served(plant))
+        return self.addresses
+
+    def client(self, name: str = "c1/a") -> Device:
+        host, port, unit = parse_address(self.addresses[name], name)
+        device = Device(unit, host, port)
+        device.scan()
+        return device
+
+
+@pytest.fixture
+def site() -> Iterator[Site]:
+    with ExitStack() as stack:
+        yield Site(stack)
+
+
+def watts(device: Device) -> float:
+    model = device.models[103][0]
+    model.read()
+    return float(model.W.cvalue)
+
+
+def limit_123(device: Device, percent: float, revert_s: int) -> None:
+    model = device.models[123][0]
+    model.WMaxLimPct.cvalue = percent
+    model.WMaxLimPct_RvrtTms.cvalue = revert_s
+    model.WMaxLim_Ena.value = 1
+    model.write()
+
+
+def limit_704(device: Device, percent: float, revert_s: int) -> None:
+    model = device.models[704][0]
+    model.WMaxLimPct.cvalue = percent
+    model.WMaxLimPctRvrtTms.value = revert_s
+    model.WMaxLimPctEnaRvrt.value = 0
+    model.WMaxLimPctEna.value = 1
+    model.write()
+
+
+Limit = Callable[[Device, float, int], None]
+
+
+@pytest.mark.parametrize("limit", [limit_123, limit_704])
+def test_a_limit_acts_after_its_delay_along_its_ramp_and_reverts(site: Site, limit: Limit) -> None:
+    site.serve(delay_s=2.0, ramp=10.0)
+    device = site.client()
+    assert watts(device) == 80_000
+    limit(device, 50.0, 60)
+
+    found = []
+    for _ in range(6):
+        site.clock.sleep(1.0)
+        found.append(watts(device))
+    assert found == [80_000, 80_000, 70_000, 60_000, 50_000, 50_000]
+
+    site.clock.sleep(55.0)  # A second after the revert time: back along the ramp.
+    assert watts(device) == 60_000
+    site.clock.sleep(10.0)
+    assert watts(device) == 80_000
+
+
+def test_a_limit_that_is_renewed_does_not_revert(site: Site) -> None:
+    site.serve()
+    device = site.client()
+    for _ in range(3):
+        limit_123(device, 50.0, 60)
+        site.clock.sleep(40.0)
+        assert watts(device) == 50_000
+
+
+def test_model_704_reverts_to_the_limit_it_was_told(site: Site) -> None:
+    site.serve()
+    device = site.client()
+    model = device.models[704][0]
+    for name, value in {"WMaxLimPct": 50.0, "WMaxLimPctRvrt": 20.0}.items():
+        model.points[name].cvalue = value
+    for name in ("WMaxLimPctEna", "WMaxLimPctEnaRvrt"):
+        model.points[name].value = 1
+    model.WMaxLimPctRvrtTms.value = 30
+    model.write()
+    site.clock.sleep(10.0)
+    model.read()
+    assert model.WMaxLimPctRvrtRem.value == 20
+    site.clock.sleep(25.0)
+    assert watts(device) == 20_000
+
+
+def test_a_limited_inverter_says_what_it_could_give_and_what_throttles_it(site: Site) -> None:
+    site.serve()
+    device = site.client()
+    der, status, measured = (device.models[number][0] for number in (701, 122, 103))
+    assert (der.ThrotPct.value, der.ThrotSrc.value, measured.St.value) == (0, 0, 4)
+    limit_704(device, 50.0, 0)
+    for model in (der, status, measured):
+        model.read()
+    assert (der.ThrotPct.value, der.ThrotSrc.value, measured.St.value) == (30, 1, 5)
+    assert status.WAval.cvalue == 80_000
+
+
+def test_the_meter_adds_up_power_and_energy(site: Site) -> None:
+    site.serve()
+    limit_123(site.client("c1/a"), 40.0, 0)
+    site.clock.sleep(360.0)
+    device = site.client("meter")
+    (meter,) = device.models[203]
+    assert meter.W.cvalue == 100_000
+    assert meter.TotWhExp.cvalue == 10_000
+    # Also where the sky changes while nobody asks: from 1,000 s on there are 10 kW more.
+    site.clock.sleep(1_000.0)
+    meter.read()
+    assert meter.W.cvalue == 110_000
+    assert meter.TotWhExp.cvalue == pytest.approx(10_000 + 100_000 * 640 / 3600 + 11_000, abs=600)
+
+
+def test_only_limits_can_be_written_and_only_in_their_range(site: Site) -> None:
+    site.serve()
+    device = site.client()
+    model = device.models[123][0]
+    model.WMaxLimPct.cvalue = 100.01
+    with pytest.raises(ModbusClientException):
+        model.write()
+    settings = device.models[121][0]
+    settings.WMax.cvalue = 1.0
+    with pytest.raises(ModbusClientException):
+        settings.write()
+    assert watts(device) == 80_000
+
+
+def test_the_sky_moves_on_and_may_wait_for_the_first_limit(site: Site) -> None:
+    site.serve(waits=True)
+    device = site.client("c1/b")
+    site.clock.sleep(CYCLE_S + 1.0)
+    assert watts(device) == 60_000
+    limit_123(device, 100.0, 0)
+    site.clock.sleep(CYCLE_S + 1.0)
+    assert watts(device) == 70_000
+
+
+def test_each_inverter_can_have_a_port_of_its_own(site: Site) -> None:
+    addresses = site.serve(a_port_each=True)
+    assert len({parse_address(place, "")[1] for place in addresses.values()}) == 3
+    assert [watts(site.client(name)) for name in ("c1/a", "c1/b")] == [80_000, 60_000]
+
+
+def test_a_port_that_is_taken_is_named(site: Site) -> None:
+    addresses = site.serve()
+    port = parse_address(addresses["meter"], "")[1]
+    with pytest.raises(InputError, match=str(port)):
+        site.serve(port=port)
