@@ -72,23 +72,31 @@ class RestartPolicy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     when: Annotated[
         Literal["never", "on-failure", "always"] | None,
         Meta(
-            description="`never`: the run ends. `on-failure`: it is started again. `always`: as "
-            "often as it takes. Default: `on-failure` in real time, `never` in lockstep."
+            description="`never`: the run ends. `on-failure`: the process is restarted. `always`: "
+            "without a limit. Default: `on-failure` in real time, `never` in lockstep."
         ),
     ] = None
     most: Annotated[
-        int, Meta(ge=1, le=1000, description="So many restarts of one process at most ...")
+        int, Meta(ge=1, le=1000, description="Largest number of restarts of one process ...")
     ] = 5
     within_s: Annotated[
-        float, Meta(gt=0.0, le=1e6, description="... in this time; one more ends the run [s].")
+        float, Meta(gt=0.0, le=1e6, description="... within this time; one more ends the run [s].")
     ] = 60.0
     backoff_s: Annotated[
         float,
-        Meta(ge=0.0, le=1e6, description="Wait before a second restart in it; then doubled [s]."),
+        Meta(
+            ge=0.0,
+            le=1e6,
+            description="Wait before the second restart within that time, doubled each time [s].",
+        ),
     ] = 0.5
     frozen_s: Annotated[
         float,
-        Meta(gt=0.0, le=1e6, description="A process that says nothing for so long is killed [s]."),
+        Meta(
+            gt=0.0,
+            le=1e6,
+            description="A process that reports nothing for this time is killed [s].",
+        ),
     ] = 5.0
 
     def wait_s(self, earlier_s: Iterable[float], now_s: float) -> float | None:
@@ -107,7 +115,7 @@ Delay: TypeAlias = Annotated[float, Meta(ge=0.0, le=600.0)]
 
 
 class Revert(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What an inverter does that hears no command any more (SunSpec models 123 and 704)."""
+    """What an inverter does without new commands (SunSpec models 123 and 704)."""
 
     after_s: Annotated[
         float, Meta(gt=0.0, le=86_400.0, description="Time after the last command [s].")
@@ -116,24 +124,24 @@ class Revert(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Literal["request", "release"] | Annotated[float, Meta(ge=0.0, le=1.0)],
         Meta(
             description="`request`: its own share of the last dispatch that its controller heard. "
-            "`release`: all it has. A number: this share of its rating."
+            "`release`: no limit. A number: this share of its rating."
         ),
     ] = "request"
 
 
 class InverterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How some inverters take commands. What is not given is as for all others."""
+    """How some inverters follow commands. Fields that are not given are as for all others."""
 
     nodes: Annotated[str, Meta(description="Which: `c1/inv07`, or a pattern such as `c1/*`.")] = "*"
     revert: Annotated[
-        Revert | None, Meta(description="What they do that hear no command any more.")
+        Revert | None, Meta(description="What these inverters do without new commands.")
     ] = None
     ramp_percent_per_s: Annotated[
-        Ramp | None, Meta(description="How fast they follow, in % of the rating per second.")
+        Ramp | None, Meta(description="Largest change of power, in % of the rating per second.")
     ] = None
-    delay_s: Annotated[
-        Delay | None, Meta(description="After what time a command takes effect [s].")
-    ] = None
+    delay_s: Annotated[Delay | None, Meta(description="Time until a command takes effect [s].")] = (
+        None
+    )
 
 
 class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
@@ -194,24 +202,23 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     restart
         What happens when a controller's process ends before the run does.
     revert
-        What an inverter does that hears no command any more; None: it obeys the last one for ever.
+        What an inverter does without new commands; None: it obeys the last one forever.
     secret, users_file
         What ids and passwords of the agents' sessions are made from, and the file of passwords:
-        who knows one of them may speak as any agent where there are no keys. Empty: everybody may.
+        without keys, a program with one of them may publish as any agent. Empty: any program may.
     keys_folder
         Folder of the agents' certificates; empty: the links are not encrypted.
     address
         Where the agents listen.
     devices
-        Inverters that are real, each with its address: `modbus://host:port/unit`.
+        Real inverters, each with its address: `modbus://host:port/unit`.
     ramp_percent_per_s, delay_s
         How fast an inverter follows a command, in % of its rating per second (None: at once), and
         after what time it begins to.
     settings
-        Inverters that are set otherwise; the last entry that fits one counts, field by field.
+        Settings for some inverters; for each field, the last entry that matches an inverter counts.
     standby
-        Parents of which a second process stands by. In lockstep, where nothing has a deadline, none
-        does.
+        Parents that have a standby: none in lockstep, where nothing has a deadline.
     positions_m
         Where each inverter stands: metres east and north of a point that is the same for all of
         them. Empty: not known.

@@ -95,13 +95,13 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         str | None, Meta(description="Controllers that are killed `at` a time: `c1`, `c2/*`.")
     ] = None
     freeze: Annotated[
-        str | None, Meta(description="Controllers that stand still from the first time of `at` on.")
+        str | None, Meta(description="Controllers that stand still between the two times of `at`.")
     ] = None
     at: Annotated[
         tuple[Second, ...],
         Meta(
-            description="When, in simulated time since cycle 0 [s]: one time of `kill`, beginning "
-            "and end of others. Default: always.",
+            description="When, in simulated time since cycle 0 [s]: one time for `kill`, beginning "
+            "and end for other rules. Default: always.",
             max_length=2,
         ),
     ] = ()

@@ -222,12 +222,13 @@ class Notice(Message, kw_only=True):
 
 
 class Takeover(Message, kw_only=True):
-    """A standby takes over: from here on its messages are the agent's.
+    """A standby takes over: from this message on, its messages are those of the agent.
 
-    `incarnation` is this cycle, and `stage` the first stage that it decides. The other fields are
-    what a central controller remembers at its beginning, so that a recording can be repeated: what
-    it adds to the dispatch, the dispatch of its last turn, the sum of the meter's readings since
-    then, their number, the cycle of the last one, and how many dispatches it has clamped.
+    `incarnation` is this cycle, and `stage` the first stage that the standby decides. The other
+    fields are the state of a central controller at the beginning of this stage, so that `verify`
+    can repeat the recording: what it adds to the dispatch, the dispatch of its last turn, the sum
+    of the meter's readings since then, their number, the cycle of the last reading, and how many
+    dispatches it has clamped.
     """
 
     stage: Annotated[str, msgspec.Meta(max_length=20)]

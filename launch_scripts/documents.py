@@ -2,7 +2,7 @@
 
     .venv/bin/python -m launch_scripts.documents
 
-rewrites `docs/scenarios.md`, `docs/device.md` and `docs/wire.md`. The prose is written there by
+rewrites `docs/scenarios.md`, `docs/own-device.md` and `docs/wire.md`. The prose is written there by
 hand; a test compares the parts between `<!-- table: NAME -->` and `<!-- end -->` with the code.
 """
 
@@ -34,7 +34,7 @@ from launch_scripts.scenarios.scenario import Scenario, load_scenario
 from sim_plant.plant import Plant
 from studies.conformance.trial import Reference
 
-DOCUMENTS: Final = ("docs/scenarios.md", "docs/device.md", "docs/wire.md")
+DOCUMENTS: Final = ("docs/scenarios.md", "docs/own-device.md", "docs/wire.md")
 INVERTER: Final = "c2/inv07"
 
 _MARKED: Final = re.compile(r"(<!-- table: (.*?) -->\n).*?(<!-- end -->)", re.DOTALL)

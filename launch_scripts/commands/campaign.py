@@ -51,7 +51,7 @@ def campaign(
     curves: Annotated[
         bool,
         typer.Option(
-            "--curves", help="Measure what failures cost at growing rates and repair times instead."
+            "--curves", help="Instead, measure what failures cost, by rate and repair time."
         ),
     ] = False,
     data: DataOption = None,
@@ -60,9 +60,9 @@ def campaign(
 ) -> None:
     """Kill, freeze, cut off and disturb controllers at random, and check that the plant stays safe.
 
-    Each seed is one simulated run. A seed that breaks an invariant (docs/resilience.md) is shrunk
-    to the shortest list of faults that does, and printed as a command that repeats it. Exit status
-    1: an invariant was broken. --report writes campaign.html by default.
+    Each seed is one simulated run. If it breaks an invariant (docs/resilience.md), the shortest
+    list of faults that still does is printed, as a command that repeats the run. Exit status 1: an
+    invariant was broken. --report writes campaign.html by default.
     """
     from launch_scripts.scenarios.preparation import RunOptions, prepare
     from launch_scripts.scenarios.scenario import load_scenario

@@ -1,4 +1,4 @@
-"""`heliarch conform`: whether a device in the place of an agent does as docs/wire.md says."""
+"""`heliarch conform`: test a device in the place of an agent against docs/wire.md."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def conform(
     agent: Annotated[
         str,
         typer.Argument(
-            help="The agent whose place the device takes: c2/inv07, c2, central or plant.",
+            help="The agent that the device replaces: c2/inv07, c2, central or plant.",
             metavar="AGENT",
             show_default=False,
         ),
@@ -44,21 +44,22 @@ def conform(
     device: Annotated[
         str | None,
         typer.Option(
-            help="Command that starts the device, with {plan} and {node} in it. Without it you "
-            "start the device, for each plan that is named, and its restart is not tried.",
+            help="Command that starts the device, with {plan} and {node} for their values. Without it, "
+            "start the device yourself for each plan that is printed; restarts are not tested.",
             metavar="COMMAND",
         ),
     ] = None,
     pace: Annotated[
         str,
         typer.Option(
-            help="Simulated seconds per second in real time; max: lockstep alone.", metavar="PACE"
+            help="Simulated seconds per second in real time; max: only lockstep.", metavar="PACE"
         ),
     ] = "1",
     scheme: SchemeOption = "paper",
     seed: SeedOption = None,
     tolerance: Annotated[
-        float, typer.Option(help="Largest difference of two equal floats.", metavar="X")
+        float,
+        typer.Option(help="Largest difference between numbers that count as equal.", metavar="X"),
     ] = 0.0,
     wait_s: Annotated[
         float,
@@ -75,16 +76,16 @@ def conform(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder of the trials; default runs/NAME-TIME.", metavar="DIR"),
+        typer.Option(help="Folder of the recorded tests; default runs/NAME-TIME.", metavar="DIR"),
     ] = None,
     json: JsonOption = None,
 ) -> int:
-    """Try a device of your own against each requirement of the wire document.
+    """Test your own device against each requirement of the wire document.
 
-    Plays the agents around it: a normal run, inputs at their limits, wrong
-    messages, random inputs, inputs that are late or missing, a restart. Its
-    answers are compared with those of Heliarch's own agent. Exit status 1: a
-    requirement is not met.
+    Plays the agents around the device: a normal run, inputs at their limits,
+    wrong messages, random inputs, inputs that are late or missing, links that
+    close, a restart. Compares each answer with that of Heliarch's own agent.
+    Exit status 1: a requirement is not met.
     """
     from launch_scripts.launcher.request import RunRequest, prepare_run
     from launch_scripts.scenarios.preparation import RunOptions

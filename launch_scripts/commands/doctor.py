@@ -1,4 +1,4 @@
-"""`heliarch doctor`: what this machine is good for, what slows a run down, and what to do."""
+"""`heliarch doctor`: whether a run will work on this machine, and what will slow it down."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _INDENT: Final = 19
 
 
 class Finding(NamedTuple):
-    """What was found of one thing, how good it is, and what to do about it.
+    """One thing that was checked, how good it is, and what to do about it.
 
     `verdict` is `ok`, `slow` where it costs time, and `wrong` where a run will not work.
     """
@@ -47,13 +47,13 @@ class Finding(NamedTuple):
 
 def doctor(
     out: Annotated[
-        Path, typer.Option(help="Folder where recordings are to go.", metavar="DIR")
+        Path, typer.Option(help="Folder in which runs will be recorded.", metavar="DIR")
     ] = Path(),
     json: JsonOption = None,
 ) -> int:
-    """Look at this machine as a run will meet it: what is fine, what costs time, what to do.
+    """Check whether a run will work on this machine, what will slow it down, and what to do.
 
-    The exit status is 1 if something is wrong, so that a run would not work.
+    Exit status 1: something is wrong, and a run would not work.
     """
     from rich.text import Text
 
@@ -82,14 +82,14 @@ def _processors() -> Iterator[Finding]:
             "processors",
             f"{cores}",
             "slow",
-            "23 processes share them: with 4 or more fewer messages are late",
+            "23 processes share them; with 4 or more, fewer messages are late",
         )
     else:
         yield Finding("processors", f"{cores}")
     load = os.getloadavg()[0]
     if load > 0.5 * cores:
         yield Finding(
-            "load", f"{load:.1f}", "slow", "other programs run: end them before you measure"
+            "load", f"{load:.1f}", "slow", "other programs are running: end them before you measure"
         )
     else:
         yield Finding("load", f"{load:.1f}")
@@ -98,7 +98,7 @@ def _processors() -> Iterator[Finding]:
         if governor in {"performance", "schedutil"}:
             yield Finding("frequency", governor)
         else:
-            advice = "cpupower frequency-set -g performance"
+            advice = "run: cpupower frequency-set -g performance"
             yield Finding("frequency", governor, "slow", advice)
 
 
@@ -109,7 +109,7 @@ def _scheduling() -> Iterator[Finding]:
     refused = refusals(MachineSettings(priority=20, lock_memory=True), lockstep=False)
     for refusal in refused:
         about, _, why = refusal.partition(": ")
-        yield Finding(about, why, "slow", "matters for --priority and machine.lock_memory alone")
+        yield Finding(about, why, "slow", "matters only for --priority and machine.lock_memory")
     if not refused:
         yield Finding("real time", "SCHED_FIFO and locked memory are permitted")
 
@@ -131,7 +131,7 @@ def _clock() -> Iterator[Finding]:
     if late_us[197] < 1000.0:
         yield Finding("wake-up", text)
     else:
-        yield Finding("wake-up", text, "slow", "deadlines are met this much later: try --priority")
+        yield Finding("wake-up", text, "slow", "agents notice deadlines this late: try --priority")
 
 
 def _lateness_us(times: int) -> list[float]:
@@ -163,7 +163,7 @@ def _loopback() -> Iterator[Finding]:
     if statistics.median(trips_us) < 200.0:
         yield Finding("loopback", text)
     else:
-        yield Finding("loopback", text, "slow", "a cycle takes eight such hops and their work")
+        yield Finding("loopback", text, "slow", "a cycle waits for eight such hops")
 
 
 def _round_trips_us(times: int) -> list[float]:
@@ -210,7 +210,7 @@ def _zenoh() -> Iterator[Finding]:
     if given in {None, ZENOH_RUNTIME}:
         yield Finding("Zenoh", text)
     else:
-        advice = "ZENOH_RUNTIME is set: without it each agent has one worker, the fastest"
+        advice = "unset ZENOH_RUNTIME: one worker thread for each agent is fastest"
         yield Finding("Zenoh", text, "slow", advice)
 
 
@@ -253,9 +253,9 @@ def _memory() -> Iterator[Finding]:
 
     free_mb = psutil.virtual_memory().available / 1e6
     processes = int(free_mb // 25)
-    advice = "a process takes some 25 MB of its own"
+    advice = "a process needs about 25 MB"
     is_enough = processes >= 40
-    text = f"{free_mb:,.0f} MB free, enough for some {processes:,} processes"
+    text = f"{free_mb:,.0f} MB free, enough for about {processes:,} processes"
     yield Finding("memory", text, "ok" if is_enough else "slow", "" if is_enough else advice)
 
 
@@ -274,14 +274,16 @@ def _versions() -> Iterator[Finding]:
     if browser:
         yield Finding("browser", browser)
     else:
-        yield Finding("browser", "none here", "ok", "open --page from another host: --page-address")
+        yield Finding(
+            "browser", "none found", "ok", "open the page from another host: --page-address"
+        )
 
 
 def _disk(folder: Path) -> Iterator[Finding]:
     free_gb = shutil.disk_usage(folder).free / 1e9
     # 17 inverters take about 6 kB a cycle.
     hours = free_gb * 1e6 / 6.0 / 3600.0
-    text = f"{free_gb:,.1f} GB free, some {hours:,.0f} h of 17 inverters each second"
+    text = f"{free_gb:,.1f} GB free, about {hours:,.0f} h of 17 inverters at 1 cycle/s"
     if free_gb < 0.1:
         yield Finding("disk", text, "wrong", "a recording ends early when the disk is full")
     else:

@@ -29,19 +29,24 @@ def inverters(
     *,
     address: Annotated[
         str,
-        typer.Option(help="Where to listen; 0.0.0.0: for other hosts too.", metavar="ADDRESS"),
+        typer.Option(
+            help="Address at which to listen; 0.0.0.0 is for other hosts too.", metavar="ADDRESS"
+        ),
     ] = "127.0.0.1",
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="One port, a unit for each inverter.")
+        int, typer.Option(min=0, max=65535, help="One port, with a unit for each inverter.")
     ] = 5020,
     base_port: Annotated[
         int | None,
         typer.Option(
-            min=1, max=65535, help="A port for each inverter instead, from this one on; unit 1."
+            min=1,
+            max=65535,
+            help="Instead, a port for each inverter, from this port on; all are unit 1.",
         ),
     ] = None,
     wait: Annotated[
-        bool, typer.Option("--wait", help="Let the sky stand still until the first limit comes.")
+        bool,
+        typer.Option("--wait", help="Let the clouds stand still until the first limit is written."),
     ] = False,
     start: StartOption = None,
     end: EndOption = None,
@@ -50,11 +55,11 @@ def inverters(
     settings: SettingsOption = None,
     data: DataOption = None,
 ) -> None:
-    """Serve a plant's inverters over Modbus TCP under the scenario's sky, in real time.
+    """Serve a plant's simulated inverters over Modbus TCP, in real time.
 
-    They are SunSpec devices: another plant controller can read and limit
-    them. The last unit is the meter at the plant's connection. Ends with
-    the scenario, or with Ctrl-C.
+    They are SunSpec inverters under the clouds of the scenario: another plant
+    controller can read and limit them. The last unit is the meter at the
+    plant's connection. Ends with the scenario, or with Ctrl-C.
     """
     from launch_scripts.launcher.run_folder import new_run_id
     from launch_scripts.scenarios.preparation import RunOptions, prepare

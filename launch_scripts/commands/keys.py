@@ -1,4 +1,4 @@
-"""`heliarch keys`: certificates with which a plant's agents know each other."""
+"""`heliarch keys`: certificates by which a plant's agents identify each other."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def keys(
         Path | None, typer.Option(help="Folder of the keys; default keys/PLANT.", metavar="DIR")
     ] = None,
     days: Annotated[
-        float, typer.Option(min=0.0, max=3650.0, help="How long the certificates are valid.")
+        float, typer.Option(min=0.0, max=3650.0, help="Days for which the certificates are valid.")
     ] = 365.0,
     address: Annotated[
         list[str] | None,
         typer.Option(
-            help="An address besides 127.0.0.1 at which agents listen. May be given several times.",
+            help="An address at which agents listen, besides 127.0.0.1. May be given several times.",
             metavar="ADDRESS",
         ),
     ] = None,
@@ -34,9 +34,9 @@ def keys(
 ) -> None:
     """Make a certificate authority for a plant, and a certificate for each of its agents.
 
-    Called again, it renews the certificates; those that a run has read stay
-    valid until they expire. Give a device its own certificate and key, and
-    ca.pem: nothing else. Whoever has ca.key can make certificates.
+    Run it again to renew the certificates; those that a run has read stay
+    valid until they expire. Give a device only its own certificate, its own
+    key and ca.pem. Keep ca.key secret: it can sign certificates.
     """
     from launch_scripts.scenarios.plant_keys import make_keys
     from launch_scripts.scenarios.preparation import RunOptions, prepare

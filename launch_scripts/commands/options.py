@@ -108,8 +108,8 @@ PagePortOption: TypeAlias = Annotated[
 PageAddressOption: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="Address of the page; default 127.0.0.1, for this machine alone. Other hosts reach "
-        "0.0.0.0, with the token that is printed.",
+        help="Address of the page; default 127.0.0.1, for this machine only. 0.0.0.0 is for other "
+        "hosts too, with the token that is printed.",
         metavar="ADDRESS",
     ),
 ]
@@ -172,7 +172,8 @@ class PlantOptions:
     seed: SeedOption = None
     scheme: SchemeOption = None
     actuator: Annotated[
-        Actuator | None, typer.Option(help="A command is a fraction of the maximum, or a limit.")
+        Actuator | None,
+        typer.Option(help="A command is a fraction of the maximum, or a power limit."),
     ] = None
     settings: SettingsOption = None
     faults: Annotated[
@@ -182,8 +183,8 @@ class PlantOptions:
             # In a terminal of 80 columns, longer unbroken text would be cut.
             help="Make links imperfect: source=c1/*,delay=50ms,loss=2% (fields: source, listener, "
             "signal, delay, jitter, distribution, loss, duplicate, reorder, reorder-by, "
-            "silent=60s..90s, at=60s..90s); or cut links, or stop controllers: "
-            "partition=c1|central,at=5s..9s or freeze=c2,at=5s..9s or kill=c2,at=5s. "
+            "silent=60s..90s, at=60s..90s). Or cut links, freeze or kill controllers: "
+            "partition=c1|central,at=5s..9s, freeze=c2,at=5s..9s, kill=c2,at=5s. "
             "May be given several times.",
             metavar="RULE",
         ),
@@ -192,12 +193,12 @@ class PlantOptions:
 
 @dataclass(frozen=True, slots=True)
 class ProcessOptions:
-    """External agents, and what the processes take of the machine."""
+    """External agents, real inverters, keys, and how the processes use the machine."""
 
     external: Annotated[
         list[str] | None,
         typer.Option(
-            help="Do not start this agent; wait for a device of your own: c2/inv07, c2, central or "
+            help="Do not start this agent; wait for your own device: c2/inv07, c2, central or "
             "plant. May be given several times.",
             metavar="AGENT",
         ),
@@ -206,8 +207,8 @@ class ProcessOptions:
         list[str] | None,
         typer.Option(
             "--device",
-            help="This inverter is a real one: c2/inv07=modbus://10.0.0.7:502/1 (SunSpec models "
-            "over Modbus TCP). May be given several times.",
+            help="Use a real inverter: c2/inv07=modbus://10.0.0.7:502/1 (SunSpec models over "
+            "Modbus TCP). May be given several times.",
             metavar="NODE=ADDRESS",
         ),
     ] = None
@@ -232,7 +233,7 @@ class ProcessOptions:
         bool | None,
         typer.Option(
             "--secure",
-            help="Encrypt every link, and admit each agent by its certificate alone, see "
+            help="Encrypt every link, and admit agents only by the certificates of "
             "`heliarch keys`.",
         ),
     ] = None
@@ -243,7 +244,7 @@ class ProcessOptions:
     address: Annotated[
         str,
         typer.Option(
-            help="Address at which the agents listen, for devices on other hosts: with --secure.",
+            help="Address at which the agents listen, for devices on other hosts; needs --secure.",
             metavar="ADDRESS",
         ),
     ] = "127.0.0.1"

@@ -30,7 +30,7 @@ def view(
         int | None,
         typer.Option(
             help="Also stream the run to Foxglove or Lichtblick, which connect to this port; "
-            "8765 is their default. Needs heliarch[foxglove].",
+            "their default is 8765. Needs heliarch[foxglove].",
             metavar="PORT",
             min=1,
             max=65535,
@@ -39,7 +39,7 @@ def view(
 ) -> None:
     """Show a run in a browser: play, pause and scrub it, also while it is being recorded.
 
-    Of a folder it lists the runs with their figures. Ends with Ctrl-C.
+    For a folder of runs, lists the runs with their figures. Ends with Ctrl-C.
     """
     from live_page.place import open_place
     from live_page.process import get_behind_others

@@ -16,10 +16,10 @@ from sim_plant.devices import parse_address
 
 
 class DeviceTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """An inverter that is real."""
+    """A real inverter."""
 
     node: Annotated[str, Meta(description="Path of the inverter: `c2/inv07`.")]
-    address: Annotated[str, Meta(description="`modbus://host:port/unit`; its models are SunSpec.")]
+    address: Annotated[str, Meta(description="`modbus://host:port/unit`, with SunSpec models.")]
 
 
 def devices(

@@ -94,15 +94,15 @@ class PlantTable(_Table, frozen=True):
         Bias | None, Meta(description="Relative error of `available_kw`. Default: none is stated.")
     ] = None
     revert: Annotated[
-        Revert | None, Meta(description="What an inverter does that hears no command any more.")
+        Revert | None, Meta(description="What an inverter does without new commands.")
     ] = Revert()
     ramp_percent_per_s: Annotated[
         Ramp | None,
-        Meta(description="How fast an inverter follows, in % of its rating per second."),
+        Meta(description="Largest change of an inverter's power, in % of its rating per second."),
     ] = None
-    delay_s: Annotated[Delay, Meta(description="After what time a command takes effect [s].")] = 0.0
+    delay_s: Annotated[Delay, Meta(description="Time until a command takes effect [s].")] = 0.0
     settings: Annotated[
-        tuple[InverterSettings, ...], Meta(description="Inverters that are set otherwise.")
+        tuple[InverterSettings, ...], Meta(description="Settings for some of the inverters.")
     ] = ()
     meter_seed: Annotated[Seed, Meta(description="Seed of the meter noise.")] = 0
     ramp_limit_percent_per_min: Annotated[
@@ -240,21 +240,22 @@ class Scenario(_Table, frozen=True):
         Meta(description="Simulated seconds per second; 1 is real time, `max` is lockstep."),
     ] = "max"
     faults: Annotated[
-        tuple[FaultRule, ...], Meta(description="Network faults; `--fault` adds to them.")
+        tuple[FaultRule, ...],
+        Meta(description="Faults of links and processes; `--fault` adds to them."),
     ] = ()
     faults_seed: Annotated[Seed, Meta(description="Seed of what is drawn for faults.")] = 0
     restart: Annotated[
-        RestartPolicy, Meta(description="When a controller's process ends before the run does.")
+        RestartPolicy, Meta(description="What happens if a process ends before the run.")
     ] = RestartPolicy()
     secure: Annotated[
-        bool, Meta(description="Whether a launched plant's links are encrypted, as by `--secure`.")
+        bool, Meta(description="Whether `launch` encrypts every link, as with `--secure`.")
     ] = False
     devices: Annotated[
         tuple[DeviceTable, ...], Meta(description="Real inverters; `--device` adds to them.")
     ] = ()
     standby: Annotated[
         tuple[Literal["central", "supervisors"], ...],
-        Meta(description="Parents of which a second process stands by, in real time."),
+        Meta(description="Parents that have a standby, in real time."),
     ] = ()
     machine: MachineTable = MachineTable()
     timing: TimingTable = TimingTable()

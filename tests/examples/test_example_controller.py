@@ -182,7 +182,7 @@ def test_it_counts_the_cycles_that_it_controlled_and_no_others(
 
 
 def test_it_answers_the_test_vector_of_the_documents(monkeypatch: pytest.MonkeyPatch) -> None:
-    text = (Path(__file__).parents[2] / "docs" / "device.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "own-device.md").read_text(encoding="utf-8")
     table = text.partition("<!-- table: vector -->")[2].partition("<!-- end -->")[0]
     rows = [line.strip("| ").split(" | ") for line in table.splitlines() if line[2:3].isdigit()]
     assert len(rows) > 5

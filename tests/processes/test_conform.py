@@ -119,7 +119,7 @@ def controller_in_c(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     if configured.returncode:
         assert "zenohpico" in configured.stderr
-        pytest.skip("zenoh-pico is not installed: see docs/device.md")
+        pytest.skip("zenoh-pico is not installed: see docs/own-device.md")
     subprocess.run(["cmake", "--build", build], check=True, capture_output=True)
     return build / "controller"
 
@@ -141,7 +141,7 @@ def test_its_links_outlive_reads_that_split_the_length_of_a_batch(
         )
         words = ("--base-port", str(first))
         found = results(heliarch, plant, NODE, command, "max", *words)
-    assert not failed(found), "docs/device.md, With zenoh-pico: is the library patched?"
+    assert not failed(found), "docs/own-device.md, With zenoh-pico: is the library patched?"
 
 
 def test_in_c_a_run_in_lockstep_is_that_of_simulate_and_nothing_is_sent_in_vain(
