@@ -73,7 +73,7 @@ class RestartPolicy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Literal["never", "on-failure", "always"] | None,
         Meta(
             description="`never`: the run ends. `on-failure`: the process is restarted. `always`: "
-            "without a limit. Default: `on-failure` in real time, `never` in lockstep."
+            "the same, without a limit. Default: `on-failure` in real time, `never` in lockstep."
         ),
     ] = None
     most: Annotated[

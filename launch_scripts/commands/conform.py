@@ -44,8 +44,9 @@ def conform(
     device: Annotated[
         str | None,
         typer.Option(
-            help="Command that starts the device, with {plan} and {node} for their values. Without it, "
-            "start the device yourself for each plan that is printed; restarts are not tested.",
+            help="Command that starts the device, with {plan} and {node} for their values. "
+            "Without it, start the device yourself for each plan that is printed; restarts are "
+            "not tested.",
             metavar="COMMAND",
         ),
     ] = None,

@@ -25,7 +25,8 @@ def keys(
     address: Annotated[
         list[str] | None,
         typer.Option(
-            help="An address at which agents listen, besides 127.0.0.1. May be given several times.",
+            help="An address at which agents listen, besides 127.0.0.1. May be given "
+            "several times.",
             metavar="ADDRESS",
         ),
     ] = None,
