@@ -88,12 +88,13 @@ def _with_plain_types(params: list[Any], ctx: object) -> list[Any]:
 def boundary() -> Iterator[None]:
     """Turn errors and signals into one line on standard error and an exit status.
 
-    SIGTERM and SIGHUP raise SystemExit, so that every `with` and `finally` cleans up. A signal
-    that is ignored (`nohup`) stays ignored.
+    Ctrl-C raises KeyboardInterrupt, SIGTERM and SIGHUP raise SystemExit, so that every `with` and
+    `finally` cleans up. A signal that is ignored (`nohup`) stays ignored.
     """
+    handlers = {signal.SIGINT: _interrupt, signal.SIGTERM: _leave, signal.SIGHUP: _leave}
     before = {
-        number: signal.signal(number, _leave)
-        for number in (signal.SIGTERM, signal.SIGHUP)
+        number: signal.signal(number, handler)
+        for number, handler in handlers.items()
         if signal.getsignal(number) is not signal.SIG_IGN
     }
     try:
@@ -118,6 +119,18 @@ def complain(text: object, status: int) -> int:
     """Say on standard error what is wrong; return the exit status."""
     sys.stderr.write(f"heliarch: {printable(str(text))}\n")
     return status
+
+
+class _Interrupt(KeyboardInterrupt):
+    """Ctrl-C, not to be taken for the plain exception.
+
+    Python ends itself by SIGINT in place of an exit status if that one ever passed through the
+    `exec` with which named tuples and data classes are made while modules are imported.
+    """
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise _Interrupt
 
 
 def _leave(number: int, frame: FrameType | None) -> None:

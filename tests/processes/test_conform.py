@@ -75,15 +75,15 @@ def test_parents_are_tried_in_their_own_place(agent: str, heliarch: Start, plant
 @pytest.mark.parametrize(
     "fault",
     [
-        "arming",
+        pytest.param("arming", marks=pytest.mark.soak),
         "decisions",
         "head",
         "bounds",
         "links",
-        "limits",
+        pytest.param("limits", marks=pytest.mark.soak),
         "wrong messages",
         "replaced",
-        "links closed",
+        pytest.param("links closed", marks=pytest.mark.soak),
     ],
 )
 def test_a_device_with_a_fault_fails_where_it_is_wrong(
@@ -95,6 +95,7 @@ def test_a_device_with_a_fault_fails_where_it_is_wrong(
     assert found["token"] == "PASS"
 
 
+@pytest.mark.soak
 def test_a_device_that_holds_its_inputs_for_ever_fails_in_real_time(
     heliarch: Start, plant: str
 ) -> None:
