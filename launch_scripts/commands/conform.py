@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from studies.conformance.requirements import Findings
 
 EXAMPLE: Final = (
-    "heliarch conform c2/inv07 --device 'python examples/direct_controller.py --plan {plan} "
+    "heliarch conform c2/inv07 --command 'python examples/direct_controller.py --plan {plan} "
     "--node {node}'"
 )
 
@@ -41,7 +41,7 @@ def conform(
     scenario: Annotated[
         str, typer.Option(help="The plant around it, as for launch.", metavar="SCENARIO")
     ] = "oahu",
-    device: Annotated[
+    command: Annotated[
         str | None,
         typer.Option(
             help="Command that starts the device, with {plan} and {node} for their values. "
@@ -113,7 +113,7 @@ def conform(
         preparation, folder = prepare_run(RunRequest(scenario_file, options, out))
     except InputError as error:
         raise InputError(str(error).replace("--external:", "AGENT:")) from None
-    findings = _tried(preparation, folder, device, tolerance, console)
+    findings = _tried(preparation, folder, command, tolerance, console)
     print_table(console, findings.table(agent))
     say(console, f"trials: {folder.path}")
     rows = json_rows(findings.table(agent))

@@ -39,7 +39,7 @@ def results(
     """Try a device; return the result of each requirement."""
     file = Path(plant).with_name("results.json")
     words = ("--scenario", plant, "--pace", pace, "--json", str(file), "--external-timeout", "20")
-    run = start("conform", agent, *words, "--device", command, *more)
+    run = start("conform", agent, *words, "--command", command, *more)
     status = run.wait()
     found = json.loads(file.read_text(encoding="utf-8"))
     text = json.dumps(found, indent=1) + run.error_text()
