@@ -17,7 +17,7 @@ from agents.plan import RunPlan
 from bus_schemas.faults import UNHEARD, FaultRule, FaultTally
 from bus_schemas.messages import Message
 from bus_schemas.missing import parse_missing
-from bus_schemas.signals import TAKEOVER, Port
+from bus_schemas.signals import Port
 from bus_schemas.tree import PLANT
 from recordings.read.gaps import LISTED_GAPS, RunGaps, due_step
 from recordings.read.reader import RecordedMessage, RunReader
@@ -39,9 +39,9 @@ class Absence(msgspec.Struct, frozen=True):
     first_cycle, last_cycle
         The cycles without a message of it; both None if it only restarted.
     back_in
-        The cycle in which it was heard again; None: it was not.
+        The cycle in which it was heard again, or its other process joined; None: it was not.
     restarted
-        Whether its messages were then numbered from 0 again.
+        Whether they then were of another process.
     by_standby
         Whether its standby then took over.
     """
@@ -160,8 +160,9 @@ class HealthWatch:
                 steps[port.publisher] = min(step, steps.get(port.publisher, step))
         self._step = steps
         self._last_cycle = dict.fromkeys(steps, cycles.start - 1)
-        self._restarted_in: dict[str, int] = {}
-        self._took_over: dict[str, int] = {}
+        # The cycle in which the process that speaks for each agent joined.
+        self._joined = dict.fromkeys(steps, max(cycles.start - 1, 0))
+        self._numbered_anew: dict[str, int] = {}
         self._absences: list[Absence] = []
         self._more_absences = 0
         self._misses: Counter[str] = Counter()
@@ -175,12 +176,11 @@ class HealthWatch:
         restarts, lost = sequence.restarts, sequence.lost
         self.gaps.see(port, cycle, record.sequence, record.incarnation)
         agent = port.publisher
-        if port.signal is TAKEOVER:
-            self._took_over[agent] = cycle
-        elif agent in self._last_cycle:
+        if agent in self._last_cycle:
             if sequence.lost > lost:  # It was there: its messages are not.
                 self._last_cycle[agent] = max(self._last_cycle[agent], cycle - 1)
-            self._see_agent(agent, cycle, restarted=sequence.restarts > restarts)
+            joined = self._newly_joined(record, numbered_anew=sequence.restarts > restarts)
+            self._see_agent(agent, cycle, joined)
         if self._plan.faults and port.signal.is_cyclic:
             self._see_faults(port, record.message())
         if b"missing\x90" not in record.payload:  # An empty list: it missed nothing.
@@ -234,19 +234,31 @@ class HealthWatch:
             if listener not in self._plan.external:
                 self._tally.count(self._faults.fates(port, listener, message))
 
-    def _see_agent(self, agent: str, cycle: int, *, restarted: bool) -> None:
+    def _newly_joined(self, record: RecordedMessage, *, numbered_anew: bool) -> int | None:
+        """Return in which cycle another process of an agent joined, with its first message."""
+        agent, cycle, joined = record.port.publisher, record.cycle, record.incarnation
+        if joined > self._joined[agent]:
+            self._joined[agent] = joined
+            return joined
+        # A device that does not say when it joined: its regular messages show it, within a period.
+        if joined or not numbered_anew or not due_step(self._plan, record.port):
+            return None
+        if cycle <= self._numbered_anew.get(agent, -1):
+            return None
+        self._numbered_anew[agent] = cycle + self._plan.periods.longest
+        return cycle
+
+    def _see_agent(self, agent: str, cycle: int, joined: int | None) -> None:
         last = self._last_cycle[agent]
         if cycle > last:
             self._last_cycle[agent] = cycle
-        is_new = restarted and cycle > self._restarted_in.get(agent, -1)
-        if is_new:
-            # All ports of an agent restart, maybe later where it publishes rarely.
-            self._restarted_in[agent] = cycle + self._plan.periods.longest + 1
-        by_standby = is_new and cycle - self._took_over.get(agent, -2) in {0, 1}
+        # A process that was started again stands by where there is a standby.
+        by_standby = joined is not None and agent in self._plan.standbys
         if cycle > last + self._step[agent]:
+            is_new = joined is not None
             self._note(Absence(agent, last + 1, cycle - 1, cycle, is_new, by_standby))
-        elif is_new:
-            self._note(Absence(agent, None, None, cycle, True, by_standby))
+        elif joined is not None:
+            self._note(Absence(agent, None, None, joined, True, by_standby))
 
     def _note(self, absence: Absence) -> None:
         """Keep an absence; of many the short ones are counted."""

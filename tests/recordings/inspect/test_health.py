@@ -11,11 +11,12 @@ import pytest
 from msgspec.structs import replace
 from recordings_by_hand import PLAN, SCENARIO, whole_run, write_run
 
+from agents.plan import RunPlan
 from bus_schemas.bus import Delivery, Outbox
 from bus_schemas.codec import encode
 from bus_schemas.faults import FaultRule
 from bus_schemas.messages import Message
-from bus_schemas.signals import Port
+from bus_schemas.signals import HELP, Port
 from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
@@ -87,6 +88,45 @@ def test_a_device_that_left_and_came_back_is_named_and_repeats_nothing(tmp_path:
     assert health.absences == (Absence(DEVICE, 20, 29, 30, True),)
     assert (health.messages_lost, health.repeated) == (0, 0)
     assert f"{DEVICE}: nothing in cycles 20 to 29 (12:00:20 to 12:00:29)" in text
+
+
+def joined_in_cycle_20(agent: str, is_kept: Callable[[Delivery], bool]) -> Iterator[Delivery]:
+    """A run in which an agent is another process from cycle 20 on."""
+    first, second = Outbox(), Outbox()
+    for port, message in whole_run(CYCLES):
+        is_new = message.source == agent and message.cycle >= 20
+        message.incarnation = 20 * is_new
+        (second if is_new else first).stamp(port, message, 1)
+        if is_kept((port, message)):
+            yield port, message
+
+
+def recorded(path: Path, deliveries: Iterator[Delivery], plan: RunPlan = PLAN) -> None:
+    writer = RunWriter(path, plan, SCENARIO, driver="launch")
+    for port, message in deliveries:
+        writer.add(port, message, encode(message), 1)
+    writer.close()
+
+
+def test_a_restart_is_told_once_whenever_a_rare_message_follows(tmp_path: Path) -> None:
+    def is_kept(pair: Delivery) -> bool:
+        return pair[0].signal is not HELP or not 20 <= pair[1].cycle < 40
+
+    recorded(tmp_path / "run.mcap", joined_in_cycle_20("c1/a", is_kept))
+    health, text = health_of(tmp_path)
+    assert health.absences == (Absence("c1/a", None, None, 20, True),)
+    assert "c1/a restarted in cycle 20" in text
+
+
+@pytest.mark.parametrize("standby", [(), ("c2",)])
+def test_a_process_that_joined_while_nobody_recorded_is_told_with_its_cycle(
+    tmp_path: Path, standby: tuple[str, ...]
+) -> None:
+    plan = replace(PLAN, standby=standby, cycle_wall_ns=PLAN.cycle_ns)
+    deliveries = joined_in_cycle_20("c2", lambda pair: not 15 <= pair[1].cycle < 30)
+    recorded(tmp_path / "run.mcap", deliveries, plan)
+    health, _ = health_of(tmp_path)
+    assert Absence("c2", None, None, 20, True, by_standby=bool(standby)) in health.absences
 
 
 def test_lost_messages_are_counted_by_key(tmp_path: Path) -> None:
