@@ -161,7 +161,9 @@ def _warn_if_cut(run: RunReader, console: Console) -> None:
     if not run.whole:
         text = (
             f"{run.path} can be read up to byte {run.outline.readable_end:,} of "
-            f"{run.outline.size:,}: it was cut, is damaged there, or is still being recorded. "
-            "`heliarch recover` makes a whole file of it."
+            f"{run.outline.size:,}: it was cut, is damaged there, or is still being recorded."
         )
+        if run.outline.closed:
+            text = f"{run.path}, or a file that it goes on in, was cut or is damaged."
+        text += " `heliarch recover` makes a whole file of it."
         console.print(Text(text, "yellow"))

@@ -117,7 +117,7 @@ class Outline:
         Whether its writer came to the end of the messages. Otherwise it was cut, is damaged at
         `readable_end`, or is still being written.
     indexed
-        Whether it has its index too.
+        Whether it has its index too, and all files that it goes on in.
     readable_end
         First byte behind the last readable record of the data section.
     header
@@ -156,7 +156,8 @@ class Outline:
         self.chunks += [one._replace(offset=one.offset + begin) for one in other.chunks]
         self.channels, self.schemas = self.channels or other.channels, self.schemas or other.schemas
         self.size, self.readable_end = begin + other.size, begin + other.readable_end
-        self.closed, self.indexed = other.closed, other.indexed
+        self.closed = other.closed
+        self.indexed &= other.indexed
 
 
 def read_outline(file: BinaryIO) -> Outline:

@@ -115,7 +115,7 @@ class RunReader:
     path, file, files
         Path of the MCAP file, the open file, and how many files that is.
     whole
-        Whether the file was closed in order and has its index.
+        Whether each file was closed in order and has its index.
     outline
         The parts that the file consists of.
     metadata

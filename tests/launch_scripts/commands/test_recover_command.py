@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from command_line import heliarch
 from recordings_by_hand import whole_run, write_run
 
+from bus_schemas.bus import Delivery
 from recordings import open_run
 
 
@@ -45,6 +47,38 @@ def test_a_cut_recording_is_recovered_beside_it_and_what_is_missing_is_said(
     again = heliarch("recover", tmp_path)
     assert again.exit_code == 2
     assert "it exists already" in again.stderr
+
+
+def is_of(cycles: range) -> Callable[[Delivery], bool]:
+    return lambda pair: pair[1].cycle in cycles
+
+
+def test_a_recording_with_a_cut_file_among_others_is_not_whole(
+    content: bytes, tmp_path: Path
+) -> None:
+    """As its recorders leave it of which the second was killed."""
+    for name, cycles, close in (
+        ("run.mcap", range(40), True),
+        ("run-2.mcap", range(40, 70), False),
+        ("run-3.mcap", range(75, 101), True),
+    ):
+        write_run(
+            tmp_path / name,
+            whole_run(100),
+            is_kept=is_of(cycles),
+            close=close,
+        )
+    with open_run(tmp_path) as run:
+        assert (run.files, run.whole) == (3, False)
+        kept = sum(1 for _ in run.records())
+    assert "cut" in heliarch("inspect", tmp_path).stdout
+    result = heliarch("recover", tmp_path, "--json", "-")
+    assert result.exit_code == 3
+    found = json.loads(result.stdout)
+    assert found["messages"] == kept
+    assert found["lost"] > 0
+    with open_run(tmp_path / "run.recovered.mcap") as run:
+        assert (run.files, run.whole) == (1, True)
 
 
 def test_a_recording_that_lacks_its_index_alone_has_lost_nothing(
