@@ -42,6 +42,10 @@ class RunWatch:
     def __init__(self, plan: RunPlan, say: Callable[[str], None]) -> None:
         self._say = say
         self._patience_s = HEARTBEAT_S if plan.lockstep else PATIENCE_S
+        self._what_next = f"if it stays silent for {self._patience_s:g} s, the run ends"
+        if plan.restart.when != "never" and plan.restart.frozen_s < self._patience_s:
+            frozen_s = f"{plan.restart.frozen_s:g} s"
+            self._what_next = f"if it stays silent for {frozen_s}, it is killed and started again"
         self._cycle_s = max(PLANT_S, 3.0 * plan.cycle_wall_ns / 1e9)
         self._cycle = -1
         self._heard_at = self._went_on_at = self._looked_at = 0.0
@@ -75,8 +79,8 @@ class RunWatch:
         if silent_s > HEARTBEAT_S and not self._is_silent:
             self._is_silent = True
             self._say(
-                f"recorder has not been heard of for {HEARTBEAT_S:g} s; in real time the run goes "
-                f"on without it for up to {self._patience_s:g} s"
+                f"recorder has not been heard of for {HEARTBEAT_S:g} s; the run goes on without "
+                f"it; {self._what_next}"
             )
         if not self._is_silent and now_s - self._went_on_at > self._cycle_s:
             return PLANT, f"plant has not completed a cycle for {self._cycle_s:g} s"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from agents.plan import RunPlan
+from agents.plan import RestartPolicy, RunPlan
 from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.launcher.run_watch import RunWatch
 from launch_scripts.scenarios.preparation import RunOptions, prepare
@@ -50,11 +50,25 @@ def test_in_lockstep_a_silent_recorder_is_a_fault_at_once() -> None:
 def test_in_real_time_it_is_told_once_and_is_a_fault_after_ten_seconds() -> None:
     run = Watched(real_time())
     assert run.blamed(101.9, 102.1, 105.5, 109.9) == []
-    assert run.told == [
-        "recorder has not been heard of for 2 s; in real time the run goes on without it for up to "
-        "10 s"
-    ]
+    assert len(run.told) == 1
+    assert "for 2 s" in run.told[0]
     assert run.blamed(110.1) == [RECORDER]
+
+
+@pytest.mark.parametrize(
+    ("policy", "next_step"),
+    [
+        (RestartPolicy(), "for 5 s, it is killed and started again"),
+        (RestartPolicy(when="never"), "for 10 s, the run ends"),
+        (RestartPolicy(frozen_s=20.0), "for 10 s, the run ends"),
+    ],
+)
+def test_what_happens_to_a_silent_recorder_follows_from_the_restart_policy(
+    policy: RestartPolicy, next_step: str
+) -> None:
+    run = Watched(replace(real_time(), restart=policy))
+    assert run.blamed(102.1) == []
+    assert next_step in run.told[0]
 
 
 @pytest.mark.parametrize("first_word", [7, 90])
