@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, TextIO
@@ -73,6 +73,7 @@ def replay_live(
     """
     live = _live_agents(reader.plan, live_nodes)
     plan = _plan(reader, plan_file, end)
+    _check_no_takeover(reader, live, range(plan.cycles))
     began_at = time.monotonic()
     with (
         interruptible() as interruption,
@@ -146,6 +147,22 @@ def _live_agents(plan: RunPlan, text: str) -> tuple[str, ...]:
         return tuple(agent_name(node) for node in find_nodes(plan.tree, text))
     except InputError as error:
         raise InputError(f"--live: {error}") from None
+
+
+def _check_no_takeover(reader: RunReader, live: Collection[str], cycles: range) -> None:
+    """Refuse a live agent whose standby decided: one process cannot repeat what two have done."""
+    ports = [
+        port
+        for port in reader.ports()
+        if port.publisher in live and port.publisher in reader.plan.standbys
+    ]
+    for record in reader.records(ports, cycles) if ports else ():
+        if record.incarnation:
+            agent, joined = record.port.publisher, record.incarnation
+            raise InputError(
+                f"--live {agent}: {agent} was taken over in cycle {joined:,}: its standby decided; "
+                f"expected another controller or --to {joined - 1}"
+            )
 
 
 def _plan(reader: RunReader, file: Path | None, end: str | None) -> RunPlan:
