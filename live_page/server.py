@@ -9,8 +9,8 @@ from __future__ import annotations
 import asyncio
 import secrets
 from collections import OrderedDict
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import suppress
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -71,6 +71,13 @@ class EventStream(StreamingResponse):
             await super().stream_response(send_in_time)
 
 
+class _Server(uvicorn.Server):
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Leave signals to the command."""
+        yield
+
+
 class PageServer:
     """The server of one run, or of the `several` runs in a folder."""
 
@@ -80,7 +87,7 @@ class PageServer:
         self._list = RunList(path) if several else None
         self._path = path
         self._views: OrderedDict[str, RunView] = OrderedDict()
-        self._server = uvicorn.Server(
+        self._server = _Server(
             uvicorn.Config(
                 self._app(),
                 log_config=None,

@@ -184,7 +184,7 @@ class PlantOptions:
             help="Make links imperfect: source=c1/*,delay=50ms,loss=2% (fields: source, listener, "
             "signal, delay, jitter, distribution, loss, duplicate, reorder, reorder-by, "
             "silent=60s..90s, at=60s..90s). Or cut links, freeze or kill controllers: "
-            "partition=c1|central,at=5s..9s, freeze=c2,at=5s..9s, kill=c2,at=5s. "
+            "partition=c1|c2,at=5s..9s, freeze=c2,at=5s..9s, kill=c2,at=5s. "
             "May be given several times.",
             metavar="RULE",
         ),
@@ -207,8 +207,8 @@ class ProcessOptions:
         list[str] | None,
         typer.Option(
             "--device",
-            help="Use a real inverter: c2/inv07=modbus://10.0.0.7:502/1 (SunSpec models over "
-            "Modbus TCP). May be given several times.",
+            help="Use a real inverter, over Modbus TCP: c2/inv07=modbus://10.0.0.7/1. May be "
+            "given several times.",
             metavar="NODE=ADDRESS",
         ),
     ] = None

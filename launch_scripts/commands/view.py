@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from contextlib import suppress
+import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from bus_schemas.errors import InputError
+from launch_scripts.commands.boundary import OK
 from launch_scripts.commands.options import PageAddressOption, PagePortOption
 
 if TYPE_CHECKING:
@@ -30,13 +31,13 @@ def view(
         int | None,
         typer.Option(
             help="Also stream the run to Foxglove or Lichtblick, which connect to this port; "
-            "their default is 8765. Needs heliarch[foxglove].",
+            "their default is 8765. Needs the extra `foxglove`.",
             metavar="PORT",
             min=1,
             max=65535,
         ),
     ] = None,
-) -> None:
+) -> int:
     """Show a run in a browser: play, pause and scrub it, also while it is being recorded.
 
     For a folder of runs, lists the runs with their figures. Ends with Ctrl-C.
@@ -57,8 +58,7 @@ def view(
     if stream is not None:
         layout = place.address_of("layout.json")
         typer.echo(f"foxglove: ws://127.0.0.1:{foxglove}   (layout: {layout})")
-    with suppress(KeyboardInterrupt):
-        asyncio.run(_serve(PageServer(path, place, several=several), stream))
+    return asyncio.run(_serve(PageServer(path, place, several=several), stream))
 
 
 def _holds_several(path: Path) -> bool:
@@ -94,11 +94,21 @@ def _foxglove_stream(path: Path, port: int) -> FoxgloveStream:
     return FoxgloveStream(RunView(path), port)
 
 
-async def _serve(server: PageServer, stream: FoxgloveStream | None) -> None:
-    """Serve until the page's server ends, as it does on Ctrl-C."""
+async def _serve(server: PageServer, stream: FoxgloveStream | None) -> int:
+    """Serve until a signal comes; return the exit status. Ctrl-C is the way to end it."""
+    status = OK
+
+    def end(number: int) -> None:
+        nonlocal status
+        status = OK if number == signal.SIGINT else 128 + number
+        server.end()
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        asyncio.get_running_loop().add_signal_handler(number, end, number)
     tasks = [asyncio.create_task(server.serve())]
     if stream is not None:
         tasks.append(asyncio.create_task(stream.serve()))
     done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     for task in done:
         task.result()
+    return status

@@ -61,12 +61,10 @@ class Attacker:
             session.put(self.plan.keys.key(port), encode(message))
 
     def forge(self, cycle: int, spared: str = "") -> None:
-        """Forge what decides of power, for a cycle and the one after it, but for one agent's."""
-        for number in (cycle, cycle + 1):
-            head = {"cycle": number, "sim_time_ns": self.plan.sim_time_ns(number), "missing": ()}
-            for port, message in self._forgeries():
-                if port.publisher == spared:
-                    continue
+        """Forge what decides of power in a cycle, but for one agent's."""
+        head = {"cycle": cycle, "sim_time_ns": self.plan.sim_time_ns(cycle), "missing": ()}
+        for port, message in self._forgeries():
+            if port.publisher != spared:
                 self.put(port, replace(message, **head, source=port.publisher))
 
     def _forgeries(self) -> Iterator[tuple[Port[Message], Message]]:

@@ -31,6 +31,10 @@ pytestmark = pytest.mark.processes
 
 Start = Callable[..., Heliarch]
 DEVICE = "c1/inv01"
+LONG = "10h"
+"""Plant time: in lockstep longer than any attack."""
+AHEAD = 1000
+"""Cycles: what is forged for a cycle to come is there before the genuine message, at any speed."""
 
 
 def running(heliarch: Start, folder: Path, *words: str) -> tuple[Heliarch, RunPlan]:
@@ -56,7 +60,7 @@ def test_the_plan_is_for_its_user_alone(heliarch: Start, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("mode", ["peer", "client"])
 def test_nothing_that_a_stranger_says_is_heard(heliarch: Start, tmp_path: Path, mode: str) -> None:
-    run, plan = running(heliarch, tmp_path)
+    run, plan = running(heliarch, tmp_path, "--duration", LONG)
     attack(run, plan, mode)
     summary = ended(run)
     assert run.process.returncode == 130, run.error_text()
@@ -67,12 +71,16 @@ def test_nothing_that_a_stranger_says_is_heard(heliarch: Start, tmp_path: Path, 
 def test_beside_a_device_what_a_stranger_forges_reaches_no_agent_and_is_named(
     heliarch: Start, tmp_path: Path
 ) -> None:
-    run = heliarch(
-        "launch", small_plant(tmp_path / "plant"), "--scheme", "paper", "--external", DEVICE
-    )
+    words = ("--scheme", "paper", "--duration", LONG, "--external", DEVICE)
+    run = heliarch("launch", small_plant(tmp_path / "plant"), *words)
     with example_controller(run):
         run.until_running()
-        attack(run, load_plan(run.folder / "plan.json"), "peer", spared=DEVICE)
+        plan = load_plan(run.folder / "plan.json")
+        with attacker_of(plan) as attacker:
+            attacker.forge(run.recorded_cycles() + AHEAD, spared=DEVICE)
+            run.until(named(run, plan, "c1/setpoint"), "news of two senders of a setpoint")
+            attacker.stop_run(run.recorded_cycles())
+            run.until(named(run, plan, "run"), "news of two senders of a stop")
         summary = ended(run)
     assert run.process.returncode == 1
     assert "more than one program sent messages on" in run.error_text()
@@ -81,14 +89,19 @@ def test_beside_a_device_what_a_stranger_forges_reaches_no_agent_and_is_named(
     assert_right(run, summary.cycles)
 
 
-def attack(run: Heliarch, plan: RunPlan, mode: str, spared: str = "") -> None:
-    """Forge messages of the cycle under way for a second, and stops of the run."""
+def named(run: Heliarch, plan: RunPlan, key: str) -> Callable[[], bool]:
+    """Whether the run has named a wrong message."""
+    return lambda: f"wrong message on {plan.plant}/{key}" in run.output.read_text()
+
+
+def attack(run: Heliarch, plan: RunPlan, mode: str) -> None:
+    """Forge messages for a second, and stops of the run."""
     with attacker_of(plan, mode) as attacker:
         for _ in range(20):
-            attacker.forge(run.recorded_cycles(), spared)
+            attacker.forge(run.recorded_cycles() + AHEAD)
             attacker.stop_run(run.recorded_cycles() + 50)
             time.sleep(0.05)
-        assert spared or not attacker.heard, "without keys anybody hears what a device may"
+        assert not attacker.heard
 
 
 @contextmanager
@@ -107,7 +120,7 @@ def example_controller(run: Heliarch) -> Iterator[None]:
 def assert_right(run: Heliarch, cycles: int) -> None:
     """Assert that every message of the undisturbed run is in the recording."""
     scenario = load_scenario(str(run.folder.parent / "plant" / "small.toml"))
-    preparation = prepare(scenario, RunOptions(scheme="paper"), "undisturbed")
+    preparation = prepare(scenario, RunOptions(scheme="paper", duration=LONG), "undisturbed")
     right: set[bytes] = set()
 
     def hear(port: Port[Message], message: Message) -> None:
