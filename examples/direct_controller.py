@@ -267,11 +267,16 @@ def read_message(signal: str, payload: bytes, source: str) -> dict[str, Any] | N
 
 def session_config(plan: dict[str, Any], node: str, endpoints: list[str]) -> zenoh.Config:
     """Zenoh as a peer that neither searches nor listens: it connects to the agents it talks to."""
+    ports, keys_folder = plan["tcp_ports"], plan.get("keys_folder")
     if not endpoints:
-        talks_to = ("recorder", "plant", node.rpartition("/")[0] or "central")
-        endpoints = [f"tcp/127.0.0.1:{plan['tcp_ports'][agent]}" for agent in talks_to]
+        parent = node.rpartition("/")[0] or "central"
+        talks_to = ["recorder", "plant", parent]
+        if f"{parent}+standby" in ports:  # From one of the two it hears setpoints.
+            talks_to.append(f"{parent}+standby")
+        host = f"tls/{plan['address']}" if keys_folder else "tcp/127.0.0.1"
+        endpoints = [f"{host}:{ports[agent]}" for agent in talks_to]
     config = zenoh.Config()
-    for key, value in {
+    settings: dict[str, object] = {
         "mode": "peer",
         "namespace": plan["namespace"] or plan["run_id"],
         "listen/endpoints": [],  # Without it Zenoh listens on a port of its own choice.
@@ -280,7 +285,16 @@ def session_config(plan: dict[str, Any], node: str, endpoints: list[str]) -> zen
         "connect/exit_on_failure": False,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
-    }.items():
+    }
+    if keys_folder:
+        own = Path(keys_folder) / node.replace("/", ".")
+        settings["transport/link/tls"] = {
+            "root_ca_certificate": str(Path(keys_folder) / "ca.pem"),
+            "enable_mtls": True,
+            "connect_certificate": f"{own}.pem",
+            "connect_private_key": f"{own}.key",
+        }
+    for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config
 

@@ -229,18 +229,28 @@ def read_plan(path: Path) -> dict[str, Any]:
 
 def session_config(plan: dict[str, Any]) -> zenoh.Config:
     """Zenoh as a peer that listens for the controllers and connects to the recorder alone."""
-    ports = plan["tcp_ports"]
+    ports, keys_folder = plan["tcp_ports"], plan.get("keys_folder")
+    host = f"tls/{plan['address']}" if keys_folder else "tcp/127.0.0.1"
     config = zenoh.Config()
-    for key, value in {
+    settings: dict[str, object] = {
         "mode": "peer",
         "namespace": plan["namespace"] or plan["run_id"],
-        "listen/endpoints": [f"tcp/127.0.0.1:{ports['plant']}"],
-        "connect/endpoints": [f"tcp/127.0.0.1:{ports['recorder']}"],
+        "listen/endpoints": [f"{host}:{ports['plant']}"],
+        "connect/endpoints": [f"{host}:{ports['recorder']}"],
         "connect/timeout_ms": -1,
         "connect/exit_on_failure": False,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
-    }.items():
+    }
+    if keys_folder:
+        own = Path(keys_folder) / "plant"
+        settings["transport/link/tls"] = {
+            "root_ca_certificate": str(Path(keys_folder) / "ca.pem"),
+            "enable_mtls": True,
+            **dict.fromkeys(("listen_certificate", "connect_certificate"), f"{own}.pem"),
+            **dict.fromkeys(("listen_private_key", "connect_private_key"), f"{own}.key"),
+        }
+    for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return config
 

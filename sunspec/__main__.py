@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from pathlib import Path
@@ -9,10 +10,12 @@ from pathlib import Path
 import msgspec
 
 from agents.plan import RunPlan
-from sunspec.process import Connected, Event, Refused
+from sunspec.process import Connected, Event, News, Refused, log_in
 
 
 def _tell(event: Event) -> None:
+    if isinstance(event, News):
+        logging.info(event.text)
     os.write(1, msgspec.json.encode(event) + b"\n")
 
 
@@ -31,8 +34,13 @@ def main() -> None:
         _tell(Refused(str(error)))
         return
     _tell(Connected())
-    if folder := sys.stdin.buffer.readline():
-        gateway.serve(Path(os.fsdecode(folder.rstrip(b"\n"))), sys.stdin.fileno())
+    if line := sys.stdin.buffer.readline():
+        folder = Path(os.fsdecode(line.rstrip(b"\n")))
+        with log_in(folder).open("ab") as log:
+            os.dup2(log.fileno(), 2)
+        logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", level=logging.INFO)
+        logging.info("connected: %s", ", ".join(node for node, _ in plan.devices))
+        gateway.serve(folder, sys.stdin.fileno())
 
 
 if __name__ == "__main__":

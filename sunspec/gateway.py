@@ -97,7 +97,8 @@ class _Link:
         self._written_kw: float | None = None
         self._written_at = 0.0
         self._state = ""
-        self._refused = self._reconnects = 0
+        self._refused = self._breaks = 0
+        self._gone_at: float | None = None
         self._said = ""
         self._took = {what: HdrHistogram(1, _LONGEST_US, 2) for what in ("read", "write")}
 
@@ -136,8 +137,9 @@ class _Link:
             )
             for took in (self._took["read"], self._took["write"])
         )
-        address, counts = self._inverter.address, (self._refused, self._reconnects)
-        return DeviceAccount(self._node, address, reads, writes, *counts)
+        gone_s = None if self._gone_at is None else time.monotonic() - self._gone_at
+        address, counts = self._inverter.address, (self._refused, self._breaks)
+        return DeviceAccount(self._node, address, reads, writes, *counts, gone_s)
 
     def _run(self) -> None:
         read_at = time.monotonic() + self._cycle_s
@@ -184,6 +186,8 @@ class _Link:
 
     def _reconnect(self, error: DeviceError) -> None:
         """Try until the inverter is back. It may have lost its limit, so the next one is new."""
+        self._breaks += 1
+        self._gone_at = time.monotonic()
         self._say(f"{error}; trying again")
         self._written_kw = None
         while not self._over.is_set():
@@ -193,7 +197,7 @@ class _Link:
             except DeviceError:
                 self._over.wait(_RETRY_S)
             else:
-                self._reconnects += 1
+                self._gone_at = None
                 self._say("connected again")
                 return
 

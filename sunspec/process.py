@@ -32,14 +32,18 @@ class Latency(msgspec.Struct, frozen=True):
 
 
 class DeviceAccount(msgspec.Struct, frozen=True):
-    """A real inverter in a run: how long it took to answer, how often it refused or was gone."""
+    """A real inverter in a run: how long it took to answer, how often it refused or was gone.
+
+    `gone_s` is how long it had been gone at the end; None if it was there.
+    """
 
     node: str
     address: str
     reads: Latency
     writes: Latency
     refused: int
-    reconnects: int
+    breaks: int
+    gone_s: float | None
 
 
 class Connected(msgspec.Struct, frozen=True, tag=True):
@@ -69,6 +73,11 @@ Event: TypeAlias = Connected | Refused | News | Accounts
 _decoder = msgspec.json.Decoder(Event)
 
 
+def log_in(folder: Path) -> Path:
+    """Return the gateway's log in a run's folder."""
+    return folder / "logs" / "gateway.log"
+
+
 class GatewayProcess:
     """The gateway's process, as its launcher sees it. It ends with the context.
 
@@ -87,6 +96,7 @@ class GatewayProcess:
             process_group=0,  # Ctrl-C in a terminal is for the launcher.
         )
         self._rest = b""
+        self._log: Path | None = None
         try:
             self._tell(msgspec.json.encode(plan))
             first = self._events(wait=True)
@@ -112,6 +122,7 @@ class GatewayProcess:
 
     def join(self, folder: Path) -> None:
         """Let the plant's process find the gateway in a run's folder."""
+        self._log = log_in(folder)
         self._tell(str(folder.absolute()).encode())
         self._events(wait=True)
 
@@ -148,7 +159,13 @@ class GatewayProcess:
         while (wait and not events) or select.select([pipe], [], [], 0.0)[0]:
             found = os.read(pipe, 1 << 16)
             if not found:
-                raise FailureError(f"the gateway to the devices ended ({self._process.wait()})")
+                raise FailureError(self._how_it_ended())
             *lines, self._rest = (self._rest + found).split(b"\n")
             events += map(_decoder.decode, lines)
         return events
+
+    def _how_it_ended(self) -> str:
+        code = self._process.wait()
+        how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
+        text = f"the gateway to the devices (process {self._process.pid}) {how}"
+        return f"{text} in the middle of the run; its log: {self._log}" if self._log else text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import threading
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,6 +24,8 @@ from sunspec.registers import (
 )
 
 _MOST_UNITS = 247
+
+logging.getLogger("pymodbus").setLevel(logging.ERROR)  # Its warnings are said in our words.
 
 
 class Sky:

@@ -33,16 +33,20 @@ def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:
             for figure, unit, decimals in (("", "", 0), (" p50", "ms", 1), (" p99", "ms", 1))
         ),
         Column("refused"),
-        Column("reconnects"),
+        Column("breaks"),
+        Column("gone for", "s", 1),
     )
     rows = tuple(
         (
             device.node,
             *(device.reads.count, device.reads.p50_ms, device.reads.p99_ms),
             *(device.writes.count, device.writes.p50_ms, device.writes.p99_ms),
-            *(device.refused, device.reconnects),
+            *(device.refused, device.breaks, device.gone_s),
         )
         for device in devices
     )
-    note = "how long it takes over Modbus to read all that is needed, and to write a limit"
-    return [Table("Devices", columns, rows, (note,))] if rows else []
+    notes = (
+        "how long it takes over Modbus to read all that is needed, and to write a limit",
+        "gone for: since the link broke, of a device that was not back at the end of the run",
+    )
+    return [Table("Devices", columns, rows, notes)] if rows else []

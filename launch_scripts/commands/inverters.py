@@ -34,8 +34,9 @@ def inverters(
         ),
     ] = "127.0.0.1",
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="One port, with a unit for each inverter.")
-    ] = 5020,
+        int | None,
+        typer.Option(min=0, max=65535, help="One port (5020), with a unit for each inverter."),
+    ] = None,
     base_port: Annotated[
         int | None,
         typer.Option(
@@ -61,6 +62,8 @@ def inverters(
     controller can read and limit them. The last unit is the meter at the
     plant's connection. Ends with the scenario, or with Ctrl-C.
     """
+    if port is not None and base_port is not None:
+        raise InputError("--port: expected no --base-port with it")
     from launch_scripts.launcher.run_folder import new_run_id
     from launch_scripts.scenarios.preparation import RunOptions, prepare
     from launch_scripts.scenarios.scenario import load_scenario
@@ -93,7 +96,7 @@ def inverters(
         sky=sky,
         now=time.monotonic,
         host=address,
-        port=port if base_port is None else base_port,
+        port=next((given for given in (port, base_port) if given is not None), 5020),
         a_port_each=base_port is not None,
     )
     with suppress(KeyboardInterrupt), served(plant) as addresses:

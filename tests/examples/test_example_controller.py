@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -217,10 +218,10 @@ def test_it_answers_the_test_vector_of_the_documents(monkeypatch: pytest.MonkeyP
 
 
 def test_it_listens_nowhere_and_connects_where_its_links_are() -> None:
-    found = direct_controller.session_config(PLAN, NODE, [])
+    ports = PLAN["tcp_ports"] | {"c1+standby": 7504}
+    found = direct_controller.session_config(PLAN | {"tcp_ports": ports}, NODE, [])
     assert found.get_json("listen/endpoints") == "[]"
-    ports = PLAN["tcp_ports"]
-    links = explicit_links(ControlTree(tuple((path, kw) for path, kw in PLAN["inverters"])))
-    assert links.endpoints(NODE, ports)[0] == []
-    for endpoint in links.endpoints(NODE, ports)[1]:
-        assert endpoint in found.get_json("connect/endpoints")
+    tree = ControlTree(tuple((path, kw) for path, kw in PLAN["inverters"]))
+    listens, connects = explicit_links(tree, ["c1"]).endpoints(NODE, ports)
+    assert listens == []
+    assert json.loads(found.get_json("connect/endpoints")) == connects

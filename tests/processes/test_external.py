@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 from misbehaving_device import FIRST_ABSURD
@@ -18,7 +20,7 @@ from test_launch import decisions, summary_of
 
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, Production
-from bus_schemas.signals import IMPP, PRODUCTION, Port
+from bus_schemas.signals import COMMAND, IMPP, PRODUCTION, Port, Signal
 from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.scenarios.preparation import RunOptions, prepare
@@ -168,6 +170,34 @@ def counts_anew(run: Heliarch) -> bool:
 
 def shown(run: Heliarch, text: str) -> Callable[[], bool]:
     return lambda: text in run.output.read_text()
+
+
+def test_a_device_goes_on_with_the_standby_of_its_parent(
+    heliarch: Start, device: Device, plant: str
+) -> None:
+    words = ("--pace", "10", "--external", NODE)
+    settings = ("--set", 'standby=["supervisors"]', "--set", "restart.frozen_s=1000")
+    run = heliarch("launch", plant, "--duration", "1h", *words, *settings)
+    controller(device, run)
+    run.until_recorded()
+    parent = run.process_of("c1")
+    parent.send_signal(signal.SIGSTOP)  # If it died it would come back, and might take over.
+    run.until(shown(run, "c1+standby took over in cycle"), "news that the standby took over")
+    taken = re.findall(r"took over in cycle (\d+)", run.output.read_text())
+    late = int(taken[0]) + 5  # By then an input that nobody sends is silent.
+    run.until(lambda: misses_nothing(run, COMMAND, NODE, late), "a setpoint of the standby")
+    run.until(lambda: misses_nothing(run, IMPP, "c1", late), "an answer to the standby")
+    parent.send_signal(signal.SIGCONT)
+    run.process.send_signal(signal.SIGINT)
+    run.wait()
+    assert_none_left(run.folder)
+
+
+def misses_nothing(run: Heliarch, wanted: Signal[Any], node: str, since: int) -> bool:
+    """Whether some message of an agent since a cycle rests on all its inputs."""
+    with RunReader(run.folder) as reader:
+        found = [message for port, message in reader.messages(wanted) if port.node == node]
+    return any(message.cycle >= since and not message.missing for message in found)
 
 
 @pytest.mark.parametrize("pace", ["max", "10"])

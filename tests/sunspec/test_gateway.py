@@ -26,6 +26,7 @@ from sunspec.gateway import Gateway
 from sunspec.limited_inverter import LimitedInverter, LimitSettings
 from sunspec.process import Accounts, Connected, Event, News
 from sunspec.server import ServedPlant, Sky, served
+from sunspec.tables import devices_tables
 
 PLAN = plan_of({"c1/a": 100.0}, actuator="limit", cycle_ns=50_000_000, cycle_wall_ns=50_000_000)
 
@@ -127,7 +128,20 @@ def test_an_inverter_that_goes_and_comes_back_is_limited_again(tmp_path: Path) -
         eventually(lambda: newest(devices).power_kw == 30.0)
         running.__exit__(None, None, None)
     (account,) = next(event.devices for event in events if isinstance(event, Accounts))
-    assert account.reconnects == 1
+    assert (account.breaks, account.gone_s) == (1, None)
+
+
+def test_an_inverter_that_never_comes_back_is_gone_at_the_end(tmp_path: Path) -> None:
+    with served(one_inverter()) as addresses:
+        running = gateway(with_device(addresses["c1/a"]), tmp_path)
+        _, events = running.__enter__()
+    eventually(lambda: any(isinstance(event, News) for event in events))
+    running.__exit__(None, None, None)
+    (account,) = next(event.devices for event in events if isinstance(event, Accounts))
+    assert account.breaks == 1
+    assert account.gone_s is not None
+    (table,) = devices_tables([account])
+    assert table.rows[0][-2:] == (1, account.gone_s)
 
 
 class Busy(LimitedInverter):
@@ -155,7 +169,7 @@ def test_a_limit_that_is_refused_is_written_again_with_the_next_command(tmp_path
         devices.command(0, command(1, 30.0))
         eventually(lambda: newest(devices).power_kw == 30.0)
     (account,) = next(event.devices for event in events if isinstance(event, Accounts))
-    assert (account.refused, account.reconnects) == (1, 0)
+    assert (account.refused, account.breaks) == (1, 0)
 
 
 def test_an_inverter_that_is_not_there_is_refused_by_name() -> None:

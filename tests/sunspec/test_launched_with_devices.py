@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from running import REPOSITORY, Heliarch, small_plant
 
@@ -66,6 +67,39 @@ def test_energies_are_those_of_simulated_inverters(
     assert verified.returncode == 0, verified.stdout
     assert "plant" in verified.stdout
     assert "devices" in verified.stdout
+
+
+def test_a_run_names_its_gateway_that_was_killed(
+    scenario: str, served_inverters: list[str], heliarch: Callable[..., Heliarch]
+) -> None:
+    run = heliarch("launch", scenario, "--pace", "1", "--duration", "5m", *served_inverters)
+    run.until_running()
+    children = psutil.Process(run.process.pid).children()
+    (gateway,) = [child for child in children if child.cmdline()[-1] == "sunspec"]
+    gateway.kill()
+    assert run.wait() == 1
+    log = run.folder / "logs" / "gateway.log"
+    failure = (run.folder / "failure.txt").read_text()
+    for fact in (str(gateway.pid), "killed by signal 9", str(log)):
+        assert fact in failure
+    assert "c1/inv01" in log.read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (("--port", "22000", "--base-port", "30000"), "--base-port"),
+        (("--address", "203.0.113.1"), "203.0.113.1"),
+    ],
+)
+def test_inverters_that_cannot_be_served_are_refused_in_one_line(
+    scenario: str, options: tuple[str, ...], named: str
+) -> None:
+    words = [sys.executable, "-m", "launch_scripts", "inverters", scenario, *options]
+    refused = subprocess.run(words, capture_output=True, text=True, cwd=REPOSITORY, check=False)
+    assert refused.returncode == 2
+    (line,) = refused.stderr.splitlines()
+    assert named in line
 
 
 @pytest.mark.parametrize(
