@@ -71,7 +71,8 @@ def launch(
 
 def _read(summary: dict[str, Any], watched: Watched) -> Launch:
     """Take the figures out of a summary: the one place that knows its names."""
-    (memory,) = (each for each in summary["memory"] if each["kind"] == "direct")
+    # A run may be over before anybody has looked at its memory.
+    memory = next((each for each in summary["memory"] if each["kind"] == "direct"), {})
     began = watched.started + summary["startup_s"]
     ended = began + summary["wall_s"]
     return Launch(
@@ -82,6 +83,6 @@ def _read(summary: dict[str, Any], watched: Watched) -> Launch:
         processes=watched.processes,
         messages=sum(each["published"] for each in summary["messages"]),
         lost=summary["messages_lost"],
-        resident_mb=memory["resident_median_mb"] or nan,
-        own_mb=memory["own_median_mb"] or nan,
+        resident_mb=memory.get("resident_median_mb") or nan,
+        own_mb=memory.get("own_median_mb") or nan,
     )
