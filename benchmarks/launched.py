@@ -72,7 +72,8 @@ def launch(
 def _read(summary: dict[str, Any], watched: Watched) -> Launch:
     """Take the figures out of a summary: the one place that knows its names."""
     # A run may be over before anybody has looked at its memory.
-    memory = next((each for each in summary["memory"] if each["kind"] == "direct"), {})
+    of_direct = (each for each in summary["memory"] if each["kind"] == "direct")
+    memory: dict[str, Any] = next(of_direct, {})
     began = watched.started + summary["startup_s"]
     ended = began + summary["wall_s"]
     return Launch(
