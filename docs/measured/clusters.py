@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any, Final
+from unittest.mock import patch
 
 import pandas as pd
 from tables import WORKERS, Lines, Tables, header, heliarch, hope, plant, row
@@ -155,12 +156,8 @@ def ten_skies(data: Path) -> Lines:
 @contextmanager
 def nothing_topped_up() -> Iterator[None]:
     """Let no parent top up its children between its turns."""
-    before = Periods.rests_between
-    Periods.rests_between = lambda self, node: False  # type: ignore[method-assign]
-    try:
+    with patch.object(Periods, "rests_between", return_value=False):
         yield
-    finally:
-        Periods.rests_between = before  # type: ignore[method-assign]
 
 
 def once_a_minute(data: Path) -> dict[str, tuple[ScenarioFile, dict[str, Any], int]]:

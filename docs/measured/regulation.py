@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -31,6 +32,7 @@ SEEDS: Final = range(1)
 JUDGED_WITH: Final = range(5)
 
 Days = list[dict[str, float]]
+Measure = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 @cache
@@ -108,17 +110,18 @@ def parts(data: Path) -> Lines:
         ("the logarithm of the mileage", lambda of: np.abs(np.diff(of)).mean(axis=-1)),
         ("the logarithm of the mean absolute value", lambda of: np.abs(of).mean(axis=-1)),
     ):
-
-        def variance(day: NDArray[np.float64], hours: int) -> float:
-            of_parts = measure(day.reshape(24 // hours, -1))  # noqa: B023
-            return float(np.var(np.log(of_parts), ddof=1))
-
         beyond = [
-            variance(real, hours) - np.mean([variance(day, hours) for day in equal_days])
+            _variance(measure, real, hours)
+            - np.mean([_variance(measure, day, hours) for day in equal_days])
             for hours in (2, 3, 4)
         ]
         of_days = np.std(np.log(measure(differing)))
         yield row([title, *(f"{max(one, 0.0) ** 0.5:.2f}" for one in beyond), f"{of_days:.2f}"])
+
+
+def _variance(measure: Measure, day: NDArray[np.float64], hours: int) -> float:
+    of_parts = measure(day.reshape(24 // hours, -1))
+    return float(np.var(np.log(of_parts), ddof=1))
 
 
 TABLES: Final[Tables] = {
