@@ -15,24 +15,18 @@ is 0 unless a run failed or messages got lost. How fast it was does not matter.
 from __future__ import annotations
 
 import argparse
-import os
-import platform
 import statistics
 import sys
 import tempfile
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
-from importlib.metadata import version
+from collections.abc import Iterable, Iterator, Sequence
 from math import isnan, nan
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
-from launched import Launch, launch
+from harness import OURS, Failure, Launch, launch, print_table, rounds_of, run, write_figures
 from mcap.reader import make_reader
-from outside import Failure, run
-from rich.console import Console
-from rich.table import Table
 
 HERE: Final = Path(__file__).parent
 SAMPLE_CYCLES: Final = 60
@@ -121,9 +115,9 @@ def describe(payloads: dict[str, bytes]) -> dict[str, object]:
     return {"processes": processes}
 
 
-def describe_scenario(heliarch: Path, scenario: str, folder: Path) -> Path:
+def describe_scenario(scenario: str, folder: Path) -> Path:
     """Record some cycles and write the description of one of them."""
-    launch(heliarch, scenario, SAMPLE_CYCLES, keep=folder / "run")
+    launch(OURS, scenario, SAMPLE_CYCLES, keep=folder / "run")
     path = folder / "graph.json"
     (recording,) = (folder / "run").glob("*.mcap")
     path.write_bytes(msgspec.json.encode(describe(recorded_cycle(recording, SAMPLE_CYCLES // 2))))
@@ -141,50 +135,41 @@ def bare(graph: Path, cycles: int) -> Bare:
 # What is printed --------------------------------------------------------------------------------
 
 
-def print_report(rounds: Sequence[Round], title: str, console: Console) -> None:
-    """Print the table."""
-    table = Table(title=title)
-    table.add_column("", no_wrap=True)
-    for heading in ("min", "median", "max"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("", style="dim", no_wrap=True)
-
-    def row(name: str, values: Sequence[float], digits: int, note: str = "") -> None:
-        known = [value for value in values if not isnan(value)] or [nan]
-        low, middle, high = min(known), statistics.median(known), max(known)
-        table.add_row(name, *(f"{value:,.{digits}f}" for value in (low, middle, high)), note)
-
-    launched, bares = [each.launched for each in rounds], [each.bare for each in rounds]
+def rows_of(rounds: Sequence[Round]) -> Iterator[tuple[str, ...]]:
+    """Yield the rows of the table: name, least, median and most of all rounds, note."""
+    bares = [each.bare for each in rounds]
+    launches = {"launch": [each.launched for each in rounds]}
     others = [each.other for each in rounds if each.other is not None]
-    several = [("launch", launched)] + ([("the other checkout", others)] if others else [])
-    for name, launches in several:
-        per_cycle = statistics.mean(each.messages / each.cycles for each in launches)
-        row(f"{name}, cycles/s", [each.cycles_per_s for each in launches], 0, _count(per_cycle))
-    row("bare graph, cycles/s", [each.cycles_per_s for each in bares], 0, _count(bares[0].messages))
-    row("launch / bare graph", _ratios(launched, bares), 2, "round by round")
     if others:
-        row("launch / the other checkout", _ratios(launched, others), 2, "round by round")
-    table.add_section()
-    for name, launches in several:
-        row(f"{name}, processor time", [each.processor_ms for each in launches], 1, "ms a cycle")
-    row("bare graph, processor time", [each.processor_ms for each in bares], 1, "ms a cycle")
-    row("bare graph, switches", [each.switches_per_message for each in bares], 1, "per message")
-    table.add_section()
-    for name, launches in several:
-        row(f"{name}, start-up", [each.startup_s for each in launches], 2, "s, command to cycle 0")
-    row("bare graph, start-up", [each.startup_s for each in bares], 2, "s, fork to all linked")
-    for name, launches in several:
-        row(f"{name}, direct controller", [each.own_mb for each in launches], 1, "MB, its own")
-        row("", [each.resident_mb for each in launches], 1, "MB, resident")
-    console.print(table)
+        launches["the other checkout"] = others
 
+    def row(name: str, values: Iterable[float], digits: int, note: str) -> tuple[str, ...]:
+        known = [value for value in values if not isnan(value)] or [nan]
+        figures = min(known), statistics.median(known), max(known)
+        return name, *(f"{value:,.{digits}f}" for value in figures), note
 
-def _count(messages: float) -> str:
-    return f"recorded, {messages:.1f} messages a cycle"
+    def each_launch(field: str, what: str, digits: int, note: str) -> Iterator[tuple[str, ...]]:
+        for name, found in launches.items():
+            yield row(f"{name}, {what}", (getattr(each, field) for each in found), digits, note)
 
-
-def _ratios(ours: Sequence[Launch], theirs: Sequence[Launch | Bare]) -> list[float]:
-    return [one.cycles_per_s / other.cycles_per_s for one, other in zip(ours, theirs, strict=True)]
+    messages = bares[0].messages
+    yield from each_launch("cycles_per_s", "cycles/s", 0, "recorded")
+    yield row("bare graph, cycles/s", (each.cycles_per_s for each in bares), 0, "recorded")
+    for name, against in (("bare graph", bares), ("the other checkout", others)):
+        if against:
+            pairs = zip(launches["launch"], against, strict=True)
+            ratios = (one.cycles_per_s / other.cycles_per_s for one, other in pairs)
+            yield row(f"launch / {name}", ratios, 2, "round by round")
+    yield from each_launch("processor_ms", "processor time", 1, "ms a cycle")
+    yield row("bare graph, processor time", (each.processor_ms for each in bares), 1, "ms a cycle")
+    switches = (each.switches_per_message for each in bares)
+    yield row("bare graph, switches", switches, 1, f"per message, {messages} a cycle")
+    yield from each_launch("startup_s", "start-up", 2, "s, command to cycle 0")
+    yield row(
+        "bare graph, start-up", (each.startup_s for each in bares), 2, "s, fork to all linked"
+    )
+    yield from each_launch("own_mb", "direct controller", 1, "MB, its own")
+    yield from each_launch("resident_mb", "direct controller", 1, "MB, resident")
 
 
 def main() -> int:
@@ -196,33 +181,23 @@ def main() -> int:
     parser.add_argument("--other", type=Path, metavar="DIR", help="another checkout to set beside")
     parser.add_argument("--json", type=Path, metavar="PATH", help="write all figures as JSON")
     options = parser.parse_args()
-    console = Console(width=110)
-    heliarch = Path(sys.executable).parent / "heliarch"
-    load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
+    scenario, cycles = options.scenario, options.cycles
     rounds: list[Round] = []
     try:
         with tempfile.TemporaryDirectory(prefix="bench-") as folder:
-            graph = describe_scenario(heliarch, options.scenario, Path(folder))
-            for number in range(options.rounds):
-                sys.stderr.write(f"round {number + 1} of {options.rounds}\n")
-                launched = launch(heliarch, options.scenario, options.cycles)
+            graph = describe_scenario(scenario, Path(folder))
+            for _ in rounds_of(options.rounds):
+                launched = launch(OURS, scenario, cycles)
                 other = options.other and launch(
-                    options.other / ".venv/bin/heliarch", options.scenario, options.cycles
+                    options.other / ".venv/bin/heliarch", scenario, cycles
                 )
-                rounds.append(Round(launched, bare(graph, options.cycles), other))
+                rounds.append(Round(launched, bare(graph, cycles), other))
     except Failure as failure:
         sys.stderr.write(f"cycle rate: {failure}\n")
         return 1
-    title = f"{options.scenario}: {options.rounds} rounds of {options.cycles:,} cycles"
-    print_report(rounds, title, console)
-    console.print(
-        f"{platform.system()} {platform.release()}, {os.cpu_count()} cores, Python "
-        f"{platform.python_version()}, Zenoh {version('eclipse-zenoh')}; "
-        f"load average before {load}",
-        highlight=False,
-    )
-    if options.json is not None:
-        options.json.write_bytes(msgspec.json.format(msgspec.json.encode(rounds), indent=1))
+    title = f"{scenario}: {options.rounds} rounds of {cycles:,} cycles"
+    print_table(title, ("", "min", "median", "max", ""), rows_of(rounds))
+    write_figures(rounds, options.json)
     lost = sum(each.launched.lost + each.bare.lost for each in rounds)
     if lost:
         sys.stderr.write(f"cycle rate: {lost:,} messages lost\n")
