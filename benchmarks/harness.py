@@ -83,11 +83,6 @@ def run(command: Sequence[str], look: Callable[[str], None] = lambda text: None)
 
     It gets SIGTERM if this process ends before it, and is killed with its descendants if it takes
     too long.
-
-    Raises
-    ------
-    Failure
-        It failed, or took too long.
     """
     with tempfile.NamedTemporaryFile("w", prefix="bench-") as output:
         started = time.monotonic()

@@ -38,12 +38,7 @@ class _Stage(NamedTuple):
 class NodeStates:
     """Reads the state of a plant's nodes from its recording, cycle by cycle.
 
-    Attributes
-    ----------
-    follower
-        The recording.
-    agents
-        The plant, then the controllers in the order of the tree's nodes.
+    `agents` are the plant, then the controllers in the order of the tree's nodes.
     """
 
     def __init__(self, follower: RunFollower) -> None:

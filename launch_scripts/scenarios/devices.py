@@ -25,13 +25,7 @@ class DeviceTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def devices(
     tables: Iterable[DeviceTable], options: Sequence[str], tree: ControlTree
 ) -> tuple[tuple[str, str], ...]:
-    """Return node and address of each real inverter; options replace what the scenario says.
-
-    Raises
-    ------
-    InputError
-        There is no such inverter, or an address that cannot be read.
-    """
+    """Return node and address of each real inverter; options replace what the scenario says."""
     found = {table.node: ("devices", table.address) for table in tables}
     for option in options:
         node, _, address = option.partition("=")
@@ -47,13 +41,7 @@ def devices(
 
 
 def check_devices(plan: RunPlan) -> None:
-    """Refuse real inverters where a run cannot have them.
-
-    Raises
-    ------
-    InputError
-        Lockstep, the actuator `fraction`, or a plant that is external.
-    """
+    """Refuse real inverters where a run cannot have them."""
     if not plan.devices:
         return
     node = plan.devices[0][0]

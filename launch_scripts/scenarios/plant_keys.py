@@ -52,13 +52,7 @@ class MadeKeys(NamedTuple):
 def make_keys(
     folder: Path, plant: str, agents: Sequence[str], days: float, addresses: Iterable[str]
 ) -> MadeKeys:
-    """Make a certificate for each agent, and the authority that signs them if there is none yet.
-
-    Raises
-    ------
-    InputError
-        The folder has the authority of another plant, or an address is none.
-    """
+    """Make a certificate for each agent, and the authority that signs them if there is none yet."""
     hosts = [_address("--address", address) for address in (LOOPBACK, *addresses)]
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -79,13 +73,7 @@ def make_keys(
 
 
 def check_keys(plan: RunPlan) -> None:
-    """Refuse keys with which Zenoh would not open the links of a run.
-
-    Raises
-    ------
-    InputError
-        Names the first file that is wrong.
-    """
+    """Refuse keys with which Zenoh would not open the links of a run."""
     folder = Path(plan.keys_folder)
     if not (folder / "ca.pem").exists():
         raise InputError(
