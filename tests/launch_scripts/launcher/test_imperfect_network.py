@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from sent_messages import Sent
+from sent_messages import Sent, run_with
 from typer.testing import CliRunner
 
 from bus_schemas.codec import encode
@@ -20,7 +19,6 @@ from bus_schemas.messages import Message
 from bus_schemas.missing import parse_missing
 from bus_schemas.signals import (
     COMMAND,
-    DISPATCH,
     HELP,
     IMPP,
     PRODUCTION,
@@ -29,7 +27,7 @@ from bus_schemas.signals import (
 )
 from bus_schemas.tree import ROOT
 from launch_scripts.cli import app
-from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
+from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 
@@ -56,18 +54,6 @@ def decisions(sent: Sent) -> list[tuple[str, bytes]]:
 
 def timeless(message: Message) -> Message:
     return msgspec.structs.replace(message, publish_time_ns=0, ready_time_ns=0)
-
-
-def run_with(
-    prepared: Preparation, rules: Sequence[FaultRule], **changes: object
-) -> tuple[MemoryRun, Sent]:
-    """Run through in memory, by a virtual clock if there are rules."""
-    plan = msgspec.structs.replace(prepared.plan, faults=tuple(rules), **changes)
-    sent = Sent()
-    run = MemoryRun(on_the_clock(plan) if rules else plan, prepared.profile, sent)
-    assert list(run.cycles()) == list(range(plan.cycles))
-    run.close()
-    return run, sent
 
 
 def total(run: MemoryRun, name: str) -> int:
@@ -101,14 +87,6 @@ def test_help_that_is_lost_keeps_nobody_waiting(valley: Preparation) -> None:
     for _, message in sent.messages:
         last = message.cycle - (message.cycle == CYCLES)  # The stop comes after the last cycle.
         assert message.publish_time_ns == last * SECOND_NS, "it went out at once"
-
-
-def test_a_doubled_message_is_dropped_and_counted(valley: Preparation) -> None:
-    leaf = valley.plan.tree.leaves[0]
-    run, sent = run_with(valley, [FaultRule(listener=leaf, signal="setpoint", duplicate=1.0)])
-    assert run.bus.tally.as_counts() == {"duplicated": CYCLES}
-    assert run.loops[leaf].dropped == {(f"{leaf}/setpoint", "duplicate"): CYCLES}
-    assert decisions(sent) == decisions(run_with(valley, ())[1])
 
 
 # What is lost and late ----------------------------------------------------------------------------
@@ -162,18 +140,16 @@ def test_a_message_that_is_late_in_every_cycle_is_used_in_the_next(valley: Prepa
     assert sent.of(COMMAND.of(leaf))[9].missing == (f"{leaf}/setpoint@8",)
 
 
-def test_the_plant_ticks_on_the_clock_whatever_the_network_does(valley: Preparation) -> None:
-    _, sent = run_with(valley, [FaultRule(loss=0.3, delay_ms=400.0, jitter_ms=300.0)])
+@pytest.mark.parametrize("pace", [1, 10])
+def test_the_plant_ticks_on_the_clock_whatever_the_network_does(
+    valley: Preparation, pace: int
+) -> None:
+    rule = FaultRule(loss=0.3, delay_ms=400.0, jitter_ms=300.0)
+    _, sent = run_with(valley, [rule], cycle_wall_ns=SECOND_NS // pace)
     leaf = valley.plan.tree.leaves[0]
     ticks = [message.publish_time_ns for message in sent.of(TELEMETRY.of(leaf)).values()]
-    assert ticks == [cycle * SECOND_NS for cycle in range(CYCLES)]
+    assert ticks == [cycle * SECOND_NS // pace for cycle in range(CYCLES)]
     assert len(sent.of(PRODUCTION.of(ROOT))) == CYCLES
-
-
-def test_the_clock_goes_by_the_pace(valley: Preparation) -> None:
-    _, sent = run_with(valley, [FaultRule(delay_ms=1.0)], cycle_wall_ns=SECOND_NS // 10, cycles=5)
-    ticks = [message.publish_time_ns for message in sent.of(DISPATCH.of(ROOT)).values()]
-    assert ticks == [cycle * SECOND_NS // 10 for cycle in range(5)]
 
 
 # Controllers that are slow, or never answer -------------------------------------------------------

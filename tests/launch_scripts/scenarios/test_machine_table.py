@@ -26,10 +26,6 @@ def settings(
     return machine_settings(read, cpus, priority, lockstep=lockstep)
 
 
-def test_nothing_said_is_nothing_special() -> None:
-    assert settings() == MachineSettings()
-
-
 @pytest.mark.parametrize(
     ("word", "cpus"), [("0", (0,)), ("0-1", (0, 1)), ("3,0", (0, 3)), ("0-1,3", (0, 1, 3))]
 )
@@ -55,9 +51,6 @@ def test_other_words_are_refused(word: str) -> None:
 def test_a_priority_is_1_to_99(priority: int) -> None:
     with pytest.raises(InputError, match="--priority: expected 1 to 99"):
         settings(priority=priority)
-
-
-def test_a_priority_needs_a_clock() -> None:
     with pytest.raises(InputError, match="--priority: expected a --pace"):
         settings(priority=20, lockstep=True)
 

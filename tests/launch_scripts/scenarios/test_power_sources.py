@@ -97,28 +97,12 @@ def test_a_sensor_left_out_takes_its_inverter_and_rating_away(oahu: Copy, tmp_pa
     )
 
 
-def test_an_earlier_day_without_a_sensor_of_the_run_is_filled(oahu: Copy, tmp_path: Path) -> None:
-    ghi_wm2 = clouds(1)
-    ghi_wm2[:, AP3] = np.nan
-    write_day(tmp_path / "archive", date(2010, 3, 30), ghi_wm2)
-    found = oahu.prepare()
-    assert found.profile.mpp_kw.shape == (120, 17)
-    assert found.remarks[0].startswith("20100330.txt: AP3: 120 of 120 values missing, filled from ")
-
-
 def test_clusters_are_those_of_the_earlier_day(oahu: Copy, tmp_path: Path) -> None:
     leaves = oahu.prepare().plan.tree.leaves
     write_day(tmp_path / "archive", date(2010, 4, 1), clouds(3))
     assert oahu.prepare().plan.tree.leaves == leaves
     write_day(tmp_path / "archive", date(2010, 3, 31), clouds(4))
     assert oahu.prepare().plan.tree.leaves != leaves
-
-
-def test_hindsight_needs_no_earlier_day(oahu: Copy, tmp_path: Path) -> None:
-    (tmp_path / "archive" / "20100330.txt").unlink()
-    assert "of a day before 2010-04-01" in oahu.complaint()
-    oahu.change('"earlier-day"', '"hindsight"')
-    assert oahu.prepare().hindsight
 
 
 def test_gaps_may_be_refused(oahu: Copy, tmp_path: Path) -> None:
@@ -129,13 +113,15 @@ def test_gaps_may_be_refused(oahu: Copy, tmp_path: Path) -> None:
     assert "20100401.txt: line 8, field 17 (AP3): expected" in oahu.complaint()
 
 
-def test_a_day_shorter_than_the_run_is_refused(oahu: Copy) -> None:
+def test_a_day_shorter_than_the_run_and_a_folder_without_days_are_refused(
+    oahu: Copy, tmp_path: Path
+) -> None:
     assert "2010-04-01T22:02:01Z" in oahu.complaint(duration="121s")
-
-
-def test_a_folder_without_daily_files_is_refused(oahu: Copy, tmp_path: Path) -> None:
-    for path in (tmp_path / "archive").glob("*.txt"):
-        path.unlink()
+    (tmp_path / "archive" / "20100330.txt").unlink()
+    assert "of a day before 2010-04-01" in oahu.complaint()
+    oahu.change('"earlier-day"', '"hindsight"')
+    assert oahu.prepare().hindsight, "that needs no earlier day"
+    (tmp_path / "archive" / "20100401.txt").unlink()
     assert oahu.complaint().startswith(f"{tmp_path / 'archive'}: expected")
 
 
@@ -231,7 +217,4 @@ def test_every_hour_of_the_real_plant_can_be_run(
     found = copy.prepare()
     assert found.profile.mpp_kw.shape == (360, inverters)
     assert found.plan.tree.rating_kw("") == pytest.approx(800.0 * inverters)
-    sizes = sorted(len(found.plan.tree.children(f"c{number}")) for number in range(1, 6))
-    assert sizes == ([4, 4, 5, 5, 5] if inverters == 23 else [5] * 5)
-    told = [line for line in found.remarks if "left out" in line]
-    assert len(told) == 25 - inverters
+    assert len([line for line in found.remarks if "left out" in line]) == 25 - inverters
