@@ -230,19 +230,6 @@ def test_with_old_reports_the_papers_rule_gives_no_more_than_there_is_and_predic
     assert given_beyond_impp_kw(clouds, "predictive") > 1.0
 
 
-@pytest.mark.parametrize("scheme", ["paper", "predictive"])
-def test_from_the_first_cycle_on_the_plant_gives_about_what_is_desired(scheme: str) -> None:
-    """Tiers of 60 and 10 cycles, loss and delay: nothing is free until the first setpoint comes."""
-    prepared = prepare(load_scenario("valley"), RunOptions(duration="77"), "start")
-    rule = FaultRule(loss=0.3, delay_ms=300.0, jitter_ms=200.0)
-    _, sent = run_with(prepared, [rule], scheme=scheme, period_cycles=(60, 10, 1))
-    production = sent.of(PRODUCTION.of(ROOT)).values()
-    # In cycle 0 a lost dispatch leaves an inverter as it was before the run: free.
-    shares = [made.delivered_kw / made.desired_kw for made in production]
-    assert max(shares[5:]) < 1.05
-    assert sum(shares[5:]) / len(shares[5:]) < 1.01
-
-
 def test_a_silence_is_in_simulated_time_at_any_pace_and_a_rule_without_messages_is_named(
     tmp_path: Path,
 ) -> None:
