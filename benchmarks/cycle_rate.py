@@ -22,11 +22,16 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from math import isnan, nan
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 from harness import OURS, Failure, Launch, launch, print_table, rounds_of, run, write_figures
-from mcap.reader import make_reader
+
+from agents.cycle import stage_of
+from agents.team import controllers
+from recordings import open_run
+from sim_plant.plant import Plant
+from sim_plant.profile import load_profile
 
 HERE: Final = Path(__file__).parent
 SAMPLE_CYCLES: Final = 60
@@ -52,75 +57,34 @@ class Round(msgspec.Struct, frozen=True):
     other: Launch | None = None
 
 
-# The messages of one cycle, as the bare graph takes them ----------------------------------------
-
-
-def recorded_cycle(recording: Path, cycle: int) -> dict[str, bytes]:
-    """Return the payloads of one recorded cycle by their keys."""
-    with recording.open("rb") as file:
-        return {
-            channel.topic: message.data
-            for _, channel, message in make_reader(file).iter_messages()
-            if msgspec.msgpack.decode(message.data).get("cycle") == cycle
-        }
-
-
-def describe(payloads: dict[str, bytes]) -> dict[str, object]:
-    """Lay out the messages of one cycle as processes and stages (see `bare_graph.Graph`).
-
-    The cycle is that of the wire document: plant, direct controllers, supervisors, central
-    controller, and back. A message that no stage waits for goes out with its node's report.
-    """
-    nodes: dict[str, set[str]] = defaultdict(set)
-    for key in payloads:
-        node, signal = key.rsplit("/", 1)
-        nodes[node].add(signal)
-    root = min(nodes, key=len)
-    parents = {node: node.rsplit("/", 1)[0] for node in nodes if node != root}
-    leaves = [node for node in nodes if "telemetry" in nodes[node]]
-    inner = sorted({*parents.values()}, key=lambda node: (node.count("/"), node))
-
-    def said(node: str, *signals: str) -> list[str]:
-        return [f"{node}/{signal}" for signal in signals if signal in nodes[node]]
-
-    def each(several: Iterable[str], *signals: str) -> list[str]:
-        return [key for node in several for key in said(node, *signals)]
-
-    def stage(awaits: list[str], puts: list[str]) -> dict[str, list[Any]]:
-        return {"awaits": awaits, "puts": [{"key": key, "payload": payloads[key]} for key in puts]}
-
-    world = said(root, "dispatch", "meter") + each(leaves, "telemetry")
-    report = ("impp", "residual", "help")
-    processes: list[dict[str, object]] = []
-
-    def process(name: str, also: list[str], *stages: dict[str, list[Any]]) -> None:
-        hears = dict.fromkeys([*also, *(key for one in stages for key in one["awaits"])])
-        processes.append({"name": name, "hears": list(hears), "stages": stages})
-
-    commands = each(leaves, "command")
-    process("plant", [], stage([], world), stage(commands, said(root, "production")))
-    dispatch = said(root, "dispatch")
-    for node in inner:
-        children = [child for child, parent in parents.items() if parent == node]
-        reports, solved = each(children, "impp", "residual"), each(children, "setpoint")
-        if node == root:
-            heard = [*reports, *said(root, "dispatch", "meter")]
-            process("central", [], stage(heard, said(root, *report) + solved))
-        else:
-            up = stage(reports, said(node, *report))
-            process(node, dispatch, up, stage(said(node, "setpoint"), solved))
-    for node in leaves:
-        up = stage([*said(node, "telemetry"), *dispatch], said(node, *report))
-        process(node, [], up, stage(said(node, "setpoint"), said(node, "command")))
-    return {"processes": processes}
-
-
-def describe_scenario(scenario: str, folder: Path) -> Path:
-    """Record some cycles and write the description of one of them."""
+def describe(scenario: str, folder: Path) -> Path:
+    """Record some cycles; write one of them as the bare graph reads it (see `bare_graph.Graph`)."""
     launch(OURS, scenario, SAMPLE_CYCLES, keep=folder / "run")
+    middle = range(SAMPLE_CYCLES // 2, SAMPLE_CYCLES // 2 + 1)
+    puts: dict[tuple[str, str], list[dict[str, object]]] = defaultdict(list)
+    with open_run(folder / "run") as recording:
+        plan = recording.plan
+        for record in recording.records(cycles=middle):
+            stage = record.port.publisher, stage_of(record.port, plan.tree)
+            puts[stage].append({"key": str(record.port), "payload": record.payload})
+    said = {put["key"] for of_stage in puts.values() for put in of_stage}
+    agents = Plant(plan, load_profile(folder / "run" / "profile.npz")), *controllers(plan)
+    processes = [
+        {
+            "name": agent.name,
+            "hears": [str(port) for port in plan.wiring.heard[agent.name] if str(port) in said],
+            "stages": [
+                {
+                    "awaits": [str(port) for port in stage.awaits if str(port) in said],
+                    "puts": puts[agent.name, stage.name],
+                }
+                for stage in agent.stages(middle.start)
+            ],
+        }
+        for agent in agents
+    ]
     path = folder / "graph.json"
-    (recording,) = (folder / "run").glob("*.mcap")
-    path.write_bytes(msgspec.json.encode(describe(recorded_cycle(recording, SAMPLE_CYCLES // 2))))
+    path.write_bytes(msgspec.json.encode({"processes": processes}))
     return path
 
 
@@ -185,7 +149,7 @@ def main() -> int:
     rounds: list[Round] = []
     try:
         with tempfile.TemporaryDirectory(prefix="bench-") as folder:
-            graph = describe_scenario(scenario, Path(folder))
+            graph = describe(scenario, Path(folder))
             for _ in rounds_of(options.rounds):
                 launched = launch(OURS, scenario, cycles)
                 other = options.other and launch(
