@@ -92,11 +92,9 @@ def measure(way: Way, scenario: str, cycles: int, rate: int, seconds: int) -> Co
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         out, figures = Path(folder) / "run", Path(folder) / "timing.json"
         browsers = Browsers(way.browsers)
+        cycles, pace = seconds * rate, str(rate)
         real = launch(
-            *(way.program, scenario, seconds * rate, *way.words),
-            pace=str(rate),
-            keep=out,
-            look=browsers.look,
+            way.program, scenario, cycles, *way.words, pace=pace, keep=out, look=browsers.look
         )
         # Its exit status says whether budgets are met, which does not matter here.
         judge = [str(way.program), "timing", str(out), "--json", str(figures)]

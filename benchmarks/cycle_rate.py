@@ -119,7 +119,11 @@ def rows_of(rounds: Sequence[Round]) -> Iterator[tuple[str, ...]]:
     messages = bares[0].messages
     yield from each_launch("cycles_per_s", "cycles/s", 0, "recorded")
     yield row("bare graph, cycles/s", (each.cycles_per_s for each in bares), 0, "recorded")
-    for name, against in (("bare graph", bares), ("the other checkout", others)):
+    beside: dict[str, Sequence[Bare | Launch]] = {
+        "bare graph": bares,
+        "the other checkout": others,
+    }
+    for name, against in beside.items():
         if against:
             pairs = zip(launches["launch"], against, strict=True)
             ratios = (one.cycles_per_s / other.cycles_per_s for one, other in pairs)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -68,7 +69,7 @@ def total(run: MemoryRun, name: str) -> int:
 def test_delays_within_the_cycle_change_nothing_but_the_time(
     valley: Preparation, scheme: str, periods: tuple[int, ...]
 ) -> None:
-    changes = {"scheme": scheme, "period_cycles": periods}
+    changes: dict[str, Any] = {"scheme": scheme, "period_cycles": periods}
     # A place of the cycle has 0.9 s / 8 = 112 ms.
     run, sent = run_with(valley, [FaultRule(delay_ms=80.0)], **changes)
     assert (total(run, "missing_inputs"), total(run, "old_inputs")) == (0, 0)
@@ -161,7 +162,7 @@ def test_the_plant_ticks_on_the_clock_whatever_the_network_does(
 def test_everybody_goes_on_without_a_controller_that_never_answers(
     valley: Preparation, silent: str, periods: tuple[int, ...], deadlines_ms: tuple[int, ...]
 ) -> None:
-    changes = {
+    changes: dict[str, Any] = {
         "period_cycles": periods,
         "tier_deadlines_ns": tuple(deadline * MS for deadline in deadlines_ms),
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from sent_messages import run_with
@@ -29,7 +30,8 @@ class Run:
     """A run with a standby of each parent, and what was sent."""
 
     def __init__(self, prepared: Preparation, *faults: str, **changes: object) -> None:
-        self.memory, sent = run_with(prepared, faults, **{"standby": PARENTS, **changes})
+        changed: dict[str, Any] = {"standby": PARENTS, **changes}
+        self.memory, sent = run_with(prepared, faults, **changed)
         self.sent = sent.messages
 
     @property
