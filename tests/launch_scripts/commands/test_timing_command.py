@@ -77,8 +77,9 @@ def test_a_run_that_was_recorded_earlier_is_timed_without_running_anything(tmp_p
     assert (found["cycles"], found["lost_messages"]) == (2, 0)
     assert found["processes"][0]["times"]
     assert "FAIL: " in (folder / "timing.html").read_text(encoding="utf-8")
-    recorded(tmp_path, cycle(0), plan=replace(PLAN, cycle_wall_ns=0))
-    assert "real time" in refusal("timing", tmp_path)
+    (tmp_path / "lockstep").mkdir()
+    run = recorded(tmp_path / "lockstep", cycle(0), plan=replace(PLAN, cycle_wall_ns=0))
+    assert "real time" in refusal("timing", run)
 
 
 @pytest.mark.parametrize(
