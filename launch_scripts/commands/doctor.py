@@ -85,8 +85,7 @@ def doctor(
 
 
 def _processors() -> Iterator[Finding]:
-    affinity = getattr(os, "sched_getaffinity", lambda pid: range(os.cpu_count() or 1))
-    cores = len(affinity(0))
+    cores = len(os.sched_getaffinity(0))
     few = "23 processes share them; with 4 or more, fewer messages are late"
     yield _judged("processors", f"{cores}", cores >= 4, few)
     load = os.getloadavg()[0]

@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from own_scenarios import Folder
 
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule
 from launch_scripts.scenarios.fault_rules import parse_fault
-from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.preparation import Preparation
 from launch_scripts.scenarios.scenario import load_scenario
-
-SHIPPED = Path(__file__).parents[3] / "launch_scripts" / "scenarios"
 
 
 @pytest.mark.parametrize(
@@ -52,10 +51,9 @@ def test_words_that_are_no_rule_are_refused(text: str, place: str) -> None:
 
 def prepared(tmp_path: Path, more: str, **options: object) -> Preparation:
     """A shipped scenario with more lines at its end."""
-    path = tmp_path / "imperfect.toml"
     head = "faults_seed = 9\n" if more else ""
-    path.write_text(head + (SHIPPED / "valley.toml").read_text() + more)
-    return prepare(load_scenario(str(path)), RunOptions(duration="20", **options), "by-hand")  # type: ignore[arg-type]
+    folder = Folder(tmp_path, head + load_scenario("valley").text + more)
+    return folder.prepare(duration="20", **options)
 
 
 TABLES = """

@@ -15,7 +15,7 @@ from launch_scripts.scenarios.machine_table import MachineTable, machine_setting
 @pytest.fixture(autouse=True)
 def four_cpus(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four processors, of which this process may use all but CPU 2."""
-    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1, 3}, raising=False)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1, 3})
 
 
 def settings(

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from complaints import complaint_of
+from own_scenarios import Folder
 
-from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario, shipped_scenarios
 
 SCENARIO = """\
@@ -80,34 +81,11 @@ utc,16,40
 POSITIONS = "station,lat,lon\n16,51.525,12.92\n40,51.526,12.93\n"
 
 
-class Folder:
-    """A folder with a scenario and its data, in which one thing is changed."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.scenario = path / "scenario.toml"
-        self.write("scenario.toml", SCENARIO)
-        self.write("plant.csv", INVERTERS)
-
-    def write(self, name: str, text: str) -> None:
-        (self.path / name).write_text(text, encoding="utf-8")
-
-    def change(self, old: str, new: str, name: str = "scenario.toml") -> None:
-        text = (self.path / name).read_text(encoding="utf-8")
-        assert old in text
-        self.write(name, text.replace(old, new))
-
-    def prepare(self, **options: object) -> Preparation:
-        scenario = load_scenario(str(self.scenario))
-        return prepare(scenario, RunOptions(**options), "by-hand")  # type: ignore[arg-type]
-
-    def complaint(self, **options: object) -> str:
-        return complaint_of(self.prepare, **options)
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Folder:
-    return Folder(tmp_path)
+    found = Folder(tmp_path, SCENARIO)
+    found.write("plant.csv", INVERTERS)
+    return found
 
 
 @pytest.fixture
