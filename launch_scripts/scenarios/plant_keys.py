@@ -52,7 +52,13 @@ class MadeKeys(NamedTuple):
 def make_keys(
     folder: Path, plant: str, agents: Sequence[str], days: float, addresses: Iterable[str]
 ) -> MadeKeys:
-    """Make a certificate for each agent, and the authority that signs them if there is none yet."""
+    """Make a certificate for each agent, and the authority that signs them if there is none yet.
+
+    Raises
+    ------
+    InputError
+        The folder has the authority of another plant, or an address is none.
+    """
     hosts = [_address("--address", address) for address in (LOOPBACK, *addresses)]
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -73,7 +79,13 @@ def make_keys(
 
 
 def check_keys(plan: RunPlan) -> None:
-    """Refuse keys with which Zenoh would not open the links of a run."""
+    """Refuse keys with which Zenoh would not open the links of a run.
+
+    Raises
+    ------
+    InputError
+        Names the first file that is wrong.
+    """
     folder = Path(plan.keys_folder)
     if not (folder / "ca.pem").exists():
         raise InputError(
