@@ -47,10 +47,24 @@ class MemoryUse(msgspec.Struct, frozen=True):
 class ProcessAccount(msgspec.Struct, frozen=True):
     """What one process of a run over processes said at its end, and what it took.
 
-    `dropped` are messages that it could not use, by cause. `missing_inputs` were awaited up to a
-    deadline, `old_inputs` of an earlier cycle used in place of them, and `skipped_cycles` over
-    before it came to them. `resident_mb` is the most memory that was seen resident, `cpu_s` the
-    processor time from cycle 0 to its end; `voluntary_switches` are those of its whole life.
+    Attributes
+    ----------
+    agent, kind
+        Its name, and `recorder`, `plant`, `central`, `supervisor` or `direct`.
+    dropped
+        Messages that it could not use, by cause.
+    resident_mb
+        Most memory that was seen resident [MB].
+    missing_inputs
+        Awaited inputs that a deadline found missing.
+    old_inputs
+        Inputs of an earlier cycle that it used in place of them.
+    skipped_cycles
+        Cycles that were over before it came to them.
+    cpu_s
+        Processor time from cycle 0 to its end [s].
+    voluntary_switches
+        How often it waited for something, over its whole life.
     """
 
     agent: str

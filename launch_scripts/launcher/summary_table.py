@@ -40,13 +40,19 @@ _SHARES: Final = {
 
 def print_summary(summary: RunSummary, console: Console) -> None:
     """Print the table, and the health of a run with faults or where something went wrong."""
-    cycles, health = summary.cycles, []
-    with suppress(InputError), RunReader(Path(summary.folder)) as run:
-        cycles = max(run.stop_cycle or 0, cycles)  # Also those that no recorder saw.
-        if summary.troubled or run.plan.faults:
-            health.append(health_table(run))
-    for table in (summary_table(summary, cycles), *devices_tables(summary.devices), *health):
+    cycles = _cycles_of_the_run(summary)
+    for table in (summary_table(summary, cycles), *devices_tables(summary.devices)):
         print_table(console, table)
+    with suppress(InputError), RunReader(Path(summary.folder)) as run:
+        if summary.troubled or run.plan.faults:
+            print_table(console, health_table(run))
+
+
+def _cycles_of_the_run(summary: RunSummary) -> int:
+    """Return how many cycles the run had, also those that no recorder saw."""
+    with suppress(InputError), RunReader(Path(summary.folder)) as run:
+        return max(run.stop_cycle or 0, summary.cycles)
+    return summary.cycles
 
 
 def summary_table(summary: RunSummary, cycles: int | None = None) -> Table:
