@@ -218,10 +218,10 @@ def _team() -> Iterator[tuple[str, Agent[Any]]]:
 
 def _published(agent: Agent[Any], stage: Stage) -> Iterator[str]:
     """Yield the signals that a stage publishes in a cycle in which it hears the plant alone."""
-    head, power = (0, 0, PLANT, ()), {"power_kw": 0.0}
-    of_dispatch = {"plant_rating_kw": 1.0, "commitment_kw": 0.0, "regulation_kw": 0.0}
-    dispatch = Dispatch(*head, **power, **of_dispatch)
-    telemetry = Telemetry(*head, **power, alpha=1.0, limit_kw=0.0)
+    dispatch = Dispatch(
+        0, 0, PLANT, (), power_kw=0.0, plant_rating_kw=1.0, commitment_kw=0.0, regulation_kw=0.0
+    )
+    telemetry = Telemetry(0, 0, PLANT, (), power_kw=0.0, alpha=1.0, limit_kw=0.0)
     state, outputs = agent.initial_state(), list[Delivery]()
     for done in agent.stages(0):
         inputs: dict[Any, Any] = dict.fromkeys((*done.awaits, *done.uses))
