@@ -84,8 +84,10 @@ class RunFollower:
         self.ports: dict[int, Port[Message]] = {}
         self._next_sequence: dict[int, int] = {}
         # Each node states its IMPP in each cycle; a real inverter that is gone has no telemetry.
-        self._names = {IMPP.of(node): agent_name(node) for node in self.plan.tree.nodes}
-        self._names |= {TELEMETRY.of(node): f"device {node}" for node, _ in self.plan.devices}
+        self._names: dict[Port[Message], str] = {
+            **{IMPP.of(node): agent_name(node) for node in self.plan.tree.nodes},
+            **{TELEMETRY.of(node): f"device {node}" for node, _ in self.plan.devices},
+        }
         self._heard = dict.fromkeys(self._names, -1)
         self._silent: set[Port[Message]] = set()
         self._power_kw = {name: np.full(self.plan.cycles, np.nan) for name in _POWERS}

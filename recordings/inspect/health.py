@@ -163,7 +163,9 @@ class HealthWatch:
         for port in self.gaps.ports:
             if step := due_step(plan, port):
                 steps[port.publisher] = min(step, steps.get(port.publisher, step))
-        self._devices = {TELEMETRY.of(node): f"device {node}" for node, _ in plan.devices}
+        self._devices: dict[Port[Message], str] = {
+            TELEMETRY.of(node): f"device {node}" for node, _ in plan.devices
+        }
         steps |= dict.fromkeys(self._devices.values(), 1)
         self._step = steps
         self._last_cycle = dict.fromkeys(steps, cycles.start - 1)
