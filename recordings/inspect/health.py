@@ -331,7 +331,7 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
         yield "absent", f"and {others:,} times more"
     if not health.absences:
         yield "absent", "nobody restarted, died, or missed a cycle"
-    yield from (("device", _device_text(one)) for one in health.devices if one.is_troubled)
+    yield from (("devices", text) for text in _devices_texts(health.devices))
     if health.failure:
         yield "run", f"failed: {health.failure}"
     else:
@@ -388,12 +388,12 @@ def _absence_text(absence: Absence, clock: RunClock) -> str:
     return f"{text}, then back{', numbered from 0 again' if absence.restarted else ''}"
 
 
-def _device_text(device: DeviceAccount) -> str:
-    breaks = f"{device.breaks:,} time{'s' * (device.breaks != 1)}"
-    return (
-        f"{device.node}: connection lost {breaks}, {device.late:,} of {device.reads.count:,} "
-        f"readings late, {device.refused:,} requests refused"
-    )
+def _devices_texts(devices: tuple[DeviceAccount, ...]) -> Iterator[str]:
+    fields = {"breaks": "lost connections", "late": "late readings", "refused": "refused requests"}
+    for field, what in fields.items():
+        if counts := +Counter({device.node: getattr(device, field) for device in devices}):
+            worst = ", ".join(f"{node} {count:,}" for node, count in counts.most_common(_NAMED))
+            yield f"{counts.total():,} {what}, most at {worst}"
 
 
 def _launcher_account(run: RunReader) -> LauncherAccount | None:

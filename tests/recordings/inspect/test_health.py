@@ -105,7 +105,7 @@ def test_a_real_inverter_that_was_gone_or_refused_is_named(tmp_path: Path) -> No
     write_accounts(tmp_path, (account,))
     health, text = health_of(tmp_path)
     assert health.absences == (Absence(f"device {DEVICE}", 20, 29, 30, False),)
-    for fact in ("12:00:20 to 12:00:29", "connection lost 1 time", "3 of 50", "4 requests"):
+    for fact in ("12:00:20 to 12:00:29", "1 lost", "3 late", "4 refused"):
         assert fact in text
 
 
