@@ -24,7 +24,7 @@ from studies.conformance.trial import Edit, Trial
 UNDISTURBED: Final = 5
 RANDOM: Final = 10
 """Cycles of random inputs."""
-RANDOM_FAULTS: Final = 20
+RANDOM_FAULTS: Final = 12
 """Cycles in real time in which inputs have random fates."""
 
 _FATES: Final = ("in time", "in time", "lost", "twice", "late", "held back")
