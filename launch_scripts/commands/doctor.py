@@ -26,7 +26,12 @@ from studies.tables import console_for
 
 EXAMPLE: Final = "heliarch doctor"
 
-_PACKAGES: Final = ("heliarch", "eclipse-zenoh", "numpy", "msgspec", "mcap", "cryptography")
+_PACKAGES: Final = ("heliarch", "eclipse-zenoh", "numpy", "msgspec", "mcap")
+_OPTIONAL: Final = {
+    "cryptography": "--secure needs it: pip install 'heliarch[keys]'",
+    "pymodbus": "real inverters and `inverters` need it: pip install 'heliarch[modbus]'",
+}
+
 _BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome", "firefox")
 _CLOCK: Final = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 _GOVERNOR: Final = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
@@ -86,7 +91,7 @@ def doctor(
 
 def _processors() -> Iterator[Finding]:
     cores = len(os.sched_getaffinity(0))
-    few = "23 processes share them; with 4 or more, fewer messages are late"
+    few = "use 4 or more if you can: the 23 processes of oahu share them"
     yield _judged("processors", f"{cores}", cores >= 4, few)
     load = os.getloadavg()[0]
     busy = "other programs are running: end them before you measure"
@@ -147,10 +152,12 @@ def _loopback() -> Iterator[Finding]:
     try:
         trips_us = sorted(_round_trips_us(500))
     except OSError as error:
-        yield Finding("loopback", f"{error.strerror}", "wrong", "agents listen on 127.0.0.1")
+        advice = "agents listen on 127.0.0.1: ip link set lo up"
+        yield Finding("loopback", f"{error.strerror}", "wrong", advice)
         return
     text = f"median {trips_us[250]:.0f} µs there and back, 99 of 100 within {trips_us[495]:.0f} µs"
-    yield _judged("loopback", text, trips_us[250] < 200.0, "a cycle waits for eight such hops")
+    advice = "a cycle waits for eight such hops: end other programs"
+    yield _judged("loopback", text, trips_us[250] < 200.0, advice)
 
 
 def _round_trips_us(times: int) -> list[float]:
@@ -191,7 +198,8 @@ def _zenoh() -> Iterator[Finding]:
         with open_session(SessionSettings("doctor", ["tcp/127.0.0.1:0"], [])):
             threads = psutil.Process().num_threads() - before
     except zenoh.ZError as error:
-        yield Finding("Zenoh", f"{error}", "wrong", "no agent can open its session")
+        advice = "no agent can open its session: reinstall eclipse-zenoh"
+        yield Finding("Zenoh", f"{error}", "wrong", advice)
         return
     text = f"a session has {threads} thread" + "s" * (threads != 1)
     advice = "unset ZENOH_RUNTIME: one worker thread for each agent is fastest"
@@ -233,21 +241,19 @@ def _memory() -> Iterator[Finding]:
 
     free_mb = psutil.virtual_memory().available / 1e6
     processes = int(free_mb // 25)
+    advice = "a process needs about 25 MB: end other programs, or take a smaller plant"
     text = f"{free_mb:,.0f} MB free, enough for about {processes:,} processes"
-    yield _judged("memory", text, processes >= 40, "a process needs about 25 MB")
+    yield _judged("memory", text, processes >= 40, advice)
 
 
 def _versions() -> Iterator[Finding]:
-    found, absent = [f"Python {platform.python_version()}"], []
-    for name in _PACKAGES:
+    found = [f"Python {platform.python_version()}"]
+    for name in (*_PACKAGES, *_OPTIONAL):
         try:
             found.append(f"{name} {version(name)}")
         except PackageNotFoundError:
-            absent.append(name)
+            yield Finding(name, "not installed", "ok", _OPTIONAL.get(name, "reinstall heliarch"))
     yield Finding("versions", ", ".join(found))
-    if "cryptography" in absent:
-        advice = "--secure needs it: pip install 'heliarch[keys]'"
-        yield Finding("cryptography", "not installed", "ok", advice)
     browser = next(filter(None, map(shutil.which, _BROWSERS)), None)
     advice = "open the page from another host: --page-address"
     yield _judged("browser", browser or "none found", browser is not None, advice, "ok")
@@ -258,7 +264,7 @@ def _disk(folder: Path) -> Finding:
     # 17 inverters take about 6 kB a cycle.
     hours = free_gb * 1e6 / 6.0 / 3600.0
     text = f"{free_gb:,.1f} GB free, about {hours:,.0f} h of 17 inverters at 1 cycle/s"
-    advice = "a recording ends early when the disk is full"
+    advice = "free some, or choose another folder for runs with --out"
     return _judged("disk", text, free_gb >= 0.1, advice, "wrong")
 
 
