@@ -22,7 +22,7 @@ from plans_by_hand import plan_of
 
 from agents.plan import RunPlan
 from agents.session import session_settings, users
-from bus_schemas.access import session_id
+from bus_schemas.access import password, session_id
 from bus_schemas.signals import CLOCK
 from bus_schemas.tree import PLANT, RECORDER
 from bus_schemas.zenoh_bus import KeyFiles, SessionSettings
@@ -111,7 +111,11 @@ class Team:
         }
 
     def intrude(
-        self, mode: str = "peer", keys: KeyFiles | None = None, session_id: str = ""
+        self,
+        mode: str = "peer",
+        keys: KeyFiles | None = None,
+        session_id: str = "",
+        password: str = "",
     ) -> Heard:
         """Let a program speak that is none of the agents; return who hears what of it."""
         with ExitStack() as stack:
@@ -123,6 +127,8 @@ class Team:
                     [f"{self.plan.host}:{port}"],
                     keys=keys,
                     session_id=session_id,
+                    user=PLANT if password else "",
+                    password=password,
                 )
                 config = settings.config()
                 config.insert_json5("mode", f'"{mode}"')
@@ -183,7 +189,12 @@ def with_keys(keys: Path) -> Iterator[Team]:
 def test_without_keys_nobody_hears_a_stranger(without_keys: Team, mode: str) -> None:
     assert without_keys.intrude(mode) == set()
     # Whoever links with an agent is told the id of its session.
-    assert without_keys.intrude(mode, session_id=session_id(BARE.secret, PLANT)) == set()
+    plants_id = session_id(BARE.secret, PLANT)
+    assert without_keys.intrude(mode, session_id=plants_id) == set()
+    # Of each session there is one: as long as the plant lives, nobody can take its place.
+    plants_password = password(BARE.secret, PLANT)
+    found = without_keys.intrude(mode, session_id=plants_id, password=plants_password)
+    assert found == set()
 
 
 @pytest.mark.parametrize("mode", ["peer", "client"])

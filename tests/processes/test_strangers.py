@@ -240,6 +240,20 @@ def test_a_process_that_is_started_again_reads_renewed_certificates(
     assert ended(run).wrong == ()
 
 
+@pytest.mark.soak
+def test_a_run_in_lockstep_that_outlives_its_certificates_says_so(
+    heliarch: Start, tmp_path: Path
+) -> None:
+    pytest.importorskip("cryptography")
+    plant = small_plant(tmp_path / "plant", ("stall_timeout_s = 60", "stall_timeout_s = 5"))
+    done("keys", plant, "--out", tmp_path / "keys", "--days", str(20 / 86_400))
+    words = ("--duration", LONG, "--secure", "--keys", str(tmp_path / "keys"))
+    run = heliarch("launch", plant, *words)
+    assert run.wait() == 1
+    assert "`heliarch keys` renews it" in run.error_text()
+    assert_none_left(run.folder)
+
+
 def is_back(run: Heliarch, node: str) -> bool:
     """Whether a process that was started again has been heard."""
     with RunReader(run.folder) as reader:
