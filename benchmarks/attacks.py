@@ -74,11 +74,13 @@ class Attacker(NamedTuple):
     folder: str = ""
 
 
+EXTERNAL: Final = ("--external", DEVICE)
 SECURE: Final = ("--secure", "--keys", "own")
 ATTACKERS: Final = (
     Attacker("nothing"),
-    Attacker("nothing, beside a device", ("--external", DEVICE)),
     Attacker("plan.json", folder="plan"),
+    Attacker("nothing, beside a device", EXTERNAL),
+    Attacker("session ids, beside a device", EXTERNAL, folder="plan"),
     Attacker("nothing, with keys", SECURE),
     Attacker("keys of another plant", SECURE, DEVICE, "other"),
     *(Attacker(f"keys of {who}", SECURE, who, "own") for who in (DEVICE, "c2", "central", "plant")),
@@ -178,8 +180,10 @@ def sessions_of(attacker: Attacker, plan: RunPlan, keys: Path) -> Iterator[Sessi
         if attacker.folder == "plan":
             of_agent = {}
             for agent in plan.tree.agents():
-                name, proof = session_id(plan.secret, agent), password(plan.secret, agent)
-                forged = replace(settings, session_id=name, user=agent, password=proof)
+                forged = replace(settings, session_id=session_id(plan.secret, agent))
+                if not plan.external:
+                    proof = password(plan.secret, agent)
+                    forged = replace(forged, user=agent, password=proof)
                 of_agent[agent] = linked(forged, ("peer",))
             yield of_agent.__getitem__
         else:
@@ -211,7 +215,7 @@ def attacked(attacker: Attacker, options: argparse.Namespace, folder: Path) -> l
     with ExitStack() as stack:
         # The plan is written as soon as the run has ports; a device waits for it by itself.
         process = stack.enter_context(started([str(options.program), *words], options.keys))
-        if "--external" in attacker.words:
+        if attacker.words == EXTERNAL:
             example = Path(__file__).parents[1] / "examples" / "direct_controller.py"
             device = [sys.executable, str(example), "--plan", str(out / "plan.json")]
             stack.enter_context(started([*device, "--node", DEVICE], options.keys))
