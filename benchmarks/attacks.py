@@ -124,15 +124,10 @@ def production(kw: float, cycle: int) -> dict[str, object]:
     return powers | dict.fromkeys(("inverter_mpp_kw", "inverter_power_kw"), (9e6 / 17,) * 17)
 
 
-# What may end the run comes last.
+# What lasts comes last: whom a successor has replaced is not heard any more.
 ATTACKS: Final = (
     Attack("`command`, alpha 1", COMMAND, lambda kw, _: {"alpha": 1.0, "power_kw": kw}),
     Attack("`command`, alpha 1e-9", COMMAND, lambda kw, _: {"alpha": 1e-9, "power_kw": 1e-9}),
-    Attack(
-        "`command` of a successor",
-        COMMAND,
-        lambda kw, cycle: {"alpha": 1.0, "power_kw": kw, "incarnation": cycle},
-    ),
     Attack("`dispatch` of 8 MW", DISPATCH, dispatch),
     Attack(
         "`setpoint`, ratings",
@@ -150,6 +145,11 @@ ATTACKS: Final = (
     Attack("payloads of 50 MB", METER, payload=bytes(50_000_000)),
     Attack(
         "`run`, stop", RUN, lambda *_: {"state": "stop", "start_time_ns": 0, "cycle_wall_ns": 0}
+    ),
+    Attack(
+        "`command` of a successor",
+        COMMAND,
+        lambda kw, cycle: {"alpha": 1.0, "power_kw": kw, "incarnation": cycle},
     ),
 )
 
