@@ -99,7 +99,7 @@ class GatewayProcess:
         self._log: Path | None = None
         try:
             self._tell(msgspec.json.encode(plan))
-            first = self._events(wait=True)
+            first = self._events(wait_s=None)
         except BaseException:
             self.__exit__()
             raise
@@ -124,7 +124,7 @@ class GatewayProcess:
         """Let the plant's process find the gateway in a run's folder."""
         self._log = log_in(folder)
         self._tell(str(folder.absolute()).encode())
-        self._events(wait=True)
+        self._events(wait_s=None)
 
     def look(self, say: Callable[[str], None]) -> None:
         """Pass on what the gateway says.
@@ -139,24 +139,32 @@ class GatewayProcess:
                 say(event.text)
 
     def end(self) -> tuple[DeviceAccount, ...]:
-        """End the gateway; return what it measured."""
+        """End the gateway; return what it measured.
+
+        Raises
+        ------
+        FailureError
+            It has been killed, or stands still.
+        """
         assert self._process.stdin is not None
         self._process.stdin.close()
-        while True:
-            for event in self._events(wait=True):
+        while events := self._events(wait_s=_ENDING_S):
+            for event in events:
                 if isinstance(event, Accounts):
                     return event.devices
+        raise FailureError(f"{self._name} says nothing at the end of the run; its log: {self._log}")
 
     def _tell(self, line: bytes) -> None:
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):  # It has ended, and says so where it is listened to.
             self._process.stdin.write(line + b"\n")
 
-    def _events(self, *, wait: bool = False) -> list[Event]:
+    def _events(self, wait_s: float | None = 0.0) -> list[Event]:
+        """Return what it says; wait for the first event so long, with None until there is one."""
         assert self._process.stdout is not None
         pipe = self._process.stdout.fileno()
         events: list[Event] = []
-        while (wait and not events) or select.select([pipe], [], [], 0.0)[0]:
+        while select.select([pipe], [], [], 0.0 if events else wait_s)[0]:
             found = os.read(pipe, 1 << 16)
             if not found:
                 raise FailureError(self._how_it_ended())
@@ -164,8 +172,12 @@ class GatewayProcess:
             events += map(_decoder.decode, lines)
         return events
 
+    @property
+    def _name(self) -> str:
+        return f"the gateway to the devices (process {self._process.pid})"
+
     def _how_it_ended(self) -> str:
         code = self._process.wait()
         how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
-        text = f"the gateway to the devices (process {self._process.pid}) {how}"
+        text = f"{self._name} {how}"
         return f"{text} in the middle of the run; its log: {self._log}" if self._log else text

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from agents.agent import Stage
 from agents.cycle import STAGES, kind_of, stage_of
 from agents.plan import START_WITHIN_NS, RunPlan
-from agents.team import controllers
+from agents.team import stages_of_agents
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, Run
 from bus_schemas.missing import parse_missing
@@ -195,12 +195,6 @@ def read_message_times(reader: RunReader) -> MessageTimes:
 def stage_times(messages: MessageTimes) -> list[StageTimes]:
     """Return every stage of every agent: the plant first, the stages of an agent in their order."""
     plan = messages.plan
-    commands = tuple(COMMAND.of(leaf) for leaf in plan.tree.leaves)
-    cycles = range(plan.periods.longest)
-    patterns: dict[str, list[tuple[Stage, ...]]] = {}
-    patterns[PLANT] = [(Stage("sense", (), timed=True), Stage("apply", commands))]
-    for one in controllers(plan):
-        patterns[one.name] = [one.stages(cycle) for cycle in cycles]
     outputs: dict[tuple[str, str], list[Port[Message]]] = {}
     for port in messages.columns:
         outputs.setdefault((port.publisher, stage_of(port, plan.tree)), []).append(port)
@@ -211,7 +205,7 @@ def stage_times(messages: MessageTimes) -> list[StageTimes]:
             [next((one for one in stages if one.name == name), None) for stages in pattern],
             outputs[agent, name],
         )
-        for agent, pattern in patterns.items()
+        for agent, pattern in stages_of_agents(plan).items()
         for name in STAGES[kind_of(agent, plan.tree)]
     ]
 

@@ -74,8 +74,7 @@ def test_a_run_names_its_gateway_that_was_killed(
 ) -> None:
     run = heliarch("launch", scenario, "--pace", "1", "--duration", "5m", *served_inverters)
     run.until_running()
-    children = psutil.Process(run.process.pid).children()
-    (gateway,) = [child for child in children if child.cmdline()[-1] == "sunspec"]
+    gateway = gateway_of(run)
     gateway.kill()
     assert run.wait() == 1
     log = run.folder / "logs" / "gateway.log"
@@ -83,6 +82,23 @@ def test_a_run_names_its_gateway_that_was_killed(
     for fact in (str(gateway.pid), "killed by signal 9", str(log)):
         assert fact in failure
     assert "c1/inv01" in log.read_text()
+
+
+def test_a_run_names_its_gateway_that_stands_still_at_the_end(
+    scenario: str, served_inverters: list[str], heliarch: Callable[..., Heliarch]
+) -> None:
+    run = heliarch("launch", scenario, "--pace", "1", "--duration", "3s", *served_inverters)
+    run.until_running()
+    gateway = gateway_of(run)
+    gateway.suspend()
+    assert run.wait() == 1
+    assert str(gateway.pid) in (run.folder / "failure.txt").read_text()
+
+
+def gateway_of(run: Heliarch) -> psutil.Process:
+    children = psutil.Process(run.process.pid).children()
+    (gateway,) = [child for child in children if child.cmdline()[-1] == "sunspec"]
+    return gateway
 
 
 @pytest.mark.parametrize(
