@@ -33,7 +33,8 @@ def stages_of_agents(plan: RunPlan) -> dict[str, list[tuple[Stage, ...]]]:
     """Return the stages of each agent, the plant first, in the cycles until they repeat."""
     commands = tuple(COMMAND.of(leaf) for leaf in plan.tree.leaves)
     cycles = range(plan.periods.longest)
-    found = {PLANT: [(Stage("sense", (), timed=True), Stage("apply", commands)) for _ in cycles]}
+    found: dict[str, list[tuple[Stage, ...]]] = {}
+    found[PLANT] = [(Stage("sense", (), timed=True), Stage("apply", commands)) for _ in cycles]
     for one in controllers(plan):
         found[one.name] = [tuple(one.stages(cycle)) for cycle in cycles]
     return found

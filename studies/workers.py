@@ -5,12 +5,13 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
 from multiprocessing.resource_tracker import ensure_running
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, cast
 
 from agents.process import die_with_parent
 from bus_schemas.errors import FailureError, InputError
@@ -27,7 +28,7 @@ class WorkerLostError(FailureError):
 
 def share_work(
     function: Callable[[Item], Result], items: Sequence[Item], workers: int
-) -> Iterator[tuple[int, Result]]:
+) -> Generator[tuple[int, Result]]:
     """Apply a function to each item; yield the item's place and the result as each is done.
 
     With one worker everything runs in this process. With more, function and items must be
@@ -43,7 +44,7 @@ def share_work(
         yield from enumerate(map(function, items))
         return
     context = multiprocessing.get_context("spawn")
-    started: list[multiprocessing.process.BaseProcess] = []
+    started: list[SpawnProcess] = []
     ours: list[Connection] = []
     waiting = iter(enumerate(items))
     try:
@@ -59,7 +60,7 @@ def share_work(
             end.send(function)
             end.send(next(waiting))
         for _ in items:
-            end = wait(ours)[0]
+            end = cast("Connection", wait(ours)[0])
             place, result, error = end.recv()
             if error is not None:
                 raise error
@@ -107,7 +108,7 @@ def _signals_blocked() -> Iterator[None]:
 
 def share_over_cluster(
     function: Callable[[Item], Result], items: Sequence[Item], scheduler: str
-) -> Iterator[tuple[int, Result]]:
+) -> Generator[tuple[int, Result]]:
     """As `share_work`, over the workers of a Dask scheduler.
 
     They must have Heliarch installed and see the data under the same paths.

@@ -56,7 +56,7 @@ def test_who_stops_listening_ends_the_workers() -> None:
     large = bytes(1_000_000)
     found = share_work(sleep_for, [(0.0, large), *((600.0, large),) * 9], 2)
     next(found)
-    found.close()  # type: ignore[attr-defined]
+    found.close()
     assert not [child for child in psutil.Process().children() if "spawn_main" in words(child)]
 
 
