@@ -271,7 +271,7 @@ def process_account(
         child.kind,
         dropped=dropped_by_cause([finished]) if finished else {},
         resident_mb=child.memory.resident_mb,
-        missing_inputs=missed.missing[child.agent],
+        missing_inputs=missed.missing.get(child.agent, Counter()).total(),
         old_inputs=missed.old[child.agent],
         skipped_cycles=finished.skipped_cycles if finished else 0,
         cpu_s=None if cpu_at_start_s is None or cpu_s is None else cpu_s - cpu_at_start_s,

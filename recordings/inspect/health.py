@@ -267,7 +267,8 @@ class HealthWatch:
         missed = self._missed
         for agent, cycles in missed.cycles.items():
             is_external = agent in self._plan.external
-            yield Misses(agent, missed.missing[agent], missed.old[agent], *cycles, is_external)
+            count = missed.missing[agent].total()
+            yield Misses(agent, count, missed.old[agent], *cycles, is_external)
 
 
 def read_health(run: RunReader) -> Health:

@@ -1,6 +1,6 @@
 """Counts the inputs that were missing at deadlines, as the messages of a recording say.
 
-This is the one place that counts them: the summary of a run and `inspect` have the same figures.
+This is the one place that counts them, for the summary of a run, `inspect` and `timing`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class MissedInputs:
     Attributes
     ----------
     missing
-        Inputs that a stage awaited and that had not come at its deadline.
+        Inputs that a stage awaited and that had not come at its deadline, by agent and key.
     old
         Older messages that were used in place of those that were due.
     cycles
@@ -33,7 +33,7 @@ class MissedInputs:
     """
 
     def __init__(self, plan: RunPlan) -> None:
-        self.missing: Counter[str] = Counter()
+        self.missing: dict[str, Counter[str]] = {agent: Counter() for agent in plan.tree.agents()}
         self.old: Counter[str] = Counter()
         self.cycles: dict[str, tuple[int, int]] = {}
         self._tree = plan.tree
@@ -50,23 +50,31 @@ class MissedInputs:
     def see(self, record: RecordedMessage) -> None:
         """Take in a message."""
         if _NOTHING_MISSED not in record.payload:
-            self._count(record.port, record.message())
+            self.count(record.port, record.message())
 
-    def total(self, counts: Counter[str]) -> int:
-        """Add up the counts of all agents but external ones."""
-        return sum(number for agent, number in counts.items() if agent not in self._external)
+    @property
+    def all_missing(self) -> int:
+        """Missing inputs of all agents but external ones."""
+        own = (keys for agent, keys in self.missing.items() if agent not in self._external)
+        return sum(keys.total() for keys in own)
 
-    def _count(self, port: Port[Message], message: Message) -> None:
+    @property
+    def all_old(self) -> int:
+        """Older messages that they used."""
+        return sum(number for agent, number in self.old.items() if agent not in self._external)
+
+    def count(self, port: Port[Message], message: Message) -> None:
+        """Count what a message says."""
         agent, cycle, stage = port.publisher, message.cycle, stage_of(port, self._tree)
         if not message.missing or cycle <= self._counted.get((agent, stage), -1):
             return  # All messages of a stage say the same.
         self._counted[agent, stage] = cycle
         awaited = self._awaited.get((agent, stage, cycle % self._turns), ())
         entries = list(map(parse_missing, message.missing))
-        missing = sum(entry.key in awaited for entry in entries)
+        missing = [entry.key for entry in entries if entry.key in awaited]
         old = sum(entry.cycle is not None for entry in entries)
         if missing or old:
-            self.missing[agent] += missing
+            self.missing[agent].update(missing)
             self.old[agent] += old
             first, _ = self.cycles.get(agent, (cycle, cycle))
             self.cycles[agent] = first, cycle

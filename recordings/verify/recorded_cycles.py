@@ -164,7 +164,9 @@ class RecentMessages:
         contested = {
             port
             for port, second in cycle.repeated
-            if port.publisher not in self._external and differ(cycle.messages[port], second)
+            if port.publisher not in self._external
+            and port in cycle.messages
+            and differ(cycle.messages[port], second)
         }
         if contested:
             self.contested[cycle.number] = contested

@@ -177,9 +177,6 @@ class AgentRerun:
                 self._run(number, recorded, is_last=is_last)
             except (Exception, SystemExit) as error:
                 self._fail(number, self._stage, error)
-            loops = [process.loop for process in self._processes.values()]
-            findings.missing_inputs = sum(loop.missing_inputs for loop in loops)
-            findings.old_inputs = sum(loop.old_inputs for loop in loops)
         findings.leave_out(number, sum(map(len, recorded.values())))
 
     @property
