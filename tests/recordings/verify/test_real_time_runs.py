@@ -123,6 +123,19 @@ def test_all_outputs_of_a_stage_lost_by_the_recording_are_named(tmp_path: Path) 
     assert findings.not_compared_from == 10, "nobody knows its estimate any more"
 
 
+def test_a_message_that_came_after_the_successor_s_is_compared_all_the_same(
+    tmp_path: Path,
+) -> None:
+    plan = faulty_plan(FaultRule(kill="c1", at=(12.2,)), standby=("c1",))
+    messages = published(plan, cloudy_profile(plan))
+    own = [pair for pair in messages if pair[0] is IMPP.of("c1")]
+    successor = next(pair for pair in own if pair[1].incarnation)
+    late = own[own.index(successor) - 1]
+    messages.remove(late)
+    messages.insert(messages.index(successor) + 1, late)
+    assert verified(tmp_path / "run", plan, messages).equal
+
+
 # The recorder was away ----------------------------------------------------------------------------
 
 
