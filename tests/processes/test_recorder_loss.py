@@ -105,7 +105,8 @@ def test_a_recorder_is_started_again_and_all_its_files_are_one_recording(
         recorded = [message.cycle for _, message in reader.messages(PRODUCTION)]
         assert reader.stop_cycle is not None
         assert reader.last_cycle == recorded[-1] == reader.stop_cycle - 1
-    assert health.messages_lost == summary["messages_lost"] > 0
+    # Of the last messages on a key nothing in the recording tells.
+    assert 0 < health.messages_lost <= summary["messages_lost"]
     assert recorded == sorted(set(recorded))
     assert summary["cycles"] == reader.stop_cycle > len(recorded)
     assert summary["cycles_per_s"] == pytest.approx(summary["cycles"] / summary["wall_s"])
