@@ -18,7 +18,7 @@ from bus_schemas.tree import RECORDER
 MOST_WAITING: Final = 200_000
 """Most messages that wait for an agent that is late or has ended: about 100 MB."""
 
-_MARGIN: Final = 1
+_MARGIN: Final = 20
 """Messages of one agent may overtake each other by this many cycles on the way to the recorder."""
 
 
