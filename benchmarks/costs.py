@@ -21,6 +21,7 @@ import tempfile
 import threading
 import urllib.request
 from collections import deque
+from contextlib import suppress
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple
@@ -77,7 +78,8 @@ def read(address: str, browsers: int) -> None:
     os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
     def follow() -> None:
-        with urllib.request.urlopen(address) as updates:
+        # A short run may be over, and its page gone, before a browser is there.
+        with suppress(ConnectionError), urllib.request.urlopen(address) as updates:
             for update in updates:
                 if b'"state":"over"' in update:
                     return

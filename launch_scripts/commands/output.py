@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from pathlib import Path
 from typing import BinaryIO, TypeVar
 
@@ -39,10 +39,13 @@ def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
 
 
 def counted(
-    numbered: Iterator[tuple[int, Result]], description: str, total: int
+    numbered: Generator[tuple[int, Result]], description: str, total: int
 ) -> Iterator[tuple[int, Result]]:
-    """Yield numbered results as they are done; show in a terminal how many are."""
-    with _progress(description, MofNCompleteColumn()) as progress:
+    """Yield numbered results as they are done; show in a terminal how many are.
+
+    Whatever ends it ends those who work on the results.
+    """
+    with closing(numbered), _progress(description, MofNCompleteColumn()) as progress:
         task = progress.add_task(description, total=total)
         for one in numbered:
             yield one
