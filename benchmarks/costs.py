@@ -54,8 +54,8 @@ class Cost(NamedTuple):
 
 
 HEADINGS = (
-    *("", "cycles/s", "ms a cycle", "start-up [s]", "loop p50 [ms]", "loop p99 [ms]"),
-    *("inputs missed", "page, lockstep [ms/s]", "page, real time [ms/s]", "page [MB]"),
+    *("", "cycles/s", "ms per\ncycle", "start-up\n[s]", "loop p50\n[ms]", "loop p99\n[ms]"),
+    *("inputs\nmissed", "page in\nlockstep\n[ms/s]", "page in\nreal time\n[ms/s]", "page\n[MB]"),
 )
 
 
