@@ -19,6 +19,7 @@ from typing import Any, Final
 
 import msgspec
 import psutil
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
@@ -213,7 +214,7 @@ def rounds_of(count: int) -> Iterable[int]:
 
 def print_table(title: str, headings: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
     """Print a table, and below it the machine. Columns without a heading are names."""
-    table = Table(title=title)
+    table = Table(title=title, box=SIMPLE)
     for heading in headings:
         table.add_column(heading, justify="right" if heading else "left", no_wrap=not heading)
     for row in rows:
