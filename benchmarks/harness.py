@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 OURS: Final = Path(sys.executable).parent / "heliarch"
-CONSOLE: Final = Console(width=110, highlight=False)
+CONSOLE: Final = Console(width=120, highlight=False)
 SAMPLE_S: Final = 0.2
 LIMIT_S: Final = 300.0
 _PR_SET_PDEATHSIG: Final = 1
