@@ -107,7 +107,7 @@ def test_in_real_time_a_recorder_is_started_again_and_all_its_files_are_one_reco
     assert health.messages_lost == summary["messages_lost"] > 0
     assert recorded == sorted(set(recorded))
     assert len(recorded) == summary["cycles"]
-    found = verified(run)
+    found = verified(run.folder)
     kinds = {kind for one in found.agents.values() for kind in one.differences}
     assert kinds <= {"not recorded", "input not recorded"}
 

@@ -27,7 +27,6 @@ from agents.plan import RunPlan, load_plan
 from bus_schemas.codec import decode, encode
 from bus_schemas.messages import Telemetry
 from bus_schemas.signals import RUN
-from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.reader import RunReader
 from recordings.record.writer import RunWriter
 
@@ -39,14 +38,10 @@ PATIENCE_S = 120.0
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a run in lockstep: 17 inverters, three clusters."""
-    folder = tmp_path_factory.mktemp("recorded") / "run"
-    # With it live agents and the replay wait as long for each other as a slow machine needs.
-    scenario = folder.with_suffix(".toml")
-    before, control, after = load_scenario("oahu").text.partition("[control]\n")
-    scenario.write_text(f"{before}{control}stall_timeout_s = {PATIENCE_S}\n{after}")
-    done("simulate", scenario, "--duration", str(CYCLES), "--out", folder)
-    return folder
+    """Folder of a run in lockstep: four inverters, two clusters."""
+    folder = tmp_path_factory.mktemp("recorded")
+    done("simulate", small_plant(folder), "--duration", str(CYCLES), "--out", folder / "run")
+    return folder / "run"
 
 
 @pytest.fixture(scope="module")
@@ -251,7 +246,7 @@ def test_a_changed_controller_is_told_by_its_first_difference_and_heard_by_subsc
     words = ("--wait", "--live", leaf, "--plan", changed, "--json", figures_path)
     command = replay(recorded, *words)
     endpoint = command.until("endpoint")
-    with subscriber(endpoint, f"{plan.run_id}/oahu/{leaf}/impp") as heard:
+    with subscriber(endpoint, f"{plan.run_id}/{plan.plant}/{leaf}/impp") as heard:
         status, text, complaint = command.wait()
         until(lambda: len(heard) == CYCLES)
     assert status == 1, complaint
