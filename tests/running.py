@@ -142,8 +142,8 @@ class Heliarch:
         self.folder = folder
         self.output = folder.with_suffix(".out")
         self.errors = folder.with_suffix(".err")
-        path = f"{REPOSITORY}:{os.environ.get('PYTHONPATH', '')}"
-        environment = {**os.environ, "PYTHONPATH": path}
+        modules = f"{REPOSITORY}:{os.environ.get('PYTHONPATH', '')}"
+        environment = {**os.environ, "PYTHONPATH": modules}
         if words[0] == "replay":
             folder.mkdir()
             environment["TMPDIR"] = str(folder)

@@ -71,7 +71,7 @@ def test_the_example_plant_meets_every_requirement(plant: str) -> None:
     assert in_real_time(plant, "plant", command) == dict.fromkeys(OF_PLANT, "PASS")
 
 
-@pytest.mark.parametrize("agent", ["c1", "central"])
+@pytest.mark.parametrize("agent", ["c1", pytest.param("central", marks=pytest.mark.soak)])
 def test_parents_are_tried_in_their_own_place(agent: str, plant: str) -> None:
     command = f"{sys.executable} -m agents {{node}} --plan {{plan}}"
     found = results(plant, agent, command)

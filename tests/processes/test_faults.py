@@ -94,7 +94,7 @@ def is_whole(run: Heliarch) -> bool:
 def test_a_run_that_a_killed_controller_ended_verifies_equal_up_to_there(
     heliarch: Start, tmp_path: Path
 ) -> None:
-    run = heliarch("launch", small_plant(tmp_path / "plant"), "--duration", "5h")
+    run = heliarch("launch", small_plant(tmp_path / "plant"), "--duration", "2h")
     run.until_recorded(40)
     run.process_of(INVERTER).send_signal(signal.SIGKILL)
     assert run.wait() == 1

@@ -53,7 +53,7 @@ def incarnations(run: Heliarch, parent: str) -> set[int]:
 
 
 REAL_TIME = ("--duration", "1h", "--pace", "10")
-LOCKSTEP = ("--duration", "5h", "--set", "restart.when=on-failure")
+LOCKSTEP = ("--duration", "2h", "--set", "restart.when=on-failure")
 VICTIMS = ("c2/inv03", "c2", "central")
 
 
@@ -162,7 +162,7 @@ Supervisor.step = stuck
 
 
 @pytest.mark.parametrize(
-    "words", [(*REAL_TIME, *IMPATIENT), ("--duration", "5h", "--set", "restart.when=always")]
+    "words", [(*REAL_TIME, *IMPATIENT), ("--duration", "2h", "--set", "restart.when=always")]
 )
 def test_a_controller_that_is_busy_for_ever_is_killed_and_replaced(
     heliarch: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: Sequence[str]

@@ -31,7 +31,7 @@ pytestmark = pytest.mark.processes
 
 Start = Callable[..., Heliarch]
 DEVICE = "c1/inv01"
-LONG = "10h"
+LONG = "2h"
 """Plant time: in lockstep longer than any attack."""
 AHEAD = 1000
 """Cycles: what is forged for a cycle to come is there before the genuine message, at any speed."""
