@@ -66,6 +66,13 @@ def word_column(title: str, name: str = "") -> Column:
     return Column(title, align="left", name=name)
 
 
+def attributes(things: Iterable[object], columns: Sequence[Column]) -> tuple[tuple[Cell, ...], ...]:
+    """Return a row for each thing: its attributes by the names of the columns."""
+    return tuple(
+        tuple(getattr(thing, column.name or column.title) for column in columns) for thing in things
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Table:
     """A table: its title, its columns, one row for each thing, and notes on how to read it."""

@@ -9,11 +9,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bus_schemas.errors import InputError
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries, read_series
 from studies.metrics import run_metrics
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT, runs_as_columns
-from studies.report.run_report import check_comparable, run_line
+from studies.report.run_report import run_line, when
 from studies.report.style import clock_text
 from studies.tables import Cell, Column, Number, Table, key_column, word_column
 
@@ -49,11 +50,11 @@ def read_two_runs(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]
     if any(one.cycles > cycles for one in series):
         lengths = " and ".join(f"{one.cycles:,}" for one in series)
         lines.append(f"A and B have {lengths} cycles; the first {cycles:,} are compared.")
-    series = [
-        replace(one, **{name: getattr(one, name)[:cycles] for name in _IN_ORDER}) for one in series
-    ]
-    check_comparable(series)
-    first, second = series
+    first, second = series = [one.between(0, cycles) for one in series]
+    if first.inverters != second.inverters:
+        raise InputError("B: expected the inverters of A, got others")
+    if (first.start_time_ns, first.cycle_s) != (second.start_time_ns, second.cycle_s):
+        raise InputError(f"B: expected {when(first)} as in A, got {when(second)}")
     if any(_differ(first, second, name).any() for name in _GIVEN):
         lines.append("Sky or dispatch differ: figures of possible power and regulation show A's.")
     return series, lines
@@ -68,7 +69,7 @@ def _differ(first: RunSeries, second: RunSeries, name: str) -> NDArray[np.bool_]
 def two_runs_tables(first: RunSeries, second: RunSeries) -> list[Table]:
     """Return the figures of merit side by side, and where the runs first differ."""
     runs = [(one.label, run_metrics(one)) for one in (first, second)]
-    figures = [one for one in FIGURES_OF_MERIT.values() if {"report", "compare"} & one.places]
+    figures = [one for one in FIGURES_OF_MERIT.values() if set("RC") & set(one.shown)]
     merits = runs_as_columns("Figures of merit, B less A", runs, figures, difference=True)
     return [merits, _differences(first, second)]
 

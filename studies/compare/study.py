@@ -27,19 +27,10 @@ class SchemeResult:
 
 @dataclass(frozen=True, slots=True)
 class CaseResult:
-    """The results of all schemes in one case.
+    """The results of all schemes in one case, each with one actuator after the other.
 
-    Attributes
-    ----------
-    label, settings
-        Of the case.
-    schemes
-        In the order asked for, each with one actuator after the other. Grouping control has
-        three: its best, median and worst reference group, see `results_of`.
-    prepare_s, run_s
-        Time to work out sky and market, and to run all schemes [s].
-    remarks
-        What a reader must know about the data.
+    Grouping control has three: its best, median and worst reference group, see `results_of`. It
+    took `prepare_s` to work out sky and market, and `run_s` to run all schemes.
     """
 
     label: str
@@ -52,17 +43,7 @@ class CaseResult:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What is compared.
-
-    Attributes
-    ----------
-    schemes
-        Names of `SCHEMES`.
-    groups
-        Reference groups of grouping control.
-    actuators
-        Each scheme is run with all of these; none given: with that of the scenario.
-    """
+    """What is compared: names of `SCHEMES`, each with all actuators, or with the scenario's."""
 
     schemes: tuple[str, ...]
     groups: ReferenceGroups = field(default_factory=ReferenceGroups)
@@ -70,13 +51,7 @@ class Comparison:
 
 
 def run_case(comparison: Comparison, case: Case) -> CaseResult:
-    """Run the schemes on one case.
-
-    Raises
-    ------
-    InputError
-        The case does not fit its data, or a scheme does not fit the plant.
-    """
+    """Run the schemes on one case; InputError where one does not fit the plant or its data."""
     began = time.perf_counter()
     try:
         preparation = prepare(case.scenario, case.options, "study")

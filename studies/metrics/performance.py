@@ -36,20 +36,9 @@ _NS: Final = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class HourScore:
-    """Score of one hour of the clock.
+    """Score of one hour of the clock: the mean of accuracy, delay and precision, all from 0 to 1.
 
-    Attributes
-    ----------
-    begins
-        Local time at which the hour begins, ISO 8601.
-    windows
-        Windows of 5 minutes that were scored, at most 12.
-    accuracy, delay, precision, score
-        See the module; `score` is the mean of the three, and all are from 0 to 1.
-    unclipped_score
-        The same with the accuracy of its windows from -1 to 1.
-    passed
-        Whether the score is at least 0.75.
+    `begins` is its local time, ISO 8601; `windows` are those that were scored, at most 12.
     """
 
     begins: str
@@ -64,10 +53,7 @@ class HourScore:
 
 @dataclass(frozen=True, slots=True)
 class PerformanceScore:
-    """Scores of the hours of a run, and their means, each hour weighted with its windows.
-
-    `passed` says whether the mean score is at least 0.75.
-    """
+    """Scores of the hours of a run, and their means, each hour weighted with its windows."""
 
     hours: tuple[HourScore, ...]
     accuracy: float
@@ -85,24 +71,10 @@ def performance_score(
     begins: pd.Timestamp,
     cycle_s: float,
 ) -> PerformanceScore | None:
-    """Score a plant's response to a regulation signal.
+    """Score a plant's response to a regulation signal, both in per unit of the capacity.
 
-    Parameters
-    ----------
-    signal, response
-        What was asked and what was given, cycle by cycle, in per unit of the capacity, shape (T,).
-    offered
-        Whether the plant offered regulation, shape (T,).
-    begins
-        Local time of the first cycle.
-    cycle_s
-        Length of a cycle [s].
-
-    Returns
-    -------
-    PerformanceScore or None
-        None where there is nothing to score: a cycle is longer than 10 s, no window of 5 minutes
-        is wholly within the time offered, or the signal is 0 all the time.
+    None where there is nothing to score: a cycle is longer than 10 s, no window of 5 minutes is
+    wholly within the time offered, or the signal is 0 all the time.
     """
     if cycle_s > _SAMPLE_S:
         return None

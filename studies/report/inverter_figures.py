@@ -53,13 +53,8 @@ _SMALLEST_MATRIX_PX: Final = 178
 _NAME_PX: Final = 14
 
 
-def residuals(series: RunSeries) -> ReportFigure | None:
-    """Draw the residual of every inverter as a heat map, and that of the worst as a line.
-
-    None where the scheme has no residuals.
-    """
-    if np.isnan(series.residual_kw).all():
-        return None
+def residuals(series: RunSeries) -> ReportFigure:
+    """Draw the residual of every inverter as a heat map, and that of the worst as a line."""
     count = len(series.inverters)
     map_px = max(count * name_px(count), _LEAST_MAP_PX)
     figure = make_subplots(
@@ -121,12 +116,16 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
     """
     order = inverters_by_cluster(series[0])
     names = [plain(series[0].inverters[position]) for position in order]
+    several = len(series) > 1
+    # Titles beside each other, in lines that fit.
+    width = max(10, 72 // len(series))
+    titles = [map(plain, textwrap.wrap(one.label, width) if several else ()) for one in series]
     figure = make_subplots(
         rows=1,
         cols=len(series),
         shared_yaxes=True,
         horizontal_spacing=0.03,
-        subplot_titles=[_in_lines(one.label, len(series)) for one in series],
+        subplot_titles=["<br>".join(lines) for lines in titles],
     )
     for column, one in enumerate(series, start=1):
         given_kwh, lacking_kwh = energy_beside_share(one)
@@ -150,8 +149,8 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
     figure.update_layout(
         barmode="relative",
         bargap=0.25,
-        legend_y=1.0 + (_TITLE_PX / plot_px if len(series) > 1 else 0.0),
-        margin_t=90 if len(series) > 1 else 46,
+        legend_y=1.0 + (_TITLE_PX / plot_px if several else 0.0),
+        margin_t=90 if several else 46,
     )
     list_names(figure, len(names))
     figure.update_xaxes(title_text="energy [kWh]", zeroline=True)
@@ -166,13 +165,6 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
     )
 
 
-def _in_lines(label: str, panels: int) -> str:
-    """Return the title of one of several panels beside each other, in lines that fit."""
-    if panels == 1:
-        return ""
-    return "<br>".join(plain(line) for line in textwrap.wrap(label, max(10, 72 // panels)))
-
-
 def energy_beside_share(series: RunSeries) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     r"""Work out the energy above each inverter's share, and by which it fell short of that.
 
@@ -184,10 +176,7 @@ def energy_beside_share(series: RunSeries) -> tuple[NDArray[np.float64], NDArray
         E_{given,i} = \sum \max(0, P_i - S_i) \, dt, \quad
         E_{lacking,i} = \sum \max(0, S_i - P_i) \, dt
 
-    Returns
-    -------
-    tuple of numpy.ndarray
-        Energy above and below the share [kWh], each of shape (n,).
+    Both are of shape (n,) [kWh].
     """
     share_kw = np.outer(np.maximum(series.desired_kw, 0.0), series.rating_kw)
     share_kw /= series.rating_kw.sum()
@@ -220,10 +209,15 @@ def virtual_neighbours(series: RunSeries) -> ReportFigure | None:
     figure.update_yaxes(title_text="alpha, power / IMPP", range=[0.0, 1.05], row=2, col=1)
     label_time_axis(figure, series, rows=2)
     figure.update_xaxes(range=clock_range_ms(series, passage.cycles))
+    shaded, helping = series.inverters[passage.shaded], series.inverters[passage.helping]
     return ReportFigure(
         "neighbours",
         "Two virtual neighbours under a cloud",
-        _passage_caption(series, passage),
+        f"Above: IMPP, the estimated maximum power of two inverters, and their request [kW]. "
+        f"Below: their curtailment level alpha (no unit). The IMPP of {shaded} falls by "
+        f"{passage.drop_kw:,.0f} kW within a minute, until {clock_text(series, passage.bottom)}, "
+        f"while {helping} has headroom. The figure shows the largest such drop among the least "
+        f"correlated pairs of each cluster and hour; this pair has {passage.correlation:+.2f}.",
         figure,
     )
 
@@ -239,17 +233,6 @@ def _request_lines(series: RunSeries, passage: CloudPassage) -> list[go.Scatter]
         look = {"name": name, "line": {"color": BLACK, "width": 1.2, "dash": dash}}
         lines.append(time_line(series, request_kw[:, inverter], passage.cycles, **look))
     return lines
-
-
-def _passage_caption(series: RunSeries, passage: CloudPassage) -> str:
-    shaded, helping = series.inverters[passage.shaded], series.inverters[passage.helping]
-    return (
-        f"Above: IMPP, the estimated maximum power of two inverters, and their request [kW]. "
-        f"Below: their curtailment level alpha (no unit). The IMPP of {shaded} falls by "
-        f"{passage.drop_kw:,.0f} kW within a minute, until {clock_text(series, passage.bottom)}, "
-        f"while {helping} has headroom. The figure shows the largest such drop among the least "
-        f"correlated pairs of each cluster and hour; this pair has {passage.correlation:+.2f}."
-    )
 
 
 def correlation_matrices(series: RunSeries) -> ReportFigure | None:
@@ -288,7 +271,12 @@ def correlation_matrices(series: RunSeries) -> ReportFigure | None:
         )
         _mark_clusters(figure, series, row, column, matrix_px)
     dress(figure, height_px + 60, legend=False)
-    _square_up(figure)
+    # All matrices are squares without ticks, at the top of their place, below their titles.
+    figure.update_xaxes(showticklabels=False, ticks="", showgrid=False, constrain="domain")
+    figure.update_yaxes(ticks="", showgrid=False, autorange="reversed")
+    figure.update_yaxes(constrain="domain", constraintoward="top")
+    for axis in figure.select_yaxes():
+        axis.scaleanchor = axis.plotly_name.replace("axis", "").replace("y", "x", 1)
     figure.update_layout(
         margin={"b": 20, "t": 40},
         coloraxis={
@@ -341,13 +329,3 @@ def _mark_clusters(
         row=row,
         col=column,
     )
-
-
-def _square_up(figure: go.Figure) -> None:
-    """Make all matrices squares, without ticks."""
-    figure.update_xaxes(showticklabels=False, ticks="", showgrid=False, constrain="domain")
-    figure.update_yaxes(ticks="", showgrid=False, autorange="reversed")
-    # At the top of their place, below their titles.
-    figure.update_yaxes(constrain="domain", constraintoward="top")
-    for axis in figure.select_yaxes():
-        axis.scaleanchor = axis.plotly_name.replace("axis", "").replace("y", "x", 1)

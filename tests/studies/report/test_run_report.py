@@ -13,7 +13,6 @@ from msgspec import structs
 from report_reading import Page, numbers, read_page
 from synthetic_runs import TEN_O_CLOCK_HST_NS, cloudy_run, without_estimates
 
-from bus_schemas.errors import InputError
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.series import RunSeries
@@ -223,25 +222,3 @@ def test_a_night_has_a_report(tmp_path: Path) -> None:
     night = replace(run, commitment_kw=none, mpp_kw=dark, power_kw=dark, impp_kw=dark)
     night = replace(night, residual_kw=dark, alpha=dark + 1.0)
     assert "correlation" not in report(tmp_path, night).figures()
-
-
-# Bad input ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("runs", "expected"),
-    [
-        ([], "expected one run or more"),
-        ([replace(cloudy_run("a"), mpp_kw=np.empty((0, 5)))], "a: expected one cycle or more"),
-        ([cloudy_run("a"), cloudy_run("a")], "'a' twice"),
-        ([cloudy_run("a"), cloudy_run("b", inverters=("x", "y"))], "b: expected the inverters"),
-        ([cloudy_run("a"), cloudy_run("b", cycles=30)], "b: expected 900 cycles"),
-    ],
-)
-def test_runs_that_no_report_can_show_are_refused(
-    tmp_path: Path, runs: list[RunSeries], expected: str
-) -> None:
-    with pytest.raises(InputError, match=expected) as caught:
-        write_report(tmp_path / "report.html", "A run", runs)
-    assert list(tmp_path.iterdir()) == []
-    assert "\n" not in str(caught.value)
