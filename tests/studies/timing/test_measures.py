@@ -12,8 +12,7 @@ from timed_recordings import CYCLE_MS, MS, PLAN, START_NS, TIMES_MS, cycle, reco
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
 from recordings.read.reader import RunReader
-from studies.timing.measures import RunTiming, run_timing
-from studies.timing.processes import ProcessTiming, tier_of
+from studies.timing.measures import ProcessTiming, RunTiming, run_timing, tier_of
 
 
 def timed(

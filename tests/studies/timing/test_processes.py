@@ -6,7 +6,7 @@ import pytest
 from timed_recordings import PLAN
 
 from launch_scripts.launcher.summary import ProcessAccount
-from studies.timing.processes import ProcessTiming, tier_timings, with_accounts
+from studies.timing.measures import ProcessTiming, tier_timings, with_accounts
 
 
 def test_counts_and_resources_are_added_up_by_tier() -> None:
