@@ -65,17 +65,15 @@ def clusters(
     from bus_schemas.times import parse_duration_s
     from launch_scripts.scenarios.preparation import RunOptions, prepare
     from launch_scripts.scenarios.scenario import load_scenario
-    from studies.clusters.page import study_page
-    from studies.clusters.study import (
-        ClusterQuestion,
-        central_periods,
+    from studies.clusters.results import (
         clusters_table,
         members_table,
         orders_table,
-        study_clusters,
         study_json,
         study_lines,
+        study_page,
     )
+    from studies.clusters.study import ClusterQuestion, central_periods, study_clusters
     from studies.clusters.worth import by_first_part, by_scenario
     from studies.compare.cases import with_settings
     from studies.compare.study import remarks_of

@@ -68,8 +68,7 @@ def delays(
     from launch_scripts.scenarios.scenario import load_scenario
     from studies.compare.cases import with_settings
     from studies.compare.study import remarks_of
-    from studies.delays.page import study_page
-    from studies.delays.tables import print_study
+    from studies.delays.results import print_study, study_page
 
     changes = tuple(settings or ())
     if scenario is None:
@@ -118,8 +117,8 @@ def _prepared(scenario: ScenarioFile, options: RunOptions) -> Preparation:
 
 
 def _outcomes(preparation: Preparation, workers: int, console: Console) -> list[Outcome]:
+    from studies.delays.results import counted_s
     from studies.delays.study import conditions, run_under
-    from studies.delays.tables import counted_s
     from studies.workers import share_work
 
     plan = preparation.plan

@@ -74,16 +74,9 @@ class Reference:
 
 
 class Trial:
-    """One run around a device.
+    """One run around a device that is in an agent's place.
 
-    Parameters
-    ----------
-    plan, agent
-        The run, and the agent in whose place the device is.
-    inputs
-        What the agent hears in it.
-    findings, comparison
-        Take what is found; say what counts as equal.
+    `inputs` is what the agent hears in it; `comparison` says what counts as equal.
     """
 
     def __init__(
@@ -108,15 +101,13 @@ class Trial:
     def begin(
         self, neighbours: Neighbours, device: Device, wait_s: float, of: str = "arming"
     ) -> None:
-        """Wait for the device, arm it, and start the run; `of` is the requirement that it shows.
-
-        Raises
-        ------
-        FailureError
-            The device does not come, or answers no arming round.
-        """
+        """Wait for the device, arm it, and start the run; `of` is the requirement that it shows."""
         self._bus = neighbours
-        self._forget()
+        self._outputs: dict[tuple[Port[Message], int], Message] = {}
+        self._arrived: Counter[tuple[str, Port[Message], int]] = Counter()
+        self._sequence: Counter[Port[Message]] = Counter()
+        self._incarnation: int | None = 0
+        self._unanswered: list[str] = []
         self._await(neighbours, device, wait_s)
         self.findings.try_(of)
         give_up_at, number = time.monotonic() + _ARMING_S, FIRST_ROUND
@@ -144,13 +135,6 @@ class Trial:
         self._bus.put(self._run, encode(stop))
         while (heard := self._bus.next(_QUIET_S)) is not None:
             self.findings.fail("stop", f"{heard.key} was published after the run had stopped")
-
-    def _forget(self) -> None:
-        self._outputs: dict[tuple[Port[Message], int], Message] = {}
-        self._arrived: Counter[tuple[str, Port[Message], int]] = Counter()
-        self._sequence: Counter[Port[Message]] = Counter()
-        self._incarnation: int | None = 0
-        self._unanswered: list[str] = []
 
     def _await(self, neighbours: Neighbours, device: Device, wait_s: float) -> None:
         """Wait until each neighbour sees the device's token."""
@@ -198,16 +182,10 @@ class Trial:
         late: Edit | None = None,
         is_there: bool = True,
     ) -> None:
-        """Play the next cycle.
+        """Play the next cycle; its answers show a requirement.
 
-        Parameters
-        ----------
-        requirement
-            What the answers show.
-        edit, late
-            What is sent in place of the undisturbed messages, and after the last answer.
-        is_there
-            Whether the device has to answer.
+        `edit` is sent in place of the undisturbed messages, `late` after the last answer. If the
+        device `is_there`, it has to answer.
         """
         cycle, wall_ns = self.cycle, self.plan.cycle_wall_ns
         if wall_ns:
@@ -216,19 +194,16 @@ class Trial:
             self.findings.try_(requirement)
         patience_s = wall_ns / 1e9 if wall_ns else _PATIENCE_S
         if not self._play(cycle, edit or {}, requirement, patience_s, is_there=is_there):
-            self._give_up_without_answers(cycle, requirement)
+            # The trial ends if the device has gone, or has been silent for some cycles.
+            last = max((of for _, of in self._outputs), default=-1)
+            if self._bus.absent or cycle - last >= _SILENT_CYCLES:
+                text = f"cycle {cycle}: {'it has gone' if self._bus.absent else 'it is silent'}"
+                self.findings.fail(requirement, text)
+                raise FailureError(f"{self.agent}: {text}")
         for port, payloads in (late or {}).items():
             for payload in payloads:
                 self._send(port, payload)
         self.cycle += 1
-
-    def _give_up_without_answers(self, cycle: int, requirement: str) -> None:
-        """End the trial if the device has gone, or has been silent for some cycles."""
-        last = max((of for _, of in self._outputs), default=-1)
-        if self._bus.absent or cycle - last >= _SILENT_CYCLES:
-            text = f"cycle {cycle}: {'it has gone' if self._bus.absent else 'it is silent'}"
-            self.findings.fail(requirement, text)
-            raise FailureError(f"{self.agent}: {text}")
 
     def message(self, port: Port[Message], **changes: object) -> Message:
         """Return the undisturbed message of a port in the next cycle, with changes."""
@@ -357,24 +332,23 @@ class Trial:
     def _judge(self, expected: Mapping[Port[Message], Message], cycle: int, of: str) -> None:
         """Compare the answers of a cycle with our own agent's."""
         self.findings.try_("links")
-        ours = {port: message for port, message in expected.items() if port in self._published}
-        theirs = {port: self._outputs.get((port, cycle)) for port in self._published}
         for port in self._published:
-            own, its, where = ours.get(port), theirs[port], f"cycle {cycle}, {port}"
-            if own is None and its is not None:
-                self.findings.fail(of, f"{where}: published, expected nothing")
-            elif own is not None and its is None:
-                self.findings.fail(of, f"{where}: nothing came, expected {_content(own)}")
-            elif own is not None and its is not None:
+            own, its = expected.get(port), self._outputs.get((port, cycle))
+            where = f"cycle {cycle}, {port}"
+            if own is not None and its is not None:
                 self._compare(port, own, its, of)
+            elif its is not None:
+                self.findings.fail(of, f"{where}: published, expected nothing")
+            elif own is not None:
+                self.findings.fail(of, f"{where}: nothing came, expected {_content(own)}")
 
     def _compare(self, port: Port[Message], own: Message, its: Message, of: str) -> None:
         for listener in self.plan.wiring.listeners[port]:
             if not self._arrived[listener, port, its.cycle]:
                 self.findings.fail("links", f"cycle {its.cycle}, {port}: not heard by {listener}")
-        ignored = {"source", "sim_time_ns", "incarnation"} | (
-            {"missing"} if not its.missing else set()
-        )
+        ignored = {"source", "sim_time_ns", "incarnation"}
+        if not its.missing:
+            ignored.add("missing")
         comparison = Comparison(self._comparison.tolerance, frozenset(ignored))
         for found in comparison.differences(port, its, own):
             text = f"{found.field}: expected {found.new}, got {found.recorded}"

@@ -7,7 +7,6 @@ central controller that acts more rarely. Any difference is due to that alone, a
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias, get_args
 
@@ -20,7 +19,7 @@ from bus_schemas.faults import FaultRule
 from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
 from recordings.read.series import RunSeries, SeriesCollector
 from sim_plant.profile import Profile
-from studies.metrics import RunMetrics, run_metrics
+from studies.metrics import run_metrics
 from studies.metrics.figures_of_merit import figures_json
 
 Trouble: TypeAlias = Literal["delay", "loss", "period"]
@@ -34,16 +33,6 @@ VALUES: Final[dict[Trouble, tuple[float, ...]]] = {
 
 WARM_UP_S: Final = 120.0
 """The first seconds of each run, which do not count: with long delays messages are still coming."""
-
-_BY_CYCLE: Final = (
-    "commitment_kw",
-    "regulation_kw",
-    "mpp_kw",
-    "power_kw",
-    "impp_kw",
-    "residual_kw",
-    "alpha",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,18 +50,10 @@ class Condition:
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
-    """The result of one run, without its warm-up.
+    """The figures of merit of one run, without its warm-up, and what happened to its messages.
 
-    Attributes
-    ----------
-    figures
-        Its figures of merit by name.
-    missed_percent
-        Inputs that had not come at their deadline, in % of all that were awaited.
-    old_inputs
-        Older messages that were used in their place.
-    lost
-        Messages that the network lost.
+    `missed_percent` are inputs that had not come at their deadline, in % of all that were awaited;
+    `old_inputs` the older messages that were used in their place; `lost` what the network lost.
     """
 
     trouble: Trouble
@@ -129,20 +110,8 @@ def run_in_memory(plan: RunPlan, profile: Profile) -> tuple[MemoryRun, RunSeries
 def run_under(plan: RunPlan, profile: Profile, condition: Condition) -> Outcome:
     """Run a plan under a condition. The run must last longer than `WARM_UP_S`."""
     run, series = run_in_memory(plan_under(plan, condition), profile)
-    cycles = round(WARM_UP_S * 1e9) // plan.cycle_ns
-    return _outcome(condition, run, run_metrics(_without_beginning(series, cycles)))
-
-
-def _without_beginning(series: RunSeries, cycles: int) -> RunSeries:
-    """Return the series without its first cycles."""
-    return dataclasses.replace(
-        series,
-        start_time_ns=series.start_time_ns + round(cycles * series.cycle_s * 1e9),
-        **{name: getattr(series, name)[cycles:] for name in _BY_CYCLE},
-    )
-
-
-def _outcome(condition: Condition, run: MemoryRun, metrics: RunMetrics) -> Outcome:
+    warm_up = round(WARM_UP_S * 1e9) // plan.cycle_ns
+    metrics = run_metrics(series.between(warm_up, series.cycles))
     loops = run.loops.values()
     missed = sum(loop.missing_inputs for loop in loops)
     return Outcome(
