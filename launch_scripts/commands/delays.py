@@ -117,13 +117,12 @@ def _prepared(scenario: ScenarioFile, options: RunOptions) -> Preparation:
 
 
 def _outcomes(preparation: Preparation, workers: int, console: Console) -> list[Outcome]:
-    from studies.delays.results import counted_s
-    from studies.delays.study import conditions, run_under
+    from studies.delays.study import conditions, counted_s, run_under
     from studies.workers import share_work
 
     plan = preparation.plan
     correction = preparation.scenario.scenario.control.correction
-    chosen = conditions(plan.cycle_ns / 1e9, counted_s(preparation), correction)
+    chosen = conditions(plan.cycle_ns / 1e9, counted_s(plan), correction)
     shared = share_work(partial(run_under, plan, preparation.profile), chosen, workers)
     found = dict(counted(shared, "runs", len(chosen), console))
     return [found[number] for number in sorted(found)]

@@ -17,8 +17,6 @@ from studies.report.page import html_page
 from studies.report.style import BLACK, SCHEMES, ReportFigure, dress
 from studies.tables import Cell, Column, Table, key_column, word_column
 
-_OF_MANY: Final[tuple[Callable[[Sequence[float]], float], ...]] = (fmean, min, max)
-
 _LEGEND: Final = (
     "Correlation: mean over the pairs that share a cluster, in the past and in the run itself.",
     "To central: share of the cycles with an inverter in need that reach the central controller; "
@@ -40,21 +38,24 @@ def clusters_table(study: ClusterStudy) -> Table:
         *(Column("control-caused", f"% at {period_s:g} s") for period_s in study.periods_s),
         Column("begun lacking", f"% at {study.periods_s[-1]:g} s"),
     )
+    of_several: tuple[Callable[[Sequence[float]], float], ...] = (fmean, min, max)
     rows: list[tuple[Cell, ...]] = []
     for name, worths in study.ways.items():
-        figures = list(zip(*map(_figures, worths), strict=True))
-        names = (
-            [name] if len(worths) == 1 else [f"{name}, mean of {len(worths)}", "- least", "- most"]
-        )
-        for label, of_many in zip(names, _OF_MANY, strict=False):
-            known = [[one for one in column if one is not None] for column in figures]
-            rows.append((label, *(of_many(column) if column else None for column in known)))
+        labels = [name]
+        if len(worths) > 1:
+            labels = [f"{name}, mean of {len(worths)}", "- least", "- most"]
+        known = [
+            [one for one in figure if one is not None and not isnan(one)]
+            for figure in zip(*map(_figures, worths), strict=True)
+        ]
+        for label, of_many in zip(labels, of_several, strict=False):
+            rows.append((label, *(of_many(figure) if figure else None for figure in known)))
     return Table(study.title, columns, tuple(rows), _LEGEND)
 
 
 def _figures(worth: ClustersWorth) -> tuple[float | None, ...]:
     """Return the figures of a row of the table."""
-    figures = (
+    return (
         worth.past_correlation,
         worth.run_correlation,
         worth.help.plant.central_percent,
@@ -62,7 +63,6 @@ def _figures(worth: ClustersWorth) -> tuple[float | None, ...]:
         *(shortfall.control_caused_percent for shortfall in worth.shortfalls),
         worth.shortfalls[-1].begun_lacking_percent,
     )
-    return tuple(None if value is None or isnan(value) else value for value in figures)
 
 
 def orders_table(study: ClusterStudy) -> Table:

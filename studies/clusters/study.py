@@ -86,9 +86,15 @@ def study_clusters(
     geographic, *random, alike = (found[place] for place in range(len(tables)))
     ways = {"virtual": [virtual], "geographic": [geographic], "random": random}
     ways["most alike"] = [alike]
+    plan = run.plan
+    start = pd.Timestamp(plan.start_time_ns, tz="UTC").tz_convert(plan.timezone)
+    title = (
+        f"{plan.plant} from {start:%Y-%m-%d %H:%M:%S %Z}, {plan.cycles:,} cycles of "
+        f"{plan.cycle_ns / 1e9:g} s, scheme {scheme}, actuator {plan.actuator}"
+    )
     return ClusterStudy(
-        title=_title(run.plan, scheme),
-        periods_s=tuple(period * run.plan.cycle_ns / 1e9 for period in periods),
+        title=title,
+        periods_s=tuple(period * plan.cycle_ns / 1e9 for period in periods),
         ways=ways,
         orders=orders,
         search=search_clusters(past.correlation, [len(cluster) for cluster in virtual.clusters]),
@@ -126,11 +132,3 @@ def _in_cycles(period: str | float, cycle_s: float) -> int:
     if not 0.5 < cycles < _LONGEST_PERIOD or abs(cycles - round(cycles)) > 1e-6:
         return 0
     return round(cycles)
-
-
-def _title(plan: RunPlan, scheme: Scheme) -> str:
-    start = pd.Timestamp(plan.start_time_ns, tz="UTC").tz_convert(plan.timezone)
-    return (
-        f"{plan.plant} from {start:%Y-%m-%d %H:%M:%S %Z}, {plan.cycles:,} cycles of "
-        f"{plan.cycle_ns / 1e9:g} s, scheme {scheme}, actuator {plan.actuator}"
-    )

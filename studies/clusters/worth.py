@@ -25,7 +25,7 @@ from recordings.read.series import RunSeries
 from sim_plant.profile import Profile
 from sim_plant.sites import Sites
 from studies.arrays.schemes import ReferenceGroups, run_scheme
-from studies.metrics import CommitmentMetrics, commitment_metrics
+from studies.metrics import commitment_metrics
 from studies.metrics.help import HelpMetrics, help_metrics
 from studies.report.cloud_passage import clusters, hours_from_first_midnight
 
@@ -180,9 +180,7 @@ def worth_of(
         past_correlation=within_cluster_correlation(past.correlation, in_past),
         run_correlation=within_cluster_correlation(in_run.mean(axis=0), shared),
         help=help_metrics(runs[0].residual_kw, runs[0].inverters),
-        shortfalls=tuple(
-            _shortfall(run, period) for run, period in zip(runs, periods, strict=True)
-        ),
+        shortfalls=tuple(map(_shortfall, runs, periods)),
     )
 
 
@@ -208,8 +206,12 @@ def in_other_orders(arrangement: Arrangement) -> dict[str, Arrangement]:
 
 def _shortfall(run: RunSeries, period: int) -> Shortfall:
     turn = np.arange(run.cycles) // period * period
-    begun_lacking = run.residual_kw.sum(axis=1)[turn] < 0.0
-    energy = _energies(run, slice(None))
+    lacking = run.residual_kw.sum(axis=1)[turn] < 0.0
+    desired_kw, possible_kw, delivered_kw = run.desired_kw, run.possible_kw, run.delivered_kw
+    energy = commitment_metrics(desired_kw, possible_kw, delivered_kw, run.cycle_s)
+    begun_lacking = commitment_metrics(
+        desired_kw[lacking], possible_kw[lacking], delivered_kw[lacking], run.cycle_s
+    )
     if not energy.desired_kwh > 0.0:
         raise InputError("commitment: expected more than 0 kW at some time, got none")
     in_percent = 100.0 / energy.desired_kwh
@@ -217,13 +219,7 @@ def _shortfall(run: RunSeries, period: int) -> Shortfall:
         period,
         in_percent * energy.unavoidable_kwh,
         in_percent * energy.control_caused_kwh,
-        in_percent * _energies(run, begun_lacking).control_caused_kwh,
-    )
-
-
-def _energies(run: RunSeries, cycles: slice | NDArray[np.bool_]) -> CommitmentMetrics:
-    return commitment_metrics(
-        run.desired_kw[cycles], run.possible_kw[cycles], run.delivered_kw[cycles], run.cycle_s
+        in_percent * begun_lacking.control_caused_kwh,
     )
 
 

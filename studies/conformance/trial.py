@@ -90,8 +90,7 @@ class Trial:
         self.plan, self.agent, self.findings = plan, agent, findings
         self.cycle = 0
         self.incarnations: dict[str, int] = {}
-        self._inputs = inputs
-        self._comparison = comparison
+        self._inputs, self._comparison = inputs, comparison
         self._ours = controller(plan, agent)
         self._published = [port for port in plan.wiring.published[agent] if port.signal.is_cyclic]
         self._run = RUN.of(ROOT)
@@ -153,7 +152,7 @@ class Trial:
         """Play an arming round; return whether all answers came."""
         self.reference = Reference(self.plan, self.agent)
         self.reference.loop.enter(number, 0)
-        return self._play(number, {}, of, _ROUND_S)
+        return self._play(number, {}, of)
 
     # Cycles ---------------------------------------------------------------------------------------
 
@@ -169,7 +168,7 @@ class Trial:
         self.reference = Reference(self.plan, self.agent)
         self.reference.loop.begin(0, self.reference.begin_ns(cycle), cycle)
         self.play("restart", is_there=False)
-        limit_ns = self.start_ns + round((cycle + 0.97) * self.plan.cycle_wall_ns)
+        limit_ns = self._limit_ns(cycle)
         while (heard := self._bus.next((limit_ns - time.monotonic_ns()) / 1e9)) is not None:
             self._take(heard)
         return any(place[1] == cycle for place in self._outputs)
@@ -192,8 +191,7 @@ class Trial:
             time.sleep(max(self.start_ns + cycle * wall_ns - time.monotonic_ns(), 0) / 1e9)
         if is_there:
             self.findings.try_(requirement)
-        patience_s = wall_ns / 1e9 if wall_ns else _PATIENCE_S
-        if not self._play(cycle, edit or {}, requirement, patience_s, is_there=is_there):
+        if not self._play(cycle, edit or {}, requirement, is_there=is_there):
             # The trial ends if the device has gone, or has been silent for some cycles.
             last = max((of for _, of in self._outputs), default=-1)
             if self._bus.absent or cycle - last >= _SILENT_CYCLES:
@@ -225,20 +223,16 @@ class Trial:
         }
         return msgspec.structs.replace(message, **(head | dict(changes)))
 
-    def _play(
-        self,
-        cycle: int,
-        edit: Edit,
-        requirement: str,
-        patience_s: float,
-        *,
-        is_there: bool = True,
-    ) -> bool:
+    def _limit_ns(self, cycle: int) -> int:
+        """Return up to when answers of a cycle are awaited."""
+        if cycle >= 0 and self.plan.cycle_wall_ns:
+            return self.start_ns + round((cycle + 0.97) * self.plan.cycle_wall_ns)
+        return time.monotonic_ns() + round((_PATIENCE_S if cycle >= 0 else _ROUND_S) * 1e9)
+
+    def _play(self, cycle: int, edit: Edit, requirement: str, *, is_there: bool = True) -> bool:
         """Play a cycle stage by stage; return whether all answers came in time."""
         inputs = self._inputs[max(cycle, 0)]
-        limit_ns = time.monotonic_ns() + round(patience_s * 1e9)
-        if cycle >= 0 and self.plan.cycle_wall_ns:
-            limit_ns = self.start_ns + round((cycle + 0.97) * self.plan.cycle_wall_ns)
+        limit_ns = self._limit_ns(cycle)
         expected: dict[Port[Message], Message] = {}
         sent: set[Port[Message]] = set()
         stages = self._ours.stages(cycle)

@@ -13,7 +13,7 @@ from rich.console import Console
 from agents.plan import Scheme
 from launch_scripts.scenarios.preparation import Preparation
 from studies.compare.study import remarks_of
-from studies.delays.study import VALUES, WARM_UP_S, Outcome, Trouble
+from studies.delays.study import VALUES, WARM_UP_S, Outcome, Trouble, counted_s
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT, shown_in
 from studies.report.page import html_page
 from studies.report.style import SCHEMES, ReportFigure, dress
@@ -52,12 +52,6 @@ def print_study(preparation: Preparation, outcomes: Sequence[Outcome], console: 
     print_lines(console, survived(outcomes))
 
 
-def counted_s(preparation: Preparation) -> float:
-    """Return how much of each run counts [s]."""
-    plan = preparation.plan
-    return plan.cycles * plan.cycle_ns / 1e9 - WARM_UP_S
-
-
 def study_title(preparation: Preparation) -> str:
     """Return what was studied."""
     plan = preparation.plan
@@ -68,7 +62,7 @@ def study_title(preparation: Preparation) -> str:
 def study_notes(preparation: Preparation) -> tuple[str, ...]:
     """Say what a reader of the tables must know."""
     notes = (*remarks_of(preparation), *_LEGEND)
-    counted = counted_s(preparation)
+    counted = counted_s(preparation.plan)
     if counted / 2.0 >= max(VALUES["period"]):
         return notes
     return (

@@ -65,21 +65,24 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     lost: int
 
 
+def counted_s(plan: RunPlan) -> float:
+    """Return how much of each run counts [s]."""
+    return plan.cycles * plan.cycle_ns / 1e9 - WARM_UP_S
+
+
 def conditions(cycle_s: float, counted_s: float, correction: bool | None = None) -> list[Condition]:
     """List the runs of the study: each value with each scheme.
 
     Left out are central periods that are no whole number of cycles, and those of which the time
     that counts does not hold two.
     """
-    found = []
-    for trouble, values in VALUES.items():
-        for value in values:
-            if trouble == "period" and not (value / cycle_s).is_integer():
-                continue
-            if trouble == "period" and 2.0 * value > counted_s:
-                continue
-            found += [Condition(trouble, value, scheme, correction) for scheme in get_args(Scheme)]
-    return found
+    return [
+        Condition(trouble, value, scheme, correction)
+        for trouble, values in VALUES.items()
+        for value in values
+        if trouble != "period" or ((value / cycle_s).is_integer() and 2.0 * value <= counted_s)
+        for scheme in get_args(Scheme)
+    ]
 
 
 def plan_under(plan: RunPlan, condition: Condition) -> RunPlan:
@@ -114,23 +117,20 @@ def run_under(plan: RunPlan, profile: Profile, condition: Condition) -> Outcome:
     metrics = run_metrics(series.between(warm_up, series.cycles))
     loops = run.loops.values()
     missed = sum(loop.missing_inputs for loop in loops)
+    # How many inputs the stages of the run await in all; the plant awaits the commands.
+    plan, team = run.plan, controllers(run.plan)
+    awaited = plan.cycles * len(plan.tree.leaves) + sum(
+        len(stage.awaits)
+        for cycle in range(plan.cycles)
+        for agent in team
+        for stage in agent.stages(cycle)
+    )
     return Outcome(
         trouble=condition.trouble,
         value=condition.value,
         scheme=condition.scheme,
         figures=figures_json(metrics),
-        missed_percent=100.0 * missed / _awaited(run.plan),
+        missed_percent=100.0 * missed / awaited,
         old_inputs=sum(loop.old_inputs for loop in loops),
         lost=run.bus.tally.lost,
-    )
-
-
-def _awaited(plan: RunPlan) -> int:
-    """Return how many inputs the stages of a run await in all; the plant awaits the commands."""
-    team = controllers(plan)
-    return plan.cycles * len(plan.tree.leaves) + sum(
-        len(stage.awaits)
-        for cycle in range(plan.cycles)
-        for agent in team
-        for stage in agent.stages(cycle)
     )

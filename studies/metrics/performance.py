@@ -78,7 +78,12 @@ def performance_score(
     """
     if cycle_s > _SAMPLE_S:
         return None
-    clock_s, cycle = _samples(len(signal), begins, cycle_s)
+    # Second of the local clock and cycle of each full 10 s, shape (K,).
+    begins_ns = int(begins.tz_localize(None).as_unit("ns").value)
+    step_ns, cycle_ns = _SAMPLE_S * _NS, round(cycle_s * _NS)
+    end_ns = begins_ns + len(signal) * cycle_ns
+    clock_ns = np.arange(-(-begins_ns // step_ns) * step_ns, end_ns, step_ns)
+    clock_s, cycle = clock_ns // _NS, (clock_ns - begins_ns) // cycle_ns
     first = _whole_windows(clock_s, offered[cycle])
     hours = []
     hour_of_first = clock_s[first] // 3600
@@ -86,23 +91,17 @@ def performance_score(
         firsts = first[hour_of_first == hour]
         score = _hour_score(signal[cycle], response[cycle], firsts)
         if score is not None:
-            moment = begins + pd.Timedelta(hour * 3600 * _NS - _clock_ns(begins), unit="ns")
+            moment = begins + pd.Timedelta(hour * 3600 * _NS - begins_ns, unit="ns")
             hours.append(HourScore(moment.isoformat(), len(firsts), *score))
-    return _mean_score(tuple(hours)) if hours else None
-
-
-def _samples(
-    cycles: int, begins: pd.Timestamp, cycle_s: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Second of the local clock and cycle of each full 10 s in a run, shape (K,)."""
-    begins_ns = _clock_ns(begins)
-    step_ns, cycle_ns = _SAMPLE_S * _NS, round(cycle_s * _NS)
-    clock_ns = np.arange(-(-begins_ns // step_ns) * step_ns, begins_ns + cycles * cycle_ns, step_ns)
-    return clock_ns // _NS, (clock_ns - begins_ns) // cycle_ns
-
-
-def _clock_ns(moment: pd.Timestamp) -> int:
-    return int(moment.tz_localize(None).as_unit("ns").value)
+    if not hours:
+        return None
+    weights = [one.windows for one in hours]
+    accuracy, delay, precision, mean, unclipped = (
+        float(np.average([getattr(one, part) for one in hours], weights=weights))
+        for part in ("accuracy", "delay", "precision", "score", "unclipped_score")
+    )
+    passed = mean >= PASSING_SCORE
+    return PerformanceScore(tuple(hours), accuracy, delay, precision, mean, unclipped, passed)
 
 
 def _whole_windows(clock_s: NDArray[np.int64], offered: NDArray[np.bool_]) -> NDArray[np.intp]:
@@ -136,20 +135,11 @@ def _hour_score(
 def window_scores(
     signal: NDArray[np.float64], shifted: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Score windows of 5 minutes for accuracy and delay.
+    """Score W windows of 5 minutes for accuracy, up to 1 and not clipped at 0, and delay, 0 to 1.
 
-    Parameters
-    ----------
-    signal
-        Signal of each of W windows, every 10 s, shape (W, 30).
-    shifted
-        Response over the same windows, shifted by 0, 10, ... 300 s, shape (W, 31, 30); NaN where
-        there is none. The first shift has no NaN.
-
-    Returns
-    -------
-    accuracy, delay
-        Of each window, shape (W,): accuracy up to 1 and not clipped at 0, delay from 0 to 1.
+    The signal of each window, every 10 s, is of shape (W, 30), and the response over the same
+    window, shifted by 0, 10, ... 300 s, of (W, 31, 30). It is NaN where there is none, but not at
+    the first shift.
     """
     correlation = _correlations(signal, shifted)
     promptness = 1.0 - np.arange(_WINDOW + 1) / _WINDOW
@@ -183,14 +173,3 @@ def _slopes(windows: NDArray[np.float64]) -> NDArray[np.float64]:
     """Slope of the least-squares line through each window, per sample, shape (W,)."""
     index = np.arange(_WINDOW) - (_WINDOW - 1) / 2.0
     return np.asarray(windows @ index / (index @ index))
-
-
-def _mean_score(hours: tuple[HourScore, ...]) -> PerformanceScore:
-    weights = [hour.windows for hour in hours]
-    accuracy, delay, precision, score, unclipped = (
-        float(np.average([getattr(hour, part) for hour in hours], weights=weights))
-        for part in ("accuracy", "delay", "precision", "score", "unclipped_score")
-    )
-    return PerformanceScore(
-        hours, accuracy, delay, precision, score, unclipped, score >= PASSING_SCORE
-    )

@@ -82,13 +82,16 @@ def regulation_metrics(series: RunSeries) -> RegulationMetrics | None:
     response = (delivered_kw - series.commitment_kw) / capacity_kw
     offered_h = int(offered.sum()) * series.cycle_s / 3600.0
     steps = np.abs(np.diff(signal))[offered[1:] & offered[:-1]]
+    # The number of the 2 s of the clock in which each cycle begins.
+    begins_ns = round(series.cycle_s * 1e9) * np.arange(series.cycles) + series.start_time_ns
+    request = begins_ns // round(REQUEST_S * 1e9)
     return RegulationMetrics(
         capacity_kw=capacity_kw,
         offered_h=offered_h,
         signal_mileage_per_hour=float(steps.sum()) / offered_h,
         requests=requests_fulfilled(
             (delivered_kw - series.desired_kw)[offered],
-            _request_numbers(series)[offered],
+            request[offered],
             (series.possible_kw >= series.desired_kw)[offered],
             float(series.rating_kw.sum()),
         ),
@@ -149,10 +152,3 @@ def requests_fulfilled(
             )
         )
     return tuple(counts)
-
-
-def _request_numbers(series: RunSeries) -> NDArray[np.int64]:
-    """Return the number of the 2 s of the clock in which each cycle begins, shape (T,)."""
-    cycle_ns = round(series.cycle_s * 1e9)
-    begins_ns = series.start_time_ns + cycle_ns * np.arange(series.cycles, dtype=np.int64)
-    return begins_ns // round(REQUEST_S * 1e9)

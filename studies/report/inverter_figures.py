@@ -15,7 +15,6 @@ from plotly.subplots import make_subplots
 
 from recordings.read.series import RunSeries
 from studies.report.cloud_passage import (
-    CloudPassage,
     clusters,
     correlation_by_hour,
     find_cloud_passage,
@@ -64,9 +63,27 @@ def residuals(series: RunSeries) -> ReportFigure:
         vertical_spacing=30.0 / (map_px + 150.0),
         row_heights=[map_px, 120],
     )
+    order = inverters_by_cluster(series)
+    cells_kw, rows = least_per_bucket(series.residual_kw[:, order])
+    cell_ms = rows * series.cycle_s * 1e3
+    # Without the few largest on either side, which would leave the rest pale.
+    least_kw = min(0.0, float(np.nanquantile(cells_kw, 0.005)))
+    greatest_kw = max(0.0, float(np.nanquantile(cells_kw, 0.995)))
+    figure.add_heatmap(
+        z=cells_kw.T.astype(np.float32),
+        x0=clock_ms(series)[0] + cell_ms / 2.0,
+        dx=cell_ms,
+        y=[plain(series.inverters[position]) for position in order],
+        colorscale=diverging_scale(least_kw, greatest_kw),
+        zmin=least_kw,
+        zmax=greatest_kw,
+        colorbar=colour_bar("kW", map_px),
+        hovertemplate="%{y}: %{z:,.1f} kW<extra></extra>",
+        row=1,
+        col=1,
+    )
     worst_kw = np.fmin.reduce(series.residual_kw, axis=1)
     line = time_line(series, worst_kw, name="worst", line={"color": BLUE, "width": 1.2})
-    figure.add_trace(_residual_map(series, map_px), row=1, col=1)
     figure.add_trace(line, row=2, col=1)
     dress(figure, map_px + 230, legend=False)
     list_names(figure, count, row=1, col=1)
@@ -86,26 +103,6 @@ def residuals(series: RunSeries) -> ReportFigure:
         + (cells if series.cycles > COLUMNS else "")
         + thinning_note(series.cycles),
         figure,
-    )
-
-
-def _residual_map(series: RunSeries, map_px: int) -> go.Heatmap:
-    order = inverters_by_cluster(series)
-    cells_kw, rows = least_per_bucket(series.residual_kw[:, order])
-    cell_ms = rows * series.cycle_s * 1e3
-    # Without the few largest on either side, which would leave the rest pale.
-    least_kw = min(0.0, float(np.nanquantile(cells_kw, 0.005)))
-    greatest_kw = max(0.0, float(np.nanquantile(cells_kw, 0.995)))
-    return go.Heatmap(
-        z=cells_kw.T.astype(np.float32),
-        x0=clock_ms(series)[0] + cell_ms / 2.0,
-        dx=cell_ms,
-        y=[plain(series.inverters[position]) for position in order],
-        colorscale=diverging_scale(least_kw, greatest_kw),
-        zmin=least_kw,
-        zmax=greatest_kw,
-        colorbar=colour_bar("kW", map_px),
-        hovertemplate="%{y}: %{z:,.1f} kW<extra></extra>",
     )
 
 
@@ -133,7 +130,7 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
             ("above its share", given_kwh, BLUE),
             ("below its share", -lacking_kwh, SUPPORT),
         ):
-            bars = go.Bar(
+            figure.add_bar(
                 y=names,
                 x=energy_kwh[order],
                 orientation="h",
@@ -142,8 +139,9 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
                 showlegend=column == 1,
                 marker={"color": colour},
                 hovertemplate="%{y}: %{x:,.2f} kWh",
+                row=1,
+                col=column,
             )
-            figure.add_trace(bars, row=1, col=column)
     plot_px = max(len(names) * name_px(len(names)), _LEAST_MAP_PX)
     dress(figure, plot_px + 140)
     figure.update_layout(
@@ -202,7 +200,14 @@ def virtual_neighbours(series: RunSeries) -> ReportFigure | None:
         alpha.hovertemplate = "%{y:.3f}"
         figure.add_trace(impp, row=1, col=1)
         figure.add_trace(alpha, row=2, col=1)
-    for request in _request_lines(series, passage):
+    # The request made of the two, as one line where it is the same of both.
+    pair = [passage.shaded, passage.helping]
+    same = series.rating_kw[pair[0]] == series.rating_kw[pair[1]]
+    request_kw = series.impp_kw - series.residual_kw
+    for inverter, dash in zip(pair[:1] if same else pair, ("dash", "dot"), strict=False):
+        name = "request" if same else plain(f"request of {series.inverters[inverter]}")
+        look = {"name": name, "line": {"color": BLACK, "width": 1.2, "dash": dash}}
+        request = time_line(series, request_kw[:, inverter], passage.cycles, **look)
         figure.add_trace(request, row=1, col=1)
     dress(figure, 520)
     figure.update_yaxes(title_text="IMPP [kW]", rangemode="tozero", row=1, col=1)
@@ -220,19 +225,6 @@ def virtual_neighbours(series: RunSeries) -> ReportFigure | None:
         f"correlated pairs of each cluster and hour; this pair has {passage.correlation:+.2f}.",
         figure,
     )
-
-
-def _request_lines(series: RunSeries, passage: CloudPassage) -> list[go.Scatter]:
-    """Return the request made of the two, as one line where it is the same of both."""
-    request_kw = series.impp_kw - series.residual_kw
-    pair = [passage.shaded, passage.helping]
-    same = series.rating_kw[pair[0]] == series.rating_kw[pair[1]]
-    lines = []
-    for inverter, dash in zip(pair[:1] if same else pair, ("dash", "dot"), strict=False):
-        name = "request" if same else plain(f"request of {series.inverters[inverter]}")
-        look = {"name": name, "line": {"color": BLACK, "width": 1.2, "dash": dash}}
-        lines.append(time_line(series, request_kw[:, inverter], passage.cycles, **look))
-    return lines
 
 
 def correlation_matrices(series: RunSeries) -> ReportFigure | None:
@@ -258,14 +250,12 @@ def correlation_matrices(series: RunSeries) -> ReportFigure | None:
     )
     for place, matrix in enumerate(matrices.values):
         row, column = place // across + 1, place % across + 1
-        figure.add_trace(
-            go.Heatmap(
-                z=matrix[np.ix_(order, order)].astype(np.float32),
-                x=names,
-                y=names,
-                coloraxis="coloraxis",
-                hovertemplate="%{x}, %{y}: %{z:.2f}<extra></extra>",
-            ),
+        figure.add_heatmap(
+            z=matrix[np.ix_(order, order)].astype(np.float32),
+            x=names,
+            y=names,
+            coloraxis="coloraxis",
+            hovertemplate="%{x}, %{y}: %{z:.2f}<extra></extra>",
             row=row,
             col=column,
         )
