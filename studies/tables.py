@@ -101,7 +101,14 @@ class Table:
         # Even parts look better than a last one of a single column.
         while len(evener := self._groups(width - 1)) == len(groups):
             groups, width = evener, width - 1
-        return [self._part(group) for group in groups]
+        return [
+            replace(
+                self,
+                columns=tuple(self.columns[at] for at in group),
+                rows=tuple(tuple(row[at] for at in group) for row in self.rows),
+            )
+            for group in groups
+        ]
 
     def _groups(self, width: int) -> list[list[int]]:
         """Return the places of the columns of each part."""
@@ -115,11 +122,6 @@ class Table:
                 groups.append([])
             groups[-1].append(at)
         return [sorted(keys + group) for group in groups]
-
-    def _part(self, places: Sequence[int]) -> Table:
-        columns = tuple(self.columns[at] for at in places)
-        rows = tuple(tuple(row[at] for at in places) for row in self.rows)
-        return replace(self, columns=columns, rows=rows)
 
     def widths(self) -> list[int]:
         """Return the least width of each column."""

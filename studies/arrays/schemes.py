@@ -76,12 +76,15 @@ def run_scheme(
         return [_series(name, plan, profile, found)]
     if name == "grouping":
         return _grouping(plan, profile, actuator, groups)
+    power_kw = profile.mpp_kw
     if name == "uniform-cap":
         power_kw = _uniform_cap(plan, profile, actuator)
-    elif name == "physical-limit":
-        power_kw = _physical_limit(profile)
-    else:
-        power_kw = profile.mpp_kw
+    if name == "physical-limit":
+        possible_kw = profile.mpp_kw.sum(axis=1)
+        wanted_kw = np.clip(_desired_kw(profile), 0.0, possible_kw)
+        share = np.ones_like(wanted_kw)
+        np.divide(wanted_kw, possible_kw, out=share, where=possible_kw > 0.0)
+        power_kw = np.asarray(profile.mpp_kw * share[:, None])
     return [_series(name, plan, profile, _result(profile, power_kw))]
 
 
@@ -114,13 +117,6 @@ def _uniform_cap(plan: RunPlan, profile: Profile, actuator: Actuator) -> NDArray
     level = np.ones_like(impp_kw)
     np.divide(request_kw, impp_kw, out=level, where=impp_kw > request_kw)
     return np.asarray(profile.mpp_kw * np.maximum(level, plan.alpha_min))
-
-
-def _physical_limit(profile: Profile) -> NDArray[np.float64]:
-    possible_kw = profile.mpp_kw.sum(axis=1)
-    wanted_kw = np.clip(_desired_kw(profile), 0.0, possible_kw)
-    share = np.divide(wanted_kw, possible_kw, out=np.ones_like(wanted_kw), where=possible_kw > 0.0)
-    return np.asarray(profile.mpp_kw * share[:, None])
 
 
 def _result(profile: Profile, power_kw: NDArray[np.float64]) -> LoopResult:

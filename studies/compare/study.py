@@ -72,12 +72,17 @@ def results_of(
     The reference groups of grouping control are ranked by the energy that control caused to be
     missing plus the energy delivered too much: a group that trades one for the other does not win.
     """
+
+    def missed_kwh(found: tuple[RunMetrics, RunSeries]) -> float:
+        energy = found[0].commitment
+        return energy.control_caused_kwh + energy.over_delivered_kwh
+
     plan, profile = preparation.plan, preparation.profile
     actuators = comparison.actuators or (plan.actuator,)
     for name in comparison.schemes:
         for actuator in (None,) if name in BOUNDS else actuators:
             series = run_scheme(name, plan, profile, actuator or plan.actuator, comparison.groups)
-            found = sorted(((run_metrics(one), one) for one in series), key=_missed_kwh)
+            found = sorted(((run_metrics(one), one) for one in series), key=missed_kwh)
             ranks = {name: 0}
             if len(found) > 1:
                 ranks = {f"{name} best": 0, f"{name} median": len(found) // 2, f"{name} worst": -1}
@@ -88,11 +93,6 @@ def results_of(
                     SchemeResult(label, actuator, metrics),
                     dataclasses.replace(one, label=title),
                 )
-
-
-def _missed_kwh(found: tuple[RunMetrics, RunSeries]) -> float:
-    energy = found[0].commitment
-    return energy.control_caused_kwh + energy.over_delivered_kwh
 
 
 def remarks_of(preparation: Preparation) -> tuple[str, ...]:

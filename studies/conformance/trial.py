@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import count
 from typing import Any, Final, TypeAlias
 
 import msgspec
@@ -109,9 +110,12 @@ class Trial:
         self._unanswered: list[str] = []
         self._await(neighbours, device, wait_s)
         self.findings.try_(of)
-        give_up_at, number = time.monotonic() + _ARMING_S, FIRST_ROUND
-        while not self._round(number, of):
-            number += 1
+        give_up_at = time.monotonic() + _ARMING_S
+        for number in count(FIRST_ROUND):
+            self.reference = Reference(self.plan, self.agent)
+            self.reference.loop.enter(number, 0)
+            if self._play(number, {}, of):
+                break
             if time.monotonic() > give_up_at:
                 text = f"in arming rounds nothing came on {some_of(self._unanswered)}"
                 self.findings.fail(of, text)
@@ -147,12 +151,6 @@ class Trial:
                 self.findings.fail("token", text)
                 raise FailureError(f"{self.agent}: {text}")
             time.sleep(0.02)
-
-    def _round(self, number: int, of: str) -> bool:
-        """Play an arming round; return whether all answers came."""
-        self.reference = Reference(self.plan, self.agent)
-        self.reference.loop.enter(number, 0)
-        return self._play(number, {}, of)
 
     # Cycles ---------------------------------------------------------------------------------------
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import takewhile
 from typing import Final, get_args
 
@@ -79,18 +79,20 @@ def column_of(outcomes: Sequence[Outcome], trouble: Trouble, scheme: str) -> lis
 
 def survived(outcomes: Sequence[Outcome]) -> list[str]:
     """Say, for each scheme, up to where each trouble costs less than 1 % either way."""
-    return [
-        f"{scheme}: the shortfall that control causes and the over-delivery both stay below "
-        f"{BEARABLE_PERCENT:g} % of the desired energy at " + ", ".join(_limits(outcomes, scheme))
-        for scheme in get_args(Scheme)
-    ]
-
-
-def _limits(outcomes: Sequence[Outcome], scheme: Scheme) -> Iterator[str]:
-    for trouble, (_, measure, unit) in TROUBLES.items():
-        column = column_of(outcomes, trouble, scheme)
-        bearable = [one.value for one in takewhile(_is_bearable, column)]
-        yield f"{measure} up to {bearable[-1]:g} {unit}" if bearable else f"no {measure}"
+    lines = []
+    for scheme in get_args(Scheme):
+        limits = []
+        for trouble, (_, measure, unit) in TROUBLES.items():
+            column = column_of(outcomes, trouble, scheme)
+            bearable = [one.value for one in takewhile(_is_bearable, column)]
+            limits.append(
+                f"{measure} up to {bearable[-1]:g} {unit}" if bearable else f"no {measure}"
+            )
+        lines.append(
+            f"{scheme}: the shortfall that control causes and the over-delivery both stay below "
+            f"{BEARABLE_PERCENT:g} % of the desired energy at {', '.join(limits)}"
+        )
+    return lines
 
 
 def _is_bearable(one: Outcome) -> bool:

@@ -84,7 +84,10 @@ def performance_score(
     end_ns = begins_ns + len(signal) * cycle_ns
     clock_ns = np.arange(-(-begins_ns // step_ns) * step_ns, end_ns, step_ns)
     clock_s, cycle = clock_ns // _NS, (clock_ns - begins_ns) // cycle_ns
-    first = _whole_windows(clock_s, offered[cycle])
+    # First samples of the windows, on 5 minutes of the clock, that are offered throughout.
+    first = np.flatnonzero(clock_s % (_WINDOW * _SAMPLE_S) == 0)
+    first = first[first + _WINDOW <= len(clock_s)]
+    first = first[offered[cycle][first[:, None] + np.arange(_WINDOW)].all(axis=1)]
     hours = []
     hour_of_first = clock_s[first] // 3600
     for hour in np.unique(hour_of_first):
@@ -102,14 +105,6 @@ def performance_score(
     )
     passed = mean >= PASSING_SCORE
     return PerformanceScore(tuple(hours), accuracy, delay, precision, mean, unclipped, passed)
-
-
-def _whole_windows(clock_s: NDArray[np.int64], offered: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """First samples of the windows, on 5 minutes of the clock, that are offered throughout."""
-    first = np.flatnonzero(clock_s % (_WINDOW * _SAMPLE_S) == 0)
-    first = first[first + _WINDOW <= len(clock_s)]
-    throughout = offered[first[:, None] + np.arange(_WINDOW)].all(axis=1)
-    return np.asarray(first[throughout])
 
 
 def _hour_score(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -54,7 +53,14 @@ def find_cloud_passage(series: RunSeries) -> CloudPassage | None:
     able = pd.DataFrame(series.residual_kw).rolling(minute, min_periods=1).min().to_numpy() > 0.0
     length = min(max(2, round(WINDOW_S / series.cycle_s)), series.cycles)
     best: CloudPassage | None = None
-    for hour, pair, correlation in _candidates(series, correlation_by_hour(series)):
+    matrices = correlation_by_hour(series)
+    candidates = [
+        (hour, min(combinations(members, 2), key=lambda two: matrix[two]), matrix)
+        for hour, matrix in zip(matrices.hours, matrices.values, strict=True)
+        for members in clusters(series).values()
+        if len(members) > 1
+    ]
+    for hour, pair, matrix in candidates:
         for shaded, helping in (pair, pair[::-1]):
             counts = (hours == hour) & needy[:, shaded] & able[:, helping]
             depth_kw = np.where(counts, drop_kw[:, shaded], 0.0)
@@ -63,7 +69,7 @@ def find_cloud_passage(series: RunSeries) -> CloudPassage | None:
                 # The bottom is in the middle of what is shown, within the run.
                 begin = min(max(0, bottom - length // 2), series.cycles - length)
                 cycles = range(begin, begin + length)
-                best = CloudPassage(shaded, helping, correlation, bottom, fell_kw, cycles)
+                best = CloudPassage(shaded, helping, float(matrix[pair]), bottom, fell_kw, cycles)
     return best
 
 
@@ -98,14 +104,3 @@ def clusters(series: RunSeries) -> dict[str, list[int]]:
 def inverters_by_cluster(series: RunSeries) -> list[int]:
     """Return the positions of all inverters, those of a cluster beside each other."""
     return [position for members in clusters(series).values() for position in members]
-
-
-def _candidates(
-    series: RunSeries, matrices: HourlyMatrices
-) -> Iterator[tuple[int, tuple[int, int], float]]:
-    """Yield hour, pair and correlation of the least correlated pair of each cluster and hour."""
-    for hour, matrix in zip(matrices.hours, matrices.values, strict=True):
-        for members in clusters(series).values():
-            if len(members) > 1:
-                pair = min(combinations(members, 2), key=lambda two: matrix[two])
-                yield hour, pair, float(matrix[pair])
