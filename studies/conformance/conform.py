@@ -49,10 +49,8 @@ class Conformance:
         self.findings = Findings(REQUIREMENTS)
         plan = replace(preparation.plan, faults=(), standby=())
         self._preparation = dataclasses.replace(preparation, plan=plan)
-        self._folder = folder
-        self._comparison = comparison
-        self._say = say
-        self._device = device
+        self._folder, self._device = folder, device
+        self._comparison, self._say = comparison, say
         self._inputs = self._undisturbed()
 
     def run(self, seed: int) -> Findings:

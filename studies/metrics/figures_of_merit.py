@@ -17,18 +17,10 @@ _LETTERS: Final[dict[Place, str]] = {"summary": "S", "report": "R", "compare": "
 
 @dataclass(frozen=True, slots=True)
 class FigureOfMerit:
-    """One figure of merit.
+    """One figure of merit: its name in JSON and on the command line, and how tables show it.
 
-    Attributes
-    ----------
-    name
-        In JSON and on the command line.
-    title, unit, decimals
-        How tables show it.
-    shown
-        Where it is shown, by the letters of the places. A `+` says that more of it is better.
-    path
-        Where `RunMetrics` has it; of a figure in % of desired, the energy.
+    `shown` has the letters of the places that show it; a `+` says that more of it is better. `path`
+    is where `RunMetrics` has it; of a figure in % of desired, the energy.
     """
 
     name: str

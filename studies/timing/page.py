@@ -27,6 +27,7 @@ from studies.report.style import (
     scheme_line,
     thinning_note,
 )
+from studies.timing import tables
 from studies.timing.budgets import Verdict
 from studies.timing.cycle_waits import CycleWaits, Wait
 from studies.timing.durations import Times, curve_ms
@@ -39,16 +40,6 @@ from studies.timing.sweep import (
     machine_lines,
     sweep_table,
     trouble_lines,
-)
-from studies.timing.tables import (
-    budgets_table,
-    counts_table,
-    failures,
-    header_lines,
-    network_lines,
-    processes_table,
-    times_tables,
-    verdict_line,
 )
 from sunspec.tables import devices_tables
 
@@ -79,12 +70,12 @@ _PERCENTILES: Final = {
 def run_page(reported: Reported) -> str:
     """Return the page of one run: verdict, slowest cycles, loop time, percentiles, tables."""
     report = reported.report
-    first, *machine = header_lines(report)
-    missed = failures(report)
+    first, *machine = tables.header_lines(report)
+    missed = tables.failures(report)
     text = [
         *([f"Not kept: {'; '.join(missed)}."] if missed else []),
         f"{first}; {'; '.join(machine)}.",
-        *(f"{line}." for line in network_lines(report)),
+        *(f"{line}." for line in tables.network_lines(report)),
     ]
     waits = [
         waits_figure(f"waits-{place}", cycle, reported.plan.tree)
@@ -102,13 +93,13 @@ def run_page(reported: Reported) -> str:
             *waits,
             *([loop_figure(reported)] if report.cycles else []),
             *curves,
-            *times_tables(report),
-            counts_table(report.tiers),
+            *tables.times_tables(report),
+            tables.counts_table(report.tiers),
             *devices_tables(report.devices),
-            budgets_table(report.verdicts),
-            processes_table(report.processes),
+            tables.budgets_table(report.verdicts),
+            tables.processes_table(report.processes),
         ],
-        verdict=(report.passed, verdict_line(report)),
+        verdict=(report.passed, tables.verdict_line(report)),
     )
 
 
