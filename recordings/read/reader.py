@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Collection, Container, Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -344,6 +345,11 @@ class RunReader:
     def _nearest(self, places: Iterable[ChunkPlace]) -> range:
         """Return the cycles of the first readable chunk."""
         return next(filter(None, map(self.cycles_in, places)), range(0))
+
+    @property
+    def file_number(self) -> int:
+        """Which of its files the reading has come to, from 0 on."""
+        return bisect_right(self.outline.further_files, self._position)
 
     @property
     def read_share(self) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Final, TypeAlias
@@ -65,7 +65,7 @@ def study_clusters(
     question: ClusterQuestion,
     remarks: tuple[str, ...],
     workers: int,
-    watch: Callable[[Iterator[Done], int], Iterator[Done]],
+    watch: Callable[[Generator[Done], int], Iterator[Done]],
 ) -> ClusterStudy:
     """Run all ways to choose clusters; `watch` passes their results on, to show progress."""
     scheme, periods, control = question.scheme, question.periods, question.control
