@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import msgspec
 from rich.console import Console
 
+from agents.plan import RunPlan
 from bus_schemas.errors import FailureError, InputError
 from launch_scripts.commands.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
 from launch_scripts.commands.options import (
@@ -17,9 +21,9 @@ from launch_scripts.commands.options import (
     PlantOptions,
     ProcessOptions,
     SpanOptions,
+    changed_scenario,
 )
 from launch_scripts.commands.output import say, write_json
-from launch_scripts.commands.page import page_beside
 from launch_scripts.launcher.launch import launch
 from launch_scripts.launcher.live_view import view_for
 from launch_scripts.launcher.request import RunRequest, prepare_run
@@ -30,9 +34,7 @@ from launch_scripts.launcher.summary_table import print_summary
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.launcher.wrong_messages import one_line_each
 from launch_scripts.scenarios.preparation import RunOptions
-from launch_scripts.scenarios.scenario import load_scenario
 from live_page.process import PageProcess
-from studies.compare.cases import with_settings
 from studies.tables import console_for
 
 
@@ -46,9 +48,23 @@ def run_request(
     given: dict[str, Any] = dict(span)
     for group in groups:
         given |= asdict(group)
-    settings = given.pop("settings") or ()
-    scenario_file = with_settings(load_scenario(scenario, files.data), settings)
+    scenario_file = changed_scenario(scenario, files.data, given.pop("settings"))
     return RunRequest(scenario_file, RunOptions(**given), files.out)
+
+
+@contextmanager
+def page_beside(options: PageOptions, console: Console) -> Iterator[PageProcess | None]:
+    """Start the page of a command, if it is wanted; at the end, wait until nobody looks at it."""
+    if options.page:
+        with PageProcess(options.page_address, options.page_port) as page:
+            yield page
+            page.let_end(partial(say, console))
+        return
+    addresses = {"--page-address": options.page_address, "--page-port": options.page_port}
+    for option, given in addresses.items():
+        if given is not None:
+            raise InputError(f"{option}: expected --page with it")
+    yield None
 
 
 def run_and_print(
@@ -112,10 +128,8 @@ def run(
         if all(rule.stops for rule in plan.faults):
             why = "cycles keep to no clock"
         raise InputError(f"{where}: expected a --pace such as 1 with it, got lockstep, where {why}")
-    if server is not None and plan.keys_folder:
-        from launch_scripts.scenarios.plant_keys import check_keys  # Its package is optional.
-
-        check_keys(plan)
+    if server is not None and (trouble := _key_trouble(plan)):
+        raise InputError(trouble)
     try:
         with view_for(console, plan, scenario.time.timezone) as view:
             for line in (scenario.title, *preparation.remarks):
@@ -129,6 +143,22 @@ def run(
     except RunFailure as failure:
         if not folder.recording.exists():
             raise
-        raise FailureError(f"{failure}\nrecording up to there: {folder.recording}") from failure
+        text = f"{failure}\nrecording up to there: {folder.recording}"
+        if plan.lockstep and (trouble := _key_trouble(plan)):  # They may have expired meanwhile.
+            text += f"\n{trouble}"
+        raise FailureError(text) from failure
     folder.summary.write_bytes(summary.as_json() + b"\n")
     return summary, folder
+
+
+def _key_trouble(plan: RunPlan) -> str:
+    """Say why Zenoh would not open links with the keys of a run; empty: it would."""
+    if not plan.keys_folder:
+        return ""
+    from launch_scripts.scenarios.plant_keys import check_keys  # Its package is optional.
+
+    try:
+        check_keys(plan)
+    except InputError as error:
+        return str(error)
+    return ""

@@ -309,11 +309,14 @@ class RunReader:
     @cached_property
     def stop_cycle(self) -> int | None:
         """The cycle before which the plant ended the run; None: the recording does not tell."""
-        cycles = range(max(self.last_cycle, 0), _MOST_CYCLES)
-        for record in self.records([RUN.of(ROOT)], cycles):
-            if decode(RUN, record.payload).state == "stop":
-                return record.cycle
-        return None
+        last = max(self.last_cycle, 0)
+        records = self.records([RUN.of(ROOT)], range(last, _MOST_CYCLES))
+        runs = (decode(RUN, record.payload) for record in records)
+        stops = [run.cycle for run in runs if run.state == "stop"]
+        # Another program may have said so before a cycle that took place. Controllers that did not
+        # wait for the plant may have begun the cycle of its own stop.
+        later = [cycle for cycle in stops if cycle > self.last_cycle]
+        return min(later or stops, default=None)
 
     def cycles_in(self, place: ChunkPlace) -> range:
         """Return the cycles that a chunk has messages of; empty if none can be read."""
