@@ -23,7 +23,6 @@ _LISTENERS_CAUSES: Final = {
     "unexpected": "not of a turn of its sender",
     "duplicate": "came twice in a cycle",
     "two senders": "its listeners heard two messages in a cycle",
-    "two senders": "its listeners heard two messages in a cycle",
     "foreign": "not from who may publish there",
     "flooded": "more than can be looked at",
     "contradicted": "contradicts what the publisher goes on saying",
