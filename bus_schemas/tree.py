@@ -195,10 +195,10 @@ def parent_of(path: str) -> str:
     return path.rpartition("/")[0]
 
 
-def some_of(names: Sequence[str]) -> str:
+def some_of(names: Sequence[str], most: int = _MOST_NAMED) -> str:
     """List the first of many names."""
-    rest = len(names) - _MOST_NAMED
-    listed = ", ".join(names[:_MOST_NAMED])
+    rest = len(names) - most
+    listed = ", ".join(names[:most])
     return f"{listed} and {rest} more" if rest > 0 else listed
 
 

@@ -66,6 +66,13 @@ def word_column(title: str, name: str = "") -> Column:
     return Column(title, align="left", name=name)
 
 
+def attributes(things: Iterable[object], columns: Sequence[Column]) -> tuple[tuple[Cell, ...], ...]:
+    """Return a row for each thing: its attributes by the names of the columns."""
+    return tuple(
+        tuple(getattr(thing, column.name or column.title) for column in columns) for thing in things
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Table:
     """A table: its title, its columns, one row for each thing, and notes on how to read it."""
@@ -75,21 +82,16 @@ class Table:
     rows: tuple[tuple[Cell, ...], ...]
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        for row in self.rows:
-            if len(row) != len(self.columns):
-                raise ValueError(
-                    f"table {self.title!r}, row {row[:1]}: expected {len(self.columns)} cells, "
-                    f"got {len(row)}"
-                )
-
     def names(self) -> list[str]:
         """Return the names of the columns in JSON."""
         return [column.name or column.title for column in self.columns]
 
     def texts(self) -> list[tuple[str, ...]]:
         """Return all cells as text."""
-        return [tuple(map(cell_text, row, self.columns)) for row in self.rows]
+        return [
+            tuple(cell_text(*pair) for pair in zip(row, self.columns, strict=True))
+            for row in self.rows
+        ]
 
     def parts(self, width: int) -> list[Table]:
         """Split a table into as many as it takes for each to fit; all have the key columns."""
@@ -99,11 +101,18 @@ class Table:
         # Even parts look better than a last one of a single column.
         while len(evener := self._groups(width - 1)) == len(groups):
             groups, width = evener, width - 1
-        return [self._part(group) for group in groups]
+        return [
+            replace(
+                self,
+                columns=tuple(self.columns[at] for at in group),
+                rows=tuple(tuple(row[at] for at in group) for row in self.rows),
+            )
+            for group in groups
+        ]
 
     def _groups(self, width: int) -> list[list[int]]:
         """Return the places of the columns of each part."""
-        widths = [least + _GAP for least in self._widths()]
+        widths = [least + _GAP for least in self.widths()]
         keys = [at for at, column in enumerate(self.columns) if column.key]
         groups: list[list[int]] = [[]]
         for at in range(len(self.columns)):
@@ -114,19 +123,17 @@ class Table:
             groups[-1].append(at)
         return [sorted(keys + group) for group in groups]
 
-    def _part(self, places: Sequence[int]) -> Table:
-        columns = tuple(self.columns[at] for at in places)
-        return replace(
-            self, columns=columns, rows=tuple(tuple(row[at] for at in places) for row in self.rows)
-        )
-
-    def _widths(self) -> list[int]:
+    def widths(self) -> list[int]:
         """Return the least width of each column."""
-        texts = self.texts()
-        return [
-            _least_width(column, [row[at] for row in texts])
-            for at, column in enumerate(self.columns)
-        ]
+        widths, rows = [], self.texts()
+        for at, column in enumerate(self.columns):
+            texts = [row[at] for row in rows]
+            longest = max(map(len, texts), default=0)
+            if column.align == "left":
+                words = (len(word) for text in texts for word in text.split())
+                longest = max(min(longest, _WORDS), *words, 0)
+            widths.append(max(longest, *map(len, _heading(column, longest)), 0))
+        return widths
 
 
 def cell_text(cell: Cell, column: Column) -> str:
@@ -177,14 +184,6 @@ def _json_cell(cell: Cell) -> str | float | bool | None:
     return None if isinstance(value, float) and not isfinite(value) else value
 
 
-def _least_width(column: Column, texts: Sequence[str]) -> int:
-    longest = max(map(len, texts), default=0)
-    if column.align == "left":
-        words = (len(word) for text in texts for word in text.split())
-        longest = max(min(longest, _WORDS), *words, 0)
-    return max(longest, *map(len, _heading(column, longest)), 0)
-
-
 def _rich_table(table: Table) -> RichTable:
     shown = RichTable(
         box=box.SIMPLE_HEAD,
@@ -194,7 +193,7 @@ def _rich_table(table: Table) -> RichTable:
         pad_edge=False,
         collapse_padding=True,
     )
-    for column, least in zip(table.columns, table._widths(), strict=True):
+    for column, least in zip(table.columns, table.widths(), strict=True):
         shown.add_column(
             Text("\n".join(_heading(column, least))),
             justify=column.align,

@@ -16,8 +16,8 @@ from tables import DOCUMENTS, WORKERS, Lines, Tables, header, heliarch, row
 from heliarch import load_scenario
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from studies.compare.cases import with_settings
+from studies.delays.results import TROUBLES, column_of
 from studies.delays.study import Condition, Outcome, Trouble, run_under
-from studies.delays.tables import TROUBLES, column_of
 from studies.workers import share_work
 
 mpl.use("Agg")

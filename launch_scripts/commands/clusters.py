@@ -58,8 +58,8 @@ def clusters(
     """
     from bus_schemas.times import parse_duration_s
     from launch_scripts.scenarios.preparation import RunOptions, prepare
+    from studies.clusters import results
     from studies.clusters import study as of_clusters
-    from studies.clusters.page import study_page
     from studies.clusters.worth import by_first_part, by_scenario
     from studies.compare.study import remarks_of
 
@@ -83,12 +83,14 @@ def clusters(
     study = of_clusters.study_clusters(
         question, remarks, workers, lambda done, total: counted(done, "clusters", total)
     )
-    document = of_clusters.study_json(study)
-    written = write_files(document, files.json, lambda: study_page(study), files.report, PAGE)
+    document = results.study_json(study)
+    written = write_files(
+        document, files.json, lambda: results.study_page(study), files.report, PAGE
+    )
     console = console_for(files.json)
     print_lines(console, study.remarks)
-    tables = of_clusters.clusters_table, of_clusters.orders_table, of_clusters.members_table
+    tables = results.clusters_table, results.orders_table, results.members_table
     for table in tables:
         print_table(console, table(study))
-    print_lines(console, of_clusters.study_lines(study))
+    print_lines(console, results.study_lines(study))
     say(console, *written)

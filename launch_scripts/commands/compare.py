@@ -295,7 +295,7 @@ def _write_figures(results: Sequence[CaseResult], json: str | None, csv: str | N
         from pandas import DataFrame
 
         from recordings.read.whole_file import whole_file
-        from studies.compare.statistics import summaries
+        from studies.compare.tables import summaries
 
         with whole_file(Path(csv)) as file:
             DataFrame(summaries(results)).to_csv(file, index=False)

@@ -57,9 +57,8 @@ def delays(
     """
     from launch_scripts.scenarios.preparation import RunOptions
     from studies.compare.study import remarks_of
-    from studies.delays.page import study_page
-    from studies.delays.study import conditions, run_under
-    from studies.delays.tables import counted_s, print_study
+    from studies.delays.results import print_study, study_page
+    from studies.delays.study import conditions, counted_s, run_under
 
     changes, start, duration = tuple(settings or ()), span.start, span.duration
     if scenario is None:
@@ -71,7 +70,7 @@ def delays(
     preparation = _prepared(changed, RunOptions(start, duration, seed=seed, end=span.end))
     plan = preparation.plan
     cycle_s, correction = plan.cycle_ns / 1e9, changed.scenario.control.correction
-    chosen = conditions(cycle_s, counted_s(preparation), correction)
+    chosen = conditions(cycle_s, counted_s(plan), correction)
     run = partial(run_under, plan, preparation.profile)
     outcomes = shared(run, chosen, workers, "runs")
     document: dict[str, Any] = {

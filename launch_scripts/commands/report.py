@@ -14,6 +14,6 @@ EXAMPLE: Final = "heliarch report runs/oahu-20261121-120000-4711"
 
 def report(run: RunArgument, page: ReportOption = None) -> None:
     """Write the figures and tables of a run as one HTML page, which opens without a network."""
-    from studies.report.recorded_run import write_run_report
+    from studies.report.run_report import write_run_report
 
     typer.echo(f"report: {write_run_report(run, Path(page) if page else None)}")

@@ -88,7 +88,7 @@ def _print_result(
     print_summary(summary, console)
     say(console, f"recording: {folder.recording}")
     if files.report is not None and summary.cycles:
-        from studies.report.recorded_run import write_run_report  # Plotly is slow to import.
+        from studies.report.run_report import write_run_report  # Plotly is slow to import.
 
         page = Path(files.report) if files.report else None
         say(console, f"report: {write_run_report(folder.path, page)}")

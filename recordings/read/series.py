@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import nan
 from pathlib import Path
 from typing import Final
@@ -119,6 +119,20 @@ class RunSeries:
         """Local time of the beginning of each cycle, length T."""
         first = pd.Timestamp(self.start_time_ns, tz="UTC").tz_convert(self.timezone)
         return pd.date_range(first, periods=self.cycles, freq=pd.Timedelta(seconds=self.cycle_s))
+
+    def between(self, first: int, end: int) -> RunSeries:
+        """Return the cycles from the first one on to before the end alone."""
+        return replace(
+            self,
+            start_time_ns=self.start_time_ns + round(first * self.cycle_s * 1e9),
+            commitment_kw=self.commitment_kw[first:end],
+            regulation_kw=self.regulation_kw[first:end],
+            mpp_kw=self.mpp_kw[first:end],
+            power_kw=self.power_kw[first:end],
+            impp_kw=self.impp_kw[first:end],
+            residual_kw=self.residual_kw[first:end],
+            alpha=self.alpha[first:end],
+        )
 
 
 class _Values:

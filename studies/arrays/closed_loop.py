@@ -34,14 +34,8 @@ LoopArrays: TypeAlias = tuple[Floats, Floats, Floats, Floats]
 class Settings(NamedTuple):
     """The settings of a run besides its control tree.
 
-    Attributes
-    ----------
-    is_forecast
-        Whether the IMPP is a forecast (`predictive`) or that of the last cycle (`paper`).
-    is_limited
-        Whether inverters hold a power limit, or give a fraction of their maximum.
-    is_corrected
-        Whether the central controller corrects its target by the plant's meter.
+    Whether the IMPP is a forecast or that of the last cycle; whether inverters hold a power limit
+    or give a fraction of their maximum; whether the target is corrected by the plant's meter.
     """
 
     is_forecast: bool
@@ -54,14 +48,9 @@ class Settings(NamedTuple):
 class Central(NamedTuple):
     """The state of the central controller.
 
-    Attributes
-    ----------
-    dispatch_kw
-        The last usable dispatch; before the first the plant's rating, so that nothing is curtailed.
-    wanted_kw, correction_kw
-        The dispatch of its last turn, and the correction added to it.
-    metered_kw, metered_cycles
-        Sum of the plant's meter since then, and over how many cycles.
+    It has the last usable dispatch, before the first the plant's rating, so that nothing is
+    curtailed; the dispatch of its last turn, and the correction added to it; the sum of the plant's
+    meter since then, and over how many cycles.
     """
 
     dispatch_kw: float
@@ -87,14 +76,9 @@ def run_loop(
     actuator: Actuator,
     constants: Mapping[str, float] | None = None,
 ) -> LoopResult:
-    """Run a plan's hierarchy on a profile.
+    """Run a plan's hierarchy on a profile with this scheme and actuator in place of the plan's own.
 
-    Parameters
-    ----------
-    plan, profile
-        The run; `scheme` and `actuator` replace the plan's own.
-    constants
-        Other values of constants in `agents.control`, by name.
+    `constants` has other values of constants in `agents.control`, by name.
     """
     loop = _compiled_loop(tuple(sorted((constants or {}).items())))
     return LoopResult(*loop(*loop_inputs(plan, profile, scheme, actuator)))

@@ -10,6 +10,9 @@ from typing import Final, ParamSpec, TypeGuard, TypeVar, cast
 
 from numba import njit
 
+import agents.control
+import studies.arrays
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -22,32 +25,17 @@ def compiled(
     """Return a function compiled by Numba, as are all functions of ours that it calls.
 
     The function itself stays plain Python: a copy of it sees compiled functions where the original
-    sees plain ones. Numba keeps the compiled code on disk, under a name that changes with the
-    sources of all these functions and with the constants.
-
-    Parameters
-    ----------
-    function
-        A module-level function of `agents.control` or of the study.
-    constants
-        Values in place of the module constants of these names, wherever they are used.
+    sees plain ones, and values in place of the module constants of these names. Numba keeps the
+    compiled code on disk, under a name that changes with our sources and with the constants.
     """
     constants = constants or {}
-    plain = cast(FunctionType, function)
-    name = _digest(_callees(plain), constants)
-    return cast(Callable[P, R], njit(cache=True)(_copy(plain, name, constants, {})))
-
-
-def _callees(function: FunctionType) -> set[FunctionType]:
-    """Return all functions of ours that a function calls, and itself."""
-    found, open_ones = {function}, [function]
-    while open_ones:
-        one = open_ones.pop()
-        used = [one.__globals__.get(name) for name in _names(one.__code__)]
-        new = {callee for callee in used if _is_ours(callee)} - found
-        found |= new
-        open_ones += new
-    return found
+    digest = sha256(repr(sorted(constants.items())).encode())
+    for package in (agents.control, studies.arrays):
+        for file in sorted(Path(package.__path__[0]).glob("*.py")):
+            digest.update(file.read_bytes())
+    name = digest.hexdigest()[:16]
+    copy = _copy(cast(FunctionType, function), name, constants, {})
+    return cast(Callable[P, R], njit(cache=True)(copy))
 
 
 def _is_ours(used: object) -> TypeGuard[FunctionType]:
@@ -78,11 +66,3 @@ def _names(code: CodeType) -> Iterator[str]:
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
             yield from _names(constant)
-
-
-def _digest(functions: set[FunctionType], constants: Mapping[str, float]) -> str:
-    """Return a name for the sources of all modules that these functions come from."""
-    found = sha256(repr(sorted(constants.items())).encode())
-    for file in sorted({function.__code__.co_filename for function in functions}):
-        found.update(Path(file).read_bytes())
-    return found.hexdigest()[:16]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from agents.control.neighbours import help_order
 from agents.plan import RunPlan
-from bus_schemas.tree import ROOT, ControlTree, depth
+from bus_schemas.tree import ROOT, depth
 
 
 class ControlArrays(NamedTuple):
@@ -52,22 +51,19 @@ class ControlArrays(NamedTuple):
 
 
 def control_arrays(plan: RunPlan, cycles: int) -> ControlArrays:
-    """Return a plan's control tree with its nodes numbered.
-
-    Parameters
-    ----------
-    plan
-        The run.
-    cycles
-        How many of its cycles are wanted.
-    """
+    """Return a plan's control tree with its nodes numbered, for so many cycles."""
     tree = plan.tree
     number = {ROOT: 0}
-    parents, ends = [], []
-    # The dictionary grows on the way: children come after all nodes found before them.
-    for path in _breadth_first(tree, number):
-        parents.append(path)
-        ends.append(len(number))
+    parents: list[str] = []
+    ends: list[int] = []
+    waiting = deque([ROOT])
+    while waiting:
+        path = waiting.popleft()
+        if children_of := tree.children(path):
+            number |= {child: place for place, child in enumerate(children_of, len(number))}
+            parents.append(path)
+            ends.append(len(number))
+            waiting.extend(children_of)
     children = [len(tree.children(path)) for path in parents]
     times_ns = sorted({hood.from_time_ns for entry in plan.neighbourhoods for hood in entry.hours})
     sim_time_ns = plan.start_time_ns + plan.cycle_ns * np.arange(cycles, dtype=np.int64)
@@ -83,19 +79,6 @@ def control_arrays(plan: RunPlan, cycles: int) -> ControlArrays:
         order=_orders(plan, parents, max(children), times_ns),
         hour=hour.astype(np.int64),
     )
-
-
-def _breadth_first(tree: ControlTree, number: dict[str, int]) -> Iterator[str]:
-    """Yield the parents from the root down; number each one's children as it is yielded."""
-    waiting = deque([ROOT])
-    while waiting:
-        path = waiting.popleft()
-        children = tree.children(path)
-        if children:
-            for child in children:
-                number[child] = len(number)
-            waiting.extend(children)
-            yield path
 
 
 def _orders(

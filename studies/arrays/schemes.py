@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, cast, get_args
 
@@ -34,14 +34,8 @@ BOUNDS: Final = ("uncontrolled", "physical-limit")
 class ReferenceGroups:
     """The reference groups that grouping control is tried with.
 
-    Attributes
-    ----------
-    sizes
-        Numbers of inverters in a group.
-    choices
-        How many groups of each size: every single inverter for size 1, else drawn at random.
-    members
-        Names of the inverters of one group, in place of all these.
+    So many choices of each size are drawn at random; of size 1, every single inverter. `members`
+    names the inverters of one group in place of all these.
     """
 
     sizes: tuple[int, ...] = (1, 2, 3, 4, 6, 8)
@@ -51,10 +45,15 @@ class ReferenceGroups:
 
     def groups(self, names: Sequence[str]) -> Iterator[NDArray[np.bool_]]:
         """Yield each group as a mask over the inverters of these names."""
-        if self.members:
-            yield self._named(names)
-            return
         inverters = len(names)
+        if self.members:
+            for name in self.members:
+                if name not in names:
+                    raise InputError(f"--reference: expected {', '.join(names)}, got {name}")
+            if len(set(self.members)) == inverters:
+                raise InputError("--reference: expected fewer than all inverters")
+            yield np.isin(names, self.members)
+            return
         generator = np.random.default_rng(self.seed)
         for size in self.sizes:
             if not 0 < size < inverters:
@@ -67,35 +66,26 @@ class ReferenceGroups:
                 mask[members] = True
                 yield mask
 
-    def _named(self, names: Sequence[str]) -> NDArray[np.bool_]:
-        for name in self.members:
-            if name not in names:
-                raise InputError(f"--reference: expected {', '.join(names)}, got {name}")
-        mask = np.isin(names, self.members)
-        if mask.all():
-            raise InputError("--reference: expected fewer than all inverters")
-        return mask
-
 
 def run_scheme(
     name: str, plan: RunPlan, profile: Profile, actuator: Actuator, groups: ReferenceGroups
 ) -> list[RunSeries]:
-    """Run one scheme; grouping control gives one series for each reference group.
-
-    Raises
-    ------
-    InputError
-        There is no such scheme, or a reference group does not fit the plant.
-    """
+    """Run one of `SCHEMES`; grouping control gives one series for each reference group."""
     if name in get_args(Scheme):
         found = run_loop(plan, profile, cast(Scheme, name), actuator)
         return [_series(name, plan, profile, found)]
     if name == "grouping":
         return _grouping(plan, profile, actuator, groups)
-    simple = _SIMPLE.get(name)
-    if simple is None:
-        raise InputError(f"scheme: expected {', '.join(SCHEMES)}, got {name}")
-    return [_series(name, plan, profile, _result(profile, simple(plan, profile, actuator)))]
+    power_kw = profile.mpp_kw
+    if name == "uniform-cap":
+        power_kw = _uniform_cap(plan, profile, actuator)
+    if name == "physical-limit":
+        possible_kw = profile.mpp_kw.sum(axis=1)
+        wanted_kw = np.clip(_desired_kw(profile), 0.0, possible_kw)
+        share = np.ones_like(wanted_kw)
+        np.divide(wanted_kw, possible_kw, out=share, where=possible_kw > 0.0)
+        power_kw = np.asarray(profile.mpp_kw * share[:, None])
+    return [_series(name, plan, profile, _result(profile, power_kw))]
 
 
 def _grouping(
@@ -116,10 +106,6 @@ def _grouping(
     return found
 
 
-def _uncontrolled(plan: RunPlan, profile: Profile, actuator: Actuator) -> NDArray[np.float64]:
-    return profile.mpp_kw
-
-
 def _uniform_cap(plan: RunPlan, profile: Profile, actuator: Actuator) -> NDArray[np.float64]:
     """Each inverter gives its request; behind a fraction, of what it could give a cycle ago."""
     rating_kw = _rating_kw(plan)
@@ -131,21 +117,6 @@ def _uniform_cap(plan: RunPlan, profile: Profile, actuator: Actuator) -> NDArray
     level = np.ones_like(impp_kw)
     np.divide(request_kw, impp_kw, out=level, where=impp_kw > request_kw)
     return np.asarray(profile.mpp_kw * np.maximum(level, plan.alpha_min))
-
-
-def _physical_limit(plan: RunPlan, profile: Profile, actuator: Actuator) -> NDArray[np.float64]:
-    possible_kw = profile.mpp_kw.sum(axis=1)
-    wanted_kw = np.clip(_desired_kw(profile), 0.0, possible_kw)
-    share = np.divide(wanted_kw, possible_kw, out=np.ones_like(wanted_kw), where=possible_kw > 0.0)
-    return np.asarray(profile.mpp_kw * share[:, None])
-
-
-_SIMPLE: Final[dict[str, Callable[[RunPlan, Profile, Actuator], NDArray[np.float64]]]] = {
-    "uncontrolled": _uncontrolled,
-    "uniform-cap": _uniform_cap,
-    "physical-limit": _physical_limit,
-}
-"""Power of each inverter under the schemes in which inverters do not help each other."""
 
 
 def _result(profile: Profile, power_kw: NDArray[np.float64]) -> LoopResult:

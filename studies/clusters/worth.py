@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple, TypeAlias
 
-import msgspec
 import numpy as np
 import pandas as pd
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agents.control.clusters import within_cluster_correlation
@@ -25,7 +25,7 @@ from recordings.read.series import RunSeries
 from sim_plant.profile import Profile
 from sim_plant.sites import Sites
 from studies.arrays.schemes import ReferenceGroups, run_scheme
-from studies.metrics import CommitmentMetrics, commitment_metrics
+from studies.metrics import commitment_metrics
 from studies.metrics.help import HelpMetrics, help_metrics
 from studies.report.cloud_passage import clusters, hours_from_first_midnight
 
@@ -56,17 +56,10 @@ class Past:
 class Shortfall:
     """Shortfall of a run, in % of the desired energy.
 
-    Attributes
-    ----------
-    period_cycles
-        Every how many cycles the central controller acted.
-    unavoidable_percent, control_caused_percent
-        What no controller could have met, and the rest.
-    begun_lacking_percent
-        The part of the control-caused shortfall in periods at whose beginning the whole plant
-        lacked power. The paper's central controller then asks each cluster for what it has at that
-        moment, and this holds until its next turn, even if the clouds are soon gone. The
-        predictive scheme tops the clusters up.
+    `begun_lacking_percent` is the part of the control-caused shortfall in periods at whose
+    beginning the whole plant lacked power. The paper's central controller then asks each cluster
+    for what it has at that moment, and this holds until its next turn, even if the clouds are soon
+    gone. The predictive scheme tops the clusters up.
     """
 
     period_cycles: int
@@ -79,17 +72,10 @@ class Shortfall:
 class ClustersWorth:
     """The result of a run with its inverters clustered in one way.
 
-    Attributes
-    ----------
-    clusters
-        Names of the inverters in each cluster of the lowest tier.
-    past_correlation, run_correlation
-        Mean hourly correlation of power over all pairs that share such a cluster: in the past that
-        clusters are chosen from, and in the run itself.
-    help
-        Where inverters in need found help, at the first of the central controller's periods.
-    shortfalls
-        One for each of those periods.
+    The correlation is the mean hourly one of power over all pairs that share a cluster of the
+    lowest tier: in the past that clusters are chosen from, and in the run itself. `help` is where
+    inverters in need found help, at the first of the central controller's periods; `shortfalls` has
+    an entry for each of those periods.
     """
 
     clusters: tuple[tuple[str, ...], ...]
@@ -105,8 +91,8 @@ def by_scenario(scenario: ScenarioFile, options: RunOptions) -> Arrange:
 
 
 def _by_scenario(scenario: ScenarioFile, options: RunOptions, control: ControlTable) -> Arrangement:
-    changed = msgspec.structs.replace(scenario.scenario, control=control)
-    prepared = prepare(msgspec.structs.replace(scenario, scenario=changed), options, "clusters")
+    changed = replace(scenario.scenario, control=control)
+    prepared = prepare(replace(scenario, scenario=changed), options, "clusters")
     return Arrangement(prepared.plan, prepared.profile)
 
 
@@ -115,11 +101,6 @@ def by_first_part(preparation: Preparation, learn_s: float) -> Arrange:
 
     So a measurement of one day can be used without hindsight. The scenario's own past is ignored,
     and the first part is one past, not one for each of its hours.
-
-    Raises
-    ------
-    InputError
-        The first part is no multiple of the cycle, shorter than two cycles, or the whole run.
     """
     plan = preparation.plan
     cycle_s = plan.cycle_ns / 1e9
@@ -142,14 +123,24 @@ def _by_first_part(
     begins_ns = plan.sim_time_ns(learned)
     tree = control_tree(control, sites, past, past.hours)
     order = [sites.names.index(name) for name in _leaf_names(tree)]
-    rest = msgspec.structs.replace(
+    rest = replace(
         plan,
         inverters=tree.inverters,
         neighbourhoods=neighbourhoods(tree, in_order(past, order), {0: begins_ns}),
         start_time_ns=begins_ns,
         cycles=plan.cycles - learned,
     )
-    return Arrangement(rest, _rest_of(profile, learned, [listed[place] for place in order]))
+    columns = [listed[place] for place in order]
+    return Arrangement(
+        rest,
+        Profile(
+            np.ascontiguousarray(profile.mpp_kw[learned:, columns]),
+            profile.commitment_kw[learned:],
+            profile.regulation_kw[learned:],
+            profile.regulation_capacity_kw,
+            np.ascontiguousarray(profile.meter_error[learned:, columns]),
+        ),
+    )
 
 
 def past_of(arrange: Arrange, control: ControlTable, inverters: int) -> Past:
@@ -158,7 +149,7 @@ def past_of(arrange: Arrange, control: ControlTable, inverters: int) -> Past:
     Clusters are chosen from the hours of the whole scenario: the same, unless a part of it is run.
     """
     # In one cluster of all inverters, everybody is a neighbour of everybody.
-    one_cluster = msgspec.structs.replace(
+    one_cluster = replace(
         control,
         clusters="listed",
         cluster_sizes=((inverters,),),
@@ -175,9 +166,13 @@ def worth_of(
     arrangement: Arrangement, past: Past, scheme: Scheme, periods: Sequence[int]
 ) -> ClustersWorth:
     """Run an arrangement, once for each period of the central controller [cycles]."""
-    runs = [_run(arrangement, scheme, period) for period in periods]
+    plan, profile = arrangement
+    runs = []
+    for period in periods:
+        paced = replace(plan, period_cycles=(period, *plan.period_cycles[1:]))
+        runs += run_scheme(scheme, paced, profile, plan.actuator, ReferenceGroups())
     shared = list(clusters(runs[0]).values())
-    names = _leaf_names(arrangement.plan.tree)
+    names = _leaf_names(plan.tree)
     in_past = [[past.inverters.index(names[leaf]) for leaf in cluster] for cluster in shared]
     in_run = hourly_correlation(runs[0].mpp_kw, hours_from_first_midnight(runs[0])).values
     return ClustersWorth(
@@ -185,46 +180,38 @@ def worth_of(
         past_correlation=within_cluster_correlation(past.correlation, in_past),
         run_correlation=within_cluster_correlation(in_run.mean(axis=0), shared),
         help=help_metrics(runs[0].residual_kw, runs[0].inverters),
-        shortfalls=tuple(
-            _shortfall(run, period) for run, period in zip(runs, periods, strict=True)
-        ),
+        shortfalls=tuple(map(_shortfall, runs, periods)),
     )
 
 
 def in_other_orders(arrangement: Arrangement) -> dict[str, Arrangement]:
     """Return the same clusters with other orders in which an inverter in need asks for help."""
     plan, profile = arrangement
+
+    def turned(hood: Neighbourhood) -> Neighbourhood:
+        # With the opposite correlation those most alike are asked first.
+        correlation = tuple(tuple(-value for value in row) for row in hood.correlation)
+        return Neighbourhood(hood.from_time_ns, correlation)
+
     reversed_order = tuple(
-        NodeNeighbourhoods(entry.node, tuple(_reversed(hood) for hood in entry.hours))
+        NodeNeighbourhoods(entry.node, tuple(map(turned, entry.hours)))
         for entry in plan.neighbourhoods
     )
     return {
         "least alike first": arrangement,
-        "as listed": Arrangement(msgspec.structs.replace(plan, neighbourhoods=()), profile),
-        "most alike first": Arrangement(
-            msgspec.structs.replace(plan, neighbourhoods=reversed_order), profile
-        ),
+        "as listed": Arrangement(replace(plan, neighbourhoods=()), profile),
+        "most alike first": Arrangement(replace(plan, neighbourhoods=reversed_order), profile),
     }
-
-
-def _reversed(hood: Neighbourhood) -> Neighbourhood:
-    """Turn a correlation round, so that those most alike are asked first."""
-    turned = tuple(tuple(-value for value in row) for row in hood.correlation)
-    return Neighbourhood(hood.from_time_ns, turned)
-
-
-def _run(arrangement: Arrangement, scheme: Scheme, central_period: int) -> RunSeries:
-    plan = msgspec.structs.replace(
-        arrangement.plan, period_cycles=(central_period, *arrangement.plan.period_cycles[1:])
-    )
-    (series,) = run_scheme(scheme, plan, arrangement.profile, plan.actuator, ReferenceGroups())
-    return series
 
 
 def _shortfall(run: RunSeries, period: int) -> Shortfall:
     turn = np.arange(run.cycles) // period * period
-    begun_lacking = run.residual_kw.sum(axis=1)[turn] < 0.0
-    energy = _energies(run, slice(None))
+    lacking = run.residual_kw.sum(axis=1)[turn] < 0.0
+    desired_kw, possible_kw, delivered_kw = run.desired_kw, run.possible_kw, run.delivered_kw
+    energy = commitment_metrics(desired_kw, possible_kw, delivered_kw, run.cycle_s)
+    begun_lacking = commitment_metrics(
+        desired_kw[lacking], possible_kw[lacking], delivered_kw[lacking], run.cycle_s
+    )
     if not energy.desired_kwh > 0.0:
         raise InputError("commitment: expected more than 0 kW at some time, got none")
     in_percent = 100.0 / energy.desired_kwh
@@ -232,24 +219,7 @@ def _shortfall(run: RunSeries, period: int) -> Shortfall:
         period,
         in_percent * energy.unavoidable_kwh,
         in_percent * energy.control_caused_kwh,
-        in_percent * _energies(run, begun_lacking).control_caused_kwh,
-    )
-
-
-def _energies(run: RunSeries, cycles: slice | NDArray[np.bool_]) -> CommitmentMetrics:
-    return commitment_metrics(
-        run.desired_kw[cycles], run.possible_kw[cycles], run.delivered_kw[cycles], run.cycle_s
-    )
-
-
-def _rest_of(profile: Profile, learned: int, order: Sequence[int]) -> Profile:
-    """Return a profile without its first cycles, its inverters in another order."""
-    return Profile(
-        np.ascontiguousarray(profile.mpp_kw[learned:, order]),
-        profile.commitment_kw[learned:],
-        profile.regulation_kw[learned:],
-        profile.regulation_capacity_kw,
-        np.ascontiguousarray(profile.meter_error[learned:, order]),
+        in_percent * begun_lacking.control_caused_kwh,
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, datetime, time, timedelta
 from itertools import chain, product
+from math import prod
 from typing import Any, Final
 
 import msgspec
@@ -55,21 +56,14 @@ def parse_setting(text: str) -> Setting:
 
 
 def with_settings(scenario: ScenarioFile, texts: Sequence[str]) -> ScenarioFile:
-    """Return a scenario with some of its fields changed: one value for each, see `parse_setting`.
-
-    Raises
-    ------
-    InputError
-        A setting has several values, is no field of the scenario, or its value is not accepted.
-    """
-    if not texts:
-        return scenario
-    settings = [parse_setting(text) for text in texts]
-    for setting, text in zip(settings, texts, strict=True):
+    """Return a scenario with some of its fields changed, one value for each."""
+    chosen = []
+    for text in texts:
+        setting = parse_setting(text)
         if len(setting.values) > 1:
             raise InputError(f"--set {setting.field}: expected one value, got {text}")
-    (case,) = cases(scenario, RunOptions(), settings)
-    return case.scenario
+        chosen.append((setting.field, setting.values[0]))
+    return _with_settings(scenario, chosen)
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
@@ -113,18 +107,9 @@ def cases(
     days: Sequence[date] = (),
     seeds: Sequence[int] = (),
 ) -> list[Case]:
-    """List every combination of days, seeds and settings.
-
-    Raises
-    ------
-    InputError
-        A setting is no field of the scenario, or its value is not accepted; there are too many
-        combinations.
-    """
+    """List every combination of days, seeds and settings; InputError where one does not fit."""
     choices = [[(setting.field, value) for value in setting.values] for setting in settings]
-    count = len(list(days) or [0]) * len(list(seeds) or [0])
-    for choice in choices:
-        count *= len(choice)
+    count = prod(map(len, choices)) * max(len(days), 1) * max(len(seeds), 1)
     if count > _MOST:
         raise InputError(f"--days, --seeds, --set: expected at most {_MOST:,} cases, got {count:,}")
     found = []
@@ -132,25 +117,18 @@ def cases(
         changed = _with_settings(scenario, chosen)
         names = [f"{field.rpartition('.')[2]}={value}" for field, value in chosen]
         for day, seed in product(days or (None,), seeds or (None,)):
-            label = " ".join([*names, *_labels(day, seed)])
-            found.append(Case(label, " ".join(names), changed, _on(changed, options, day, seed)))
+            its_options, label = options, [*names]
+            if day is not None:
+                its_options = _on(day, changed, its_options)
+                label.append(day.isoformat())
+            if seed is not None:
+                its_options = replace(its_options, seed=seed)
+                label.append(f"seed={seed}")
+            found.append(Case(" ".join(label), " ".join(names), changed, its_options))
     return found
 
 
-def _labels(day: date | None, seed: int | None) -> Iterator[str]:
-    if day is not None:
-        yield day.isoformat()
-    if seed is not None:
-        yield f"seed={seed}"
-
-
-def _on(
-    scenario: ScenarioFile, options: RunOptions, day: date | None, seed: int | None
-) -> RunOptions:
-    if seed is not None:
-        options = replace(options, seed=seed)
-    if day is None:
-        return options
+def _on(day: date, scenario: ScenarioFile, options: RunOptions) -> RunOptions:
     start = options.start
     clock = local_start(scenario.scenario.time).time() if start is None else read_time(start)
     if not isinstance(clock, time):

@@ -15,7 +15,7 @@ from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries, read_series
 from studies.metrics import run_metrics
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT, runs_as_columns
-from studies.report.run_report import check_comparable, run_line
+from studies.report.run_report import run_line, when
 from studies.report.style import clock_text
 from studies.tables import Cell, Column, Number, Table, key_column, word_column
 
@@ -53,11 +53,11 @@ def read_two_runs(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]
     if any(one.cycles > cycles for one in series):
         lengths = " and ".join(f"{one.cycles:,}" for one in series)
         lines.append(f"A and B have {lengths} cycles; the first {cycles:,} are compared.")
-    series = [
-        replace(one, **{name: getattr(one, name)[:cycles] for name in _IN_ORDER}) for one in series
-    ]
-    check_comparable(series)
-    first, second = series
+    first, second = series = [one.between(0, cycles) for one in series]
+    if first.inverters != second.inverters:
+        raise InputError("B: expected the inverters of A, got others")
+    if (first.start_time_ns, first.cycle_s) != (second.start_time_ns, second.cycle_s):
+        raise InputError(f"B: expected {when(first)} as in A, got {when(second)}")
     left_out = ~(first.known & second.known) | np.isin(np.arange(cycles), list(away))
     if left_out.any():
         lines.append(
@@ -88,7 +88,7 @@ def _differ(first: RunSeries, second: RunSeries, name: str) -> NDArray[np.bool_]
 def two_runs_tables(first: RunSeries, second: RunSeries) -> list[Table]:
     """Return the figures of merit side by side, and where the runs first differ."""
     runs = [(one.label, run_metrics(one)) for one in (first, second)]
-    figures = [one for one in FIGURES_OF_MERIT.values() if {"report", "compare"} & one.places]
+    figures = [one for one in FIGURES_OF_MERIT.values() if set("RC") & set(one.shown)]
     merits = runs_as_columns("Figures of merit, B less A", runs, figures, difference=True)
     return [merits, _differences(first, second)]
 

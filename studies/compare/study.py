@@ -27,19 +27,10 @@ class SchemeResult:
 
 @dataclass(frozen=True, slots=True)
 class CaseResult:
-    """The results of all schemes in one case.
+    """The results of all schemes in one case, each with one actuator after the other.
 
-    Attributes
-    ----------
-    label, settings
-        Of the case.
-    schemes
-        In the order asked for, each with one actuator after the other. Grouping control has
-        three: its best, median and worst reference group, see `results_of`.
-    prepare_s, run_s
-        Time to work out sky and market, and to run all schemes [s].
-    remarks
-        What a reader must know about the data.
+    Grouping control has three: its best, median and worst reference group, see `results_of`. It
+    took `prepare_s` to work out sky and market, and `run_s` to run all schemes.
     """
 
     label: str
@@ -52,17 +43,7 @@ class CaseResult:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What is compared.
-
-    Attributes
-    ----------
-    schemes
-        Names of `SCHEMES`.
-    groups
-        Reference groups of grouping control.
-    actuators
-        Each scheme is run with all of these; none given: with that of the scenario.
-    """
+    """What is compared: names of `SCHEMES`, each with all actuators, or with the scenario's."""
 
     schemes: tuple[str, ...]
     groups: ReferenceGroups = field(default_factory=ReferenceGroups)
@@ -70,13 +51,7 @@ class Comparison:
 
 
 def run_case(comparison: Comparison, case: Case) -> CaseResult:
-    """Run the schemes on one case.
-
-    Raises
-    ------
-    InputError
-        The case does not fit its data, or a scheme does not fit the plant.
-    """
+    """Run the schemes on one case; InputError where one does not fit the plant or its data."""
     began = time.perf_counter()
     try:
         preparation = prepare(case.scenario, case.options, "study")
@@ -97,12 +72,17 @@ def results_of(
     The reference groups of grouping control are ranked by the energy that control caused to be
     missing plus the energy delivered too much: a group that trades one for the other does not win.
     """
+
+    def missed_kwh(found: tuple[RunMetrics, RunSeries]) -> float:
+        energy = found[0].commitment
+        return energy.control_caused_kwh + energy.over_delivered_kwh
+
     plan, profile = preparation.plan, preparation.profile
     actuators = comparison.actuators or (plan.actuator,)
     for name in comparison.schemes:
         for actuator in (None,) if name in BOUNDS else actuators:
             series = run_scheme(name, plan, profile, actuator or plan.actuator, comparison.groups)
-            found = sorted(((run_metrics(one), one) for one in series), key=_missed_kwh)
+            found = sorted(((run_metrics(one), one) for one in series), key=missed_kwh)
             ranks = {name: 0}
             if len(found) > 1:
                 ranks = {f"{name} best": 0, f"{name} median": len(found) // 2, f"{name} worst": -1}
@@ -113,11 +93,6 @@ def results_of(
                     SchemeResult(label, actuator, metrics),
                     dataclasses.replace(one, label=title),
                 )
-
-
-def _missed_kwh(found: tuple[RunMetrics, RunSeries]) -> float:
-    energy = found[0].commitment
-    return energy.control_caused_kwh + energy.over_delivered_kwh
 
 
 def remarks_of(preparation: Preparation) -> tuple[str, ...]:

@@ -32,16 +32,9 @@ _REJOIN_CYCLES: Final = 30
 
 
 class Conformance:
-    """The trials of one controller's device.
+    """The trials of one controller's device, in a run of `CYCLES` cycles.
 
-    Parameters
-    ----------
-    preparation
-        The run in real time; it has `CYCLES` cycles.
-    folder
-        Has a folder for each trial.
-    say
-        Called with lines for the user.
+    The folder has a folder for each trial; `say` is called with lines for the user.
     """
 
     def __init__(
@@ -56,23 +49,17 @@ class Conformance:
         self.findings = Findings(REQUIREMENTS)
         plan = replace(preparation.plan, faults=(), standby=())
         self._preparation = dataclasses.replace(preparation, plan=plan)
-        self._folder = folder
-        self._comparison = comparison
-        self._say = say
-        self._device = device
+        self._folder, self._device = folder, device
+        self._comparison, self._say = comparison, say
         self._inputs = self._undisturbed()
 
     def run(self, seed: int) -> Findings:
         """Take the device through all trials; the first that cannot go on is the last."""
         plan = self._preparation.plan
-        trials: list[tuple[str, RunPlan, Callable[[Trial, int], None]]] = [
-            ("lockstep", replace(plan, cycle_wall_ns=0), situations.in_lockstep)
-        ]
-        if not plan.lockstep:
-            trials.append(("real-time", plan, situations.in_real_time))
         try:
-            for name, its_plan, situation in trials:
-                self._try(name, its_plan, situation, seed)
+            self._try("lockstep", replace(plan, cycle_wall_ns=0), situations.in_lockstep, seed)
+            if not plan.lockstep:
+                self._try("real-time", plan, situations.in_real_time, seed)
         except FailureError as failure:
             self._say(str(failure))
         return self.findings
@@ -125,10 +112,7 @@ class Conformance:
         trial.skip()
         self._device.start(folder.plan)
         self.findings.try_("restart")
-        for _ in range(_REJOIN_CYCLES):
-            if trial.skip():
-                break
-        else:
+        if not any(trial.skip() for _ in range(_REJOIN_CYCLES)):
             self.findings.fail("restart", f"no answer in {_REJOIN_CYCLES} cycles")
             return
         for _ in range(situations.UNDISTURBED):

@@ -86,11 +86,6 @@ class Neighbours:
         """Neighbours that do not see the device's token."""
         return [name for name in self._names if name not in self._seen_by]
 
-    @property
-    def is_gone(self) -> bool:
-        """Whether no neighbour sees it any more."""
-        return not self._seen_by
-
     def put(self, port: Port[Message], payload: bytes) -> None:
         """Send a payload to the device, as the publisher of a port."""
         self._sessions[port.publisher].put(

@@ -37,12 +37,8 @@ def try_plant(
     plan = preparation.plan
     walls_ns = {"lockstep": 0} | ({} if plan.lockstep else {"real-time": plan.cycle_wall_ns})
     for name, wall_ns in walls_ns.items():
-        one = msgspec.structs.replace(
-            plan,
-            cycle_wall_ns=wall_ns,
-            run_id=f"{plan.run_id}-{name}",
-            faults=plan.faults if wall_ns else (),
-        )
+        run_id, faults = f"{plan.run_id}-{name}", plan.faults if wall_ns else ()
+        one = msgspec.structs.replace(plan, cycle_wall_ns=wall_ns, run_id=run_id, faults=faults)
         its_folder = RunFolder(folder.path / name)
         its_preparation = replace(preparation, plan=one)
         device.start(its_folder.plan)

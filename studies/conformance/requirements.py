@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Final
 
 from studies.tables import Table, key_column, word_column
@@ -43,7 +42,7 @@ OF_PLANT: Final[dict[str, str]] = {
 class Findings:
     """What was tried, and the first failure of each requirement."""
 
-    def __init__(self, requirements: Mapping[str, str]) -> None:
+    def __init__(self, requirements: dict[str, str]) -> None:
         self._requirements = requirements
         self._tried: set[str] = set()
         self._failures: dict[str, str] = {}
@@ -64,20 +63,16 @@ class Findings:
 
     def table(self, agent: str) -> Table:
         """Return a row for each requirement."""
-        return Table(
-            f"Conformance of {agent}",
-            (
-                key_column("requirement"),
-                word_column("result"),
-                word_column("what a device must do, or the first failure", "text"),
-            ),
-            tuple(
-                (name, self._result(name), self._failures.get(name, text))
-                for name, text in self._requirements.items()
-            ),
+        columns = (
+            key_column("requirement"),
+            word_column("result"),
+            word_column("what a device must do, or the first failure", "text"),
         )
-
-    def _result(self, name: str) -> str:
-        if name in self._failures:
-            return "FAIL"
-        return "PASS" if name in self._tried else "not tried"
+        results = (
+            dict.fromkeys(self._requirements, "not tried")
+            | dict.fromkeys(self._tried, "PASS")
+            | dict.fromkeys(self._failures, "FAIL")
+        )
+        texts = self._requirements | self._failures
+        rows = tuple((name, results[name], texts[name]) for name in self._requirements)
+        return Table(f"Conformance of {agent}", columns, rows)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
-from math import nan
+from math import inf, nan
 from typing import Any, Final
 
 from bus_schemas.codec import encode
@@ -28,6 +28,15 @@ RANDOM_FAULTS: Final = 12
 """Cycles in real time in which inputs have random fates."""
 
 _FATES: Final = ("in time", "in time", "lost", "twice", "late", "held back")
+
+_RANGES: Final[dict[type[Message], tuple[float, float]]] = {
+    Dispatch: (-0.2, 1.2),
+    Impp: (0.0, 1.0),
+    Setpoint: (0.0, 1.0),
+    Meter: (0.0, 1.0),
+    Residual: (-1.0, 1.0),
+}
+"""Bounds of random powers, as shares of the rating."""
 
 
 def in_lockstep(trial: Trial, seed: int) -> None:
@@ -117,23 +126,21 @@ def _limits(trial: Trial) -> Iterator[Edit]:
 def _extremes(trial: Trial, port: Port[Message]) -> list[dict[str, float]]:
     rating_kw = trial.plan.tree.rating_kw(port.node)
     above_kw = 1.5 * rating_kw
-    match port.signal.type:
-        case type() as kind if kind is Telemetry:
-            return [
-                {"power_kw": 0.0, "alpha": 1.0},
-                {"power_kw": rating_kw, "alpha": 1.0},
-                {"power_kw": 1.04 * rating_kw, "alpha": 1.0},
-                {"power_kw": 0.3 * rating_kw, "alpha": 0.5, "available_kw": 0.9 * rating_kw},
-                {"power_kw": 0.3 * rating_kw, "alpha": 0.5, "available_kw": above_kw},
-                {"power_kw": 0.3 * rating_kw, "alpha": 1.0, "available_kw": 0.9 * rating_kw},
-                *({"power_kw": wrong} for wrong in (above_kw, -1.0, nan)),
-                *({"alpha": wrong} for wrong in (0.0, 1.5, -0.5, nan)),
-            ]
-        case type() as kind if kind is Dispatch:
-            return [
-                *({"power_kw": value} for value in (0.0, -500.0, above_kw, nan, float("inf"))),
-                *({"plant_rating_kw": wrong} for wrong in (0.0, nan)),
-            ]
+    if port.signal.type is Telemetry:
+        some_kw = 0.3 * rating_kw
+        return [
+            *({"power_kw": share * rating_kw, "alpha": 1.0} for share in (0.0, 1.0, 1.04)),
+            {"power_kw": some_kw, "alpha": 0.5, "available_kw": 0.9 * rating_kw},
+            {"power_kw": some_kw, "alpha": 0.5, "available_kw": above_kw},
+            {"power_kw": some_kw, "alpha": 1.0, "available_kw": 0.9 * rating_kw},
+            *({"power_kw": wrong} for wrong in (above_kw, -1.0, nan)),
+            *({"alpha": wrong} for wrong in (0.0, 1.5, -0.5, nan)),
+        ]
+    if port.signal.type is Dispatch:
+        return [
+            *({"power_kw": value} for value in (0.0, -500.0, above_kw, nan, inf)),
+            *({"plant_rating_kw": wrong} for wrong in (0.0, nan)),
+        ]
     low_kw = -rating_kw if port.signal.type is Residual else 0.0
     wrong_low_kw = 3.0 * low_kw - 1.0
     return [{"power_kw": value} for value in (low_kw, rating_kw, wrong_low_kw, above_kw, nan)]
@@ -188,17 +195,12 @@ def _replace_neighbours(trial: Trial) -> None:
 def _random(trial: Trial, port: Port[Message], draw: random.Random) -> Message:
     """Return a message with random numbers within their bounds."""
     rating_kw = trial.plan.tree.rating_kw(port.node)
-    message = trial.message(port)
-    match message:
-        case Telemetry():
-            alpha = draw.choice((1.0, draw.uniform(trial.plan.alpha_min, 1.0)))
-            available_kw = draw.choice((None, draw.uniform(0.0, 1.04) * rating_kw))
-            power_kw = draw.uniform(0.0, 1.04) * rating_kw
-            return trial.message(port, power_kw=power_kw, alpha=alpha, available_kw=available_kw)
-        case Dispatch():
-            return trial.message(port, power_kw=draw.uniform(-0.2, 1.2) * rating_kw)
-        case Impp() | Setpoint() | Meter():
-            return trial.message(port, power_kw=draw.uniform(0.0, 1.0) * rating_kw)
-        case Residual():
-            return trial.message(port, power_kw=draw.uniform(-1.0, 1.0) * rating_kw)
-    return message
+    kind = port.signal.type
+    if kind is Telemetry:
+        alpha = draw.choice((1.0, draw.uniform(trial.plan.alpha_min, 1.0)))
+        available_kw = draw.choice((None, draw.uniform(0.0, 1.04) * rating_kw))
+        power_kw = draw.uniform(0.0, 1.04) * rating_kw
+        return trial.message(port, power_kw=power_kw, alpha=alpha, available_kw=available_kw)
+    if kind not in _RANGES:
+        return trial.message(port)
+    return trial.message(port, power_kw=draw.uniform(*_RANGES[kind]) * rating_kw)

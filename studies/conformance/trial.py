@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import count
 from typing import Any, Final, TypeAlias
 
 import msgspec
@@ -74,16 +75,9 @@ class Reference:
 
 
 class Trial:
-    """One run around a device.
+    """One run around a device that is in an agent's place.
 
-    Parameters
-    ----------
-    plan, agent
-        The run, and the agent in whose place the device is.
-    inputs
-        What the agent hears in it.
-    findings, comparison
-        Take what is found; say what counts as equal.
+    `inputs` is what the agent hears in it; `comparison` says what counts as equal.
     """
 
     def __init__(
@@ -97,8 +91,7 @@ class Trial:
         self.plan, self.agent, self.findings = plan, agent, findings
         self.cycle = 0
         self.incarnations: dict[str, int] = {}
-        self._inputs = inputs
-        self._comparison = comparison
+        self._inputs, self._comparison = inputs, comparison
         self._ours = controller(plan, agent)
         self._published = [port for port in plan.wiring.published[agent] if port.signal.is_cyclic]
         self._run = RUN.of(ROOT)
@@ -108,20 +101,21 @@ class Trial:
     def begin(
         self, neighbours: Neighbours, device: Device, wait_s: float, of: str = "arming"
     ) -> None:
-        """Wait for the device, arm it, and start the run; `of` is the requirement that it shows.
-
-        Raises
-        ------
-        FailureError
-            The device does not come, or answers no arming round.
-        """
+        """Wait for the device, arm it, and start the run; `of` is the requirement that it shows."""
         self._bus = neighbours
-        self._forget()
+        self._outputs: dict[tuple[Port[Message], int], Message] = {}
+        self._arrived: Counter[tuple[str, Port[Message], int]] = Counter()
+        self._sequence: Counter[Port[Message]] = Counter()
+        self._incarnation: int | None = 0
+        self._unanswered: list[str] = []
         self._await(neighbours, device, wait_s)
         self.findings.try_(of)
-        give_up_at, number = time.monotonic() + _ARMING_S, FIRST_ROUND
-        while not self._round(number, of):
-            number += 1
+        give_up_at = time.monotonic() + _ARMING_S
+        for number in count(FIRST_ROUND):
+            self.reference = Reference(self.plan, self.agent)
+            self.reference.loop.enter(number, 0)
+            if self._play(number, {}, of):
+                break
             if time.monotonic() > give_up_at:
                 text = f"in arming rounds nothing came on {some_of(self._unanswered)}"
                 self.findings.fail(of, text)
@@ -145,13 +139,6 @@ class Trial:
         while (heard := self._bus.next(_QUIET_S)) is not None:
             self.findings.fail("stop", f"{heard.key} was published after the run had stopped")
 
-    def _forget(self) -> None:
-        self._outputs: dict[tuple[Port[Message], int], Message] = {}
-        self._arrived: Counter[tuple[str, Port[Message], int]] = Counter()
-        self._sequence: Counter[Port[Message]] = Counter()
-        self._incarnation: int | None = 0
-        self._unanswered: list[str] = []
-
     def _await(self, neighbours: Neighbours, device: Device, wait_s: float) -> None:
         """Wait until each neighbour sees the device's token."""
         self.findings.try_("token")
@@ -164,12 +151,6 @@ class Trial:
                 self.findings.fail("token", text)
                 raise FailureError(f"{self.agent}: {text}")
             time.sleep(0.02)
-
-    def _round(self, number: int, of: str) -> bool:
-        """Play an arming round; return whether all answers came."""
-        self.reference = Reference(self.plan, self.agent)
-        self.reference.loop.enter(number, 0)
-        return self._play(number, {}, of, _ROUND_S)
 
     # Cycles ---------------------------------------------------------------------------------------
 
@@ -185,7 +166,7 @@ class Trial:
         self.reference = Reference(self.plan, self.agent)
         self.reference.loop.begin(0, self.reference.begin_ns(cycle), cycle)
         self.play("restart", is_there=False)
-        limit_ns = self.start_ns + round((cycle + 0.97) * self.plan.cycle_wall_ns)
+        limit_ns = self._limit_ns(cycle)
         while (heard := self._bus.next((limit_ns - time.monotonic_ns()) / 1e9)) is not None:
             self._take(heard)
         return any(place[1] == cycle for place in self._outputs)
@@ -198,37 +179,27 @@ class Trial:
         late: Edit | None = None,
         is_there: bool = True,
     ) -> None:
-        """Play the next cycle.
+        """Play the next cycle; its answers show a requirement.
 
-        Parameters
-        ----------
-        requirement
-            What the answers show.
-        edit, late
-            What is sent in place of the undisturbed messages, and after the last answer.
-        is_there
-            Whether the device has to answer.
+        `edit` is sent in place of the undisturbed messages, `late` after the last answer. If the
+        device `is_there`, it has to answer.
         """
         cycle, wall_ns = self.cycle, self.plan.cycle_wall_ns
         if wall_ns:
             time.sleep(max(self.start_ns + cycle * wall_ns - time.monotonic_ns(), 0) / 1e9)
         if is_there:
             self.findings.try_(requirement)
-        patience_s = wall_ns / 1e9 if wall_ns else _PATIENCE_S
-        if not self._play(cycle, edit or {}, requirement, patience_s, is_there=is_there):
-            self._give_up_without_answers(cycle, requirement)
+        if not self._play(cycle, edit or {}, requirement, is_there=is_there):
+            # The trial ends if the device has gone, or has been silent for some cycles.
+            last = max((of for _, of in self._outputs), default=-1)
+            if self._bus.absent or cycle - last >= _SILENT_CYCLES:
+                text = f"cycle {cycle}: {'it has gone' if self._bus.absent else 'it is silent'}"
+                self.findings.fail(requirement, text)
+                raise FailureError(f"{self.agent}: {text}")
         for port, payloads in (late or {}).items():
             for payload in payloads:
                 self._send(port, payload)
         self.cycle += 1
-
-    def _give_up_without_answers(self, cycle: int, requirement: str) -> None:
-        """End the trial if the device has gone, or has been silent for some cycles."""
-        last = max((of for _, of in self._outputs), default=-1)
-        if self._bus.absent or cycle - last >= _SILENT_CYCLES:
-            text = f"cycle {cycle}: {'it has gone' if self._bus.absent else 'it is silent'}"
-            self.findings.fail(requirement, text)
-            raise FailureError(f"{self.agent}: {text}")
 
     def message(self, port: Port[Message], **changes: object) -> Message:
         """Return the undisturbed message of a port in the next cycle, with changes."""
@@ -250,20 +221,16 @@ class Trial:
         }
         return msgspec.structs.replace(message, **(head | dict(changes)))
 
-    def _play(
-        self,
-        cycle: int,
-        edit: Edit,
-        requirement: str,
-        patience_s: float,
-        *,
-        is_there: bool = True,
-    ) -> bool:
+    def _limit_ns(self, cycle: int) -> int:
+        """Return up to when answers of a cycle are awaited."""
+        if cycle >= 0 and self.plan.cycle_wall_ns:
+            return self.start_ns + round((cycle + 0.97) * self.plan.cycle_wall_ns)
+        return time.monotonic_ns() + round((_PATIENCE_S if cycle >= 0 else _ROUND_S) * 1e9)
+
+    def _play(self, cycle: int, edit: Edit, requirement: str, *, is_there: bool = True) -> bool:
         """Play a cycle stage by stage; return whether all answers came in time."""
         inputs = self._inputs[max(cycle, 0)]
-        limit_ns = time.monotonic_ns() + round(patience_s * 1e9)
-        if cycle >= 0 and self.plan.cycle_wall_ns:
-            limit_ns = self.start_ns + round((cycle + 0.97) * self.plan.cycle_wall_ns)
+        limit_ns = self._limit_ns(cycle)
         expected: dict[Port[Message], Message] = {}
         sent: set[Port[Message]] = set()
         stages = self._ours.stages(cycle)
@@ -357,24 +324,23 @@ class Trial:
     def _judge(self, expected: Mapping[Port[Message], Message], cycle: int, of: str) -> None:
         """Compare the answers of a cycle with our own agent's."""
         self.findings.try_("links")
-        ours = {port: message for port, message in expected.items() if port in self._published}
-        theirs = {port: self._outputs.get((port, cycle)) for port in self._published}
         for port in self._published:
-            own, its, where = ours.get(port), theirs[port], f"cycle {cycle}, {port}"
-            if own is None and its is not None:
-                self.findings.fail(of, f"{where}: published, expected nothing")
-            elif own is not None and its is None:
-                self.findings.fail(of, f"{where}: nothing came, expected {_content(own)}")
-            elif own is not None and its is not None:
+            own, its = expected.get(port), self._outputs.get((port, cycle))
+            where = f"cycle {cycle}, {port}"
+            if own is not None and its is not None:
                 self._compare(port, own, its, of)
+            elif its is not None:
+                self.findings.fail(of, f"{where}: published, expected nothing")
+            elif own is not None:
+                self.findings.fail(of, f"{where}: nothing came, expected {_content(own)}")
 
     def _compare(self, port: Port[Message], own: Message, its: Message, of: str) -> None:
         for listener in self.plan.wiring.listeners[port]:
             if not self._arrived[listener, port, its.cycle]:
                 self.findings.fail("links", f"cycle {its.cycle}, {port}: not heard by {listener}")
-        ignored = {"source", "sim_time_ns", "incarnation"} | (
-            {"missing"} if not its.missing else set()
-        )
+        ignored = {"source", "sim_time_ns", "incarnation"}
+        if not its.missing:
+            ignored.add("missing")
         comparison = Comparison(self._comparison.tolerance, frozenset(ignored))
         for found in comparison.differences(port, its, own):
             text = f"{found.field}: expected {found.new}, got {found.recorded}"

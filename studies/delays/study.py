@@ -7,7 +7,6 @@ central controller that acts more rarely. Any difference is due to that alone, a
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias, get_args
 
@@ -20,7 +19,7 @@ from bus_schemas.faults import FaultRule
 from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
 from recordings.read.series import RunSeries, SeriesCollector
 from sim_plant.profile import Profile
-from studies.metrics import RunMetrics, run_metrics
+from studies.metrics import run_metrics
 from studies.metrics.figures_of_merit import figures_json
 
 Trouble: TypeAlias = Literal["delay", "loss", "period"]
@@ -34,16 +33,6 @@ VALUES: Final[dict[Trouble, tuple[float, ...]]] = {
 
 WARM_UP_S: Final = 120.0
 """The first seconds of each run, which do not count: with long delays messages are still coming."""
-
-_BY_CYCLE: Final = (
-    "commitment_kw",
-    "regulation_kw",
-    "mpp_kw",
-    "power_kw",
-    "impp_kw",
-    "residual_kw",
-    "alpha",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,18 +50,10 @@ class Condition:
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
-    """The result of one run, without its warm-up.
+    """The figures of merit of one run, without its warm-up, and what happened to its messages.
 
-    Attributes
-    ----------
-    figures
-        Its figures of merit by name.
-    missed_percent
-        Inputs that had not come at their deadline, in % of all that were awaited.
-    old_inputs
-        Older messages that were used in their place.
-    lost
-        Messages that the network lost.
+    `missed_percent` are inputs that had not come at their deadline, in % of all that were awaited;
+    `old_inputs` the older messages that were used in their place; `lost` what the network lost.
     """
 
     trouble: Trouble
@@ -84,21 +65,24 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     lost: int
 
 
+def counted_s(plan: RunPlan) -> float:
+    """Return how much of each run counts [s]."""
+    return plan.cycles * plan.cycle_ns / 1e9 - WARM_UP_S
+
+
 def conditions(cycle_s: float, counted_s: float, correction: bool | None = None) -> list[Condition]:
     """List the runs of the study: each value with each scheme.
 
     Left out are central periods that are no whole number of cycles, and those of which the time
     that counts does not hold two.
     """
-    found = []
-    for trouble, values in VALUES.items():
-        for value in values:
-            if trouble == "period" and not (value / cycle_s).is_integer():
-                continue
-            if trouble == "period" and 2.0 * value > counted_s:
-                continue
-            found += [Condition(trouble, value, scheme, correction) for scheme in get_args(Scheme)]
-    return found
+    return [
+        Condition(trouble, value, scheme, correction)
+        for trouble, values in VALUES.items()
+        for value in values
+        if trouble != "period" or ((value / cycle_s).is_integer() and 2.0 * value <= counted_s)
+        for scheme in get_args(Scheme)
+    ]
 
 
 def plan_under(plan: RunPlan, condition: Condition) -> RunPlan:
@@ -129,39 +113,24 @@ def run_in_memory(plan: RunPlan, profile: Profile) -> tuple[MemoryRun, RunSeries
 def run_under(plan: RunPlan, profile: Profile, condition: Condition) -> Outcome:
     """Run a plan under a condition. The run must last longer than `WARM_UP_S`."""
     run, series = run_in_memory(plan_under(plan, condition), profile)
-    cycles = round(WARM_UP_S * 1e9) // plan.cycle_ns
-    return _outcome(condition, run, run_metrics(_without_beginning(series, cycles)))
-
-
-def _without_beginning(series: RunSeries, cycles: int) -> RunSeries:
-    """Return the series without its first cycles."""
-    return dataclasses.replace(
-        series,
-        start_time_ns=series.start_time_ns + round(cycles * series.cycle_s * 1e9),
-        **{name: getattr(series, name)[cycles:] for name in _BY_CYCLE},
-    )
-
-
-def _outcome(condition: Condition, run: MemoryRun, metrics: RunMetrics) -> Outcome:
+    warm_up = round(WARM_UP_S * 1e9) // plan.cycle_ns
+    metrics = run_metrics(series.between(warm_up, series.cycles))
     loops = run.loops.values()
     missed = sum(loop.missing_inputs for loop in loops)
+    # How many inputs the stages of the run await in all; the plant awaits the commands.
+    plan, team = run.plan, controllers(run.plan)
+    awaited = plan.cycles * len(plan.tree.leaves) + sum(
+        len(stage.awaits)
+        for cycle in range(plan.cycles)
+        for agent in team
+        for stage in agent.stages(cycle)
+    )
     return Outcome(
         trouble=condition.trouble,
         value=condition.value,
         scheme=condition.scheme,
         figures=figures_json(metrics),
-        missed_percent=100.0 * missed / _awaited(run.plan),
+        missed_percent=100.0 * missed / awaited,
         old_inputs=sum(loop.old_inputs for loop in loops),
         lost=run.bus.tally.lost,
-    )
-
-
-def _awaited(plan: RunPlan) -> int:
-    """Return how many inputs the stages of a run await in all; the plant awaits the commands."""
-    team = controllers(plan)
-    return plan.cycles * len(plan.tree.leaves) + sum(
-        len(stage.awaits)
-        for cycle in range(plan.cycles)
-        for agent in team
-        for stage in agent.stages(cycle)
     )

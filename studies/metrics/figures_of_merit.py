@@ -2,53 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
-from studies.metrics.performance import PerformanceScore
 from studies.metrics.run import RunMetrics
 from studies.tables import Cell, Column, Number, Table, key_column
 
 Place: TypeAlias = Literal["summary", "report", "compare", "delays"]
 """The end of a run, its report, `compare` of one case, `delays`. JSON has all figures."""
 
-Group: TypeAlias = Literal["commitment", "regulation"]
-Read: TypeAlias = Callable[[RunMetrics], float | None]
-
-_PLACES: Final[dict[str, Place]] = {"S": "summary", "R": "report", "C": "compare", "D": "delays"}
-_Row: TypeAlias = tuple[str, str, str, int, str, Read]
-"""Name, title, unit, decimals, places by their letters (+: more is better), where it is found."""
+_LETTERS: Final[dict[Place, str]] = {"summary": "S", "report": "R", "compare": "C", "delays": "D"}
 
 
 @dataclass(frozen=True, slots=True)
 class FigureOfMerit:
-    """One figure of merit.
+    """One figure of merit: its name in JSON and on the command line, and how tables show it.
 
-    Attributes
-    ----------
-    name
-        In JSON and on the command line.
-    title, unit, decimals
-        How tables show it.
-    group
-        Which table it belongs to.
-    places
-        Where it is shown.
-    is_more_better
-        Whether of two runs the one with more of it is better.
-    read
-        Where it is found; None where the run does not define it.
+    `shown` has the letters of the places that show it; a `+` says that more of it is better. `path`
+    is where `RunMetrics` has it; of a figure in % of desired, the energy.
     """
 
     name: str
     title: str
     unit: str
     decimals: int
-    group: Group
-    places: frozenset[Place]
-    is_more_better: bool
-    read: Read
+    shown: str
+    path: str
+
+    @property
+    def is_more_better(self) -> bool:
+        """Whether of two runs the one with more of it is better."""
+        return self.shown.endswith("+")
 
     @property
     def heading(self) -> str:
@@ -60,114 +45,80 @@ class FigureOfMerit:
         """A column of a table for it."""
         return Column(self.title, self.unit, self.decimals, name=self.name)
 
-
-def _percent(energy: str) -> Read:
-    """Read an energy in % of the desired energy."""
-    return lambda m: m.commitment.percent(getattr(m.commitment, energy))
-
-
-def _ramp(name: str) -> Read:
-    return lambda m: getattr(m.ramps, name) if m.ramps else None
-
-
-def _regulation(name: str) -> Read:
-    return lambda m: getattr(m.regulation, name) if m.regulation else None
-
-
-def _requests(place: int, name: str) -> Read:
-    return lambda m: getattr(m.regulation.requests[place], name) if m.regulation else None
-
-
-def _score(name: str) -> Read:
-    def read(m: RunMetrics) -> float | None:
-        score: PerformanceScore | None = m.regulation.performance if m.regulation else None
-        return getattr(score, name) if score else None
-
-    return read
+    def read(self, metrics: RunMetrics) -> float | None:
+        """Return its value in a run; None where the run does not define it."""
+        found: Any = metrics
+        for name in self.path.split("."):
+            if found is not None:
+                found = found[int(name)] if name.isdecimal() else getattr(found, name)
+        return metrics.commitment.percent(found) if self.unit == "% of desired" else found
 
 
 # fmt: off
-_COMMITMENT: Final[tuple[_Row, ...]] = (
-    ("desired-energy", "Desired energy", "kWh", 1, "SR", lambda m: m.commitment.desired_kwh),
-    ("possible-energy", "Possible energy", "kWh", 1, "SR", lambda m: m.commitment.possible_kwh),
-    ("delivered-energy", "Delivered energy", "kWh", 1, "SR", lambda m: m.commitment.delivered_kwh),
-    ("satisfied", "Satisfied commitment", "%", 3, "SRC+", lambda m: m.commitment.satisfied_percent),
-    ("shortfall-energy", "Shortfall", "kWh", 2, "SRC", lambda m: m.commitment.unsatisfied_kwh),
+_ROWS: Final = (
+    ("desired-energy", "Desired energy", "kWh", 1, "SR", "commitment.desired_kwh"),
+    ("possible-energy", "Possible energy", "kWh", 1, "SR", "commitment.possible_kwh"),
+    ("delivered-energy", "Delivered energy", "kWh", 1, "SR", "commitment.delivered_kwh"),
+    ("satisfied", "Satisfied commitment", "%", 3, "SRC+", "commitment.satisfied_percent"),
+    ("shortfall-energy", "Shortfall", "kWh", 2, "SRC", "commitment.unsatisfied_kwh"),
     ("unavoidable-energy", "Shortfall, unavoidable", "kWh", 2, "SR",
-     lambda m: m.commitment.unavoidable_kwh),
+     "commitment.unavoidable_kwh"),
     ("control-caused-energy", "Shortfall, control-caused", "kWh", 2, "SR",
-     lambda m: m.commitment.control_caused_kwh),
-    ("over-delivered-energy", "Over-delivery", "kWh", 2, "SR",
-     lambda m: m.commitment.over_delivered_kwh),
-    ("shortfall", "Shortfall", "% of desired", 3, "", _percent("unsatisfied_kwh")),
-    ("unavoidable", "Unavoidable", "% of desired", 3, "C", _percent("unavoidable_kwh")),
-    ("control-caused", "Control-caused", "% of desired", 3, "CD", _percent("control_caused_kwh")),
-    ("over-delivered", "Over-delivered", "% of desired", 3, "CD", _percent("over_delivered_kwh")),
-    ("rmse", "Tracking RMSE", "kW", 2, "SRC", lambda m: m.tracking.rmse_kw),
-    ("mae", "Tracking MAE", "kW", 2, "R", lambda m: m.tracking.mae_kw),
-    ("mileage-total", "Mileage, whole run", "kW", 0, "R", lambda m: m.support.total_kw),
-    ("mileage", "Mileage per hour", "kW/h", 0, "SRCD", lambda m: m.support.per_hour_kw),
-    ("mileage-per-minute", "Mileage per minute", "kW/min", 1, "R",
-     lambda m: m.support.per_minute_kw),
-    ("headroom", "Headroom kept", "kWh", 1, "R", lambda m: m.headroom.headroom_kwh),
-    ("mean-headroom", "Headroom kept, mean", "kW", 1, "R", lambda m: m.headroom.mean_headroom_kw),
+     "commitment.control_caused_kwh"),
+    ("over-delivered-energy", "Over-delivery", "kWh", 2, "SR", "commitment.over_delivered_kwh"),
+    ("shortfall", "Shortfall", "% of desired", 3, "", "commitment.unsatisfied_kwh"),
+    ("unavoidable", "Unavoidable", "% of desired", 3, "C", "commitment.unavoidable_kwh"),
+    ("control-caused", "Control-caused", "% of desired", 3, "CD", "commitment.control_caused_kwh"),
+    ("over-delivered", "Over-delivered", "% of desired", 3, "CD", "commitment.over_delivered_kwh"),
+    ("rmse", "Tracking RMSE", "kW", 2, "SRC", "tracking.rmse_kw"),
+    ("mae", "Tracking MAE", "kW", 2, "R", "tracking.mae_kw"),
+    ("mileage-total", "Mileage, whole run", "kW", 0, "R", "support.total_kw"),
+    ("mileage", "Mileage per hour", "kW/h", 0, "SRCD", "support.per_hour_kw"),
+    ("mileage-per-minute", "Mileage per minute", "kW/min", 1, "R", "support.per_minute_kw"),
+    ("headroom", "Headroom kept", "kWh", 1, "R", "headroom.headroom_kwh"),
+    ("mean-headroom", "Headroom kept, mean", "kW", 1, "R", "headroom.mean_headroom_kw"),
     ("ancillary-potential", "Ancillary potential", "kWh", 1, "R",
-     lambda m: m.headroom.ancillary_potential_kwh),
-    ("rise", "Largest rise", "kW/min", 1, "R", _ramp("largest_up_kw_per_min")),
-    ("fall", "Largest fall", "kW/min", 1, "R", _ramp("largest_down_kw_per_min")),
-    ("ramp", "Largest ramp", "kW/min", 0, "S", _ramp("largest_kw_per_min")),
-    ("ramp-limit", "Ramp limit", "kW/min", 0, "R", _ramp("limit_kw_per_min")),
+     "headroom.ancillary_potential_kwh"),
+    ("rise", "Largest rise", "kW/min", 1, "R", "ramps.largest_up_kw_per_min"),
+    ("fall", "Largest fall", "kW/min", 1, "R", "ramps.largest_down_kw_per_min"),
+    ("ramp", "Largest ramp", "kW/min", 0, "S", "ramps.largest_kw_per_min"),
+    ("ramp-limit", "Ramp limit", "kW/min", 0, "R", "ramps.limit_kw_per_min"),
     ("above-ramp-limit", "Minutes above the ramp limit", "%", 2, "SR",
-     _ramp("above_limit_percent")),
-)
-_REGULATION: Final[tuple[_Row, ...]] = (
-    ("capacity", "Regulation capacity", "kW", 0, "R", _regulation("capacity_kw")),
-    ("offered", "Regulation offered", "h", 2, "R", _regulation("offered_h")),
+     "ramps.above_limit_percent"),
+    ("capacity", "Regulation capacity", "kW", 0, "R", "regulation.capacity_kw"),
+    ("offered", "Regulation offered", "h", 2, "R", "regulation.offered_h"),
     ("signal-mileage", "Mileage of the signal", "1/h", 2, "R",
-     _regulation("signal_mileage_per_hour")),
+     "regulation.signal_mileage_per_hour"),
     ("regd-strict", "Requests fulfilled to 0.1 %", "%", 2, "SRC+",
-     _requests(0, "fulfilled_percent")),
-    ("regd", "Requests fulfilled to 1 %", "%", 2, "SRCD+", _requests(1, "fulfilled_percent")),
+     "regulation.requests.0.fulfilled_percent"),
+    ("regd", "Requests fulfilled to 1 %", "%", 2, "SRCD+",
+     "regulation.requests.1.fulfilled_percent"),
     ("regd-feasible-strict", "Feasible requests fulfilled to 0.1 %", "%", 2, "RC+",
-     _requests(0, "feasible_fulfilled_percent")),
+     "regulation.requests.0.feasible_fulfilled_percent"),
     ("regd-feasible", "Feasible requests fulfilled to 1 %", "%", 2, "RC+",
-     _requests(1, "feasible_fulfilled_percent")),
-    ("accuracy", "Accuracy", "", 3, "RC+", _score("accuracy")),
-    ("delay", "Delay", "", 3, "RC+", _score("delay")),
-    ("precision", "Precision", "", 3, "RC+", _score("precision")),
-    ("score", "PJM performance score", "", 3, "SRCD+", _score("score")),
+     "regulation.requests.1.feasible_fulfilled_percent"),
+    ("accuracy", "Accuracy", "", 3, "RC+", "regulation.performance.accuracy"),
+    ("delay", "Delay", "", 3, "RC+", "regulation.performance.delay"),
+    ("precision", "Precision", "", 3, "RC+", "regulation.performance.precision"),
+    ("score", "PJM performance score", "", 3, "SRCD+", "regulation.performance.score"),
     ("score-unclipped", "PJM score, accuracy not clipped", "", 3, "RC+",
-     _score("unclipped_score")),
+     "regulation.performance.unclipped_score"),
 )
 # fmt: on
 
-_GROUPS: Final[dict[Group, tuple[_Row, ...]]] = {
-    "commitment": _COMMITMENT,
-    "regulation": _REGULATION,
-}
-FIGURES_OF_MERIT: Final = {
-    name: FigureOfMerit(
-        name,
-        title,
-        unit,
-        decimals,
-        group,
-        frozenset(_PLACES[letter] for letter in places.rstrip("+")),
-        places.endswith("+"),
-        read,
-    )
-    for group, rows in _GROUPS.items()
-    for name, title, unit, decimals, places, read in rows
-}
+FIGURES_OF_MERIT: Final = {row[0]: FigureOfMerit(*row) for row in _ROWS}
 """All figures of merit by name, in the order in which tables show them."""
 
 
-def shown_in(place: Place, group: Group | None = None) -> tuple[FigureOfMerit, ...]:
+def shown_in(
+    place: Place, group: Literal["commitment", "regulation"] | None = None
+) -> tuple[FigureOfMerit, ...]:
     """Return the figures that are shown at a place, of one group or of both."""
     return tuple(
         figure
         for figure in FIGURES_OF_MERIT.values()
-        if place in figure.places and group in (None, figure.group)
+        if _LETTERS[place] in figure.shown
+        and (group is None or figure.path.startswith("regulation") == (group == "regulation"))
     )
 
 
@@ -180,6 +131,7 @@ def runs_as_columns(
     title: str,
     runs: Sequence[tuple[str, RunMetrics]],
     figures: Sequence[FigureOfMerit],
+    notes: tuple[str, ...] = (),
     *,
     difference: bool = False,
 ) -> Table:
@@ -202,4 +154,4 @@ def runs_as_columns(
     if difference:
         labels.append("difference")
     columns = (key_column("", "figure"), key_column("", "unit"), *map(Column, labels))
-    return Table(title, columns, tuple(rows))
+    return Table(title, columns, tuple(rows), notes)

@@ -36,20 +36,9 @@ _NS: Final = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class HourScore:
-    """Score of one hour of the clock.
+    """Score of one hour of the clock: the mean of accuracy, delay and precision, all from 0 to 1.
 
-    Attributes
-    ----------
-    begins
-        Local time at which the hour begins, ISO 8601.
-    windows
-        Windows of 5 minutes that were scored, at most 12.
-    accuracy, delay, precision, score
-        See the module; `score` is the mean of the three, and all are from 0 to 1.
-    unclipped_score
-        The same with the accuracy of its windows from -1 to 1.
-    passed
-        Whether the score is at least 0.75.
+    `begins` is its local time, ISO 8601; `windows` are those that were scored, at most 12.
     """
 
     begins: str
@@ -64,10 +53,7 @@ class HourScore:
 
 @dataclass(frozen=True, slots=True)
 class PerformanceScore:
-    """Scores of the hours of a run, and their means, each hour weighted with its windows.
-
-    `passed` says whether the mean score is at least 0.75.
-    """
+    """Scores of the hours of a run, and their means, each hour weighted with its windows."""
 
     hours: tuple[HourScore, ...]
     accuracy: float
@@ -85,60 +71,40 @@ def performance_score(
     begins: pd.Timestamp,
     cycle_s: float,
 ) -> PerformanceScore | None:
-    """Score a plant's response to a regulation signal.
+    """Score a plant's response to a regulation signal, both in per unit of the capacity.
 
-    Parameters
-    ----------
-    signal, response
-        What was asked and what was given, cycle by cycle, in per unit of the capacity, shape (T,).
-    offered
-        Whether the plant offered regulation, shape (T,).
-    begins
-        Local time of the first cycle.
-    cycle_s
-        Length of a cycle [s].
-
-    Returns
-    -------
-    PerformanceScore or None
-        None where there is nothing to score: a cycle is longer than 10 s, no window of 5 minutes
-        is wholly within the time offered, or the signal is 0 all the time.
+    None where there is nothing to score: a cycle is longer than 10 s, no window of 5 minutes is
+    wholly within the time offered, or the signal is 0 all the time.
     """
     if cycle_s > _SAMPLE_S:
         return None
-    clock_s, cycle = _samples(len(signal), begins, cycle_s)
-    first = _whole_windows(clock_s, offered[cycle])
+    # Second of the local clock and cycle of each full 10 s, shape (K,).
+    begins_ns = int(begins.tz_localize(None).as_unit("ns").value)
+    step_ns, cycle_ns = _SAMPLE_S * _NS, round(cycle_s * _NS)
+    end_ns = begins_ns + len(signal) * cycle_ns
+    clock_ns = np.arange(-(-begins_ns // step_ns) * step_ns, end_ns, step_ns)
+    clock_s, cycle = clock_ns // _NS, (clock_ns - begins_ns) // cycle_ns
+    # First samples of the windows, on 5 minutes of the clock, that are offered throughout.
+    first = np.flatnonzero(clock_s % (_WINDOW * _SAMPLE_S) == 0)
+    first = first[first + _WINDOW <= len(clock_s)]
+    first = first[offered[cycle][first[:, None] + np.arange(_WINDOW)].all(axis=1)]
     hours = []
     hour_of_first = clock_s[first] // 3600
     for hour in np.unique(hour_of_first):
         firsts = first[hour_of_first == hour]
         score = _hour_score(signal[cycle], response[cycle], firsts)
         if score is not None:
-            moment = begins + pd.Timedelta(hour * 3600 * _NS - _clock_ns(begins), unit="ns")
+            moment = begins + pd.Timedelta(hour * 3600 * _NS - begins_ns, unit="ns")
             hours.append(HourScore(moment.isoformat(), len(firsts), *score))
-    return _mean_score(tuple(hours)) if hours else None
-
-
-def _samples(
-    cycles: int, begins: pd.Timestamp, cycle_s: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Second of the local clock and cycle of each full 10 s in a run, shape (K,)."""
-    begins_ns = _clock_ns(begins)
-    step_ns, cycle_ns = _SAMPLE_S * _NS, round(cycle_s * _NS)
-    clock_ns = np.arange(-(-begins_ns // step_ns) * step_ns, begins_ns + cycles * cycle_ns, step_ns)
-    return clock_ns // _NS, (clock_ns - begins_ns) // cycle_ns
-
-
-def _clock_ns(moment: pd.Timestamp) -> int:
-    return int(moment.tz_localize(None).as_unit("ns").value)
-
-
-def _whole_windows(clock_s: NDArray[np.int64], offered: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """First samples of the windows, on 5 minutes of the clock, that are offered throughout."""
-    first = np.flatnonzero(clock_s % (_WINDOW * _SAMPLE_S) == 0)
-    first = first[first + _WINDOW <= len(clock_s)]
-    throughout = offered[first[:, None] + np.arange(_WINDOW)].all(axis=1)
-    return np.asarray(first[throughout])
+    if not hours:
+        return None
+    weights = [one.windows for one in hours]
+    accuracy, delay, precision, mean, unclipped = (
+        float(np.average([getattr(one, part) for one in hours], weights=weights))
+        for part in ("accuracy", "delay", "precision", "score", "unclipped_score")
+    )
+    passed = mean >= PASSING_SCORE
+    return PerformanceScore(tuple(hours), accuracy, delay, precision, mean, unclipped, passed)
 
 
 def _hour_score(
@@ -164,20 +130,11 @@ def _hour_score(
 def window_scores(
     signal: NDArray[np.float64], shifted: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Score windows of 5 minutes for accuracy and delay.
+    """Score W windows of 5 minutes for accuracy, up to 1 and not clipped at 0, and delay, 0 to 1.
 
-    Parameters
-    ----------
-    signal
-        Signal of each of W windows, every 10 s, shape (W, 30).
-    shifted
-        Response over the same windows, shifted by 0, 10, ... 300 s, shape (W, 31, 30); NaN where
-        there is none. The first shift has no NaN.
-
-    Returns
-    -------
-    accuracy, delay
-        Of each window, shape (W,): accuracy up to 1 and not clipped at 0, delay from 0 to 1.
+    The signal of each window, every 10 s, is of shape (W, 30), and the response over the same
+    window, shifted by 0, 10, ... 300 s, of (W, 31, 30). It is NaN where there is none, but not at
+    the first shift.
     """
     correlation = _correlations(signal, shifted)
     promptness = 1.0 - np.arange(_WINDOW + 1) / _WINDOW
@@ -211,14 +168,3 @@ def _slopes(windows: NDArray[np.float64]) -> NDArray[np.float64]:
     """Slope of the least-squares line through each window, per sample, shape (W,)."""
     index = np.arange(_WINDOW) - (_WINDOW - 1) / 2.0
     return np.asarray(windows @ index / (index @ index))
-
-
-def _mean_score(hours: tuple[HourScore, ...]) -> PerformanceScore:
-    weights = [hour.windows for hour in hours]
-    accuracy, delay, precision, score, unclipped = (
-        float(np.average([getattr(hour, part) for hour in hours], weights=weights))
-        for part in ("accuracy", "delay", "precision", "score", "unclipped_score")
-    )
-    return PerformanceScore(
-        hours, accuracy, delay, precision, score, unclipped, score >= PASSING_SCORE
-    )

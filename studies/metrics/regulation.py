@@ -30,24 +30,10 @@ class RequestsFulfilled:
     """Requests of a regulation signal that were fulfilled entirely.
 
     A request lasts 2 s, or a cycle where that is longer. It is fulfilled if
-    |delivered - desired| is within the tolerance in every cycle that begins in it, with
-    desired = commitment + regulation. The paper gives 99.88 % without a tolerance.
-
-    Attributes
-    ----------
-    tolerance_percent, tolerance_kw
-        What still counts as fulfilled, in % of the plant's rating and in kW, either way.
-    requests
-        All of them.
-    fulfilled
-        Those within the tolerance.
-    short
-        Those below it in some cycle.
-    over
-        The rest: above it in some cycle, and never below.
-    feasible, feasible_fulfilled
-        Requests that the plant was able to meet, the paper's condition: possible power was at
-        least the desired power in every cycle of it; and those of them that were fulfilled.
+    |delivered - desired| is within the tolerance (in % of the rating, and in kW) in every cycle
+    that begins in it. It is short if it is below that in some cycle, over if above it and never
+    below. It is feasible, the paper's condition, if possible power was at least the desired power
+    in each of its cycles. The paper gives 99.88 % without a tolerance.
     """
 
     tolerance_percent: float
@@ -72,21 +58,10 @@ class RequestsFulfilled:
 
 @dataclass(frozen=True, slots=True)
 class RegulationMetrics:
-    """A plant under a regulation signal S, in per unit of its capacity.
+    """A plant under a regulation signal S; S = 1 asks for the capacity on top of the commitment.
 
-    Attributes
-    ----------
-    capacity_kw
-        Power that S = 1 asks for on top of the commitment.
-    offered_h
-        Hours for which regulation was offered.
-    signal_mileage_per_hour
-        Sum |S(k+1) - S(k)| over the cycles offered, divided by their hours. (A cycle longer than
-        the signal's own step misses some of it.)
-    requests
-        Requests fulfilled, one entry for each tolerance.
-    performance
-        PJM's performance score; None where there is nothing to score.
+    The mileage is the sum of |S(k+1) - S(k)| over the cycles offered, divided by their hours.
+    `requests` has an entry for each tolerance. `performance` is None with nothing to score.
     """
 
     capacity_kw: float
@@ -97,13 +72,7 @@ class RegulationMetrics:
 
 
 def regulation_metrics(series: RunSeries) -> RegulationMetrics | None:
-    """Work out how well a plant followed its regulation signal.
-
-    Returns
-    -------
-    RegulationMetrics or None
-        None if no regulation was offered.
-    """
+    """Work out how well a plant followed its regulation signal; None if none was offered."""
     capacity_kw = series.regulation_capacity_kw
     offered = offered_cycles(series.regulation_kw, series.cycle_s) & series.known
     if capacity_kw == 0.0 or not offered.any():
@@ -113,13 +82,16 @@ def regulation_metrics(series: RunSeries) -> RegulationMetrics | None:
     response = (delivered_kw - series.commitment_kw) / capacity_kw
     offered_h = int(offered.sum()) * series.cycle_s / 3600.0
     steps = np.abs(np.diff(signal))[offered[1:] & offered[:-1]]
+    # The number of the 2 s of the clock in which each cycle begins.
+    begins_ns = round(series.cycle_s * 1e9) * np.arange(series.cycles) + series.start_time_ns
+    request = begins_ns // round(REQUEST_S * 1e9)
     return RegulationMetrics(
         capacity_kw=capacity_kw,
         offered_h=offered_h,
         signal_mileage_per_hour=float(steps.sum()) / offered_h,
         requests=requests_fulfilled(
             (delivered_kw - series.desired_kw)[offered],
-            _request_numbers(series)[offered],
+            request[offered],
             (series.possible_kw >= series.desired_kw)[offered],
             float(series.rating_kw.sum()),
         ),
@@ -132,18 +104,7 @@ def offered_cycles(regulation_kw: NDArray[np.float64], cycle_s: float) -> NDArra
 
     A run says 0 both for a request of nothing and for no request at all. A real signal passes
     through 0 but does not stay there (two days of RegD never are exactly 0), so a 0 that lasts a
-    minute or more, or that stands at an end of the run, is taken for no request.
-
-    Parameters
-    ----------
-    regulation_kw
-        Regulation asked in each cycle, shape (T,).
-    cycle_s
-        Length of a cycle [s].
-
-    Returns
-    -------
-    numpy.ndarray of bool, shape (T,)
+    minute or more, or that stands at an end of the run, is taken for no request. Shape (T,).
     """
     # Where the regulation is not known (NaN), the signal is taken to go on.
     asked = np.flatnonzero(regulation_kw)
@@ -165,18 +126,8 @@ def requests_fulfilled(
 ) -> tuple[RequestsFulfilled, ...]:
     """Count the requests that were fulfilled, short, over and feasible, at each tolerance.
 
-    Parameters
-    ----------
-    deviation_kw
-        Delivered less desired power in each cycle, shape (K,), K at least 1.
-    request
-        Number of the request that each cycle belongs to, ascending, shape (K,).
-    is_able
-        Whether possible power was at least the desired power, shape (K,).
-    rating_kw
-        AC rating of the plant [kW].
-    tolerances_percent
-        In % of the rating.
+    Cycle by cycle, shape (K,): delivered less desired power, the number of the request that the
+    cycle belongs to, ascending, and whether possible power was at least the desired power.
     """
     begins = np.flatnonzero(np.diff(request, prepend=request[0] - 1))
     lowest_kw = np.minimum.reduceat(deviation_kw, begins)
@@ -201,10 +152,3 @@ def requests_fulfilled(
             )
         )
     return tuple(counts)
-
-
-def _request_numbers(series: RunSeries) -> NDArray[np.int64]:
-    """Return the number of the 2 s of the clock in which each cycle begins, shape (T,)."""
-    cycle_ns = round(series.cycle_s * 1e9)
-    begins_ns = series.start_time_ns + cycle_ns * np.arange(series.cycles, dtype=np.int64)
-    return begins_ns // round(REQUEST_S * 1e9)

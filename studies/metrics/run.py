@@ -1,48 +1,97 @@
-"""All figures of merit of a run."""
+"""The figures of merit of a run. docs/metrics.md has their definitions."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from recordings.read.series import RunSeries
-from studies.metrics.commitment import (
-    CommitmentMetrics,
-    HeadroomMetrics,
-    commitment_metrics,
-    headroom_metrics,
-)
-from studies.metrics.ramps import RampMetrics, ramp_metrics
-from studies.metrics.regulation import (
-    RegulationMetrics,
-    regulation_metrics,
-)
-from studies.metrics.tracking import (
-    SupportMileage,
-    TrackingError,
-    support_mileage,
-    tracking_error,
-)
+from studies.metrics.regulation import RegulationMetrics, regulation_metrics
+
+_ROUNDING: Final = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class CommitmentMetrics:
+    """How well a plant kept its commitment: energies of desired, possible and delivered power.
+
+    Unsatisfied is the shortfall, sum max(0, desired - delivered) dt. Unavoidable is the part of it
+    that no controller could have met, sum max(0, desired - possible) dt; control-caused the rest.
+    """
+
+    desired_kwh: float
+    possible_kwh: float
+    delivered_kwh: float
+    unsatisfied_kwh: float
+    unavoidable_kwh: float
+    control_caused_kwh: float
+    over_delivered_kwh: float
+
+    @property
+    def satisfied_percent(self) -> float | None:
+        """100 (1 - unsatisfied / desired); None where nothing was desired."""
+        unsatisfied_percent = self.percent(self.unsatisfied_kwh)
+        return None if unsatisfied_percent is None else 100.0 - unsatisfied_percent
+
+    def percent(self, energy_kwh: float) -> float | None:
+        """Return an energy in % of the desired energy; None where nothing was desired."""
+        return 100.0 * energy_kwh / self.desired_kwh if self.desired_kwh > 0.0 else None
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingError:
+    """Root mean square and mean absolute error of delivered against desired power."""
+
+    rmse_kw: float
+    mae_kw: float
+
+
+@dataclass(frozen=True, slots=True)
+class SupportMileage:
+    """Mileage of the support power s = max(0, desired - delivered): sum |s(k+1) - s(k)|."""
+
+    total_kw: float
+    per_hour_kw: float
+    per_minute_kw: float
+
+
+@dataclass(frozen=True, slots=True)
+class HeadroomMetrics:
+    """Headroom kept, and what regulation could have used, sum max(0, possible - commitment) dt."""
+
+    headroom_kwh: float
+    mean_headroom_kw: float
+    ancillary_potential_kwh: float
+
+
+@dataclass(frozen=True, slots=True)
+class RampMetrics:
+    """Changes of the delivered power over a minute, P(t + 60 s) - P(t), from every cycle on.
+
+    Where 60 s is no multiple of the cycle, it is the change over the nearest number of cycles, at
+    least one, as a rate per minute. `minutes` are those over which there is a ramp; one of them is
+    above the limit if a larger ramp began in it. Without a limit what belongs to it is None.
+    """
+
+    largest_up_kw_per_min: float
+    largest_down_kw_per_min: float
+    limit_kw_per_min: float | None
+    minutes: int
+    minutes_above_limit: int | None
+    above_limit_percent: float | None
+
+    @property
+    def largest_kw_per_min(self) -> float:
+        """The larger of rise and fall."""
+        return max(self.largest_up_kw_per_min, self.largest_down_kw_per_min)
 
 
 @dataclass(frozen=True, slots=True)
 class RunMetrics:
-    """Figures of merit of a run; a part is None where the run does not define it.
-
-    Attributes
-    ----------
-    commitment
-        Energies, and how well the desired power (commitment and regulation) was met.
-    tracking
-        RMSE and MAE of delivered against desired power.
-    support
-        Mileage of the power that others gave.
-    headroom
-        Headroom kept, and the ancillary potential.
-    ramps
-        Ramps over a minute; None for a run that is shorter than that.
-    regulation
-        How well the regulation signal was followed; None if none was offered.
-    """
+    """Figures of merit of a run. `ramps` is None for a run of a minute or less."""
 
     commitment: CommitmentMetrics
     tracking: TrackingError
@@ -66,15 +115,82 @@ def run_metrics(series: RunSeries) -> RunMetrics:
     known = series.known
     if not known.any():
         raise ValueError("run: expected a cycle with dispatch and production, got none")
-    desired_kw, possible_kw = series.desired_kw, series.possible_kw
-    delivered_kw, cycle_s = series.delivered_kw, series.cycle_s
+    desired_kw, possible_kw = series.desired_kw[known], series.possible_kw[known]
+    delivered_kw, support_kw = series.delivered_kw[known], series.support_kw[known]
+    hours = series.cycle_s / 3600.0
+    error_kw = delivered_kw - desired_kw
+    mileage_kw = float(np.abs(np.diff(support_kw)).sum())
+    run_hours = len(support_kw) * series.cycle_s / 3600.0
+    headroom_kw = np.maximum(possible_kw - delivered_kw, 0.0)
+    potential_kw = np.maximum(possible_kw - series.commitment_kw[known], 0.0)
+    limit = series.ramp_limit_percent_per_min
     rating_kw = float(series.rating_kw.sum())
-    of_known = desired_kw[known], possible_kw[known], delivered_kw[known]
     return RunMetrics(
-        commitment=commitment_metrics(*of_known, cycle_s),
-        tracking=tracking_error(desired_kw[known], delivered_kw[known]),
-        support=support_mileage(series.support_kw[known], cycle_s),
-        headroom=headroom_metrics(series.commitment_kw[known], *of_known[1:], cycle_s),
-        ramps=ramp_metrics(delivered_kw, rating_kw, cycle_s, series.ramp_limit_percent_per_min),
+        commitment=commitment_metrics(desired_kw, possible_kw, delivered_kw, series.cycle_s),
+        tracking=TrackingError(
+            rmse_kw=float(np.sqrt(np.mean(error_kw**2))), mae_kw=float(np.mean(np.abs(error_kw)))
+        ),
+        support=SupportMileage(mileage_kw, mileage_kw / run_hours, mileage_kw / (60.0 * run_hours)),
+        headroom=HeadroomMetrics(
+            headroom_kwh=float(headroom_kw.sum()) * hours,
+            mean_headroom_kw=float(headroom_kw.mean()),
+            ancillary_potential_kwh=float(potential_kw.sum()) * hours,
+        ),
+        ramps=ramp_metrics(series.delivered_kw, rating_kw, series.cycle_s, limit),
         regulation=regulation_metrics(series),
+    )
+
+
+def commitment_metrics(
+    desired_kw: ArrayLike, possible_kw: ArrayLike, delivered_kw: ArrayLike, cycle_s: float
+) -> CommitmentMetrics:
+    """Compute how well a plant kept its commitment from its power in each cycle, shape (T,)."""
+    desired, possible, delivered = map(np.asarray, (desired_kw, possible_kw, delivered_kw))
+    hours = cycle_s / 3600.0
+    unsatisfied = np.maximum(desired - delivered, 0.0)
+    unavoidable = np.maximum(desired - possible, 0.0)
+    return CommitmentMetrics(
+        desired_kwh=float(desired.sum()) * hours,
+        possible_kwh=float(possible.sum()) * hours,
+        delivered_kwh=float(delivered.sum()) * hours,
+        unsatisfied_kwh=float(unsatisfied.sum()) * hours,
+        unavoidable_kwh=float(unavoidable.sum()) * hours,
+        control_caused_kwh=float((unsatisfied - unavoidable).sum()) * hours,
+        over_delivered_kwh=float(np.maximum(delivered - desired, 0.0).sum()) * hours,
+    )
+
+
+def ramp_metrics(
+    delivered_kw: NDArray[np.float64],
+    rating_kw: float,
+    cycle_s: float,
+    limit_percent_per_min: float | None = None,
+) -> RampMetrics | None:
+    """Compute the ramps of delivered power, shape (T,), NaN where unknown; None if there is none.
+
+    The limit is in % of the rating per minute.
+    """
+    span = max(1, round(60.0 / cycle_s))
+    if len(delivered_kw) <= span:
+        return None
+    ramp_kw_per_min = (delivered_kw[span:] - delivered_kw[:-span]) * (60.0 / (span * cycle_s))
+    # By minute the largest ramp; minutes without any known one do not count.
+    minute_begins = np.arange(0, len(ramp_kw_per_min), span)
+    largest_kw_per_min = np.fmax.reduceat(np.abs(ramp_kw_per_min), minute_begins)
+    largest_kw_per_min = largest_kw_per_min[np.isfinite(largest_kw_per_min)]
+    if not len(largest_kw_per_min):
+        return None
+    limit_kw_per_min = above = above_percent = None
+    if limit_percent_per_min is not None:
+        limit_kw_per_min = rating_kw * limit_percent_per_min / 100.0
+        # A plant that ramps exactly as fast as it may is not too fast by a rounding error.
+        too_fast = largest_kw_per_min > limit_kw_per_min + _ROUNDING * rating_kw
+        above, above_percent = int(too_fast.sum()), 100.0 * float(too_fast.mean())
+    return RampMetrics(
+        largest_up_kw_per_min=max(0.0, float(np.nanmax(ramp_kw_per_min))),
+        largest_down_kw_per_min=max(0.0, -float(np.nanmin(ramp_kw_per_min))),
+        limit_kw_per_min=limit_kw_per_min,
+        minutes=len(largest_kw_per_min),
+        minutes_above_limit=above,
+        above_limit_percent=above_percent,
     )

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from pandas.core.window import Rolling
 
 from agents.control.correlation import HourlyMatrices, hourly_correlation
 from bus_schemas.tree import parent_of
@@ -47,26 +45,31 @@ def find_cloud_passage(series: RunSeries) -> CloudPassage | None:
     minute. None where no candidate has such a drop, or the scheme estimates no IMPP.
     """
     hours = hours_from_first_midnight(series)
+    minute = max(1, round(DROP_S / series.cycle_s)) + 1
     # By how much each IMPP is below its greatest value of the minute before.
-    greatest_kw = _minute_before(series, series.impp_kw).max().to_numpy()
+    greatest_kw = pd.DataFrame(series.impp_kw).rolling(minute, min_periods=1).max().to_numpy()
     drop_kw = np.nan_to_num(greatest_kw - series.impp_kw)
     needy = series.residual_kw < 0.0
-    able = _minute_before(series, series.residual_kw).min().to_numpy() > 0.0
+    able = pd.DataFrame(series.residual_kw).rolling(minute, min_periods=1).min().to_numpy() > 0.0
+    length = min(max(2, round(WINDOW_S / series.cycle_s)), series.cycles)
     best: CloudPassage | None = None
-    for hour, pair, correlation in _candidates(series, correlation_by_hour(series)):
+    matrices = correlation_by_hour(series)
+    candidates = [
+        (hour, min(combinations(members, 2), key=lambda two: matrix[two]), matrix)
+        for hour, matrix in zip(matrices.hours, matrices.values, strict=True)
+        for members in clusters(series).values()
+        if len(members) > 1
+    ]
+    for hour, pair, matrix in candidates:
         for shaded, helping in (pair, pair[::-1]):
             counts = (hours == hour) & needy[:, shaded] & able[:, helping]
             depth_kw = np.where(counts, drop_kw[:, shaded], 0.0)
             bottom = int(depth_kw.argmax())
-            if depth_kw[bottom] > (best.drop_kw if best else 0.0):
-                best = CloudPassage(
-                    shaded,
-                    helping,
-                    correlation,
-                    bottom,
-                    float(depth_kw[bottom]),
-                    _around(bottom, series),
-                )
+            if (fell_kw := float(depth_kw[bottom])) > (best.drop_kw if best else 0.0):
+                # The bottom is in the middle of what is shown, within the run.
+                begin = min(max(0, bottom - length // 2), series.cycles - length)
+                cycles = range(begin, begin + length)
+                best = CloudPassage(shaded, helping, float(matrix[pair]), bottom, fell_kw, cycles)
     return best
 
 
@@ -101,27 +104,3 @@ def clusters(series: RunSeries) -> dict[str, list[int]]:
 def inverters_by_cluster(series: RunSeries) -> list[int]:
     """Return the positions of all inverters, those of a cluster beside each other."""
     return [position for members in clusters(series).values() for position in members]
-
-
-def _candidates(
-    series: RunSeries, matrices: HourlyMatrices
-) -> Iterator[tuple[int, tuple[int, int], float]]:
-    """Yield hour, pair and correlation of the least correlated pair of each cluster and hour."""
-    for hour, matrix in zip(matrices.hours, matrices.values, strict=True):
-        for members in clusters(series).values():
-            if len(members) > 1:
-                pair = min(combinations(members, 2), key=lambda two: matrix[two])
-                yield hour, pair, float(matrix[pair])
-
-
-def _minute_before(series: RunSeries, values: NDArray[np.float64]) -> Rolling[pd.DataFrame]:
-    """Return, for each cycle, the window of the minute that ends with it."""
-    cycles = max(1, round(DROP_S / series.cycle_s)) + 1
-    return pd.DataFrame(values).rolling(cycles, min_periods=1)
-
-
-def _around(bottom: int, series: RunSeries) -> range:
-    """Return three minutes of cycles with a drop's bottom in their middle, within the run."""
-    length = min(max(2, round(WINDOW_S / series.cycle_s)), series.cycles)
-    begin = min(max(0, bottom - length // 2), series.cycles - length)
-    return range(begin, begin + length)

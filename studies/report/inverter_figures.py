@@ -15,7 +15,6 @@ from plotly.subplots import make_subplots
 
 from recordings.read.series import RunSeries
 from studies.report.cloud_passage import (
-    CloudPassage,
     clusters,
     correlation_by_hour,
     find_cloud_passage,
@@ -53,13 +52,8 @@ _SMALLEST_MATRIX_PX: Final = 178
 _NAME_PX: Final = 14
 
 
-def residuals(series: RunSeries) -> ReportFigure | None:
-    """Draw the residual of every inverter as a heat map, and that of the worst as a line.
-
-    None where the scheme has no residuals.
-    """
-    if np.isnan(series.residual_kw).all():
-        return None
+def residuals(series: RunSeries) -> ReportFigure:
+    """Draw the residual of every inverter as a heat map, and that of the worst as a line."""
     count = len(series.inverters)
     map_px = max(count * name_px(count), _LEAST_MAP_PX)
     figure = make_subplots(
@@ -69,9 +63,27 @@ def residuals(series: RunSeries) -> ReportFigure | None:
         vertical_spacing=30.0 / (map_px + 150.0),
         row_heights=[map_px, 120],
     )
+    order = inverters_by_cluster(series)
+    cells_kw, rows = least_per_bucket(series.residual_kw[:, order])
+    cell_ms = rows * series.cycle_s * 1e3
+    # Without the few largest on either side, which would leave the rest pale.
+    least_kw = min(0.0, float(np.nanquantile(cells_kw, 0.005)))
+    greatest_kw = max(0.0, float(np.nanquantile(cells_kw, 0.995)))
+    figure.add_heatmap(
+        z=cells_kw.T.astype(np.float32),
+        x0=clock_ms(series)[0] + cell_ms / 2.0,
+        dx=cell_ms,
+        y=[plain(series.inverters[position]) for position in order],
+        colorscale=diverging_scale(least_kw, greatest_kw),
+        zmin=least_kw,
+        zmax=greatest_kw,
+        colorbar=colour_bar("kW", map_px),
+        hovertemplate="%{y}: %{z:,.1f} kW<extra></extra>",
+        row=1,
+        col=1,
+    )
     worst_kw = np.fmin.reduce(series.residual_kw, axis=1)
     line = time_line(series, worst_kw, name="worst", line={"color": BLUE, "width": 1.2})
-    figure.add_trace(_residual_map(series, map_px), row=1, col=1)
     figure.add_trace(line, row=2, col=1)
     dress(figure, map_px + 230, legend=False)
     list_names(figure, count, row=1, col=1)
@@ -94,26 +106,6 @@ def residuals(series: RunSeries) -> ReportFigure | None:
     )
 
 
-def _residual_map(series: RunSeries, map_px: int) -> go.Heatmap:
-    order = inverters_by_cluster(series)
-    cells_kw, rows = least_per_bucket(series.residual_kw[:, order])
-    cell_ms = rows * series.cycle_s * 1e3
-    # Without the few largest on either side, which would leave the rest pale.
-    least_kw = min(0.0, float(np.nanquantile(cells_kw, 0.005)))
-    greatest_kw = max(0.0, float(np.nanquantile(cells_kw, 0.995)))
-    return go.Heatmap(
-        z=cells_kw.T.astype(np.float32),
-        x0=clock_ms(series)[0] + cell_ms / 2.0,
-        dx=cell_ms,
-        y=[plain(series.inverters[position]) for position in order],
-        colorscale=diverging_scale(least_kw, greatest_kw),
-        zmin=least_kw,
-        zmax=greatest_kw,
-        colorbar=colour_bar("kW", map_px),
-        hovertemplate="%{y}: %{z:,.1f} kW<extra></extra>",
-    )
-
-
 def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
     """Draw the energy that each inverter gave above its share, and by which it fell short of it.
 
@@ -121,12 +113,16 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
     """
     order = inverters_by_cluster(series[0])
     names = [plain(series[0].inverters[position]) for position in order]
+    several = len(series) > 1
+    # Titles beside each other, in lines that fit.
+    width = max(10, 72 // len(series))
+    titles = [map(plain, textwrap.wrap(one.label, width) if several else ()) for one in series]
     figure = make_subplots(
         rows=1,
         cols=len(series),
         shared_yaxes=True,
         horizontal_spacing=0.03,
-        subplot_titles=[_in_lines(one.label, len(series)) for one in series],
+        subplot_titles=["<br>".join(lines) for lines in titles],
     )
     for column, one in enumerate(series, start=1):
         given_kwh, lacking_kwh = energy_beside_share(one)
@@ -134,7 +130,7 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
             ("above its share", given_kwh, BLUE),
             ("below its share", -lacking_kwh, SUPPORT),
         ):
-            bars = go.Bar(
+            figure.add_bar(
                 y=names,
                 x=energy_kwh[order],
                 orientation="h",
@@ -143,15 +139,16 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
                 showlegend=column == 1,
                 marker={"color": colour},
                 hovertemplate="%{y}: %{x:,.2f} kWh",
+                row=1,
+                col=column,
             )
-            figure.add_trace(bars, row=1, col=column)
     plot_px = max(len(names) * name_px(len(names)), _LEAST_MAP_PX)
     dress(figure, plot_px + 140)
     figure.update_layout(
         barmode="relative",
         bargap=0.25,
-        legend_y=1.0 + (_TITLE_PX / plot_px if len(series) > 1 else 0.0),
-        margin_t=90 if len(series) > 1 else 46,
+        legend_y=1.0 + (_TITLE_PX / plot_px if several else 0.0),
+        margin_t=90 if several else 46,
     )
     list_names(figure, len(names))
     figure.update_xaxes(title_text="energy [kWh]", zeroline=True)
@@ -166,13 +163,6 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
     )
 
 
-def _in_lines(label: str, panels: int) -> str:
-    """Return the title of one of several panels beside each other, in lines that fit."""
-    if panels == 1:
-        return ""
-    return "<br>".join(plain(line) for line in textwrap.wrap(label, max(10, 72 // panels)))
-
-
 def energy_beside_share(series: RunSeries) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     r"""Work out the energy above each inverter's share, and by which it fell short of that.
 
@@ -184,10 +174,7 @@ def energy_beside_share(series: RunSeries) -> tuple[NDArray[np.float64], NDArray
         E_{given,i} = \sum \max(0, P_i - S_i) \, dt, \quad
         E_{lacking,i} = \sum \max(0, S_i - P_i) \, dt
 
-    Returns
-    -------
-    tuple of numpy.ndarray
-        Energy above and below the share [kWh], each of shape (n,).
+    Both are of shape (n,) [kWh].
     """
     share_kw = np.outer(np.maximum(series.desired_kw, 0.0), series.rating_kw)
     share_kw /= series.rating_kw.sum()
@@ -213,42 +200,30 @@ def virtual_neighbours(series: RunSeries) -> ReportFigure | None:
         alpha.hovertemplate = "%{y:.3f}"
         figure.add_trace(impp, row=1, col=1)
         figure.add_trace(alpha, row=2, col=1)
-    for request in _request_lines(series, passage):
+    # The request made of the two, as one line where it is the same of both.
+    pair = [passage.shaded, passage.helping]
+    same = series.rating_kw[pair[0]] == series.rating_kw[pair[1]]
+    request_kw = series.impp_kw - series.residual_kw
+    for inverter, dash in zip(pair[:1] if same else pair, ("dash", "dot"), strict=False):
+        name = "request" if same else plain(f"request of {series.inverters[inverter]}")
+        look = {"name": name, "line": {"color": BLACK, "width": 1.2, "dash": dash}}
+        request = time_line(series, request_kw[:, inverter], passage.cycles, **look)
         figure.add_trace(request, row=1, col=1)
     dress(figure, 520)
     figure.update_yaxes(title_text="IMPP [kW]", rangemode="tozero", row=1, col=1)
     figure.update_yaxes(title_text="alpha, power / IMPP", range=[0.0, 1.05], row=2, col=1)
     label_time_axis(figure, series, rows=2)
     figure.update_xaxes(range=clock_range_ms(series, passage.cycles))
+    shaded, helping = series.inverters[passage.shaded], series.inverters[passage.helping]
     return ReportFigure(
         "neighbours",
         "Two virtual neighbours under a cloud",
-        _passage_caption(series, passage),
-        figure,
-    )
-
-
-def _request_lines(series: RunSeries, passage: CloudPassage) -> list[go.Scatter]:
-    """Return the request made of the two, as one line where it is the same of both."""
-    request_kw = series.impp_kw - series.residual_kw
-    pair = [passage.shaded, passage.helping]
-    same = series.rating_kw[pair[0]] == series.rating_kw[pair[1]]
-    lines = []
-    for inverter, dash in zip(pair[:1] if same else pair, ("dash", "dot"), strict=False):
-        name = "request" if same else plain(f"request of {series.inverters[inverter]}")
-        look = {"name": name, "line": {"color": BLACK, "width": 1.2, "dash": dash}}
-        lines.append(time_line(series, request_kw[:, inverter], passage.cycles, **look))
-    return lines
-
-
-def _passage_caption(series: RunSeries, passage: CloudPassage) -> str:
-    shaded, helping = series.inverters[passage.shaded], series.inverters[passage.helping]
-    return (
         f"Above: IMPP, the estimated maximum power of two inverters, and their request [kW]. "
         f"Below: their curtailment level alpha (no unit). The IMPP of {shaded} falls by "
         f"{passage.drop_kw:,.0f} kW within a minute, until {clock_text(series, passage.bottom)}, "
         f"while {helping} has headroom. The figure shows the largest such drop among the least "
-        f"correlated pairs of each cluster and hour; this pair has {passage.correlation:+.2f}."
+        f"correlated pairs of each cluster and hour; this pair has {passage.correlation:+.2f}.",
+        figure,
     )
 
 
@@ -275,20 +250,23 @@ def correlation_matrices(series: RunSeries) -> ReportFigure | None:
     )
     for place, matrix in enumerate(matrices.values):
         row, column = place // across + 1, place % across + 1
-        figure.add_trace(
-            go.Heatmap(
-                z=matrix[np.ix_(order, order)].astype(np.float32),
-                x=names,
-                y=names,
-                coloraxis="coloraxis",
-                hovertemplate="%{x}, %{y}: %{z:.2f}<extra></extra>",
-            ),
+        figure.add_heatmap(
+            z=matrix[np.ix_(order, order)].astype(np.float32),
+            x=names,
+            y=names,
+            coloraxis="coloraxis",
+            hovertemplate="%{x}, %{y}: %{z:.2f}<extra></extra>",
             row=row,
             col=column,
         )
         _mark_clusters(figure, series, row, column, matrix_px)
     dress(figure, height_px + 60, legend=False)
-    _square_up(figure)
+    # All matrices are squares without ticks, at the top of their place, below their titles.
+    figure.update_xaxes(showticklabels=False, ticks="", showgrid=False, constrain="domain")
+    figure.update_yaxes(ticks="", showgrid=False, autorange="reversed")
+    figure.update_yaxes(constrain="domain", constraintoward="top")
+    for axis in figure.select_yaxes():
+        axis.scaleanchor = axis.plotly_name.replace("axis", "").replace("y", "x", 1)
     figure.update_layout(
         margin={"b": 20, "t": 40},
         coloraxis={
@@ -341,13 +319,3 @@ def _mark_clusters(
         row=row,
         col=column,
     )
-
-
-def _square_up(figure: go.Figure) -> None:
-    """Make all matrices squares, without ticks."""
-    figure.update_xaxes(showticklabels=False, ticks="", showgrid=False, constrain="domain")
-    figure.update_yaxes(ticks="", showgrid=False, autorange="reversed")
-    # At the top of their place, below their titles.
-    figure.update_yaxes(constrain="domain", constraintoward="top")
-    for axis in figure.select_yaxes():
-        axis.scaleanchor = axis.plotly_name.replace("axis", "").replace("y", "x", 1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from importlib import resources
 from typing import Final, NamedTuple, TypeAlias
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -65,8 +64,6 @@ def html_page(
         paragraphs=paragraphs,
         verdict=verdict,
         sections=list(_sections(content)),
-        style=_file("page.css"),
-        script=_file("page.js"),
         plotly=Markup(get_plotlyjs()),
     )
 
@@ -83,7 +80,3 @@ def _sections(content: Sequence[Content]) -> Iterator[_Section]:
         else:
             figures += 1
             yield _Section(one.anchor, f"Figure {figures}. {one.heading}", figure=one)
-
-
-def _file(name: str) -> Markup:
-    return Markup(resources.files("studies.report").joinpath(name).read_text(encoding="utf-8"))

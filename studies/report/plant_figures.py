@@ -42,30 +42,20 @@ _ROUNDING_KW = 1e-6
 def possible_power(series: Sequence[RunSeries]) -> ReportFigure:
     """Draw possible power against commitment, desired and delivered power."""
     first = series[0]
-    figure = go.Figure()
-    possible = time_line(
-        first,
-        first.possible_kw,
-        name="possible",
-        fill="tozeroy",
-        fillcolor=faint(SAND, 0.5),
-        line={"color": SAND, "width": 1},
-    )
-    figure.add_trace(possible)
-    if np.any(np.nan_to_num(first.regulation_kw)):
-        desired = time_line(
-            first,
-            first.desired_kw,
-            name="desired, with regulation",
-            line={"color": GREY, "width": 1},
+    sand, grey = {"color": SAND, "width": 1}, {"color": GREY, "width": 1}
+    area = {"fill": "tozeroy", "fillcolor": faint(SAND, 0.5), "line": sand}
+    lines = [time_line(first, first.possible_kw, name="possible", **area)]
+    if _asks_regulation(first):
+        name = "desired, with regulation"
+        lines.append(time_line(first, first.desired_kw, name=name, line=grey))
+    lines += [
+        time_line(
+            one, one.delivered_kw, name=_of("delivered", one, series), line=scheme_line(position)
         )
-        figure.add_trace(desired)
-    for position, one in enumerate(series):
-        line = scheme_line(position)
-        delivered = time_line(one, one.delivered_kw, name=_delivered(one, series), line=line)
-        figure.add_trace(delivered)
-    figure.add_trace(time_line(first, first.commitment_kw, name="commitment", line=_DASHED))
-    dress(figure, 420)
+        for position, one in enumerate(series)
+    ]
+    lines.append(time_line(first, first.commitment_kw, name="commitment", line=_DASHED))
+    figure = dress(go.Figure(lines), 420)
     figure.update_yaxes(title_text="plant power [kW]", rangemode="tozero")
     label_time_axis(figure, first)
     short = 100.0 * np.mean((first.possible_kw < first.desired_kw)[first.known])
@@ -81,23 +71,43 @@ def possible_power(series: Sequence[RunSeries]) -> ReportFigure:
 
 def delivered_and_support(series: Sequence[RunSeries]) -> ReportFigure:
     """Draw delivered power and the support it needed; each run has a panel with the same axes."""
+    count = len(series)
     figure = make_subplots(
-        rows=len(series),
+        rows=count,
         cols=1,
         shared_xaxes=True,
-        vertical_spacing=0.18 / len(series),
-        subplot_titles=[plain(one.label) if len(series) > 1 else "" for one in series],
+        vertical_spacing=0.18 / count,
+        subplot_titles=[plain(one.label) if count > 1 else "" for one in series],
     )
     for position, one in enumerate(series):
-        for trace in _panel(one, _delivered(one, series), position):
+        # One entry in the legend is enough for what all panels have.
+        of_all = {"showlegend": position == 0}
+        red = {"fillcolor": faint(SUPPORT), "line": {"color": SUPPORT, "width": 1}}
+        support = time_line(
+            one,
+            one.support_kw,
+            name="support needed",
+            legendgroup="support",
+            fill="tozeroy",
+            **red,
+            **of_all,
+        )
+        name, line = _of("delivered", one, series), scheme_line(position)
+        delivered = time_line(one, one.delivered_kw, name=name, line=line)
+        desired = {"name": "desired", "legendgroup": "desired", "line": _DASHED, **of_all}
+        for trace in (support, delivered, time_line(one, one.desired_kw, **desired)):
             figure.add_trace(trace, row=position + 1, col=1)
-    dress(figure, 110 + _PANEL_PX * len(series))
-    figure.update_yaxes(title_text="power [kW]", range=_common_range_kw(series))
+    dress(figure, 110 + _PANEL_PX * count)
+    # A range that holds delivered and desired power of all runs, and zero.
+    curves = [curve for one in series for curve in (one.delivered_kw, one.desired_kw)]
+    least_kw = min(0.0, *(float(np.nanmin(curve)) for curve in curves))
+    greatest_kw = max(float(np.nanmax(curve)) for curve in curves)
+    range_kw = [least_kw, greatest_kw + 0.05 * (greatest_kw - least_kw)]
+    figure.update_yaxes(title_text="power [kW]", range=range_kw)
     share_axis(figure, "y")
-    # Above the title of the first panel.
-    if len(series) > 1:
-        figure.update_layout(legend_y=1.0 + 24.0 / (_PANEL_PX * len(series)), margin_t=70)
-    label_time_axis(figure, series[0], rows=len(series))
+    if count > 1:  # The legend stands above the title of the first panel.
+        figure.update_layout(legend_y=1.0 + 24.0 / (_PANEL_PX * count), margin_t=70)
+    label_time_axis(figure, series[0], rows=count)
     needed = "; ".join(
         f"{one.label} {np.nansum(one.support_kw) * one.cycle_s / 3600.0:,.1f} kWh" for one in series
     )
@@ -111,71 +121,38 @@ def delivered_and_support(series: Sequence[RunSeries]) -> ReportFigure:
     )
 
 
-def _common_range_kw(series: Sequence[RunSeries]) -> list[float]:
-    """Return a range that holds delivered and desired power of all runs, and zero."""
-    curves = [curve for one in series for curve in (one.delivered_kw, one.desired_kw)]
-    least_kw = min(0.0, *(float(np.nanmin(curve)) for curve in curves))
-    greatest_kw = max(float(np.nanmax(curve)) for curve in curves)
-    return [least_kw, greatest_kw + 0.05 * (greatest_kw - least_kw)]
-
-
-def _panel(one: RunSeries, name: str, position: int) -> list[go.Scatter]:
-    # One entry in the legend is enough for what all panels have.
-    in_legend = position == 0
-    return [
-        time_line(
-            one,
-            one.support_kw,
-            name="support needed",
-            legendgroup="support",
-            fill="tozeroy",
-            fillcolor=faint(SUPPORT),
-            line={"color": SUPPORT, "width": 1},
-            showlegend=in_legend,
-        ),
-        time_line(one, one.delivered_kw, name=name, line=scheme_line(position)),
-        time_line(
-            one,
-            one.desired_kw,
-            name="desired",
-            legendgroup="desired",
-            line=_DASHED,
-            showlegend=in_legend,
-        ),
-    ]
-
-
-def _delivered(one: RunSeries, series: Sequence[RunSeries]) -> str:
-    return "delivered" if len(series) == 1 else plain(f"delivered, {one.label}")
+def _of(what: str, one: RunSeries, series: Sequence[RunSeries]) -> str:
+    """Name a line of one run in the legend."""
+    return what if len(series) == 1 else plain(f"{what}, {one.label}")
 
 
 def tracking_error(series: Sequence[RunSeries]) -> ReportFigure:
     """Draw how often the delivered power was how far from the desired power."""
     figure = go.Figure()
+    exact = []
     for position, one in enumerate(series):
-        error_kw, share = folded_distribution((one.delivered_kw - one.desired_kw)[one.known])
-        figure.add_trace(
-            go.Scatter(
-                x=error_kw,
-                y=100.0 * share,
-                mode="lines",
-                name=plain(one.label),
-                showlegend=True,
-                connectgaps=False,
-                line=scheme_line(position),
-                hovertemplate="%{x:,.1f} kW or farther: %{y:.3g} %",
-            )
+        missed_kw = (one.delivered_kw - one.desired_kw)[one.known]
+        exact.append(f"{one.label} {100.0 * np.mean(np.abs(missed_kw) <= _ROUNDING_KW):.1f} %")
+        error_kw, share = folded_distribution(missed_kw)
+        figure.add_scatter(
+            x=error_kw,
+            y=100.0 * share,
+            mode="lines",
+            name=plain(one.label),
+            showlegend=True,
+            connectgaps=False,
+            line=scheme_line(position),
+            hovertemplate="%{x:,.1f} kW or farther: %{y:.3g} %",
         )
     dress(figure, 380)
     figure.update_xaxes(title_text="delivered less desired power [kW]", zeroline=True)
     figure.update_yaxes(title_text="share of cycles [%]", type="log", dtick=1)
-    exact = "; ".join(f"{one.label} {_exact_percent(one):.1f} %" for one in series)
     return ReportFigure(
         "tracking-error",
         "Distribution of the tracking error",
         "Share of the cycles [%, logarithmic] in which the plant delivered too little (left of "
         "zero) or too much (right of zero) by at least so much [kW]. Cycles without an error are "
-        f"not in the curves: {exact}.",
+        f"not in the curves: {'; '.join(exact)}.",
         figure,
     )
 
@@ -210,17 +187,15 @@ def _tail(
     return kept, (count - np.searchsorted(ascending, kept)) / len(error_kw)
 
 
-def _exact_percent(one: RunSeries) -> float:
-    error_kw = np.abs(one.delivered_kw - one.desired_kw)[one.known]
-    return float(100.0 * np.mean(error_kw <= _ROUNDING_KW))
-
-
 def regulation(series: Sequence[RunSeries]) -> ReportFigure | None:
     """Draw regulation asked and given, in the whole run and in its worst ten minutes, if any."""
     first = series[0]
-    if not np.any(np.nan_to_num(first.regulation_kw)):
+    if not _asks_regulation(first):
         return None
-    worst = farthest_from_asked([one for one in series if _curtails(one)] or series)
+    # One that never curtails follows nothing, and would hide the others.
+    following = {place: one for place, one in enumerate(series) if _curtails(one)}
+    following = following or dict(enumerate(series))
+    worst = farthest_from_asked(list(following.values()))
     figure = make_subplots(
         rows=2,
         cols=1,
@@ -228,8 +203,14 @@ def regulation(series: Sequence[RunSeries]) -> ReportFigure | None:
         subplot_titles=["whole run", f"from {clock_text(first, worst.start)}"],
     )
     for row, cycles in enumerate((range(first.cycles), worst), start=1):
-        for trace in _asked_and_given(series, cycles, in_legend=row == 1):
-            figure.add_trace(trace, row=row, col=1)
+        for place, one in following.items():
+            given_kw, name = one.delivered_kw - one.commitment_kw, _of("given", one, series)
+            look = {"name": name, "legendgroup": name, "showlegend": row == 1}
+            figure.add_trace(
+                time_line(one, given_kw, cycles, line=scheme_line(place), **look), row, 1
+            )
+        look = {"name": "asked", "legendgroup": "asked", "showlegend": row == 1, "line": _DASHED}
+        figure.add_trace(time_line(first, first.regulation_kw, cycles, **look), row, 1)
     dress(figure, 580)
     figure.update_layout(legend_y=1.05, margin_t=70)
     capacity_kw = first.regulation_capacity_kw
@@ -271,37 +252,9 @@ def farthest_from_asked(series: Sequence[RunSeries]) -> range:
     return range(begin, begin + length)
 
 
+def _asks_regulation(one: RunSeries) -> bool:
+    return bool(np.any(np.nan_to_num(one.regulation_kw)))
+
+
 def _curtails(one: RunSeries) -> bool:
     return not np.array_equal(one.power_kw, one.mpp_kw, equal_nan=True)
-
-
-def _asked_and_given(
-    series: Sequence[RunSeries], cycles: range, in_legend: bool
-) -> list[go.Scatter]:
-    traces = []
-    for position, one in enumerate(series):
-        # One that never curtails follows nothing, and would hide the others.
-        if len(series) > 1 and not _curtails(one):
-            continue
-        name = "given" if len(series) == 1 else plain(f"given, {one.label}")
-        traces.append(
-            time_line(
-                one,
-                one.delivered_kw - one.commitment_kw,
-                cycles,
-                name=name,
-                legendgroup=name,
-                showlegend=in_legend,
-                line=scheme_line(position),
-            )
-        )
-    asked = time_line(
-        series[0],
-        series[0].regulation_kw,
-        cycles,
-        name="asked",
-        legendgroup="asked",
-        showlegend=in_legend,
-        line=_DASHED,
-    )
-    return [*traces, asked]

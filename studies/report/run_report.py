@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,11 +11,14 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
+from rich.console import Console
+from rich.markup import escape
 
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.tree import parent_of
-from recordings.read.series import RunSeries
+from recordings.read.reader import RunReader
+from recordings.read.series import RunSeries, read_series
 from recordings.read.whole_file import whole_file
 from studies.report.cloud_passage import clusters
 from studies.report.inverter_figures import (
@@ -31,6 +35,11 @@ from studies.report.plant_figures import (
     tracking_error,
 )
 from studies.report.style import ReportFigure
+from studies.report.tables import health_table, metrics_tables
+from sunspec.process import read_accounts
+from sunspec.tables import devices_tables
+
+REPORT_NAME: Final = "report.html"
 
 _MOST_SIZES: Final = 6
 """Clusters whose sizes the first line lists one by one."""
@@ -42,6 +51,42 @@ _WHY_ABSENT: Final = {
     "cluster and hour, no inverter fell below its request while the other had headroom.",
     "correlation": "No figure of correlations: the power of no inverter varies.",
 }
+
+
+def write_run_report(run: Path, out: Path | None = None) -> Path:
+    """Write the report of a recorded run, by default beside its recording; return where it is."""
+    console = Console(stderr=True)
+    with RunReader(run) as reader:
+        path, plan = out or reader.path.with_name(REPORT_NAME), reader.plan
+        notes = _notes(reader)
+        size_mb = reader.path.stat().st_size / 1e6
+        with console.status(f"reading {size_mb:,.0f} MB of {escape(str(run))}"):
+            series = replace(read_series(run), label=f"hierarchical ({plan.scheme})")
+            devices = devices_tables(read_accounts(reader.path.parent))
+            tables = [health_table(reader), *metrics_tables([series]), *devices]
+    with console.status("drawing"):
+        title = f"{plan.plant}: run {plan.run_id}"
+        write_report(path, title, [series], tables, notes, lead=run_line(plan))
+    return path
+
+
+def _notes(reader: RunReader) -> list[str]:
+    """Return what the recording says about the run."""
+    try:
+        scenario = tomllib.loads(reader.scenario)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(f"{reader.path}: expected a scenario in TOML, got: {error}") from None
+    origin = reader.metadata.get("run", {})
+    notes = [
+        f"Scenario: {scenario.get('title', reader.plan.plant)}.",
+        f"Recorded by heliarch {origin.get('driver', '')}, "
+        f"version {origin.get('version heliarch', 'unknown')}, in {reader.path.name}.",
+    ]
+    if scenario.get("neighbours", {}).get("history") == "hindsight":
+        notes.append("Clusters and neighbours were chosen from the run's own data: hindsight.")
+    if not reader.whole:
+        notes.append("The recording is incomplete: the report shows the part that it holds.")
+    return notes
 
 
 def write_report(
@@ -58,34 +103,13 @@ def write_report(
     It shows one run, or several of the same plant in the same cycles, each with a label of its own.
     `lead`, the notes, and tables and figures of `content` come before the figures of the runs.
     """
-    check_comparable(series)
     figures = _figures(series)
-    text = [lead or _plant_line(series), *_cycle_lines(series), *notes, *_absent(figures)]
+    there = {figure.anchor for figure in figures}
+    absent = " ".join(reason for anchor, reason in _WHY_ABSENT.items() if anchor not in there)
+    text = [lead or _plant_line(series), *_cycle_lines(series), *notes, absent]
+    page = html_page(title, list(filter(None, text)), [*content, *figures])
     with whole_file(path) as file:
-        file.write(html_page(title, text, [*content, *figures]).encode())
-
-
-def check_comparable(series: Sequence[RunSeries]) -> None:
-    """Refuse runs that one report cannot show side by side."""
-    if not series:
-        raise InputError("report: expected one run or more, got none")
-    first = series[0]
-    labels = [one.label for one in series]
-    clock = first.start_time_ns, first.cycle_s, first.cycles
-    for one in series:
-        if one.cycles == 0:
-            raise InputError(f"report: {one.label}: expected one cycle or more, got none")
-        if labels.count(one.label) > 1:
-            raise InputError(f"report: expected labels that differ, got {one.label!r} twice")
-        if one.inverters != first.inverters:
-            raise InputError(
-                f"report: {one.label}: expected the inverters of {first.label}, got others"
-            )
-        if (one.start_time_ns, one.cycle_s, one.cycles) != clock:
-            raise InputError(
-                f"report: {one.label}: expected {_when(first)} as in {first.label}, "
-                f"got {_when(one)}"
-            )
+        file.write(page.encode())
 
 
 def run_line(plan: RunPlan) -> str:
@@ -125,7 +149,7 @@ def _plant_line(series: Sequence[RunSeries]) -> str:
 def _cycle_lines(series: Sequence[RunSeries]) -> list[str]:
     """Say which time the runs cover, and whether cycles of them are missing."""
     first = series[0]
-    lines = [f"{first.rating_kw.sum():,.0f} kW AC rating. {_when(first)}, local time."]
+    lines = [f"{first.rating_kw.sum():,.0f} kW AC rating. {when(first)}, local time."]
     for one in series:
         missing = one.cycles - int(one.known.sum())
         if missing:
@@ -148,28 +172,20 @@ def _figures(series: Sequence[RunSeries]) -> list[ReportFigure]:
         tracking_error(series),
         regulation(series),
     ]
-    signalling = next(
-        (one for one in reversed(series) if not np.isnan(one.residual_kw).all()), None
-    )
-    if signalling is not None:
-        whose = f"Under the scheme {signalling.label}. " if len(series) > 1 else ""
+    signalling = [one for one in series if not np.isnan(one.residual_kw).all()]
+    if signalling:
+        last = signalling[-1]
+        whose = f"Under the scheme {last.label}. " if len(series) > 1 else ""
         figures += [
             replace(figure, caption=whose + figure.caption)
-            for figure in (residuals(signalling), virtual_neighbours(signalling))
+            for figure in (residuals(last), virtual_neighbours(last))
             if figure is not None
         ]
     figures += [correlation_matrices(series[0]), help_energy(series)]
     return [figure for figure in figures if figure is not None]
 
 
-def _absent(figures: Sequence[ReportFigure]) -> list[str]:
-    """Return a paragraph that says why figures are missing, if any are."""
-    there = {figure.anchor for figure in figures}
-    reasons = [reason for anchor, reason in _WHY_ABSENT.items() if anchor not in there]
-    return [" ".join(reasons)] if reasons else []
-
-
-def _when(one: RunSeries) -> str:
+def when(one: RunSeries) -> str:
     """Return the time of a run in words."""
     begin = one.times[0]
     end = begin + pd.Timedelta(seconds=one.cycles * one.cycle_s)

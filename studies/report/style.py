@@ -7,6 +7,7 @@ apart ("Color Universal Design", 2008, https://jfly.uni-koeln.de/color/).
 from __future__ import annotations
 
 import html
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -104,6 +105,20 @@ def plain(text: str) -> str:
     return html.escape(text, quote=False)
 
 
+def curve(
+    x: Sequence[object],
+    y: Sequence[object],
+    name: str,
+    colour: str,
+    width: float = 1.5,
+    dash: str = "solid",
+    **look: object,
+) -> go.Scatter:
+    """Return a line; `look` are further properties of a Plotly scatter trace."""
+    line = {"color": colour, "width": width, "dash": dash}
+    return go.Scatter(x=x, y=y, name=name, mode="lines", line=line, **look)
+
+
 def clock_ms(series: RunSeries) -> NDArray[np.float64]:
     """Return the wall clock at the beginning of each cycle, as Plotly's axes count it.
 
@@ -126,12 +141,10 @@ def time_line(
     series: RunSeries,
     values: NDArray[np.float64],
     cycles: range | None = None,
+    /,
     **look: object,
 ) -> go.Scatter:
-    """Return a line of one value a cycle, in all cycles or some, thinned out for a screen.
-
-    `look` are further properties of a Plotly scatter trace.
-    """
+    """Return a line of one value a cycle, in all cycles or some, thinned out for a screen."""
     shown = cycles or range(series.cycles)
     rows = shown.start + extremes(values[shown.start : shown.stop])
     return go.Scatter(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from typing import Final
 
 from recordings.inspect.health import health_lines, read_health
 from recordings.read.reader import RunReader
@@ -13,12 +13,12 @@ from studies.metrics import run_metrics
 from studies.metrics.figures_of_merit import runs_as_columns, shown_in
 from studies.tables import Table, key_column, word_column
 
-_COMMITMENT_NOTE = (
+_COMMITMENT_NOTE: Final = (
     "Unavoidable is the shortfall that no controller could have prevented: less power was possible "
     "than desired. Mileage is that of the support power, max(0, desired - delivered). RMSE and MAE "
     "are of delivered against desired power. Rises and falls of delivered power are per minute."
 )
-_REGULATION_NOTE = (
+_REGULATION_NOTE: Final = (
     "A request lasts 2 s, or one cycle if that is longer. It is fulfilled if delivered power stays "
     "within the given share of the plant's rating. PJM's score goes from 0 to 1; 0.75 passes."
 )
@@ -27,14 +27,14 @@ _REGULATION_NOTE = (
 def metrics_tables(series: Sequence[RunSeries]) -> list[Table]:
     """Return the tables of figures of merit: how the commitment was kept, and regulation if any."""
     runs = [(one.label, run_metrics(one)) for one in series]
-    commitment = runs_as_columns(
-        "How the commitment was kept", runs, shown_in("report", "commitment")
-    )
-    regulation = runs_as_columns(
-        "How the regulation signal was followed", runs, shown_in("report", "regulation")
-    )
-    tables = [replace(commitment, notes=(_COMMITMENT_NOTE,))]
-    return [*tables, replace(regulation, notes=(_REGULATION_NOTE,))] if regulation.rows else tables
+    commitment, regulation = shown_in("report", "commitment"), shown_in("report", "regulation")
+    tables = [
+        runs_as_columns("How the commitment was kept", runs, commitment, (_COMMITMENT_NOTE,)),
+        runs_as_columns(
+            "How the regulation signal was followed", runs, regulation, (_REGULATION_NOTE,)
+        ),
+    ]
+    return [table for table in tables if table.rows]
 
 
 def health_table(run: RunReader) -> Table:

@@ -7,7 +7,7 @@ the cycle; the paper's upper bounds also hold (section II-B: direct below 1 s, s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from math import inf
 from typing import Final, TypeAlias
 
@@ -19,8 +19,7 @@ from bus_schemas.signals import SIGNALS, listeners, ports
 from bus_schemas.tree import CENTRAL, PLANT, RECORDER
 from launch_scripts.scenarios.budget_table import BudgetTable
 from studies.timing.durations import Times
-from studies.timing.measures import LOOP, WHOLE_LOOP
-from studies.timing.processes import TierTiming, tier_of, total
+from studies.timing.measures import LOOP, WHOLE_LOOP, TierTiming, tier_of, total
 
 _PAPER_MS: Final = {"direct": 1_000.0, "supervisor": 10_000.0, CENTRAL: 60_000.0}
 
@@ -59,40 +58,29 @@ def p99_limits_ms(plan: RunPlan, table: BudgetTable) -> Limits:
     cycle_ms = plan.cycle_wall_ns / 1e6
     lateness = {PLANT: max(_LATENESS_SHARE * cycle_ms, _LEAST_LATENESS_MS)}
     hop = {signal.name: signal.hop_p99_ms for signal in SIGNALS if signal.hop_p99_ms is not None}
+    decision: dict[str, float] = {}
+    response: dict[str, float] = {}
+    for agent in plan.tree.agents():
+        kind, tier = kind_of(agent, plan.tree), tier_of(agent, plan.tree)
+        for stage in STAGES.get(kind, ()):
+            slice_ms = plan.deadlines.slice_ns(agent, stage) / 1e6
+            default_ms = min(slice_ms, _PAPER_MS.get(kind, inf))
+            limit_ms = table.decision_p99_ms.get(kind, default_ms)
+            # Of a tier's processes the shortest limit counts.
+            row = f"{tier} {stage}"
+            decision[row] = min(limit_ms, decision.get(row, limit_ms))
+            decision.setdefault(kind, limit_ms)
+            if agent in plan.external:
+                response[f"{agent} {stage}"] = limit_ms
     return {
         LOOP: {WHOLE_LOOP: table.loop_p99_ms or _LOOP_SHARE * cycle_ms},
-        "decision": _decision_limits_ms(plan, table),
-        "response": {
-            f"{agent} {stage}": _decision_limit_ms(agent, stage, plan, table)
-            for agent in plan.external
-            for stage in STAGES.get(kind_of(agent, plan.tree), ())
-        },
+        "decision": decision,
+        "response": response,
         "lateness": lateness | table.lateness_p99_ms,
         "jitter": table.jitter_p99_ms,
         "age": table.age_p99_ms,
         "hop": hop | table.hop_p99_ms,
     }
-
-
-def _decision_limits_ms(plan: RunPlan, table: BudgetTable) -> dict[str, float]:
-    """Return limits by tier and stage, the shortest of the tier's processes, and by kind."""
-    found: dict[str, float] = {}
-    for agent in plan.tree.agents():
-        kind = kind_of(agent, plan.tree)
-        for stage in STAGES.get(kind, ()):
-            limit_ms = _decision_limit_ms(agent, stage, plan, table)
-            row = f"{tier_of(agent, plan.tree)} {stage}"
-            found[row] = min(limit_ms, found.get(row, limit_ms))
-            found.setdefault(kind, limit_ms)
-    return found
-
-
-def _decision_limit_ms(agent: str, stage: str, plan: RunPlan, table: BudgetTable) -> float:
-    kind = kind_of(agent, plan.tree)
-    stated_ms = table.decision_p99_ms.get(kind)
-    if stated_ms is not None:
-        return stated_ms
-    return min(plan.deadlines.slice_ns(agent, stage) / 1e6, _PAPER_MS.get(kind, inf))
 
 
 def judge(
@@ -103,27 +91,41 @@ def judge(
     lost_messages: int | None,
 ) -> tuple[Verdict, ...]:
     """Compare what was measured with the budgets; `lost_messages` is None if it is not known."""
+    found: list[Verdict] = []
+
+    def compare(
+        line: str, value: float | None, limit: float | None, unit: str, row: Times | None = None
+    ) -> None:
+        if value is not None and limit is not None:
+            measure, of = (row.measure, row.of) if row else ("", "")
+            found.append(Verdict(line, measure, of, value, limit, unit, value <= limit))
+
     limits_ms = p99_limits_ms(plan, table)
-    return (
-        *_time_verdicts(limits_ms, table.loop_max_ms, times),
-        *_absent_verdicts(limits_ms, times, _expected(plan, table, limits_ms)),
-        *_count_verdicts(table, tiers, lost_messages),
-        *_share_verdicts(table, tiers),
-    )
-
-
-def _time_verdicts(
-    limits_ms: Limits, loop_max_ms: float | None, times: Sequence[Times]
-) -> Iterator[Verdict]:
     for row in times:
-        own_ms = limits_ms[row.measure]
-        judged = [("p99", row.times.p99_us / 1e3, own_ms.get(row.of, own_ms.get(row.kind)))]
+        own_ms, name = limits_ms[row.measure], f"{row.measure} {row.of}"
+        limit_ms = own_ms.get(row.of, own_ms.get(row.kind))
+        compare(f"{name} p99", row.times.p99_us / 1e3, limit_ms, "ms", row)
         if row.of == WHOLE_LOOP:
-            judged.append(("max", row.times.max_us / 1e3, loop_max_ms))
-        for name, value_ms, limit_ms in judged:
-            if limit_ms is not None:
-                line, kept = f"{row.measure} {row.of} {name}", value_ms <= limit_ms
-                yield Verdict(line, row.measure, row.of, value_ms, limit_ms, "ms", kept)
+            compare(f"{name} max", row.times.max_us / 1e3, table.loop_max_ms, "ms", row)
+    there = {(row.measure, of) for row in times for of in (row.kind, row.of)}
+    for measure, of in sorted(_expected(plan, table, limits_ms) - there):
+        if of in limits_ms[measure]:
+            line, limit_ms = f"{measure} {of} p99", limits_ms[measure][of]
+            found.append(Verdict(line, measure, of, None, limit_ms, "ms", passed=False))
+    for line, count, limit in (
+        ("missed deadlines", sum(tier.missed_deadlines for tier in tiers), table.missed_deadlines),
+        ("overruns", sum(tier.overruns for tier in tiers), table.overruns),
+        ("skipped cycles", sum(tier.skipped_cycles for tier in tiers), table.skipped_cycles),
+        ("messages not recorded", lost_messages, table.lost_messages),
+        ("dropped messages", total(tier.dropped for tier in tiers), table.dropped_messages),
+    ):
+        compare(line, count, limit, "")
+    for tier in tiers:
+        percent = table.cpu_percent.get(tier.kind, _CPU_PERCENT)
+        compare(f"CPU of a {tier.tier}", tier.cpu_highest_percent, percent, "%")
+        size_mb = table.resident_mb.get(tier.kind)
+        compare(f"memory of a {tier.tier}", tier.resident_mb, size_mb, "MB")
+    return tuple(found)
 
 
 def _expected(plan: RunPlan, table: BudgetTable, limits_ms: Limits) -> set[tuple[str, str]]:
@@ -139,40 +141,3 @@ def _expected(plan: RunPlan, table: BudgetTable, limits_ms: Limits) -> set[tuple
         if port.signal.hop_p99_ms is not None and port.publisher in own and heard:
             expected.add(("hop", port.signal.name))
     return expected
-
-
-def _absent_verdicts(
-    limits_ms: Limits, times: Sequence[Times], expected: set[tuple[str, str]]
-) -> Iterator[Verdict]:
-    there = {(row.measure, of) for row in times for of in (row.kind, row.of)}
-    for measure, of in sorted(expected - there):
-        if of in limits_ms[measure]:
-            limit_ms = limits_ms[measure][of]
-            yield Verdict(f"{measure} {of} p99", measure, of, None, limit_ms, "ms", passed=False)
-
-
-def _count_verdicts(
-    table: BudgetTable, tiers: Sequence[TierTiming], lost_messages: int | None
-) -> Iterator[Verdict]:
-    counts = (
-        ("missed deadlines", sum(tier.missed_deadlines for tier in tiers), table.missed_deadlines),
-        ("overruns", sum(tier.overruns for tier in tiers), table.overruns),
-        ("skipped cycles", sum(tier.skipped_cycles for tier in tiers), table.skipped_cycles),
-        ("messages not recorded", lost_messages, table.lost_messages),
-        ("dropped messages", total(tier.dropped for tier in tiers), table.dropped_messages),
-    )
-    for line, count, limit in counts:
-        if limit is not None and count is not None:
-            yield Verdict(line, "", "", count, limit, "", count <= limit)
-
-
-def _share_verdicts(table: BudgetTable, tiers: Sequence[TierTiming]) -> Iterator[Verdict]:
-    for tier in tiers:
-        limits = (
-            ("CPU", tier.cpu_highest_percent, table.cpu_percent.get(tier.kind, _CPU_PERCENT), "%"),
-            ("memory", tier.resident_mb, table.resident_mb.get(tier.kind), "MB"),
-        )
-        for what, value, limit, unit in limits:
-            if value is not None and limit is not None:
-                line = f"{what} of a {tier.tier}"
-                yield Verdict(line, "", "", value, limit, unit, value <= limit)

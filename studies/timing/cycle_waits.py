@@ -16,7 +16,7 @@ import numpy as np
 from agents.cycle import stage_of
 from bus_schemas.messages import Message
 from bus_schemas.signals import PRODUCTION, Port
-from bus_schemas.tree import ROOT
+from bus_schemas.tree import ROOT, some_of
 from studies.timing.stage_times import MessageTimes, StageTimes
 
 _DOING: Final = {
@@ -27,9 +27,6 @@ _DOING: Final = {
     "actuate": "to command",
     "apply": "to apply the commands",
 }
-
-_MOST_NAMED: Final = 3
-"""How many missing inputs a sentence names."""
 
 
 class Wait(NamedTuple):
@@ -56,11 +53,7 @@ class Wait(NamedTuple):
     def in_words(self) -> str:
         """Return a phrase such as `c2/inv09 took 18.4 ms to estimate`."""
         took = f"{self.agent} took {self.length_ns / 1e6:.1f} ms {_DOING[self.stage]}"
-        if not self.without:
-            return took
-        others = len(self.without) - _MOST_NAMED
-        rest = f" and {others} more" if others > 0 else ""
-        return f"{took}, without {', '.join(self.without[:_MOST_NAMED])}{rest}"
+        return f"{took}, without {some_of(self.without, 3)}" if self.without else took
 
 
 class CycleWaits(NamedTuple):
@@ -87,8 +80,9 @@ class CycleWaits(NamedTuple):
 def cycle_waits(messages: MessageTimes, stages: Iterable[StageTimes], cycle: int) -> CycleWaits:
     """Return the waits of a cycle that the plant has ended."""
     found = _Cycle(messages, stages, cycle)
-    chain = tuple(reversed(list(found.chain())))
-    return CycleWaits(cycle, chain[-1].ended_ns, chain, tuple(map(found.wait, found.stages)))
+    chain = tuple(found.chain())[::-1]
+    waits = tuple(found.wait(stage, found.last(stage)) for stage in found.stages)
+    return CycleWaits(cycle, chain[-1].ended_ns, chain, waits)
 
 
 class _Cycle:
@@ -106,37 +100,26 @@ class _Cycle:
         """
         by_name = {(stage.agent, stage.name): stage for stage in self.stages}
         message: Port[Message] | None = PRODUCTION.of(ROOT)
-        until_ns = None
+        until_ns: int | None = None
         while message is not None:
             place = message.publisher, stage_of(message, self._messages.plan.tree)
             stage = by_name.pop(place, None)
             if stage is None:
                 return
-            published_ns = self._after_tick_ns(self._messages.published_ns(message)[self._cycle])
-            until_ns = published_ns if until_ns is None else min(published_ns, until_ns)
-            yield self.wait(stage, message, until_ns)
-            message = self._cause(stage)
+            wait = self.wait(stage, message, until_ns)
+            yield wait
+            message, until_ns = wait.cause, wait.ended_ns
 
-    def wait(
-        self, stage: StageTimes, message: Port[Message] | None = None, until_ns: int | None = None
-    ) -> Wait:
-        """Return the wait of a stage; by default up to its own last message."""
-        cause, ended_ns, began_ns = self._cause(stage), until_ns, 0
-        if ended_ns is None:
-            ended_ns = self._after_tick_ns(stage.last_ns[self._cycle])
+    def wait(self, stage: StageTimes, message: Port[Message], until_ns: int | None = None) -> Wait:
+        """Return the wait of a stage up to one of its messages, at most up to a moment."""
+        cause, began_ns, ended_ns = self._cause(stage), 0, self._published_ns(message)
+        if until_ns is not None:
+            ended_ns = min(ended_ns, until_ns)
         if cause is not None:
-            published_ns = self._messages.published_ns(cause)[self._cycle]
-            began_ns = min(self._after_tick_ns(published_ns), ended_ns)
-        without = np.flatnonzero(stage.without[self._cycle])
-        return Wait(
-            stage.agent,
-            stage.name,
-            cause,
-            message or self._last(stage),
-            began_ns,
-            ended_ns,
-            tuple(sorted(str(stage.inputs[place]) for place in without)),
-        )
+            began_ns = min(self._published_ns(cause), ended_ns)
+        missing = np.flatnonzero(stage.without[self._cycle])
+        without = tuple(sorted(str(stage.inputs[place]) for place in missing))
+        return Wait(stage.agent, stage.name, cause, message, began_ns, ended_ns, without)
 
     def _cause(self, stage: StageTimes) -> Port[Message] | None:
         """Return what a stage waited for last; None if the clock closed it.
@@ -156,10 +139,11 @@ class _Cycle:
             for other in self.stages
             if other.agent == stage.agent and other.last_ns[cycle] < stage.first_ns[cycle]
         ]
-        return self._last(max(before, key=lambda other: other.last_ns[cycle])) if before else None
+        return self.last(max(before, key=lambda other: other.last_ns[cycle])) if before else None
 
-    def _last(self, stage: StageTimes) -> Port[Message]:
+    def last(self, stage: StageTimes) -> Port[Message]:
+        """Return where a stage published its last message."""
         return stage.outputs[int(stage.last[self._cycle])]
 
-    def _after_tick_ns(self, time_ns: int) -> int:
-        return int(time_ns - self._messages.tick_ns[self._cycle])
+    def _published_ns(self, port: Port[Message]) -> int:
+        return int((self._messages.published_ns(port) - self._messages.tick_ns)[self._cycle])

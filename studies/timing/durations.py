@@ -40,8 +40,8 @@ class Distribution(msgspec.Struct, frozen=True):
 class Times(msgspec.Struct, frozen=True):
     """A row of durations: `decision` of `direct estimate`, `hop` of `residual`.
 
-    `kind` is that of the agents, or the signal, and names the budget if `of` does not. `outside`
-    says that the times are of a device whose own times are not used.
+    `kind` is that of the agents, or the signal, and names the budget if `of` does not. `outside`:
+    seen from outside, since the times that a device states are not used.
     """
 
     measure: str

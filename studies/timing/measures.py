@@ -6,21 +6,22 @@ docs/timing.md defines each measure.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import groupby
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias, TypeVar
 
+import msgspec
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from agents.cycle import kind_of, stage_place
+from agents.cycle import KINDS, Kind, kind_of, stage_place
 from bus_schemas.signals import COMMAND, PRODUCTION, SIGNALS
-from bus_schemas.tree import PLANT, ROOT
+from bus_schemas.tree import PLANT, ROOT, ControlTree, depth
+from launch_scripts.launcher.summary import ProcessAccount
 from recordings.read.reader import RunReader
 from studies.timing.cycle_waits import CycleWaits, cycle_waits
-from studies.timing.durations import Distribution, Times, distribution
-from studies.timing.processes import ProcessTiming, tier_of
+from studies.timing.durations import Times, distribution
 from studies.timing.stage_times import (
     NEVER,
     MessageTimes,
@@ -40,6 +41,46 @@ SLOWEST: Final = 3
 """How many of the slowest cycles are looked into."""
 
 Durations: TypeAlias = NDArray[np.int64]
+N = TypeVar("N", int, float)
+
+
+class ProcessTiming(msgspec.Struct, frozen=True, kw_only=True):
+    """Counts and resources of one process; None where only its launcher knew and is not asked.
+
+    Deadlines and overruns are counted by stage, missing inputs by port, dropped messages by cause.
+    Processor time is in % of one core.
+    """
+
+    agent: str
+    tier: str
+    kind: Kind
+    missed_deadlines: dict[str, int] = {}
+    missing_inputs: dict[str, int] = {}
+    old_inputs: int = 0
+    overruns: dict[str, int] = {}
+    skipped_cycles: int = 0
+    slowest_decision_us: float | None = None
+    dropped: dict[str, int] | None = None
+    cpu_percent: float | None = None
+    resident_mb: float | None = None
+    times: tuple[Times, ...] = ()
+
+
+class TierTiming(msgspec.Struct, frozen=True):
+    """Sums over the processes of one tier, and the largest share and memory of one of them."""
+
+    tier: str
+    kind: Kind
+    processes: int
+    missed_deadlines: int
+    missing_inputs: int
+    old_inputs: int
+    overruns: int
+    skipped_cycles: int
+    dropped: int | None
+    cpu_percent: float | None
+    cpu_highest_percent: float | None
+    resident_mb: float | None
 
 
 class RunTiming(NamedTuple):
@@ -70,12 +111,11 @@ def run_timing(reader: RunReader, *, by_agent: bool = False) -> RunTiming:
     for _, own in groupby(stages, key=lambda stage: stage.agent):
         measures.see_agent(list(own))
     cycles, loop_ns, slowest = measures.see_loop()
+    if by_agent:
+        measures.processes = [replace(one, times=measures.rows(one)) for one in measures.processes]
     return RunTiming(
         times=measures.rows(),
-        processes=tuple(
-            replace(one, times=measures.rows_of(one)) if by_agent else one
-            for one in measures.processes
-        ),
+        processes=tuple(measures.processes),
         slowest=tuple(cycle_waits(messages, stages, cycle) for cycle in slowest),
         late_cycles=int(measures.late.sum()),
         loop_cycles=cycles,
@@ -90,9 +130,9 @@ class _Part(NamedTuple):
     of: str
     kind: str
     place: int
-    agent: str
-    own: str
     durations_ns: Durations
+    agent: str = ""
+    own: str = ""
 
 
 class _Measures:
@@ -106,16 +146,19 @@ class _Measures:
         self.late = np.zeros(len(messages.tick_ns), dtype=bool)
 
     def see_agent(self, stages: list[StageTimes]) -> None:
-        """Measure the stages of an agent."""
-        agent = stages[0].agent
+        """Measure the stages of an agent; of a device only what can be seen from outside."""
         for stage in stages:
             at = np.flatnonzero(stage.closed)
             expected_ns = np.diff(at) * self._plan.cycle_wall_ns
             self._add_stage("jitter", stage, abs(np.diff(stage.first_ns[at]) - expected_ns))
-            if agent in self._plan.external:
+        if stages[0].agent in self._plan.external:
+            for stage in stages:
                 self._see_device(stage)
-        if agent in self._plan.external:
-            return
+        else:
+            self._see_own(stages)
+
+    def _see_own(self, stages: list[StageTimes]) -> None:
+        agent = stages[0].agent
         # When the agent had last spoken before each stage of each cycle.
         spoke_ns = np.column_stack([np.where(one.closed, one.last_ns, 0) for one in stages])
         latest_ns = np.maximum.accumulate(np.concatenate([[0], spoke_ns.ravel()]))
@@ -167,10 +210,9 @@ class _Measures:
             at = waited & (stage.cause == place)
             hop_ns = (stage.ready_ns - stage.completed_ns)[at]
             signal, order = port.signal.name, SIGNALS.index(port.signal)
-            self._add(_Part("hop", signal, signal, order, stage.agent, str(port), hop_ns))
+            self._add(_Part("hop", signal, signal, order, hop_ns, stage.agent, str(port)))
             if port.publisher in self._plan.external and port.publisher != PLANT:
-                row = f"{signal} of {port.publisher}"
-                self._add(_Part("hop", row, signal, order, "", "", hop_ns))
+                self._add(_Part("hop", f"{signal} of {port.publisher}", signal, order, hop_ns))
 
     def _see_device(self, stage: StageTimes) -> None:
         """Measure from outside how long a device took to answer."""
@@ -179,8 +221,7 @@ class _Measures:
         answered = stage.closed & (completed | stage.timed)
         place = stage_place(stage.agent, stage.name, self._tree)
         row, kind = f"{stage.agent} {stage.name}", kind_of(stage.agent, self._tree)
-        response_ns = (stage.last_ns - began_ns)[answered]
-        self._add(_Part("response", row, kind, place, "", "", response_ns))
+        self._add(_Part("response", row, kind, place, (stage.last_ns - began_ns)[answered]))
 
     def see_loop(self) -> tuple[NDArray[np.int64], Durations, list[int]]:
         """Measure the loop; return the cycles that ended, their loop times, and the slowest."""
@@ -188,48 +229,112 @@ class _Measures:
         for leaf in self._tree.leaves:
             command_ns = self._messages.published_ns(COMMAND.of(leaf))
             times_ns = (command_ns - tick_ns)[command_ns > 0]
-            self._add(_Part(LOOP, EVERY_COMMAND, "", 1, PLANT, leaf, times_ns))
+            self._add(_Part(LOOP, EVERY_COMMAND, "", 1, times_ns, PLANT, leaf))
         production = PRODUCTION.of(ROOT)
         published_ns = applied_ns = self._messages.published_ns(production)
         if PLANT not in self._plan.external:
             applied_ns = self._messages.ready_ns[:, self._messages.columns[production]]
         cycles = np.flatnonzero(published_ns)
         loop_ns = (applied_ns - tick_ns)[cycles]
-        self._add(_Part(LOOP, WHOLE_LOOP, "", 0, PLANT, "", loop_ns))
+        self._add(_Part(LOOP, WHOLE_LOOP, "", 0, loop_ns, PLANT))
         slowest = np.argsort((tick_ns - published_ns)[cycles], kind="stable")[:SLOWEST]
         return cycles, loop_ns, [int(cycle) for cycle in cycles[slowest]]
 
     def _add_stage(self, measure: str, stage: StageTimes, durations_ns: Durations) -> None:
         agent, place = stage.agent, stage_place(stage.agent, stage.name, self._tree)
         row, kind = f"{tier_of(agent, self._tree)} {stage.name}", kind_of(agent, self._tree)
-        self._add(_Part(measure, row, kind, place, agent, stage.name, durations_ns))
+        self._add(_Part(measure, row, kind, place, durations_ns, agent, stage.name))
 
     def _add(self, part: _Part) -> None:
         if len(part.durations_ns):
             self._parts.append(part)
 
-    def rows(self) -> tuple[Times, ...]:
-        """Return the rows by tier and signal: by measure, then in the order of a cycle."""
+    def rows(self, process: ProcessTiming | None = None) -> tuple[Times, ...]:
+        """Return the rows by tier and signal, or those of one of our own agents alone.
+
+        They come by measure, then in the order of a cycle; those of an agent by name.
+        """
         outside = {"response", LOOP} if PLANT in self._plan.external else {"response"}
         rows: dict[tuple[str, str], list[_Part]] = {}
         for part in self._parts:
-            rows.setdefault((part.measure, part.of), []).append(part)
-        found = [
-            (parts[0].place, Times(measure, of, parts[0].kind, _all_of(parts), measure in outside))
-            for (measure, of), parts in rows.items()
-        ]
-        found.sort(key=lambda entry: (MEASURES.index(entry[1].measure), entry[0], entry[1].of))
-        return tuple(row for _, row in found)
+            if process is None:
+                rows.setdefault((part.measure, part.of), []).append(part)
+            elif part.agent == process.agent:
+                own = part._replace(kind=process.kind, place=0)
+                rows.setdefault((part.measure, part.own), []).append(own)
 
-    def rows_of(self, process: ProcessTiming) -> tuple[Times, ...]:
-        """Return the rows of one of our own agents."""
-        own = [part for part in self._parts if part.agent == process.agent]
-        own.sort(key=lambda part: (MEASURES.index(part.measure), part.own))
-        return tuple(
-            Times(measure, of, process.kind, _all_of(parts))
-            for (measure, of), parts in groupby(own, key=lambda part: (part.measure, part.own))
+        def order(row: tuple[str, str]) -> tuple[int, int, str]:
+            return MEASURES.index(row[0]), rows[row][0].place, row[1]
+
+        found = []
+        for measure, of in sorted(rows, key=order):
+            parts = rows[measure, of]
+            durations = distribution(np.concatenate([part.durations_ns for part in parts]))
+            found.append(Times(measure, of, parts[0].kind, durations, measure in outside))
+        return tuple(found)
+
+
+def tier_of(agent: str, tree: ControlTree) -> str:
+    """Return an agent's kind; supervisors of several tiers have a number, 1 below the centre."""
+    kind = kind_of(agent, tree)
+    several = len({depth(path) for path in tree.parents if path}) > 1
+    return f"{kind} {depth(agent)}" if kind == "supervisor" and several else kind
+
+
+def with_accounts(
+    processes: Iterable[ProcessTiming],
+    accounts: Iterable[ProcessAccount],
+    wall_s: float,
+    tree: ControlTree,
+) -> tuple[ProcessTiming, ...]:
+    """Add what the launcher knows of each process; the recorder is known to it alone."""
+    found = {process.agent: process for process in processes}
+    for account in accounts:
+        name, cpu_s = account.agent, account.cpu_s
+        bare = ProcessTiming(agent=name, tier=tier_of(name, tree), kind=kind_of(name, tree))
+        found[name] = replace(
+            found.get(name, bare),
+            dropped=account.dropped,
+            resident_mb=account.resident_mb,
+            cpu_percent=None if cpu_s is None or wall_s <= 0.0 else 100.0 * cpu_s / wall_s,
         )
+    return tuple(found.values())
 
 
-def _all_of(parts: Iterable[_Part]) -> Distribution:
-    return distribution(np.concatenate([part.durations_ns for part in parts]))
+def tier_timings(processes: Iterable[ProcessTiming]) -> tuple[TierTiming, ...]:
+    """Add up the processes of each tier."""
+    members: dict[str, list[ProcessTiming]] = {}
+    for process in processes:
+        members.setdefault(process.tier, []).append(process)
+    found = map(_tier, members.values())
+    return tuple(sorted(found, key=lambda tier: (KINDS.index(tier.kind), tier.tier)))
+
+
+def _tier(members: Sequence[ProcessTiming]) -> TierTiming:
+    shares = [one.cpu_percent for one in members]
+    memory = [one.resident_mb for one in members]
+    return TierTiming(
+        tier=members[0].tier,
+        kind=members[0].kind,
+        processes=len(members),
+        missed_deadlines=sum(sum(one.missed_deadlines.values()) for one in members),
+        missing_inputs=sum(sum(one.missing_inputs.values()) for one in members),
+        old_inputs=sum(one.old_inputs for one in members),
+        overruns=sum(sum(one.overruns.values()) for one in members),
+        skipped_cycles=sum(one.skipped_cycles for one in members),
+        dropped=total(count_of(one.dropped) for one in members),
+        cpu_percent=total(shares),
+        cpu_highest_percent=max((share for share in shares if share is not None), default=None),
+        resident_mb=max((size_mb for size_mb in memory if size_mb is not None), default=None),
+    )
+
+
+def count_of(causes: dict[str, int] | None) -> int | None:
+    """Return the sum of counts by cause; None if they are not known."""
+    return None if causes is None else sum(causes.values())
+
+
+def total(values: Iterable[N | None]) -> N | None:
+    """Return the sum of the known values; None if none is known."""
+    known = [value for value in values if value is not None]
+    return sum(known[1:], start=known[0]) if known else None

@@ -10,7 +10,7 @@ from typing import Final
 
 import plotly.graph_objects as go
 
-from bus_schemas.tree import CENTRAL, PLANT, ControlTree
+from bus_schemas.tree import CENTRAL, PLANT, ControlTree, some_of
 from studies.report.decimation import extremes
 from studies.report.page import html_page
 from studies.report.style import (
@@ -20,11 +20,14 @@ from studies.report.style import (
     SCHEMES,
     VERMILLION,
     ReportFigure,
+    curve,
     dress,
     faint,
     plain,
+    scheme_line,
     thinning_note,
 )
+from studies.timing import tables
 from studies.timing.budgets import Verdict
 from studies.timing.cycle_waits import CycleWaits, Wait
 from studies.timing.durations import Times, curve_ms
@@ -37,16 +40,6 @@ from studies.timing.sweep import (
     machine_lines,
     sweep_table,
     trouble_lines,
-)
-from studies.timing.tables import (
-    budgets_table,
-    counts_table,
-    failures,
-    header_lines,
-    network_lines,
-    processes_table,
-    times_tables,
-    verdict_line,
 )
 from sunspec.tables import devices_tables
 
@@ -62,23 +55,27 @@ _CURVES_PX: Final = 440
 _ROW_PX: Final = 17
 _FRAME_PX: Final = 120
 
-_SHARES: Final = (1.0, 0.5, 0.1, 0.01, 0.001, 0.0001, 0.00001)
-_PERCENTILES: Final = ("0", "50", "90", "99", "99.9", "99.99", "99.999")
-"""What the axis of percentiles shows: each step to the right leaves a tenth of the durations."""
-
-_DASHES: Final = ("solid", "dash", "dot")
-_MOST_NAMED: Final = 3
+_PERCENTILES: Final = {
+    "0": 1.0,
+    "50": 0.5,
+    "90": 0.1,
+    "99": 0.01,
+    "99.9": 0.001,
+    "99.99": 0.0001,
+    "99.999": 0.00001,
+}
+"""What the axis of percentiles shows, and the share of the durations that are longer."""
 
 
 def run_page(reported: Reported) -> str:
     """Return the page of one run: verdict, slowest cycles, loop time, percentiles, tables."""
     report = reported.report
-    first, *machine = header_lines(report)
-    missed = failures(report)
+    first, *machine = tables.header_lines(report)
+    missed = tables.failures(report)
     text = [
         *([f"Not kept: {'; '.join(missed)}."] if missed else []),
         f"{first}; {'; '.join(machine)}.",
-        *(f"{line}." for line in network_lines(report)),
+        *(f"{line}." for line in tables.network_lines(report)),
     ]
     waits = [
         waits_figure(f"waits-{place}", cycle, reported.plan.tree)
@@ -96,13 +93,13 @@ def run_page(reported: Reported) -> str:
             *waits,
             *([loop_figure(reported)] if report.cycles else []),
             *curves,
-            *times_tables(report),
-            counts_table(report.tiers),
+            *tables.times_tables(report),
+            tables.counts_table(report.tiers),
             *devices_tables(report.devices),
-            budgets_table(report.verdicts),
-            processes_table(report.processes),
+            tables.budgets_table(report.verdicts),
+            tables.processes_table(report.processes),
         ],
-        verdict=(report.passed, verdict_line(report)),
+        verdict=(report.passed, tables.verdict_line(report)),
     )
 
 
@@ -127,12 +124,23 @@ def waits_figure(anchor: str, cycle: CycleWaits, tree: ControlTree) -> ReportFig
     rows = [PLANT, CENTRAL, *sorted(path for path in tree.nodes if path)]
     chain = {(wait.agent, wait.stage) for wait in cycle.chain}
     others = [wait for wait in cycle.waits if (wait.agent, wait.stage) not in chain]
-    figure = go.Figure()
-    figure.add_trace(_bars(others, "others", faint(BLUE, 0.35)))
-    figure.add_trace(_bars(cycle.chain, "chain that set the length of the cycle", VERMILLION))
-    figure.add_trace(_links(cycle.chain))
-    height_px = _FRAME_PX + _ROW_PX * len(rows)
-    figure = dress(figure, height_px)
+    # The messages of the chain: from their publisher to the agent that waited for them.
+    times_ms: list[float | None] = []
+    agents: list[str | None] = []
+    for earlier, later in pairwise(cycle.chain):
+        times_ms += [earlier.ended_ns / 1e6, earlier.ended_ns / 1e6, None]
+        agents += [earlier.agent, later.agent, None]
+    messages = curve(
+        times_ms, agents, "messages of the chain", VERMILLION, 1, "dot", hoverinfo="skip"
+    )
+    figure = go.Figure(
+        [
+            _bars(others, "others", faint(BLUE, 0.35)),
+            _bars(cycle.chain, "chain that set the length of the cycle", VERMILLION),
+            messages,
+        ]
+    )
+    dress(figure, _FRAME_PX + _ROW_PX * len(rows))
     figure.update_layout(barmode="overlay", bargap=0.25)
     figure.update_yaxes(
         categoryorder="array",
@@ -144,159 +152,15 @@ def waits_figure(anchor: str, cycle: CycleWaits, tree: ControlTree) -> ReportFig
         dtick=1,
     )
     figure.update_xaxes(title_text="time after the plant's scheduled tick [ms]", rangemode="tozero")
-    caption = (
+    return ReportFigure(
+        anchor,
+        f"Who waited for whom in cycle {cycle.cycle:,}",
         f"A bar begins when the last input that an agent waited for was published and ends with "
         f"the agent's last message of that stage; it includes the hop. Orange: the chain from the "
         f"tick to the plant's production, {cycle.loop_ns / 1e6:.1f} ms; the other bars did not "
-        f"delay the cycle. Longest link: {cycle.slowest.in_words()}."
+        f"delay the cycle. Longest link: {cycle.slowest.in_words()}.",
+        figure,
     )
-    heading = f"Who waited for whom in cycle {cycle.cycle:,}"
-    return ReportFigure(anchor, heading, caption, figure)
-
-
-def loop_figure(reported: Reported) -> ReportFigure:
-    """Draw the loop time of every cycle over the run, with its budgets."""
-    timing, report = reported.timing, reported.report
-    times_ms = timing.loop_ns / 1e6
-    rows = extremes(times_ms)
-    seconds = (timing.loop_cycles[rows] / report.rate_hz).tolist()
-    figure = go.Figure(
-        go.Scatter(
-            x=seconds,
-            y=times_ms[rows].tolist(),
-            name="loop time",
-            mode="lines",
-            line={"color": BLUE, "width": 1.2},
-            hovertemplate="%{x:,.1f} s: %{y:.2f} ms",
-        )
-    )
-    _add_budgets(figure, report.verdicts, [(LOOP, WHOLE_LOOP)], [seconds[0], seconds[-1]])
-    figure = dress(figure, _CURVES_PX)
-    figure.update_xaxes(title_text="time since cycle 0 [s]")
-    figure.update_yaxes(type="log", title_text="loop time [ms]", **_round_ticks())
-    caption = (
-        "From the plant's scheduled tick to its last command, cycle by cycle. Black: budgets."
-        + thinning_note(report.cycles)
-    )
-    return ReportFigure("loop", "Loop time over time", caption, figure)
-
-
-def percentile_figure(
-    anchor: str, heading: str, rows: Sequence[Times], verdicts: Sequence[Verdict]
-) -> ReportFigure:
-    """Draw durations against their percentiles on axes that show the rare long ones."""
-    figure = go.Figure()
-    several = len({row.measure for row in rows}) > 1
-    curves = [curve_ms(row.times) for row in rows]
-    for place, (row, (shares, values_ms)) in enumerate(zip(rows, curves, strict=True)):
-        figure.add_trace(
-            go.Scatter(
-                x=[1.0 / share for share in shares],
-                y=values_ms,
-                name=plain(f"{row.measure} {row.of}" if several else row.of),
-                mode="lines",
-                line={
-                    "color": SCHEMES[place % len(SCHEMES)],
-                    "dash": _DASHES[place // len(SCHEMES) % len(_DASHES)],
-                    "width": 1.8,
-                    "shape": "hv",
-                },
-                customdata=[100.0 * (1.0 - share) for share in shares],
-                hovertemplate="%{customdata:.4g} %: %{y:.3f} ms",
-            )
-        )
-    _add_budgets(figure, verdicts, [(row.measure, row.of) for row in rows], [1.0, 100.0])
-    least = min(share for shares, _ in curves for share in shares)
-    figure = dress(figure, _CURVES_PX)
-    figure.update_layout(margin_t=46 + 22 * (len(figure.data) // 4))
-    figure.update_xaxes(
-        type="log",
-        # Up to the next whole percentile that is shown.
-        range=[0.0, min(max(ceil(-log10(least)), 1), 5)],
-        tickvals=[1.0 / share for share in _SHARES],
-        ticktext=list(_PERCENTILES),
-        title_text="percentile [%]",
-    )
-    figure.update_yaxes(type="log", title_text="duration [ms]", dtick=1, rangemode="normal")
-    caption = (
-        "Each step to the right leaves a tenth of the durations: at 99 % one in a hundred is "
-        "longer. Black: budgets of the 99th percentile; a curve must cross 99 % below its own."
-    )
-    return ReportFigure(anchor, heading, caption, figure)
-
-
-def _add_budgets(
-    figure: go.Figure,
-    verdicts: Sequence[Verdict],
-    rows: Sequence[tuple[str, str]],
-    ends: Sequence[float],
-) -> None:
-    """Draw a line for each limit of these rows."""
-    lines: dict[float, list[str]] = defaultdict(list)
-    for verdict in verdicts:
-        if (verdict.measure, verdict.of) in rows:
-            lines[verdict.limit].append(verdict.line)
-    for place, (limit_ms, names) in enumerate(sorted(lines.items())):
-        others = len(names) - _MOST_NAMED
-        of = ", ".join(names[:_MOST_NAMED]) + (f" and {others} more" if others > 0 else "")
-        figure.add_trace(
-            go.Scatter(
-                x=list(ends),
-                y=[limit_ms, limit_ms],
-                name=f"budget {limit_ms:g} ms",
-                mode="lines",
-                line={"color": BLACK, "width": 1.3, "dash": _DASHES[(place + 1) % len(_DASHES)]},
-                hovertemplate=f"budget {limit_ms:g} ms: {plain(of)}<extra></extra>",
-            )
-        )
-
-
-def rate_figure(rows: Sequence[RateRow]) -> ReportFigure:
-    """Draw loop times against the rate, with the length of a cycle."""
-    rates_hz = [row.rate_hz for row in rows]
-    figure = go.Figure()
-    for colour, name in zip(SCHEMES, ("p50", "p99", "max"), strict=False):
-        values_us = [getattr(row, f"loop_{name}_us") for row in rows]
-        figure.add_trace(
-            go.Scatter(
-                x=rates_hz,
-                y=[value_us / 1e3 for value_us in values_us],
-                name=f"loop {name}",
-                mode="lines+markers",
-                marker={"symbol": ["circle" if row.clean else "x" for row in rows], "size": 9},
-                line={"color": colour, "width": 1.8},
-                hovertemplate="%{x:g} cycles/s: %{y:.2f} ms",
-            )
-        )
-    figure.add_trace(
-        go.Scatter(
-            x=rates_hz,
-            y=[1e3 / rate_hz for rate_hz in rates_hz],
-            name="length of a cycle",
-            mode="lines",
-            line={"color": GREY, "width": 1.5, "dash": "dash"},
-            hovertemplate="%{y:.2f} ms",
-        )
-    )
-    figure = dress(figure, _CURVES_PX)
-    figure.update_xaxes(
-        type="log",
-        title_text="rate [cycles/s]",
-        tickvals=rates_hz,
-        ticktext=[f"{rate_hz:g}" for rate_hz in rates_hz],
-    )
-    figure.update_yaxes(type="log", title_text="time [ms]", **_round_ticks())
-    caption = (
-        "Time from the plant's scheduled tick to its last command. Circle: a clean rate, at most "
-        "1 % of the cycles late and nothing lost. Cross: the plant did not keep up."
-    )
-    return ReportFigure("rates", "Loop time against rate", caption, figure)
-
-
-def _round_ticks() -> dict[str, object]:
-    """Name 1, 2 and 5 of each decade of a logarithmic axis."""
-    values = [digit * 10.0**power for power in range(-4, 6) for digit in (1, 2, 5)]
-    return {"tickvals": values, "ticktext": [f"{value:,.10g}" for value in values]}
 
 
 def _bars(waits: Sequence[Wait], name: str, colour: str) -> go.Bar:
@@ -312,28 +176,118 @@ def _bars(waits: Sequence[Wait], name: str, colour: str) -> go.Bar:
     )
 
 
-def _links(chain: Sequence[Wait]) -> go.Scatter:
-    """Draw the chain's messages: from their publisher to the agent that waited for them."""
-    times_ms: list[float | None] = []
-    agents: list[str | None] = []
-    for earlier, later in pairwise(chain):
-        times_ms += [earlier.ended_ns / 1e6, earlier.ended_ns / 1e6, None]
-        agents += [earlier.agent, later.agent, None]
-    return go.Scatter(
-        x=times_ms,
-        y=agents,
-        name="messages of the chain",
-        mode="lines",
-        line={"color": VERMILLION, "width": 1, "dash": "dot"},
-        hoverinfo="skip",
-    )
-
-
 def _hover(wait: Wait) -> str:
-    cause = "the clock" if wait.cause is None else str(wait.cause)
     lines = [
         wait.in_words(),
-        f"from {cause} at {wait.began_ns / 1e6:.2f} ms",
+        f"from {wait.cause or 'the clock'} at {wait.began_ns / 1e6:.2f} ms",
         f"to {wait.message} at {wait.ended_ns / 1e6:.2f} ms",
     ]
     return "<br>".join(map(plain, lines))
+
+
+def loop_figure(reported: Reported) -> ReportFigure:
+    """Draw the loop time of every cycle over the run, with its budgets."""
+    timing, report = reported.timing, reported.report
+    times_ms = timing.loop_ns / 1e6
+    rows = extremes(times_ms)
+    seconds = (timing.loop_cycles[rows] / report.rate_hz).tolist()
+    line = curve(seconds, times_ms[rows].tolist(), "loop time", BLUE, 1.2)
+    line.hovertemplate = "%{x:,.1f} s: %{y:.2f} ms"
+    ends = [seconds[0], seconds[-1]]
+    figure = go.Figure([line, *_budgets(report.verdicts, [(LOOP, WHOLE_LOOP)], ends)])
+    dress(figure, _CURVES_PX)
+    figure.update_xaxes(title_text="time since cycle 0 [s]")
+    figure.update_yaxes(type="log", title_text="loop time [ms]", **_round_ticks())
+    caption = (
+        "From the plant's scheduled tick to its last command, cycle by cycle. Black: budgets."
+        + thinning_note(report.cycles)
+    )
+    return ReportFigure("loop", "Loop time over time", caption, figure)
+
+
+def percentile_figure(
+    anchor: str, heading: str, rows: Sequence[Times], verdicts: Sequence[Verdict]
+) -> ReportFigure:
+    """Draw durations against their percentiles on axes that show the rare long ones."""
+    several = len({row.measure for row in rows}) > 1
+    least, lines = 1.0, []
+    for place, row in enumerate(rows):
+        shares, values_ms = curve_ms(row.times)
+        least = min(least, *shares)
+        lines.append(
+            go.Scatter(
+                x=[1.0 / share for share in shares],
+                y=values_ms,
+                name=plain(f"{row.measure} {row.of}" if several else row.of),
+                mode="lines",
+                line={**scheme_line(place), "width": 1.8, "shape": "hv"},
+                customdata=[100.0 * (1.0 - share) for share in shares],
+                hovertemplate="%{customdata:.4g} %: %{y:.3f} ms",
+            )
+        )
+    judged = [(row.measure, row.of) for row in rows]
+    figure = go.Figure([*lines, *_budgets(verdicts, judged, [1.0, 100.0])])
+    dress(figure, _CURVES_PX)
+    figure.update_layout(margin_t=46 + 22 * (len(figure.data) // 4))
+    figure.update_xaxes(
+        type="log",
+        # Up to the next whole percentile that is shown.
+        range=[0.0, min(max(ceil(-log10(least)), 1), 5)],
+        tickvals=[1.0 / share for share in _PERCENTILES.values()],
+        ticktext=list(_PERCENTILES),
+        title_text="percentile [%]",
+    )
+    figure.update_yaxes(type="log", title_text="duration [ms]", dtick=1, rangemode="normal")
+    caption = (
+        "Each step to the right leaves a tenth of the durations: at 99 % one in a hundred is "
+        "longer. Black: budgets of the 99th percentile; a curve must cross 99 % below its own."
+    )
+    return ReportFigure(anchor, heading, caption, figure)
+
+
+def _budgets(
+    verdicts: Sequence[Verdict], rows: Sequence[tuple[str, str]], ends: list[float]
+) -> list[go.Scatter]:
+    """Draw a line for each limit of these rows."""
+    found: dict[float, list[str]] = defaultdict(list)
+    for verdict in verdicts:
+        if (verdict.measure, verdict.of) in rows:
+            found[verdict.limit].append(verdict.line)
+    lines = []
+    for place, (limit_ms, names) in enumerate(sorted(found.items())):
+        name, dash = f"budget {limit_ms:g} ms", ("dash", "dot", "solid")[place % 3]
+        line = curve(ends, [limit_ms, limit_ms], name, BLACK, 1.3, dash)
+        line.hovertemplate = f"{name}: {plain(some_of(names, 3))}<extra></extra>"
+        lines.append(line)
+    return lines
+
+
+def rate_figure(rows: Sequence[RateRow]) -> ReportFigure:
+    """Draw loop times against the rate, with the length of a cycle."""
+    rates_hz = [row.rate_hz for row in rows]
+    symbols = ["circle" if row.clean else "x" for row in rows]
+    lines = []
+    for colour, name in zip(SCHEMES, ("p50", "p99", "max"), strict=False):
+        values_ms = [getattr(row, f"loop_{name}_us") / 1e3 for row in rows]
+        line = curve(rates_hz, values_ms, f"loop {name}", colour, 1.8)
+        line.update(mode="lines+markers", marker={"symbol": symbols, "size": 9})
+        line.hovertemplate = "%{x:g} cycles/s: %{y:.2f} ms"
+        lines.append(line)
+    cycles_ms = [1e3 / rate_hz for rate_hz in rates_hz]
+    length = curve(rates_hz, cycles_ms, "length of a cycle", GREY, 1.5, "dash")
+    length.hovertemplate = "%{y:.2f} ms"
+    figure = dress(go.Figure([*lines, length]), _CURVES_PX)
+    names = [f"{rate_hz:g}" for rate_hz in rates_hz]
+    figure.update_xaxes(type="log", title_text="rate [cycles/s]", tickvals=rates_hz, ticktext=names)
+    figure.update_yaxes(type="log", title_text="time [ms]", **_round_ticks())
+    caption = (
+        "Time from the plant's scheduled tick to its last command. Circle: a clean rate, at most "
+        "1 % of the cycles late and nothing lost. Cross: the plant did not keep up."
+    )
+    return ReportFigure("rates", "Loop time against rate", caption, figure)
+
+
+def _round_ticks() -> dict[str, object]:
+    """Name 1, 2 and 5 of each decade of a logarithmic axis."""
+    values = [digit * 10.0**power for power in range(-4, 6) for digit in (1, 2, 5)]
+    return {"tickvals": values, "ticktext": [f"{value:,.10g}" for value in values]}

@@ -10,7 +10,6 @@ from typing import Any, Final
 import msgspec
 
 from agents.events import ExternalAccount
-from agents.machine import MachineSettings
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.run_folder import RunFolder
@@ -19,10 +18,15 @@ from launch_scripts.launcher.wrong_messages import WrongMessages
 from launch_scripts.scenarios.budget_table import BudgetTable, TimingTable
 from recordings.read.reader import RunReader
 from studies.timing.budgets import Verdict, judge
-from studies.timing.cycle_waits import CycleWaits
 from studies.timing.durations import Times
-from studies.timing.measures import RunTiming, run_timing
-from studies.timing.processes import ProcessTiming, TierTiming, tier_timings, with_accounts
+from studies.timing.measures import (
+    ProcessTiming,
+    RunTiming,
+    TierTiming,
+    run_timing,
+    tier_timings,
+    with_accounts,
+)
 from sunspec.process import DeviceAccount
 
 _CLEAN_SHARE: Final = 0.01
@@ -153,7 +157,17 @@ def report_on(
         times=timing.times,
         tiers=tiers,
         processes=processes,
-        slowest_cycles=tuple(map(_slow_cycle, timing.slowest)),
+        slowest_cycles=tuple(
+            SlowCycle(
+                one.cycle,
+                one.loop_ns / 1e3,
+                one.slowest.agent,
+                one.slowest.stage,
+                one.slowest.length_ns / 1e3,
+                one.in_words(),
+            )
+            for one in timing.slowest
+        ),
         verdicts=judge(plan, table, timing.times, tiers, seen.get("lost_messages")),
         **seen,
     )
@@ -168,28 +182,25 @@ def _host(
 ) -> Host:
     """Describe the machine; the remarks say what it did not permit."""
     before, after = load or (None, None)
+    machine = plan.machine
+    fifo = machine.priority and not any("SCHED_FIFO" in remark for remark in remarks)
+    scheduling = [f"SCHED_FIFO {machine.priority}" if fifo else "normal"]
+    bound: dict[str, tuple[int, ...]] = dict(machine.cpus_of.items())
+    if machine.cpus:
+        bound["others" if bound else "all"] = machine.cpus
+    scheduling += [f"{who} on CPU {', '.join(map(str, cpus))}" for who, cpus in bound.items()]
     refused = any(remark.startswith("memory: ") for remark in remarks)
     return Host(
         kernel=run.get("kernel", ""),
         cpus=int(run.get("cpu_count", "0")),
-        scheduling=_scheduling(plan.machine, remarks),
+        scheduling=", ".join(scheduling),
         load_before=before,
         load_after=after,
         python=run.get("python", ""),
         heliarch=run.get("version heliarch", ""),
         zenoh=run.get("version eclipse-zenoh", ""),
-        memory_locked=plan.machine.lock_memory and not refused,
+        memory_locked=machine.lock_memory and not refused,
     )
-
-
-def _scheduling(machine: MachineSettings, remarks: Sequence[str]) -> str:
-    fifo = machine.priority and not any("SCHED_FIFO" in remark for remark in remarks)
-    parts = [f"SCHED_FIFO {machine.priority}" if fifo else "normal"]
-    bound: list[tuple[str, tuple[int, ...]]] = [*machine.cpus_of.items()]
-    if machine.cpus:
-        bound.append(("others" if bound else "all", machine.cpus))
-    parts += [f"{who} on CPU {', '.join(map(str, cpus))}" for who, cpus in bound]
-    return ", ".join(parts)
 
 
 def _budgets_in(reader: RunReader) -> BudgetTable:
@@ -208,15 +219,3 @@ def _summary_in(folder: Path, plan: RunPlan) -> RunSummary | None:
     except (OSError, msgspec.DecodeError):
         return None
     return summary if summary.run_id == plan.run_id else None
-
-
-def _slow_cycle(cycle: CycleWaits) -> SlowCycle:
-    slowest = cycle.slowest
-    return SlowCycle(
-        cycle.cycle,
-        cycle.loop_ns / 1e3,
-        slowest.agent,
-        slowest.stage,
-        slowest.length_ns / 1e3,
-        cycle.in_words(),
-    )

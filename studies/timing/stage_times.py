@@ -47,18 +47,10 @@ _decode_head = msgspec.msgpack.Decoder(_Head).decode
 class MessageTimes:
     """The times of the messages of T cycles on P ports, up to the last cycle that the plant ended.
 
-    Attributes
-    ----------
-    columns
-        The column of each port.
-    tick_ns
-        Scheduled beginning of each cycle [ns], shape (T,).
-    ready_ns, publish_ns
-        As the messages state them [ns], shape (T, P); 0 where there is no message.
-    missing
-        By port and cycle, what a message says of inputs that were older than due.
-    missed
-        How many inputs each agent missed.
+    `columns` has the column of each port. `tick_ns`, shape (T,), is the scheduled beginning of each
+    cycle. `ready_ns` and `publish_ns`, shape (T, P), are what the messages state; 0: no message.
+    `missing` is what they say of inputs that were older than due, by port and cycle; `missed` how
+    many inputs each agent missed.
     """
 
     plan: RunPlan
@@ -83,21 +75,18 @@ class StageTimes:
         The A ports that it awaits or uses, and those on which it publishes.
     timed
         Whether the clock alone closes it.
+    closed, ready_ns, first_ns, last_ns, last
+        Whether it published anything, when it could close, when its first and its last message
+        went out, and which that was, a place in `outputs`. Shape (T,).
     awaited, without, lacking
-        Which inputs it awaits in each cycle, and which of these had not come when it closed, shape
-        (T, A); and whether any had not come, shape (T,).
-    input_ns
-        When the message of this cycle of each input went out, shape (T, A); 0 if there is none.
+        Which inputs it awaits, and which of these had not come when it closed, shape (T, A); and
+        whether any had not come, shape (T,).
+    input_ns, oldest_ns
+        When this cycle's message of each input went out, shape (T, A), 0 for none; when the oldest
+        message that it used did, shape (T,), `NEVER` for none.
     completed_ns, cause
-        When the awaited input went out that was published last of those that came in time, 0 for
-        none; and which it is, a place in `inputs`. Shape (T,).
-    oldest_ns
-        When the oldest message went out that it used, shape (T,); `NEVER` if it used none.
-    closed
-        Whether it published anything, shape (T,).
-    ready_ns, first_ns, last_ns, last
-        When it could close, when its first and its last message went out, and which that was, a
-        place in `outputs`. Shape (T,).
+        When the last awaited input that came in time went out, 0 for none; and which it is, a place
+        in `inputs`. Shape (T,).
     """
 
     def __init__(

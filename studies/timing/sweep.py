@@ -12,8 +12,7 @@ from rich.console import Console
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.supervision import RunFailure
 from studies.tables import Cell, Column, Table, key_column, print_lines, print_table, word_column
-from studies.timing.measures import LOOP, WHOLE_LOOP
-from studies.timing.processes import total
+from studies.timing.measures import LOOP, WHOLE_LOOP, total
 from studies.timing.report import Host, TimingReport
 from studies.timing.tables import cycles_per_s, host_lines, how_often
 
@@ -85,15 +84,9 @@ class Sweep(msgspec.Struct, frozen=True):
     @property
     def too_fast_hz(self) -> float | None:
         """The lowest rate above the highest clean one that proved too fast, if there is one."""
+        proved = (row.rate_hz for row in self.rows if row.outcome in {"failed", NOT_CLEAN})
         clean_hz = self.highest_clean_hz or 0.0
-        return next(
-            (
-                row.rate_hz
-                for row in self.rows
-                if row.rate_hz > clean_hz and row.outcome in {"failed", NOT_CLEAN}
-            ),
-            None,
-        )
+        return min((rate_hz for rate_hz in proved if rate_hz > clean_hz), default=None)
 
 
 def parse_rates(text: str) -> Rates:
@@ -137,26 +130,23 @@ def sweep(rates: Rates, timed: Callable[[float], TimingReport]) -> Sweep:
     """
     rows: dict[float, RateRow] = {}
     for rate_hz in _search(rates.search_hz, rows) if rates.search_hz else rates.listed_hz:
-        try:
-            rows[rate_hz] = _row(rate_hz, timed)
-            if rates.search_hz and rows[rate_hz].outcome == NOT_CLEAN:
-                rows[rate_hz] = _row(rate_hz, timed)
-        except InputError as error:
-            if not rows:
-                raise
-            rows[rate_hz] = RateRow(rate_hz, failed=str(error))
-        if rows[rate_hz].interrupted:
+        for _ in range(2 if rates.search_hz else 1):
+            try:
+                row = rate_row(timed(rate_hz))
+            except KeyboardInterrupt:
+                row = RateRow(rate_hz, interrupted=True)
+            except RunFailure as failure:
+                row = RateRow(rate_hz, failed=str(failure).splitlines()[0])
+            except InputError as error:
+                if not rows:
+                    raise
+                row = RateRow(rate_hz, failed=str(error))
+            rows[rate_hz] = row
+            if row.outcome != NOT_CLEAN:
+                break
+        if row.interrupted:
             break
     return _found(rows)
-
-
-def _row(rate_hz: float, timed: Callable[[float], TimingReport]) -> RateRow:
-    try:
-        return rate_row(timed(rate_hz))
-    except KeyboardInterrupt:
-        return RateRow(rate_hz, interrupted=True)
-    except RunFailure as failure:
-        return RateRow(rate_hz, failed=str(failure).splitlines()[0])
 
 
 def _found(rows: dict[float, RateRow]) -> Sweep:
@@ -236,19 +226,14 @@ def sweep_table(found: Sweep) -> Table:
         Column("CPU", "%", 0),
         word_column(""),
     )
-    return Table("Rates [cycles/s]", columns, tuple(map(_cells, found.rows)))
-
-
-def _cells(row: RateRow) -> tuple[Cell, ...]:
-    loop_us = (row.loop_p50_us, row.loop_p99_us, row.loop_max_us)
-    return (
-        f"{row.rate_hz:.4g}",
-        row.cycles,
-        1e3 / row.rate_hz,
-        *(None if value_us is None else value_us / 1e3 for value_us in loop_us),
-        *(row.late_cycles, row.lost_messages, row.cpu_percent),
-        row.outcome,
-    )
+    rows: list[tuple[Cell, ...]] = []
+    for row in found.rows:
+        loop_us = (row.loop_p50_us, row.loop_p99_us, row.loop_max_us)
+        loop_ms = (None if value_us is None else value_us / 1e3 for value_us in loop_us)
+        counts = (row.late_cycles, row.lost_messages, row.cpu_percent)
+        rate, cycle_ms = f"{row.rate_hz:.4g}", 1e3 / row.rate_hz
+        rows.append((rate, row.cycles, cycle_ms, *loop_ms, *counts, row.outcome))
+    return Table("Rates [cycles/s]", columns, tuple(rows))
 
 
 def machine_lines(found: Sweep) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import groupby
 from typing import Final
 
@@ -13,14 +13,15 @@ from studies.tables import (
     Cell,
     Column,
     Table,
+    attributes,
     key_column,
     print_lines,
     print_table,
     word_column,
 )
 from studies.timing.budgets import Verdict
-from studies.timing.durations import Distribution, Times
-from studies.timing.processes import ProcessTiming, TierTiming
+from studies.timing.durations import Distribution
+from studies.timing.measures import ProcessTiming, TierTiming, count_of
 from studies.timing.report import Host, TimingReport
 from sunspec.tables import devices_tables
 
@@ -39,6 +40,22 @@ _STATISTICS: Final = tuple(Column(name) for name in ("min", "p50", "p99", "p99.9
 _TIMES: Final = (key_column(""), Column("count"), *_STATISTICS)
 _JUDGED: Final = (*_TIMES, Column("p99 at most"), word_column("budget"))
 
+_TIER_COLUMNS: Final = (
+    key_column("tier"),
+    Column("number", name="processes"),
+    Column("missed deadlines", name="missed_deadlines"),
+    Column("missing inputs", name="missing_inputs"),
+    Column("old inputs", name="old_inputs"),
+    Column("dropped"),
+    Column("overruns"),
+    Column("skipped cycles", name="skipped_cycles"),
+    Column("CPU", "% all", 1, name="cpu_percent"),
+    Column("CPU", "% most", 1, name="cpu_highest_percent"),
+    Column("memory", "MB", 1, name="resident_mb"),
+)
+_TIER_NOTE: Final = (
+    "CPU in % of one core, of all processes and of the busiest; memory of the largest one"
+)
 _HOPS: Final = (
     "(each time begins when what the agent waited for was published: it includes the hop)"
 )
@@ -54,7 +71,10 @@ def print_report(report: TimingReport, console: Console, *, processes: bool) -> 
         print_table(console, table)
     for process in report.processes if processes else ():
         print_table(console, _process_table(process))
-    print_lines(console, [*cycle_lines(report), *network_lines(report), ""])
+    if report.slowest_cycles:
+        first, *others = (cycle.text for cycle in report.slowest_cycles)
+        print_lines(console, [f"slowest {first}", *(f"next {text}" for text in others), _HOPS])
+    print_lines(console, [*network_lines(report), ""])
     print_table(console, budgets_table(report.verdicts))
     style = "green" if report.passed else "bold red"
     console.print(verdict_line(report), style=style, highlight=False, markup=False)
@@ -64,6 +84,11 @@ def print_report(report: TimingReport, console: Console, *, processes: bool) -> 
 def cycles_per_s(rate_hz: float) -> str:
     """Say a rate: `20 cycles/s`."""
     return f"{rate_hz:.4g} cycle{'' if rate_hz == 1.0 else 's'}/s"
+
+
+def how_often(count: int) -> str:
+    """Return `1 time`, `2 times`."""
+    return f"{count:,} time{'' if count == 1 else 's'}"
 
 
 def header_lines(report: TimingReport) -> list[str]:
@@ -80,50 +105,40 @@ def header_lines(report: TimingReport) -> list[str]:
 
 def host_lines(host: Host) -> list[str]:
     """Return the machine and the software of a run."""
-    load = ""
+    load = busy = ""
     if host.load_before is not None and host.load_after is not None:
         load = f"; load average {host.load_before:.2f} before, {host.load_after:.2f} after"
+    if host.load_before is not None and host.load_before > host.cpus:
+        busy = (
+            "the machine was busy before the run began: more processes were running than it has "
+            "processors"
+        )
     lines = [
         f"kernel {host.kernel}",
         f"{host.cpus} CPUs{load}",
         f"scheduling: {host.scheduling}{'; memory locked' if host.memory_locked else ''}",
         f"Python {host.python}, heliarch {host.heliarch}, Zenoh {host.zenoh}",
+        busy,
     ]
-    if host.load_before is not None and host.load_before > host.cpus:
-        lines.append(
-            "the machine was busy before the run began: more processes were running than it has "
-            "processors"
-        )
-    return lines
+    return list(filter(None, lines))
 
 
 def network_lines(report: TimingReport) -> list[str]:
     """Say what external agents sent, what of it was wrong, and what faults did to messages."""
-    external = [
+    lines = [
         f"external {account.agent}: answered {how_often(account.answered)} of {account.expected:,}"
         f"; gaps in its sequence numbers show {account.lost:,} messages that never came or could "
         "not be decoded"
         for account in report.external
     ]
-    wrong = [
+    lines += [
         f"wrong {entry.key}, {how_often(entry.count)}: {entry.cause}: {entry.example}"
         for entry in one_line_each(report.wrong)
     ]
-    faults = ", ".join(f"{count:,} {name}" for name, count in report.faults.items())
-    return [
-        *external,
-        *wrong,
-        *([f"network faults that were asked for: {faults}"] if faults else []),
-    ]
-
-
-def cycle_lines(report: TimingReport) -> list[str]:
-    """Say what made the slowest cycles slow."""
-    lines = [
-        f"{'slowest' if place == 0 else 'next'} {cycle.text}"
-        for place, cycle in enumerate(report.slowest_cycles)
-    ]
-    return [*lines, *([_HOPS] if lines else [])]
+    if report.faults:
+        counts = ", ".join(f"{count:,} {name}" for name, count in report.faults.items())
+        lines.append(f"network faults that were asked for: {counts}")
+    return lines
 
 
 def verdict_line(report: TimingReport) -> str:
@@ -150,24 +165,23 @@ def _amount(value: float | None, unit: str) -> str:
     return "nothing" if value is None else f"{value:,.{_DECIMALS[unit]}f} {unit}".rstrip()
 
 
-def how_often(count: int) -> str:
-    """Return `1 time`, `2 times`."""
-    return f"{count:,} time{'' if count == 1 else 's'}"
-
-
 def times_tables(report: TimingReport) -> list[Table]:
     """Return a table of durations for each measure, with its budgets if it has any."""
+    limits: dict[tuple[str, str], tuple[Cell, Cell]] = {
+        (verdict.measure, verdict.of): (verdict.limit, verdict.passed)
+        for verdict in report.verdicts
+        if verdict.line.endswith("p99")
+    }
     tables = []
     for measure, found in groupby(report.times, lambda row: row.measure):
-        rows = [(_name(row), *_figures(row.times), *_limit(row, report.verdicts)) for row in found]
+        rows: list[tuple[Cell, ...]] = []
+        for row in found:
+            name = f"{row.of} (from outside)" if row.outside else row.of
+            rows.append((name, *_figures(row.times), *limits.get((measure, row.of), ("", ""))))
         columns = _JUDGED if any(row[-1] != "" for row in rows) else _TIMES
         cut = tuple(row[: len(columns)] for row in rows)
         tables.append(Table(f"{measure.capitalize()} [ms]", columns, cut, (MEANINGS[measure],)))
     return tables
-
-
-def _name(row: Times) -> str:
-    return f"{row.of} (from outside)" if row.outside else row.of
 
 
 def _figures(times: Distribution) -> tuple[Cell, ...]:
@@ -175,37 +189,9 @@ def _figures(times: Distribution) -> tuple[Cell, ...]:
     return (times.count, *(value_us / 1e3 for value_us in statistics_us))
 
 
-def _limit(row: Times, verdicts: Iterable[Verdict]) -> tuple[Cell, Cell]:
-    for verdict in verdicts:
-        if (verdict.measure, verdict.of) == (row.measure, row.of) and verdict.line.endswith("p99"):
-            return verdict.limit, verdict.passed
-    return "", ""
-
-
 def counts_table(tiers: Sequence[TierTiming]) -> Table:
     """Return counts and resources of each tier."""
-    columns = (
-        key_column("tier"),
-        *map(Column, ("number", "missed deadlines", "missing inputs", "old inputs", "dropped")),
-        *map(Column, ("overruns", "skipped cycles")),
-        Column("CPU", "% all", 1),
-        Column("CPU", "% most", 1),
-        Column("memory", "MB", 1),
-    )
-    rows = tuple(
-        (
-            *(tier.tier, tier.processes, tier.missed_deadlines, tier.missing_inputs),
-            *(tier.old_inputs, tier.dropped, tier.overruns, tier.skipped_cycles),
-            *(tier.cpu_percent, tier.cpu_highest_percent, tier.resident_mb),
-        )
-        for tier in tiers
-    )
-    return Table(
-        "Counts",
-        columns,
-        rows,
-        ("CPU in % of one core, of all processes and of the busiest; memory of the largest one",),
-    )
+    return Table("Counts", _TIER_COLUMNS, attributes(tiers, _TIER_COLUMNS), (_TIER_NOTE,))
 
 
 def processes_table(processes: Iterable[ProcessTiming]) -> Table:
@@ -223,8 +209,8 @@ def processes_table(processes: Iterable[ProcessTiming]) -> Table:
             *(one.agent, one.tier),
             None if one.slowest_decision_us is None else one.slowest_decision_us / 1e3,
             *(one.cpu_percent, one.resident_mb),
-            *(sum(one.missed_deadlines.values()), sum(one.overruns.values()), one.skipped_cycles),
-            None if one.dropped is None else sum(one.dropped.values()),
+            *(count_of(one.missed_deadlines), count_of(one.overruns), one.skipped_cycles),
+            count_of(one.dropped),
         )
         for one in processes
     )
@@ -235,37 +221,29 @@ def budgets_table(verdicts: Iterable[Verdict]) -> Table:
     """Return the budgets that no row of the durations shows."""
     columns = (key_column("budget"), Column("measured"), Column("at most"), word_column(""))
     rows = tuple(
-        (
-            verdict.line,
-            _amount(verdict.value, verdict.unit),
-            _amount(verdict.limit, verdict.unit),
-            verdict.passed,
-        )
-        for verdict in verdicts
-        if not verdict.measure or verdict.value is None or not verdict.line.endswith("p99")
+        (one.line, _amount(one.value, one.unit), _amount(one.limit, one.unit), one.passed)
+        for one in verdicts
+        if not one.measure or one.value is None or not one.line.endswith("p99")
     )
     return Table("Other budgets", columns, rows)
 
 
 def _process_table(process: ProcessTiming) -> Table:
-    rows = tuple(
-        (f"{row.measure} {row.of}".rstrip(), *_figures(row.times)) for row in process.times
-    )
-    return Table(f"{process.agent} ({process.tier}) [ms]", _TIMES, rows, (_counts(process),))
-
-
-def _counts(process: ProcessTiming) -> str:
-    counts: Sequence[tuple[str, Mapping[str, int]]] = (
-        ("missed", process.missed_deadlines),
-        ("overruns", process.overruns),
-        ("missing", process.missing_inputs),
-        ("dropped", process.dropped or {}),
-    )
+    counts = {
+        "missed": process.missed_deadlines,
+        "overruns": process.overruns,
+        "missing": process.missing_inputs,
+        "dropped": process.dropped,
+    }
     lines = [
         f"{name} {', '.join(f'{key} {count:,}' for key, count in found.items())}"
-        for name, found in counts
+        for name, found in counts.items()
         if found
     ]
     if process.skipped_cycles:
         lines.append(f"{process.skipped_cycles:,} cycles skipped")
-    return "; ".join(lines) or "kept every deadline"
+    note = "; ".join(lines) or "kept every deadline"
+    rows = tuple(
+        (f"{row.measure} {row.of}".rstrip(), *_figures(row.times)) for row in process.times
+    )
+    return Table(f"{process.agent} ({process.tier}) [ms]", _TIMES, rows, (note,))

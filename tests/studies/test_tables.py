@@ -82,8 +82,3 @@ def test_json_has_all_digits_and_no_nan() -> None:
         {"case": "a", "energy": 1.23456789, "Score": None},
         {"case": "b", "energy": 0.1 + 0.2, "Score": None},
     ]
-
-
-def test_a_row_with_a_cell_too_few_is_refused() -> None:
-    with pytest.raises(ValueError, match="expected 2 cells, got 1"):
-        Table("", (key_column("a"), Column("b")), (("x",),))

@@ -25,37 +25,29 @@ def powers_kw(
     return series.power_kw
 
 
-def test_a_uniform_cap_by_limits_holds_each_inverter_at_its_request() -> None:
-    # Of 190 kW the requests are 50, 50, 60 and 30 kW.
-    assert powers_kw("uniform-cap", "limit", 190.0) == pytest.approx(
-        np.array([[50.0, 40.0, 60.0, 30.0], [50.0, 50.0, 60.0, 0.0]])
-    )
-
-
-def test_a_uniform_cap_by_fractions_curtails_by_the_maximum_of_the_last_cycle() -> None:
-    # The levels are 50/80, 1, 60/120 and 30/60 in both cycles.
-    assert powers_kw("uniform-cap", "fraction", 190.0) == pytest.approx(
-        np.array([[50.0, 40.0, 60.0, 30.0], [37.5, 50.0, 50.0, 0.0]])
-    )
+@pytest.mark.parametrize(
+    ("scheme", "actuator", "dispatch_kw", "expected_kw"),
+    [
+        # Of 190 kW the requests are 50, 50, 60 and 30 kW.
+        ("uniform-cap", "limit", 190.0, [[50.0, 40.0, 60.0, 30.0], [50.0, 50.0, 60.0, 0.0]]),
+        # By the maximum of the last cycle the levels are 50/80, 1, 60/120 and 30/60 in both.
+        ("uniform-cap", "fraction", 190.0, [[50.0, 40.0, 60.0, 30.0], [37.5, 50.0, 50.0, 0.0]]),
+        # a gave 80 kW of its 100: the others promise 224 kW, of which 112 are wanted, 0.4 of each
+        # rating. Behind fractions they have one level, 0.5.
+        ("grouping", "limit", 192.0, [[80.0, 40.0, 48.0, 24.0], [60.0, 40.0, 48.0, 0.0]]),
+        ("grouping", "fraction", 192.0, [[80.0, 20.0, 60.0, 30.0], [60.0, 25.0, 50.0, 0.0]]),
+    ],
+)
+def test_schemes_by_hand(
+    scheme: str, actuator: Actuator, dispatch_kw: float, expected_kw: list[list[float]]
+) -> None:
+    assert powers_kw(scheme, actuator, dispatch_kw) == pytest.approx(np.array(expected_kw))
 
 
 def test_meters_that_read_high_curtail_too_much_and_the_floor_holds() -> None:
     high = powers_kw("uniform-cap", "fraction", 190.0, meter_error=0.25)
     assert high[0] == pytest.approx([50.0, 40.0, 60.0, 30.0] / np.array([1.25, 1.0, 1.0, 1.0]))
     assert powers_kw("uniform-cap", "fraction", 0.0) == pytest.approx(PLAN.alpha_min * MPP_KW)
-
-
-def test_grouping_by_limits_holds_the_others_at_what_the_group_promises() -> None:
-    # a gave 80 kW of its 100: the others promise 224 kW, of which 112 are wanted, 0.4 of a rating.
-    assert powers_kw("grouping", "limit", 192.0) == pytest.approx(
-        np.array([[80.0, 40.0, 48.0, 24.0], [60.0, 40.0, 48.0, 0.0]])
-    )
-
-
-def test_grouping_by_fractions_gives_the_others_one_level() -> None:
-    assert powers_kw("grouping", "fraction", 192.0) == pytest.approx(
-        np.array([[80.0, 20.0, 60.0, 30.0], [60.0, 25.0, 50.0, 0.0]])
-    )
 
 
 @pytest.mark.parametrize("scheme", ["uncontrolled", "physical-limit"])

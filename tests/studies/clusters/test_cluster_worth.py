@@ -16,7 +16,9 @@ from launch_scripts.scenarios.scenario import ControlTable, ScenarioFile
 from launch_scripts.scenarios.scenario import load_scenario as load
 from sim_plant.profile import Profile
 from studies.clusters.worth import (
+    Arrange,
     Arrangement,
+    Past,
     by_first_part,
     by_scenario,
     in_other_orders,
@@ -39,11 +41,21 @@ def oahu(scenario: ScenarioFile) -> Preparation:
     return prepare(scenario, RunOptions(), "clusters")
 
 
+@pytest.fixture(scope="module")
+def arrange(scenario: ScenarioFile) -> Arrange:
+    return by_scenario(scenario, RunOptions())
+
+
+@pytest.fixture(scope="module")
+def past(scenario: ScenarioFile, arrange: Arrange) -> Past:
+    return past_of(arrange, scenario.scenario.control, 17)
+
+
 def chosen(scenario: ScenarioFile, **changes: object) -> ControlTable:
     return msgspec.structs.replace(scenario.scenario.control, **changes)
 
 
-def names(arrangement: Arrangement) -> list[str]:
+def names(arrangement: Arrangement | Preparation) -> list[str]:
     return [leaf.rpartition("/")[2] for leaf in arrangement.plan.tree.leaves]
 
 
@@ -59,18 +71,16 @@ def members(arrangement: Arrangement) -> set[frozenset[str]]:
 
 
 def test_the_run_is_the_one_that_every_other_command_prepares(
-    scenario: ScenarioFile, oahu: Preparation
+    scenario: ScenarioFile, oahu: Preparation, arrange: Arrange
 ) -> None:
-    found = by_scenario(scenario, RunOptions())(scenario.scenario.control)
+    found = arrange(scenario.scenario.control)
     assert found.plan == oahu.plan
     np.testing.assert_array_equal(found.profile.mpp_kw, oahu.profile.mpp_kw)
 
 
 def test_the_virtual_clusters_are_the_best_that_the_search_finds_in_the_past(
-    scenario: ScenarioFile,
+    scenario: ScenarioFile, arrange: Arrange, past: Past
 ) -> None:
-    arrange = by_scenario(scenario, RunOptions())
-    past = past_of(arrange, scenario.scenario.control, 17)
     search = search_clusters(past.correlation, (6, 6, 5))
     assert members(arrange(chosen(scenario, clusters="correlation"))) == {
         frozenset(past.inverters[place] for place in cluster) for cluster in search.clusters
@@ -78,10 +88,8 @@ def test_the_virtual_clusters_are_the_best_that_the_search_finds_in_the_past(
 
 
 def test_of_all_ways_virtual_clusters_are_least_alike_and_the_last_are_most(
-    scenario: ScenarioFile,
+    scenario: ScenarioFile, arrange: Arrange, past: Past
 ) -> None:
-    arrange = by_scenario(scenario, RunOptions())
-    past = past_of(arrange, scenario.scenario.control, 17)
     worth = {
         way: worth_of(arrange(chosen(scenario, clusters=way)), past, "paper", (1,)) for way in WAYS
     }
@@ -97,8 +105,7 @@ def test_of_all_ways_virtual_clusters_are_least_alike_and_the_last_are_most(
     assert len({found.help.plant.needy for found in worth.values()}) == 1
 
 
-def test_random_clusters_go_by_their_seed(scenario: ScenarioFile) -> None:
-    arrange = by_scenario(scenario, RunOptions())
+def test_random_clusters_go_by_their_seed(scenario: ScenarioFile, arrange: Arrange) -> None:
     one, other, again = (
         members(arrange(chosen(scenario, clusters="random", clusters_seed=seed)))
         for seed in (1, 2, 1)
@@ -106,10 +113,7 @@ def test_random_clusters_go_by_their_seed(scenario: ScenarioFile) -> None:
     assert one == again != other
 
 
-def test_correlation_in_the_run_is_that_of_its_own_power(
-    scenario: ScenarioFile, oahu: Preparation
-) -> None:
-    past = past_of(by_scenario(scenario, RunOptions()), scenario.scenario.control, 17)
+def test_correlation_in_the_run_is_that_of_its_own_power(oahu: Preparation, past: Past) -> None:
     found = worth_of(Arrangement(oahu.plan, oahu.profile), past, "paper", (1,))
     # The run is one hour long, from twelve to one.
     power = np.asarray(np.corrcoef(oahu.profile.mpp_kw.T))
@@ -121,14 +125,13 @@ def test_correlation_in_the_run_is_that_of_its_own_power(
 
 
 def test_a_dark_turn_of_the_central_controller_costs_until_its_next(
-    scenario: ScenarioFile, oahu: Preparation
+    oahu: Preparation, past: Past
 ) -> None:
     # 17 inverters of 400 kW, but for 200 kW in cycle 9; the plant has promised 5000 kW.
     mpp_kw = np.full((30, 17), 400.0)
     mpp_kw[9] = 200.0
     plan = msgspec.structs.replace(oahu.plan, cycles=30)
     arrangement = Arrangement(plan, Profile(mpp_kw, np.full(30, 5000.0)))
-    past = past_of(by_scenario(scenario, RunOptions()), scenario.scenario.control, 17)
     always, tenth = worth_of(arrangement, past, "paper", (1, 10)).shortfalls
     # In cycle 9 the plant gives 5000 x 3400 / 6800 of the 3400 kW that it has: 900 kW less.
     percent_of_a_cycle = 100.0 / 30
@@ -153,10 +156,7 @@ def test_other_orders_of_help_leave_the_clusters_as_they_are(oahu: Preparation) 
     assert {found.plan.inverters for found in orders.values()} == {oahu.plan.inverters}
     assert orders["as listed"].plan.neighbourhoods == ()
     assert orders["least alike first"].plan is oahu.plan
-
-
-def test_the_last_order_asks_in_the_opposite_one(oahu: Preparation) -> None:
-    turned = in_other_orders(Arrangement(oahu.plan, oahu.profile))["most alike first"].plan
+    turned = orders["most alike first"].plan
     for node in oahu.plan.tree.parents:
         (before,) = oahu.plan.neighbourhoods_of(node)
         (after,) = turned.neighbourhoods_of(node)
@@ -177,11 +177,8 @@ def test_what_is_left_begins_where_learning_ends(oahu: Preparation, scenario: Sc
         found = by_first_part(oahu, 1200.0)(chosen(scenario, clusters=way))
         assert found.plan.cycles == found.profile.cycles == 240
         assert found.plan.start_time_ns == oahu.plan.sim_time_ns(120)
-        column = [leaf.rpartition("/")[2] for leaf in oahu.plan.tree.leaves].index
-        for place, name in enumerate(names(found)):
-            np.testing.assert_array_equal(
-                found.profile.mpp_kw[:, place], oahu.profile.mpp_kw[120:, column(name)]
-            )
+        columns = [names(oahu).index(name) for name in names(found)]
+        np.testing.assert_array_equal(found.profile.mpp_kw, oahu.profile.mpp_kw[120:, columns])
         np.testing.assert_array_equal(found.profile.commitment_kw, oahu.profile.commitment_kw[120:])
 
 
@@ -204,8 +201,7 @@ def test_its_past_is_the_correlation_of_the_first_part(
     oahu: Preparation, scenario: ScenarioFile
 ) -> None:
     past = past_of(by_first_part(oahu, 1200.0), scenario.scenario.control, 17)
-    column = [leaf.rpartition("/")[2] for leaf in oahu.plan.tree.leaves].index
-    first_part = oahu.profile.mpp_kw[:120, [column(name) for name in past.inverters]]
+    first_part = oahu.profile.mpp_kw[:120, [names(oahu).index(name) for name in past.inverters]]
     np.testing.assert_allclose(past.correlation, np.corrcoef(first_part.T), rtol=0, atol=1e-12)
 
 

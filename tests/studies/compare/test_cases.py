@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import date
 
 import pytest
@@ -10,14 +11,7 @@ from bus_schemas.errors import InputError
 from launch_scripts.scenarios.preparation import RunOptions
 from launch_scripts.scenarios.scenario import ScenarioFile, load_scenario
 from sim_plant.commitment import ShareOfClearSky
-from studies.compare.cases import (
-    Case,
-    Setting,
-    cases,
-    parse_days,
-    parse_seeds,
-    parse_setting,
-)
+from studies.compare.cases import Case, cases, parse_days, parse_seeds, parse_setting
 
 
 @pytest.fixture(scope="module")
@@ -25,32 +19,36 @@ def oahu() -> ScenarioFile:
     return load_scenario("oahu")
 
 
-def study(oahu: ScenarioFile, *words: str, days: str = "", seeds: str = "") -> list[Case]:
+def study(
+    oahu: ScenarioFile, *words: str, days: str = "", seeds: str = "", start: str = "12:30"
+) -> list[Case]:
     return cases(
         oahu,
-        RunOptions(start="12:30", duration="60"),
+        RunOptions(start=start, duration="60"),
         [parse_setting(word) for word in words],
         parse_days(days) if days else (),
         parse_seeds(seeds) if seeds else (),
     )
 
 
-def test_a_setting_is_a_field_and_its_values() -> None:
-    assert parse_setting("commitment.share=0.5, 0.7") == Setting("commitment.share", ("0.5", "0.7"))
-
-
-def test_commas_within_brackets_do_not_part_values() -> None:
-    found = parse_setting("control.period_cycles=[1, 1],[10, 1]")
-    assert found.values == ("[1, 1]", "[10, 1]")
+@pytest.mark.parametrize(
+    ("text", "field", "values"),
+    [
+        ("commitment.share=0.5, 0.7", "commitment.share", ("0.5", "0.7")),
+        ("control.period_cycles=[1, 1],[10, 1]", "control.period_cycles", ("[1, 1]", "[10, 1]")),
+    ],
+)
+def test_a_setting_is_a_field_and_its_values(
+    text: str, field: str, values: tuple[str, ...]
+) -> None:
+    found = parse_setting(text)
+    assert (found.field, found.values) == (field, values)
 
 
 def test_seeds_and_days_are_lists_and_ranges() -> None:
     assert parse_seeds("1..3,9") == (1, 2, 3, 9)
-    assert parse_days("2010-04-30..2010-05-01,2010-06-01") == (
-        date(2010, 4, 30),
-        date(2010, 5, 1),
-        date(2010, 6, 1),
-    )
+    days = (date(2010, 4, 30), date(2010, 5, 1), date(2010, 6, 1))
+    assert parse_days("2010-04-30..2010-05-01,2010-06-01") == days
 
 
 def test_every_combination_is_a_case_with_its_own_label(oahu: ScenarioFile) -> None:
@@ -66,23 +64,15 @@ def test_every_combination_is_a_case_with_its_own_label(oahu: ScenarioFile) -> N
     assert last.scenario.scenario.plant.actuator == "limit"
     assert last.options == RunOptions(start="12:30", duration="60", seed=2)
     assert oahu.scenario.plant.actuator == "fraction", "the scenario itself stays as it was"
+    (alone,) = study(oahu)
+    assert (alone.label, alone.scenario) == ("", oahu)
 
 
-def test_the_hour_of_a_day_may_have_one_digit(oahu: ScenarioFile) -> None:
-    options = RunOptions(start="9:05", duration="60")
-    (case,) = cases(oahu, options, days=parse_days("2010-07-04"))
-    assert case.options.start == "2010-07-04T09:05:00"
-
-
-def test_a_day_keeps_the_time_of_day(oahu: ScenarioFile) -> None:
-    (case,) = study(oahu, days="2010-07-04")
-    assert case.options.start == "2010-07-04T12:30:00"
+@pytest.mark.parametrize(("start", "clock"), [("12:30", "12:30:00"), ("9:05", "09:05:00")])
+def test_a_day_keeps_the_time_of_day(oahu: ScenarioFile, start: str, clock: str) -> None:
+    (case,) = study(oahu, days="2010-07-04", start=start)
+    assert case.options.start == f"2010-07-04T{clock}"
     assert case.label == "2010-07-04"
-
-
-def test_without_words_there_is_the_scenario_itself(oahu: ScenarioFile) -> None:
-    (case,) = study(oahu)
-    assert (case.label, case.scenario) == ("", oahu)
 
 
 @pytest.mark.parametrize(
@@ -106,16 +96,16 @@ def test_a_setting_that_the_scenario_does_not_accept_is_named(
     assert wrong in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["", "1..", "a", "1,,2", "-1"])
-def test_seeds_that_are_none_are_refused(text: str) -> None:
-    with pytest.raises(InputError, match="--seeds"):
-        parse_seeds(text)
-
-
-@pytest.mark.parametrize("text", ["tomorrow", "2010-02-30", "2010-04-02..2010-04-01"])
-def test_days_that_are_none_are_refused(text: str) -> None:
-    with pytest.raises(InputError, match="--days"):
-        parse_days(text)
+@pytest.mark.parametrize(
+    ("parse", "text"),
+    [
+        *((parse_seeds, text) for text in ("", "1..", "a", "1,,2", "-1")),
+        *((parse_days, text) for text in ("tomorrow", "2010-02-30", "2010-04-02..2010-04-01")),
+    ],
+)
+def test_what_is_no_list_is_refused(parse: Callable[[str], object], text: str) -> None:
+    with pytest.raises(InputError, match="--seeds" if parse is parse_seeds else "--days"):
+        parse(text)
 
 
 def test_a_study_without_end_is_refused(oahu: ScenarioFile) -> None:

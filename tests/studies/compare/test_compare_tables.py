@@ -1,11 +1,50 @@
-"""The tables and the figure of a comparison show shortfall and over-delivery together."""
+"""Tables, statistics and the figure of a comparison, from results written down one by one."""
 
 from __future__ import annotations
 
-from results_by_hand import case, result
+from collections.abc import Mapping
+from typing import get_args
 
+import pytest
+
+from agents.plan import Actuator
 from studies.compare.page import frontier
-from studies.compare.tables import case_tables, cases_tables
+from studies.compare.study import CaseResult, SchemeResult
+from studies.compare.tables import Summary, case_tables, cases_tables, summaries
+from studies.metrics import CommitmentMetrics, RunMetrics
+from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
+from studies.metrics.run import HeadroomMetrics, SupportMileage, TrackingError
+
+CAUSED = [FIGURES_OF_MERIT["control-caused"]]
+ERROR = 4.302653 / 3.0**0.5
+"""Of three values with a standard deviation of 1: Student's t for 2 degrees of freedom."""
+
+
+def result(
+    scheme: str,
+    actuator: Actuator | None,
+    caused: float,
+    beyond: float = 0.0,
+    rmse_kw: float = 0.0,
+) -> SchemeResult:
+    """A scheme that was to deliver 100 kWh: its energies are per cents."""
+    energy = CommitmentMetrics(100.0, 200.0, 100.0 - caused + beyond, caused, 0.0, caused, beyond)
+    metrics = RunMetrics(
+        commitment=energy,
+        tracking=TrackingError(rmse_kw, 0.0),
+        support=SupportMileage(0.0, 0.0, 0.0),
+        headroom=HeadroomMetrics(0.0, 0.0, 0.0),
+        ramps=None,
+        regulation=None,
+    )
+    return SchemeResult(scheme, actuator, metrics)
+
+
+def case(label: str, caused: Mapping[str, float], settings: str = "") -> CaseResult:
+    """A case with the fraction actuator: control-caused shortfall of each scheme in %."""
+    schemes = tuple(result(scheme, "fraction", value) for scheme, value in caused.items())
+    return CaseResult(label, settings, schemes, 0.0, 0.0, ())
+
 
 SCHEMES = (
     result("uncontrolled", None, 0.0, 40.0, 900.0),
@@ -16,15 +55,12 @@ SCHEMES = (
 )
 
 
+# One case -----------------------------------------------------------------------------------------
+
+
 def test_the_best_of_each_column_is_marked_and_bounds_do_not_compete() -> None:
     (table,) = case_tables("day", SCHEMES)
-    assert [column.name or column.title for column in table.columns[:5]] == [
-        "scheme",
-        "actuator",
-        "control-caused",
-        "over-delivered",
-        "rmse",
-    ]
+    assert table.names()[:5] == ["scheme", "actuator", "control-caused", "over-delivered", "rmse"]
     assert [row[:5] for row in table.texts()] == [
         ("uncontrolled", "-", "0.000", "40.000", "900.00"),
         ("uniform-cap", "fraction", "2.000", "*0.000", "*80.00"),
@@ -32,19 +68,22 @@ def test_the_best_of_each_column_is_marked_and_bounds_do_not_compete() -> None:
         ("paper", "limit", "1.500", "0.700", "85.00"),
         ("predictive", "fraction", "*0.100", "2.000", "*80.00"),
     ]
-
-
-def test_more_is_better_where_more_is_better() -> None:
-    (table,) = case_tables("day", SCHEMES)
-    place = [column.name for column in table.columns].index("satisfied")
-    marked = [row[0] for row in table.texts() if row[place].startswith("*")]
+    more_is_better, alike = map(table.names().index, ("satisfied", "unavoidable"))
+    marked = [row[0] for row in table.texts() if row[more_is_better].startswith("*")]
     assert marked == ["predictive"]
+    assert {row[alike] for row in table.texts()} == {"0.000"}
 
 
-def test_what_is_alike_everywhere_is_not_marked() -> None:
-    (table,) = case_tables("day", SCHEMES)
-    place = [column.name for column in table.columns].index("unavoidable")
-    assert {row[place] for row in table.texts()} == {"0.000"}
+def test_the_frontier_leaves_out_what_another_scheme_beats_in_both() -> None:
+    by_fraction, by_limit, line = frontier(SCHEMES).figure.data
+    points = [list(zip(one.x, one.y, strict=True)) for one in (by_fraction, by_limit, line)]
+    # Without over-delivery a scheme stands at the end of the logarithmic axis.
+    assert points[:2] == [[(0.001, 2.0), (0.5, 1.0), (2.0, 0.1)], [(0.7, 1.5)]]
+    assert points[2] == [(0.001, 2.0), (0.5, 1.0), (0.7, 1.0), (2.0, 0.1)]
+    assert "80 kW" in by_fraction.text[0]
+
+
+# Many cases ---------------------------------------------------------------------------------------
 
 
 def test_many_cases_have_both_axes_and_mean_and_quantiles() -> None:
@@ -65,10 +104,76 @@ def test_many_cases_have_both_axes_and_mean_and_quantiles() -> None:
     assert beyond.texts()[0][2:4] == ("0.000", "0.000")
 
 
-def test_the_frontier_leaves_out_what_another_scheme_beats_in_both() -> None:
-    by_fraction, by_limit, line = frontier(SCHEMES).figure.data
-    points = [list(zip(one.x, one.y, strict=True)) for one in (by_fraction, by_limit, line)]
-    # Without over-delivery a scheme stands at the end of the logarithmic axis.
-    assert points[:2] == [[(0.001, 2.0), (0.5, 1.0), (2.0, 0.1)], [(0.7, 1.5)]]
-    assert points[2] == [(0.001, 2.0), (0.5, 1.0), (0.7, 1.0), (2.0, 0.1)]
-    assert "80 kW" in by_fraction.text[0]
+def by_scheme(*cases: CaseResult) -> dict[str, Summary]:
+    return {one.scheme: one for one in summaries(cases, CAUSED)}
+
+
+def test_three_cases_by_hand() -> None:
+    found = by_scheme(
+        case("seed=1", {"paper": 1.0, "predictive": 0.0}),
+        case("seed=2", {"paper": 2.0, "predictive": 0.0}),
+        case("seed=3", {"paper": 3.0, "predictive": 3.0}),
+    )
+    paper = found["paper"]
+    assert (paper.figure, paper.cases, paper.actuator) == ("control-caused", 3, "fraction")
+    assert (paper.mean, paper.mean_error) == pytest.approx((2.0, ERROR))
+    assert (paper.low, paper.median, paper.high) == pytest.approx((1.1, 2.0, 2.9))
+    # Case by case paper causes 1, 2 and 0 more.
+    assert paper.baseline == "predictive"
+    assert (paper.difference, paper.difference_error) == pytest.approx((1.0, ERROR))
+    assert found["predictive"].difference is None
+
+
+def test_without_predictive_the_first_scheme_is_the_baseline() -> None:
+    found = by_scheme(*(case(f"seed={n}", {"paper": 1.0, "uniform-cap": 4.0}) for n in (1, 2)))
+    assert found["uniform-cap"].baseline == "paper"
+    assert (found["uniform-cap"].difference, found["uniform-cap"].difference_error) == (3.0, 0.0)
+
+
+def test_schemes_are_paired_with_the_baseline_of_their_own_actuator() -> None:
+    schemes = (
+        result("paper", "fraction", 5.0),
+        result("paper", "limit", 7.0),
+        result("predictive", "fraction", 1.0),
+        result("predictive", "limit", 2.0),
+        result("uncontrolled", None, 0.0),
+    )
+    cases = [CaseResult(f"seed={seed}", "", schemes, 0.0, 0.0, ()) for seed in (1, 2)]
+    found = [(one.scheme, one.actuator, one.difference) for one in summaries(cases, CAUSED)]
+    assert found == [
+        ("paper", "fraction", 4.0),
+        ("paper", "limit", 5.0),
+        ("predictive", "fraction", None),
+        ("predictive", "limit", None),
+        ("uncontrolled", None, -1.0),
+    ]
+
+
+def test_each_choice_of_settings_is_a_sample_unless_cases_differ_in_nothing_else() -> None:
+    def means(*seeds: int) -> list[tuple[str, int, float | None]]:
+        cases = [
+            case(f"share={share} seed={seed}", {"paper": share * seed}, f"share={share}")
+            for share in (1.0, 10.0)
+            for seed in seeds
+        ]
+        return [(one.settings, one.cases, one.mean) for one in summaries(cases, CAUSED)]
+
+    assert means(1, 2) == [("share=1.0", 2, 1.5), ("share=10.0", 2, 15.0)]
+    assert means(1) == [("", 2, 5.5)]
+
+
+def test_of_one_case_there_is_no_interval_and_no_summary_of_what_it_lacks() -> None:
+    alone = case("seed=1", {"paper": 1.0, "predictive": 0.0})
+    found = by_scheme(alone)["paper"]
+    assert (found.mean, found.mean_error) == (1.0, None)
+    assert (found.difference, found.difference_error) == (1.0, None)
+    assert not summaries([alone], [FIGURES_OF_MERIT["score"]])
+
+
+def test_cases_with_different_actuators_have_none_in_common() -> None:
+    cases = [
+        CaseResult(f"actuator={name}", f"actuator={name}", (result("paper", name, 1.0),), 0, 0, ())
+        for name in get_args(Actuator)
+    ]
+    (found,) = summaries(cases, CAUSED)
+    assert (found.actuator, found.cases) == (None, 2)

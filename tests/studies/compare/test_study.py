@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 
 import pytest
-from rich.console import Console
 
 from bus_schemas.errors import InputError
 from launch_scripts.scenarios.preparation import RunOptions
@@ -14,7 +13,6 @@ from studies.arrays.schemes import ReferenceGroups
 from studies.compare.cases import Case, cases
 from studies.compare.study import CaseResult, Comparison, run_case
 from studies.compare.tables import cases_tables, json_rows
-from studies.tables import Table, print_table
 from studies.workers import share_work
 
 COMPARISON = Comparison(("paper", "predictive", "grouping"), ReferenceGroups((1, 5), 3))
@@ -67,23 +65,6 @@ def test_a_case_that_does_not_fit_is_named() -> None:
     with pytest.raises(InputError) as caught:
         run_case(too_large, case)
     assert str(caught.value).startswith("seed=4: --reference")
-
-
-def printed(table: Table, width: int) -> list[list[str]]:
-    console = Console(width=width, color_system=None)
-    with console.capture() as captured:
-        print_table(console, table)
-    return [line.split() for line in captured.get().splitlines()]
-
-
-@pytest.mark.parametrize("width", [60, 80, 100])
-def test_however_narrow_the_terminal_each_case_has_its_name_and_all_figures(
-    alone: list[CaseResult], width: int
-) -> None:
-    lines = printed(cases_tables(["control-caused"], alone)[0], width)
-    for result in alone:
-        parts = [line[1:] for line in lines if line[:1] == [result.label]]
-        assert sum(map(len, parts)) == len(SCHEMES)
 
 
 def test_very_many_cases_are_summarised_alone(alone: list[CaseResult]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +21,7 @@ def run_of(
     possible_kw: ArrayLike,
     delivered_kw: ArrayLike,
     *,
-    regulation_kw: Sequence[float] | np.ndarray | None = None,
+    regulation_kw: ArrayLike = 0.0,
     capacity_kw: float = 0.0,
     cycle_s: float = 1.0,
     start: str = NOON,
@@ -40,9 +39,7 @@ def run_of(
         start_time_ns=int(utc.astype(np.int64)),
         cycle_s=cycle_s,
         commitment_kw=commitment,
-        regulation_kw=np.zeros_like(commitment)
-        if regulation_kw is None
-        else np.asarray(regulation_kw, dtype=float),
+        regulation_kw=np.broadcast_to(np.asarray(regulation_kw, dtype=float), commitment.shape),
         regulation_capacity_kw=capacity_kw,
         mpp_kw=mpp_kw,
         power_kw=power_kw,

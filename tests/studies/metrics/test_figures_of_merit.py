@@ -23,57 +23,45 @@ FULL = run_metrics(run_of([100.0], 150.0, [100.0]))
 
 def test_every_figure_is_found_in_a_run_that_defines_all() -> None:
     found = figures_json(WITH_REGULATION)
-    assert {name for name, value in found.items() if value is None} == {
-        "ramp-limit",
-        "above-ramp-limit",
-    }
-    assert found["precision"] == pytest.approx(0.75)
-    assert found["capacity"] == 200.0
+    missing = {name for name, value in found.items() if value is None}
+    assert missing == {"ramp-limit", "above-ramp-limit"}
+    assert (found["precision"], found["capacity"]) == pytest.approx((0.75, 200.0))
 
 
 def test_shares_are_of_the_desired_energy() -> None:
     found = figures_json(WITHOUT)
-    assert found["shortfall-energy"] == pytest.approx(22.5)
-    assert found["shortfall"] == pytest.approx(22.5)
-    assert found["satisfied"] == pytest.approx(77.5)
+    names = ("shortfall-energy", "shortfall", "satisfied")
+    assert [found[name] for name in names] == pytest.approx([22.5, 22.5, 77.5])
     assert found["score"] is None
 
 
 def test_runs_stand_side_by_side() -> None:
     runs = [("a", WITH_REGULATION), ("b", WITHOUT)]
-    table = runs_as_columns("Runs", runs, shown_in("report"))
-    rows = {row[0]: row[1:] for row in table.texts()}
+    rows = {row[0]: row[1:] for row in runs_as_columns("Runs", runs, shown_in("report")).texts()}
     assert rows["Mileage per hour"][0] == "kW/h"
     assert rows["Regulation capacity"] == ("kW", "200", "-")
-    alone = runs_as_columns("Runs", [("b", WITHOUT)], shown_in("report"))
+    alone = runs_as_columns("Runs", runs[1:], shown_in("report"))
     assert "Regulation capacity" not in {row[0] for row in alone.texts()}
 
 
 def test_of_two_runs_the_last_column_is_the_second_less_the_first() -> None:
-    figures = shown_in("compare")
-    table = runs_as_columns("Runs", [("a", WITHOUT), ("b", FULL)], figures, difference=True)
-    rows = {row["figure"]: row for row in json_rows(table)}
-    assert rows["Satisfied commitment"]["difference"] == pytest.approx(22.5)
-    assert rows["Mileage per hour"]["difference"] == pytest.approx(-160.0)  # 0, 10, 80, 0 in 1 h
+    def differences(*runs: object) -> dict[object, object]:
+        labelled = list(zip("ab", runs, strict=True))
+        table = runs_as_columns("Runs", labelled, shown_in("compare"), difference=True)  # type: ignore[arg-type]
+        return {row["figure"]: row["difference"] for row in json_rows(table)}
+
+    rows = differences(WITHOUT, FULL)
+    assert rows["Satisfied commitment"] == pytest.approx(22.5)
+    assert rows["Mileage per hour"] == pytest.approx(-160.0)  # 0, 10, 80, 0 in 1 h
     assert "PJM performance score" not in rows
-
-
-def test_a_figure_that_one_run_lacks_has_no_difference() -> None:
-    runs = [("a", WITHOUT), ("b", WITH_REGULATION)]
-    table = runs_as_columns("Runs", runs, shown_in("compare"), difference=True)
-    rows = {row["figure"]: row for row in json_rows(table)}
-    assert rows["Precision"]["b"] == pytest.approx(0.75)
-    assert rows["Precision"]["difference"] is None
+    assert differences(WITHOUT, WITH_REGULATION)["Precision"] is None
 
 
 def test_the_document_lists_every_figure_with_its_unit() -> None:
     document = Path(__file__).parents[3] / "docs" / "metrics.md"
     rows = [
-        [cell.strip(" `") for cell in line.strip("|").split("|")]
+        tuple(cell.strip(" `") for cell in line.strip("|").split("|")[:3])
         for line in document.read_text(encoding="utf-8").splitlines()
         if line.startswith("| `")
     ]
-    listed = {row[0]: (row[1], row[2]) for row in rows}
-    assert listed == {
-        figure.name: (figure.title, figure.unit) for figure in FIGURES_OF_MERIT.values()
-    }
+    assert rows == [(one.name, one.title, one.unit) for one in FIGURES_OF_MERIT.values()]

@@ -1,6 +1,7 @@
 """Where help was found, counted by hand on two clusters of two."""
 
 import numpy as np
+import pytest
 
 from studies.metrics.help import CallsForHelp, help_metrics
 
@@ -24,10 +25,7 @@ def test_calls_are_counted_by_plant_and_by_cluster() -> None:
     assert found.cycles == 7
     assert found.plant == CallsForHelp(needy=6, central=4)
     assert found.clusters == CallsForHelp(needy=1 + 2 + 1 + 2 + 2 + 2, central=1 + 1 + 1 + 2)
-
-
-def test_cycles_in_which_the_plant_lacks_are_left_out_of_the_sufficient_ones() -> None:
-    found = help_metrics(RESIDUAL_KW, INVERTERS)
+    # Without the cycles in which the plant lacks power:
     assert found.plant_sufficient == CallsForHelp(needy=4, central=2)
     assert found.plant_sufficient.central_percent == 50.0
     assert found.clusters_sufficient == CallsForHelp(needy=6, central=2)
@@ -41,20 +39,21 @@ def test_other_clusters_of_the_same_inverters_need_the_central_controller_elsewh
     assert regrouped.clusters_sufficient == CallsForHelp(needy=6, central=2)
 
 
-def test_a_tier_in_between_settles_what_then_does_not_reach_the_top() -> None:
-    # Zone z1 holds both clusters: c1 lacks 1 kW and c2 has 8 kW.
-    row = RESIDUAL_KW[3:4]
-    one_zone = [f"z1/{path}" for path in INVERTERS]
-    two_zones = ["z1/c1/a", "z1/c1/b", "z2/c2/c", "z2/c2/d"]
-    assert help_metrics(row, one_zone).plant == CallsForHelp(needy=1, central=0)
-    assert help_metrics(row, two_zones).plant == CallsForHelp(needy=1, central=1)
-
-
-def test_an_inverter_right_below_the_central_controller_is_a_cluster_of_its_own() -> None:
-    assert help_metrics(np.array([[-1.0, 9.0]]), ("a", "b")).plant == CallsForHelp(1, 1)
+@pytest.mark.parametrize(
+    ("inverters", "central"),
+    [
+        # c1 lacks 1 kW and c2 has 8 kW: a zone that holds both settles it.
+        (("z1/c1/a", "z1/c1/b", "z1/c2/c", "z1/c2/d"), 0),
+        (("z1/c1/a", "z1/c1/b", "z2/c2/c", "z2/c2/d"), 1),
+        # An inverter right below the central controller is a cluster of its own.
+        (("a", "b", "c", "d"), 1),
+    ],
+)
+def test_what_a_child_of_the_central_controller_settles_does_not_reach_the_top(
+    inverters: tuple[str, ...], central: int
+) -> None:
+    assert help_metrics(RESIDUAL_KW[3:4], inverters).plant == CallsForHelp(1, central)
 
 
 def test_without_need_there_is_no_share() -> None:
-    found = help_metrics(np.ones((3, 4)), INVERTERS)
-    assert found.plant == CallsForHelp(0, 0)
-    assert found.plant.central_percent is None
+    assert help_metrics(np.ones((3, 4)), INVERTERS).plant.central_percent is None

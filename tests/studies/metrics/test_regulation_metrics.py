@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from runs_by_hand import RATING_KW, run_of
+from numpy.typing import ArrayLike
+from runs_by_hand import NOON, RATING_KW, run_of
 
 from studies.metrics.regulation import (
+    RegulationMetrics,
     RequestsFulfilled,
     offered_cycles,
     regulation_metrics,
@@ -16,21 +18,38 @@ from studies.metrics.regulation import (
 )
 
 CAPACITY_KW = 200.0
+COMMITMENT_KW = 400.0
 
 
-def test_a_request_is_fulfilled_if_every_cycle_in_it_is_within_the_tolerance() -> None:
-    regulation_kw = [50.0, 50.0, -80.0, -80.0, 120.0, 120.0, 10.0, 10.0, -20.0, -20.0]
-    deviation_kw = [0.0, 0.5, -2.0, 0.0, 0.0, 5.0, 30.0, -30.0, 0.5, 0.5]
-    #               within 1  short of 1  over         short       within 1
+def regulated(
+    regulation_kw: ArrayLike,
+    error_kw: ArrayLike = 0.0,
+    possible_kw: ArrayLike = 900.0,
+    cycle_s: float = 1.0,
+    start: str = NOON,
+) -> RegulationMetrics:
+    """The metrics of a run that delivers what is desired but for an error."""
+    regulation_kw = np.asarray(regulation_kw, dtype=float)
     run = run_of(
-        np.full(10, 400.0),
-        possible_kw=900.0,
-        delivered_kw=400.0 + np.add(regulation_kw, deviation_kw),
+        np.full_like(regulation_kw, COMMITMENT_KW),
+        possible_kw,
+        COMMITMENT_KW + regulation_kw + np.asarray(error_kw, dtype=float),
         regulation_kw=regulation_kw,
         capacity_kw=CAPACITY_KW,
+        cycle_s=cycle_s,
+        start=start,
     )
     found = regulation_metrics(run)
     assert found is not None
+    return found
+
+
+def test_a_request_is_fulfilled_if_every_cycle_in_it_is_within_the_tolerance() -> None:
+    found = regulated(
+        [50.0, 50.0, -80.0, -80.0, 120.0, 120.0, 10.0, 10.0, -20.0, -20.0],
+        [0.0, 0.5, -2.0, 0.0, 0.0, 5.0, 30.0, -30.0, 0.5, 0.5],
+        # within 1  short of 1  over         short       within 1
+    )
     assert found.requests == (
         RequestsFulfilled(
             0.1, 1.0, requests=5, fulfilled=2, short=2, over=1, feasible=5, feasible_fulfilled=2
@@ -48,81 +67,50 @@ def test_a_request_is_fulfilled_if_every_cycle_in_it_is_within_the_tolerance() -
 
 
 def test_a_request_is_feasible_if_the_plant_could_meet_it_in_every_cycle() -> None:
-    run = run_of(
-        np.full(6, 400.0),
+    found = regulated(
+        [50.0, 50.0, 100.0, 100.0, 100.0, 100.0],
+        # feasible   not, yet fulfilled  feasible, short
+        [0.0, 0.0, -0.5, 0.0, 0.0, -20.0],
         possible_kw=[900.0, 900.0, 499.5, 600.0, 500.0, 600.0],
-        #              feasible      not, yet fulfilled  feasible, short
-        delivered_kw=[450.0, 450.0, 499.5, 500.0, 500.0, 480.0],
-        regulation_kw=[50.0, 50.0, 100.0, 100.0, 100.0, 100.0],
-        capacity_kw=CAPACITY_KW,
     )
-    found = regulation_metrics(run)
-    assert found is not None
     for one in found.requests:
         assert (one.requests, one.fulfilled) == (3, 2)
         assert (one.feasible, one.feasible_fulfilled) == (2, 1)
         assert one.feasible_fulfilled_percent == 50.0
+    none = regulated([5.0, 5.0], -395.0, possible_kw=10.0)
+    assert none.requests[0].feasible_fulfilled_percent is None
 
 
-def test_where_no_request_was_feasible_no_share_of_them_is_defined() -> None:
-    power_kw = [10.0, 10.0]
-    run = run_of([400.0, 400.0], power_kw, power_kw, regulation_kw=[5.0, 5.0], capacity_kw=5.0)
-    found = regulation_metrics(run)
-    assert found is not None
-    assert found.requests[0].feasible_fulfilled_percent is None
-
-
-def test_requests_begin_at_the_even_seconds_of_the_clock() -> None:
-    regulation_kw = [10.0, 20.0, 20.0, 30.0]
-    run = run_of(
-        np.zeros(4),
-        possible_kw=900.0,
-        delivered_kw=[10.0, 20.0, 90.0, 30.0],
-        regulation_kw=regulation_kw,
-        capacity_kw=CAPACITY_KW,
-        start="2010-04-01T12:00:01",
-    )
-    found = regulation_metrics(run)
-    assert found is not None
-    assert (found.requests[0].requests, found.requests[0].fulfilled) == (3, 2)
-
-
-def test_a_cycle_longer_than_a_request_is_a_request() -> None:
-    run = run_of(
-        np.zeros(3),
-        possible_kw=900.0,
-        delivered_kw=[10.0, 90.0, 20.0],
-        regulation_kw=[10.0, 20.0, 20.0],
-        capacity_kw=CAPACITY_KW,
-        cycle_s=10.0,
-    )
-    found = regulation_metrics(run)
-    assert found is not None
+@pytest.mark.parametrize(
+    ("regulation_kw", "error_kw", "cycle_s", "start"),
+    [
+        # Requests begin at the even seconds of the clock.
+        ([10.0, 20.0, 20.0, 30.0], [0.0, 0.0, 70.0, 0.0], 1.0, "2010-04-01T12:00:01"),
+        # A cycle longer than a request is a request.
+        ([10.0, 20.0, 20.0], [0.0, 70.0, 0.0], 10.0, NOON),
+    ],
+)
+def test_a_request_lasts_two_seconds_or_a_cycle(
+    regulation_kw: list[float], error_kw: list[float], cycle_s: float, start: str
+) -> None:
+    found = regulated(regulation_kw, error_kw, cycle_s=cycle_s, start=start)
     assert (found.requests[0].requests, found.requests[0].fulfilled) == (3, 2)
 
 
 def test_only_the_time_counts_in_which_regulation_is_offered() -> None:
     offered = np.arange(600) // 100 % 2 == 1
-    regulation_kw = np.where(offered, 50.0, 0.0)
-    run = run_of(
-        np.full(600, 400.0),
-        possible_kw=900.0,
-        delivered_kw=np.where(offered, 450.0, 0.0),  # nothing at all while it is not offered
-        regulation_kw=regulation_kw,
-        capacity_kw=CAPACITY_KW,
-    )
-    found = regulation_metrics(run)
-    assert found is not None
+    # Nothing at all is delivered while it is not offered.
+    found = regulated(np.where(offered, 50.0, 0.0), np.where(offered, 0.0, -COMMITMENT_KW))
     assert found.requests[0].requests == 150
     assert found.requests[0].fulfilled_percent == 100.0
     assert found.offered_h == pytest.approx(300 / 3600)
     assert found.signal_mileage_per_hour == 0.0  # the steps into the offer are no signal
 
 
-def test_a_plant_that_offers_no_regulation_has_no_such_metrics() -> None:
-    assert regulation_metrics(run_of(np.full(10, 400.0), 900.0, 400.0)) is None
-    silent = run_of(np.full(10, 400.0), 900.0, 400.0, capacity_kw=CAPACITY_KW)
-    assert regulation_metrics(silent) is None
+@pytest.mark.parametrize("capacity_kw", [0.0, CAPACITY_KW])
+def test_a_plant_that_offers_no_regulation_has_no_such_metrics(capacity_kw: float) -> None:
+    run = run_of(np.full(10, COMMITMENT_KW), 900.0, COMMITMENT_KW, capacity_kw=capacity_kw)
+    assert regulation_metrics(run) is None
 
 
 @pytest.mark.parametrize(
@@ -144,17 +132,16 @@ def test_a_zero_of_less_than_a_minute_between_requests_is_a_request(
     assert "".join("1" if cycle else "0" for cycle in found) == offered
 
 
-@given(
-    st.lists(st.floats(-100.0, 100.0), min_size=1, max_size=40),
-    st.floats(0.0, 5.0),
-    st.floats(0.0, 5.0),
-)
+TOLERANCE = st.floats(0.0, 5.0)
+
+
+@given(st.lists(st.floats(-100.0, 100.0), min_size=1, max_size=40), TOLERANCE, TOLERANCE)
 def test_a_wider_tolerance_fulfils_no_fewer_requests(
     deviation: list[float], one: float, other: float
 ) -> None:
     request = np.arange(len(deviation), dtype=np.int64) // 2
-    tolerances = sorted((one, other))
     able = np.ones(len(deviation), dtype=bool)
+    tolerances = sorted((one, other))
     narrow, wide = requests_fulfilled(np.array(deviation), request, able, RATING_KW, tolerances)
     assert narrow.fulfilled <= wide.fulfilled
     for found in (narrow, wide):

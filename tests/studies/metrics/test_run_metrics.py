@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from runs_by_hand import CYCLES_OF_15_HOURS, long_run, run_of, sine_of_an_hour
+from runs_by_hand import CYCLES_OF_15_HOURS, RATING_KW, long_run, run_of, sine_of_an_hour
 
 from recordings.read.series import RunSeries
 from studies.metrics import CommitmentMetrics, RunMetrics, commitment_metrics, run_metrics
+from studies.metrics.run import RampMetrics, ramp_metrics
 
 POWER = st.floats(0.0, 1000.0)
 CYCLES = st.lists(st.tuples(POWER, POWER, st.floats(0.0, 1.0)), min_size=1, max_size=30)
@@ -49,6 +50,48 @@ def test_a_run_of_four_half_hours_by_hand() -> None:
     assert found.ramps.largest_kw_per_min == pytest.approx(70.0 / 30.0)
     assert found.ramps.minutes_above_limit == 1
     assert found.regulation is None
+
+
+def test_a_ramp_is_the_change_over_a_minute_from_every_cycle_on() -> None:
+    # Cycles of 20 s, so a minute is three: 150 - 100, 130 - 100, 10 - 120, 40 - 150, 40 - 130
+    delivered_kw = np.array([100.0, 100.0, 120.0, 150.0, 130.0, 10.0, 40.0, 40.0])
+    found = ramp_metrics(delivered_kw, RATING_KW, 20.0, limit_percent_per_min=10.0)
+    # Minutes of ramps that begin in cycles 0 to 2, and in 3 and 4.
+    assert found == RampMetrics(50.0, 110.0, 100.0, 2, 2, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("delivered_kw", "minutes", "above"),
+    [
+        # 240 ramps. Those that begin in cycles 140 to 199 end after the fall of 200 kW.
+        (np.repeat([500.0, 300.0], [200, 100]), 4, 2),
+        # A ramp exactly at the limit is allowed.
+        (0.1 * RATING_KW / 60.0 * np.arange(300.0), 4, 0),
+    ],
+)
+def test_only_the_minutes_with_a_ramp_above_the_limit_count(
+    delivered_kw: np.ndarray, minutes: int, above: int
+) -> None:
+    found = ramp_metrics(delivered_kw, RATING_KW, 1.0, limit_percent_per_min=10.0)
+    assert found is not None
+    assert (found.minutes, found.minutes_above_limit) == (minutes, above)
+    assert found.above_limit_percent == 100.0 * above / minutes
+
+
+@pytest.mark.parametrize(
+    ("delivered_kw", "cycle_s", "largest"),
+    [
+        ([0.0, 5.0, 20.0], 25.0, 24.0),  # The nearest to 60 s is two cycles: 20 kW in 50 s.
+        ([0.0, 20.0], 120.0, 10.0),
+        ([0.0] * 60 + [7.0], 1.0, 7.0),
+        ([0.0] * 60, 1.0, None),  # A minute or less has no ramp.
+    ],
+)
+def test_a_ramp_is_a_rate_per_minute(
+    delivered_kw: list[float], cycle_s: float, largest: float | None
+) -> None:
+    found = ramp_metrics(np.array(delivered_kw), RATING_KW, cycle_s, limit_percent_per_min=10.0)
+    assert (found and found.largest_up_kw_per_min) == pytest.approx(largest)
 
 
 def test_regulation_is_desired_but_no_part_of_the_ancillary_potential() -> None:

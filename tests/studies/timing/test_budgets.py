@@ -10,12 +10,14 @@ from reports_by_hand import MISSED, missed, reported
 from timed_recordings import PLAN, TIMES_MS, cycle, recorded
 
 from launch_scripts.scenarios.budget_table import BudgetTable
-from studies.timing.budgets import Verdict, p99_limits_ms
-from studies.timing.report import report_on
+from studies.timing.budgets import p99_limits_ms
+from studies.timing.report import TimingReport, report_on
+
+TIERED = replace(PLAN, tier_deadlines_ns=(6_000_000, 50_000_000, 60_000_000))
 
 
-def failed(verdicts: tuple[Verdict, ...]) -> set[str]:
-    return {verdict.line for verdict in verdicts if not verdict.passed}
+def failed(report: TimingReport) -> set[str]:
+    return {verdict.line for verdict in report.verdicts if not verdict.passed}
 
 
 def test_default_budgets_follow_the_length_of_the_cycle() -> None:
@@ -33,25 +35,21 @@ def test_default_budgets_follow_the_length_of_the_cycle() -> None:
 
 
 def test_budgets_of_decisions_follow_the_deadlines_of_the_tiers() -> None:
-    plan = replace(PLAN, tier_deadlines_ns=(6_000_000, 50_000_000, 60_000_000))
-    decision = p99_limits_ms(plan, BudgetTable())["decision"]
     # Three stages share the 6 ms up to the central controller's last message; cycles last 100 ms.
-    assert decision["direct estimate"] == decision["central solve"] == pytest.approx(2.0)
-    assert decision["supervisor solve"] == pytest.approx(44.0)
-    assert decision["direct actuate"] == pytest.approx(10.0)
-    assert decision["plant apply"] == pytest.approx(20.0)
-    stated = p99_limits_ms(plan, BudgetTable(decision_p99_ms={"direct": 3.0}))
-    assert stated["decision"]["direct estimate"] == 3.0
-
-
-def test_a_devices_response_has_the_budget_of_its_own_stage() -> None:
-    tiers_ns = (6_000_000, 50_000_000, 60_000_000)
-    plan = replace(PLAN, tier_deadlines_ns=tiers_ns, external=("c2/d",))
-    response = p99_limits_ms(plan, BudgetTable())["response"]
-    assert response == {
-        "c2/d estimate": pytest.approx(2.0),
-        "c2/d actuate": pytest.approx(10.0),
+    expected = {
+        "direct estimate": 2.0,
+        "central solve": 2.0,
+        "supervisor solve": 44.0,
+        "direct actuate": 10.0,
+        "plant apply": 20.0,
     }
+    decision = p99_limits_ms(TIERED, BudgetTable())["decision"]
+    assert {row: decision[row] for row in expected} == pytest.approx(expected)
+    stated = p99_limits_ms(TIERED, BudgetTable(decision_p99_ms={"direct": 3.0}))
+    assert stated["decision"]["direct estimate"] == 3.0
+    # The response of a device has the budget of its own stage.
+    response = p99_limits_ms(replace(TIERED, external=("c2/d",)), BudgetTable())["response"]
+    assert response == pytest.approx({"c2/d estimate": 2.0, "c2/d actuate": 10.0})
 
 
 def test_a_budget_of_the_scenario_takes_the_place_of_the_default(tmp_path: Path) -> None:
@@ -65,7 +63,7 @@ def test_a_budget_of_the_scenario_takes_the_place_of_the_default(tmp_path: Path)
         resident_mb = { central = 39, plant = 41 }
     """
     report = reported(tmp_path, budgets=budgets).report
-    assert failed(report.verdicts) == {
+    assert failed(report) == {
         "loop all commands p99",
         "loop all commands max",
         "hop residual p99",
@@ -89,30 +87,26 @@ def test_missed_deadlines_overruns_skipped_cycles_and_losses_are_counted(tmp_pat
     kept = "overruns = 1\nskipped_cycles = 1\nmissed_deadlines = 2\nlost_messages = 4"
     strict = reported(tmp_path / "strict", *cycles, lost=4, dropped=1).report
     counts = {"missed deadlines", "overruns", "skipped cycles", "messages not recorded"}
-    assert failed(strict.verdicts) & {*counts, "dropped messages"} == counts
+    assert failed(strict) & {*counts, "dropped messages"} == counts
     lenient = reported(tmp_path / "lenient", *cycles, lost=4, dropped=1, budgets=kept).report
-    assert not failed(lenient.verdicts) & counts
+    assert not failed(lenient) & counts
     dropped = reported(tmp_path / "dropped", dropped=1, budgets="dropped_messages = 8").report
-    assert failed(dropped.verdicts) == {"dropped messages"}
+    assert failed(dropped) == {"dropped messages"}
 
 
 def test_what_was_not_measured_although_it_must_be_is_not_kept(tmp_path: Path) -> None:
     # The commands never complete the plant's stage, and a device tells no time of its own.
     plan = replace(PLAN, external=("c1/a",))
-    dumb = {key: (0.0, -5_000.0) for key in TIMES_MS if key.startswith("c1/a/") and "im" in key}
-    for key in ("c1/a/impp", "c1/a/residual", "c1/a/help"):
-        dumb[key] = (0.0, -5_000.0)
-    late = {key: times for key, times in MISSED.items() if key not in dumb}
+    estimates = ("c1/a/impp", "c1/a/residual", "c1/a/help")
+    late = {key: (0.0, -5_000.0) if key in estimates else MISSED[key] for key in MISSED}
     lack = {"production": ("c2/d/command",)}
-    report = reported(tmp_path, cycle(0, {**late, **dumb}, lack), plan=plan).report
+    report = reported(tmp_path, cycle(0, late, lack), plan=plan).report
     absent = {verdict.line for verdict in report.verdicts if verdict.value is None}
     assert absent == {"hop command p99", "response c1/a estimate p99"}
-    assert absent <= failed(report.verdicts)
+    assert absent <= failed(report)
 
 
-def test_what_only_a_launcher_knows_is_judged_by_nothing_without_its_summary(
-    tmp_path: Path,
-) -> None:
+def test_what_only_a_launcher_knows_is_judged_by_nothing_without_it(tmp_path: Path) -> None:
     report = report_on(recorded(tmp_path, cycle(0), cycle(1))).report
     assert report.passed
     lines = {verdict.line for verdict in report.verdicts}

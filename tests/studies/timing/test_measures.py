@@ -11,9 +11,16 @@ from timed_recordings import CYCLE_MS, MS, PLAN, START_NS, TIMES_MS, cycle, reco
 
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
+from launch_scripts.launcher.summary import ProcessAccount
 from recordings.read.reader import RunReader
-from studies.timing.measures import RunTiming, run_timing
-from studies.timing.processes import ProcessTiming, tier_of
+from studies.timing.measures import (
+    ProcessTiming,
+    RunTiming,
+    run_timing,
+    tier_of,
+    tier_timings,
+    with_accounts,
+)
 
 
 def timed(
@@ -115,23 +122,22 @@ def test_an_input_that_a_stage_uses_and_does_not_await_is_old_and_no_missed_dead
     assert found.late_cycles == 0
 
 
-def test_an_overrun_is_a_stage_that_had_all_and_spoke_after_its_deadline(tmp_path: Path) -> None:
-    deadline_ms = PLAN.deadlines.deadline_ns("c2/c", "estimate") / MS
-    slow = {**TIMES_MS, "c2/c/residual": (2.2, deadline_ms + 0.001)}
-    found = timed(tmp_path, cycle(0), cycle(1, slow))
-    assert {one.agent: one.overruns for one in found.processes if one.overruns} == {
-        "c2/c": {"estimate": 1}
-    }
-    assert found.late_cycles == 1
-
-
-def test_the_plant_overruns_its_tick_if_it_takes_its_whole_part_of_the_cycle(
-    tmp_path: Path,
+@pytest.mark.parametrize(
+    ("key", "latest_ns", "agent", "stage"),
+    [
+        ("c2/c/residual", PLAN.deadlines.deadline_ns("c2/c", "estimate"), "c2/c", "estimate"),
+        # The plant overruns its tick if it takes its whole part of the cycle.
+        ("c2/d/telemetry", PLAN.deadlines.slice_ns("plant", "sense"), "plant", "sense"),
+    ],
+)
+def test_an_overrun_is_a_stage_that_had_all_and_spoke_after_its_deadline(
+    key: str, latest_ns: int, agent: str, stage: str, tmp_path: Path
 ) -> None:
-    slice_ms = PLAN.deadlines.slice_ns("plant", "sense") / MS
-    slow = {**TIMES_MS, "c2/d/telemetry": (0.0, slice_ms + 0.001)}
+    slow = {**TIMES_MS, key: (TIMES_MS[key][0], latest_ns / MS + 0.001)}
     found = timed(tmp_path, cycle(0), cycle(1, slow))
-    assert process(found, "plant").overruns == {"sense": 1}
+    overruns = {one.agent: one.overruns for one in found.processes if one.overruns}
+    assert overruns == {agent: {stage: 1}}
+    assert found.late_cycles == 1
 
 
 def test_a_cycle_in_which_an_agent_said_nothing_was_skipped(tmp_path: Path) -> None:
@@ -242,3 +248,44 @@ def test_supervisors_of_several_tiers_are_told_apart() -> None:
         "direct",
     ]
     assert tier_of("c1", PLAN.tree) == "supervisor"
+
+
+def test_counts_and_resources_are_added_up_by_tier() -> None:
+    processes = [
+        ProcessTiming(agent="plant", tier="plant", kind="plant"),
+        ProcessTiming(
+            agent="c1/a",
+            tier="direct",
+            kind="direct",
+            missed_deadlines={"estimate": 2, "actuate": 1},
+            missing_inputs={"dispatch": 4},
+            overruns={"actuate": 1},
+            old_inputs=2,
+            skipped_cycles=1,
+        ),
+        ProcessTiming(
+            agent="c2/d",
+            tier="direct",
+            kind="direct",
+            missed_deadlines={"estimate": 1},
+            skipped_cycles=3,
+        ),
+    ]
+    accounts = [
+        ProcessAccount("c1/a", "direct", {"late": 4}, 40.0, cpu_s=2.0),
+        ProcessAccount("c2/d", "direct", {"late": 1}, 42.0, cpu_s=5.0),
+        ProcessAccount("recorder", "recorder", {}, 50.0, cpu_s=1.25),
+    ]
+    found = tier_timings(with_accounts(processes, accounts, 10.0, PLAN.tree))
+    tiers = {tier.tier: tier for tier in found}
+    recorder, plant, direct = tiers["recorder"], tiers["plant"], tiers["direct"]
+    assert (plant.processes, plant.missed_deadlines) == (1, 0)
+    # Nobody but the launcher knows these.
+    assert (plant.dropped, plant.cpu_percent, plant.resident_mb) == (None, None, None)
+    assert (direct.processes, direct.missed_deadlines, direct.overruns) == (2, 4, 1)
+    assert (direct.missing_inputs, direct.old_inputs, direct.skipped_cycles) == (4, 2, 4)
+    assert (direct.dropped, direct.resident_mb) == (5, 42.0)
+    assert direct.cpu_percent == pytest.approx(70.0)
+    assert direct.cpu_highest_percent == pytest.approx(50.0)
+    assert (recorder.processes, recorder.missed_deadlines) == (1, 0)
+    assert (recorder.cpu_percent, recorder.resident_mb) == (12.5, 50.0)

@@ -1,0 +1,171 @@
+"""The study of delay and loss as tables, lines of text and an HTML page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import takewhile
+from typing import Final, get_args
+
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+from rich.console import Console
+
+from agents.plan import Scheme
+from launch_scripts.scenarios.preparation import Preparation
+from studies.compare.study import remarks_of
+from studies.delays.study import VALUES, WARM_UP_S, Outcome, Trouble, counted_s
+from studies.metrics.figures_of_merit import FIGURES_OF_MERIT, shown_in
+from studies.report.page import html_page
+from studies.report.style import SCHEMES, ReportFigure, dress
+from studies.tables import Column, Table, key_column, print_lines, print_table
+
+BEARABLE_PERCENT: Final = 1.0
+"""Control-caused shortfall and over-delivery, in % of desired, below which it is survived."""
+
+TROUBLES: Final[dict[Trouble, tuple[str, str, str]]] = {
+    "delay": ("Every hop delayed", "delay of each hop", "s"),
+    "loss": ("A share of all messages lost", "lost messages", "%"),
+    "period": ("A slow central controller", "central period", "s"),
+}
+"""Title of each trouble, what measures it, and its unit."""
+
+_LEGEND: Final = (
+    "absent: inputs that had not come at their deadline, in % of all",
+    "old inputs: older messages used in their place",
+    f"the first {WARM_UP_S:g} s of each run do not count",
+)
+
+_DRAWN: Final = ("control-caused", "over-delivered", "mileage", "regd", "score")
+_CAPTION: Final = (
+    "Along each panel one thing is worse than in the scenario, in even steps from nothing to very "
+    "bad; everything else is perfect."
+)
+_ROW_PX: Final = 240
+_FRAME_PX: Final = 120
+
+
+def print_study(preparation: Preparation, outcomes: Sequence[Outcome], console: Console) -> None:
+    """Print the tables, and how much of each trouble is survived."""
+    print_lines(console, [study_title(preparation), *study_notes(preparation), ""])
+    for trouble in VALUES:
+        print_table(console, trouble_table(trouble, outcomes))
+    print_lines(console, survived(outcomes))
+
+
+def study_title(preparation: Preparation) -> str:
+    """Return what was studied."""
+    plan = preparation.plan
+    length = f"{plan.cycles:,} cycles of {plan.cycle_ns / 1e9:g} s"
+    return f"{plan.plant} from {preparation.local_start()}, {length}"
+
+
+def study_notes(preparation: Preparation) -> tuple[str, ...]:
+    """Say what a reader of the tables must know."""
+    notes = (*remarks_of(preparation), *_LEGEND)
+    counted = counted_s(preparation.plan)
+    if counted / 2.0 >= max(VALUES["period"]):
+        return notes
+    return (
+        *notes,
+        f"central periods above {counted / 2.0:g} s are left out: the {counted:g} s that count do "
+        "not hold two of them",
+    )
+
+
+def column_of(outcomes: Sequence[Outcome], trouble: Trouble, scheme: str) -> list[Outcome]:
+    """Return the outcomes of a scheme under a growing trouble."""
+    return [one for one in outcomes if (one.trouble, one.scheme) == (trouble, scheme)]
+
+
+def survived(outcomes: Sequence[Outcome]) -> list[str]:
+    """Say, for each scheme, up to where each trouble costs less than 1 % either way."""
+    lines = []
+    for scheme in get_args(Scheme):
+        limits = []
+        for trouble, (_, measure, unit) in TROUBLES.items():
+            column = column_of(outcomes, trouble, scheme)
+            bearable = [one.value for one in takewhile(_is_bearable, column)]
+            limits.append(
+                f"{measure} up to {bearable[-1]:g} {unit}" if bearable else f"no {measure}"
+            )
+        lines.append(
+            f"{scheme}: the shortfall that control causes and the over-delivery both stay below "
+            f"{BEARABLE_PERCENT:g} % of the desired energy at {', '.join(limits)}"
+        )
+    return lines
+
+
+def _is_bearable(one: Outcome) -> bool:
+    percents = (one.figures["control-caused"], one.figures["over-delivered"])
+    return all(percent is not None and percent < BEARABLE_PERCENT for percent in percents)
+
+
+def trouble_table(trouble: Trouble, outcomes: Sequence[Outcome]) -> Table:
+    """Return a row for each run under a trouble."""
+    title, measure, unit = TROUBLES[trouble]
+    figures = shown_in("delays")
+    columns = (
+        key_column(f"{measure} [{unit}]", "value"),
+        key_column("scheme"),
+        *(figure.column for figure in figures),
+        Column("absent", "%", 1, name="missed_percent"),
+        Column("old inputs", name="old_inputs"),
+    )
+    rows = tuple(
+        (
+            f"{one.value:g}",
+            one.scheme,
+            *(one.figures[figure.name] for figure in figures),
+            one.missed_percent,
+            one.old_inputs,
+        )
+        for one in outcomes
+        if one.trouble == trouble
+    )
+    return Table(title, columns, rows)
+
+
+def study_page(preparation: Preparation, outcomes: Sequence[Outcome]) -> str:
+    """Return the page: the figure, and a table for each trouble."""
+    title = f"{study_title(preparation)}: delay, loss and a slow central controller"
+    notes = [*study_notes(preparation), *survived(outcomes)]
+    tables = [trouble_table(trouble, outcomes) for trouble in VALUES]
+    return html_page(title, notes, [_study_figure(outcomes), *tables])
+
+
+def _study_figure(outcomes: Sequence[Outcome]) -> ReportFigure:
+    """Draw a panel for each figure of merit and each trouble, in even steps of the trouble."""
+    figure = make_subplots(
+        len(_DRAWN),
+        len(TROUBLES),
+        shared_yaxes=True,
+        vertical_spacing=0.05,
+        horizontal_spacing=0.03,
+    )
+    for row, merit in enumerate(_DRAWN, start=1):
+        for column, (trouble, (_, measure, unit)) in enumerate(TROUBLES.items(), start=1):
+            for colour, scheme in zip(SCHEMES, get_args(Scheme), strict=False):
+                found = column_of(outcomes, trouble, scheme)
+                trace = go.Scatter(
+                    x=list(range(len(found))),
+                    y=[one.figures[merit] for one in found],
+                    name=scheme,
+                    legendgroup=scheme,
+                    showlegend=row == column == 1,
+                    mode="lines+markers",
+                    line={"color": colour, "width": 1.6},
+                    marker={"color": colour, "size": 5},
+                    customdata=[one.value for one in found],
+                    hovertemplate="%{customdata:g}: %{y:.4g}<extra>" + scheme + "</extra>",
+                )
+                figure.add_trace(trace, row, column)
+            figure.update_xaxes(
+                row=row,
+                col=column,
+                tickvals=list(range(len(found))),
+                ticktext=[f"{one.value:g}" for one in found],
+                title_text=f"{measure} [{unit}]" if row == len(_DRAWN) else None,
+            )
+        figure.update_yaxes(row=row, col=1, title_text=FIGURES_OF_MERIT[merit].heading)
+    figure = dress(figure, _FRAME_PX + _ROW_PX * len(_DRAWN))
+    return ReportFigure("study", "What each trouble costs", _CAPTION, figure)
