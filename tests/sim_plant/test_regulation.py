@@ -10,11 +10,7 @@ import pandas as pd
 import pytest
 from complaints import complaint_of
 
-from sim_plant.regulation import (
-    RegulationSettings,
-    SyntheticRegulation,
-    regulation_kw,
-)
+from sim_plant.regulation import RegulationSettings, SyntheticRegulation, regulation_kw
 from sim_plant.synthetic_regd import synthetic_regd
 
 HONOLULU = "Pacific/Honolulu"
@@ -47,10 +43,7 @@ def write(path: Path, first_s: int = 0, values: tuple[float, ...] = VALUES) -> N
 
 
 def asked_kw(
-    path: Path,
-    times: pd.DatetimeIndex,
-    toml: str = "",
-    timezone: str = HONOLULU,
+    path: Path, times: pd.DatetimeIndex, toml: str = "", timezone: str = HONOLULU
 ) -> list[float]:
     settings = read(f'kind = "file"\npath = "{path.name}"\ncapacity_kw = {CAPACITY_KW}\n{toml}')
     found: list[float] = regulation_kw(settings, times, timezone, path.parent.joinpath).tolist()

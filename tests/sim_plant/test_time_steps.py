@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from complaints import complaint_of
-from numpy.typing import NDArray
 
+from sim_plant import Floats
 from sim_plant.time_steps import conversion, on_cycles, step_ns
 
 NOON = pd.Timestamp("2010-04-01T22:00:00Z")
@@ -17,9 +17,7 @@ def stamps(
     return pd.date_range(begin + pd.Timedelta(offset_s, unit="s"), periods=count, freq=step)
 
 
-def brought(
-    values: NDArray[np.float64], step: str, cycles: pd.DatetimeIndex
-) -> NDArray[np.float64]:
+def brought(values: Floats, step: str, cycles: pd.DatetimeIndex) -> Floats:
     times = stamps(len(values), step)
     return on_cycles(times, lambda rows: values[rows], cycles, "data.csv")
 
@@ -60,7 +58,7 @@ def test_a_start_between_two_values_begins_with_the_earlier() -> None:
 def test_only_the_rows_of_the_cycles_are_asked_for() -> None:
     asked = []
 
-    def series(rows: slice) -> NDArray[np.float64]:
+    def series(rows: slice) -> Floats:
         asked.append(rows)
         return TWO[rows]
 
@@ -95,17 +93,13 @@ def test_a_longer_cycle_that_is_no_multiple_is_refused(step: str, cycle: str, fo
 
 def test_what_was_done_is_told() -> None:
     times = stamps(100, "10s")
-    assert conversion(times, stamps(5, "10s")) is None
+    assert conversion(times, stamps(5, "10s")) == ()
     assert conversion(times, stamps(5, "60s")) == (
-        "a cycle of 60 s is the mean of 6 measured values"
+        "a cycle of 60 s is the mean of 6 measured values",
     )
-    assert conversion(times, stamps(5, "500ms")) == (
-        "a value is measured every 10 s; the cycles of 0.5 s between them are interpolated on a"
-        " straight line"
-    )
+    (told,) = conversion(times, stamps(5, "500ms"))
+    assert "every 10 s; the cycles of 0.5 s" in told
 
 
 def test_the_step_of_a_single_cycle_is_its_frequency() -> None:
     assert step_ns(stamps(1, "250ms")) == 250_000_000
-    with pytest.raises(ValueError, match="no step"):
-        step_ns(pd.DatetimeIndex([NOON]))
