@@ -30,20 +30,10 @@ _NAMED: Final = 5
 
 
 class Absence(msgspec.Struct, frozen=True):
-    """An agent of which nothing came in a cycle or more, or that restarted.
+    """An agent of which nothing came in some cycles, or (they are None) that only restarted.
 
-    Attributes
-    ----------
-    agent
-        Its name.
-    first_cycle, last_cycle
-        The cycles without a message of it; both None if it only restarted.
-    back_in
-        The cycle in which it was heard again, or its other process joined; None: it was not.
-    restarted
-        Whether they then were of another process.
-    by_standby
-        Whether its standby then took over.
+    It was heard again, or its other process joined, in the cycle `back_in`; None: it was not. If
+    it restarted it then was of another process, maybe its standby.
     """
 
     agent: str
@@ -61,7 +51,7 @@ class Absence(msgspec.Struct, frozen=True):
         return (self.restarted or self.back_in is None, self.last_cycle - self.first_cycle + 1)
 
 
-class Misses(msgspec.Struct, frozen=True):
+class Misses(msgspec.Struct):
     """Inputs that an agent had to do without, or used in an older version."""
 
     agent: str
@@ -103,28 +93,11 @@ class LauncherAccount(msgspec.Struct, frozen=True):
 class Health(msgspec.Struct, frozen=True):
     """How a run fared.
 
-    Attributes
-    ----------
-    fault_acts
-        What each rule for the network did.
-    faults
-        What all of them did to messages, by kind.
-    lost
-        Messages that the sequence numbers leave out, by port; most first.
-    repeated
-        Messages that came again.
-    misses
-        Missed inputs by agent, most first.
-    absences
-        Agents that were absent or restarted, in the order of time: the first ones.
-    more_absences
-        How many others there were.
-    ended
-        Whether the recording goes up to the end of the run.
-    failure
-        Why the launcher gave up; empty if it did not.
-    launcher
-        What only the summary knows; None if there is none beside the recording.
+    `faults` are what all rules for the network did to messages, by kind. `lost` are messages that
+    the sequence numbers leave out, by port, most first; `repeated` ones came again. Misses are by
+    agent, most first, the first absences in the order of time. The run has `ended` if the recording
+    goes up to its end; `failure` is why the launcher gave up. `launcher` is what only the summary
+    knows; None if there is none beside the recording.
     """
 
     fault_acts: tuple[FaultAct, ...]
@@ -165,8 +138,7 @@ class HealthWatch:
         self._numbered_anew: dict[str, int] = {}
         self._absences: list[Absence] = []
         self._more_absences = 0
-        self._misses: Counter[str] = Counter()
-        self._missed_in: dict[str, tuple[int, int]] = {}
+        self._misses: dict[str, Misses] = {}
         self._missed_now: dict[str, tuple[int, set[str]]] = {}
 
     def see(self, record: RecordedMessage) -> None:
@@ -208,10 +180,7 @@ class HealthWatch:
             faults=self._tally.as_counts(),
             lost=dict(lost.most_common()),
             repeated=sum(found.repeated for found in sequences.values()),
-            misses=tuple(
-                Misses(agent, count, *self._missed_in[agent])
-                for agent, count in self._misses.most_common()
-            ),
+            misses=tuple(sorted(self._misses.values(), key=lambda found: -found.inputs)),
             absences=tuple(self._absences),
             ended=run.stop_cycle is not None,
             failure=_failure(run.path.parent),
@@ -277,9 +246,10 @@ class HealthWatch:
             now, counted = self._missed_now[agent] = (cycle, set())
         new = {parse_missing(entry).key for entry in message.missing} - counted
         counted |= new
-        self._misses[agent] += len(new)
-        first, last = self._missed_in.get(agent, (cycle, cycle))
-        self._missed_in[agent] = min(first, cycle), max(last, cycle)
+        found = self._misses.setdefault(agent, Misses(agent, 0, cycle, cycle))
+        found.inputs += len(new)
+        found.first_cycle = min(found.first_cycle, cycle)
+        found.last_cycle = max(found.last_cycle, cycle)
 
 
 def read_health(run: RunReader) -> Health:

@@ -38,51 +38,37 @@ _MOST_CHOICES: Final = 256
 class _Process:
     """A process of an agent: an incarnation.
 
-    Attributes
-    ----------
-    began_in
-        The cycle in which a standby took over, maybe after its first stage; -1 for others.
-    heard, sequence
-        Newest cycle of each input, and number of the next message of each port.
-    is_over
-        Whether what the agent knows is not certain any more.
-    unsent
-        Messages of its last cycle that are not recorded, with stage and inputs: if it was killed
-        there, nothing is wrong.
+    A standby took over in the cycle `began_in`, maybe after its first stage; others have -1. It is
+    over when what the agent knows is not certain any more. `unsent` are messages of its last cycle
+    that are not recorded, with stage and inputs: if it was killed there, nothing is wrong.
     """
 
     loop: AgentLoop[Any]
     began_in: int
-    heard: dict[Port[Message], int]
-    sequence: dict[Port[Message], int] = field(default_factory=dict)
+    heard: dict[Port[Message], int]  # newest cycle of each input
+    sequence: dict[Port[Message], int] = field(default_factory=dict)  # number of the next message
     is_over: bool = False
     unsent: list[tuple[Port[Message], Message, str, dict[Port[Message], Message]]] = field(
         default_factory=list
     )
 
 
+@dataclass(eq=False)
 class AgentRerun:
     """One agent on its way through a recording. It is made from the present code."""
 
-    def __init__(
-        self,
-        name: str,
-        make: Callable[[], Agent[Any]],
-        plan: RunPlan,
-        recent: RecentMessages,
-        takeovers: Mapping[tuple[str, int], Takeover],
-        comparison: Comparison,
-        from_cycle: int,
-    ) -> None:
-        self.name = name
-        self.findings = Findings(from_cycle=from_cycle)
-        self._plan = plan
-        self._recent = recent.of_port
-        self._contested = recent.contested
+    name: str
+    make: Callable[[], Agent[Any]]
+    plan: RunPlan
+    recent: RecentMessages
+    takeovers: Mapping[tuple[str, int], Takeover]
+    comparison: Comparison
+    from_cycle: int
+
+    def __post_init__(self) -> None:
+        plan, name = self.plan, self.name
+        self.findings = Findings(from_cycle=self.from_cycle)
         self._rivals: dict[Port[Message], list[Message]] = {}
-        self._others = recent.others
-        self._takeovers = takeovers
-        self._comparison = comparison
         self._stage_of = {
             port: stage_of(port, plan.tree)
             for port in plan.wiring.published[name]
@@ -95,7 +81,7 @@ class AgentRerun:
         self._failed = False
         self._processes: dict[int, _Process] = {}
         try:
-            self._agent = make()
+            self._agent = self.make()
             self._remembers = self._agent.initial_state() is not None
             self._process = self._begin(0)
         except (Exception, SystemExit) as error:  # Every error of the tested code is a finding.
@@ -131,9 +117,9 @@ class AgentRerun:
 
     def _begin(self, cycle: int) -> _Process:
         """Let a process of the agent join the run in a cycle."""
-        loop = AgentLoop(self._agent, self._plan)
+        loop = AgentLoop(self._agent, self.plan)
         loop.begin(0, 0, cycle)
-        takeover = self._takeovers.get((self.name, cycle))
+        takeover = self.takeovers.get((self.name, cycle))
         if takeover is not None:
             loop.resume(takeover)
         began_in = -1 if takeover is None else cycle
@@ -143,7 +129,7 @@ class AgentRerun:
 
     def _note_repeated(self, cycle: int, port: Port[Message], message: Message) -> None:
         kind: Kind = "recorded twice"
-        if port in self._contested.get(cycle, ()):
+        if port in self.recent.contested.get(cycle, ()):
             self._rivals.setdefault(port, []).append(message)
             kind = "two senders"
         if cycle >= self.findings.from_cycle:
@@ -181,11 +167,11 @@ class AgentRerun:
         stages = list(self._agent.stages(cycle))
         self._inputs, self._stage = {}, ""
         loop = self._process.loop
-        if not (self._plan.lockstep and is_last):
+        if not (self.plan.lockstep and is_last):
             while stages and stages[-1].name not in recorded:
                 stages.pop()
             if stages:
-                loop.catch_up(cycle * self._plan.cycle_wall_ns)
+                loop.catch_up(cycle * self.plan.cycle_wall_ns)
         while stages and cycle == self._process.began_in and stages[0].name not in recorded:
             loop.close_stage(0)
             del stages[0]
@@ -200,10 +186,10 @@ class AgentRerun:
         missing = next(iter(recorded.values())).missing if recorded else ()
         self._stage = stage.name
         lost = self._hear_inputs(stage, cycle, missing)
-        if recorded and self._others:
+        if recorded and self.recent.others:
             self._choose_inputs(recorded)
         outputs = self._process.loop.close_stage(0)
-        if not lost and (recorded or self._plan.lockstep):
+        if not lost and (recorded or self.plan.lockstep):
             self._compare(cycle, stage.name, recorded, outputs)
             return
         # What the agent knows from here on is not certain.
@@ -228,11 +214,11 @@ class AgentRerun:
             used = used_of.get(str(port), due) if used_of else due
             if used is None or used <= self._process.heard[port]:
                 continue
-            message = self._recent[port].get(used)
+            message = self.recent.of_port[port].get(used)
             if message is None:
                 lost[port] = "input not recorded"
                 continue
-            if port in self._contested.get(used, ()):
+            if port in self.recent.contested.get(used, ()):
                 lost[port] = "input of two senders"
             self._process.heard[port] = used
             self._inputs[port] = message
@@ -245,14 +231,14 @@ class AgentRerun:
         choices = {
             port: [message, *others]
             for port, message in self._inputs.items()
-            if (others := self._others.get((port, message.cycle)))
+            if (others := self.recent.others.get((port, message.cycle)))
         }
         for chosen in islice(product(*choices.values()), _MOST_CHOICES) if choices else ():
             for message, port in zip(chosen, choices, strict=True):
                 loop.use_instead(port, message)
             outputs = copy(loop).close_stage(0)
             compared = [(port, recorded[port], new) for port, new in outputs if port in recorded]
-            if not any(self._comparison.differences(*pair) for pair in compared):
+            if not any(self.comparison.differences(*pair) for pair in compared):
                 self._inputs |= dict(zip(choices, chosen, strict=True))
                 return
         for port, messages in choices.items():
@@ -270,28 +256,28 @@ class AgentRerun:
         for port, new in outputs:
             old = recorded.pop(port, None)
             for rival in self._rivals.get(port, ()):
-                if not self._comparison.differences(port, rival, new):
+                if not self.comparison.differences(port, rival, new):
                     old = rival
             if old is None:  # If the recording lost it, its number is known to be missing.
                 self._process.unsent.append((port, new, stage, dict(self._inputs)))
                 sequence[port] = sequence.get(port, 0) + 1
             else:
-                self.findings.compare(self._comparison, port, old, new, stage, self._inputs)
+                self.findings.compare(self.comparison, port, old, new, stage, self._inputs)
         for port, old in recorded.items():
-            self.findings.compare(self._comparison, port, old, None, stage, self._inputs)
+            self.findings.compare(self.comparison, port, old, None, stage, self._inputs)
         recorded.clear()
 
     def _compare_unsent(self) -> None:
         """Find what the process did not send, though it went on."""
         for port, new, stage, inputs in self._process.unsent:
-            self.findings.compare(self._comparison, port, None, new, stage, inputs)
+            self.findings.compare(self.comparison, port, None, new, stage, inputs)
         self._process.unsent.clear()
 
     def _find_lost_outputs(
         self, cycle: int, recorded: dict[str, dict[Port[Message], Message]]
     ) -> None:
         """In real time, find gaps in the sequence numbers: the recording lost messages there."""
-        if self._plan.lockstep:
+        if self.plan.lockstep:
             return
         for stage, outputs in recorded.items():
             for port, message in outputs.items():

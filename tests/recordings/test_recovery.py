@@ -65,9 +65,7 @@ def test_a_file_that_lost_its_index_is_whole_again(
 @settings(max_examples=25, deadline=None)
 @given(share=st.floats(0.2, 0.99))
 def test_all_up_to_the_cut_is_kept_with_times_numbers_and_origin(
-    recording: tuple[Path, list[Delivery]],
-    tmp_path_factory: pytest.TempPathFactory,
-    share: float,
+    recording: tuple[Path, list[Delivery]], tmp_path_factory: pytest.TempPathFactory, share: float
 ) -> None:
     path, _ = recording
     content = path.read_bytes()
@@ -175,7 +173,7 @@ def test_a_damaged_attachment_is_named_in_the_new_file(
     out, recovery = recovered(bytes(content), tmp_path)
     with open_run(tmp_path / "run.mcap") as run:
         assert not is_sound(run)
-    assert recovery.damaged_attachments == ("scenario.toml",)
+    assert recovery.damaged_attachments == ["scenario.toml"]
     assert (recovery.messages, recovery.lossless) == (len(written), False)
     with open_run(out) as run:
         assert run.metadata[RECOVERY_METADATA]["damaged_attachments"] == "scenario.toml"

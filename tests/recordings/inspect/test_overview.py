@@ -114,9 +114,7 @@ def test_a_part_is_counted_by_itself(look: Callable[..., Overview]) -> None:
     assert sum(count.lost for count in overview.signals) == 0
 
 
-def test_of_many_gaps_the_first_hundred_are_named_and_the_rest_is_counted(
-    tmp_path: Path,
-) -> None:
+def test_of_many_gaps_the_first_hundred_are_named_and_the_rest_is_counted(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     deliveries = (pair for cycle in range(0, 400, 2) for pair in cycle_of_the_plant(cycle))
     write_run(path, (pair for pair in deliveries if pair[0].signal.name == "production"))

@@ -87,13 +87,15 @@ class FakeLink:
 def recorded(
     said: Sequence[tuple[Port[Message], Message | bytes]], folder: Path
 ) -> tuple[list[Message], Recorded]:
-    """What a recorder keeps of a device's IMPPs, and its account."""
+    """What a recorder keeps of a device's IMPPs after an arming round, and its account."""
+    first = [(port, m) for port, m in said if isinstance(m, Message) and m.cycle == 0]
+    arming = [(port, replace(message, cycle=-1)) for port, message in first]
     writer = RunWriter(folder / "run.mcap", IN_LOCKSTEP, 'name = "oahu"\n', "launch")
     end, link = RecordingEnd(), FakeLink()
     end.ask()
     Recorder(
         IN_LOCKSTEP,
-        cast("ZenohTap", FakeTap(IN_LOCKSTEP, said)),
+        cast("ZenohTap", FakeTap(IN_LOCKSTEP, [*arming, *said])),
         writer,
         cast("LauncherLink", link),
         end,
@@ -108,10 +110,9 @@ def test_a_device_that_answers_ahead_is_recorded_with_both_messages_and_named(
     tmp_path: Path,
 ) -> None:
     said = messages_of_a_run()
-    arming = [(port, replace(message, cycle=-1)) for port, message in said if message.cycle == 0]
     place = next(n for n, (port, message) in enumerate(said) if port is PORT and message.cycle == 2)
     said.insert(place, (PORT, impp(6)))
-    kept, account = recorded(arming + said, tmp_path)
+    kept, account = recorded(said, tmp_path)
     assert [message.cycle for message in kept] == [0, 1, 6, 2, 3, 4, 5, 6, 7]
     assert account.foreign == 0
     assert "two senders" in {entry.cause for entry in account.complaints}
@@ -122,8 +123,7 @@ def test_a_device_that_answers_ahead_is_recorded_with_both_messages_and_named(
 def test_a_payload_that_is_nested_very_deep_is_set_aside(node: str, tmp_path: Path) -> None:
     payload = b"\x82\xa5cycle\x01\xa4more" + b"\x91" * 300_000 + b"\xc0"
     said = messages_of_a_run()
-    arming = [(port, replace(message, cycle=-1)) for port, message in said if message.cycle == 0]
-    kept, account = recorded([*arming, *said, (IMPP.of(node), payload)], tmp_path)
+    kept, account = recorded([*said, (IMPP.of(node), payload)], tmp_path)
     assert len(kept) == CYCLES
     assert "undecodable" in {entry.cause for entry in account.complaints}
 
@@ -131,7 +131,6 @@ def test_a_payload_that_is_nested_very_deep_is_set_aside(node: str, tmp_path: Pa
 def of_a_run(answers: list[tuple[int, int]], folder: Path) -> Recorded:
     """The recorder's account of a run in which a device gives these IMPPs: cycle and number."""
     said = messages_of_a_run()
-    arming = [(port, replace(message, cycle=-1)) for port, message in said if message.cycle == 0]
     spoken = [entry for entry in said if entry[0] is not PORT]
     place = 0
     for cycle, sequence in answers:
@@ -139,7 +138,7 @@ def of_a_run(answers: list[tuple[int, int]], folder: Path) -> Recorded:
             place += 1
         place += 1
         spoken.insert(place, (PORT, impp(cycle, sequence=sequence)))
-    return recorded(arming + spoken, folder)[1]
+    return recorded(spoken, folder)[1]
 
 
 @pytest.mark.parametrize(
@@ -206,13 +205,12 @@ def test_what_comes_second_on_a_key_of_a_process_is_no_loss_and_a_false_stop_is_
     tmp_path: Path,
 ) -> None:
     said = messages_of_a_run()
-    arming = [(port, replace(message, cycle=-1)) for port, message in said if message.cycle == 0]
     place = next(
         n for n, (port, m) in enumerate(said) if port is DISPATCH.of(ROOT) and m.cycle == 4
     )
     said.insert(place, (RUN.of(ROOT), IN_LOCKSTEP.run_message("stop", 4, 0)))
     said.insert(place, (RUN.of(ROOT), IN_LOCKSTEP.run_message("stop", 1, 0)))
-    _, account = recorded(arming + said, tmp_path)
+    _, account = recorded(said, tmp_path)
     (complaint,) = account.complaints
     assert (complaint.key, complaint.cause, complaint.count) == ("oahu/run", "two senders", 2)
     assert account.extra == {"run": 2}

@@ -9,16 +9,16 @@ from typing import TextIO
 
 import pytest
 from clock_by_hand import ClockByHand
-from replayed_runs import PLAN, Said, run_in_memory, write
+from replayed_runs import CYCLE_NS, PLAN, Said, run_in_memory, write
 
 from bus_schemas.codec import encode
 from bus_schemas.messages import Message
-from bus_schemas.signals import Port
+from bus_schemas.signals import IMPP, Port
 from launch_scripts.launcher.interruption import Interruption
 from launch_scripts.launcher.live_view import StatusLine
-from recordings.read.reader import RunReader
+from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus
-from recordings.replay.clock import PlaybackClock
+from recordings.replay.clock import ClockKind, PlaybackClock, Positions
 from recordings.replay.keyboard import Key
 from recordings.replay.playback import Playback
 
@@ -224,3 +224,35 @@ def test_plus_and_minus_change_the_rate_unless_it_is_as_fast_as_possible(
     hands = Hands([Key.FASTER, Key.FASTER, Key.SLOWER, Key.QUIT])
     play(recorded, heard, paused=True, hands=hands, rate=rate)
     assert [state[1] for state in heard.states[:4]] == rates
+
+
+PUBLISHED = [(4, 1_000), (4, 1_300), (5, 1_400), (4, 1_350), (5, 1_700), (7, 2_000), (7, 3 * 10**9)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("wall", [0, 300, 400, 400, 700, 1_000, 3 * 10**9 - 1_000]),
+        ("sim", [0, 300, CYCLE_NS, CYCLE_NS, CYCLE_NS + 300, 3 * CYCLE_NS, 4 * CYCLE_NS]),
+    ],
+)
+def test_the_clock_says_how_far_messages_are_apart(kind: ClockKind, expected: list[int]) -> None:
+    positions = Positions(PLAN, kind)
+    found = [
+        positions.next(RecordedMessage(IMPP.of("c1/a"), cycle, 0, time_ns, time_ns, b""))
+        for cycle, time_ns in PUBLISHED
+    ]
+    assert [position - found[0] for position in found] == expected
+
+
+def test_pauses_and_changes_of_rate_count_from_where_the_clock_is() -> None:
+    moment = ClockByHand(1_000)
+    clock = PlaybackClock(1.0, now_ns=moment)
+    clock.move_to(0)
+    moment.now_ns += 200
+    clock.toggle_pause()
+    moment.now_ns += 5_000
+    clock.toggle_pause()
+    assert clock.due_ns(200) == moment.now_ns
+    clock.set_rate(4.0)
+    assert clock.due_ns(600) == moment.now_ns + 100

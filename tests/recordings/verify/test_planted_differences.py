@@ -11,29 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from recorded_runs import (
-    AGENTS,
-    cloudy_profile,
-    of_publisher,
-    plan_of,
-    published,
-    record,
-)
+from recorded_runs import AGENTS, cloudy_profile, of_publisher, plan_of, published, record
 
 from agents.direct import DirectController
 from agents.parent import Children, Supervisor
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Help, Impp, Message, Setpoint
-from bus_schemas.signals import (
-    COMMAND,
-    HELP,
-    IMPP,
-    SETPOINT,
-    SIGNALS,
-    TELEMETRY,
-    Port,
-    Signal,
-)
+from bus_schemas.signals import COMMAND, HELP, IMPP, SETPOINT, SIGNALS, TELEMETRY, Port, Signal
 from bus_schemas.tree import PLANT
 from recordings.verify.comparison import Comparison, FieldDifference
 from recordings.verify.findings import Difference

@@ -6,14 +6,7 @@ from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
-from recorded_runs import (
-    THREE_TIERS,
-    TWO_TIERS,
-    cloudy_profile,
-    faulty_plan,
-    published,
-    record,
-)
+from recorded_runs import THREE_TIERS, TWO_TIERS, cloudy_profile, faulty_plan, published, record
 
 from agents.plan import RunPlan, Scheme
 from bus_schemas.bus import Delivery
