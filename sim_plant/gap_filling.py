@@ -49,7 +49,9 @@ def fill_from_neighbours(
     missing = np.isnan(ghi_wm2)
     nobody = np.asarray(missing.all(axis=1), dtype=np.bool_)
     _check_silences(nobody, source, first_line)
-    distance_m = _distances_m(irradiance)
+    east_m, north_m = east_north_m(irradiance.lat_deg, irradiance.lon_deg)
+    distance_m = np.hypot(east_m[:, None] - east_m, north_m[:, None] - north_m)
+    distance_m = np.maximum(distance_m, _SAME_PLACE_M)
     filled = ghi_wm2.copy()
     report = []
     for sensor in np.flatnonzero((missing & ~nobody[:, None]).any(axis=0)):
@@ -112,12 +114,6 @@ def _check_silences(nobody: NDArray[np.bool_], source: str, first_line: int) -> 
                 f"{source}: lines {first + first_line} to {after - 1 + first_line}: expected at "
                 f"most {_LONGEST_LINE} lines without any value, between lines with values"
             )
-
-
-def _distances_m(irradiance: Irradiance) -> Floats:
-    east_m, north_m = east_north_m(irradiance.lat_deg, irradiance.lon_deg)
-    distance_m = np.hypot(east_m[:, None] - east_m, north_m[:, None] - north_m)
-    return np.asarray(np.maximum(distance_m, _SAME_PLACE_M))
 
 
 def _listed(names: list[str]) -> str:

@@ -15,8 +15,8 @@ these fields: it was logged every 3 seconds, to files of their own, which have t
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import date, timedelta, timezone
 from pathlib import Path
@@ -86,7 +86,13 @@ def read_day(
     check_ghi(source, ghi_wm2, columns, first_line=1)
     found = Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg)
     if most_missing is None:
-        _check_nothing_missing(source, ghi_wm2, columns)
+        missing = np.argwhere(np.isnan(ghi_wm2))
+        if missing.size:
+            row, column = missing[0]
+            raise InputError(
+                f"{source}: line {row + 1}, {columns[column]}: expected no missing value, as "
+                f"irradiance.gaps is 'refuse', got '{MISSING:g}', one of {len(missing):,}"
+            )
         return GridDay(found, source, ())
     used, left_out = _without_silent(found, source, most_missing)
     complete, filled = fill_from_neighbours(used, source, first_line=1)
@@ -96,17 +102,15 @@ def read_day(
 
 def latest_day_before(folder: Path, day: date) -> date:
     """Return the latest day before another of which there is a file."""
-    days = {_day_of(path.stem) for path in folder.glob("*.txt")}
-    months = sorted((path for path in folder.glob("*.zip") if _is_month(path.stem)), reverse=True)
-    for month in months:
-        if month.stem <= f"{day:%Y%m}":
+    earlier = _days_before(day, (path.stem for path in folder.glob("*.txt")))
+    for month in sorted(folder.glob("*.zip"), reverse=True):
+        if re.fullmatch(r"\d{6}", month.stem) and month.stem <= f"{day:%Y%m}":
             with _archive(month) as archive:
                 names = [Path(name) for name in archive.namelist()]
-            inside = {_day_of(name.stem) for name in names if name.suffix == ".txt"}
-            days |= inside
-            if any(found is not None and found < day for found in inside):
+            inside = _days_before(day, (name.stem for name in names if name.suffix == ".txt"))
+            if inside:
+                earlier |= inside
                 break
-    earlier = [found for found in days if found is not None and found < day]
     if not earlier:
         raise InputError(
             f"{folder}: expected {_ACCEPTED} of a day before {day:%Y-%m-%d}, from which "
@@ -201,16 +205,6 @@ def _times(source: str, table: Floats, day: date) -> pd.DatetimeIndex:
     return times
 
 
-def _check_nothing_missing(source: str, ghi_wm2: Floats, columns: Sequence[str]) -> None:
-    missing = np.argwhere(np.isnan(ghi_wm2))
-    if missing.size:
-        row, column = missing[0]
-        raise InputError(
-            f"{source}: line {row + 1}, {columns[column]}: expected no missing value, as "
-            f"irradiance.gaps is 'refuse', got '{MISSING:g}', one of {len(missing):,}"
-        )
-
-
 def _without_silent(
     found: Irradiance, source: str, most_missing: float
 ) -> tuple[Irradiance, list[str]]:
@@ -234,15 +228,10 @@ def _without_silent(
     return Irradiance(found.times, found.ghi_wm2[:, kept], names, *place), report
 
 
-def _day_of(stem: str) -> date | None:
-    """Day that a file is named after."""
-    if not re.fullmatch(r"\d{8}", stem):
-        return None
-    try:
-        return date(int(stem[:4]), int(stem[4:6]), int(stem[6:]))
-    except ValueError:
-        return None
-
-
-def _is_month(stem: str) -> bool:
-    return re.fullmatch(r"\d{6}", stem) is not None
+def _days_before(day: date, stems: Iterable[str]) -> set[date]:
+    """Return the days before another that files are named after."""
+    found = set()
+    for stem in stems:
+        with suppress(ValueError):
+            found.add(date.fromisoformat(stem))
+    return {one for one in found if one < day}

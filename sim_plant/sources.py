@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import Final, Protocol
+from typing import Final, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -22,30 +22,6 @@ _ANOTHER_DAY: Final = 1_000_003
 
 _CLEAN_AIR_TURBIDITY: Final = 3.0
 """Linke turbidity of the clear sky where nothing better is known."""
-
-
-class PowerSource(Protocol):
-    """The power that the sky allows a plant's inverters."""
-
-    @property
-    def sites(self) -> Sites:
-        """The inverters."""
-
-    @property
-    def measured_times(self) -> pd.DatetimeIndex | None:
-        """All times of which there is a measurement; None where any time can be asked for."""
-
-    def possible_kw(self, times: pd.DatetimeIndex) -> Floats:
-        """Return the AC power of each inverter at its maximum, shape (T, n)."""
-
-    def clear_sky_kw(self, times: pd.DatetimeIndex) -> Floats:
-        """Return the AC power of the whole plant under a cloudless sky, shape (T,)."""
-
-    def earlier_day_kw(self, times: pd.DatetimeIndex) -> Floats:
-        """Return what `possible_kw` was at the same times of an earlier day, shape (T, n)."""
-
-    def remarks(self, times: pd.DatetimeIndex) -> tuple[str, ...]:
-        """Say what a reader of the run must know about the data, a line each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,3 +165,7 @@ class MeasuredPlant:
     def remarks(self, times: pd.DatetimeIndex) -> tuple[str, ...]:
         """Say what was missing, and how the measurement came to the times of the run."""
         return (*self.repairs, *conversion(self.measured_times, times))
+
+
+PowerSource: TypeAlias = CloudySky | MeasuredSky | MeasuredPlant
+"""The power that the sky allows a plant's inverters."""

@@ -62,15 +62,13 @@ class JsonEncoder:
 
 def _plain(value: msgspec.Struct) -> JsonObject:
     """Return a struct as a dictionary, those inside it in lists too, without what is nil."""
-    return {
-        name: [_plain(item) for item in entry] if _is_structs(entry) else entry
-        for name, entry in msgspec.structs.asdict(value).items()
-        if entry is not None
-    }
-
-
-def _is_structs(value: object) -> bool:
-    return isinstance(value, tuple) and bool(value) and isinstance(value[0], msgspec.Struct)
+    found: JsonObject = {}
+    for name, entry in msgspec.structs.asdict(value).items():
+        if isinstance(entry, tuple) and entry and isinstance(entry[0], msgspec.Struct):
+            found[name] = [_plain(item) for item in entry]
+        elif entry is not None:
+            found[name] = entry
+    return found
 
 
 def _all_finite(value: object) -> bool:
@@ -89,7 +87,9 @@ def _schema(kind: inspect.Type) -> JsonObject:
         case inspect.FloatType():
             return {"type": "number"}
         case inspect.IntType():
-            return {"type": "integer", **_bounds(kind)}
+            bounds = {"minimum": kind.ge, "exclusiveMaximum": kind.lt}
+            given = {name: bound for name, bound in bounds.items() if bound is not None}
+            return {"type": "integer", **given}
         case inspect.StrType():
             return {"type": "string"}
         case inspect.LiteralType():
@@ -108,11 +108,6 @@ def _struct_schema(kind: inspect.StructType) -> JsonObject:
         "required": [field.encode_name for field in kind.fields if not _may_be_left_out(field)],
         "additionalProperties": False,
     }
-
-
-def _bounds(kind: inspect.IntType) -> JsonObject:
-    bounds = {"minimum": kind.ge, "exclusiveMaximum": kind.lt}
-    return {name: bound for name, bound in bounds.items() if bound is not None}
 
 
 def _may_be_left_out(field: inspect.Field) -> bool:

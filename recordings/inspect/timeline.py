@@ -93,14 +93,19 @@ class NodeCycle(msgspec.Struct, omit_defaults=True):
 
 def timeline(run: RunReader, nodes: Collection[str], cycles: range) -> Iterator[list[NodeCycle]]:
     """Yield each cycle in order: what the recording says of some nodes in it."""
-    found = _Timeline(run, nodes)
+    tree = run.plan.tree
+    opened: dict[int, dict[str, NodeCycle]] = {}
     newest = -1
     for port, message in run.on(_ports_about(run, nodes), cycles):
-        if message.cycle > newest:
-            newest = message.cycle
-            yield from found.pop_before(newest - _LAG_CYCLES)
-        found.add(port, message)
-    yield from found.pop_before(cycles.stop)
+        number = message.cycle
+        if number > newest:
+            newest = number
+            yield from _pop_before(newest - _LAG_CYCLES, opened)
+        if number not in opened:
+            time = run.clock.text(number)
+            opened[number] = {node: NodeCycle(number, time, agent_name(node)) for node in nodes}
+        _add(opened[number], tree, port, message)
+    yield from _pop_before(cycles.stop, opened)
 
 
 def _ports_about(run: RunReader, nodes: Collection[str]) -> frozenset[Port[Message]]:
@@ -118,38 +123,27 @@ def _ports_about(run: RunReader, nodes: Collection[str]) -> frozenset[Port[Messa
     return frozenset(filter(is_about, run.ports()))
 
 
-class _Timeline:
-    """Cycles that are being put together from messages."""
+def _add(
+    cycle: dict[str, NodeCycle], tree: ControlTree, port: Port[Message], message: Message
+) -> None:
+    """Enter what a message says of its node, its sender, and the node's parent and siblings."""
+    if isinstance(message, Dispatch):
+        for path, node in cycle.items():
+            node.request_kw = own_request_kw(message, tree.rating_kw(path))
+    own = cycle.get(port.node)
+    if own is not None:
+        _enter(own, message)
+    if port.node != ROOT:
+        _enter_relatives(cycle, port, message)
+    sender = cycle.get(ROOT if message.source == agent_name(ROOT) else message.source)
+    if sender is not None:
+        sender.missing = list(dict.fromkeys([*sender.missing, *message.missing]))
 
-    def __init__(self, run: RunReader, nodes: Collection[str]) -> None:
-        self._clock = run.clock
-        self._tree = run.plan.tree
-        self._nodes = tuple(nodes)
-        self._open: dict[int, dict[str, NodeCycle]] = {}
 
-    def add(self, port: Port[Message], message: Message) -> None:
-        """Enter what a message says of its node, its sender, and the node's parent and siblings."""
-        number = message.cycle
-        if number not in self._open:
-            time = self._clock.text(number)
-            self._open[number] = {n: NodeCycle(number, time, agent_name(n)) for n in self._nodes}
-        cycle = self._open[number]
-        if isinstance(message, Dispatch):
-            for path, node in cycle.items():
-                node.request_kw = own_request_kw(message, self._tree.rating_kw(path))
-        own = cycle.get(port.node)
-        if own is not None:
-            _enter(own, message)
-        if port.node != ROOT:
-            _enter_relatives(cycle, port, message)
-        sender = cycle.get(ROOT if message.source == agent_name(ROOT) else message.source)
-        if sender is not None:
-            sender.missing = list(dict.fromkeys([*sender.missing, *message.missing]))
-
-    def pop_before(self, cycle: int) -> Iterator[list[NodeCycle]]:
-        """Yield the cycles before one of which no message is expected any more."""
-        for number in sorted(number for number in self._open if number < cycle):
-            yield list(self._open.pop(number).values())
+def _pop_before(cycle: int, opened: dict[int, dict[str, NodeCycle]]) -> Iterator[list[NodeCycle]]:
+    """Yield the cycles before one of which no message is expected any more."""
+    for number in sorted(number for number in opened if number < cycle):
+        yield list(opened.pop(number).values())
 
 
 def _enter(node: NodeCycle, message: Message) -> None:
@@ -258,11 +252,11 @@ def plant_lines(
     tree: ControlTree, nodes: Sequence[NodeCycle], width: int = NARROWEST
 ) -> Iterator[str]:
     """Yield the plant in one cycle: its nodes as a tree, with the columns of a timeline."""
-    by_path = {_path(node): node for node in nodes}
     branches = dict(_branches(tree, ROOT, ""))
     longest = max(len(branch) for branch in branches.values())
     columns = (Column("node".ljust(longest), "", "node", longest, ""), *_DIRECT)
     yield from _heading(columns, ("help given", "from or for whom, kW"), width)
+    by_path = dict(zip(tree.nodes, nodes, strict=True))
     for path, branch in branches.items():
         node = by_path[path]
         cells = " ".join([branch.ljust(longest), *(column.text(node) for column in _DIRECT)])
@@ -319,7 +313,3 @@ def _help_text(word: str, lines: Sequence[HelpLine]) -> str:
 def _short(path: str) -> str:
     """Return the last part of a path: help is given among siblings."""
     return path.rpartition("/")[2]
-
-
-def _path(node: NodeCycle) -> str:
-    return ROOT if node.node == agent_name(ROOT) else node.node

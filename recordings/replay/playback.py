@@ -207,10 +207,10 @@ class Playback:
             return
         now_ns = self.clock.now_ns()
         if self.clock.paused and not self._keys:
-            self._keys.extend(self.keyboard.wait(_LOOK_S))
+            self._keys.extend(self.keyboard(_LOOK_S))
         elif now_ns >= self._look_at_ns:
             self._look_at_ns = now_ns + round(_LOOK_S * 1e9)
-            self._keys.extend(self.keyboard.wait(0.0))
+            self._keys.extend(self.keyboard(0.0))
             if self.line.is_due():
                 self._show(self._cycle)
         while self._keys and not self._is_stepping():

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from itertools import islice, product
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 from agents.agent import Agent, Stage
 from agents.cycle import stage_of
@@ -29,6 +29,8 @@ from bus_schemas.signals import Port
 from recordings.verify.comparison import Comparison
 from recordings.verify.findings import Difference, Findings, Kind, by_key
 from recordings.verify.recorded_cycles import RecentMessages, RecordedCycle
+
+Messages: TypeAlias = dict[Port[Message], Message]
 
 _MOST_CHOICES: Final = 256
 """Combinations of inputs that are tried at most, where standbys took over in a stage's cycle."""
@@ -48,9 +50,7 @@ class _Process:
     heard: dict[Port[Message], int]  # newest cycle of each input
     sequence: dict[Port[Message], int] = field(default_factory=dict)  # number of the next message
     is_over: bool = False
-    unsent: list[tuple[Port[Message], Message, str, dict[Port[Message], Message]]] = field(
-        default_factory=list
-    )
+    unsent: list[tuple[Port[Message], Message, str, Messages]] = field(default_factory=list)
 
 
 @dataclass(eq=False)
@@ -75,7 +75,7 @@ class AgentRerun:
             if port.signal.logged and port.signal.decided
         }
         self._period = {port: plan.period(port) for port in plan.wiring.heard.get(name, ())}
-        self._inputs: dict[Port[Message], Message] = {}
+        self._inputs: Messages = {}
         self._lost: dict[Port[Message], int] = {}
         self._stage = ""
         self._failed = False
@@ -89,7 +89,7 @@ class AgentRerun:
 
     def take(self, cycle: RecordedCycle) -> None:
         """Run a cycle again and compare what the agent publishes in it."""
-        processes: dict[int, dict[Port[Message], Message]] = {}
+        processes: dict[int, Messages] = {}
         self._rivals = {}
         for port in self._stage_of:
             if (message := cycle.messages.get(port)) is not None:
@@ -136,10 +136,10 @@ class AgentRerun:
             self.findings.recorded += 1
             self._add(kind, cycle, self._stage_of[port], port, message)
 
-    def _take(self, number: int, messages: dict[Port[Message], Message], *, is_last: bool) -> None:
+    def _take(self, number: int, messages: Messages, *, is_last: bool) -> None:
         """Run a cycle of one process again; `is_last`: no newer process sent anything in it."""
         findings = self.findings
-        recorded: dict[str, dict[Port[Message], Message]] = {}
+        recorded: dict[str, Messages] = {}
         for port, message in messages.items():
             recorded.setdefault(self._stage_of[port], {})[port] = message
         if number >= findings.from_cycle:
@@ -161,9 +161,7 @@ class AgentRerun:
     def _is_over(self) -> bool:
         return self._failed or self._process.is_over
 
-    def _run(
-        self, cycle: int, recorded: dict[str, dict[Port[Message], Message]], *, is_last: bool
-    ) -> None:
+    def _run(self, cycle: int, recorded: dict[str, Messages], *, is_last: bool) -> None:
         stages = list(self._agent.stages(cycle))
         self._inputs, self._stage = {}, ""
         loop = self._process.loop
@@ -182,7 +180,7 @@ class AgentRerun:
         for name, left in recorded.items():  # Of stages that the agent does not have any more.
             self._compare(cycle, name, left, [])
 
-    def _run_stage(self, cycle: int, stage: Stage, recorded: dict[Port[Message], Message]) -> None:
+    def _run_stage(self, cycle: int, stage: Stage, recorded: Messages) -> None:
         missing = next(iter(recorded.values())).missing if recorded else ()
         self._stage = stage.name
         lost = self._hear_inputs(stage, cycle, missing)
@@ -225,7 +223,7 @@ class AgentRerun:
             self._process.loop.hear(port, message, 0)
         return lost
 
-    def _choose_inputs(self, recorded: dict[Port[Message], Message]) -> None:
+    def _choose_inputs(self, recorded: Messages) -> None:
         """Of inputs that two processes of an agent sent, use those that the outputs show."""
         loop = self._process.loop
         choices = {
@@ -245,11 +243,7 @@ class AgentRerun:
             loop.use_instead(port, messages[0])
 
     def _compare(
-        self,
-        cycle: int,
-        stage: str,
-        recorded: dict[Port[Message], Message],
-        outputs: Sequence[Delivery],
+        self, cycle: int, stage: str, recorded: Messages, outputs: Sequence[Delivery]
     ) -> None:
         """Compare the outputs of a stage, and remove from `recorded` what has been compared."""
         sequence = self._process.sequence
@@ -273,9 +267,7 @@ class AgentRerun:
             self.findings.compare(self.comparison, port, None, new, stage, inputs)
         self._process.unsent.clear()
 
-    def _find_lost_outputs(
-        self, cycle: int, recorded: dict[str, dict[Port[Message], Message]]
-    ) -> None:
+    def _find_lost_outputs(self, cycle: int, recorded: dict[str, Messages]) -> None:
         """In real time, find gaps in the sequence numbers: the recording lost messages there."""
         if self.plan.lockstep:
             return

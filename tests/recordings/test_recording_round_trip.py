@@ -21,15 +21,18 @@ from recordings.read.reader import RunReader
 from recordings.read.run_file import SCHEMA_VERSION, NothingRecordedError
 from recordings.record.writer import ClockAnchor
 
+Recording = tuple[Path, list[Delivery]]
+"""A file, and what was written into it."""
+
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Delivery]]:
+def written(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     """A recording, and what was written into it."""
     path = tmp_path_factory.mktemp("run") / "run.mcap"
     return path, write_run(path, whole_run(2))
 
 
-def test_what_is_written_is_read_back(written: tuple[Path, list[Delivery]]) -> None:
+def test_what_is_written_is_read_back(written: Recording) -> None:
     path, deliveries = written
     with RunReader(path.parent) as reader:
         assert reader.path == path
@@ -40,9 +43,7 @@ def test_what_is_written_is_read_back(written: tuple[Path, list[Delivery]]) -> N
 # Read by others -----------------------------------------------------------------------------------
 
 
-def test_anybodys_reader_and_anybodys_msgpack_find_the_same(
-    written: tuple[Path, list[Delivery]],
-) -> None:
+def test_anybodys_reader_and_anybodys_msgpack_find_the_same(written: Recording) -> None:
     path, deliveries = written
     with path.open("rb") as file:
         reader = make_reader(file)
@@ -64,9 +65,7 @@ def test_anybodys_reader_and_anybodys_msgpack_find_the_same(
     assert all(record.publish_time <= record.log_time for _, record in found)
 
 
-def test_channels_are_the_ports_of_the_run_with_the_schemas_of_their_messages(
-    written: tuple[Path, list[Delivery]],
-) -> None:
+def test_channels_are_the_ports_of_the_run_with_their_schemas(written: Recording) -> None:
     with written[0].open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
@@ -93,9 +92,7 @@ def test_channels_are_the_ports_of_the_run_with_the_schemas_of_their_messages(
     }
 
 
-def test_metadata_and_attachments_tell_where_a_recording_comes_from(
-    written: tuple[Path, list[Delivery]], tmp_path: Path
-) -> None:
+def test_a_recording_tells_where_it_comes_from(written: Recording, tmp_path: Path) -> None:
     with written[0].open("rb") as file:
         reader = make_reader(file)
         run = {entry.name: entry.metadata for entry in reader.iter_metadata()}["run"]

@@ -72,9 +72,7 @@ def test_the_same_arguments_give_the_same_weather_to_the_last_bit() -> None:
     assert not np.allclose(first, other)
 
 
-def test_the_weather_at_an_instant_does_not_depend_on_where_the_run_begins(
-    noon_index: Floats,
-) -> None:
+def test_the_weather_does_not_depend_on_where_the_run_begins(noon_index: Floats) -> None:
     later = NOON[3601:3661]
     np.testing.assert_allclose(
         clear_sky_index(later, CloudSettings()), noon_index[3601:3661], rtol=1e-12
@@ -207,9 +205,7 @@ def hope(data_folder: Path) -> tuple[Floats, Floats]:
     return places_m, index_by_quantile(read.ghi_wm2)
 
 
-def test_changes_and_correlations_are_those_of_the_hope_measurements(
-    hope: tuple[Floats, Floats],
-) -> None:
+def test_changes_and_correlations_are_those_of_measurements(hope: tuple[Floats, Floats]) -> None:
     """The set that most constants were set by: same places, step, cover and motion."""
     (east_m, north_m), measured = hope
     motion = cloud_motion(measured, east_m, north_m, 1.0)
@@ -238,9 +234,7 @@ def test_changes_and_correlations_are_those_of_the_hope_measurements(
 
 
 @pytest.mark.parametrize("hour", ["a", "c"])
-def test_changes_are_those_of_a_real_plant_that_no_constant_was_set_by(
-    data_folder: Path, hour: str
-) -> None:
+def test_changes_are_those_of_a_real_plant(data_folder: Path, hour: str) -> None:
     folder = data_folder / "plant20mw-combiners-10s"
     currents = pd.read_csv(folder / f"hour_{hour}.csv", index_col="t_s")
     places = pd.read_csv(folder / "positions.csv", dtype=str).set_index("combiner")

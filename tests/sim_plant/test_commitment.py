@@ -141,9 +141,7 @@ def test_a_schedule_that_begins_after_the_run_is_refused(tmp_path: Path) -> None
         ("22:00:02Z", "20:00:00Z", "bids.csv: line 3, column 'begins'"),
     ],
 )
-def test_one_wrong_field_of_a_schedule_is_located(
-    tmp_path: Path, old: str, new: str, complaint: str
-) -> None:
+def test_one_wrong_field_is_located(tmp_path: Path, old: str, new: str, complaint: str) -> None:
     assert SCHEDULE.count(old) == 1
     assert complaint_of(scheduled, tmp_path, SCHEDULE.replace(old, new)).startswith(complaint)
 

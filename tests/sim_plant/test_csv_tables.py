@@ -82,9 +82,7 @@ def test_a_gap_at_the_top_is_no_step(times: list[int]) -> None:
         (" a ", "c", "x.csv: line 1: expected the columns a, b, got utc, c, b"),
     ],
 )
-def test_a_table_of_another_form_is_refused(
-    tmp_path: Path, old: str, new: str, complaint: str
-) -> None:
+def test_another_form_is_refused(tmp_path: Path, old: str, new: str, complaint: str) -> None:
     def checked() -> None:
         table = read(tmp_path, TEXT.replace(old, new))
         table.check_no_column_twice()

@@ -56,7 +56,7 @@ REAL = {
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_the_median_synthetic_day_moves_like_the_real_ones(
+def test_the_median_day_moves_like_the_real_ones(
     single_days: list[dict[str, float]], name: str
 ) -> None:
     least, most = REAL[name]
@@ -81,7 +81,7 @@ def real_days(data_folder: Path) -> list[dict[str, float]]:
     ]
 
 
-def test_a_real_day_is_within_what_the_synthetic_ones_are_measured_against(
+def test_a_real_day_is_within_the_bounds_of_the_synthetic_ones(
     real_days: list[dict[str, float]],
 ) -> None:
     for real in real_days:

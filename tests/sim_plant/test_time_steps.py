@@ -78,7 +78,7 @@ def test_only_the_rows_of_the_cycles_are_asked_for() -> None:
         (1, "1s", 3600.0, "23:00:00Z to 2010-04-01T23:00:01Z"),
     ],
 )
-def test_measurements_shorter_than_the_run_are_refused(
+def test_measurements_too_short_are_refused(
     count: int, cycle: str, offset_s: float, message: str
 ) -> None:
     found = complaint_of(brought, TWO, "1s", stamps(count, cycle, offset_s=offset_s))

@@ -23,15 +23,18 @@ from recordings.read.reader import RunReader
 
 CYCLES = 300
 
+Recording = tuple[Path, list[Delivery]]
+"""A file, and what was written into it."""
+
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Delivery]]:
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     path = tmp_path_factory.mktemp("reader") / "run.mcap"
     return path, write_run(path, whole_run(CYCLES))
 
 
 @pytest.fixture
-def run(recording: tuple[Path, list[Delivery]]) -> RunReader:
+def run(recording: Recording) -> RunReader:
     return open_run(recording[0])
 
 
@@ -45,10 +48,7 @@ names = [signal.name for signal in SIGNALS if signal.logged]
     bounds=st.tuples(st.integers(0, CYCLES - 1), st.integers(0, CYCLES - 1)),
 )
 def test_signals_nodes_and_cycles_choose_from_all_messages(
-    recording: tuple[Path, list[Delivery]],
-    signals: list[str],
-    nodes: list[str],
-    bounds: tuple[int, int],
+    recording: Recording, signals: list[str], nodes: list[str], bounds: tuple[int, int]
 ) -> None:
     path, written = recording
     start, end = sorted(bounds)
@@ -64,9 +64,7 @@ def test_signals_nodes_and_cycles_choose_from_all_messages(
         ]
 
 
-def test_raw_records_are_the_messages_with_their_times_and_numbers(
-    recording: tuple[Path, list[Delivery]], run: RunReader
-) -> None:
+def test_raw_records_are_the_messages(recording: Recording, run: RunReader) -> None:
     records = list(run.records())
     assert [(record.port, record.payload) for record in records] == [
         (port, encode(message)) for port, message in recording[1]
@@ -79,7 +77,7 @@ def test_raw_records_are_the_messages_with_their_times_and_numbers(
     assert {record.cycle for record in some} == {7, 8}
 
 
-def test_one_minute_is_found_without_reading_the_rest(
+def test_one_minute_is_found_without_the_rest(
     run: RunReader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     unpacked: set[int] = set()
@@ -95,9 +93,7 @@ def test_one_minute_is_found_without_reading_the_rest(
     assert len(unpacked) < 15, "some to search for the place, and those around it"
 
 
-def test_the_last_cycle_is_that_of_the_last_message_but_the_end_of_the_run(
-    run: RunReader, tmp_path: Path
-) -> None:
+def test_the_last_cycle_is_that_of_the_last_message(run: RunReader, tmp_path: Path) -> None:
     assert (run.last_cycle, run.stop_cycle) == (CYCLES - 1, CYCLES)
     path = tmp_path / "run.mcap"
     write_run(path, [(RUN.of(ROOT), PLAN.run_message("start", 0, 1))])
@@ -123,9 +119,7 @@ def test_messages_that_come_late_are_found_by_their_cycle(tmp_path: Path) -> Non
             assert [message.cycle for _, message in found] == [cycle]
 
 
-def test_a_cut_recording_is_read_up_to_the_cut(
-    recording: tuple[Path, list[Delivery]], tmp_path: Path
-) -> None:
+def test_a_cut_recording_is_read_up_to_the_cut(recording: Recording, tmp_path: Path) -> None:
     path, written = recording
     content = path.read_bytes()
     cut = tmp_path / "run.mcap"
@@ -188,7 +182,7 @@ def test_what_the_run_does_not_have_is_refused_with_what_it_has(
 
 
 @pytest.fixture
-def damaged(recording: tuple[Path, list[Delivery]], tmp_path: Path) -> tuple[Path, ChunkPlace]:
+def damaged(recording: Recording, tmp_path: Path) -> tuple[Path, ChunkPlace]:
     """A recording with one chunk zeroed, and that chunk."""
     path, _ = recording
     with open_run(path) as run:
@@ -200,7 +194,7 @@ def damaged(recording: tuple[Path, list[Delivery]], tmp_path: Path) -> tuple[Pat
 
 
 def test_a_damaged_chunk_is_refused_where_it_is_read_or_skipped_and_named(
-    recording: tuple[Path, list[Delivery]], damaged: tuple[Path, ChunkPlace]
+    recording: Recording, damaged: tuple[Path, ChunkPlace]
 ) -> None:
     path, place = damaged
     with open_run(recording[0]) as run:

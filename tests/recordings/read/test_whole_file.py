@@ -49,9 +49,7 @@ def interrupted(
 
 
 @ENDINGS
-def test_what_is_interrupted_leaves_the_file_as_it_was(
-    tmp_path: Path, ending: BaseException
-) -> None:
+def test_an_interruption_leaves_the_file_as_it_was(tmp_path: Path, ending: BaseException) -> None:
     path = tmp_path / "x.json"
     path.write_bytes(b"before")
     interrupted(whole_file, path, ending)
@@ -60,9 +58,7 @@ def test_what_is_interrupted_leaves_the_file_as_it_was(
 
 
 @ENDINGS
-def test_nothing_is_left_of_a_new_folder_that_was_interrupted(
-    tmp_path: Path, ending: BaseException
-) -> None:
+def test_nothing_is_left_of_an_interrupted_folder(tmp_path: Path, ending: BaseException) -> None:
     interrupted(new_path, tmp_path / "export", ending)
     assert list(tmp_path.iterdir()) == []
 

@@ -56,7 +56,7 @@ class SilentLink:
 
 
 @pytest.mark.parametrize("bursts_s", [0.0, 0.1])
-def test_it_flushes_every_half_second_however_much_comes(
+def test_it_flushes_every_half_second(
     bursts_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = ClockByHand()

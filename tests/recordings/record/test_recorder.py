@@ -8,6 +8,7 @@ from typing import cast
 
 import pytest
 from msgspec.structs import replace
+from recorded_runs import published
 
 from agents.events import Complaint, Event, Recorded
 from agents.launcher_link import LauncherLink
@@ -17,7 +18,6 @@ from bus_schemas.messages import Impp, Message, Setpoint
 from bus_schemas.signals import DISPATCH, IMPP, RUN, SETPOINT, Port
 from bus_schemas.tree import CENTRAL, ROOT
 from bus_schemas.zenoh_bus import ZenohTap
-from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.reader import RunReader
@@ -31,6 +31,9 @@ PREPARED = prepare(load_scenario("oahu"), RunOptions(duration=str(CYCLES)), "spo
 DEVICE = "c2/inv07"
 IN_LOCKSTEP = replace(PREPARED.plan, external=(DEVICE,))
 PORT = IMPP.of(DEVICE)
+SAID = published(IN_LOCKSTEP, PREPARED.profile)
+
+Spoken = tuple[Port[Message], Message | bytes]
 
 
 def impp(cycle: int, power_kw: float = 1.0, sequence: int = 0, node: str = DEVICE) -> Impp:
@@ -39,24 +42,10 @@ def impp(cycle: int, power_kw: float = 1.0, sequence: int = 0, node: str = DEVIC
     )
 
 
-def messages_of_a_run() -> list[tuple[Port[Message], Message]]:
-    """All that is said in a run in memory."""
-    said: list[tuple[Port[Message], Message]] = []
-    run = MemoryRun(
-        IN_LOCKSTEP, PREPARED.profile, lambda port, message: said.append((port, message))
-    )
-    for _ in run.cycles():
-        pass
-    run.close()
-    return said
-
-
 class FakeTap:
     """The recorder's place on a bus that has delivered all."""
 
-    def __init__(
-        self, plan: RunPlan, said: Sequence[tuple[Port[Message], Message | bytes]]
-    ) -> None:
+    def __init__(self, plan: RunPlan, said: Sequence[Spoken]) -> None:
         self._waiting = [
             (plan.keys.key(port), entry if isinstance(entry, bytes) else encode(entry))
             for port, entry in said
@@ -84,9 +73,7 @@ class FakeLink:
     def expected_messages(self) -> None: ...
 
 
-def recorded(
-    said: Sequence[tuple[Port[Message], Message | bytes]], folder: Path
-) -> tuple[list[Message], Recorded]:
+def recorded(said: Sequence[Spoken], folder: Path) -> tuple[list[Message], Recorded]:
     """What a recorder keeps of a device's IMPPs after an arming round, and its account."""
     first = [(port, m) for port, m in said if isinstance(m, Message) and m.cycle == 0]
     arming = [(port, replace(message, cycle=-1)) for port, message in first]
@@ -106,10 +93,8 @@ def recorded(
         return [message for port, message in reader.messages(IMPP) if port is PORT], account
 
 
-def test_a_device_that_answers_ahead_is_recorded_with_both_messages_and_named(
-    tmp_path: Path,
-) -> None:
-    said = messages_of_a_run()
+def test_a_device_that_answers_ahead_is_recorded_and_named(tmp_path: Path) -> None:
+    said = list(SAID)
     place = next(n for n, (port, message) in enumerate(said) if port is PORT and message.cycle == 2)
     said.insert(place, (PORT, impp(6)))
     kept, account = recorded(said, tmp_path)
@@ -122,7 +107,7 @@ def test_a_device_that_answers_ahead_is_recorded_with_both_messages_and_named(
 @pytest.mark.parametrize("node", [DEVICE, "c1/inv01"])
 def test_a_payload_that_is_nested_very_deep_is_set_aside(node: str, tmp_path: Path) -> None:
     payload = b"\x82\xa5cycle\x01\xa4more" + b"\x91" * 300_000 + b"\xc0"
-    said = messages_of_a_run()
+    said = list(SAID)
     kept, account = recorded([*said, (IMPP.of(node), payload)], tmp_path)
     assert len(kept) == CYCLES
     assert "undecodable" in {entry.cause for entry in account.complaints}
@@ -130,7 +115,7 @@ def test_a_payload_that_is_nested_very_deep_is_set_aside(node: str, tmp_path: Pa
 
 def of_a_run(answers: list[tuple[int, int]], folder: Path) -> Recorded:
     """The recorder's account of a run in which a device gives these IMPPs: cycle and number."""
-    said = messages_of_a_run()
+    said = list(SAID)
     spoken = [entry for entry in said if entry[0] is not PORT]
     place = 0
     for cycle, sequence in answers:
@@ -201,10 +186,8 @@ def see(senders: SecondSenders, message: Setpoint) -> str | None:
     return found[0] if found else None
 
 
-def test_what_comes_second_on_a_key_of_a_process_is_no_loss_and_a_false_stop_is_named(
-    tmp_path: Path,
-) -> None:
-    said = messages_of_a_run()
+def test_what_comes_second_on_a_key_is_no_loss_and_a_false_stop_is_named(tmp_path: Path) -> None:
+    said = list(SAID)
     place = next(
         n for n, (port, m) in enumerate(said) if port is DISPATCH.of(ROOT) and m.cycle == 4
     )

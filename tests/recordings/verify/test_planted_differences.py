@@ -86,9 +86,7 @@ def test_a_recording_of_the_same_code_is_equal(verified: Verify) -> None:
     [signal for signal in SIGNALS if signal.logged and signal.decided],
     ids=lambda signal: signal.name,
 )
-def test_a_changed_field_is_found_in_a_message_of_any_signal(
-    signal: Signal[Message], verified: Verify
-) -> None:
+def test_a_changed_field_of_any_signal_is_found(signal: Signal[Message], verified: Verify) -> None:
     places = [place for place, (port, _) in enumerate(PUBLISHED) if port.signal is signal]
     place = places[len(places) // 2]
     port, message = PUBLISHED[place]
@@ -133,9 +131,7 @@ def test_a_message_that_is_not_sent_any_more_is_found(verified: Verify) -> None:
     assert found.differences == 1, "nobody acts on a call that the residual does not announce"
 
 
-def test_a_message_that_was_recorded_twice_is_found_and_the_first_one_counts(
-    verified: Verify,
-) -> None:
+def test_of_a_message_recorded_twice_the_first_one_counts(verified: Verify) -> None:
     place = place_of(SETPOINT.of("c1/a"), 6)
     found = verified([*PUBLISHED[: place + 1], PUBLISHED[place], *PUBLISHED[place + 1 :]])
     assert first_of(found, "c1").kind == "recorded twice"
@@ -143,9 +139,7 @@ def test_a_message_that_was_recorded_twice_is_found_and_the_first_one_counts(
 
 
 @pytest.mark.parametrize("after", [0, 1])
-def test_of_two_senders_the_agent_s_own_message_is_compared_and_nobody_is_blamed(
-    verified: Verify, after: int
-) -> None:
+def test_of_two_senders_the_agents_own_message_is_compared(verified: Verify, after: int) -> None:
     place = place_of(SETPOINT.of("c1/a"), 6) + after
     port, genuine = PUBLISHED[place - after]
     forged = replace(genuine, power_kw=0.0, sequence=7)
@@ -155,9 +149,7 @@ def test_of_two_senders_the_agent_s_own_message_is_compared_and_nobody_is_blamed
     assert not found.equal
 
 
-def test_nothing_is_compared_after_an_input_is_lost_that_the_agent_remembers(
-    verified: Verify,
-) -> None:
+def test_nothing_is_compared_after_a_remembered_input_is_lost(verified: Verify) -> None:
     found = verified(without(place_of(TELEMETRY.of("c2/c"), 11)))
     assert first_of(found, PLANT).kind == "only new"
     lack = first_of(found, "c2/c")
@@ -181,9 +173,7 @@ def test_a_message_of_no_cycle_of_the_run_is_found(verified: Verify) -> None:
 # In the code --------------------------------------------------------------------------------------
 
 
-def test_a_wrong_allocation_is_found_at_the_first_help(
-    verified: Verify, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrong_allocation_is_found(verified: Verify, monkeypatch: pytest.MonkeyPatch) -> None:
     right = Children.setpoints
 
     def halve_help(self: Children, *words: object) -> list[Delivery]:

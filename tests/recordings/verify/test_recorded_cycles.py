@@ -59,9 +59,7 @@ def test_not_all_messages_wait_for_an_agent_that_has_ended() -> None:
 
 
 @pytest.mark.parametrize(("external", "misplaced"), [((), 3), (("c1/a",), 0)])
-def test_a_device_of_the_user_may_send_messages_of_any_cycle(
-    external: tuple[str, ...], misplaced: int
-) -> None:
+def test_a_device_may_send_messages_of_any_cycle(external: tuple[str, ...], misplaced: int) -> None:
     port = IMPP.of("c1/a")
     strays = [
         (port, Impp(cycle, 0, "c1/a", (), power_kw=1.0, stale_cycles=0)) for cycle in (-3, 0, 4711)
