@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import cast
+from unittest.mock import Mock
 
 import pytest
 from msgspec.structs import replace
 from recorded_runs import published
 
-from agents.events import Complaint, Event, Recorded
-from agents.launcher_link import LauncherLink
-from agents.plan import RunPlan
+from agents.events import Complaint, Recorded
 from bus_schemas.codec import encode
 from bus_schemas.messages import Impp, Message, Setpoint
 from bus_schemas.signals import DISPATCH, IMPP, RUN, SETPOINT, Port
 from bus_schemas.tree import CENTRAL, ROOT
-from bus_schemas.zenoh_bus import ZenohTap
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.reader import RunReader
@@ -42,53 +39,27 @@ def impp(cycle: int, power_kw: float = 1.0, sequence: int = 0, node: str = DEVIC
     )
 
 
-class FakeTap:
-    """The recorder's place on a bus that has delivered all."""
-
-    def __init__(self, plan: RunPlan, said: Sequence[Spoken]) -> None:
-        self._waiting = [
-            (plan.keys.key(port), entry if isinstance(entry, bytes) else encode(entry))
-            for port, entry in said
-        ]
-
-    def drain(self) -> Iterator[tuple[str, bytes]]:
-        while self._waiting:
-            yield self._waiting.pop(0)
-
-    def watch_presence(self) -> None: ...
-
-    def presence(self) -> list[tuple[str, bool]]:
-        return []
-
-    def publish(self, port: Port[Message], message: Message) -> None: ...
-
-
-class FakeLink:
-    def __init__(self) -> None:
-        self.told: list[Event] = []
-
-    def tell(self, event: Event) -> None:
-        self.told.append(event)
-
-    def expected_messages(self) -> None: ...
-
-
 def recorded(said: Sequence[Spoken], folder: Path) -> tuple[list[Message], Recorded]:
     """What a recorder keeps of a device's IMPPs after an arming round, and its account."""
     first = [(port, m) for port, m in said if isinstance(m, Message) and m.cycle == 0]
     arming = [(port, replace(message, cycle=-1)) for port, message in first]
+    waiting = [
+        (IN_LOCKSTEP.keys.key(port), entry if isinstance(entry, bytes) else encode(entry))
+        for port, entry in [*arming, *said]
+    ]
+
+    def drain() -> Iterator[tuple[str, bytes]]:
+        while waiting:
+            yield waiting.pop(0)
+
+    tap = Mock(drain=drain, presence=list)
+    link = Mock(expected_messages=lambda: None)
     writer = RunWriter(folder / "run.mcap", IN_LOCKSTEP, 'name = "oahu"\n', "launch")
-    end, link = RecordingEnd(), FakeLink()
+    end = RecordingEnd()
     end.ask()
-    Recorder(
-        IN_LOCKSTEP,
-        cast("ZenohTap", FakeTap(IN_LOCKSTEP, [*arming, *said])),
-        writer,
-        cast("LauncherLink", link),
-        end,
-        lambda text: None,
-    ).run()
-    (account,) = [event for event in link.told if isinstance(event, Recorded)]
+    Recorder(IN_LOCKSTEP, tap, writer, link, end, lambda text: None).run()
+    told = [call.args[0] for call in link.tell.call_args_list]
+    (account,) = [event for event in told if isinstance(event, Recorded)]
     with RunReader(folder) as reader:
         return [message for port, message in reader.messages(IMPP) if port is PORT], account
 
