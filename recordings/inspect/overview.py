@@ -79,11 +79,6 @@ class Overview(msgspec.Struct, frozen=True):
     more_gaps: int
     health: Health
 
-    @property
-    def messages(self) -> int:
-        """Messages of all signals."""
-        return sum(count.messages for count in self.signals)
-
 
 def read_overview(
     run: RunReader,

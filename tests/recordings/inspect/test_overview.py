@@ -47,7 +47,6 @@ def test_every_message_is_counted_and_nothing_is_missing(look: Look) -> None:
     expected = Counter(port.signal.name for port, _ in whole_run(CYCLES))
     counted = {count.signal: count.messages for count in overview.signals if count.messages}
     assert counted == dict(expected)
-    assert overview.messages == expected.total()
     assert (overview.gaps, overview.more_gaps) == ((), 0)
     assert [count for count in overview.signals if count.lost or count.missing_cycles] == []
     assert (overview.first_cycle, overview.last_cycle, overview.complete_cycles) == (0, END, CYCLES)
