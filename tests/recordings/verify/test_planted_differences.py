@@ -34,11 +34,8 @@ Verify = Callable[..., Verification]
 def verified(tmp_path: Path) -> Verify:
     """Verify a recording of what was published."""
 
-    def run(
-        messages: list[Delivery], *nodes: str, comparison: Comparison | None = None
-    ) -> Verification:
-        folder = record(tmp_path / "run", PLAN, messages, PROFILE)
-        return verify(folder, nodes, comparison or Comparison())
+    def run(messages: list[Delivery], *nodes: str) -> Verification:
+        return verify(record(tmp_path / "run", PLAN, messages, PROFILE), nodes, Comparison())
 
     return run
 
@@ -51,12 +48,8 @@ def first_of(found: Verification, agent: str) -> Difference:
 
 def place_of(port: Port[Message], cycle: int) -> int:
     """Place of the message of a port in a cycle."""
-    (place,) = [
-        place
-        for place, (other, message) in enumerate(PUBLISHED)
-        if other is port and message.cycle == cycle
-    ]
-    return place
+    found = [(other, message.cycle) for other, message in PUBLISHED]
+    return found.index((port, cycle))
 
 
 def with_message(place: int, message: Message) -> list[Delivery]:
