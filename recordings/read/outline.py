@@ -101,9 +101,9 @@ class Outline:
 
     It is `closed` if its writer came to the end of the messages. Otherwise it was cut, is damaged
     at `readable_end`, behind the last readable record of the data section, or is still being
-    written. It is `indexed` if it has its index too, and all files that it goes on in. The last
-    chunk may be cut. `damaged_attachments` are the names of those whose checksum is wrong; of one
-    that cannot be read, where it is.
+    written. It is `indexed` if it has its index too, and all files that it goes on in, which begin
+    at the bytes `further_files`. The last chunk may be cut. `damaged_attachments` are the names of
+    those whose checksum is wrong; of one that cannot be read, where it is.
     """
 
     size: int
@@ -117,6 +117,7 @@ class Outline:
     channels: dict[int, records.Channel] = field(default_factory=dict)
     chunks: list[ChunkPlace] = field(default_factory=list)
     damaged_attachments: list[str] = field(default_factory=list)
+    further_files: list[int] = field(default_factory=list)
 
     @property
     def cut_early(self) -> bool:
@@ -127,6 +128,7 @@ class Outline:
         """Go on with the outline of a further file, which begins at a byte."""
         if self.chunks and self.chunks[-1].cut:
             self.chunks.pop()
+        self.further_files.append(begin)
         self.chunks += [one._replace(offset=one.offset + begin) for one in other.chunks]
         self.channels, self.schemas = self.channels or other.channels, self.schemas or other.schemas
         self.size, self.readable_end = begin + other.size, begin + other.readable_end

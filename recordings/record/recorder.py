@@ -348,7 +348,7 @@ class Recorder:
                     recorded[record.port.signal.name] += 1
                     if record.port.publisher in self._plan.external:
                         external.hear(record.port, record.message())
-            completed = recorded[PRODUCTION.name]
+            completed = cycles
         self._link.tell(
             Recorded(
                 recorded=dict(recorded),

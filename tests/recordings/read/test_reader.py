@@ -100,6 +100,11 @@ def test_the_last_cycle_is_that_of_the_last_message(run: RunReader, tmp_path: Pa
     with open_run(path) as empty:
         assert (empty.last_cycle, empty.stop_cycle) == (-1, None)
         assert len(list(empty.messages())) == 1
+    start, *cycles, stop = whole_run(5)
+    forged = [(RUN.of(ROOT), PLAN.run_message("stop", cycle, 1)) for cycle in (4, 90, 2)]
+    write_run(tmp_path / "forged.mcap", [start, *forged, *cycles, stop])
+    with open_run(tmp_path / "forged.mcap") as contradicted:
+        assert contradicted.stop_cycle == 5
 
 
 def test_messages_that_come_late_are_found_by_their_cycle(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ def test_each_cycle_comes_whole_and_soon_and_in_its_order() -> None:
     for number, cycle in enumerate(recorded):
         assert cycle.number == number
         assert cycle.messages == {port: m for port, m in DECIDED if m.cycle == number}
-        assert recorded.read <= (number + 4) * len(PUBLISHED) / PLAN.cycles + 20
+        assert recorded.read <= (number + 23) * len(PUBLISHED) / PLAN.cycles + 20
     assert number == 39
 
 
