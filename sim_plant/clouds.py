@@ -49,6 +49,7 @@ measurements their constants were set, and by which others they were checked.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated
 
 import msgspec
@@ -221,14 +222,19 @@ def clear_sky_index(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Layer:
-    """A periodic random field of mean 0 and variance 1, and what it stands for."""
+    """A periodic random field of mean 0 and variance 1, and what it stands for.
+
+    `in_common` is the correlation of the field with itself from one piece of sky to the next.
+    """
 
     field: NDArray[np.float32]
+    in_common: float
     cell_m: float
     deviation: float
     lifetime_s: float
 
 
+@lru_cache(maxsize=2)  # A run's own day may also be the history of its neighbours.
 def _layers(settings: CloudSettings, seed: int) -> tuple[_Layer, _Layer]:
     """Draw steps 1 and 2 of the model: a coarse and a fine layer, whose variances add up to 1."""
     rng = np.random.default_rng(seed)
@@ -252,8 +258,8 @@ def _layers(settings: CloudSettings, seed: int) -> tuple[_Layer, _Layer]:
     coarse = _random_field(rng, coarse_power, _COARSE_CELLS, coarse_cell_m)
     fine = _random_field(rng, fine_power, _FINE_CELLS, fine_cell_m)
     return (
-        _Layer(coarse, coarse_cell_m, np.sqrt(1.0 - fine_share), settings.evolution_s),
-        _Layer(fine, fine_cell_m, np.sqrt(fine_share), fine_lifetime_s),
+        _Layer(*coarse, coarse_cell_m, np.sqrt(1.0 - fine_share), settings.evolution_s),
+        _Layer(*fine, fine_cell_m, np.sqrt(fine_share), fine_lifetime_s),
     )
 
 
@@ -264,14 +270,19 @@ def _power(k_squared: Floats, outer_m: float) -> Floats:
 
 def _random_field(
     rng: np.random.Generator, power: Callable[[Floats], Floats], cells: int, cell_m: float
-) -> NDArray[np.float32]:
-    """Draw a periodic Gaussian random field of mean 0 and variance 1, shape (cells, cells)."""
+) -> tuple[NDArray[np.float32], float]:
+    """Draw a periodic Gaussian random field of mean 0 and variance 1, shape (cells, cells).
+
+    It comes with what two pieces of sky have in common.
+    """
     k_y = 2.0 * np.pi * fft.fftfreq(cells, cell_m)[:, None]
     k_x = 2.0 * np.pi * fft.rfftfreq(cells, cell_m)[None, :]
     amplitude = np.sqrt(power(k_x**2 + k_y**2)).astype(np.float32)
     noise = rng.standard_normal((cells, cells), dtype=np.float32)
     field = fft.irfft2(fft.rfft2(noise) * amplitude, s=noise.shape)
-    return np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
+    field = np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
+    shift = np.rint(_NEXT_PIECE * cells).astype(int)
+    return field, float(np.mean(field * np.roll(field, -shift, axis=(0, 1))))
 
 
 def _blended(layer: _Layer, time_s: Floats, x_m: Floats, y_m: Floats) -> Floats:
@@ -282,9 +293,7 @@ def _blended(layer: _Layer, time_s: Floats, x_m: Floats, y_m: Floats) -> Floats:
     first = _read(layer, x_m, y_m, piece)
     second = _read(layer, x_m, y_m, piece + 1.0)
     # Without the root, what two pieces have in common by chance would make the variance pulsate.
-    shift = np.rint(_NEXT_PIECE * len(layer.field)).astype(int)
-    in_common = float(np.mean(layer.field * np.roll(layer.field, -shift, axis=(0, 1))))
-    variance = 1.0 + in_common * np.sin(2.0 * phase)
+    variance = 1.0 + layer.in_common * np.sin(2.0 * phase)
     mixed = first * np.cos(phase) + second * np.sin(phase)
     return np.asarray(layer.deviation * mixed / np.sqrt(variance))
 

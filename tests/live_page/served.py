@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import sys
 import threading
 import urllib.error
 import urllib.request
@@ -11,6 +13,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import psutil
+from running import Heliarch
 
 from live_page.place import Place, open_place
 from live_page.server import PageServer
@@ -61,3 +66,22 @@ def served(
         server.end()
         thread.join(20)
         assert not thread.is_alive()
+
+
+def page_of(run: Heliarch) -> str:
+    """Return the address of the page beside a run.
+
+    The page stands back for whatever else wants the machine: here it does not, so that it comes in
+    time on a machine that is busy.
+    """
+    address = run.until_said("page: ")
+    (page,) = [
+        child
+        for child in psutil.Process(run.process.pid).children()
+        if child.cmdline()[-1] == "live_page"
+    ]
+    if sys.platform == "linux":
+        run.until(lambda: os.sched_getscheduler(page.pid) == os.SCHED_IDLE, "its page")
+        for thread in page.threads():
+            os.sched_setscheduler(thread.id, os.SCHED_OTHER, os.sched_param(0))
+    return address
