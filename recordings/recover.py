@@ -36,7 +36,7 @@ class DamagedChunk(msgspec.Struct, frozen=True):
     reason: str
 
 
-class Recovery(msgspec.Struct, frozen=True):
+class Recovery(msgspec.Struct, kw_only=True):
     """The result of a recovery.
 
     `closed`: the recorder had come to its end. `ended`: the recording goes up to the end of the
@@ -48,19 +48,19 @@ class Recovery(msgspec.Struct, frozen=True):
     source: str
     out: str
     closed: bool
-    ended: bool
-    messages: int
-    complete_cycles: int
-    last_cycle: int
+    ended: bool = False
+    messages: int = 0
+    complete_cycles: int = 0
+    last_cycle: int = -1
     planned_cycles: int
-    last_ns: int
+    last_ns: int = 0
     cut_bytes: int
-    cut_messages: int
-    lost: int
-    early_ports: int
-    early_messages: int
-    damaged: tuple[DamagedChunk, ...]
-    damaged_attachments: tuple[str, ...]
+    cut_messages: int = 0
+    lost: int = 0
+    early_ports: int = 0
+    early_messages: int = 0
+    damaged: list[DamagedChunk] = []
+    damaged_attachments: list[str]
 
     @property
     def lossless(self) -> bool:
@@ -95,31 +95,35 @@ def recover_run(run: RunReader, out: Path, follow: _Follow = lambda share: None)
     with their times, sequence numbers and order. Metadata named `recovery` is added.
     """
     with new_path(out) as beside, beside.open("xb") as file:
-        copy = _Copy(run, file)
+        copy = _Copy(run, out, file)
         for place in run.outline.chunks:
             follow(place.offset / run.outline.size)
             copy.add_chunk(place)
-        return copy.finish(out)
+        copy.finish()
+        return copy.found
 
 
 class _Copy:
     """A new recording that is being filled from an old one."""
 
-    def __init__(self, run: RunReader, file: BinaryIO) -> None:
+    def __init__(self, run: RunReader, out: Path, file: BinaryIO) -> None:
+        outline = run.outline
+        self.found = Recovery(
+            source=str(run.path),
+            out=str(out),
+            closed=outline.closed,
+            planned_cycles=run.plan.cycles,
+            cut_bytes=0 if outline.closed else outline.size - outline.readable_end,
+            damaged_attachments=outline.damaged_attachments,
+        )
         self._run = run
-        self._messages = self._cut_messages = self._last_ns = 0
-        self._productions = 0
-        self._last_cycle = -1
         self._end_cycle: int | None = None
         self._gaps = RunGaps(run.plan)
-        self._damaged: list[DamagedChunk] = []
         self._writer = Writer(file, compression=CompressionType.LZ4)
-        self._write_origin(run.outline)
-        self._channel_of = self._register(run.outline)
-        self._port_of = {
-            number: run.plan.keys.port(channel.topic)
-            for number, channel in run.outline.channels.items()
-        }
+        self._write_origin(outline)
+        self._channel_of = self._register(outline)
+        port_at = run.plan.keys.port
+        self._port_of = {n: port_at(channel.topic) for n, channel in outline.channels.items()}
 
     def add_chunk(self, place: ChunkPlace) -> None:
         """Copy the messages of a chunk; note it if it cannot be read."""
@@ -129,36 +133,22 @@ class _Copy:
                 if place.cut and cycle_of(raw[4]) > self._run.plan.cycles:
                     return
                 self._add(raw)
-                self._cut_messages += place.cut
+                self.found.cut_messages += place.cut
         except (DamagedChunkError, msgspec.DecodeError) as error:
             # A cut chunk has no checksum: it is read for as long as it decodes.
             if not place.cut:
-                self._damaged.append(
-                    DamagedChunk(place.offset, place.first_ns, place.last_ns, str(error))
-                )
+                damage = DamagedChunk(place.offset, place.first_ns, place.last_ns, str(error))
+                self.found.damaged.append(damage)
 
-    def finish(self, out: Path) -> Recovery:
+    def finish(self) -> None:
         """Write where the file is from, and its index."""
-        run = self._run
-        early = {} if self._end_cycle is None else self._gaps.end(self._end_cycle)
-        recovery = Recovery(
-            source=str(run.path),
-            out=str(out),
-            closed=run.outline.closed,
-            ended=self._end_cycle is not None and self._end_cycle == self._productions,
-            messages=self._messages,
-            complete_cycles=self._productions,
-            last_cycle=self._last_cycle,
-            planned_cycles=run.plan.cycles,
-            last_ns=self._last_ns,
-            cut_bytes=0 if run.outline.closed else run.outline.size - run.outline.readable_end,
-            cut_messages=self._cut_messages,
-            lost=self._gaps.lost,
-            early_ports=len(early),
-            early_messages=sum(map(len, early.values())),
-            damaged=tuple(self._damaged),
-            damaged_attachments=tuple(run.outline.damaged_attachments),
-        )
+        run, recovery = self._run, self.found
+        recovery.ended = self._end_cycle == recovery.complete_cycles
+        recovery.lost = self._gaps.lost
+        if self._end_cycle is not None:
+            early = self._gaps.end(self._end_cycle)
+            recovery.early_ports = len(early)
+            recovery.early_messages = sum(map(len, early.values()))
         metadata = {
             "recovered_from": run.path.name,
             "lossless": str(recovery.lossless).lower(),
@@ -170,25 +160,24 @@ class _Copy:
             metadata["damaged_attachments"] = ", ".join(recovery.damaged_attachments)
         self._writer.add_metadata(RECOVERY_METADATA, metadata)
         self._writer.finish()
-        return recovery
 
     def _add(self, raw: RawMessage) -> None:
         channel, sequence, log_time_ns, publish_time_ns, payload = raw
         head = head_of(payload)
-        cycle, port = head.cycle, self._port_of[channel]
+        cycle, port, found = head.cycle, self._port_of[channel], self.found
         if port is not None and port.signal is RUN:
             message = decode(RUN, payload)
             self._end_cycle = message.cycle if message.state == "stop" else self._end_cycle
         else:
-            self._productions += port is not None and port.signal is PRODUCTION
-            self._last_cycle = max(self._last_cycle, cycle)
+            found.complete_cycles += port is not None and port.signal is PRODUCTION
+            found.last_cycle = max(found.last_cycle, cycle)
         if port is not None:
             self._gaps.see(port, cycle, sequence, head.incarnation)
         self._writer.add_message(
             self._channel_of[channel], log_time_ns, payload, publish_time_ns, sequence
         )
-        self._messages += 1
-        self._last_ns = log_time_ns
+        found.messages += 1
+        found.last_ns = log_time_ns
 
     def _write_origin(self, outline: Outline) -> None:
         header = outline.header

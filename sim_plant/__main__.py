@@ -11,7 +11,7 @@ from agents.launcher_link import LauncherLink
 from agents.plan import load_plan
 from bus_schemas.errors import InputError
 from bus_schemas.tree import PLANT
-from sim_plant.process import run_plant
+from sim_plant.plant_run import run_plant
 from sim_plant.profile import load_profile
 
 

@@ -60,7 +60,8 @@ from numpy.typing import NDArray
 from pvlib.location import Location
 from scipy import fft, ndimage, special
 
-_EARTH_RADIUS_M = 6_371_000.0
+from sim_plant import Floats
+from sim_plant.positions import east_north_m
 
 # Constants of steps 1 and 2.
 _OUTER_SCALE = 14.0
@@ -133,30 +134,14 @@ class CloudSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 def clear_sky_ghi(
     times: pd.DatetimeIndex,
-    lat_deg: NDArray[np.float64],
-    lon_deg: NDArray[np.float64],
+    lat_deg: Floats,
+    lon_deg: Floats,
     altitude_m: float,
     linke_turbidity: float,
-) -> NDArray[np.float64]:
-    """Return the clear-sky GHI at the centroid of the plant.
+) -> Floats:
+    """Return the clear-sky GHI at the centroid of the plant [W/m^2], shape (T,), 0 at night.
 
     The model is that of Ineichen and Perez as pvlib has it (doi:10.1016/S0038-092X(02)00045-2).
-
-    Parameters
-    ----------
-    times : pandas.DatetimeIndex, length T
-        Time stamps with a time zone.
-    lat_deg, lon_deg : numpy.ndarray, shape (N,)
-        Coordinates of the sensors [degree], north and east positive.
-    altitude_m : float
-        Altitude of the plant above the sea [m].
-    linke_turbidity : float
-        Linke turbidity.
-
-    Returns
-    -------
-    numpy.ndarray, shape (T,)
-        GHI [W/m^2], 0 at night.
     """
     site = Location(float(lat_deg.mean()), float(lon_deg.mean()), altitude=altitude_m)
     sky = site.get_clearsky(times, model="ineichen", linke_turbidity=linke_turbidity)
@@ -165,12 +150,12 @@ def clear_sky_ghi(
 
 def synthetic_ghi(
     times: pd.DatetimeIndex,
-    lat_deg: NDArray[np.float64],
-    lon_deg: NDArray[np.float64],
+    lat_deg: Floats,
+    lon_deg: Floats,
     altitude_m: float,
     settings: CloudSettings,
     seed: int,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Draw the GHI at each sensor under drifting synthetic clouds.
 
     The value at an instant depends on the instant, the sensors, the settings and the seed, not on
@@ -195,18 +180,14 @@ def synthetic_ghi(
         GHI [W/m^2], never negative, 0 at night.
     """
     clear_wm2 = clear_sky_ghi(times, lat_deg, lon_deg, altitude_m, settings.linke_turbidity)
-    east_m, north_m = _local_metres(lat_deg, lon_deg)
-    index = clear_sky_index(_seconds_since_epoch(times), east_m, north_m, settings, seed)
+    time_s = (times - pd.Timestamp(0, tz="UTC")).total_seconds().to_numpy()
+    index = clear_sky_index(time_s, *east_north_m(lat_deg, lon_deg), settings, seed)
     return clear_wm2[:, None] * index
 
 
 def clear_sky_index(
-    time_s: NDArray[np.float64],
-    east_m: NDArray[np.float64],
-    north_m: NDArray[np.float64],
-    settings: CloudSettings,
-    seed: int,
-) -> NDArray[np.float64]:
+    time_s: Floats, east_m: Floats, north_m: Floats, settings: CloudSettings, seed: int
+) -> Floats:
     """Draw the clear-sky index at each place under drifting synthetic clouds.
 
     Parameters
@@ -231,15 +212,9 @@ def clear_sky_index(
     quantile = special.ndtri(1.0 - settings.cloud_cover)
     # Beside the coarse layer there is only the fine one, which is Gaussian.
     cover_around = special.ndtr((coarse - quantile) / layers[1].deviation)
-    return _index(coarse + fine - quantile, cover_around, settings)
-
-
-def _index(
-    excess: NDArray[np.float64], cover_around: NDArray[np.float64], settings: CloudSettings
-) -> NDArray[np.float64]:
-    """Step 3 of the model: from the excess over the threshold to the clear-sky index."""
+    # Step 3 of the model: from the excess over the threshold to the clear-sky index.
     thick = settings.thick_cloud_index
-    depth = excess / settings.cloud_softness + _SHOULDER
+    depth = (coarse + fine - quantile) / settings.cloud_softness + _SHOULDER
     transmitted = np.exp(-_CORNER * np.logaddexp(0.0, depth / _CORNER))
     scattered = (settings.edge_enhancement - 1.0) * 4.0 * cover_around * (1.0 - cover_around)
     return np.asarray(thick + (1.0 - thick + scattered) * transmitted)
@@ -253,10 +228,10 @@ class _Layer:
     """
 
     field: NDArray[np.float32]
+    in_common: float
     cell_m: float
     deviation: float
     lifetime_s: float
-    in_common: float
 
 
 @lru_cache(maxsize=2)  # A run's own day may also be the history of its neighbours.
@@ -267,65 +242,50 @@ def _layers(settings: CloudSettings, seed: int) -> tuple[_Layer, _Layer]:
     coarse_cell_m = max(_LEAST_COARSE_CELL_M, outer_m * _OUTER_SCALES_ACROSS / _COARSE_CELLS)
     around_m = max(_NEIGHBOURHOOD_M, 2.0 * coarse_cell_m)
     fine_cell_m = max(_LEAST_CELL_M, around_m * _NEIGHBOURHOODS_ACROSS / _FINE_CELLS)
-    fine_share = _fine_share(outer_m, around_m)
     fine_lifetime_s = settings.evolution_s * min(1.0, 0.5 * around_m / outer_m) ** (2.0 / 3.0)
 
-    def coarse_power(k_squared: NDArray[np.float64]) -> NDArray[np.float64]:
+    def coarse_power(k_squared: Floats) -> Floats:
         return _power(k_squared, outer_m) * np.exp(-k_squared * around_m**2)
 
-    def fine_power(k_squared: NDArray[np.float64]) -> NDArray[np.float64]:
+    def fine_power(k_squared: Floats) -> Floats:
         return -_power(k_squared, outer_m) * np.expm1(-k_squared * around_m**2)
 
+    # Share of the fine layer in the variance: an integral over the plane of wave numbers.
+    k = np.geomspace(1e-4 / outer_m, 6.0 / _SMOOTHING_M, 10_000)
+    power = _power(k**2, outer_m) * k
+    fine_part = -np.expm1(-((k * around_m) ** 2))
+    fine_share = float(np.trapezoid(power * fine_part, k) / np.trapezoid(power, k))
     coarse = _random_field(rng, coarse_power, _COARSE_CELLS, coarse_cell_m)
     fine = _random_field(rng, fine_power, _FINE_CELLS, fine_cell_m)
     return (
-        _Layer(
-            coarse,
-            coarse_cell_m,
-            np.sqrt(1.0 - fine_share),
-            settings.evolution_s,
-            _in_common(coarse),
-        ),
-        _Layer(fine, fine_cell_m, np.sqrt(fine_share), fine_lifetime_s, _in_common(fine)),
+        _Layer(*coarse, coarse_cell_m, np.sqrt(1.0 - fine_share), settings.evolution_s),
+        _Layer(*fine, fine_cell_m, np.sqrt(fine_share), fine_lifetime_s),
     )
 
 
-def _power(k_squared: NDArray[np.float64], outer_m: float) -> NDArray[np.float64]:
+def _power(k_squared: Floats, outer_m: float) -> Floats:
     power = (1.0 + k_squared * outer_m**2) ** _SPECTRUM_EXPONENT
     return np.asarray(power * np.exp(-k_squared * _SMOOTHING_M**2))
 
 
-def _fine_share(outer_m: float, around_m: float) -> float:
-    """Share of the fine layer in the variance: an integral over the plane of wave numbers."""
-    k = np.geomspace(1e-4 / outer_m, 6.0 / _SMOOTHING_M, 10_000)
-    power = _power(k**2, outer_m) * k
-    fine = -np.expm1(-((k * around_m) ** 2))
-    return float(np.trapezoid(power * fine, k) / np.trapezoid(power, k))
-
-
 def _random_field(
-    rng: np.random.Generator,
-    power: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    cells: int,
-    cell_m: float,
-) -> NDArray[np.float32]:
-    """Draw a periodic Gaussian random field of mean 0 and variance 1, shape (cells, cells)."""
+    rng: np.random.Generator, power: Callable[[Floats], Floats], cells: int, cell_m: float
+) -> tuple[NDArray[np.float32], float]:
+    """Draw a periodic Gaussian random field of mean 0 and variance 1, shape (cells, cells).
+
+    It comes with what two pieces of sky have in common.
+    """
     k_y = 2.0 * np.pi * fft.fftfreq(cells, cell_m)[:, None]
     k_x = 2.0 * np.pi * fft.rfftfreq(cells, cell_m)[None, :]
     amplitude = np.sqrt(power(k_x**2 + k_y**2)).astype(np.float32)
     noise = rng.standard_normal((cells, cells), dtype=np.float32)
     field = fft.irfft2(fft.rfft2(noise) * amplitude, s=noise.shape)
-    return np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
+    field = np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
+    shift = np.rint(_NEXT_PIECE * cells).astype(int)
+    return field, float(np.mean(field * np.roll(field, -shift, axis=(0, 1))))
 
 
-def _in_common(field: NDArray[np.float32]) -> float:
-    shift = np.rint(_NEXT_PIECE * len(field)).astype(int)
-    return float(np.mean(field * np.roll(field, -shift, axis=(0, 1))))
-
-
-def _blended(
-    layer: _Layer, time_s: NDArray[np.float64], x_m: NDArray[np.float64], y_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _blended(layer: _Layer, time_s: Floats, x_m: Floats, y_m: Floats) -> Floats:
     """Step 2 of the model: what a layer contributes at each time and sensor, shape (T, N)."""
     age = time_s / layer.lifetime_s
     piece = np.floor(age)
@@ -338,9 +298,7 @@ def _blended(
     return np.asarray(layer.deviation * mixed / np.sqrt(variance))
 
 
-def _read(
-    layer: _Layer, x_m: NDArray[np.float64], y_m: NDArray[np.float64], piece: NDArray[np.float64]
-) -> NDArray[np.float32]:
+def _read(layer: _Layer, x_m: Floats, y_m: Floats, piece: Floats) -> NDArray[np.float32]:
     cells = len(layer.field)
     offset = (piece[:, None] * _NEXT_PIECE % 1.0) * cells
     # Modulo here, since single cells are lost in the rounding of coordinates of 1e9 cells.
@@ -352,11 +310,8 @@ def _read(
 
 
 def _in_the_drifting_field(
-    time_s: NDArray[np.float64],
-    east_m: NDArray[np.float64],
-    north_m: NDArray[np.float64],
-    settings: CloudSettings,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    time_s: Floats, east_m: Floats, north_m: Floats, settings: CloudSettings
+) -> tuple[Floats, Floats]:
     """Where each sensor is at each time in the field that drifts [m], shape (T, N) each.
 
     The field is alike in all directions; clouds are longer along the drift since across it a
@@ -371,17 +326,3 @@ def _in_the_drifting_field(
     turn = np.arctan(_TRACK_SLOPE)
     x_m = along * np.cos(turn) - across * np.sin(turn)
     return x_m, along * np.sin(turn) + across * np.cos(turn)
-
-
-def _local_metres(
-    lat_deg: NDArray[np.float64], lon_deg: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Metres east and north of the centroid; a plant is small enough to be flat."""
-    degree_m = np.deg2rad(1.0) * _EARTH_RADIUS_M
-    centre_deg = lat_deg.mean()
-    east_m = (lon_deg - lon_deg.mean()) * degree_m * np.cos(np.deg2rad(centre_deg))
-    return east_m, (lat_deg - centre_deg) * degree_m
-
-
-def _seconds_since_epoch(times: pd.DatetimeIndex) -> NDArray[np.float64]:
-    return np.asarray((times - pd.Timestamp(0, tz="UTC")).total_seconds(), dtype=np.float64)

@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 import pandas as pd
 from msgspec import Meta
-from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
-from sim_plant.csv_tables import check_increasing, read_csv
-from sim_plant.time_steps import step_ns
+from sim_plant import Floats
+from sim_plant.csv_tables import read_csv
+from sim_plant.time_steps import step_ns, utc_text
 
 _LARGEST_KW = 1e8
 _COLUMN = "commitment_kw"
@@ -84,47 +84,27 @@ CommitmentSettings: TypeAlias = (
 def commitment_kw(
     settings: CommitmentSettings,
     times: pd.DatetimeIndex,
-    possible_kw: NDArray[np.float64],
-    clear_sky_kw: Callable[[pd.DatetimeIndex], NDArray[np.float64]],
+    possible_kw: Floats,
+    clear_sky_kw: Callable[[pd.DatetimeIndex], Floats],
     data_path: Callable[[str], Path],
-) -> NDArray[np.float64]:
-    """Return the committed power of the plant at every time step.
+) -> Floats:
+    """Return the committed power of the plant at every time step [kW], shape (T,).
 
-    Parameters
-    ----------
-    settings : ConstantCommitment, ShareOfMedian, ShareOfClearSky, BelowPossible or \
-    ScheduledCommitment
-        Which rule applies.
-    times : pandas.DatetimeIndex, length T
-        The time steps of the run.
-    possible_kw : numpy.ndarray, shape (T,)
-        Maximum AC power of the whole plant at every time step of the run [kW].
-    clear_sky_kw : callable
-        Returns the AC power that the whole plant would have under a clear sky [kW], shape (T,).
-        It is called only where the rule asks for it: not every plant's place is known.
-    data_path : callable
-        Returns the path of a file that the settings name.
-
-    Returns
-    -------
-    numpy.ndarray, shape (T,)
-        Committed power [kW], never negative.
-
-    Raises
-    ------
-    InputError
-        The median possible power of the run is 0, so that a share of it would commit to nothing;
-        a schedule cannot be used or does not cover the run.
-    ValueError
-        The possible power is not of the length of the times.
+    `possible_kw` is the maximum AC power of the whole plant, shape (T,). `clear_sky_kw` returns
+    what that would be under a clear sky; it is called only where the rule asks for it, as not every
+    plant's place is known. `data_path` returns the path of a file that the settings name.
     """
-    if possible_kw.shape != (len(times),):
-        raise ValueError(f"a series of shape ({len(times)},) is needed, not {possible_kw.shape}")
     match settings:
         case ConstantCommitment(power_kw=power_kw):
             return np.full(possible_kw.shape, power_kw)
         case ShareOfMedian(share=share):
-            return np.full(possible_kw.shape, share * _median_kw(possible_kw))
+            median_kw = float(np.median(possible_kw))
+            if not median_kw > 0.0:
+                raise InputError(
+                    "commitment: expected a run with daylight for more than half of its time, got "
+                    f"a median possible power of {median_kw:g} kW"
+                )
+            return np.full(possible_kw.shape, share * median_kw)
         case ShareOfClearSky(share=share):
             return share * clear_sky_kw(times)
         case BelowPossible(share=share, window_s=window_s):
@@ -147,28 +127,10 @@ def hindsight(settings: CommitmentSettings) -> str | None:
             return None
 
 
-def read_schedule_kw(path: Path, times: pd.DatetimeIndex) -> NDArray[np.float64]:
-    """Read a schedule and hold each power until the next.
+def read_schedule_kw(path: Path, times: pd.DatetimeIndex) -> Floats:
+    """Read a schedule and hold each power until the next [kW], shape (T,).
 
     The last power holds for as long as the one before it: a file of 24 hourly rows is a day.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The CSV file.
-    times : pandas.DatetimeIndex, length T
-        The time steps of the run.
-
-    Returns
-    -------
-    numpy.ndarray, shape (T,)
-        Committed power at the beginning of each time step [kW].
-
-    Raises
-    ------
-    InputError
-        The file is not as described, a power is not from 0 to 1e8 kW, time stamps do not
-        increase, or the schedule does not cover the run.
     """
     table = read_csv(path)
     table.check_header((_COLUMN,))
@@ -176,39 +138,28 @@ def read_schedule_kw(path: Path, times: pd.DatetimeIndex) -> NDArray[np.float64]
     power_kw = table.numbers((_COLUMN,), expected, 0.0, _LARGEST_KW)[:, 0]
     stamp = table.header[0]
     begins = table.times(stamp)
-    check_increasing(begins.asi8, lambda row, wanted: table.error(row, stamp, wanted))
+    back = np.flatnonzero(np.diff(begins.asi8) <= 0)
+    if back.size:
+        row = int(back[0]) + 1
+        raise table.error(row, stamp, f"a time after that of line {row + 1}")
     ends = begins[-1] + (begins[-1] - begins[-2])
     run_ends = times[-1] + pd.Timedelta(step_ns(times), unit="ns")
     if times[0] < begins[0] or run_ends > ends:
         raise InputError(
-            f"{path.name}: expected a schedule of the run, {_utc(times[0])} to {_utc(run_ends)}, "
-            f"got {_utc(begins[0])} to {_utc(ends)}"
+            f"{path.name}: expected a schedule of the run, {utc_text(times[0])} to "
+            f"{utc_text(run_ends)}, got {utc_text(begins[0])} to {utc_text(ends)}"
         )
-    held: NDArray[np.float64] = power_kw[begins.searchsorted(times, side="right") - 1]
+    held: Floats = power_kw[begins.searchsorted(times, side="right") - 1]
     return held
 
 
-def _median_kw(possible_kw: NDArray[np.float64]) -> float:
-    median = float(np.median(possible_kw))
-    if not median > 0.0:
-        raise InputError(
-            "commitment: expected a run with daylight for more than half of its time, got a median "
-            f"possible power of {median:g} kW"
-        )
-    return median
-
-
-def _centred_mean(series: NDArray[np.float64], window: float) -> NDArray[np.float64]:
+def _centred_mean(series: Floats, window: float) -> Floats:
     """Mean over as many values before as after, fewer at the ends."""
     half = round((window - 1.0) / 2.0) if window > 1.0 else 0
     row = np.arange(len(series))
     first = np.maximum(row - half, 0)
     after = np.minimum(row + half + 1, len(series))
     total = np.concatenate([[0.0], np.cumsum(series)])
-    mean: NDArray[np.float64] = (total[after] - total[first]) / (after - first)
+    mean: Floats = (total[after] - total[first]) / (after - first)
     # Differences of sums round: a mean of powers is none below zero.
     return np.maximum(mean, 0.0)
-
-
-def _utc(time: pd.Timestamp) -> str:
-    return time.tz_convert("UTC").isoformat().replace("+00:00", "Z")

@@ -14,23 +14,14 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
+from sim_plant import Floats
 
 _TIME_PATTERN: Final = r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:\.\d+)?)?(?:Z|[+-]\d\d:?\d\d)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CsvTable:
-    """A CSV file with a header line, as text.
-
-    Attributes
-    ----------
-    name : str
-        Name of the file, for error messages.
-    header : tuple of str
-        Names of the columns.
-    fields : pandas.DataFrame
-        Text of rows below the header; columns are numbered, the index is that of the lines from 0.
-    """
+    """The text of a CSV file with a header line; the rows are indexed by their lines, from 0."""
 
     name: str
     header: tuple[str, ...]
@@ -48,22 +39,14 @@ class CsvTable:
         """Return some of the rows."""
         return CsvTable(self.name, self.header, self.fields.iloc[list(rows)])
 
-    def error(self, row: int, column: str, expected: str, found: object = None) -> InputError:
+    def error(self, row: int, column: str, expected: str) -> InputError:
         """Say what was expected in a field and what is there."""
         text = self.text(column)
-        line, got = int(text.index[row]) + 1, text.iloc[row] if found is None else found
-        return InputError(
-            f"{self.name}: line {line}, column '{column}': expected {expected}, got '{got}'"
-        )
+        place = f"{self.name}: line {int(text.index[row]) + 1}, column '{column}'"
+        return InputError(f"{place}: expected {expected}, got '{text.iloc[row]}'")
 
     def check_header(self, needed: Sequence[str]) -> None:
-        """Refuse a header that lacks a column which the reader needs.
-
-        Raises
-        ------
-        InputError
-            With the columns that are needed and those that were found.
-        """
+        """Refuse a header that lacks a column which the reader needs."""
         if missing := [name for name in needed if name not in self.header]:
             raise InputError(
                 f"{self.name}: line 1: expected the columns {', '.join(needed)}, got "
@@ -71,13 +54,7 @@ class CsvTable:
             )
 
     def check_no_column_twice(self) -> None:
-        """Refuse a header that names a column twice.
-
-        Raises
-        ------
-        InputError
-            With the name.
-        """
+        """Refuse a header that names a column twice."""
         for name in self.header[1:]:
             if self.header[1:].count(name) > 1:
                 raise InputError(
@@ -92,28 +69,10 @@ class CsvTable:
         high: float = np.inf,
         *,
         empty_is_missing: bool = False,
-    ) -> NDArray[np.float64]:
-        """Return columns as numbers.
+    ) -> Floats:
+        """Return columns as numbers from `low` to `high`, shape (rows, columns).
 
-        Parameters
-        ----------
-        columns : sequence of str
-            Names of N columns.
-        expected : str
-            What a value must be, for the error message, such as `a number in W/m2`.
-        low, high : float
-            Bounds of the values, inclusive.
-        empty_is_missing : bool, default False
-            Whether an empty field is a missing value (NaN) instead of an error.
-
-        Returns
-        -------
-        numpy.ndarray, shape (T, N)
-
-        Raises
-        ------
-        InputError
-            A value is not as expected.
+        An empty field is an error, or NaN if `empty_is_missing`.
         """
         found = [pd.to_numeric(self.text(name), errors="coerce") for name in columns]
         values = np.column_stack(found).astype(np.float64)
@@ -127,13 +86,9 @@ class CsvTable:
         return values
 
     def times(self, column: str) -> pd.DatetimeIndex:
-        """Return the time stamps of a column in UTC.
+        """Return the time stamps of a column in UTC, two or more.
 
-        Raises
-        ------
-        InputError
-            There are fewer than two, or one is not ISO 8601 with `Z` or an offset: a guess of the
-            zone would move the sun.
+        They are ISO 8601 with `Z` or an offset: a guess of the zone would move the sun.
         """
         self._check_length()
         stamps = self.text(column)
@@ -148,13 +103,7 @@ class CsvTable:
         return pd.DatetimeIndex(times).rename(None)
 
     def seconds_ns(self, column: str) -> NDArray[np.int64]:
-        """Return a column of seconds that keep one step, in ns.
-
-        Raises
-        ------
-        InputError
-            There are fewer than two, one is no number of seconds, or they do not keep one step.
-        """
+        """Return a column of two or more seconds that keep one step, in ns."""
         self._check_length()
         second = self.numbers((column,), "a number of seconds", -1e9, 1e9)[:, 0]
         time_ns: NDArray[np.int64] = np.rint(second * 1e9).astype(np.int64)
@@ -167,13 +116,7 @@ class CsvTable:
 
 
 def read_csv(path: Path) -> CsvTable:
-    """Read a CSV file with a header line.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, is empty, or has rows of different widths.
-    """
+    """Read a CSV file with a header line."""
     try:
         # A spreadsheet may have put a byte order mark first.
         text = path.read_text(encoding="utf-8-sig")
@@ -187,13 +130,7 @@ def read_csv(path: Path) -> CsvTable:
 
 
 def text_fields(text: str, name: str) -> pd.DataFrame:
-    """Return the text of all fields; each line must have as many as the first.
-
-    Raises
-    ------
-    InputError
-        It is empty or no CSV, or a line has another number of fields.
-    """
+    """Return the text of all fields; each line must have as many as the first."""
     try:
         rows = list(csv.reader(StringIO(text.rstrip("\r\n"))))
     except csv.Error as error:
@@ -208,36 +145,12 @@ def text_fields(text: str, name: str) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def check_increasing(
-    time_ns: NDArray[np.int64], error: Callable[[int, str], InputError], first_line: int = 2
-) -> None:
-    """Refuse time stamps that repeat or go back.
-
-    Parameters
-    ----------
-    time_ns : numpy.ndarray, shape (T,)
-        The time stamps [ns].
-    error : callable
-        Makes the error of a row from what was expected there.
-    first_line : int, default 2
-        Line of the first row.
-
-    Raises
-    ------
-    InputError
-        For the first that does.
-    """
-    bad = np.flatnonzero(np.diff(time_ns) <= 0)
-    if bad.size:
-        raise error(int(bad[0]) + 1, f"a time after that of line {first_line + bad[0]}")
-
-
 def check_steady(
     time_ns: NDArray[np.int64], error: Callable[[int, str], InputError], first_line: int = 2
 ) -> None:
     """Refuse time stamps that do not keep one step above zero.
 
-    Parameters and errors are those of `check_increasing`.
+    `error` makes the error of a row from what was expected there.
     """
     step_ns = np.diff(time_ns)
     # The median, so that one gap at the top of the file is not taken for its step.

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
 from bus_schemas.tree import check_name, some_of
+from sim_plant import Floats
 from sim_plant.csv_tables import CsvTable, read_csv
 
 TIME_COLUMN: Final = "t_s"
@@ -34,27 +35,18 @@ _FURTHEST_M: Final = 1e6
 class InverterCurrents:
     """Mean DC current of the combiners of n inverters at T time stamps.
 
-    Attributes
-    ----------
-    time_ns : numpy.ndarray, shape (T,)
-        Time since the beginning of the measurement [ns], with a constant step.
-    share : numpy.ndarray, shape (T, n)
-        Mean current over the current at full power, never negative.
-    inverters : tuple of str
-        Names of the inverters that are used.
-    x_m, y_m : numpy.ndarray, shape (n,)
-        Mean position of each inverter's combiners [m], east and north of an arbitrary point.
-    listed : int
-        How many inverters the positions name, those that are left out included.
-    report : tuple of str
-        What was missing, a line each.
+    `time_ns` is the time since the beginning of the measurement, with a constant step. `share` has
+    the shape (T, n): mean current over the current at full power, never negative. `x_m` and `y_m`
+    are the mean position of each inverter's combiners, east and north of an arbitrary point.
+    `listed` says how many inverters the positions name, those that are left out included, and
+    `report` what was missing.
     """
 
     time_ns: NDArray[np.int64]
-    share: NDArray[np.float64]
+    share: Floats
     inverters: tuple[str, ...]
-    x_m: NDArray[np.float64]
-    y_m: NDArray[np.float64]
+    x_m: Floats
+    y_m: Floats
     listed: int
     report: tuple[str, ...]
 
@@ -68,27 +60,8 @@ def read_currents(
     combiner; a field may be empty. `positions_csv` has the columns `combiner, inverter, x_m, y_m`.
 
     Where some combiners of an inverter are missing the mean is over those that are there. An
-    inverter of which all are missing throughout is left out.
-
-    Parameters
-    ----------
-    currents_csv, positions_csv : pathlib.Path
-        The two files.
-    full_power_current : float
-        Current at which an inverter is at its rating, in the unit of the file.
-    refuse_gaps : bool
-        Whether a missing value is an error instead.
-
-    Returns
-    -------
-    InverterCurrents
-
-    Raises
-    ------
-    InputError
-        A file is not as described; a combiner has no position; a value is not from -2 % to 200 %
-        of the current at full power, or all are faint beside it; an inverter has currents at some
-        times and none at others.
+    inverter of which all are missing throughout is left out. If `refuse_gaps`, a missing value is
+    an error instead.
     """
     table = read_csv(currents_csv)
     combiners = _read_combiners(positions_csv)
@@ -114,21 +87,8 @@ def read_currents(
     )
 
 
-def ac_power_kw(share: NDArray[np.float64], rating_kw: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the AC power that the currents of inverters mean.
-
-    Parameters
-    ----------
-    share : numpy.ndarray, shape (T, n)
-        Mean DC current of each inverter over its current at full power.
-    rating_kw : numpy.ndarray, shape (n,)
-        AC rating of each inverter [kW].
-
-    Returns
-    -------
-    numpy.ndarray, shape (T, n)
-        AC power [kW], clipped at the rating.
-    """
+def ac_power_kw(share: Floats, rating_kw: Floats) -> Floats:
+    """Return the AC power that the currents of inverters mean [kW], clipped at the rating."""
     return np.minimum(share, 1.0) * rating_kw
 
 
@@ -164,7 +124,7 @@ def _columns(table: CsvTable, combiners: pd.Index, positions: Path) -> tuple[str
 
 def _currents(
     table: CsvTable, columns: tuple[str, ...], full_power_current: float, refuse_gaps: bool
-) -> NDArray[np.float64]:
+) -> Floats:
     lowest, highest = _LOWEST_SHARE * full_power_current, _HIGHEST_SHARE * full_power_current
     expected = (
         f"{lowest:g} to {highest:g}, as irradiance.full_power_current is {full_power_current:g}, "
@@ -205,9 +165,7 @@ def _inverters(
     return tuple(used), tuple(report)
 
 
-def _check_never_silent(
-    table: CsvTable, inverters: tuple[str, ...], means: NDArray[np.float64]
-) -> None:
+def _check_never_silent(table: CsvTable, inverters: tuple[str, ...], means: Floats) -> None:
     """Refuse an inverter that has currents at some times only: it cannot come and go."""
     silent = np.argwhere(np.isnan(means))
     if silent.size:

@@ -34,12 +34,7 @@ _FRESH_CYCLES: Final = 2.5
 class Reading:
     """What an inverter says of itself, at a monotonic time.
 
-    Attributes
-    ----------
-    available_kw
-        What it could give; None if it does not say.
-    limit_kw
-        The limit in force; its rating if there is none.
+    It may not say what it could give. The limit is the one in force, or its rating.
     """
 
     time_ns: int
@@ -49,13 +44,7 @@ class Reading:
 
 
 def parse_address(address: str, where: str) -> tuple[str, int, int]:
-    """Return host, port and unit of an address such as `modbus://10.0.0.7:502/1`.
-
-    Raises
-    ------
-    InputError
-        It cannot be read.
-    """
+    """Return host, port and unit of an address such as `modbus://10.0.0.7:502/1`."""
     with suppress(ValueError):
         parts = urlsplit(address)
         unit = int(parts.path.strip("/") or 1)
@@ -97,15 +86,7 @@ class Pipes:
 
 
 class Devices:
-    """The real inverters of a run, as the plant's process sees them.
-
-    Attributes
-    ----------
-    places
-        Their places in the control tree.
-    newest
-        The newest reading of each.
-    """
+    """The real inverters of a run, by their places in the control tree, with newest readings."""
 
     def __init__(self, plan: RunPlan, folder: Path) -> None:
         self.places = [plan.tree.leaves.index(node) for node, _ in plan.devices]

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
+from sim_plant import Floats
 from sim_plant.irradiance import Irradiance
 from sim_plant.positions import east_north_m
 
@@ -39,34 +40,18 @@ _SAME_PLACE_M: Final = 1.0
 def fill_from_neighbours(
     irradiance: Irradiance, source: str, first_line: int
 ) -> tuple[Irradiance, tuple[str, ...]]:
-    """Fill what is missing, and say what was filled.
+    """Fill what is missing (NaN), and say of each sensor what was filled.
 
-    Parameters
-    ----------
-    irradiance : Irradiance
-        N sensors, NaN where a value is missing.
-    source : str
-        What the irradiance was read from, for the error message.
-    first_line : int
-        Line of its first row there.
-
-    Returns
-    -------
-    irradiance : Irradiance
-        Without a missing value; values that were there are unchanged.
-    report : tuple of str
-        A line for each sensor of which values were missing.
-
-    Raises
-    ------
-    InputError
-        All sensors are silent for more than 60 values in a row, or at the beginning or end.
+    `source` and `first_line` are what the irradiance was read from, for the error that all sensors
+    are silent for too long, or at the beginning or end.
     """
     ghi_wm2 = irradiance.ghi_wm2
     missing = np.isnan(ghi_wm2)
     nobody = np.asarray(missing.all(axis=1), dtype=np.bool_)
     _check_silences(nobody, source, first_line)
-    distance_m = _distances_m(irradiance)
+    east_m, north_m = east_north_m(irradiance.lat_deg, irradiance.lon_deg)
+    distance_m = np.hypot(east_m[:, None] - east_m, north_m[:, None] - north_m)
+    distance_m = np.maximum(distance_m, _SAME_PLACE_M)
     filled = ghi_wm2.copy()
     report = []
     for sensor in np.flatnonzero((missing & ~nobody[:, None]).any(axis=0)):
@@ -88,9 +73,7 @@ def fill_from_neighbours(
     return complete, tuple(report)
 
 
-def _weighted_mean(
-    ghi_wm2: NDArray[np.float64], distance_m: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _weighted_mean(ghi_wm2: Floats, distance_m: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Mean of the nearest sensors that have a value, NaN where none has; and which they were.
 
     The sensors are given in the order of their distance.
@@ -103,14 +86,14 @@ def _weighted_mean(
     return np.divide(weighted, total, out=np.full(len(total), np.nan), where=total > 0.0), used
 
 
-def _level(own_wm2: NDArray[np.float64], mean_wm2: NDArray[np.float64]) -> float:
+def _level(own_wm2: Floats, mean_wm2: Floats) -> float:
     """Ratio of the sensor to its neighbours while both were there; 1 where that says nothing."""
     both = ~np.isnan(own_wm2) & ~np.isnan(mean_wm2)
     of_neighbours = float(mean_wm2[both].sum())
     return float(own_wm2[both].sum()) / of_neighbours if of_neighbours > 0.0 else 1.0
 
 
-def _draw_lines(filled: NDArray[np.float64], nobody: NDArray[np.bool_]) -> list[str]:
+def _draw_lines(filled: Floats, nobody: NDArray[np.bool_]) -> list[str]:
     """Interpolate in time, in place, where no sensor has a value."""
     if not nobody.any():
         return []
@@ -131,12 +114,6 @@ def _check_silences(nobody: NDArray[np.bool_], source: str, first_line: int) -> 
                 f"{source}: lines {first + first_line} to {after - 1 + first_line}: expected at "
                 f"most {_LONGEST_LINE} lines without any value, between lines with values"
             )
-
-
-def _distances_m(irradiance: Irradiance) -> NDArray[np.float64]:
-    east_m, north_m = east_north_m(irradiance.lat_deg, irradiance.lon_deg)
-    distance_m = np.hypot(east_m[:, None] - east_m, north_m[:, None] - north_m)
-    return np.asarray(np.maximum(distance_m, _SAME_PLACE_M))
 
 
 def _listed(names: list[str]) -> str:

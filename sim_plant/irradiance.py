@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
 from bus_schemas.tree import some_of
+from sim_plant import Floats
 from sim_plant.csv_tables import CsvTable, check_steady, read_csv
 
 GHI_MIN_WM2 = -10.0
@@ -25,23 +25,15 @@ _POSITION_LIMITS = {"lat": 90.0, "lon": 180.0}
 class Irradiance:
     """GHI of N sensors at T time stamps.
 
-    Attributes
-    ----------
-    times : pandas.DatetimeIndex, length T
-        UTC, with time zone, strictly increasing with one constant step.
-    ghi_wm2 : numpy.ndarray, shape (T, N)
-        Global horizontal irradiance [W/m^2], never negative.
-    sensors : tuple of str
-        Names of the N sensors.
-    lat_deg, lon_deg : numpy.ndarray, shape (N,)
-        Coordinates of the sensors [degree], north and east positive.
+    `times` are UTC with one constant step. `ghi_wm2` has the shape (T, N) and is never negative.
+    Coordinates [degree] have the shape (N,), north and east are positive.
     """
 
     times: pd.DatetimeIndex
-    ghi_wm2: NDArray[np.float64]
+    ghi_wm2: Floats
     sensors: tuple[str, ...]
-    lat_deg: NDArray[np.float64]
-    lon_deg: NDArray[np.float64]
+    lat_deg: Floats
+    lon_deg: Floats
 
 
 def read_measured_ghi(
@@ -49,37 +41,14 @@ def read_measured_ghi(
 ) -> Irradiance:
     """Read measured GHI and the coordinates of the sensors from two CSV files.
 
-    The first column of `ghi_csv`, whatever its header, is the time stamp: ISO 8601 with `Z` or an
-    offset from UTC (`2010-04-01T05:00:00-10:00`). A time stamp without either is refused, since a
-    guess of the time zone would move the sun. Every other column is one sensor, named by the
-    header, in W/m^2. `positions_csv` has the columns `station`, `lat` and `lon` [degree]; others
-    are not read. Both files are UTF-8 with a header line.
+    The first column of `ghi_csv`, whatever its header, is the time stamp, with its offset from UTC
+    and in constant steps. Every other column is one sensor, named by the header, in W/m^2. No
+    value may be missing. Pyranometers read a little below zero at night: values from -10 to 0 W/m^2
+    are set to 0.
 
-    Pyranometers read a little below zero at night. Values from -10 to 0 W/m^2 are set to 0; a
-    lower value is an error. No value is ever filled in.
-
-    Parameters
-    ----------
-    ghi_csv : pathlib.Path
-        The measurements.
-    positions_csv : pathlib.Path
-        The coordinates.
-    stations : sequence of str, optional
-        The sensors wanted, in this order. By default all columns of `ghi_csv`, which must then be
-        all stations of `positions_csv`: a file that lacks some is that of a smaller plant. Values
-        of other columns are not checked.
-
-    Returns
-    -------
-    Irradiance
-        All time stamps of the file.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read; a station has no column or no position, or has two; a value is
-        empty, not a number or out of range; the file seems to hold kW/m^2; a time stamp is not as
-        described, repeats, goes back, or does not keep the step of the file.
+    `stations` are the sensors wanted, in this order. By default they are all columns of `ghi_csv`,
+    which must then be all stations of `positions_csv`: a file that lacks some is that of a smaller
+    plant. Values of other columns are not checked.
     """
     table = read_csv(ghi_csv)
     if stations is None:
@@ -101,27 +70,10 @@ def read_measured_ghi(
     return Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg)
 
 
-def read_positions(
-    path: Path, stations: Sequence[str]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Read the coordinates of stations from a CSV file with the columns `station, lat, lon`.
+def read_positions(path: Path, stations: Sequence[str]) -> tuple[Floats, Floats]:
+    """Return latitudes and longitudes of stations [degree], from a CSV `station, lat, lon`.
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file. Further columns, and stations that are not asked for, are left alone.
-    stations : sequence of str
-        The N stations wanted.
-
-    Returns
-    -------
-    lat_deg, lon_deg : numpy.ndarray, shape (N,)
-        Coordinates in the order of `stations` [degree], north and east positive.
-
-    Raises
-    ------
-    InputError
-        A station has no position, or two; a coordinate is not a number of degrees.
+    Other columns and stations are left alone.
     """
     table = read_csv(path)
     table.check_header(("station", *_POSITION_LIMITS))
@@ -139,26 +91,10 @@ def read_positions(
     return lat_deg, lon_deg
 
 
-def check_ghi(
-    source: str, ghi_wm2: NDArray[np.float64], columns: Sequence[str], first_line: int
-) -> None:
-    """Refuse values that are no global horizontal irradiance in W/m^2.
+def check_ghi(source: str, ghi_wm2: Floats, columns: Sequence[str], first_line: int) -> None:
+    """Refuse values that are no global horizontal irradiance in W/m^2; NaN stands for a gap.
 
-    Parameters
-    ----------
-    source : str
-        What was read, for the error message.
-    ghi_wm2 : numpy.ndarray, shape (T, N)
-        The values [W/m^2], NaN where one is missing.
-    columns : sequence of str
-        What to call each of the N columns.
-    first_line : int
-        Line of the first row.
-
-    Raises
-    ------
-    InputError
-        A value is below -10 or above 2000 W/m^2, or all seem to be in kW/m^2.
+    `columns` says what to call each column in an error.
     """
     bad = np.argwhere((ghi_wm2 < GHI_MIN_WM2) | (ghi_wm2 > GHI_MAX_WM2))
     if bad.size:
@@ -176,13 +112,7 @@ def check_ghi(
 
 
 def check_stations_once(stations: Sequence[str]) -> None:
-    """Refuse a choice of stations that names one twice.
-
-    Raises
-    ------
-    InputError
-        With the name.
-    """
+    """Refuse a choice of stations that names one twice."""
     for name in stations:
         if stations.count(name) > 1:
             raise InputError(f"stations: expected each station once, got '{name}' twice")

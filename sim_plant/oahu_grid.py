@@ -15,7 +15,8 @@ these fields: it was logged every 3 seconds, to files of their own, which have t
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import date, timedelta, timezone
 from pathlib import Path
@@ -24,9 +25,9 @@ from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
+from sim_plant import Floats
 from sim_plant.csv_tables import check_steady, text_fields
 from sim_plant.gap_filling import fill_from_neighbours
 from sim_plant.irradiance import Irradiance, check_ghi, check_stations_once, read_positions
@@ -49,16 +50,9 @@ _ACCEPTED: Final = "YYYYMMDD.txt, or YYYYMM.zip that holds it"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridDay:
-    """A day of the archive, ready to be used.
+    """A day of the archive without missing values, the file it was read from, and what was filled.
 
-    Attributes
-    ----------
-    irradiance : Irradiance
-        Of the sensors that are used, without a missing value.
-    source : str
-        The file it was read from.
-    report : tuple of str
-        What was filled and left out, a line each.
+    `report` has a line for each sensor that was filled or left out.
     """
 
     irradiance: Irradiance
@@ -73,34 +67,12 @@ def read_day(
     stations: Sequence[str] | None = None,
     most_missing: float | None = None,
 ) -> GridDay:
-    """Read one day and see to its missing values.
+    """Read one day, in Hawaii, and see to its missing values.
 
-    Values from -10 to 0 W/m^2, which the sensors show at night, are set to 0.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Where the daily files or the archives of their months are.
-    day : datetime.date
-        The day, in Hawaii.
-    positions_csv : pathlib.Path
-        Coordinates of the sensors, as `read_positions` reads them.
-    stations : sequence of str, optional
-        The sensors wanted. By default all 17 that are horizontal.
-    most_missing : float, optional
-        A sensor of which a larger share of the day is missing is left out, what is missing of the
-        others is filled from their neighbours among the sensors that are used. By default a
-        missing value is an error.
-
-    Returns
-    -------
-    GridDay
-
-    Raises
-    ------
-    InputError
-        There is no such file or it is not as described above; a station is not a horizontal
-        sensor or has no position; too much is missing.
+    Values from -10 to 0 W/m^2, which the sensors show at night, are set to 0. By default all 17
+    horizontal sensors are read, and a missing value is an error. A sensor of which a larger share
+    of the day than `most_missing` is missing is left out; what is missing of the others is filled
+    from their neighbours among the sensors that are used.
     """
     wanted = _wanted(stations)
     lat_deg, lon_deg = read_positions(positions_csv, wanted)
@@ -114,7 +86,13 @@ def read_day(
     check_ghi(source, ghi_wm2, columns, first_line=1)
     found = Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg)
     if most_missing is None:
-        _check_nothing_missing(source, ghi_wm2, columns)
+        missing = np.argwhere(np.isnan(ghi_wm2))
+        if missing.size:
+            row, column = missing[0]
+            raise InputError(
+                f"{source}: line {row + 1}, {columns[column]}: expected no missing value, as "
+                f"irradiance.gaps is 'refuse', got '{MISSING:g}', one of {len(missing):,}"
+            )
         return GridDay(found, source, ())
     used, left_out = _without_silent(found, source, most_missing)
     complete, filled = fill_from_neighbours(used, source, first_line=1)
@@ -123,22 +101,16 @@ def read_day(
 
 
 def latest_day_before(folder: Path, day: date) -> date:
-    """Return the latest day before another of which there is a file.
-
-    Raises
-    ------
-    InputError
-        There is none, or an archive cannot be read.
-    """
-    days = {_day_of(path.stem) for path in folder.glob("*.txt")}
-    months = sorted((path for path in folder.glob("*.zip") if _is_month(path.stem)), reverse=True)
-    for month in months:
-        if month.stem <= f"{day:%Y%m}":
-            inside = {_day_of(Path(name).stem) for name in _names_in(month)}
-            days |= inside
-            if any(found is not None and found < day for found in inside):
+    """Return the latest day before another of which there is a file."""
+    earlier = _days_before(day, (path.stem for path in folder.glob("*.txt")))
+    for month in sorted(folder.glob("*.zip"), reverse=True):
+        if re.fullmatch(r"\d{6}", month.stem) and month.stem <= f"{day:%Y%m}":
+            with _archive(month) as archive:
+                names = [Path(name) for name in archive.namelist()]
+            inside = _days_before(day, (name.stem for name in names if name.suffix == ".txt"))
+            if inside:
+                earlier |= inside
                 break
-    earlier = [found for found in days if found is not None and found < day]
     if not earlier:
         raise InputError(
             f"{folder}: expected {_ACCEPTED} of a day before {day:%Y-%m-%d}, from which "
@@ -165,32 +137,26 @@ def _find(folder: Path, day: date) -> tuple[str, bytes]:
     """Name and content of a day's file."""
     plain = folder / f"{day:%Y%m%d}.txt"
     month = folder / f"{day:%Y%m}.zip"
-    try:
-        if plain.is_file():
-            return str(plain), plain.read_bytes()
-        if month.is_file():
-            inside = [name for name in _names_in(month) if Path(name).name == plain.name]
-            if inside:
-                with ZipFile(month) as archive:
-                    return f"{month}/{inside[0]}", archive.read(inside[0])
-    except OSError as error:
-        raise InputError(f"{error.filename or folder}: {error.strerror}") from None
-    except (BadZipFile, RuntimeError, NotImplementedError) as error:
-        raise InputError(f"{month}: expected a ZIP archive of daily files, got: {error}") from None
+    if plain.is_file():
+        return str(plain), plain.read_bytes()
+    if month.is_file():
+        with _archive(month) as archive:
+            for name in archive.namelist():
+                if Path(name).name == plain.name:
+                    return f"{month}/{name}", archive.read(name)
     raise InputError(f"{folder}: expected {_ACCEPTED} of {day:%Y-%m-%d}, got none")
 
 
-def _names_in(month: Path) -> list[str]:
+@contextmanager
+def _archive(month: Path) -> Iterator[ZipFile]:
     try:
         with ZipFile(month) as archive:
-            return [name for name in archive.namelist() if name.endswith(".txt")]
-    except OSError as error:
-        raise InputError(f"{month}: {error.strerror}") from None
-    except BadZipFile as error:
+            yield archive
+    except (BadZipFile, RuntimeError, NotImplementedError) as error:
         raise InputError(f"{month}: expected a ZIP archive of daily files, got: {error}") from None
 
 
-def _table(source: str, content: bytes) -> NDArray[np.float64]:
+def _table(source: str, content: bytes) -> Floats:
     """All fields as numbers, shape (lines, 23)."""
     text = text_fields(content.decode("latin-1"), source)
     if text.shape[1] != len(_FIELDS):
@@ -212,28 +178,19 @@ def _table(source: str, content: bytes) -> NDArray[np.float64]:
     return table
 
 
-def _times(source: str, table: NDArray[np.float64], day: date) -> pd.DatetimeIndex:
+def _times(source: str, table: Floats, day: date) -> pd.DatetimeIndex:
     """Time stamps of all lines in UTC."""
-    second, year, day_of_year, clock = table[:, :4].T
+    stamp, of_day = table[:, : len(_TIME_FIELDS)], day.timetuple().tm_yday
+    second, year, day_of_year, clock = stamp.T
     hour, minute = np.divmod(clock, 100.0)
-    of_day = day.timetuple().tm_yday
-    wrong = {
-        3: (
-            (year != day.year) | (day_of_year != of_day),
-            f"{of_day} of {day.year}, as in its name",
-        ),
-        4: ((hour > 23) | (minute > 59) | (clock % 1.0 != 0.0) | (clock < 0), "0 to 2359"),
-        1: ((second > 59) | (second % 1.0 != 0.0) | (second < 0), "0 to 59"),
-    }
-    for field, (rows, accepted) in wrong.items():
-        if rows.any():
-            row = int(rows.argmax())
-            value = table[row, field - 1]
-            of = f" of {year[row]:g}" if field == 3 else ""
-            raise InputError(
-                f"{source}: line {row + 1}, field {field} ({_FIELDS[field - 1]}): expected "
-                f"{accepted}, got '{value:g}'{of}"
-            )
+    bad = (year != day.year) | (day_of_year != of_day) | (hour > 23) | (minute > 59) | (second > 59)
+    bad |= ((stamp % 1.0 != 0.0) | (stamp < 0.0)).any(axis=1)
+    if bad.any():
+        row = int(bad.argmax())
+        raise InputError(
+            f"{source}: line {row + 1}: expected {', '.join(_TIME_FIELDS)} of day {of_day} of "
+            f"{day.year}, got {', '.join(f'{value:g}' for value in stamp[row])}"
+        )
     second_of_day = hour * 3600.0 + minute * 60.0 + second
     midnight = pd.Timestamp(day).tz_localize(TIMEZONE).tz_convert("UTC")
     times = pd.DatetimeIndex(midnight + pd.to_timedelta(second_of_day, unit="s")).as_unit("ns")
@@ -246,18 +203,6 @@ def _times(source: str, table: NDArray[np.float64], day: date) -> pd.DatetimeInd
         first_line=1,
     )
     return times
-
-
-def _check_nothing_missing(
-    source: str, ghi_wm2: NDArray[np.float64], columns: Sequence[str]
-) -> None:
-    missing = np.isnan(ghi_wm2)
-    if missing.any():
-        row, column = np.argwhere(missing)[0]
-        raise InputError(
-            f"{source}: line {row + 1}, {columns[column]}: expected no missing value, as "
-            f"irradiance.gaps is 'refuse', got '{MISSING:g}', one of {int(missing.sum()):,}"
-        )
 
 
 def _without_silent(
@@ -278,25 +223,15 @@ def _without_silent(
         for sensor in range(len(found.sensors))
         if sensor not in kept
     ]
-    used = Irradiance(
-        found.times,
-        found.ghi_wm2[:, kept],
-        tuple(found.sensors[sensor] for sensor in kept),
-        found.lat_deg[kept],
-        found.lon_deg[kept],
-    )
-    return used, report
+    names = tuple(found.sensors[sensor] for sensor in kept)
+    place = found.lat_deg[kept], found.lon_deg[kept]
+    return Irradiance(found.times, found.ghi_wm2[:, kept], names, *place), report
 
 
-def _day_of(stem: str) -> date | None:
-    """Day that a file is named after."""
-    if not re.fullmatch(r"\d{8}", stem):
-        return None
-    try:
-        return date(int(stem[:4]), int(stem[4:6]), int(stem[6:]))
-    except ValueError:
-        return None
-
-
-def _is_month(stem: str) -> bool:
-    return re.fullmatch(r"\d{6}", stem) is not None
+def _days_before(day: date, stems: Iterable[str]) -> set[date]:
+    """Return the days before another that files are named after."""
+    found = set()
+    for stem in stems:
+        with suppress(ValueError):
+            found.add(date.fromisoformat(stem))
+    return {one for one in found if one < day}

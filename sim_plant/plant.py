@@ -18,8 +18,8 @@ from bus_schemas.bus import Delivery
 from bus_schemas.messages import Dispatch, Meter, Production, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY
 from bus_schemas.tree import PLANT, ROOT
+from sim_plant import Floats
 from sim_plant.devices import Devices
-from sim_plant.inverter import delivered_power_kw
 from sim_plant.profile import Profile
 
 
@@ -27,37 +27,25 @@ from sim_plant.profile import Profile
 class PlantState:
     """What each inverter obeyed and delivered in the last interval, shape (n,).
 
-    Attributes
-    ----------
-    ordered_alpha, ordered_kw
-        Its commands of the last intervals, the newest first, shape (1 + longest delay, n).
-    renewed
-        Cycle of the last command.
-    revert_kw
-        Limit that it goes to when its revert time is over.
+    `ordered_alpha` and `ordered_kw` are its commands of the last intervals, the newest first, shape
+    (1 + longest delay, n). `renewed` is the cycle of the last command, `revert_kw` the limit that
+    it goes to when its revert time is over.
     """
 
-    alpha: NDArray[np.float64]
-    limit_kw: NDArray[np.float64]
-    power_kw: NDArray[np.float64]
-    ordered_alpha: NDArray[np.float64]
-    ordered_kw: NDArray[np.float64]
+    alpha: Floats
+    limit_kw: Floats
+    power_kw: Floats
+    ordered_alpha: Floats
+    ordered_kw: Floats
     renewed: NDArray[np.int64]
-    revert_kw: NDArray[np.float64]
+    revert_kw: Floats
 
 
 class Plant:
     """All inverters of a plant, and the operator who dispatches it.
 
-    Parameters
-    ----------
-    plan
-        Of the run.
-    profile
-        What sun and market do. Before the run begins the inverters stand under the first sample,
-        uncurtailed.
-    devices
-        The inverters that are real: their readings take the place of what is simulated.
+    Before the run begins the inverters stand under the first sample, uncurtailed. The readings of
+    real inverters, `devices`, take the place of what is simulated.
     """
 
     name = PLANT
@@ -180,8 +168,10 @@ class Plant:
         cycle = max(turn.cycle, 0)
         mpp_kw = self._profile.mpp_kw[cycle]
         state = self._obey(state, turn)
+        # The paper's inverter gives the share alpha of its maximum, cloud by cloud. A real one
+        # holds a power limit in its own fast loop (SunSpec model 123, `WMaxLimPct`).
         share = np.ones_like(state.alpha) if self._limits else state.alpha
-        power_kw = delivered_power_kw(mpp_kw, share, state.limit_kw)
+        power_kw = np.minimum(share * mpp_kw, state.limit_kw)
         if self._devices is not None:
             mpp_kw = mpp_kw.copy()
             self._command(self._devices, turn)
@@ -240,8 +230,6 @@ class Plant:
         )
 
 
-def _towards(
-    wanted: NDArray[np.float64], now: NDArray[np.float64], step: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _towards(wanted: Floats, now: Floats, step: Floats) -> Floats:
     """Return what is wanted, as far as a step from now reaches."""
     return np.clip(wanted, now - step, now + step)

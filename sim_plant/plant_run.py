@@ -9,15 +9,20 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable
+from pathlib import Path
 from typing import Final, Literal
 
 from agents.events import Armed
-from agents.process import AgentProcess
-from bus_schemas.bus import Arrival
+from agents.launcher_link import LauncherLink
+from agents.plan import RunPlan
+from agents.process import AgentProcess, run_guarded
 from bus_schemas.messages import Message
 from bus_schemas.signals import READY, RUN, Port
 from bus_schemas.tree import PLANT, ROOT, some_of
+from sim_plant.devices import Devices
+from sim_plant.plant import Plant
+from sim_plant.profile import Profile
 
 log = logging.getLogger(__name__)
 
@@ -68,18 +73,26 @@ def needed_messages(waiting: Iterable[Port[Message]], external: Collection[str])
     return ", ".join(needs[:_MOST_NAMED]) + rest
 
 
-class PlantRun:
-    """Takes the plant, and with it everybody, through a run.
+def run_plant(
+    plan: RunPlan, profile: Profile, link: LauncherLink, patience_s: float, folder: Path
+) -> int:
+    """Join the bus and lead the run in a folder. Returns the exit status.
 
-    Parameters
-    ----------
-    process
-        The plant's.
-    patience_s
-        How long to wait for everybody before giving up.
+    Everybody must appear within the patience.
     """
 
-    def __init__(self, process: AgentProcess, patience_s: float = 30.0) -> None:
+    def run() -> None:
+        devices = Devices(plan, folder) if plan.devices else None
+        with AgentProcess(plan, Plant(plan, profile, devices), link) as process:
+            PlantRun(process, patience_s).run()
+
+    return run_guarded(PLANT, link, run, expected=(ArmingError,))
+
+
+class PlantRun:
+    """Takes the plant, and with it everybody, through a run."""
+
+    def __init__(self, process: AgentProcess, patience_s: float) -> None:
         self._process = process
         self._loop = process.loop
         self._plan = process.plan
@@ -87,13 +100,7 @@ class PlantRun:
         self._recorded_round = FIRST_ROUND - 1
 
     def run(self) -> None:
-        """Arm, start, run, stop.
-
-        Raises
-        ------
-        ArmingError
-            Somebody did not appear, or no arming round came back; the message names who.
-        """
+        """Arm, start, run, stop."""
         process, loop = self._process, self._loop
         give_up_at = time.monotonic() + self._patience_s
         self._await_everybody(give_up_at)
@@ -137,15 +144,12 @@ class PlantRun:
 
     def _round_closes(self, cycle: int, until: float) -> bool:
         while time.monotonic() < until:
-            self._note_recorder(self._process.driver.turn(longest_ns=round(until * 1e9)))
+            for arrival in self._process.driver.turn(longest_ns=round(until * 1e9)):
+                if arrival.port is READY.of(ROOT):
+                    self._recorded_round = arrival.message.cycle
             if not self._loop.stage and self._recorded_round == cycle:
                 return True
         return False
-
-    def _note_recorder(self, arrivals: Sequence[Arrival]) -> None:
-        for arrival in arrivals:
-            if arrival.port is READY.of(ROOT):
-                self._recorded_round = arrival.message.cycle
 
     def _publish_run(self, state: Literal["start", "stop"], cycle: int, start_time_ns: int) -> None:
         message = self._plan.run_message(state, cycle, start_time_ns)

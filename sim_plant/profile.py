@@ -6,12 +6,12 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
+from sim_plant import Floats
 
 
-def _not_given() -> NDArray[np.float64]:
+def _not_given() -> Floats:
     return np.zeros(0)
 
 
@@ -19,27 +19,17 @@ def _not_given() -> NDArray[np.float64]:
 class Profile:
     """True maximum power of each inverter, and what the operator wants, for each cycle of a run.
 
-    Attributes
-    ----------
-    mpp_kw
-        AC power that the irradiance would allow, clipped at the rating, shape (cycles, inverters).
-    commitment_kw
-        Power promised for each cycle, shape (cycles,).
-    regulation_kw
-        Power that the operator wants on top of it, of either sign, shape (cycles,). By default
-        none.
-    regulation_capacity_kw
-        Power that a regulation signal of +1 stands for; 0 if there is no regulation.
-    meter_error
-        Relative error of the power that each inverter measures, shape (cycles, inverters). Row k
-        is that of the telemetry sent in cycle k. By default the meters are exact.
+    `mpp_kw` [cycles, inverters] is clipped at the rating. The operator wants the commitment, and
+    regulation of either sign on top of it [cycles]; the capacity is what a regulation signal of +1
+    stands for. Row k of `meter_error` [cycles, inverters] is the relative error of the power in the
+    telemetry sent in cycle k. By default there is no regulation, and the meters are exact.
     """
 
-    mpp_kw: NDArray[np.float64]
-    commitment_kw: NDArray[np.float64]
-    regulation_kw: NDArray[np.float64] = field(default_factory=_not_given)
+    mpp_kw: Floats
+    commitment_kw: Floats
+    regulation_kw: Floats = field(default_factory=_not_given)
     regulation_capacity_kw: float = 0.0
-    meter_error: NDArray[np.float64] = field(default_factory=_not_given)
+    meter_error: Floats = field(default_factory=_not_given)
 
     def __post_init__(self) -> None:
         if not self.regulation_kw.size:
@@ -54,32 +44,19 @@ class Profile:
 
     def save(self, path: Path) -> None:
         """Write the profile as a compressed numpy archive."""
-        np.savez_compressed(
-            path, **{entry.name: getattr(self, entry.name) for entry in fields(self)}
-        )
+        np.savez_compressed(path, **{one.name: getattr(self, one.name) for one in fields(self)})
 
 
 def load_profile(path: Path) -> Profile:
-    """Read a profile.
-
-    Raises
-    ------
-    InputError
-        There is no such file.
-    """
+    """Read a profile."""
+    expected = f"{path}: expected the profile.npz of a run, got"
     try:
         with np.load(path) as archive:
-            return Profile(
-                archive["mpp_kw"],
-                archive["commitment_kw"],
-                archive["regulation_kw"],
-                float(archive["regulation_capacity_kw"]),
-                archive["meter_error"],
-            )
+            found = {one.name: archive[one.name] for one in fields(Profile)}
+        capacity_kw = float(found.pop("regulation_capacity_kw"))
+        return Profile(**found, regulation_capacity_kw=capacity_kw)
     except FileNotFoundError:
-        raise InputError(f"{path}: expected the profile.npz of a run, got no such file") from None
+        raise InputError(f"{expected} no such file") from None
     except Exception as error:  # A damaged archive can fail in numpy, zip or anywhere below.
         reason = type(error).__name__
-        raise InputError(
-            f"{path}: expected the profile.npz of a run, got one that is not readable ({reason})"
-        ) from None
+        raise InputError(f"{expected} one that is not readable ({reason})") from None

@@ -13,10 +13,10 @@ import msgspec
 import numpy as np
 import pandas as pd
 from msgspec import Meta
-from numpy.typing import NDArray
 from pvlib import inverter, irradiance, pvsystem, solarposition, temperature
 
 from bus_schemas.errors import InputError
+from sim_plant import Floats
 
 _SAPM = temperature.TEMPERATURE_MODEL_PARAMETERS["sapm"]["open_rack_glass_polymer"]
 
@@ -67,13 +67,13 @@ class PvSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 def ac_power_kw(
-    ghi_wm2: NDArray[np.float64],
+    ghi_wm2: Floats,
     times: pd.DatetimeIndex,
-    lat_deg: NDArray[np.float64],
-    lon_deg: NDArray[np.float64],
-    rating_kw: NDArray[np.float64],
+    lat_deg: Floats,
+    lon_deg: Floats,
+    rating_kw: Floats,
     settings: PvSettings,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the maximum AC power of each inverter at every time step.
 
     GHI is split into its beam and diffuse parts (Erbs, doi:10.1016/0038-092X(82)90302-4) and
@@ -105,10 +105,7 @@ def ac_power_kw(
     InputError
         The irradiance is high in the middle of the night: the time stamps are not UTC, or the
         coordinates are not those of the sensors.
-    ValueError
-        The shapes do not fit, an irradiance is not finite, or a rating is not above 0.
     """
-    _check_shapes(ghi_wm2, times, lat_deg, lon_deg, rating_kw)
     sun = solarposition.get_solarposition(times, float(lat_deg.mean()), float(lon_deg.mean()))
     _check_night_is_dark(ghi_wm2, times, sun)
     is_up = sun["apparent_zenith"].to_numpy()[:, None] < 90.0
@@ -117,8 +114,8 @@ def ac_power_kw(
 
 
 def _poa_wm2(
-    ghi_wm2: NDArray[np.float64], times: pd.DatetimeIndex, sun: pd.DataFrame, settings: PvSettings
-) -> NDArray[np.float64]:
+    ghi_wm2: Floats, times: pd.DatetimeIndex, sun: pd.DataFrame, settings: PvSettings
+) -> Floats:
     if settings.tilt_deg == 0.0:
         return ghi_wm2
     day = np.asarray(times.tz_convert("UTC").day_of_year)[:, None]
@@ -138,9 +135,7 @@ def _poa_wm2(
     return np.asarray(total["poa_global"], dtype=np.float64)
 
 
-def _inverter_ac_kw(
-    poa_wm2: NDArray[np.float64], rating_kw: NDArray[np.float64], settings: PvSettings
-) -> NDArray[np.float64]:
+def _inverter_ac_kw(poa_wm2: Floats, rating_kw: Floats, settings: PvSettings) -> Floats:
     cell_c = temperature.sapm_cell(poa_wm2, settings.temp_air_c, settings.wind_speed_ms, **_SAPM)
     dc_rating_kw = rating_kw * settings.dc_ac_ratio
     dc_kw = pvsystem.pvwatts_dc(poa_wm2, cell_c, dc_rating_kw, settings.gamma_pdc_per_c)
@@ -150,9 +145,7 @@ def _inverter_ac_kw(
     return np.clip(np.asarray(ac_kw, dtype=np.float64), 0.0, rating_kw)
 
 
-def _check_night_is_dark(
-    ghi_wm2: NDArray[np.float64], times: pd.DatetimeIndex, sun: pd.DataFrame
-) -> None:
+def _check_night_is_dark(ghi_wm2: Floats, times: pd.DatetimeIndex, sun: pd.DataFrame) -> None:
     zenith_deg = sun["zenith"].to_numpy()
     row_max_wm2 = ghi_wm2.max(axis=1)
     bad = np.flatnonzero((zenith_deg > _TWILIGHT_ZENITH_DEG) & (row_max_wm2 > _TWILIGHT_MAX_WM2))
@@ -163,22 +156,3 @@ def _check_night_is_dark(
             f"of the sensors, got {row_max_wm2[row]:.1f} W/m2 at {times[row].isoformat()} with the "
             f"sun {zenith_deg[row] - 90.0:.1f} degrees below the horizon"
         )
-
-
-def _check_shapes(
-    ghi_wm2: NDArray[np.float64],
-    times: pd.DatetimeIndex,
-    lat_deg: NDArray[np.float64],
-    lon_deg: NDArray[np.float64],
-    rating_kw: NDArray[np.float64],
-) -> None:
-    count = len(rating_kw)
-    if ghi_wm2.shape != (len(times), count) or not len(lat_deg) == len(lon_deg) == count:
-        raise ValueError(
-            f"irradiance of shape {ghi_wm2.shape} does not fit {len(times)} time stamps,"
-            f" {len(lat_deg)} latitudes, {len(lon_deg)} longitudes and {count} ratings"
-        )
-    if not np.isfinite(ghi_wm2).all():
-        raise ValueError("an irradiance is not finite")
-    if not (rating_kw > 0.0).all():
-        raise ValueError("a rating is not above 0 kW")

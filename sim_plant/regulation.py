@@ -20,6 +20,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
+from sim_plant import Floats
 from sim_plant.csv_tables import read_csv
 from sim_plant.synthetic_regd import SAMPLES, STEP_S, synthetic_regd
 
@@ -72,30 +73,12 @@ def regulation_kw(
     times: pd.DatetimeIndex,
     timezone: str,
     find_file: Callable[[str], Path],
-) -> NDArray[np.float64]:
-    """Return the regulation that is asked of the plant in every cycle.
+) -> Floats:
+    """Return the regulation that is asked of the plant in every cycle, shape (T,).
 
-    Parameters
-    ----------
-    settings : RegulationFile or SyntheticRegulation
-        The signal, and what the plant offers.
-    times : pandas.DatetimeIndex, length T
-        Beginnings of the cycles, with a time zone, ascending.
-    timezone : str
-        Local time of the plant, an IANA name.
-    find_file : callable
-        Path of a file that the settings name.
-
-    Returns
-    -------
-    numpy.ndarray, shape (T,)
-        Regulation [kW], from -capacity to +capacity; 0 while none is offered.
-
-    Raises
-    ------
-    InputError
-        `from` and `to` are the same time, or the file does not hold a signal for all the time
-        that regulation is offered.
+    It goes from -capacity to +capacity [kW], and is 0 while none is offered. `timezone` is the
+    local time of the plant, an IANA name; `find_file` returns the path of a file that the settings
+    name.
     """
     # The signal's clock is that of the wall: it leaps with the summer time, as market hours do.
     clock_ns = times.tz_convert(timezone).tz_localize(None).as_unit("ns").asi8
@@ -149,39 +132,19 @@ def _of_day_ns(clock: time | None) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegulationSignal:
-    """A signal as a file has it: N values of a constant step, N at least 2.
+    """A signal as a file has it: N values from -1 to +1, of a constant step, N at least 2.
 
-    Attributes
-    ----------
-    time_ns : numpy.ndarray, shape (N,)
-        Time since midnight of the signal's own clock [ns].
-    value : numpy.ndarray, shape (N,)
-        Signal in per unit, from -1 to +1.
-    source : str
-        Where it was read from, for error messages.
+    `time_ns` is the time since midnight of the signal's own clock.
     """
 
     time_ns: NDArray[np.int64]
-    value: NDArray[np.float64]
+    value: Floats
     source: str
 
-    def held(self, time_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    def held(self, time_ns: NDArray[np.int64]) -> Floats:
         """Return the value that is in force at some times: the last one sent.
 
-        Parameters
-        ----------
-        time_ns : numpy.ndarray, shape (K,)
-            Times of the signal's clock [ns], not empty.
-
-        Returns
-        -------
-        numpy.ndarray, shape (K,)
-            Signal in per unit. The file's last value holds for one step.
-
-        Raises
-        ------
-        InputError
-            The file begins later or ends earlier.
+        The file's last value holds for one step.
         """
         first_ns, last_ns = int(time_ns.min()), int(time_ns.max())
         begins_ns, ends_ns = int(self.time_ns[0]), int(2 * self.time_ns[-1] - self.time_ns[-2])
@@ -204,12 +167,6 @@ def read_signal(path: Path) -> RegulationSignal:
 
     The first column, whatever its header, is the second of the signal's own clock, the other one
     the signal in per unit.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or has not two columns; a field is no number; a value is beyond
-        -1 to 1; the seconds repeat, go back, or do not keep the step of the file.
     """
     if not path.exists():
         raise InputError(f"{path}: expected a file, in the folder of --data, got none")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import Final, Protocol
+from typing import Final, TypeAlias
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
+from sim_plant import Floats
 from sim_plant.clouds import CloudSettings, clear_sky_ghi, synthetic_ghi
 from sim_plant.irradiance import Irradiance
 from sim_plant.pv import PvSettings, ac_power_kw
@@ -24,47 +24,36 @@ _CLEAN_AIR_TURBIDITY: Final = 3.0
 """Linke turbidity of the clear sky where nothing better is known."""
 
 
-class PowerSource(Protocol):
-    """The power that the sky allows a plant's inverters."""
-
-    @property
-    def sites(self) -> Sites:
-        """The inverters."""
-
-    @property
-    def measured_times(self) -> pd.DatetimeIndex | None:
-        """All times of which there is a measurement; None where any time can be asked for."""
-
-    def possible_kw(self, times: pd.DatetimeIndex) -> NDArray[np.float64]:
-        """Return the AC power of each inverter at its maximum, shape (T, n)."""
-
-    def clear_sky_kw(self, times: pd.DatetimeIndex) -> NDArray[np.float64]:
-        """Return the AC power of the whole plant under a cloudless sky, shape (T,)."""
-
-    def earlier_day_kw(self, times: pd.DatetimeIndex) -> NDArray[np.float64]:
-        """Return what `possible_kw` was at the same times of an earlier day, shape (T, n)."""
-
-    def remarks(self, times: pd.DatetimeIndex) -> tuple[str, ...]:
-        """Say what a reader of the run must know about the data, a line each."""
-
-
 @dataclass(frozen=True, slots=True)
-class CloudySky:
-    """A synthetic cloud field that drifts over the inverters.
-
-    Attributes
-    ----------
-    sites, altitude_m, pv
-        The plant.
-    clouds, seed
-        The sky of the run.
-    history_seed
-        Seed of the scenario: earlier days stay the same whatever the run's own seed.
-    """
+class PlantUnderSky:
+    """A plant whose power follows from the irradiance at its place."""
 
     sites: Sites
     altitude_m: float
     pv: PvSettings
+
+    def power_kw(self, ghi_wm2: Floats, times: pd.DatetimeIndex) -> Floats:
+        """Return the AC power of each inverter, shape (T, n)."""
+        sites = self.sites
+        return ac_power_kw(ghi_wm2, times, sites.lat_deg, sites.lon_deg, sites.rating_kw, self.pv)
+
+    def cloudless_kw(self, times: pd.DatetimeIndex, turbidity: float) -> Floats:
+        """Return the AC power of the whole plant under a cloudless sky, shape (T,)."""
+        sites = self.sites
+        ghi_wm2 = clear_sky_ghi(times, sites.lat_deg, sites.lon_deg, self.altitude_m, turbidity)
+        everywhere = np.repeat(ghi_wm2[:, None], len(sites.names), axis=1)
+        total_kw: Floats = self.power_kw(everywhere, times).sum(axis=1)
+        return total_kw
+
+
+@dataclass(frozen=True, slots=True)
+class CloudySky(PlantUnderSky):
+    """A synthetic cloud field that drifts over the inverters.
+
+    Earlier days are drawn with the seed of the scenario, `history_seed`: they stay the same
+    whatever the run's own seed.
+    """
+
     clouds: CloudSettings
     seed: int
     history_seed: int
@@ -74,53 +63,36 @@ class CloudySky:
         """Any time can be asked for."""
         return
 
-    def possible_kw(self, times: pd.DatetimeIndex) -> NDArray[np.float64]:
+    def possible_kw(self, times: pd.DatetimeIndex) -> Floats:
         """Return the AC power of each inverter at its maximum, shape (T, n)."""
-        return self._power_kw(times, self.seed)
+        return self._drawn_kw(times, self.seed)
 
-    def earlier_day_kw(self, times: pd.DatetimeIndex) -> NDArray[np.float64]:
+    def earlier_day_kw(self, times: pd.DatetimeIndex) -> Floats:
         """Return the power under another day's clouds of the same climate, shape (T, n)."""
-        return self._power_kw(times, self.history_seed + _ANOTHER_DAY)
+        return self._drawn_kw(times, self.history_seed + _ANOTHER_DAY)
 
-    def clear_sky_kw(self, times: pd.DatetimeIndex) -> NDArray[np.float64]:
+    def clear_sky_kw(self, times: pd.DatetimeIndex) -> Floats:
         """Return the AC power of the whole plant under a cloudless sky, shape (T,)."""
-        return _clear_sky_kw(
-            times, self.sites, self.altitude_m, self.pv, self.clouds.linke_turbidity
-        )
+        return self.cloudless_kw(times, self.clouds.linke_turbidity)
 
     def remarks(self, times: pd.DatetimeIndex) -> tuple[str, ...]:
         """Nothing: the sky is as it was asked for."""
         return ()
 
-    def _power_kw(self, times: pd.DatetimeIndex, seed: int) -> NDArray[np.float64]:
-        sites = self.sites
-        ghi_wm2 = synthetic_ghi(
-            times, sites.lat_deg, sites.lon_deg, self.altitude_m, self.clouds, seed
-        )
-        return _ac_power_kw(ghi_wm2, times, sites, self.pv)
+    def _drawn_kw(self, times: pd.DatetimeIndex, seed: int) -> Floats:
+        lat_deg, lon_deg = self.sites.lat_deg, self.sites.lon_deg
+        ghi_wm2 = synthetic_ghi(times, lat_deg, lon_deg, self.altitude_m, self.clouds, seed)
+        return self.power_kw(ghi_wm2, times)
 
 
 @dataclass(frozen=True, slots=True)
-class MeasuredSky:
+class MeasuredSky(PlantUnderSky):
     """Irradiance as it was measured, one inverter at each sensor.
 
-    Attributes
-    ----------
-    sites, altitude_m, pv
-        The plant.
-    irradiance
-        The whole measurement.
-    source
-        Where it was read from.
-    repairs
-        What was missing and how it was filled.
-    earlier, earlier_by
-        The same plant on an earlier day, if that was measured, and how long before.
+    `source` is where it was read from, `repairs` say what was missing and how it was filled.
+    `earlier` is the same plant on an earlier day, if that was measured, `earlier_by` before.
     """
 
-    sites: Sites
-    altitude_m: float
-    pv: PvSettings
     irradiance: Irradiance
     source: str
     repairs: tuple[str, ...] = ()
@@ -132,27 +104,20 @@ class MeasuredSky:
         """All time stamps of the measurement."""
         return self.irradiance.times
 
-    def possible_kw(self, times: pd.DatetimeIndex) -> NDArray[np.float64]:
+    def possible_kw(self, times: pd.DatetimeIndex) -> Floats:
         """Return the AC power of each inverter at its maximum, shape (T, n).
 
-        It is worked out at the step of the measurement and brought to that of `times` as
-        `on_cycles` says.
-
-        Raises
-        ------
-        InputError
-            The measurement does not cover the times, or their step does not fit its own.
+        It is worked out at the step of the measurement and brought to that of `times`.
         """
-        return on_cycles(self.irradiance.times, self._power_kw, times, self.source)
+        data = self.irradiance
 
-    def earlier_day_kw(self, times: pd.DatetimeIndex) -> NDArray[np.float64]:
-        """Return what `possible_kw` was at the same times of an earlier day, shape (T, n).
+        def measured_kw(rows: slice) -> Floats:
+            return self.power_kw(data.ghi_wm2[rows], data.times[rows])
 
-        Raises
-        ------
-        InputError
-            No earlier day was measured, or it does not cover the times.
-        """
+        return on_cycles(data.times, measured_kw, times, self.source)
+
+    def earlier_day_kw(self, times: pd.DatetimeIndex) -> Floats:
+        """Return what `possible_kw` was at the same times of an earlier day, shape (T, n)."""
         if self.earlier is None:
             raise InputError(
                 "neighbours.history: expected 'hindsight' with measurements of one day, got "
@@ -160,77 +125,38 @@ class MeasuredSky:
             )
         return self.earlier.possible_kw(times - self.earlier_by)
 
-    def clear_sky_kw(self, times: pd.DatetimeIndex) -> NDArray[np.float64]:
+    def clear_sky_kw(self, times: pd.DatetimeIndex) -> Floats:
         """Return the AC power of the whole plant under a cloudless sky, shape (T,)."""
-        return _clear_sky_kw(times, self.sites, self.altitude_m, self.pv, _CLEAN_AIR_TURBIDITY)
+        return self.cloudless_kw(times, _CLEAN_AIR_TURBIDITY)
 
     def remarks(self, times: pd.DatetimeIndex) -> tuple[str, ...]:
         """Say what was filled, and how the measurement came to the times of the run."""
         history = self.earlier.repairs if self.earlier is not None else ()
-        return (*self.repairs, *history, *_conversion(self.irradiance.times, times))
-
-    def _power_kw(self, rows: slice) -> NDArray[np.float64]:
-        data = self.irradiance
-        return _ac_power_kw(data.ghi_wm2[rows], data.times[rows], self.sites, self.pv)
+        return (*self.repairs, *history, *conversion(self.irradiance.times, times))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPlant:
-    """Power of a real plant's inverters, from measurements of their own.
-
-    Attributes
-    ----------
-    sites
-        The plant.
-    times, power_kw
-        Time stamps, and AC power of each inverter then, shape (T, n).
-    source
-        Where it was read from.
-    repairs
-        What was missing and what came of it.
-    """
+    """Power of a real plant's inverters, from measurements of their own, shape (T, n)."""
 
     sites: Sites
-    times: pd.DatetimeIndex
-    power_kw: NDArray[np.float64]
+    measured_times: pd.DatetimeIndex
+    power_kw: Floats
     source: str
     repairs: tuple[str, ...]
 
-    @property
-    def measured_times(self) -> pd.DatetimeIndex:
-        """All time stamps of the measurement."""
-        return self.times
+    def possible_kw(self, times: pd.DatetimeIndex) -> Floats:
+        """Return the AC power of each inverter at its maximum, shape (T, n)."""
+        return on_cycles(self.measured_times, lambda rows: self.power_kw[rows], times, self.source)
 
-    def possible_kw(self, times: pd.DatetimeIndex) -> NDArray[np.float64]:
-        """Return the AC power of each inverter at its maximum, shape (T, n).
-
-        Raises
-        ------
-        InputError
-            The measurement does not cover the times, or their step does not fit its own.
-        """
-        return on_cycles(self.times, lambda rows: self.power_kw[rows], times, self.source)
-
-    def earlier_day_kw(self, times: pd.DatetimeIndex) -> NDArray[np.float64]:
-        """Refuse: there is no other day.
-
-        Raises
-        ------
-        InputError
-            Always.
-        """
+    def earlier_day_kw(self, times: pd.DatetimeIndex) -> Floats:
+        """Refuse: there is no other day."""
         raise InputError(
             "neighbours.history: expected 'hindsight' with DC currents, got 'earlier-day'"
         )
 
-    def clear_sky_kw(self, times: pd.DatetimeIndex) -> NDArray[np.float64]:
-        """Refuse: nobody knows where the plant is.
-
-        Raises
-        ------
-        InputError
-            Always.
-        """
+    def clear_sky_kw(self, times: pd.DatetimeIndex) -> Floats:
+        """Refuse: nobody knows where the plant is."""
         raise InputError(
             "commitment.kind: expected 'constant', 'file', 'share-of-median' or 'below-possible' "
             "with DC currents, which have no date and place, got 'share-of-clear-sky'"
@@ -238,24 +164,8 @@ class MeasuredPlant:
 
     def remarks(self, times: pd.DatetimeIndex) -> tuple[str, ...]:
         """Say what was missing, and how the measurement came to the times of the run."""
-        return (*self.repairs, *_conversion(self.times, times))
+        return (*self.repairs, *conversion(self.measured_times, times))
 
 
-def _conversion(measured: pd.DatetimeIndex, times: pd.DatetimeIndex) -> tuple[str, ...]:
-    said = conversion(measured, times)
-    return () if said is None else (said,)
-
-
-def _ac_power_kw(
-    ghi_wm2: NDArray[np.float64], times: pd.DatetimeIndex, sites: Sites, pv: PvSettings
-) -> NDArray[np.float64]:
-    return ac_power_kw(ghi_wm2, times, sites.lat_deg, sites.lon_deg, sites.rating_kw, pv)
-
-
-def _clear_sky_kw(
-    times: pd.DatetimeIndex, sites: Sites, altitude_m: float, pv: PvSettings, turbidity: float
-) -> NDArray[np.float64]:
-    ghi_wm2 = clear_sky_ghi(times, sites.lat_deg, sites.lon_deg, altitude_m, turbidity)
-    everywhere = np.repeat(ghi_wm2[:, None], len(sites.names), axis=1)
-    total_kw: NDArray[np.float64] = _ac_power_kw(everywhere, times, sites, pv).sum(axis=1)
-    return total_kw
+PowerSource: TypeAlias = CloudySky | MeasuredSky | MeasuredPlant
+"""The power that the sky allows a plant's inverters."""

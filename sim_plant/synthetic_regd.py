@@ -23,8 +23,9 @@ The method is this project's own. Its constants were set beside two whole days o
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, special
+
+from sim_plant import Floats
 
 STEP_S: Final = 2
 """PJM sends a value of RegD every 2 s."""
@@ -46,7 +47,7 @@ _DAY_STDS: Final = (0.05, 0.22, 0.25, 0.3)
 """How much days differ in offset, and in the logarithms of amplitude, pace and roughness."""
 
 
-def synthetic_regd(seed: int) -> NDArray[np.float64]:
+def synthetic_regd(seed: int) -> Floats:
     """Draw the 40 days of a seed.
 
     Parameters
@@ -79,7 +80,7 @@ def synthetic_regd(seed: int) -> NDArray[np.float64]:
     return np.asarray((offset + moving).clip(-1.0, 1.0))
 
 
-def _of_the_day(rng: np.random.Generator) -> list[NDArray[np.float64]]:
+def _of_the_day(rng: np.random.Generator) -> list[Floats]:
     """Draw the four effects that vary from day to day."""
     noon = np.arange(_DAYS) + 0.5
     day = np.arange(SAMPLES) * (_DAYS / SAMPLES)
@@ -88,7 +89,7 @@ def _of_the_day(rng: np.random.Generator) -> list[NDArray[np.float64]]:
     return [std * np.interp(day, noon, rng.permutation(normal), period=_DAYS) for std in _DAY_STDS]
 
 
-def _gaussian(rng: np.random.Generator, spectrum: NDArray[np.float64]) -> NDArray[np.float64]:
+def _gaussian(rng: np.random.Generator, spectrum: Floats) -> Floats:
     """Draw a periodic Gaussian process of a power spectrum, of zero mean and unit variance."""
     draws = rng.standard_normal((2, len(spectrum)))
     process = fft.irfft((draws[0] + 1j * draws[1]) * np.sqrt(spectrum), n=SAMPLES)

@@ -13,60 +13,35 @@ from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
+from sim_plant import Floats
 
 _NS: Final = 1_000_000_000
 
 
 def step_ns(times: pd.DatetimeIndex) -> int:
-    """Return the step of time stamps [ns]; that of their frequency where there is only one.
-
-    Raises
-    ------
-    ValueError
-        There is a single time stamp without a frequency.
-    """
+    """Return the step of time stamps [ns]; that of their frequency where there is only one."""
     if len(times) > 1:
         # Hours that do not follow each other leave a gap: the step is the least difference.
         return int(np.diff(times.as_unit("ns").asi8).min())
-    if times.freq is None:
-        raise ValueError("one time stamp without a frequency has no step")
+    assert times.freq is not None
     return int((times[0] + times.freq - times[0]).value)
 
 
 def on_cycles(
     times: pd.DatetimeIndex,
-    series: Callable[[slice], NDArray[np.float64]],
+    series: Callable[[slice], Floats],
     cycles: pd.DatetimeIndex,
     source: str,
-) -> NDArray[np.float64]:
-    """Bring measured series to the cycles of a run.
+) -> Floats:
+    """Bring N measured series to the K cycles of a run, shape (K, N), as described above.
 
-    Parameters
-    ----------
-    times : pandas.DatetimeIndex, length T
-        Time stamps of the measurements, with a constant step.
-    series : callable
-        Returns some rows of the N series, as an array with one row for each time stamp. It is
-        asked only for those that the cycles need.
-    cycles : pandas.DatetimeIndex, length K
-        Beginnings of the cycles, ascending; they need not follow each other without a gap.
-    source : str
-        What the measurements were read from, for the error message.
-
-    Returns
-    -------
-    numpy.ndarray, shape (K, N)
-        Mean of the steps of each cycle, or the value on the line at its beginning. A cycle that
-        begins between two time stamps and is not shorter than the step begins with the earlier.
-
-    Raises
-    ------
-    InputError
-        The measurements do not cover the cycles, or the cycle is longer than their step and no
-        multiple of it.
+    `series` returns some rows of the measurements, and is asked only for those that are needed.
+    `cycles` are the beginnings of the cycles, ascending; hours between them may be left out. A
+    cycle that begins between two time stamps and is not shorter than the step begins with the
+    earlier. `source` is what the measurements were read from, for the error that they do not cover
+    the cycles, or that the cycle is longer than their step and no multiple of it.
     """
     step, cycle = step_ns(times), step_ns(cycles)
     if cycle > step and cycle % step:
@@ -81,21 +56,21 @@ def on_cycles(
     first = times.searchsorted(cycles, side="right") - 1
     if cycle == step:
         return values[first]
-    mean: NDArray[np.float64] = values[first[:, None] + np.arange(cycle // step)].mean(axis=1)
+    mean: Floats = values[first[:, None] + np.arange(cycle // step)].mean(axis=1)
     return mean
 
 
-def conversion(times: pd.DatetimeIndex, cycles: pd.DatetimeIndex) -> str | None:
-    """Say how measurements come to the cycles of a run; None if they are taken as they are."""
+def conversion(times: pd.DatetimeIndex, cycles: pd.DatetimeIndex) -> tuple[str, ...]:
+    """Say how measurements come to the cycles of a run; nothing if they are taken as they are."""
     step_s, cycle_s = step_ns(times) / _NS, step_ns(cycles) / _NS
     if cycle_s > step_s:
-        return f"a cycle of {cycle_s:g} s is the mean of {cycle_s / step_s:g} measured values"
+        return (f"a cycle of {cycle_s:g} s is the mean of {cycle_s / step_s:g} measured values",)
     if cycle_s < step_s:
         return (
             f"a value is measured every {step_s:g} s; the cycles of {cycle_s:g} s between them"
-            " are interpolated on a straight line"
+            " are interpolated on a straight line",
         )
-    return None
+    return ()
 
 
 def _covering_rows(times: pd.DatetimeIndex, cycles: pd.DatetimeIndex, source: str) -> slice:
@@ -104,16 +79,14 @@ def _covering_rows(times: pd.DatetimeIndex, cycles: pd.DatetimeIndex, source: st
     covered_until = times[-1] + pd.Timedelta(step_ns(times), unit="ns")
     if start < times[0] or end > covered_until:
         raise InputError(
-            f"{source}: expected measurements of {_iso(start)} to {_iso(end)}, got "
-            f"{_iso(times[0])} to {_iso(covered_until)}"
+            f"{source}: expected measurements of {utc_text(start)} to {utc_text(end)}, got "
+            f"{utc_text(times[0])} to {utc_text(covered_until)}"
         )
     first = int(times.searchsorted(start, side="right")) - 1
     return slice(first, int(times.searchsorted(end)) + 1)
 
 
-def _on_lines(
-    times: pd.DatetimeIndex, values: NDArray[np.float64], cycles: pd.DatetimeIndex
-) -> NDArray[np.float64]:
+def _on_lines(times: pd.DatetimeIndex, values: Floats, cycles: pd.DatetimeIndex) -> Floats:
     # From the first time stamp on: nanoseconds since 1970 have more digits than a float keeps.
     origin = times[0]
     known_s = (times - origin).total_seconds().to_numpy()
@@ -121,5 +94,6 @@ def _on_lines(
     return np.column_stack([np.interp(wanted_s, known_s, column) for column in values.T])
 
 
-def _iso(time: pd.Timestamp) -> str:
+def utc_text(time: pd.Timestamp) -> str:
+    """Return a time as ISO 8601 in UTC."""
     return time.tz_convert("UTC").isoformat().replace("+00:00", "Z")

@@ -69,7 +69,7 @@ def inspect(
 
 
 def _width(console: Console) -> int:
-    from recordings.inspect.timeline_table import NARROWEST
+    from recordings.inspect.timeline import NARROWEST
 
     return max(console.width, NARROWEST)
 
@@ -80,8 +80,7 @@ def _width(console: Console) -> int:
 def _show_nodes(
     run: RunReader, nodes: Sequence[str], cycles: range, json: str | None, console: Console
 ) -> None:
-    from recordings.inspect.timeline import timeline
-    from recordings.inspect.timeline_table import TimelineTable
+    from recordings.inspect.timeline import TimelineTable, timeline
 
     with json_rows(json) as write:
         for node in nodes:
@@ -103,8 +102,7 @@ def _style(row: NodeCycle) -> str:
 
 
 def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) -> None:
-    from recordings.inspect.timeline import timeline
-    from recordings.inspect.timeline_table import plant_lines
+    from recordings.inspect.timeline import plant_lines, timeline
 
     found = next(timeline(run, run.plan.tree.nodes, range(cycle, cycle + 1)), None)
     if found is None:
@@ -143,8 +141,7 @@ def _print_lines(console: Console, lines: Iterable[str], style: str = "") -> Non
 def _show_overview(
     run: RunReader, cycles: range | None, json: str | None, console: Console
 ) -> None:
-    from recordings.inspect.overview import read_overview
-    from recordings.inspect.overview_text import overview_lines
+    from recordings.inspect.overview import overview_lines, read_overview
 
     with progress_bar("reading") as follow:
         overview = read_overview(run, cycles, follow)

@@ -36,7 +36,7 @@ from bus_schemas.tree import RECORDER, agent_name
 from launch_scripts.launcher.fork_requests import Expect, Request, Signal, Start
 from recordings.read.run_file import log_name
 from recordings.record.recorder import run_recorder
-from sim_plant.process import run_plant
+from sim_plant.plant_run import run_plant
 from sim_plant.profile import load_profile
 
 _LARGEST: Final = 1 << 20

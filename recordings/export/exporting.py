@@ -22,11 +22,7 @@ from recordings.record.writer import ClockAnchor
 Form: TypeAlias = Literal["json-mcap", "parquet", "csv"]
 """A file for viewers of MCAP, or a folder with a file for each table."""
 
-_ENDING: Final[dict[Form, str]] = {
-    "json-mcap": ".json.mcap",
-    "parquet": "-parquet",
-    "csv": "-csv",
-}
+_ENDING: Final[dict[Form, str]] = {"json-mcap": ".json.mcap", "parquet": "-parquet", "csv": "-csv"}
 _FOLLOW_EVERY: Final = 4096
 """Messages between two calls of `progress`."""
 

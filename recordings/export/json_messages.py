@@ -8,24 +8,12 @@ to save bytes, such as a line of `help_given`, is an object with named fields.
 
 from __future__ import annotations
 
-import inspect
+from inspect import getdoc
 from math import isfinite
 from typing import Final, TypeAlias
 
 import msgspec
-from msgspec.inspect import (
-    Field,
-    FloatType,
-    IntType,
-    LiteralType,
-    NoneType,
-    StrType,
-    StructType,
-    Type,
-    UnionType,
-    VarTupleType,
-    type_info,
-)
+from msgspec import inspect
 
 from bus_schemas.messages import Message
 from bus_schemas.signals import Signal
@@ -38,7 +26,7 @@ _NULL: Final = b"null"
 
 def object_schema(signal: Signal[Message]) -> JsonObject:
     """JSON Schema of a signal's messages as `JsonEncoder` writes them."""
-    return _schema(type_info(signal.type))
+    return _schema(inspect.type_info(signal.type))
 
 
 class JsonEncoder:
@@ -46,11 +34,6 @@ class JsonEncoder:
 
     JSON has neither NaN nor infinity: a field that holds one is left out, and counted. No schema
     requires a field that could.
-
-    Attributes
-    ----------
-    left_out
-        Fields left out so far.
     """
 
     def __init__(self) -> None:
@@ -79,15 +62,13 @@ class JsonEncoder:
 
 def _plain(value: msgspec.Struct) -> JsonObject:
     """Return a struct as a dictionary, those inside it in lists too, without what is nil."""
-    return {
-        name: [_plain(item) for item in entry] if _is_structs(entry) else entry
-        for name, entry in msgspec.structs.asdict(value).items()
-        if entry is not None
-    }
-
-
-def _is_structs(value: object) -> bool:
-    return isinstance(value, tuple) and bool(value) and isinstance(value[0], msgspec.Struct)
+    found: JsonObject = {}
+    for name, entry in msgspec.structs.asdict(value).items():
+        if isinstance(entry, tuple) and entry and isinstance(entry[0], msgspec.Struct):
+            found[name] = [_plain(item) for item in entry]
+        elif entry is not None:
+            found[name] = entry
+    return found
 
 
 def _all_finite(value: object) -> bool:
@@ -96,30 +77,32 @@ def _all_finite(value: object) -> bool:
     return not isinstance(value, float) or isfinite(value)
 
 
-def _schema(kind: Type) -> JsonObject:
-    kind = _not_nil(kind)
+def _schema(kind: inspect.Type) -> JsonObject:
+    kind = not_nil(kind)
     match kind:
-        case StructType():
+        case inspect.StructType():
             return _struct_schema(kind)
-        case VarTupleType():
+        case inspect.VarTupleType():
             return {"type": "array", "items": _schema(kind.item_type)}
-        case FloatType():
+        case inspect.FloatType():
             return {"type": "number"}
-        case IntType():
-            return {"type": "integer", **_bounds(kind)}
-        case StrType():
+        case inspect.IntType():
+            bounds = {"minimum": kind.ge, "exclusiveMaximum": kind.lt}
+            given = {name: bound for name, bound in bounds.items() if bound is not None}
+            return {"type": "integer", **given}
+        case inspect.StrType():
             return {"type": "string"}
-        case LiteralType():
+        case inspect.LiteralType():
             # Viewers refuse a property without a type, which JSON Schema does not ask for here.
             return {"type": "string", "enum": list(kind.values)}
         case _:
             raise TypeError(f"a field of type {kind} has no form that viewers understand")
 
 
-def _struct_schema(kind: StructType) -> JsonObject:
+def _struct_schema(kind: inspect.StructType) -> JsonObject:
     return {
         "title": kind.cls.__name__,
-        "description": inspect.getdoc(kind.cls) or "",
+        "description": getdoc(kind.cls) or "",
         "type": "object",
         "properties": {field.encode_name: _schema(field.type) for field in kind.fields},
         "required": [field.encode_name for field in kind.fields if not _may_be_left_out(field)],
@@ -127,19 +110,14 @@ def _struct_schema(kind: StructType) -> JsonObject:
     }
 
 
-def _bounds(kind: IntType) -> JsonObject:
-    bounds = {"minimum": kind.ge, "exclusiveMaximum": kind.lt}
-    return {name: bound for name, bound in bounds.items() if bound is not None}
+def _may_be_left_out(field: inspect.Field) -> bool:
+    kind = field.type.item_type if isinstance(field.type, inspect.VarTupleType) else field.type
+    return isinstance(kind, inspect.FloatType | inspect.UnionType)
 
 
-def _may_be_left_out(field: Field) -> bool:
-    kind = field.type.item_type if isinstance(field.type, VarTupleType) else field.type
-    return isinstance(kind, FloatType | UnionType)
-
-
-def _not_nil(kind: Type) -> Type:
+def not_nil(kind: inspect.Type) -> inspect.Type:
     """Return the type of a field when it is there: one that is nil is left out."""
-    if not isinstance(kind, UnionType):
+    if not isinstance(kind, inspect.UnionType):
         return kind
-    (found,) = (member for member in kind.types if not isinstance(member, NoneType))
+    (found,) = (member for member in kind.types if not isinstance(member, inspect.NoneType))
     return found

@@ -8,27 +8,15 @@ pyarrow, a batch of rows at a time, so memory does not grow with the recording.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack, closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Literal, TypeAlias
 
 import pyarrow as pa
 import pyarrow.compute as pc
-from msgspec.inspect import (
-    FloatType,
-    IntType,
-    LiteralType,
-    NoneType,
-    StrType,
-    StructType,
-    Type,
-    UnionType,
-    VarTupleType,
-    type_info,
-)
+from msgspec import inspect
 from pyarrow.csv import CSVWriter
 from pyarrow.parquet import ParquetWriter
 
@@ -38,6 +26,7 @@ from bus_schemas.messages import Message, Production, Setpoint
 from bus_schemas.missing import parse_missing
 from bus_schemas.signals import PRODUCTION, SETPOINT, Signal
 from bus_schemas.tree import agent_name
+from recordings.export.json_messages import not_nil
 from recordings.read.reader import RecordedMessage
 from recordings.record.writer import ClockAnchor
 
@@ -51,23 +40,21 @@ BATCH_ROWS: Final = 65_536
 _INT: Final = pa.int64()
 _NUMBER: Final = pa.float64()
 _TEXT: Final = pa.string()
-_TYPE_OF: Final = {FloatType: _NUMBER, IntType: _INT, StrType: _TEXT, LiteralType: _TEXT}
+_TYPE_OF: Final = {
+    inspect.FloatType: _NUMBER,
+    inspect.IntType: _INT,
+    inspect.StrType: _TEXT,
+    inspect.LiteralType: _TEXT,
+}
 _HEAD: Final = frozenset(Message.__struct_fields__)
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A tidy table.
+    """A tidy table, named like its file.
 
-    Attributes
-    ----------
-    name
-        Also that of its file.
-    columns
-        Name, with the unit in it, and type. The first two, `time` and `cycle`, are in every table.
-    rows
-        Gives the rows of this table that a message adds, none or more. Times are ns since
-        1970-01-01 UTC.
+    The names of columns have the unit in them; `time` [ns since 1970-01-01 UTC] and `cycle` come
+    first in every table. `rows` gives the rows of this table that a message adds, none or more.
     """
 
     name: str
@@ -168,21 +155,17 @@ def missing_inputs_table() -> Table:
 
 
 def _own_columns(signal: Signal[Message]) -> tuple[tuple[str, pa.DataType], ...]:
-    """Columns for the fields of a signal's own kind, those that hold a list left out."""
-    found = type_info(signal.type)
-    assert isinstance(found, StructType)
+    """Columns for the fields of a signal's own kind, those that hold a list left out.
+
+    A field that may be nil leaves its cell empty.
+    """
+    found = inspect.type_info(signal.type)
+    assert isinstance(found, inspect.StructType)
     return tuple(
-        (field.name, _type(field.type))
+        (field.name, _TYPE_OF[type(not_nil(field.type))])
         for field in found.fields
-        if field.name not in _HEAD and not isinstance(field.type, VarTupleType)
+        if field.name not in _HEAD and not isinstance(field.type, inspect.VarTupleType)
     )
-
-
-def _type(field: Type) -> pa.DataType:
-    """Return the type of a field's column; a field that may be nil leaves its cell empty."""
-    if isinstance(field, UnionType):
-        (field,) = (member for member in field.types if not isinstance(member, NoneType))
-    return _TYPE_OF[type(field)]
 
 
 class TableFile:
@@ -268,14 +251,9 @@ class TableFolder:
         every = {table.name: table for tables in self._tables.values() for table in tables}
         # Tables of signals first, the one that they share at the end.
         names = [name for name in every if name != "missing_inputs"] + ["missing_inputs"]
-        with ExitStack() as opened:
-            self.files = {
-                name: opened.enter_context(
-                    closing(TableFile(folder / name, every[name], form, plan, batch_rows))
-                )
-                for name in names
-            }
-            self._opened = opened.pop_all()
+        self.files = {
+            name: TableFile(folder / name, every[name], form, plan, batch_rows) for name in names
+        }
 
     def add(self, record: RecordedMessage, message: Message) -> None:
         """Write the rows of a message."""
@@ -285,13 +263,8 @@ class TableFolder:
     def __enter__(self) -> TableFolder:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        with self._opened:
-            if error is None:
-                for file in self.files.values():
-                    file.flush()
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
+        for file in self.files.values():
+            if kind is None:
+                file.flush()
+            file.close()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from importlib.metadata import version
 from pathlib import Path
-from types import TracebackType
 from typing import Final, Literal, TypeAlias
 
 from mcap.writer import CompressionType, Writer
@@ -65,14 +64,9 @@ class ViewerFile:
     def __enter__(self) -> ViewerFile:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         with self._file:
-            if error is None:
+            if kind is None:
                 self._writer.finish()
 
     def _channel(self, port: Port[Message]) -> int:

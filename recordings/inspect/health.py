@@ -31,20 +31,11 @@ _NAMED: Final = 5
 
 
 class Absence(msgspec.Struct, frozen=True):
-    """An agent of which nothing came in a cycle or more, or that restarted.
+    """An agent of which nothing came in some cycles, or (they are None) that only restarted.
 
-    Attributes
-    ----------
-    agent
-        Its name; of a real inverter, which has no telemetry while it is gone, `device c2/inv07`.
-    first_cycle, last_cycle
-        The cycles without a message of it; both None if it only restarted.
-    back_in
-        The cycle in which it was heard again, or its other process joined; None: it was not.
-    restarted
-        Whether they then were of another process.
-    by_standby
-        Whether its standby then took over.
+    It was heard again, or its other process joined, in the cycle `back_in`; None: it was not. If
+    it restarted it then was of another process, maybe its standby. A real inverter is named
+    `device c2/inv07`: it has no telemetry while it is gone.
     """
 
     agent: str
@@ -106,31 +97,12 @@ class LauncherAccount(msgspec.Struct, frozen=True):
 class Health(msgspec.Struct, frozen=True):
     """How a run fared.
 
-    Attributes
-    ----------
-    fault_acts
-        What each rule for the network did.
-    faults
-        What all of them did to messages, by kind.
-    lost
-        Messages that the sequence numbers leave out, by port; most first.
-    repeated
-        Messages that came again.
-    misses
-        Missed inputs by agent, most first.
-    absences
-        Agents that were absent or restarted, and real inverters that were gone, in the order of
-        time: the first ones.
-    more_absences
-        How many others there were.
-    ended
-        Whether the recording goes up to the end of the run.
-    failure
-        Why the launcher gave up; empty if it did not.
-    launcher
-        What only the summary knows; None if there is none beside the recording.
-    devices
-        What was measured of real inverters.
+    `faults` are what all rules for the network did to messages, by kind. `lost` are messages that
+    the sequence numbers leave out, by port, most first; `repeated` ones came again. Misses are by
+    agent, most first, the first absences in the order of time. The run has `ended` if the recording
+    goes up to its end; `failure` is why the launcher gave up. `launcher` is what only the summary
+    knows; None if there is none beside the recording. `devices` is what was measured of real
+    inverters.
     """
 
     fault_acts: tuple[FaultAct, ...]

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import textwrap
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Final
 
 import msgspec
 
 from bus_schemas.messages import Message
 from bus_schemas.signals import PRODUCTION, SIGNALS, Signal
-from recordings.inspect.health import Health, HealthWatch
+from recordings.inspect.health import Health, HealthWatch, health_lines
 from recordings.read.gaps import Gap, RunGaps
 from recordings.read.reader import RunReader
+from recordings.read.run_clock import RunClock
 from recordings.recover import RECOVERY_METADATA
 
 _FOLLOW_EVERY: Final = 10_000
 """Messages between two calls of `follow`."""
+
+_NAME_WIDTH: Final = 11
+_SHOWN_GAPS: Final = 10
+
+_COLUMNS: Final = ("signal", "nodes", "messages", "cycle", "s", "lost", "repeated", "without")
+_HEADING: Final = "{:11} {:>5} {:>11} {:>8} {:>9} {:>7} {:>8} {:>8}"
+_ROW: Final = "{:11} {:5,} {:11,} {:8,.2f} {:9,.1f} {:7,} {:8,} {:8,}"
 
 
 class SignalCount(msgspec.Struct, frozen=True):
@@ -69,11 +78,6 @@ class Overview(msgspec.Struct, frozen=True):
     gaps: tuple[Gap, ...]
     more_gaps: int
     health: Health
-
-    @property
-    def messages(self) -> int:
-        """Messages of all signals."""
-        return sum(count.messages for count in self.signals)
 
 
 def read_overview(
@@ -162,3 +166,76 @@ def _title(run: RunReader) -> str:
         return str(tomllib.loads(run.scenario).get("title", ""))
     except (tomllib.TOMLDecodeError, RecursionError):
         return ""
+
+
+# As text, for a terminal of 80 columns ------------------------------------------------------------
+
+
+def overview_lines(overview: Overview, clock: RunClock, width: int) -> Iterator[str]:
+    """Yield the lines of an overview: facts, the table of signals, health, gaps."""
+    yield from _named(_facts(overview), width)
+    yield ""
+    yield _HEADING.format("", "", "", "per", "per", "", "", "cycles")
+    yield _HEADING.format(*_COLUMNS)
+    yield from (_ROW.format(*msgspec.structs.astuple(count)) for count in overview.signals)
+    yield ""
+    yield "health"
+    yield from _named(health_lines(overview.health, clock), width)
+    if overview.gaps:
+        yield ""
+        yield "cycles without a message that was due"
+    for gap in overview.gaps[:_SHOWN_GAPS]:
+        begin, end = clock.text(gap.first_cycle), clock.text(gap.last_cycle)
+        yield (
+            f"{gap.port}: {gap.cycles:,} from {gap.first_cycle:,} to {gap.last_cycle:,} "
+            f"({begin} to {end})"
+        )
+    rest = len(overview.gaps) - _SHOWN_GAPS + overview.more_gaps
+    if rest > 0:
+        yield f"and {rest:,} more gaps (--json has the first 100)"
+
+
+def _named(facts: Iterable[tuple[str, str]], width: int) -> Iterator[str]:
+    """Put names before texts, each once, and wrap the texts."""
+    last = ""
+    for name, value in facts:
+        lines = textwrap.wrap(value, width - _NAME_WIDTH, break_long_words=False) or [""]
+        lines[0] = ("" if name == last else name).ljust(_NAME_WIDTH) + lines[0]
+        last = name
+        yield from (lines[0], *(" " * _NAME_WIDTH + line for line in lines[1:]))
+
+
+def _facts(overview: Overview) -> Iterator[tuple[str, str]]:
+    chunks = f"{overview.chunks:,} chunk{'s' if overview.chunks != 1 else ''}"
+    yield "recording", f"{overview.path} ({overview.size_mb:,.1f} MB, {chunks})"
+    yield "scenario", overview.title or overview.plant
+    yield "run", f"{overview.run_id}, heliarch {overview.driver}"
+    pace = "lockstep" if overview.lockstep else f"pace {overview.pace:g}"
+    yield "control", f"scheme {overview.scheme}, actuator {overview.actuator}, {pace}"
+    begin, end = (text.replace("T", " ")[:19] for text in (overview.start, overview.end))
+    yield "time", f"{begin} to {end}, {overview.timezone}"
+    yield (
+        "cycles",
+        f"{overview.first_cycle:,} to {overview.last_cycle:,} of {overview.cycle_s:g} s, "
+        f"{overview.complete_cycles:,} complete, {overview.planned_cycles:,} planned",
+    )
+    yield "duration", f"{overview.simulated_s:,.0f} s simulated in {overview.wall_s:,.1f} s"
+    origin = overview.origin
+    versions = [f"{name} {text}" for name, text in overview.versions.items()]
+    yield "versions", ", ".join([*versions, f"Python {origin.get('python', 'not stated')}"])
+    if "host" in origin:  # A run in memory does not depend on it.
+        cpus, kernel = origin.get("cpu_count", "?"), origin.get("kernel", "?")
+        yield "host", f"{origin['host']}, {cpus} CPUs, Linux {kernel}"
+    files = f", {overview.files} files: its recorder was restarted" if overview.files > 1 else ""
+    yield "file", f"{'whole' if overview.whole else 'cut'}{files}{_recovered(overview)}"
+
+
+def _recovered(overview: Overview) -> str:
+    """Say that a file was recovered, and whether anything may be missing in it."""
+    if not overview.recovery:
+        return ""
+    lossless = overview.recovery.get("lossless") == "true"
+    return (
+        f", recovered from {overview.recovery.get('recovered_from', 'another file')}, "
+        f"{'nothing' if lossless else 'something'} is missing"
+    )

@@ -2,46 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+import textwrap
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import msgspec
 
 from agents.request import own_request_kw
-from bus_schemas.messages import (
-    Command,
-    Dispatch,
-    Help,
-    Impp,
-    Message,
-    Meter,
-    Notice,
-    Production,
-    Residual,
-    Setpoint,
-    Telemetry,
-)
+from bus_schemas import messages
+from bus_schemas.messages import Dispatch, Help, Message, Notice, Setpoint
+from bus_schemas.missing import in_words
 from bus_schemas.signals import DISPATCH, HELP, SETPOINT, Port
-from bus_schemas.tree import ROOT, agent_name, parent_of
+from bus_schemas.tree import CENTRAL, ROOT, ControlTree, agent_name, parent_of
 from recordings.read.reader import RunReader
 
 _LAG_CYCLES: Final = 1000
 """How many cycles are kept open for messages that stand further back in the file."""
 
 _FIELDS: Final[dict[type[Message], dict[str, str]]] = {
-    Telemetry: {"power_kw": "power_kw", "alpha": "applied_alpha", "available_kw": "available_kw"},
-    Impp: {"power_kw": "impp_kw", "stale_cycles": "stale_cycles"},
-    Residual: {"power_kw": "residual_kw"},
-    Help: {"missing_kw": "help_asked_kw"},
-    Setpoint: {"power_kw": "setpoint_kw", "share_kw": "share_kw"},
-    Command: {"alpha": "alpha"},
-    Dispatch: {
+    messages.Telemetry: {
+        "power_kw": "power_kw",
+        "alpha": "applied_alpha",
+        "available_kw": "available_kw",
+    },
+    messages.Impp: {"power_kw": "impp_kw", "stale_cycles": "stale_cycles"},
+    messages.Residual: {"power_kw": "residual_kw"},
+    messages.Help: {"missing_kw": "help_asked_kw"},
+    messages.Setpoint: {"power_kw": "setpoint_kw", "share_kw": "share_kw"},
+    messages.Command: {"alpha": "alpha"},
+    messages.Dispatch: {
         "power_kw": "dispatch_kw",
         "commitment_kw": "commitment_kw",
         "regulation_kw": "regulation_kw",
     },
-    Meter: {"power_kw": "metered_kw"},
-    Production: {"possible_kw": "possible_kw", "delivered_kw": "delivered_kw"},
+    messages.Meter: {"power_kw": "metered_kw"},
+    messages.Production: {"possible_kw": "possible_kw", "delivered_kw": "delivered_kw"},
 }
 """Which field of a message is which of the `NodeCycle` of its node."""
 
@@ -54,43 +50,17 @@ class HelpLine(msgspec.Struct, frozen=True):
 
 
 class NodeCycle(msgspec.Struct, omit_defaults=True):
-    """One node in one cycle. None, or nothing: no message said it.
+    """One node in one cycle, at its local time. None, or nothing: no message said it.
 
-    Attributes
-    ----------
-    cycle, time, node
-        Which; local time at the beginning of the cycle.
-    power_kw, applied_alpha, available_kw
-        Telemetry of the interval before: what the inverter measured, the alpha that it obeyed, and
-        the power that it says it could have given.
-    impp_kw, stale_cycles
-        Its IMPP, and for how many cycles there was no usable measurement.
-    request_kw, residual_kw
-        Its share of the dispatch by rating, and its IMPP less that.
-    help_asked_kw
-        The power that it called for.
-    help_from
-        Siblings that produced more than their share because it could not give its own.
-    help_for
-        Siblings for which it produced more than its share.
-    share_kw, setpoint_kw
-        Its share of its parent's target, and what it had to produce.
-    alpha
-        The curtailment level that it told its inverter.
-    dispatch_kw, commitment_kw, regulation_kw
-        Central controller: what the operator wanted, and the two parts of it.
-    metered_kw
-        Central controller: what the plant's meter read of the interval before.
-    possible_kw, delivered_kw
-        Central controller: what the plant could have given in this interval, and what it gave.
-    needy
-        Supervisor and central controller: children that called for help.
-    moved_kw
-        The same: power that its children produced for each other.
-    missing
-        Inputs that were not due, see `bus_schemas.missing`.
-    notices
-        Its notices.
+    `power_kw`, `applied_alpha` and `available_kw` are telemetry of the interval before. Then come
+    its IMPP, and for how many cycles there was no usable measurement; its share of the dispatch by
+    rating, and its IMPP less that; the power that it called for; siblings that produced more than
+    their share for it, or for which it did; its share of its parent's target, and what it had to
+    produce; the curtailment level that it told its inverter.
+
+    Of the central controller: the dispatch and its two parts, the plant's meter of the interval
+    before, and what the plant could have given and gave in this one. Of parents: the children that
+    called for help, and the power that they produced for each other.
     """
 
     cycle: int
@@ -123,14 +93,19 @@ class NodeCycle(msgspec.Struct, omit_defaults=True):
 
 def timeline(run: RunReader, nodes: Collection[str], cycles: range) -> Iterator[list[NodeCycle]]:
     """Yield each cycle in order: what the recording says of some nodes in it."""
-    found = _Timeline(run, nodes)
+    tree = run.plan.tree
+    opened: dict[int, dict[str, NodeCycle]] = {}
     newest = -1
     for port, message in run.on(_ports_about(run, nodes), cycles):
-        if message.cycle > newest:
-            newest = message.cycle
-            yield from found.pop_before(newest - _LAG_CYCLES)
-        found.add(port, message)
-    yield from found.pop_before(cycles.stop)
+        number = message.cycle
+        if number > newest:
+            newest = number
+            yield from _pop_before(newest - _LAG_CYCLES, opened)
+        if number not in opened:
+            time = run.clock.text(number)
+            opened[number] = {node: NodeCycle(number, time, agent_name(node)) for node in nodes}
+        _add(opened[number], tree, port, message)
+    yield from _pop_before(cycles.stop, opened)
 
 
 def _ports_about(run: RunReader, nodes: Collection[str]) -> frozenset[Port[Message]]:
@@ -148,38 +123,27 @@ def _ports_about(run: RunReader, nodes: Collection[str]) -> frozenset[Port[Messa
     return frozenset(filter(is_about, run.ports()))
 
 
-class _Timeline:
-    """Cycles that are being put together from messages."""
+def _add(
+    cycle: dict[str, NodeCycle], tree: ControlTree, port: Port[Message], message: Message
+) -> None:
+    """Enter what a message says of its node, its sender, and the node's parent and siblings."""
+    if isinstance(message, Dispatch):
+        for path, node in cycle.items():
+            node.request_kw = own_request_kw(message, tree.rating_kw(path))
+    own = cycle.get(port.node)
+    if own is not None:
+        _enter(own, message)
+    if port.node != ROOT:
+        _enter_relatives(cycle, port, message)
+    sender = cycle.get(ROOT if message.source == agent_name(ROOT) else message.source)
+    if sender is not None:
+        sender.missing = list(dict.fromkeys([*sender.missing, *message.missing]))
 
-    def __init__(self, run: RunReader, nodes: Collection[str]) -> None:
-        self._clock = run.clock
-        self._tree = run.plan.tree
-        self._nodes = tuple(nodes)
-        self._open: dict[int, dict[str, NodeCycle]] = {}
 
-    def add(self, port: Port[Message], message: Message) -> None:
-        """Enter what a message says of its node, its sender, and the node's parent and siblings."""
-        number = message.cycle
-        if number not in self._open:
-            time = self._clock.text(number)
-            self._open[number] = {n: NodeCycle(number, time, agent_name(n)) for n in self._nodes}
-        cycle = self._open[number]
-        if isinstance(message, Dispatch):
-            for path, node in cycle.items():
-                node.request_kw = own_request_kw(message, self._tree.rating_kw(path))
-        own = cycle.get(port.node)
-        if own is not None:
-            _enter(own, message)
-        if port.node != ROOT:
-            _enter_relatives(cycle, port, message)
-        sender = cycle.get(ROOT if message.source == agent_name(ROOT) else message.source)
-        if sender is not None:
-            sender.missing = list(dict.fromkeys([*sender.missing, *message.missing]))
-
-    def pop_before(self, cycle: int) -> Iterator[list[NodeCycle]]:
-        """Yield the cycles before one of which no message is expected any more."""
-        for number in sorted(number for number in self._open if number < cycle):
-            yield list(self._open.pop(number).values())
+def _pop_before(cycle: int, opened: dict[int, dict[str, NodeCycle]]) -> Iterator[list[NodeCycle]]:
+    """Yield the cycles before one of which no message is expected any more."""
+    for number in sorted(number for number in opened if number < cycle):
+        yield list(opened.pop(number).values())
 
 
 def _enter(node: NodeCycle, message: Message) -> None:
@@ -204,3 +168,148 @@ def _enter_relatives(cycle: dict[str, NodeCycle], port: Port[Message], message: 
         needy = cycle.get(line.needy)
         if needy is not None:
             needy.help_from.append(HelpLine(port.node, line.power_kw))
+
+
+# As text, in columns of fixed width ---------------------------------------------------------------
+
+NARROWEST: Final = 80
+"""The tables are whole from this width on [characters]."""
+
+_GAP: Final = "  "
+_LEAST_REMARK: Final = 20
+"""Remarks stand beside the columns if there is so much room, otherwise below them."""
+
+_INDENT: Final = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column: its two lines of heading, the field that it shows, its width and format."""
+
+    name: str
+    unit: str
+    field: str
+    width: int = 8
+    form: str = ".2f"
+
+    def text(self, node: NodeCycle) -> str:
+        """Return the cell of a node."""
+        value = getattr(node, self.field)
+        return ("-" if value is None else format(value, self.form)).rjust(self.width)
+
+
+_IMPP: Final = Column("IMPP", "kW", "impp_kw")
+_REQUEST: Final = Column("request", "kW", "request_kw")
+_RESIDUAL: Final = Column("residual", "kW", "residual_kw")
+_HELP_ASKED: Final = Column("help", "asked kW", "help_asked_kw")
+_SETPOINT: Final = Column("setpoint", "kW", "setpoint_kw")
+_POWER: Final = Column("power", "kW", "power_kw")
+_MOVED: Final = Column("moved", "kW", "moved_kw")
+_ALPHA: Final = Column("alpha", "", "alpha", 6, ".4f")
+
+_DIRECT: Final = (_POWER, _IMPP, _REQUEST, _RESIDUAL, _HELP_ASKED, _SETPOINT, _ALPHA)
+_SUPERVISOR: Final = (_REQUEST, _IMPP, _RESIDUAL, _HELP_ASKED, _SETPOINT, _MOVED)
+_CENTRAL: Final = (
+    Column("dispatch", "kW", "dispatch_kw"),
+    *(_IMPP, _RESIDUAL, _HELP_ASKED),
+    Column("possible", "kW", "possible_kw"),
+    Column("produced", "kW", "delivered_kw"),
+)
+
+
+class TimelineTable:
+    """The lines of one node's timeline."""
+
+    def __init__(
+        self, tree: ControlTree, node: str, time_width: int, width: int = NARROWEST
+    ) -> None:
+        powers: tuple[Column, ...]
+        if node == ROOT:
+            powers, last = _CENTRAL, ("children in need", "")
+        elif tree.is_leaf(node):
+            powers, last = _DIRECT, ("help given", "from or for whom, kW")
+        else:
+            powers, last = _SUPERVISOR, ("help given, children in need", "from or for whom, kW")
+        self._columns = (
+            Column("cycle", "", "cycle", 6, "d"),
+            Column("time", "local", "time", time_width, ""),
+            *powers,
+        )
+        self._last = last
+        self._width = width
+
+    def heading(self) -> list[str]:
+        """Return the two lines above the columns."""
+        return _heading(self._columns, self._last, self._width)
+
+    def row(self, node: NodeCycle) -> list[str]:
+        """Return the lines of one cycle: its columns, and its remarks."""
+        cells = " ".join(column.text(node) for column in self._columns)
+        return _with_remarks(cells, _remarks(node), self._width)
+
+
+def plant_lines(
+    tree: ControlTree, nodes: Sequence[NodeCycle], width: int = NARROWEST
+) -> Iterator[str]:
+    """Yield the plant in one cycle: its nodes as a tree, with the columns of a timeline."""
+    branches = dict(_branches(tree, ROOT, ""))
+    longest = max(len(branch) for branch in branches.values())
+    columns = (Column("node".ljust(longest), "", "node", longest, ""), *_DIRECT)
+    yield from _heading(columns, ("help given", "from or for whom, kW"), width)
+    by_path = dict(zip(tree.nodes, nodes, strict=True))
+    for path, branch in branches.items():
+        node = by_path[path]
+        cells = " ".join([branch.ljust(longest), *(column.text(node) for column in _DIRECT)])
+        yield from _with_remarks(cells, _remarks(node), width)
+
+
+def _branches(tree: ControlTree, node: str, indent: str) -> Iterator[tuple[str, str]]:
+    """Yield each node with the branch that it is drawn at."""
+    if node == ROOT:
+        yield node, agent_name(node)
+    children = tree.children(node)
+    for child in children:
+        last = child == children[-1]
+        yield child, f"{indent}{'└─' if last else '├─'} {child.rpartition('/')[2]}"
+        yield from _branches(tree, child, indent + ("   " if last else "│  "))
+
+
+def _heading(columns: Sequence[Column], last: tuple[str, str], width: int) -> list[str]:
+    names = " ".join(column.name.rjust(column.width) for column in columns)
+    units = " ".join(column.unit.rjust(column.width) for column in columns)
+    if width - len(names) - len(_GAP) < _LEAST_REMARK:
+        return [names.rstrip(), units.rstrip()]
+    return [f"{names}{_GAP}{last[0]}".rstrip(), f"{units}{_GAP}{last[1]}".rstrip()]
+
+
+def _with_remarks(cells: str, remarks: str, width: int) -> list[str]:
+    begin = len(cells) + len(_GAP)
+    if width - begin < _LEAST_REMARK:
+        lines = textwrap.wrap(remarks, width - _INDENT)
+        return [cells.rstrip(), *(" " * _INDENT + line for line in lines)]
+    first, *rest = textwrap.wrap(remarks, width - begin) or [""]
+    return [f"{cells}{_GAP}{first}".rstrip(), *(" " * begin + line for line in rest)]
+
+
+def _remarks(node: NodeCycle) -> str:
+    """Return what has no column: who gave help to whom, missing inputs, notices."""
+    said = [
+        _help_text("from", node.help_from),
+        _help_text("for", node.help_for),
+        f"moved {node.moved_kw:.2f}" if node.node == CENTRAL and node.moved_kw else "",
+        "need: " + ", ".join(map(_short, node.needy)) if node.needy else "",
+        f"stale for {node.stale_cycles}" if node.stale_cycles else "",
+        in_words(node.missing),
+        *node.notices,
+    ]
+    return "; ".join(part for part in said if part)
+
+
+def _help_text(word: str, lines: Sequence[HelpLine]) -> str:
+    given = ", ".join(f"{_short(line.node)} {line.power_kw:.2f}" for line in lines)
+    return f"{word} {given}" if given else ""
+
+
+def _short(path: str) -> str:
+    """Return the last part of a path: help is given among siblings."""
+    return path.rpartition("/")[2]

@@ -54,16 +54,9 @@ class DamagedChunkError(ValueError):
 
 
 class ChunkPlace(NamedTuple):
-    """Where a chunk lies in its file, and what its head says.
+    """Where a chunk's record begins, the length of its body, and its first and last log time.
 
-    Attributes
-    ----------
-    offset, length
-        First byte of its record, and length of the record's body.
-    first_ns, last_ns
-        Log time of its first and last message [ns].
-    cut
-        Whether the file ends before the chunk does, or the chunk's length is damaged.
+    It is cut if the file ends before it does, or if its length is damaged.
     """
 
     offset: int

@@ -28,15 +28,6 @@ class SequenceGaps:
     The messages of each incarnation are numbered from 0. What a process that was replaced still
     sends is not counted. Of one incarnation, a lower number than expected in a newer cycle is that
     of a device that has restarted. In the same or an older cycle it is a message that came again.
-
-    Attributes
-    ----------
-    lost
-        Messages that were published and did not come.
-    repeated
-        Messages whose number had come before.
-    restarts
-        How often the publisher began again from 0.
     """
 
     __slots__ = ("_cycle", "_expected", "_incarnation", "lost", "repeated", "restarts")

@@ -16,19 +16,9 @@ from os import SEEK_CUR, SEEK_END
 from struct import Struct
 from typing import BinaryIO, Final, NamedTuple, TypeVar
 
+from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-)
 
 from recordings.read.chunks import (
     BROKEN,
@@ -48,7 +38,7 @@ _CHUNK_INDEX: Final = Struct("<QQQQ")
 _OPCODES: Final = frozenset(Opcode)
 _BLOCK: Final = 1 << 20
 
-R = TypeVar("R", bound=McapRecord)
+R = TypeVar("R", bound=records.McapRecord)
 
 
 class NoMcapError(ValueError):
@@ -107,42 +97,24 @@ class JoinedFile:
 
 @dataclass
 class Outline:
-    """What a file consists of.
+    """What a file consists of, in its order; schemas and channels by their id.
 
-    Attributes
-    ----------
-    size
-        Size of the file [bytes].
-    closed
-        Whether its writer came to the end of the messages. Otherwise it was cut, is damaged at
-        `readable_end`, or is still being written.
-    indexed
-        Whether it has its index too, and all files that it goes on in.
-    readable_end
-        First byte behind the last readable record of the data section.
-    header
-        None if the file was cut before it.
-    attachments, metadata
-        In the order of the file.
-    schemas, channels
-        Schemas and channels by their id.
-    chunks
-        In the order of the file. The last one may be cut.
-    damaged_attachments
-        Names of those whose checksum is wrong; of one that cannot be read, where it is.
-    further_files
-        First bytes of the files that it goes on in.
+    It is `closed` if its writer came to the end of the messages. Otherwise it was cut, is damaged
+    at `readable_end`, behind the last readable record of the data section, or is still being
+    written. It is `indexed` if it has its index too, and all files that it goes on in, which begin
+    at the bytes `further_files`. The last chunk may be cut. `damaged_attachments` are the names of
+    those whose checksum is wrong; of one that cannot be read, where it is.
     """
 
     size: int
     closed: bool = False
     indexed: bool = False
     readable_end: int = len(MAGIC)
-    header: Header | None = None
-    attachments: list[Attachment] = field(default_factory=list)
-    metadata: list[Metadata] = field(default_factory=list)
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
+    header: records.Header | None = None
+    attachments: list[records.Attachment] = field(default_factory=list)
+    metadata: list[records.Metadata] = field(default_factory=list)
+    schemas: dict[int, records.Schema] = field(default_factory=dict)
+    channels: dict[int, records.Channel] = field(default_factory=dict)
     chunks: list[ChunkPlace] = field(default_factory=list)
     damaged_attachments: list[str] = field(default_factory=list)
     further_files: list[int] = field(default_factory=list)
@@ -188,7 +160,7 @@ def _by_index(file: BinaryIO, size: int) -> Outline | None:
     tail = file.read()
     if not tail.endswith(MAGIC) or tail[0] != Opcode.FOOTER:
         return None
-    footer = _parse(Footer.read, tail[RECORD_HEAD.size :])
+    footer = _parse(records.Footer.read, tail[RECORD_HEAD.size :])
     begin = footer.summary_start
     if not begin or _checksum(file, begin, size - len(MAGIC) - 4) != footer.summary_crc:
         return None
@@ -202,12 +174,12 @@ def _by_index(file: BinaryIO, size: int) -> Outline | None:
             case Opcode.CHUNK_INDEX:
                 # The library would make a dictionary of channels for each of 170,000 chunks a day.
                 first_ns, last_ns, offset, length = _CHUNK_INDEX.unpack_from(body)
-                place_of_chunk = ChunkPlace(offset, length - RECORD_HEAD.size, first_ns, last_ns)
-                outline.chunks.append(place_of_chunk)
+                chunk = ChunkPlace(offset, length - RECORD_HEAD.size, first_ns, last_ns)
+                outline.chunks.append(chunk)
             case Opcode.ATTACHMENT_INDEX:
-                elsewhere.append(_parse(AttachmentIndex.read, body).offset)
+                elsewhere.append(_parse(records.AttachmentIndex.read, body).offset)
             case Opcode.METADATA_INDEX:
-                elsewhere.append(_parse(MetadataIndex.read, body).offset)
+                elsewhere.append(_parse(records.MetadataIndex.read, body).offset)
     for offset in elsewhere:
         _take(outline, file, _place_at(file, offset))
     return outline
@@ -255,16 +227,16 @@ def _take(outline: Outline, file: BinaryIO, place: _Place) -> None:
         return
     match place.opcode:
         case Opcode.HEADER:
-            outline.header = _parse(Header.read, _body(file, place, outline.size))
+            outline.header = _parse(records.Header.read, _body(file, place, outline.size))
         case Opcode.ATTACHMENT:
             _take_attachment(outline, place.offset, _body(file, place, outline.size))
         case Opcode.METADATA:
-            outline.metadata.append(_parse(Metadata.read, _body(file, place, outline.size)))
+            outline.metadata.append(_parse(records.Metadata.read, _body(file, place, outline.size)))
 
 
 def _take_attachment(outline: Outline, offset: int, body: bytes) -> None:
     try:
-        attachment = _parse(Attachment.read, body)
+        attachment = _parse(records.Attachment.read, body)
         (checksum,) = _CHECKSUM.unpack(body[-_CHECKSUM.size :])
     except BROKEN:
         outline.damaged_attachments.append(f"at byte {offset:,}")
@@ -276,10 +248,10 @@ def _take_attachment(outline: Outline, offset: int, body: bytes) -> None:
 
 def _declare(outline: Outline, opcode: int, body: bytes) -> None:
     if opcode == Opcode.SCHEMA:
-        schema = _parse(Schema.read, body)
+        schema = _parse(records.Schema.read, body)
         outline.schemas[schema.id] = schema
     elif opcode == Opcode.CHANNEL:
-        channel = _parse(Channel.read, body)
+        channel = _parse(records.Channel.read, body)
         outline.channels[channel.id] = channel
 
 

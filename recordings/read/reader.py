@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Collection, Container, Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -109,22 +109,10 @@ class RunReader:
 
     Where the recorder was started again, `run-2.mcap` and further files are taken as one with it.
 
-    Memory is bounded by the largest chunk, and some 300 bytes for each chunk of the file.
+    It is `whole` if each file was closed in order and has its index. Of a file that is damaged,
+    `damage` says which chunks were skipped so far, by their first byte, and why.
 
-    Attributes
-    ----------
-    path, file, files
-        Path of the MCAP file, the open file, and how many files that is.
-    whole
-        Whether each file was closed in order and has its index.
-    outline
-        The parts that the file consists of.
-    metadata
-        Metadata by name: versions, host, clock anchor.
-    scenario, plan
-        Text of the scenario file, and plan of the run.
-    damage
-        Chunks that were skipped so far: why, by their first byte.
+    Memory is bounded by the largest chunk, and some 300 bytes for each chunk of the file.
     """
 
     def __init__(self, path: Path, *, skip_damaged: bool = False) -> None:
@@ -190,11 +178,6 @@ class RunReader:
         start, end
             The first and the last cycle: local time (`13:49:00`), time since the start (`90s`) or
             number. Cycles outside of them are not read.
-
-        Raises
-        ------
-        InputError
-            The run has no such signal, node or time; or the file is damaged where it is read.
         """
         ports = self.ports(*signals, nodes=nodes)
         if start is None and end is None:
@@ -233,17 +216,12 @@ class RunReader:
         """Yield messages as they are in the file; only their cycle is decoded."""
         port_of = self._channels_of(self.ports() if ports is None else ports)
         for raw in self._raw(port_of, cycles):
-            channel, sequence, log_time_ns, publish_time_ns, payload = raw
+            channel, sequence, logged_ns, published_ns, payload = raw
             head = self._head_of(raw)
-            if cycles is None or cycles.start <= head.cycle < cycles.stop:
+            port, cycle = port_of[channel], head.cycle
+            if cycles is None or cycles.start <= cycle < cycles.stop:
                 yield RecordedMessage(
-                    port_of[channel],
-                    head.cycle,
-                    sequence,
-                    log_time_ns,
-                    publish_time_ns,
-                    payload,
-                    head.incarnation,
+                    port, cycle, sequence, logged_ns, published_ns, payload, head.incarnation
                 )
 
     def frame(
@@ -254,24 +232,11 @@ class RunReader:
         start: str | int | None = None,
         end: str | int | None = None,
     ) -> pd.DataFrame:
-        """Return the messages of one signal as a table, one row each.
+        """Return the messages of one signal as a table, one row each; for the rest see `messages`.
 
-        Parameters
-        ----------
-        signal, nodes, start, end
-            See `messages`.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Indexed by `time`, the local time at the beginning of the cycle. Columns `cycle`,
-            `node` and the signal's own fields, with units in their names. `help_given` and the
-            fields of `production` that list inverters hold tuples.
-
-        Raises
-        ------
-        InputError
-            See `messages`.
+        It is indexed by `time`, the local time at the beginning of the cycle. Columns are `cycle`,
+        `node` and the signal's own fields, with units in their names. `help_given` and the fields
+        of `production` that list inverters hold tuples.
         """
         import pandas as pd  # noqa: PLC0415 - it loads slowly
 
@@ -301,7 +266,7 @@ class RunReader:
         ports = {port for port in self.ports() if port.signal.name != "run"}
         port_of = self._channels_of(ports)
         for place in reversed(self.outline.chunks):
-            cycles = [self._cycle_of(raw) for raw in self._messages_of(place, port_of)]
+            cycles = [self._head_of(raw).cycle for raw in self._messages_of(place, port_of)]
             if cycles:
                 return max(cycles)
         return -1
@@ -320,7 +285,9 @@ class RunReader:
 
     def cycles_in(self, place: ChunkPlace) -> range:
         """Return the cycles that a chunk has messages of; empty if none can be read."""
-        cycles = [self._cycle_of(raw) for raw in messages_in(self._try_unpack(place), self._every)]
+        cycles = [
+            self._head_of(raw).cycle for raw in messages_in(self._try_unpack(place), self._every)
+        ]
         return range(min(cycles), max(cycles) + 1) if cycles else range(0)
 
     def damage_text(self) -> str:
@@ -396,21 +363,19 @@ class RunReader:
         Messages are nearly in the order of their cycles, at most `_slack` cycles behind. So where
         a chunk begins more than that before the cycle, the cycle has not begun.
         """
-        low, high = 0, len(self.outline.chunks)
-        while high - low > 1:
-            middle = (low + high) // 2
-            first = self._first_cycle(self.outline.chunks[middle])
-            if first is not None and first < cycle - self._slack:
-                low = middle
-            else:
-                high = middle
-        return low
+        before = cycle - self._slack
+
+        def first(place: ChunkPlace) -> int:
+            found = self._first_cycle(place)
+            return before if found is None else found
+
+        return max(bisect_left(self.outline.chunks, before, key=first) - 1, 0)
 
     def _first_cycle(self, place: ChunkPlace) -> int | None:
         """Return the cycle of a chunk's first message; None: nothing can be read of it."""
         if place not in self._first_cycles:
             raw = next(messages_in(self._try_unpack(place), self._every), None)
-            self._first_cycles[place] = None if raw is None else self._cycle_of(raw)
+            self._first_cycles[place] = None if raw is None else self._head_of(raw).cycle
         return self._first_cycles[place]
 
     def _try_unpack(self, place: ChunkPlace) -> bytes:
@@ -418,9 +383,6 @@ class RunReader:
             return unpack_chunk(self.file, place)
         except DamagedChunkError:
             return b""  # An error only for whoever reads its messages.
-
-    def _cycle_of(self, raw: RawMessage) -> int:
-        return self._head_of(raw).cycle
 
     def _head_of(self, raw: RawMessage) -> Head:
         try:
@@ -472,17 +434,7 @@ class RunReader:
 
 
 def open_run(path: Path | str) -> RunReader:
-    """Open a recording: typed messages by signal, node and time, and pandas frames.
-
-    Parameters
-    ----------
-    path
-        The folder of a run, or its MCAP file.
-
-    Raises
-    ------
-    InputError
-        There is no such file, or it is no recording of a run.
+    """Open a recording, by its run's folder or its MCAP file: typed messages, and pandas frames.
 
     Examples
     --------

@@ -33,10 +33,7 @@ class RunClock:
     def cycle(self, when: str | int, where: str) -> int:
         """Return the cycle of a time: `13:49:00`, `2010-04-01T13:49:00`, `90s` or a number.
 
-        Raises
-        ------
-        InputError
-            The run has no such cycle; the error begins with `where`, such as `--from`.
+        An error begins with `where`, such as `--from`.
         """
         text = str(when).strip()
         try:

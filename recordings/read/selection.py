@@ -35,18 +35,8 @@ def find_signals(names: str | Iterable[Signal[Message] | str]) -> tuple[Signal[M
 def find_nodes(tree: ControlTree, names: str | Iterable[str]) -> tuple[str, ...]:
     """Return the paths of some nodes: the one grammar of `--nodes`.
 
-    Parameters
-    ----------
-    tree
-        The control tree.
-    names
-        `c2/inv07`, `c1`, `central`, or `c1/*`: a node and all below it. One text may hold several
-        with commas between them.
-
-    Raises
-    ------
-    InputError
-        The control tree has no such node.
+    A name is `c2/inv07`, `c1`, `central`, or `c1/*`: a node and all below it. One text may hold
+    several with commas between them.
     """
     return tuple(ROOT if agent == CENTRAL else agent for agent in _agents(tree, names, ()))
 

@@ -39,31 +39,20 @@ class RunSeries:
     ----------
     label
         What to call it in a table or a legend, for instance the control scheme.
-    inverters
-        Paths of the inverters in the control tree (`c2/inv07`), n of them.
-    rating_kw
-        AC rating of each inverter, shape (n,).
+    inverters, rating_kw
+        Paths of the inverters in the control tree (`c2/inv07`), and their AC ratings, shape (n,).
     timezone
         Local time of the plant, an IANA name.
     start_time_ns
         Simulated time of the first cycle, ns since 1970-01-01 UTC.
-    cycle_s
-        Length of a cycle [s].
     commitment_kw, regulation_kw
         What the operator wanted in each cycle, shape (T,): the power promised, and the regulation
         on top of it (0 throughout if there is none).
     regulation_capacity_kw
         Power that a regulation signal of +1 stands for; 0 if there is no regulation.
-    mpp_kw
-        True maximum power of each inverter, shape (T, n).
-    power_kw
-        Power that each inverter delivered, shape (T, n).
-    impp_kw
-        IMPP of each inverter, shape (T, n).
-    residual_kw
-        IMPP less request, shape (T, n).
-    alpha
-        Curtailment level in [0, 1] that each inverter applied, shape (T, n).
+    mpp_kw, power_kw, impp_kw, residual_kw, alpha
+        Of each inverter, shape (T, n): true maximum power, power that it delivered, IMPP, IMPP less
+        request, and the curtailment level in [0, 1] that it applied.
     ramp_limit_percent_per_min
         Ramp limit in % of the plant's rating per minute, if a grid code sets one.
     """

@@ -20,22 +20,16 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
     `/dev/stdout` is a link, which leads to a file where standard output goes to one.
     """
     try:
-        with _written(path) as file:
-            yield file
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            with path.open("wb") as file:
+                yield file
+            return
+        with _beside(path) as beside:
+            with beside.open("wb") as file:
+                yield file
+            beside.replace(path)
     except OSError as error:  # That a disk is full is often found by a call that knows no name.
         raise OSError(error.errno, error.strerror, error.filename or str(path)) from None
-
-
-@contextmanager
-def _written(path: Path) -> Iterator[BinaryIO]:
-    if path.is_symlink() or (path.exists() and not path.is_file()):
-        with path.open("wb") as file:
-            yield file
-        return
-    with _beside(path) as beside:
-        with beside.open("wb") as file:
-            yield file
-        beside.replace(path)
 
 
 def check_new(path: Path) -> None:

@@ -8,13 +8,7 @@ from bus_schemas.signals import HELP, Port
 
 
 class RunMonitor:
-    """The newest state of a run.
-
-    Attributes
-    ----------
-    cycles
-        How many cycles the plant has completed.
-    """
+    """The newest state of a run, and how many cycles the plant has completed."""
 
     def __init__(self) -> None:
         self.cycles = 0

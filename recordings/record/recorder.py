@@ -116,13 +116,7 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
 
 
 class RecordingEnd:
-    """Whether the recording has been asked to end.
-
-    Attributes
-    ----------
-    expected
-        Messages that must be in the file first; None: whatever still comes.
-    """
+    """Whether the recording has been asked to end, and with how many messages, if that is known."""
 
     def __init__(self) -> None:
         self.expected: int | None = None

@@ -30,15 +30,6 @@ from recordings.read.run_file import SCHEMA_VERSION, channels, schemas
 _VERSIONED: Final = ("heliarch", "eclipse-zenoh", "msgspec", "mcap", "numpy", "pvlib")
 
 
-def _machine() -> dict[str, str]:
-    """Return the host that the timing of a run depends on."""
-    return {
-        "host": platform.node(),
-        "kernel": platform.release(),
-        "cpu_count": str(os.cpu_count()),
-    }
-
-
 @dataclass(frozen=True, slots=True)
 class ClockAnchor:
     """One reading of both clocks at the same moment [ns]."""
@@ -81,38 +72,13 @@ class RunWriter:
     A full disk ends the recording, not the run: later messages are counted and not kept. The file
     then ends as if it had been cut; it can be read up to there, and `heliarch recover` repairs it.
 
-    Parameters
-    ----------
-    path
-        File to write.
-    plan
-        The plan of the run, which gives the channels.
-    scenario
-        Text of the scenario file, attached whole.
-    driver
-        `launch` or `simulate`.
-    anchor
-        Turns times of the messages' clock into wall clock. By default that is this host's
-        monotonic clock.
-    on_end
-        Called once, with a line of text, when the recording has to end early. None: the error is
-        raised instead.
+    `scenario` is the text of the scenario file, attached whole; `driver` is `launch` or `simulate`.
+    The anchor turns times of the messages' clock into wall clock; by default that is this host's
+    monotonic clock. `on_end` is called once, with a line of text, when the recording has to end
+    early (None: the error is raised instead); `trouble` then says why.
 
-    Raises
-    ------
-    FileExistsError
-        There is a recording already: it is not replaced.
-
-    Attributes
-    ----------
-    path
-        The file.
-    heard
-        Messages that should have been written.
-    recorded
-        Messages in the file, by signal. If the recording ended early, `close` counts them there.
-    trouble
-        Why the recording ended early; empty otherwise.
+    `heard` counts the messages that should have been written, `recorded` those in the file, by
+    signal; if the recording ended early, `close` counts them there.
     """
 
     def __init__(
@@ -158,20 +124,12 @@ class RunWriter:
 
     def flush(self) -> None:
         """Hand all that was added to the operating system, so that a crash does not lose it."""
-        if not self.trouble:
-            try:
-                self._writer.flush()
-            except OSError as error:
-                self._end(error)
+        self._unless_ended(self._writer.flush)
 
     def close(self) -> None:
         """Write the index and close the file."""
-        if not self.trouble:
-            try:
-                self._writer.finish()
-                self._file.close()
-            except OSError as error:
-                self._end(error)
+        self._unless_ended(self._writer.finish)
+        self._unless_ended(self._file.close)
         if self.trouble:
             self.recorded = _count(self.path)
 
@@ -180,42 +138,42 @@ class RunWriter:
         with suppress(OSError):  # It tries once more to write what it could not write before.
             self._file.close()
 
+    def _unless_ended(self, act: Callable[[], None]) -> None:
+        if not self.trouble:
+            try:
+                act()
+            except OSError as error:
+                self._end(error)
+
     def _end(self, error: OSError) -> None:
         self.abandon()
         if self._on_end is None:
             raise error
-        cycle, reason = self._cycle, error.strerror
-        self.trouble = f"the recording ended in cycle {cycle:,}: {self.path}: {reason}"
+        self.trouble = (
+            f"the recording ended in cycle {self._cycle:,}: {self.path}: {error.strerror}"
+        )
         self._on_end(self.trouble)
 
     def _write_origin(self, plan: RunPlan, scenario: str, driver: str) -> None:
-        now_ns = self._anchor.wall_ns
+        anchor, add = self._anchor, self._writer.add_attachment
         public = msgspec.structs.replace(plan, secret="", users_file="", keys_folder="")
-        self._writer.add_attachment(
-            now_ns, now_ns, "scenario.toml", "application/toml", scenario.encode()
-        )
-        self._writer.add_attachment(
-            now_ns, now_ns, "plan.json", "application/json", public.as_json()
-        )
-        self._writer.add_metadata(
-            "run",
-            {
-                "run_id": plan.run_id,
-                "plant": plan.plant,
-                "driver": driver,
-                "schema_version": SCHEMA_VERSION,
-                **(_machine() if driver == "launch" else {}),
-                "python": platform.python_version(),
-                **{f"version {name}": version(name) for name in _VERSIONED},
-            },
-        )
-        self._writer.add_metadata(
-            "clock_anchor",
-            {
-                "monotonic_ns": str(self._anchor.monotonic_ns),
-                "wall_ns": str(self._anchor.wall_ns),
-            },
-        )
+        times_ns = anchor.wall_ns, anchor.wall_ns
+        add(*times_ns, "scenario.toml", "application/toml", scenario.encode())
+        add(*times_ns, "plan.json", "application/json", public.as_json())
+        run = {
+            "run_id": plan.run_id,
+            "plant": plan.plant,
+            "driver": driver,
+            "schema_version": SCHEMA_VERSION,
+        }
+        if driver == "launch":  # The timing of a run depends on the host.
+            run |= {"host": platform.node(), "kernel": platform.release()}
+            run["cpu_count"] = str(os.cpu_count())
+        run["python"] = platform.python_version()
+        run |= {f"version {name}": version(name) for name in _VERSIONED}
+        self._writer.add_metadata("run", run)
+        clocks = {"monotonic_ns": str(anchor.monotonic_ns), "wall_ns": str(anchor.wall_ns)}
+        self._writer.add_metadata("clock_anchor", clocks)
 
     def _register(self, plan: RunPlan) -> dict[Port[Message], int]:
         # The file gives them the same numbers: a reader can do without its first chunk.

@@ -10,10 +10,10 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import Enum
-from typing import Final, Protocol
+from typing import Final, TypeAlias
 
 
 class Key(Enum):
@@ -49,20 +49,14 @@ _UNFINISHED: Final = re.compile(rb"\x1b[\[O]?$")
 """The beginning of an arrow key, whose other bytes come with the next read."""
 
 
-class Keyboard(Protocol):
-    """Where keys come from."""
-
-    def wait(self, seconds: float) -> list[Key]:
-        """Return all keys that were pressed, at once if there are any, else after a time."""
+Keyboard: TypeAlias = Callable[[float], list[Key]]
+"""Returns all keys that were pressed, at once if there are any, else after a time [s]."""
 
 
-class NoKeyboard:
-    """Standard input is no terminal."""
-
-    def wait(self, seconds: float) -> list[Key]:
-        """Wait for the time."""
-        time.sleep(max(seconds, 0.0))
-        return []
+def _nobody(seconds: float) -> list[Key]:
+    """Wait for the time: standard input is no terminal."""
+    time.sleep(max(seconds, 0.0))
+    return []
 
 
 class TerminalKeyboard:
@@ -101,7 +95,7 @@ def has_keyboard() -> bool:
 def keyboard() -> Iterator[Keyboard]:
     """Read the terminal key by key, without echo, as long as the context lasts."""
     if not has_keyboard():
-        yield NoKeyboard()
+        yield _nobody
         return
     descriptor = sys.stdin.fileno()
     before = termios.tcgetattr(descriptor)
@@ -109,7 +103,7 @@ def keyboard() -> Iterator[Keyboard]:
     continued = signal.signal(signal.SIGCONT, lambda *_: tty.setcbreak(descriptor))
     tty.setcbreak(descriptor)
     try:
-        yield TerminalKeyboard(descriptor)
+        yield TerminalKeyboard(descriptor).wait
     finally:
         signal.signal(signal.SIGCONT, continued)
         termios.tcsetattr(descriptor, termios.TCSADRAIN, before)

@@ -24,20 +24,15 @@ from recordings.read.reader import RunReader
 from recordings.read.run_clock import RunClock
 from recordings.read.selection import find_nodes
 from recordings.replay.bus import await_subscriber, replay_bus, say, selected_ports
-from recordings.replay.live import LiveReplay
-from recordings.replay.live_bus import LiveBus, live_plan
+from recordings.replay.clock import TimingFigures
+from recordings.replay.live import LiveBus, LiveReplay, live_plan
 from recordings.replay.publish_order import complete_cycles
-from recordings.replay.timing import TimingFigures
 from recordings.verify.report import finding_data, finding_lines, json_ready, wrapped
 
 _OTHERS: Final = "others"
 _SHARED: Final = (
-    "plant",
-    "inverters",
-    "start_time_ns",
-    "cycle_ns",
-    "cycle_wall_ns",
-    "period_cycles",
+    *("plant", "inverters", "start_time_ns"),
+    *("cycle_ns", "cycle_wall_ns", "period_cycles"),
 )
 """Fields in which the plan of the live controllers must be that of the recorded run."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
 from typing import Final, Literal, TextIO
 
 import msgspec
@@ -16,10 +17,16 @@ from launch_scripts.launcher.interruption import Interruption, interruptible
 from launch_scripts.launcher.live_view import StatusLine
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus, await_subscriber, replay_bus, say
-from recordings.replay.clock import CLOCKS, ClockKind, PlaybackClock, Positions
+from recordings.replay.clock import (
+    CLOCKS,
+    ClockKind,
+    PlaybackClock,
+    Positions,
+    TimingErrors,
+    TimingFigures,
+)
 from recordings.replay.keyboard import KEYS_IN_WORDS, Key, Keyboard, has_keyboard, keyboard
 from recordings.replay.publish_order import in_publish_order
-from recordings.replay.timing import TimingErrors, TimingFigures
 
 _LOOK_S: Final = 0.02
 """How often the keyboard is read."""
@@ -27,12 +34,7 @@ _LOOK_S: Final = 0.02
 _FASTEST: Final = 1024.0
 _SLOWEST: Final = 1.0 / 1024.0
 
-_SEEK_S: Final = {
-    Key.BACK: -10.0,
-    Key.FORWARD: 10.0,
-    Key.FAR_BACK: -60.0,
-    Key.FAR_FORWARD: 60.0,
-}
+_SEEK_S: Final = {Key.BACK: -10.0, Key.FORWARD: 10.0, Key.FAR_BACK: -60.0, Key.FAR_FORWARD: 60.0}
 """How far a key seeks, in simulated time."""
 
 
@@ -79,17 +81,11 @@ def replay_recording(
         say(out, f"clock {kind}: {CLOCKS[kind]}")
         if has_keyboard():
             say(out, KEYS_IN_WORDS)
+        before = None if end is None else span.stop
+        playing = PlaybackClock(rate, paused=start_paused)
+        line = StatusLine(out, in_place=out.isatty())
         playback = Playback(
-            reader,
-            span.start,
-            None if end is None else span.stop,
-            ports,
-            bus,
-            PlaybackClock(rate, paused=start_paused),
-            kind,
-            keys,
-            interruption,
-            StatusLine(out, in_place=out.isatty()),
+            reader, span.start, before, ports, bus, playing, kind, keys, interruption, line
         )
         if wait:
             await_subscriber(bus, interruption, out)
@@ -114,88 +110,71 @@ def replay_recording(
     )
 
 
+@dataclass(eq=False)
 class Playback:
     """Plays the cycles from one to just before another (None: to the end) onto the bus.
 
-    Attributes
-    ----------
-    messages, cycles
-        Messages that were published, and cycles that were begun.
-    timing
-        How late messages were sent: not those of steps, nor any at rate 0.
+    It counts the messages that were published and the cycles that were begun. `timing` says how
+    late messages were sent: not those of steps, nor any at rate 0.
     """
 
-    def __init__(
-        self,
-        reader: RunReader,
-        first_cycle: int,
-        before_cycle: int | None,
-        ports: Collection[Port[Message]],
-        bus: ReplayBus,
-        clock: PlaybackClock,
-        kind: ClockKind,
-        keyboard: Keyboard,
-        interruption: Interruption,
-        line: StatusLine,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
+    reader: RunReader
+    first_cycle: int
+    before_cycle: int | None
+    ports: Collection[Port[Message]]
+    bus: ReplayBus
+    clock: PlaybackClock
+    kind: ClockKind
+    keyboard: Keyboard
+    interruption: Interruption
+    line: StatusLine
+    sleep: Callable[[float], None] = time.sleep
+
+    def __post_init__(self) -> None:
         self.messages = self.cycles = 0
         self.timing = TimingErrors()
-        self._reader = reader
-        self._first_cycle = first_cycle
-        self._before_cycle = before_cycle
-        self._ports = ports
-        self._bus = bus
-        self._clock = clock
-        self._kind = kind
-        self._keyboard = keyboard
-        self._interruption = interruption
-        self._line = line
-        self._sleep = sleep
         self._quit = False
         self._look_at_ns = 0
         self._keys: deque[Key] = deque()
-        self._step_to = -1
-        self._cycle = -1
-        self._seek(first_cycle)
+        self._seek(self.first_cycle)
 
     def play(self, *, loop: bool = False) -> None:
         """Play the span once, or again and again until the user ends it."""
         wake_precisely()
-        if self._clock.paused:
+        if self.clock.paused:
             self._announce()
-        while not (self._quit or self._interruption):
-            if self._next is None and not self._clock.paused:
+        while not (self._quit or self.interruption):
+            if self._next is None and not self.clock.paused:
                 if not loop or self._cycle < 0:
                     break
-                self._seek(self._first_cycle)
+                self._seek(self.first_cycle)
             elif self._next is not None and self._is_due():
                 self._send(self._next)
                 self._turn_to_next()
             self._obey_keys()
         self._show(self._cycle)
-        self._line.end()
+        self.line.end()
 
     def _is_due(self) -> bool:
         """Whether the next message is due; if not, wait for a little."""
         assert self._next is not None
-        if self._clock.paused:
+        if self.clock.paused:
             return self._next.cycle <= self._step_to
-        left_s = (self._clock.due_ns(self._position_ns) - self._clock.now_ns()) / 1e9
+        left_s = (self.clock.due_ns(self._position_ns) - self.clock.now_ns()) / 1e9
         if left_s > 0.0:
-            self._sleep(min(left_s, _LOOK_S))
+            self.sleep(min(left_s, _LOOK_S))
         return left_s <= 0.0
 
     def _seek(self, cycle: int) -> None:
         """Let the first message of a cycle be the next one, and be due now."""
         self._records: Iterator[RecordedMessage] = in_publish_order(
-            self._reader, self._ports, cycle, self._before_cycle
+            self.reader, self.ports, cycle, self.before_cycle
         )
-        self._positions = Positions(self._reader.plan, self._kind)
+        self._positions = Positions(self.reader.plan, self.kind)
         self._cycle = self._step_to = -1
         self._position_ns = 0
         self._turn_to_next()
-        self._clock.move_to(self._position_ns)
+        self.clock.move_to(self._position_ns)
 
     def _turn_to_next(self) -> None:
         self._next = next(self._records, None)
@@ -206,38 +185,38 @@ class Playback:
         if record.cycle > self._cycle:
             self._cycle = record.cycle
             # The message that ends the run names the cycle after the last one.
-            self.cycles += record.cycle <= self._reader.last_cycle
+            self.cycles += record.cycle <= self.reader.last_cycle
             self._announce()
-        self._bus.put(record.port, record.payload)
+        self.bus.put(record.port, record.payload)
         self.messages += 1
-        if self._clock.paused:
-            self._clock.move_to(self._position_ns)
-        elif self._clock.rate:
-            late_ns = self._clock.now_ns() - self._clock.due_ns(self._position_ns)
+        if self.clock.paused:
+            self.clock.move_to(self._position_ns)
+        elif self.clock.rate:
+            late_ns = self.clock.now_ns() - self.clock.due_ns(self._position_ns)
             self.timing.add(late_ns)
 
     def _announce(self) -> None:
         """Publish where the replay stands."""
         if self._next is not None:
-            clock = self._clock
-            self._bus.announce(self._next.cycle, rate=clock.rate, paused=clock.paused)
+            clock = self.clock
+            self.bus.announce(self._next.cycle, rate=clock.rate, paused=clock.paused)
 
     def _obey_keys(self) -> None:
         """Read the keyboard if it is time to, and do what the keys ask for, one after the other."""
         if self._is_stepping():
             return
-        now_ns = self._clock.now_ns()
-        if self._clock.paused and not self._keys:
-            self._keys.extend(self._keyboard.wait(_LOOK_S))
+        now_ns = self.clock.now_ns()
+        if self.clock.paused and not self._keys:
+            self._keys.extend(self.keyboard(_LOOK_S))
         elif now_ns >= self._look_at_ns:
             self._look_at_ns = now_ns + round(_LOOK_S * 1e9)
-            self._keys.extend(self._keyboard.wait(0.0))
-            if self._line.is_due():
+            self._keys.extend(self.keyboard(0.0))
+            if self.line.is_due():
                 self._show(self._cycle)
         while self._keys and not self._is_stepping():
             self._do(self._keys.popleft())
             self._announce()
-            if self._line.is_due(now=True):
+            if self.line.is_due(now=True):
                 self._show(self._next.cycle if self._next is not None else self._cycle)
 
     def _is_stepping(self) -> bool:
@@ -247,15 +226,15 @@ class Playback:
     def _do(self, key: Key) -> None:
         match key:
             case Key.PAUSE:
-                self._clock.toggle_pause()
-            case Key.STEP if self._clock.paused:
+                self.clock.toggle_pause()
+            case Key.STEP if self.clock.paused:
                 self._step_to = self._next.cycle if self._next is not None else -1
             case Key.STEP:
-                self._clock.toggle_pause()
+                self.clock.toggle_pause()
             case Key.FASTER:
-                self._clock.set_rate(min(self._clock.rate * 2.0, _FASTEST))
-            case Key.SLOWER if self._clock.rate:  # Rate 0, as fast as possible, stays.
-                self._clock.set_rate(max(self._clock.rate / 2.0, _SLOWEST))
+                self.clock.set_rate(min(self.clock.rate * 2.0, _FASTEST))
+            case Key.SLOWER if self.clock.rate:  # Rate 0, as fast as possible, stays.
+                self.clock.set_rate(max(self.clock.rate / 2.0, _SLOWEST))
             case Key.QUIT:
                 self._quit = True
             case key if key in _SEEK_S:
@@ -263,17 +242,17 @@ class Playback:
 
     def _seek_by(self, seconds: float) -> None:
         """Go forward or back by a simulated time, at least a cycle, within the span."""
-        cycles = round(seconds * 1e9 / self._reader.plan.cycle_ns)
+        cycles = round(seconds * 1e9 / self.reader.plan.cycle_ns)
         cycles = cycles or (1 if seconds > 0.0 else -1)
         here = self._next.cycle if self._next is not None else self._cycle
-        last = (self._before_cycle or self._reader.last_cycle + 1) - 1
-        self._seek(min(max(here + cycles, self._first_cycle), last))
+        last = (self.before_cycle or self.reader.last_cycle + 1) - 1
+        self._seek(min(max(here + cycles, self.first_cycle), last))
 
     def _show(self, cycle: int) -> None:
         if cycle >= 0:
-            rate = f"pace {self._clock.rate:g}" if self._clock.rate else "as fast as possible"
-            paused = " paused" if self._clock.paused else ""
-            self._line.show(f"{cycle_text(self._reader, cycle)}, {rate}{paused}")
+            rate = f"pace {self.clock.rate:g}" if self.clock.rate else "as fast as possible"
+            paused = " paused" if self.clock.paused else ""
+            self.line.show(f"{cycle_text(self.reader, cycle)}, {rate}{paused}")
 
 
 def cycle_text(reader: RunReader, cycle: int, last_cycle: int | None = None) -> str:

@@ -46,12 +46,7 @@ class FieldDifference:
 class Comparison:
     """What counts as equal.
 
-    Attributes
-    ----------
-    tolerance
-        Largest absolute difference of two equal floats. At 0 they must have the same bits.
-    ignored
-        Fields that are not compared.
+    Floats that differ by the tolerance at most are equal; at 0 they must have the same bits.
     """
 
     tolerance: float = 0.0
@@ -62,10 +57,7 @@ class Comparison:
     ) -> tuple[FieldDifference, ...]:
         """Return the fields in which the new message of a port differs from the recorded one.
 
-        Raises
-        ------
-        msgspec.MsgspecError, TypeError
-            The new message cannot be sent: it cannot be encoded, or no listener would accept it.
+        It is a MsgspecError or a TypeError if no listener would accept the new message.
         """
         new.ready_time_ns = recorded.ready_time_ns
         new.publish_time_ns = recorded.publish_time_ns

@@ -69,20 +69,9 @@ KINDS: Final[dict[Kind, tuple[str, str, str]]] = {
 class Difference:
     """One difference between the recording and what the agent does now.
 
-    Attributes
-    ----------
-    message
-        Key of the message that differs; of `input not recorded` that of the input.
-    fields
-        Fields that differ.
-    content
-        The recorded message if there is one, else the new one.
-    inputs
-        What the agent received in that cycle, by key.
-    missing
-        The inputs that were not of that cycle, see `bus_schemas.missing`.
-    text
-        The error, if the agent fails.
+    `message` is the key of the message that differs, or of the input that is not recorded;
+    `content` the recorded message if there is one, else the new one; `inputs` what the agent
+    received in that cycle, by key; `missing` the inputs that were not of that cycle.
     """
 
     kind: Kind
@@ -100,22 +89,9 @@ class Difference:
 class Findings:
     """What the comparison of one agent found.
 
-    Attributes
-    ----------
-    recorded, compared
-        Its messages in the recording, and the pairs that were compared.
-    missing_inputs, old_inputs
-        Inputs that were missing at a deadline, and older ones that were used.
-    differences
-        Their number by kind.
-    first, last_cycle
-        The first of them, and the cycle of the last one.
-    failure
-        The error of the agent, if there was one: nothing is compared after it.
-    not_compared, not_compared_from
-        Recorded messages that could not be compared, and the cycle of the first one.
-    from_cycle
-        Messages of earlier cycles are not compared.
+    It counts messages in the recording, pairs that were compared, inputs that were missing at a
+    deadline or used in an older version, differences by kind, and recorded messages that could not
+    be compared. Nothing is compared before `from_cycle`, nor after the failure of the agent.
     """
 
     recorded: int = 0

@@ -48,18 +48,10 @@ class RecordedCycles:
     Without a `stop_cycle` the run broke off: incomplete cycles at its end are left out. When
     `most_waiting` messages wait, the oldest cycle counts as complete.
 
-    Attributes
-    ----------
-    read
-        Messages read so far. The following ones are among them, and in no cycle.
-    not_decided
-        Messages that no agent decides: the beginning and end of the run.
-    misplaced
-        Messages that belong to no cycle of the run, or come long after their cycle.
-    cut_off
-        Messages of cycles at the end that did not take place or are incomplete.
-    takeovers
-        What standbys said as they took over, by agent and incarnation.
+    Of the messages that are read, some are in no cycle: those that no agent decides, misplaced ones
+    that belong to no cycle of the run or come long after theirs, and those that are cut off: of
+    cycles at the end that did not take place or are incomplete. `takeovers` are what standbys said
+    as they took over, by agent and incarnation.
     """
 
     def __init__(
@@ -138,16 +130,9 @@ class RecordedCycles:
 class RecentMessages:
     """The newest messages of each port, by cycle: as many as an agent can still use.
 
-    Attributes
-    ----------
-    of_port
-        The message of each cycle.
-    others
-        What another process of the same publisher sent in the same cycle: which of them came first
-        may be different for each listener.
-    contested
-        Ports on which two senders said different things, by cycle. Of a device that repeats itself
-        the first message counts.
+    `others` are what another process of the same publisher sent in the same cycle: which of them
+    came first may be different for each listener. `contested` are the ports on which two senders
+    said different things, by cycle. Of a device that repeats itself the first message counts.
     """
 
     def __init__(self, plan: RunPlan) -> None:

@@ -148,9 +148,10 @@ def _verdict(found: Verification, comparison: Comparison) -> str:
     count = sum(findings.first is not None for findings in found.agents.values())
     if found.first is not None:
         name, first = found.first
+        by = "which two senders sent" if "two senders" in first.kind else f"by {name}"
         return (
             f"NOT equal: {found.differences:,} differences of {_agents(count)}, the first: "
-            f"{first.message or first.text}, {_by(name, first)} in cycle {first.cycle}"
+            f"{first.message or first.text}, {by} in cycle {first.cycle}"
         )
     if not found.equal:
         return "NOT equal"
@@ -158,10 +159,6 @@ def _verdict(found: Verification, comparison: Comparison) -> str:
         return f"equal bit for bit; left out: {', '.join(NOT_COMPARED)}"
     within = f" within {comparison.tolerance:g}" if comparison.tolerance else ""
     return f"equal{within} except for {', '.join([*sorted(comparison.ignored), *NOT_COMPARED])}"
-
-
-def _by(agent: str, difference: Difference) -> str:
-    return "which two senders sent" if "two senders" in difference.kind else f"by {agent}"
 
 
 def _agents(count: int) -> str:

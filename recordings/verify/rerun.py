@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from itertools import islice, product
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 from agents.agent import Agent, Stage
 from agents.cycle import stage_of
@@ -33,6 +33,8 @@ from recordings.verify.comparison import Comparison
 from recordings.verify.findings import Difference, Findings, Kind, by_key
 from recordings.verify.recorded_cycles import RecentMessages, RecordedCycle
 
+Messages: TypeAlias = dict[Port[Message], Message]
+
 _MOST_CHOICES: Final = 256
 """Combinations of inputs that are tried at most, where standbys took over in a stage's cycle."""
 
@@ -41,69 +43,50 @@ _MOST_CHOICES: Final = 256
 class _Process:
     """A process of an agent: an incarnation.
 
-    Attributes
-    ----------
-    began_in
-        The cycle in which a standby took over, maybe after its first stage; -1 for others.
-    heard, sequence
-        Newest cycle of each input, and number of the next message of each port.
-    spoke
-        Cycle of the last recorded message of each port.
-    is_over
-        Whether what the agent knows is not certain any more.
-    unsent
-        Messages of its last cycle that are not recorded, with stage and inputs: if it was killed
-        there, nothing is wrong.
+    A standby took over in the cycle `began_in`, maybe after its first stage; others have -1. It is
+    over when what the agent knows is not certain any more. `unsent` are messages of its last cycle
+    that are not recorded, with stage and inputs: if it was killed there, nothing is wrong.
     """
 
     loop: AgentLoop[Any]
     began_in: int
-    heard: dict[Port[Message], int]
-    sequence: dict[Port[Message], int] = field(default_factory=dict)
-    spoke: dict[Port[Message], int] = field(default_factory=dict)
+    heard: dict[Port[Message], int]  # newest cycle of each input
+    sequence: dict[Port[Message], int] = field(default_factory=dict)  # number of the next message
+    spoke: dict[Port[Message], int] = field(default_factory=dict)  # cycle of the last recorded one
     is_over: bool = False
-    unsent: list[tuple[Port[Message], Message, str, dict[Port[Message], Message]]] = field(
-        default_factory=list
-    )
+    unsent: list[tuple[Port[Message], Message, str, Messages]] = field(default_factory=list)
 
 
+@dataclass(eq=False)
 class AgentRerun:
     """One agent on its way through a recording. It is made from the present code."""
 
-    def __init__(
-        self,
-        name: str,
-        make: Callable[[], Agent[Any]],
-        plan: RunPlan,
-        recent: RecentMessages,
-        takeovers: Mapping[tuple[str, int], Takeover],
-        absences: Sequence[tuple[str, range]],
-        comparison: Comparison,
-        from_cycle: int,
-    ) -> None:
-        self.name = name
-        self.findings = Findings(from_cycle=from_cycle)
-        self._plan = plan
-        self._recent = recent.of_port
-        self._contested = recent.contested
+    name: str
+    make: Callable[[], Agent[Any]]
+    plan: RunPlan
+    recent: RecentMessages
+    takeovers: Mapping[tuple[str, int], Takeover]
+    absences: Sequence[tuple[str, range]]
+    comparison: Comparison
+    from_cycle: int
+
+    def __post_init__(self) -> None:
+        plan, name = self.plan, self.name
+        self.findings = Findings(from_cycle=self.from_cycle)
         self._rivals: dict[Port[Message], list[Message]] = {}
-        self._others = recent.others
-        self._takeovers = takeovers
-        self._absences = absences
-        self._comparison = comparison
         self._stage_of = {
             port: stage_of(port, plan.tree)
             for port in plan.wiring.published[name]
             if port.signal.logged and port.signal.decided
         }
         self._period = {port: plan.period(port) for port in plan.wiring.heard.get(name, ())}
-        self._inputs: dict[Port[Message], Message] = {}
+        self._inputs: Messages = {}
         self._lost: dict[Port[Message], int] = {}
         self._stage = ""
         self._failed = False
         self._processes: dict[int, _Process] = {}
         try:
-            self._agent = make()
+            self._agent = self.make()
             self._remembers = self._agent.initial_state() is not None
             self._process = self._begin(0)
         except (Exception, SystemExit) as error:  # Every error of the tested code is a finding.
@@ -111,7 +94,7 @@ class AgentRerun:
 
     def take(self, cycle: RecordedCycle) -> None:
         """Run a cycle again and compare what the agent publishes in it."""
-        processes: dict[int, dict[Port[Message], Message]] = {}
+        processes: dict[int, Messages] = {}
         self._rivals = {}
         for port in self._stage_of:
             if (message := cycle.messages.get(port)) is not None:
@@ -139,9 +122,9 @@ class AgentRerun:
 
     def _begin(self, cycle: int) -> _Process:
         """Let a process of the agent join the run in a cycle."""
-        loop = AgentLoop(self._agent, self._plan)
+        loop = AgentLoop(self._agent, self.plan)
         loop.begin(0, 0, cycle)
-        takeover = self._takeovers.get((self.name, cycle))
+        takeover = self.takeovers.get((self.name, cycle))
         if takeover is not None:
             loop.resume(takeover)
         began_in = -1 if takeover is None else cycle
@@ -154,17 +137,17 @@ class AgentRerun:
 
     def _note_repeated(self, cycle: int, port: Port[Message], message: Message) -> None:
         kind: Kind = "recorded twice"
-        if port in self._contested.get(cycle, ()):
+        if port in self.recent.contested.get(cycle, ()):
             self._rivals.setdefault(port, []).append(message)
             kind = "two senders"
         if cycle >= self.findings.from_cycle:
             self.findings.recorded += 1
             self._add(kind, cycle, self._stage_of[port], port, message)
 
-    def _take(self, number: int, messages: dict[Port[Message], Message], *, is_last: bool) -> None:
+    def _take(self, number: int, messages: Messages, *, is_last: bool) -> None:
         """Run a cycle of one process again; `is_last`: no newer process sent anything in it."""
         findings = self.findings
-        recorded: dict[str, dict[Port[Message], Message]] = {}
+        recorded: dict[str, Messages] = {}
         for port, message in messages.items():
             recorded.setdefault(self._stage_of[port], {})[port] = message
         if number >= findings.from_cycle:
@@ -183,17 +166,15 @@ class AgentRerun:
     def _is_over(self) -> bool:
         return self._failed or self._process.is_over
 
-    def _run(
-        self, cycle: int, recorded: dict[str, dict[Port[Message], Message]], *, is_last: bool
-    ) -> None:
+    def _run(self, cycle: int, recorded: dict[str, Messages], *, is_last: bool) -> None:
         stages = list(self._agent.stages(cycle))
         self._inputs, self._stage = {}, ""
         loop = self._process.loop
-        if not (self._plan.lockstep and is_last):
+        if not (self.plan.lockstep and is_last):
             while stages and stages[-1].name not in recorded:
                 stages.pop()
             if stages:
-                loop.catch_up(cycle * self._plan.cycle_wall_ns)
+                loop.catch_up(cycle * self.plan.cycle_wall_ns)
         while stages and cycle == self._process.began_in and stages[0].name not in recorded:
             loop.close_stage(0)
             del stages[0]
@@ -204,14 +185,14 @@ class AgentRerun:
         for name, left in recorded.items():  # Of stages that the agent does not have any more.
             self._compare(cycle, name, left, [])
 
-    def _run_stage(self, cycle: int, stage: Stage, recorded: dict[Port[Message], Message]) -> None:
+    def _run_stage(self, cycle: int, stage: Stage, recorded: Messages) -> None:
         missing = next(iter(recorded.values())).missing if recorded else ()
         self._stage = stage.name
         lost = self._hear_inputs(stage, cycle, missing)
-        if recorded and self._others:
+        if recorded and self.recent.others:
             self._choose_inputs(recorded)
         outputs = self._process.loop.close_stage(0)
-        if not lost and (recorded or self._plan.lockstep):
+        if not lost and (recorded or self.plan.lockstep):
             self._compare(cycle, stage.name, recorded, outputs)
             return
         # What the agent knows from here on is not certain.
@@ -239,72 +220,66 @@ class AgentRerun:
             used = used_of.get(str(port), due) if used_of else due
             if used is None or used <= self._process.heard[port]:
                 continue
-            message = self._recent[port].get(used)
+            message = self.recent.of_port[port].get(used)
             if message is None:
                 was_away = self._was_away(port.publisher, used)
                 lost[port] = None if was_away else "input not recorded"
                 continue
-            if port in self._contested.get(used, ()):
+            if port in self.recent.contested.get(used, ()):
                 lost[port] = "input of two senders"
             self._process.heard[port] = used
             self._inputs[port] = message
             self._process.loop.hear(port, message, 0)
         return lost
 
-    def _choose_inputs(self, recorded: dict[Port[Message], Message]) -> None:
+    def _choose_inputs(self, recorded: Messages) -> None:
         """Of inputs that two processes of an agent sent, use those that the outputs show."""
         loop = self._process.loop
         choices = {
             port: [message, *others]
             for port, message in self._inputs.items()
-            if (others := self._others.get((port, message.cycle)))
+            if (others := self.recent.others.get((port, message.cycle)))
         }
         for chosen in islice(product(*choices.values()), _MOST_CHOICES) if choices else ():
             for message, port in zip(chosen, choices, strict=True):
                 loop.use_instead(port, message)
             outputs = copy(loop).close_stage(0)
             compared = [(port, recorded[port], new) for port, new in outputs if port in recorded]
-            if not any(self._comparison.differences(*pair) for pair in compared):
+            if not any(self.comparison.differences(*pair) for pair in compared):
                 self._inputs |= dict(zip(choices, chosen, strict=True))
                 return
         for port, messages in choices.items():
             loop.use_instead(port, messages[0])
 
     def _compare(
-        self,
-        cycle: int,
-        stage: str,
-        recorded: dict[Port[Message], Message],
-        outputs: Sequence[Delivery],
+        self, cycle: int, stage: str, recorded: Messages, outputs: Sequence[Delivery]
     ) -> None:
         """Compare the outputs of a stage, and remove from `recorded` what has been compared."""
         sequence = self._process.sequence
         for port, new in outputs:
             old = recorded.pop(port, None)
             for rival in self._rivals.get(port, ()):
-                if not self._comparison.differences(port, rival, new):
+                if not self.comparison.differences(port, rival, new):
                     old = rival
             if old is None:  # If the recording lost it, its number is known to be missing.
                 self._process.unsent.append((port, new, stage, dict(self._inputs)))
                 sequence[port] = sequence.get(port, 0) + 1
             else:
-                self.findings.compare(self._comparison, port, old, new, stage, self._inputs)
+                self.findings.compare(self.comparison, port, old, new, stage, self._inputs)
         for port, old in recorded.items():
-            self.findings.compare(self._comparison, port, old, None, stage, self._inputs)
+            self.findings.compare(self.comparison, port, old, None, stage, self._inputs)
         recorded.clear()
 
     def _compare_unsent(self) -> None:
         """Find what the process did not send, though it went on."""
         for port, new, stage, inputs in self._process.unsent:
             if not self._was_away(self.name, new.cycle):
-                self.findings.compare(self._comparison, port, None, new, stage, inputs)
+                self.findings.compare(self.comparison, port, None, new, stage, inputs)
         self._process.unsent.clear()
 
-    def _find_lost_outputs(
-        self, cycle: int, recorded: dict[str, dict[Port[Message], Message]]
-    ) -> None:
+    def _find_lost_outputs(self, cycle: int, recorded: dict[str, Messages]) -> None:
         """In real time, find gaps in the sequence numbers: the recording lost messages there."""
-        if self._plan.lockstep:
+        if self.plan.lockstep:
             return
         for stage, outputs in recorded.items():
             for port, message in outputs.items():
@@ -324,7 +299,7 @@ class AgentRerun:
         last = first if last is None else last
         return any(
             name == publisher and first < absence.stop and last >= absence.start
-            for name, absence in self._absences
+            for name, absence in self.absences
         )
 
     def _fail(self, cycle: int, stage: str, error: BaseException) -> None:

@@ -36,20 +36,10 @@ _Make: TypeAlias = Callable[[], Agent[Any]]
 class Verification:
     """The result of verifying a run.
 
-    Attributes
-    ----------
-    stop_cycle
-        The first cycle that did not take place; None if the run broke off.
-    cycles, recorded
-        Cycles that were verified, and all messages of the recording.
-    not_decided, misplaced, cut_off
-        Messages that were not compared, see `RecordedCycles`.
-    unrecorded_cycles
-        Cycles in which the recorder was away; None if it always was there.
-    agents
-        Findings of each agent that was run again.
-    left_out
-        Other agents, and why they were not.
+    `stop_cycle` is the first cycle that did not take place; None if the run broke off. The messages
+    that were not compared are those of `RecordedCycles`. In `unrecorded_cycles` the recorder was
+    away; None if it always was there. `agents` are the findings of each agent that was run again,
+    `left_out` the others and why.
     """
 
     recording: Path
@@ -102,12 +92,8 @@ def verify(
     Agents remember earlier cycles, so they always run from cycle 0 on; only the cycles from `start`
     to `end` are compared.
 
-    Parameters
-    ----------
-    nodes
-        Which agents, see `find_agents`; none given: all but external ones.
-    progress
-        Is called with the share of the recording that has been read.
+    By default all but external agents are run again, see `find_agents`. `progress` is called with
+    the share of the recording that has been read.
     """
     with RunReader(run) as reader:
         plan, stop_cycle = reader.plan, reader.stop_cycle

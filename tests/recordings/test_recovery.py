@@ -18,9 +18,12 @@ from recordings.recover import RECOVERY_METADATA, Recovery, is_sound, recover_ru
 
 CYCLES = 100
 
+Recording = tuple[Path, list[Delivery]]
+"""A file, and what was written into it."""
+
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Delivery]]:
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     path = tmp_path_factory.mktemp("recovery") / "run.mcap"
     return path, write_run(path, whole_run(CYCLES), messages_per_chunk=1000)
 
@@ -50,9 +53,7 @@ def all_of(path: Path) -> tuple[list[object], list[Message]]:
         return origin, messages
 
 
-def test_a_file_that_lost_its_index_is_whole_again(
-    recording: tuple[Path, list[Delivery]], tmp_path: Path
-) -> None:
+def test_a_file_that_lost_its_index_is_whole_again(recording: Recording, tmp_path: Path) -> None:
     path, _ = recording
     with open_run(path) as run:
         end = run.outline.readable_end
@@ -65,9 +66,7 @@ def test_a_file_that_lost_its_index_is_whole_again(
 @settings(max_examples=25, deadline=None)
 @given(share=st.floats(0.2, 0.99))
 def test_all_up_to_the_cut_is_kept_with_times_numbers_and_origin(
-    recording: tuple[Path, list[Delivery]],
-    tmp_path_factory: pytest.TempPathFactory,
-    share: float,
+    recording: Recording, tmp_path_factory: pytest.TempPathFactory, share: float
 ) -> None:
     path, _ = recording
     content = path.read_bytes()
@@ -86,9 +85,7 @@ def test_all_up_to_the_cut_is_kept_with_times_numbers_and_origin(
     assert not recovery.lossless
 
 
-def test_what_can_be_unpacked_of_a_chunk_that_was_cut_is_kept(
-    recording: tuple[Path, list[Delivery]], tmp_path: Path
-) -> None:
+def test_what_can_be_unpacked_of_a_cut_chunk_is_kept(recording: Recording, tmp_path: Path) -> None:
     path, _ = recording
     with open_run(path) as run:
         first = run.outline.chunks[0]
@@ -97,9 +94,7 @@ def test_what_can_be_unpacked_of_a_chunk_that_was_cut_is_kept(
     assert 0 < recovery.messages == recovery.cut_messages < 1000
 
 
-def test_a_damaged_chunk_in_the_middle_is_left_out_and_named(
-    recording: tuple[Path, list[Delivery]], tmp_path: Path
-) -> None:
+def test_a_damaged_chunk_is_left_out_and_named(recording: Recording, tmp_path: Path) -> None:
     path, written = recording
     with open_run(path) as run:
         assert is_sound(run)
@@ -116,9 +111,7 @@ def test_a_damaged_chunk_in_the_middle_is_left_out_and_named(
         assert list(run.messages()) == written[:2000] + written[3000:]
 
 
-def test_a_recovered_file_says_that_it_is_one(
-    recording: tuple[Path, list[Delivery]], tmp_path: Path
-) -> None:
+def test_a_recovered_file_says_that_it_is_one(recording: Recording, tmp_path: Path) -> None:
     content = recording[0].read_bytes()
     out, recovery = recovered(content[: len(content) // 2], tmp_path)
     with open_run(out) as run:
@@ -131,9 +124,7 @@ def test_a_recovered_file_says_that_it_is_one(
         }
 
 
-def test_a_cut_file_whose_first_chunk_is_damaged_keeps_all_others(
-    recording: tuple[Path, list[Delivery]], tmp_path: Path
-) -> None:
+def test_without_its_first_chunk_all_others_are_kept(recording: Recording, tmp_path: Path) -> None:
     path, written = recording
     with open_run(path) as run:
         first, end = run.outline.chunks[0], run.outline.readable_end
@@ -166,16 +157,14 @@ def test_messages_that_may_be_missing_are_counted(
     assert not recovery.lossless
 
 
-def test_a_damaged_attachment_is_named_in_the_new_file(
-    recording: tuple[Path, list[Delivery]], tmp_path: Path
-) -> None:
+def test_a_damaged_attachment_is_named_in_the_copy(recording: Recording, tmp_path: Path) -> None:
     path, written = recording
     content = bytearray(path.read_bytes())
     content[content.index(b"Four inverters")] ^= 0x80
     out, recovery = recovered(bytes(content), tmp_path)
     with open_run(tmp_path / "run.mcap") as run:
         assert not is_sound(run)
-    assert recovery.damaged_attachments == ("scenario.toml",)
+    assert recovery.damaged_attachments == ["scenario.toml"]
     assert (recovery.messages, recovery.lossless) == (len(written), False)
     with open_run(out) as run:
         assert run.metadata[RECOVERY_METADATA]["damaged_attachments"] == "scenario.toml"

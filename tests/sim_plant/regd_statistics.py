@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_plant import Floats
 from sim_plant.synthetic_regd import STEP_S
 
 DAY = 86_400 // STEP_S
@@ -15,7 +15,7 @@ _STEP_LAGS_S = (2, 10, 20, 40, 60)
 _MEANS_MIN = (5, 15, 30, 60)
 
 
-def statistics(signal: NDArray[np.float64]) -> dict[str, float]:
+def statistics(signal: Floats) -> dict[str, float]:
     """Return what is compared of a signal of a value every 2 s, of whole days."""
     steps = np.diff(signal)
     found = {
@@ -38,11 +38,11 @@ def statistics(signal: NDArray[np.float64]) -> dict[str, float]:
     return found
 
 
-def _largest_step(signal: NDArray[np.float64]) -> float:
+def _largest_step(signal: Floats) -> float:
     return float(np.median(np.abs(np.diff(signal.reshape(-1, DAY))).max(axis=1)))
 
 
-def _autocorrelation(series: NDArray[np.float64], lag_s: int) -> float:
+def _autocorrelation(series: Floats, lag_s: int) -> float:
     lag = lag_s // STEP_S
     return float(np.corrcoef(series[:-lag], series[lag:])[0, 1])
 

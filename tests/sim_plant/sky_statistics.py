@@ -21,6 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from sim_plant import Floats
+
 # The clear-sky index at which the kinds of sky are parted.
 PARTLY_FROM = 0.5
 CLEAR_FROM = 0.9
@@ -40,12 +42,12 @@ class PairCorrelations:
     `east_m` and `north_m` lead from the first sensor of the pair to the second.
     """
 
-    east_m: NDArray[np.float64]
-    north_m: NDArray[np.float64]
-    correlation: NDArray[np.float64]
+    east_m: Floats
+    north_m: Floats
+    correlation: Floats
 
     @property
-    def distance_m(self) -> NDArray[np.float64]:
+    def distance_m(self) -> Floats:
         """Distance of each pair."""
         return np.asarray(np.hypot(self.east_m, self.north_m))
 
@@ -55,7 +57,7 @@ class PairCorrelations:
         kept = np.abs(along_m) >= self.distance_m * np.cos(np.deg2rad(_SECTOR_DEG))
         return PairCorrelations(self.east_m[kept], self.north_m[kept], self.correlation[kept])
 
-    def by_distance(self, limits_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def by_distance(self, limits_m: Floats) -> Floats:
         """Return the mean correlation in each class of distance, NaN for a class without a pair."""
         which = np.digitize(self.distance_m, limits_m) - 1
         valid = np.isfinite(self.correlation) & (which >= 0) & (which < limits_m.size - 1)
@@ -72,10 +74,10 @@ class PeakLags:
     lies beyond the longest lag. `correlation` is Pearson's r at that lag.
     """
 
-    east_m: NDArray[np.float64]
-    north_m: NDArray[np.float64]
-    lag_s: NDArray[np.float64]
-    correlation: NDArray[np.float64]
+    east_m: Floats
+    north_m: Floats
+    lag_s: Floats
+    correlation: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,19 +99,19 @@ class SkyShares:
     enhanced: float
 
 
-def changes(index: NDArray[np.float64], step_s: float, interval_s: float) -> NDArray[np.float64]:
+def changes(index: Floats, step_s: float, interval_s: float) -> Floats:
     """Return the changes within an interval, at every time at which one begins."""
     steps = round(interval_s / step_s)
     return np.asarray(index[steps:] - index[:-steps])
 
 
-def exceedance(change: NDArray[np.float64], thresholds: NDArray[np.float64]) -> NDArray[np.float64]:
+def exceedance(change: Floats, thresholds: Floats) -> Floats:
     """Return the share of changes that are larger than each threshold in either direction."""
     size = np.sort(np.abs(change), axis=None)
     return 1.0 - np.searchsorted(size, thresholds, side="right") / size.size
 
 
-def sky_shares(index: NDArray[np.float64]) -> SkyShares:
+def sky_shares(index: Floats) -> SkyShares:
     """Return the shares of cloudy, partly cloudy, clear and enhanced time."""
     limits = [-np.inf, PARTLY_FROM, CLEAR_FROM, ENHANCED_FROM, np.inf]
     count, _ = np.histogram(index, bins=limits)
@@ -117,12 +119,12 @@ def sky_shares(index: NDArray[np.float64]) -> SkyShares:
     return SkyShares(cloudy, partly, clear, enhanced)
 
 
-def cloud_cover(index: NDArray[np.float64]) -> float:
+def cloud_cover(index: Floats) -> float:
     """Return the share of the time in which a cloud is before the sun: an index below 0.9."""
     return float(np.mean(index < CLEAR_FROM))
 
 
-def index_by_quantile(power: NDArray[np.float64], quantile: float = 0.95) -> NDArray[np.float64]:
+def index_by_quantile(power: Floats, quantile: float = 0.95) -> Floats:
     """Stand in for the clear-sky index where there is no clear sky to divide by.
 
     Each sensor's values are divided by a high quantile of its own. That is near 1 in the sun if the
@@ -132,18 +134,14 @@ def index_by_quantile(power: NDArray[np.float64], quantile: float = 0.95) -> NDA
     return np.asarray(power / np.quantile(power, quantile, axis=0))
 
 
-def rotated(
-    east_m: NDArray[np.float64], north_m: NDArray[np.float64], towards_deg: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def rotated(east_m: Floats, north_m: Floats, towards_deg: float) -> tuple[Floats, Floats]:
     """Return the coordinates along a direction, clockwise from north, and to the left of it."""
     towards = np.deg2rad(towards_deg)
     along_m = east_m * np.sin(towards) + north_m * np.cos(towards)
     return along_m, north_m * np.sin(towards) - east_m * np.cos(towards)
 
 
-def pair_correlations(
-    series: NDArray[np.float64], east_m: NDArray[np.float64], north_m: NDArray[np.float64]
-) -> PairCorrelations:
+def pair_correlations(series: Floats, east_m: Floats, north_m: Floats) -> PairCorrelations:
     """Correlate each sensor with each other one at the same time."""
     first, second = np.triu_indices(series.shape[1], k=1)
     normal = _standardised(series)
@@ -155,8 +153,8 @@ def pair_correlations(
 
 
 def lagged_correlations(
-    series: NDArray[np.float64], first: NDArray[np.intp], second: NDArray[np.intp], most_steps: int
-) -> NDArray[np.float64]:
+    series: Floats, first: NDArray[np.intp], second: NDArray[np.intp], most_steps: int
+) -> Floats:
     """Correlate sensors with later and earlier values of other sensors.
 
     Row `most_steps + m` correlates the first sensor of each pair with the second one `m` steps
@@ -174,11 +172,7 @@ def lagged_correlations(
 
 
 def peak_lags(
-    index: NDArray[np.float64],
-    east_m: NDArray[np.float64],
-    north_m: NDArray[np.float64],
-    step_s: float,
-    longest_lag_s: float = 300.0,
+    index: Floats, east_m: Floats, north_m: Floats, step_s: float, longest_lag_s: float = 300.0
 ) -> PeakLags:
     """Find for each pair of sensors the lag at which their 30 s changes are most alike.
 
@@ -193,11 +187,7 @@ def peak_lags(
 
 
 def cloud_motion(
-    index: NDArray[np.float64],
-    east_m: NDArray[np.float64],
-    north_m: NDArray[np.float64],
-    step_s: float,
-    longest_lag_s: float = 300.0,
+    index: Floats, east_m: Floats, north_m: Floats, step_s: float, longest_lag_s: float = 300.0
 ) -> CloudMotion:
     """Read the motion of the clouds from the lags at which sensors are most alike.
 
@@ -225,9 +215,7 @@ def cloud_motion(
     return CloudMotion(1.0 / float(np.hypot(*slowness)), from_deg, int(np.count_nonzero(kept)))
 
 
-def _peaks(
-    correlation: NDArray[np.float64], step_s: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _peaks(correlation: Floats, step_s: float) -> tuple[Floats, Floats]:
     """Lag [s] and height of each pair's peak, between steps by a parabola; NaN at the margin."""
     rows = np.argmax(np.nan_to_num(correlation, nan=-1.0), axis=0)
     inside = (rows > 0) & (rows < len(correlation) - 1)
@@ -240,7 +228,7 @@ def _peaks(
     return np.where(inside, lag_s, np.nan), top
 
 
-def _standardised(series: NDArray[np.float64]) -> NDArray[np.float64]:
+def _standardised(series: Floats) -> Floats:
     centred = series - series.mean(axis=0)
     spread = centred.std(axis=0)
     return np.asarray(centred / np.where(spread > 0.0, spread, np.nan))

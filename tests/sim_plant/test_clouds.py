@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from numpy.typing import NDArray
 from sky_statistics import (
     changes,
     cloud_cover,
@@ -15,7 +14,7 @@ from sky_statistics import (
     peak_lags,
 )
 
-from sim_plant import clouds
+from sim_plant import Floats, clouds
 from sim_plant.clouds import CloudSettings, clear_sky_ghi, synthetic_ghi
 from sim_plant.irradiance import read_measured_ghi
 
@@ -30,9 +29,7 @@ def instants(start: str, count: int) -> pd.DatetimeIndex:
     return pd.date_range(start, periods=count, freq="1s")
 
 
-def clear_sky_index(
-    times: pd.DatetimeIndex, settings: CloudSettings, seed: int = 1
-) -> NDArray[np.float64]:
+def clear_sky_index(times: pd.DatetimeIndex, settings: CloudSettings, seed: int = 1) -> Floats:
     ghi_wm2 = synthetic_ghi(times, LAT_DEG, LON_DEG, 5.0, settings, seed)
     clear_wm2 = clear_sky_ghi(times, LAT_DEG, LON_DEG, 5.0, settings.linke_turbidity)
     return np.asarray(ghi_wm2 / clear_wm2[:, None])
@@ -42,22 +39,18 @@ NOON = instants("2010-04-01T19:00Z", 4 * 3600)
 
 
 @pytest.fixture(scope="module")
-def noon_index() -> NDArray[np.float64]:
+def noon_index() -> Floats:
     return clear_sky_index(NOON, CloudSettings())
 
 
-def local_metres() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def local_metres() -> tuple[Floats, Floats]:
     east_m = LON_DEG / METRE_DEG * np.cos(np.deg2rad(LAT_DEG.mean()))
     return east_m, LAT_DEG / METRE_DEG
 
 
 def changes_by_distance(
-    index: NDArray[np.float64],
-    step_s: float,
-    east_m: NDArray[np.float64],
-    north_m: NDArray[np.float64],
-    limits_m: list[float],
-) -> NDArray[np.float64]:
+    index: Floats, step_s: float, east_m: Floats, north_m: Floats, limits_m: list[float]
+) -> Floats:
     pairs = pair_correlations(changes(index, step_s, 30.0), east_m, north_m)
     return pairs.by_distance(np.array(limits_m))
 
@@ -79,9 +72,7 @@ def test_the_same_arguments_give_the_same_weather_to_the_last_bit() -> None:
     assert not np.allclose(first, other)
 
 
-def test_the_weather_at_an_instant_does_not_depend_on_where_the_run_begins(
-    noon_index: NDArray[np.float64],
-) -> None:
+def test_the_weather_does_not_depend_on_where_the_run_begins(noon_index: Floats) -> None:
     later = NOON[3601:3661]
     np.testing.assert_allclose(
         clear_sky_index(later, CloudSettings()), noon_index[3601:3661], rtol=1e-12
@@ -182,14 +173,12 @@ def test_the_softer_the_clouds_the_smaller_the_changes() -> None:
     assert sharp > 1.3 * middle > 1.3 * 1.3 * soft
 
 
-def test_the_sun_between_clouds_is_brighter_than_under_a_clear_sky(
-    noon_index: NDArray[np.float64],
-) -> None:
+def test_the_sun_between_clouds_is_brighter_than_under_a_clear_sky(noon_index: Floats) -> None:
     assert 1.1 < np.quantile(noon_index, 0.95) < 1.2
     assert noon_index.max() <= 1.2
 
 
-def test_changes_within_a_second_are_some_tens_of_watts(noon_index: NDArray[np.float64]) -> None:
+def test_changes_within_a_second_are_some_tens_of_watts(noon_index: Floats) -> None:
     one_second = np.abs(changes(noon_index, 1.0, 1.0))
     ten_seconds = np.abs(changes(noon_index, 1.0, 10.0))
     # The range of the measured skies, divided by their speed: see docs/clouds.md.
@@ -198,7 +187,7 @@ def test_changes_within_a_second_are_some_tens_of_watts(noon_index: NDArray[np.f
     assert 0.15 < np.quantile(ten_seconds, 0.99) < 0.57
 
 
-def test_sensors_far_apart_change_independently(noon_index: NDArray[np.float64]) -> None:
+def test_sensors_far_apart_change_independently(noon_index: Floats) -> None:
     limits_m = [0.0, 200.0, 400.0, 1500.0]
     near, middle, far = changes_by_distance(noon_index, 1.0, *local_metres(), limits_m)
     assert near > 0.4
@@ -207,7 +196,7 @@ def test_sensors_far_apart_change_independently(noon_index: NDArray[np.float64])
 
 
 @pytest.fixture(scope="module")
-def hope(data_folder: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def hope(data_folder: Path) -> tuple[Floats, Floats]:
     """Places [m], shape (2, 50), and clear-sky index of 40 minutes under broken clouds."""
     folder = data_folder / "hope-melpitz-1s"
     read = read_measured_ghi(folder / "ghi_20130908_0915_0955.csv", folder / "positions.csv")
@@ -216,9 +205,7 @@ def hope(data_folder: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return places_m, index_by_quantile(read.ghi_wm2)
 
 
-def test_changes_and_correlations_are_those_of_the_hope_measurements(
-    hope: tuple[NDArray[np.float64], NDArray[np.float64]],
-) -> None:
+def test_changes_and_correlations_are_those_of_measurements(hope: tuple[Floats, Floats]) -> None:
     """The set that most constants were set by: same places, step, cover and motion."""
     (east_m, north_m), measured = hope
     motion = cloud_motion(measured, east_m, north_m, 1.0)
@@ -247,9 +234,7 @@ def test_changes_and_correlations_are_those_of_the_hope_measurements(
 
 
 @pytest.mark.parametrize("hour", ["a", "c"])
-def test_changes_are_those_of_a_real_plant_that_no_constant_was_set_by(
-    data_folder: Path, hour: str
-) -> None:
+def test_changes_are_those_of_a_real_plant(data_folder: Path, hour: str) -> None:
     folder = data_folder / "plant20mw-combiners-10s"
     currents = pd.read_csv(folder / f"hour_{hour}.csv", index_col="t_s")
     places = pd.read_csv(folder / "positions.csv", dtype=str).set_index("combiner")

@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from complaints import complaint_of
-from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
+from sim_plant import Floats
 from sim_plant.commitment import (
     BelowPossible,
     CommitmentSettings,
@@ -32,10 +32,10 @@ def cycles(count: int, freq: str = "1s", begin: pd.Timestamp = NOON) -> pd.Datet
 
 def committed(
     settings: CommitmentSettings,
-    possible_kw: NDArray[np.float64] = POSSIBLE_KW,
+    possible_kw: Floats = POSSIBLE_KW,
     times: pd.DatetimeIndex | None = None,
     folder: Path | None = None,
-) -> NDArray[np.float64]:
+) -> Floats:
     return commitment_kw(
         settings,
         cycles(len(possible_kw)) if times is None else times,
@@ -50,22 +50,28 @@ def read(toml: str) -> CommitmentSettings:
     return settings
 
 
-def test_constant() -> None:
-    settings = read('kind = "constant"\npower_kw = 120.5')
-    assert settings == ConstantCommitment(power_kw=120.5)
-    np.testing.assert_array_equal(committed(settings), np.full(5, 120.5))
-
-
-def test_share_of_median_of_the_possible_power() -> None:
-    settings = read('kind = "share-of-median"\nshare = 0.8')
-    assert settings == ShareOfMedian(share=0.8)
-    np.testing.assert_allclose(committed(settings), np.full(5, 160.0))
-
-
-def test_share_of_clear_sky_follows_the_sun() -> None:
-    settings = read('kind = "share-of-clear-sky"\nshare = 0.5')
-    assert settings == ShareOfClearSky(share=0.5)
-    np.testing.assert_allclose(committed(settings), [0.0, 100.0, 200.0, 200.0, 100.0])
+@pytest.mark.parametrize(
+    ("toml", "settings", "expected_kw"),
+    [
+        ('kind = "constant"\npower_kw = 120.5', ConstantCommitment(power_kw=120.5), [120.5] * 5),
+        ('kind = "share-of-median"\nshare = 0.8', ShareOfMedian(share=0.8), [160.0] * 5),
+        (
+            'kind = "share-of-clear-sky"\nshare = 0.5',
+            ShareOfClearSky(share=0.5),
+            [0.0, 100.0, 200.0, 200.0, 100.0],
+        ),
+        (
+            'kind = "below-possible"\nshare = 0.5\nwindow_s = 3',
+            BelowPossible(share=0.5, window_s=3.0),
+            [25.0, 250.0 / 3, 400.0 / 3, 150.0, 125.0],
+        ),
+    ],
+)
+def test_each_rule_is_written_in_toml_and_gives_a_power_for_each_cycle(
+    toml: str, settings: CommitmentSettings, expected_kw: list[float]
+) -> None:
+    assert read(toml) == settings
+    np.testing.assert_allclose(committed(settings), expected_kw)
 
 
 def test_a_share_of_a_run_at_night_is_refused() -> None:
@@ -73,18 +79,7 @@ def test_a_share_of_a_run_at_night_is_refused() -> None:
     assert found.startswith("commitment: expected")
 
 
-# Below the possible power -------------------------------------------------------------------------
-
-
-def test_below_possible_is_a_share_of_a_centred_mean() -> None:
-    settings = read('kind = "below-possible"\nshare = 0.5\nwindow_s = 3')
-    assert settings == BelowPossible(share=0.5, window_s=3.0)
-    np.testing.assert_allclose(
-        committed(settings), 0.5 * np.array([50.0, 500.0 / 3, 800.0 / 3, 300.0, 250.0])
-    )
-
-
-def test_its_window_is_in_seconds_whatever_the_cycle() -> None:
+def test_the_window_of_the_mean_is_in_seconds_whatever_the_cycle() -> None:
     possible_kw = 1000.0 + 100.0 * np.sin(np.arange(120.0))
     settings = BelowPossible(share=0.8, window_s=50.0)
     found = committed(settings, possible_kw, cycles(120, "10s"))
@@ -115,9 +110,7 @@ begins,note,commitment_kw
 """
 
 
-def scheduled(
-    folder: Path, text: str = SCHEDULE, times: pd.DatetimeIndex | None = None
-) -> NDArray[np.float64]:
+def scheduled(folder: Path, text: str = SCHEDULE, times: pd.DatetimeIndex | None = None) -> Floats:
     (folder / "bids.csv").write_text(text)
     settings = read('kind = "file"\npath = "bids.csv"')
     return committed(settings, times=cycles(5) if times is None else times, folder=folder)
@@ -148,9 +141,7 @@ def test_a_schedule_that_begins_after_the_run_is_refused(tmp_path: Path) -> None
         ("22:00:02Z", "20:00:00Z", "bids.csv: line 3, column 'begins'"),
     ],
 )
-def test_one_wrong_field_of_a_schedule_is_located(
-    tmp_path: Path, old: str, new: str, complaint: str
-) -> None:
+def test_one_wrong_field_is_located(tmp_path: Path, old: str, new: str, complaint: str) -> None:
     assert SCHEDULE.count(old) == 1
     assert complaint_of(scheduled, tmp_path, SCHEDULE.replace(old, new)).startswith(complaint)
 

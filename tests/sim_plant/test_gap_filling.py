@@ -6,15 +6,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from complaints import complaint_of
-from numpy.typing import NDArray
 
+from sim_plant import Floats
 from sim_plant.gap_filling import fill_from_neighbours
 from sim_plant.irradiance import Irradiance, read_measured_ghi
 
 NAN = np.nan
 
 
-def line_of_sensors(ghi_wm2: NDArray[np.float64], north_m: list[float]) -> Irradiance:
+def line_of_sensors(ghi_wm2: Floats, north_m: list[float]) -> Irradiance:
     """Sensors A, B, C ... on a meridian."""
     count = len(north_m)
     return Irradiance(

@@ -97,9 +97,7 @@ def test_a_station_has_one_position(read: Read) -> None:
         ([], "ghi.csv: line 1: expected at least one column"),
     ],
 )
-def test_stations_that_cannot_be_used_are_refused(
-    read: Read, stations: list[str], complaint: str
-) -> None:
+def test_stations_are_refused(read: Read, stations: list[str], complaint: str) -> None:
     assert complaint_of(read, stations=stations).startswith(complaint)
 
 

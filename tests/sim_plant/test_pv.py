@@ -43,9 +43,7 @@ def test_a_flat_array_by_hand() -> None:
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 25.0])
-def test_the_chain_is_that_of_pvlibs_model_chain_with_the_weather_left_in_its_defaults(
-    tilt_deg: float,
-) -> None:
+def test_the_chain_is_that_of_pvlib_with_the_weather_in_its_defaults(tilt_deg: float) -> None:
     ghi_wm2 = bell_wm2(1000.0)
     settings = PvSettings(tilt_deg=tilt_deg, dc_ac_ratio=1.1)
     site = Location(float(LAT_DEG.mean()), float(LON_DEG.mean()))

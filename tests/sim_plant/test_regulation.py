@@ -10,11 +10,7 @@ import pandas as pd
 import pytest
 from complaints import complaint_of
 
-from sim_plant.regulation import (
-    RegulationSettings,
-    SyntheticRegulation,
-    regulation_kw,
-)
+from sim_plant.regulation import RegulationSettings, SyntheticRegulation, regulation_kw
 from sim_plant.synthetic_regd import synthetic_regd
 
 HONOLULU = "Pacific/Honolulu"
@@ -47,10 +43,7 @@ def write(path: Path, first_s: int = 0, values: tuple[float, ...] = VALUES) -> N
 
 
 def asked_kw(
-    path: Path,
-    times: pd.DatetimeIndex,
-    toml: str = "",
-    timezone: str = HONOLULU,
+    path: Path, times: pd.DatetimeIndex, toml: str = "", timezone: str = HONOLULU
 ) -> list[float]:
     settings = read(f'kind = "file"\npath = "{path.name}"\ncapacity_kw = {CAPACITY_KW}\n{toml}')
     found: list[float] = regulation_kw(settings, times, timezone, path.parent.joinpath).tolist()
@@ -83,29 +76,31 @@ def test_a_cycle_of_any_length_takes_the_value_in_force_at_its_beginning(
     assert found == (CAPACITY_KW * np.array(expected)).tolist()
 
 
-def test_a_run_starts_in_the_signal_where_its_clock_stands(path: Path) -> None:
-    write(path, first_s=9 * 3600)
-    found = asked_kw(path, cycles("2010-04-01T09:00:03", 7))
-    assert found == HELD_KW[3:].tolist()
-
-
-def test_the_signal_can_be_shifted_against_the_clock(path: Path) -> None:
-    write(path, first_s=1000)
-    times = cycles("2010-04-01T00:00:02", 8)
-    assert asked_kw(path, times, "signal_midnight_s = 1000.0") == HELD_KW[2:].tolist()
-
-
-def test_regulation_is_asked_only_while_it_is_offered(path: Path) -> None:
-    write(path, first_s=9 * 3600)
-    found = asked_kw(path, cycles("2010-04-01T08:59:58", 20), "from = 09:00:00\nto = 09:00:06")
-    # The signal ends at 09:00:10, within the run, but no longer offered.
-    assert found == [0.0, 0.0, *HELD_KW[:6], *[0.0] * 12]
-
-
-def test_an_offer_from_evening_to_morning_goes_over_midnight(path: Path) -> None:
-    write(path, first_s=86_394)
-    found = asked_kw(path, cycles("2010-04-01T23:59:54", 10), "from = 23:59:56\nto = 00:00:02")
-    assert found == [0.0, 0.0, *HELD_KW[2:8], 0.0, 0.0]
+@pytest.mark.parametrize(
+    ("first_s", "start", "toml", "expected_kw"),
+    [
+        (9 * 3600, "09:00:03", "", HELD_KW[3:]),
+        (1000, "00:00:02", "signal_midnight_s = 1000.0", HELD_KW[2:]),
+        # The signal ends at 09:00:10, within the run, but no longer offered.
+        (
+            9 * 3600,
+            "08:59:58",
+            "from = 09:00:00\nto = 09:00:06",
+            [0.0, 0.0, *HELD_KW[:6], *[0.0] * 12],
+        ),
+        (86_394, "23:59:54", "from = 23:59:56\nto = 00:00:02", [0.0, 0.0, *HELD_KW[2:8], 0.0, 0.0]),
+        (0, "20:00:00", "from = 09:00:00\nto = 17:00:00", [0.0] * 3),
+    ],
+    ids=["clock", "shifted", "while offered", "over midnight", "outside the offer"],
+)
+def test_a_run_takes_the_signal_of_its_clock_while_it_is_offered(
+    path: Path, first_s: int, start: str, toml: str, expected_kw: list[float]
+) -> None:
+    if first_s:  # A run outside the offer does not need the file.
+        write(path, first_s)
+    assert asked_kw(path, cycles(f"2010-04-01T{start}", len(expected_kw)), toml) == list(
+        expected_kw
+    )
 
 
 @pytest.mark.parametrize(
@@ -114,11 +109,6 @@ def test_an_offer_from_evening_to_morning_goes_over_midnight(path: Path) -> None
 def test_midnight_is_the_beginning_or_the_end_of_the_day(path: Path, toml: str) -> None:
     write(path)
     assert asked_kw(path, cycles("2010-04-01", 10), toml) == HELD_KW.tolist()
-
-
-def test_a_run_outside_the_offer_does_not_need_the_file(path: Path) -> None:
-    found = asked_kw(path, cycles("2010-04-01T20:00:00", 3), "from = 09:00:00\nto = 17:00:00")
-    assert found == [0.0, 0.0, 0.0]
 
 
 def test_the_offer_keeps_to_the_clock_when_it_is_set_forward(path: Path) -> None:

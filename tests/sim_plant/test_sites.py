@@ -8,7 +8,7 @@ import pytest
 from complaints import complaint_of
 
 from bus_schemas.errors import InputError
-from sim_plant.sites import equal_ratings_kw, inverter_name, read_sites
+from sim_plant.sites import inverter_name, read_sites
 
 
 @pytest.fixture
@@ -29,12 +29,11 @@ def test_a_plant_is_read_line_by_line(path: Path) -> None:
     assert sites.lon_deg.tolist() == [-158.087, 180.0]
 
 
-def test_a_rating_of_the_plant_is_split_equally(path: Path) -> None:
+def test_ratings_are_the_inverters_own_or_a_share_of_the_plants(path: Path) -> None:
     write(path, "inverter,lat,lon", "a,1,2", "b,1,2", "c,1,2", "d,1,2")
     assert read_sites(path, plant_rating_kw=1000.0).rating_kw.tolist() == [250.0] * 4
-
-
-def test_inverters_may_have_ratings_of_their_own(path: Path) -> None:
+    with pytest.raises(InputError, match=r"expected plant\.rating_kw"):
+        read_sites(path, plant_rating_kw=None)
     write(path, "rating_kw,lon,lat,inverter", "2500,2,1,a", " 900.5 ,2,1, b ")
     sites = read_sites(path, plant_rating_kw=None)
     assert sites.names == ("a", "b")
@@ -62,18 +61,8 @@ def test_what_cannot_be_used_is_located(path: Path, lines: list[str], complaint:
     assert found.startswith(f"{path.name}: {complaint}")
 
 
-def test_without_any_rating_there_is_nothing_to_split(path: Path) -> None:
-    write(path, "inverter,lat,lon", "a,1,2")
-    with pytest.raises(InputError, match=r"expected plant\.rating_kw"):
-        read_sites(path, plant_rating_kw=None)
-
-
 @pytest.mark.parametrize(
     ("station", "name"), [("16", "inv16"), ("DH3", "invDH3"), ("inv04", "inv04")]
 )
 def test_an_inverter_is_named_after_its_station(station: str, name: str) -> None:
     assert inverter_name(station) == name
-
-
-def test_equal_ratings_add_up_to_the_plants() -> None:
-    assert equal_ratings_kw(900.0, 3, "here").tolist() == [300.0, 300.0, 300.0]

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from complaints import complaint_of
-from numpy.typing import NDArray
 
+from sim_plant import Floats
 from sim_plant.clouds import CloudSettings
 from sim_plant.irradiance import Irradiance
 from sim_plant.pv import PvSettings, ac_power_kw
@@ -29,7 +29,7 @@ def sky(begin: pd.Timestamp = NOON, base_wm2: float = 300.0, **options: object) 
 
 def plant() -> MeasuredPlant:
     times = pd.date_range(NOON, periods=6, freq="10s")
-    power_kw: NDArray[np.float64] = np.arange(12.0).reshape(6, 2)
+    power_kw: Floats = np.arange(12.0).reshape(6, 2)
     return MeasuredPlant(SITES, times, power_kw, "hour.csv", ("hour.csv: a remark",))
 
 

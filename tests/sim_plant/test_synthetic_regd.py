@@ -6,33 +6,31 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from regd_statistics import DAY, outside, statistics
 
+from sim_plant import Floats
 from sim_plant.regulation import read_signal
 from sim_plant.synthetic_regd import SAMPLES, synthetic_regd
 
 
 @pytest.fixture(scope="module")
-def signal() -> NDArray[np.float64]:
+def signal() -> Floats:
     return synthetic_regd(seed=1)
 
 
 @pytest.fixture(scope="module")
-def single_days(signal: NDArray[np.float64]) -> list[dict[str, float]]:
+def single_days(signal: Floats) -> list[dict[str, float]]:
     return [statistics(day) for day in signal.reshape(-1, DAY)]
 
 
-def test_a_seed_gives_one_signal_and_another_seed_another(signal: NDArray[np.float64]) -> None:
+def test_a_seed_gives_one_signal_and_another_seed_another(signal: Floats) -> None:
     assert signal.shape == (SAMPLES,)
     np.testing.assert_array_equal(synthetic_regd(seed=1), signal)
     other = synthetic_regd(seed=2)
     assert abs(np.corrcoef(signal, other)[0, 1]) < 0.05
 
 
-def test_the_signal_stays_within_its_ends_and_joins_its_beginning(
-    signal: NDArray[np.float64],
-) -> None:
+def test_the_signal_stays_within_its_ends_and_joins_its_beginning(signal: Floats) -> None:
     assert (signal.min(), signal.max()) == (-1.0, 1.0)
     assert abs(signal[0] - signal[-1]) < 0.2
 
@@ -58,14 +56,14 @@ REAL = {
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_the_median_synthetic_day_moves_like_the_real_ones(
+def test_the_median_day_moves_like_the_real_ones(
     single_days: list[dict[str, float]], name: str
 ) -> None:
     least, most = REAL[name]
     assert least <= np.median([day[name] for day in single_days]) <= most
 
 
-def test_the_signal_is_energy_neutral(signal: NDArray[np.float64]) -> None:
+def test_the_signal_is_energy_neutral(signal: Floats) -> None:
     # Parts of a day make up for each other; a whole day has an offset of its own.
     of_parts = signal.reshape(40, -1, DAY // 6).mean(axis=2)
     of_days = of_parts.mean(axis=1)
@@ -83,7 +81,7 @@ def real_days(data_folder: Path) -> list[dict[str, float]]:
     ]
 
 
-def test_a_real_day_is_within_what_the_synthetic_ones_are_measured_against(
+def test_a_real_day_is_within_the_bounds_of_the_synthetic_ones(
     real_days: list[dict[str, float]],
 ) -> None:
     for real in real_days:

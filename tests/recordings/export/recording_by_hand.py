@@ -10,22 +10,10 @@ from typing import Final
 
 from recorded_runs import plan_of
 
-from bus_schemas import signals
+from bus_schemas import messages, signals
 from bus_schemas.bus import Delivery, Outbox
 from bus_schemas.codec import encode
-from bus_schemas.messages import (
-    Command,
-    Dispatch,
-    Help,
-    HelpGiven,
-    Impp,
-    Meter,
-    Notice,
-    Production,
-    Residual,
-    Setpoint,
-    Telemetry,
-)
+from bus_schemas.messages import HelpGiven
 from bus_schemas.tree import ROOT
 from recordings.record.writer import RunWriter
 
@@ -75,7 +63,7 @@ def _of_the_plant(cycle: int) -> Iterator[Delivery]:
         power_kw = (nan, inf, -inf, hard)[(cycle + place) % 4]
         yield (
             signals.TELEMETRY.of(leaf),
-            Telemetry(
+            messages.Telemetry(
                 *stamp,
                 power_kw=power_kw,
                 alpha=1.0,
@@ -85,14 +73,14 @@ def _of_the_plant(cycle: int) -> Iterator[Delivery]:
         )
     yield (
         signals.DISPATCH.of(ROOT),
-        Dispatch(
+        messages.Dispatch(
             *stamp, power_kw=hard, plant_rating_kw=300.0, commitment_kw=200.0, regulation_kw=-0.0
         ),
     )
-    yield signals.METER.of(ROOT), Meter(*stamp, power_kw=hard)
+    yield signals.METER.of(ROOT), messages.Meter(*stamp, power_kw=hard)
     yield (
         signals.PRODUCTION.of(ROOT),
-        Production(
+        messages.Production(
             *stamp,
             desired_kw=hard,
             possible_kw=1.0,
@@ -109,20 +97,25 @@ def _of_the_tree(cycle: int) -> Iterator[Delivery]:
     for node in PLAN.tree.nodes:
         missing = ("c1/b/impp@0", "c1/b/residual") if node == "c1" and cycle else ()
         stamp = (cycle, time_ns, node or "central", missing)
-        yield signals.IMPP.of(node), Impp(*stamp, power_kw=hard, stale_cycles=cycle)
-        yield signals.RESIDUAL.of(node), Residual(*stamp, power_kw=-hard)
-    yield signals.HELP.of(ROOT), Help(cycle, time_ns, "central", (), missing_kw=hard)
+        yield signals.IMPP.of(node), messages.Impp(*stamp, power_kw=hard, stale_cycles=cycle)
+        yield signals.RESIDUAL.of(node), messages.Residual(*stamp, power_kw=-hard)
+    yield signals.HELP.of(ROOT), messages.Help(cycle, time_ns, "central", (), missing_kw=hard)
     given = (HelpGiven("c1/b", hard), HelpGiven("c2/c", nan if cycle == 3 else 1.5))
     for node, lines in (("c1", ()), ("c1/a", given[: cycle + 1]), ("c1/b", ())):
         parent = node.rpartition("/")[0] or "central"
         yield (
             signals.SETPOINT.of(node),
-            Setpoint(cycle, time_ns, parent, (), power_kw=hard, share_kw=9.5, help_given=lines),
+            messages.Setpoint(
+                cycle, time_ns, parent, (), power_kw=hard, share_kw=9.5, help_given=lines
+            ),
         )
     for leaf in PLAN.tree.leaves:
-        yield signals.COMMAND.of(leaf), Command(cycle, time_ns, leaf, (), alpha=0.5, power_kw=hard)
+        yield (
+            signals.COMMAND.of(leaf),
+            messages.Command(cycle, time_ns, leaf, (), alpha=0.5, power_kw=hard),
+        )
     if cycle == 1:
         yield (
             signals.NOTICE.of("c2"),
-            Notice(cycle, time_ns, "c2", (), text=QUOTED, count=2**53 + 1),
+            messages.Notice(cycle, time_ns, "c2", (), text=QUOTED, count=2**53 + 1),
         )

@@ -128,9 +128,7 @@ def test_parquet_keeps_the_time_zone_and_the_batches(said: list[Delivery], tmp_p
     ],
     ids=["half seconds", "between the cycles", "summer time"],
 )
-def test_csv_has_local_times_with_their_offset(
-    tmp_path: Path, changes: dict[str, Any], first: str
-) -> None:
+def test_csv_has_local_times(tmp_path: Path, changes: dict[str, Any], first: str) -> None:
     plan = msgspec.structs.replace(PLAN, **changes)
     write_tables(tmp_path / "run.mcap", tmp_path / "csv", "csv", plan)
     lines = (tmp_path / "csv" / "dispatch.csv").read_text(encoding="utf-8").splitlines()

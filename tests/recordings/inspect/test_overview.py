@@ -17,9 +17,11 @@ from recordings.read.gaps import Gap
 CYCLES = 60
 END = CYCLES - 1
 
+Look = Callable[..., Overview]
+
 
 @pytest.fixture
-def look(tmp_path: Path) -> Callable[..., Overview]:
+def look(tmp_path: Path) -> Look:
     """Write a recording and look at it."""
 
     def write_and_look(
@@ -40,12 +42,11 @@ def count_of(overview: Overview, signal: str) -> SignalCount:
     return found
 
 
-def test_every_message_is_counted_and_nothing_is_missing(look: Callable[..., Overview]) -> None:
+def test_every_message_is_counted_and_nothing_is_missing(look: Look) -> None:
     overview = look()
     expected = Counter(port.signal.name for port, _ in whole_run(CYCLES))
     counted = {count.signal: count.messages for count in overview.signals if count.messages}
     assert counted == dict(expected)
-    assert overview.messages == expected.total()
     assert (overview.gaps, overview.more_gaps) == ((), 0)
     assert [count for count in overview.signals if count.lost or count.missing_cycles] == []
     assert (overview.first_cycle, overview.last_cycle, overview.complete_cycles) == (0, END, CYCLES)
@@ -56,9 +57,7 @@ def test_every_message_is_counted_and_nothing_is_missing(look: Callable[..., Ove
     )
 
 
-def test_rates_are_for_each_cycle_and_each_second_of_the_wall_clock(
-    look: Callable[..., Overview],
-) -> None:
+def test_rates_are_for_each_cycle_and_each_second_of_the_wall_clock(look: Look) -> None:
     overview = look()
     impp = count_of(overview, "impp")
     assert (impp.nodes, impp.per_cycle) == (7, 7.0)
@@ -67,7 +66,7 @@ def test_rates_are_for_each_cycle_and_each_second_of_the_wall_clock(
     assert count_of(overview, "setpoint").per_cycle == 4 + 2 / 2
 
 
-def test_what_was_published_and_not_recorded_is_lost(look: Callable[..., Overview]) -> None:
+def test_what_was_published_and_not_recorded_is_lost(look: Look) -> None:
     overview = look(
         is_kept=lambda pair: (
             (str(pair[0]), pair[1].cycle)
@@ -84,9 +83,7 @@ def test_what_was_published_and_not_recorded_is_lost(look: Callable[..., Overvie
     )
 
 
-def test_a_silent_agent_leaves_a_gap_in_cycles_and_none_in_numbers(
-    look: Callable[..., Overview],
-) -> None:
+def test_a_silent_agent_leaves_a_gap_in_cycles_and_none_in_numbers(look: Look) -> None:
     overview = look(
         is_published=lambda pair: not (pair[1].source == "c2/c" and 20 <= pair[1].cycle < 30)
     )
@@ -97,16 +94,14 @@ def test_a_silent_agent_leaves_a_gap_in_cycles_and_none_in_numbers(
     assert sum(count.lost for count in overview.signals) == 0
 
 
-def test_an_agent_that_falls_silent_for_good_is_missed_up_to_the_end(
-    look: Callable[..., Overview],
-) -> None:
+def test_an_agent_that_falls_silent_for_good_is_missed_up_to_the_end(look: Look) -> None:
     overview = look(is_published=lambda pair: pair[1].source != "c1" or pair[1].cycle < 50)
     gaps = {gap.port: (gap.first_cycle, gap.last_cycle) for gap in overview.gaps}
     assert gaps["c1/impp"] == (50, END)
     assert gaps["c1/a/setpoint"] == (50, END)
 
 
-def test_a_part_is_counted_by_itself(look: Callable[..., Overview]) -> None:
+def test_a_part_is_counted_by_itself(look: Look) -> None:
     overview = look(cycles=range(11, 21))
     assert count_of(overview, "impp").messages == 70
     assert count_of(overview, "setpoint").messages == 10 * 4 + 5 * 2
@@ -114,9 +109,7 @@ def test_a_part_is_counted_by_itself(look: Callable[..., Overview]) -> None:
     assert sum(count.lost for count in overview.signals) == 0
 
 
-def test_of_many_gaps_the_first_hundred_are_named_and_the_rest_is_counted(
-    tmp_path: Path,
-) -> None:
+def test_of_many_gaps_the_first_hundred_are_named_and_the_rest_is_counted(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     deliveries = (pair for cycle in range(0, 400, 2) for pair in cycle_of_the_plant(cycle))
     write_run(path, (pair for pair in deliveries if pair[0].signal.name == "production"))
@@ -134,9 +127,7 @@ def _silent_ports() -> int:
     return len(due) - 1
 
 
-def test_what_is_missing_at_the_end_is_counted_up_to_where_the_plant_ended_the_run(
-    look: Callable[..., Overview],
-) -> None:
+def test_what_is_missing_is_counted_up_to_where_the_plant_ended_the_run(look: Look) -> None:
     overview = look(is_kept=lambda pair: pair[1].cycle < 50 or pair[0].signal.name == "run")
     assert (overview.last_cycle, overview.complete_cycles) == (END, 50)
     gaps = {gap.port: (gap.first_cycle, gap.last_cycle, gap.cycles) for gap in overview.gaps}

@@ -14,8 +14,14 @@ from bus_schemas.messages import Notice
 from bus_schemas.signals import IMPP, NOTICE, TELEMETRY
 from bus_schemas.tree import ROOT
 from recordings import open_run
-from recordings.inspect.timeline import HelpLine, NodeCycle, timeline
-from recordings.inspect.timeline_table import NARROWEST, TimelineTable, plant_lines
+from recordings.inspect.timeline import (
+    NARROWEST,
+    HelpLine,
+    NodeCycle,
+    TimelineTable,
+    plant_lines,
+    timeline,
+)
 
 
 def rows_of(path: Path, node: str, cycles: range) -> list[NodeCycle]:
@@ -68,9 +74,7 @@ def test_a_supervisor_knows_who_is_in_need_and_what_it_moved(recording: Path) ->
     assert between.moved_kw == 20.0
 
 
-def test_the_central_controller_has_the_operators_word_and_what_came_of_it(
-    recording: Path,
-) -> None:
+def test_the_central_controller_has_the_operators_word_and_what_came_of_it(recording: Path) -> None:
     (row,) = rows_of(recording, ROOT, range(10, 11))
     assert (row.node, row.dispatch_kw, row.commitment_kw, row.regulation_kw) == (
         "central",

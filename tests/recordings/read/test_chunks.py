@@ -47,9 +47,7 @@ def test_messages_are_those_that_the_library_finds(recording: Path) -> None:
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
-def test_every_compression_of_mcap_is_unpacked(
-    tmp_path: Path, compression: CompressionType
-) -> None:
+def test_every_compression_is_unpacked(tmp_path: Path, compression: CompressionType) -> None:
     path = tmp_path / "other.mcap"
     with path.open("wb") as file:
         writer = Writer(file, compression=compression, chunk_size=300)
@@ -76,9 +74,7 @@ def test_channels_that_nobody_asked_for_are_skipped(recording: Path) -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(share=st.floats(0.0, 1.0))
-def test_records_cut_anywhere_yield_the_whole_messages_before_the_cut(
-    recording: Path, share: float
-) -> None:
+def test_cut_records_yield_the_whole_messages_before_the_cut(recording: Path, share: float) -> None:
     with recording.open("rb") as file:
         outline = read_outline(file)
         records = unpack_chunk(file, outline.chunks[1])
@@ -89,9 +85,7 @@ def test_records_cut_anywhere_yield_the_whole_messages_before_the_cut(
 
 
 @pytest.mark.parametrize(("at", "length"), [(60, 1), (500, 1), (0, 20), (0, 49), (0, 4096), (1, 8)])
-def test_a_chunk_that_is_not_what_was_written_is_refused(
-    recording: Path, tmp_path: Path, at: int, length: int
-) -> None:
+def test_a_damaged_chunk_is_refused(recording: Path, tmp_path: Path, at: int, length: int) -> None:
     content = bytearray(recording.read_bytes())
     with recording.open("rb") as file:
         place = read_outline(file).chunks[1]

@@ -101,9 +101,7 @@ def test_zeros_behind_a_cut_are_no_records(content: bytes) -> None:
 
 
 @pytest.mark.parametrize("length", [2**64 - 1, 2**40, 100, 0])
-def test_without_an_index_reading_ends_at_a_chunk_of_a_wrong_length(
-    content: bytes, length: int
-) -> None:
+def test_without_an_index_a_wrong_length_ends_the_reading(content: bytes, length: int) -> None:
     whole, torn = outline_of(content), cut(content)
     offset = whole.chunks[2].offset
     torn[offset + 1 : offset + 9] = length.to_bytes(8, "little")

@@ -23,15 +23,18 @@ from recordings.read.reader import RunReader
 
 CYCLES = 300
 
+Recording = tuple[Path, list[Delivery]]
+"""A file, and what was written into it."""
+
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Delivery]]:
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     path = tmp_path_factory.mktemp("reader") / "run.mcap"
     return path, write_run(path, whole_run(CYCLES))
 
 
 @pytest.fixture
-def run(recording: tuple[Path, list[Delivery]]) -> RunReader:
+def run(recording: Recording) -> RunReader:
     return open_run(recording[0])
 
 
@@ -45,10 +48,7 @@ names = [signal.name for signal in SIGNALS if signal.logged]
     bounds=st.tuples(st.integers(0, CYCLES - 1), st.integers(0, CYCLES - 1)),
 )
 def test_signals_nodes_and_cycles_choose_from_all_messages(
-    recording: tuple[Path, list[Delivery]],
-    signals: list[str],
-    nodes: list[str],
-    bounds: tuple[int, int],
+    recording: Recording, signals: list[str], nodes: list[str], bounds: tuple[int, int]
 ) -> None:
     path, written = recording
     start, end = sorted(bounds)
@@ -64,9 +64,7 @@ def test_signals_nodes_and_cycles_choose_from_all_messages(
         ]
 
 
-def test_raw_records_are_the_messages_with_their_times_and_numbers(
-    recording: tuple[Path, list[Delivery]], run: RunReader
-) -> None:
+def test_raw_records_are_the_messages(recording: Recording, run: RunReader) -> None:
     records = list(run.records())
     assert [(record.port, record.payload) for record in records] == [
         (port, encode(message)) for port, message in recording[1]
@@ -79,7 +77,7 @@ def test_raw_records_are_the_messages_with_their_times_and_numbers(
     assert {record.cycle for record in some} == {7, 8}
 
 
-def test_one_minute_is_found_without_reading_the_rest(
+def test_one_minute_is_found_without_the_rest(
     run: RunReader, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     unpacked: set[int] = set()
@@ -95,15 +93,18 @@ def test_one_minute_is_found_without_reading_the_rest(
     assert len(unpacked) < 15, "some to search for the place, and those around it"
 
 
-def test_the_last_cycle_is_that_of_the_last_message_but_the_end_of_the_run(
-    run: RunReader, tmp_path: Path
-) -> None:
-    assert run.last_cycle == CYCLES - 1
+def test_the_last_cycle_is_that_of_the_last_message(run: RunReader, tmp_path: Path) -> None:
+    assert (run.last_cycle, run.stop_cycle) == (CYCLES - 1, CYCLES)
     path = tmp_path / "run.mcap"
     write_run(path, [(RUN.of(ROOT), PLAN.run_message("start", 0, 1))])
     with open_run(path) as empty:
-        assert empty.last_cycle == -1
+        assert (empty.last_cycle, empty.stop_cycle) == (-1, None)
         assert len(list(empty.messages())) == 1
+    start, *cycles, stop = whole_run(5)
+    forged = [(RUN.of(ROOT), PLAN.run_message("stop", cycle, 1)) for cycle in (4, 90, 2)]
+    write_run(tmp_path / "forged.mcap", [start, *forged, *cycles, stop])
+    with open_run(tmp_path / "forged.mcap") as contradicted:
+        assert contradicted.stop_cycle == 5
 
 
 def test_messages_that_come_late_are_found_by_their_cycle(tmp_path: Path) -> None:
@@ -123,9 +124,7 @@ def test_messages_that_come_late_are_found_by_their_cycle(tmp_path: Path) -> Non
             assert [message.cycle for _, message in found] == [cycle]
 
 
-def test_a_cut_recording_is_read_up_to_the_cut(
-    recording: tuple[Path, list[Delivery]], tmp_path: Path
-) -> None:
+def test_a_cut_recording_is_read_up_to_the_cut(recording: Recording, tmp_path: Path) -> None:
     path, written = recording
     content = path.read_bytes()
     cut = tmp_path / "run.mcap"
@@ -187,24 +186,8 @@ def test_what_the_run_does_not_have_is_refused_with_what_it_has(
     assert "\n" not in str(caught.value)
 
 
-def test_a_damaged_chunk_is_refused_where_it_is_read_and_not_before(
-    recording: tuple[Path, list[Delivery]], tmp_path: Path
-) -> None:
-    path, written = recording
-    with open_run(path) as run:
-        place = run.outline.chunks[20]
-    content = bytearray(path.read_bytes())
-    content[place.offset + 300] ^= 0xFF
-    torn = tmp_path / "run.mcap"
-    torn.write_bytes(content)
-    with open_run(torn) as run:
-        assert list(run.messages(end=50)) == [pair for pair in written if pair[1].cycle <= 50]
-        with pytest.raises(InputError, match=rf"chunk at byte {place.offset:,}: .*recover"):
-            list(run.messages())
-
-
 @pytest.fixture
-def damaged(recording: tuple[Path, list[Delivery]], tmp_path: Path) -> tuple[Path, ChunkPlace]:
+def damaged(recording: Recording, tmp_path: Path) -> tuple[Path, ChunkPlace]:
     """A recording with one chunk zeroed, and that chunk."""
     path, _ = recording
     with open_run(path) as run:
@@ -215,8 +198,8 @@ def damaged(recording: tuple[Path, list[Delivery]], tmp_path: Path) -> tuple[Pat
     return tmp_path / "run.mcap", place
 
 
-def test_who_asks_for_it_reads_on_behind_a_damaged_chunk_and_can_tell_which(
-    recording: tuple[Path, list[Delivery]], damaged: tuple[Path, ChunkPlace]
+def test_a_damaged_chunk_is_refused_where_it_is_read_or_skipped_and_named(
+    recording: Recording, damaged: tuple[Path, ChunkPlace]
 ) -> None:
     path, place = damaged
     with open_run(recording[0]) as run:
@@ -231,18 +214,7 @@ def test_who_asks_for_it_reads_on_behind_a_damaged_chunk_and_can_tell_which(
     assert told is not None
     assert begin - 1 <= int(told[1]) <= begin
     assert end <= int(told[2]) <= end + 1
-    with open_run(path) as run, pytest.raises(InputError, match=f"{place.offset:,}"):
-        list(run.messages())
-
-
-def test_the_plants_last_message_tells_where_the_run_ended(run: RunReader, tmp_path: Path) -> None:
-    assert run.stop_cycle == CYCLES
-    path = tmp_path / "run.mcap"
-    write_run(path, cycle_of_the_plant(0))
-    with open_run(path) as open_end:
-        assert open_end.stop_cycle is None
-    start, *cycles, stop = whole_run(5)
-    forged = [(RUN.of(ROOT), PLAN.run_message("stop", cycle, 1)) for cycle in (4, 90, 2)]
-    write_run(tmp_path / "forged.mcap", [start, *forged, *cycles, stop])
-    with open_run(tmp_path / "forged.mcap") as contradicted:
-        assert contradicted.stop_cycle == 5
+    with open_run(path) as run:
+        assert list(run.messages(end=50)) == [pair for pair in recording[1] if pair[1].cycle <= 50]
+        with pytest.raises(InputError, match=rf"chunk at byte {place.offset:,}: .*recover"):
+            list(run.messages())

@@ -84,21 +84,17 @@ def test_a_moment_outside_the_run_is_refused_with_its_extent(moment: str | int) 
     assert "2010-04-01 12:00:00 to 12:16:39 HST (cycles 0 to 999)" in str(caught.value)
 
 
-@pytest.mark.parametrize("moment", ["", "noon", "13", "25:00", "12:61", "1.5", "--", "90 s"])
-def test_what_is_no_moment_is_refused_or_a_number(moment: str) -> None:
-    if moment == "13":
-        assert CLOCK.cycle(moment, "--from") == 13
-        return
+@pytest.mark.parametrize("moment", ["", "noon", "25:00", "12:61", "1.5", "--", "90 s"])
+def test_what_is_no_moment_is_refused(moment: str) -> None:
     with pytest.raises(InputError, match="expected a local time"):
         CLOCK.cycle(moment, "--from")
 
 
-def test_an_end_before_the_start_is_refused() -> None:
+def test_a_time_beyond_all_bounds_and_a_span_that_is_none_are_refused() -> None:
+    with pytest.raises(InputError, match="expected a time of the run"):
+        CLOCK.cycle("9" * 300 + "h", "--from")
     with pytest.raises(InputError, match="--to: expected a time from 12:00:12 on, got 11s"):
         CLOCK.span("12:00:12", "11s")
-
-
-def test_a_run_without_a_cycle_says_so() -> None:
     with pytest.raises(InputError, match="no cycle"):
         RunClock(PLAN, last_cycle=-1).cycle(0, "--from")
 
@@ -132,8 +128,3 @@ def test_an_hour_that_clocks_leap_over_is_no_moment() -> None:
     assert clock.cycle("03:00:00", "--from") == 180
     with pytest.raises(InputError, match="2010-03-14 02:30:00"):
         clock.cycle("02:30", "--from")
-
-
-def test_a_time_beyond_all_bounds_is_outside_the_run() -> None:
-    with pytest.raises(InputError, match="expected a time of the run"):
-        CLOCK.cycle("9" * 300 + "h", "--from")

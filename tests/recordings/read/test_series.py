@@ -23,9 +23,7 @@ def series_of(path: Path, is_kept: Callable[[Delivery], bool]) -> RunSeries:
 
 
 @pytest.mark.parametrize("lacking", ["production", "dispatch"])
-def test_a_missing_message_leaves_its_row_empty_and_shifts_no_other(
-    tmp_path: Path, lacking: str
-) -> None:
+def test_a_missing_message_leaves_its_row_empty(tmp_path: Path, lacking: str) -> None:
     series = series_of(tmp_path, lambda pair: (pair[0].signal.name, pair[1].cycle) != (lacking, 7))
     assert series.cycles == CYCLES
     assert list(np.flatnonzero(~series.known)) == [7]

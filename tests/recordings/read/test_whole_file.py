@@ -13,10 +13,6 @@ import pytest
 from bus_schemas.errors import InputError
 from recordings.read.whole_file import new_path, whole_file
 
-ENDINGS = pytest.mark.parametrize(
-    "ending", [OSError(28, "No space left on device"), KeyboardInterrupt(), SystemExit(143)]
-)
-
 
 def write(path: Path, document: bytes) -> None:
     with whole_file(path) as file:
@@ -34,9 +30,20 @@ def test_a_file_is_replaced_when_it_is_complete(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def interrupted(
-    opened: Callable[[Path], AbstractContextManager[object]], path: Path, ending: BaseException
+@pytest.mark.parametrize("opened", [whole_file, new_path])
+@pytest.mark.parametrize(
+    "ending", [OSError(28, "No space left on device"), KeyboardInterrupt(), SystemExit(143)]
+)
+def test_an_interruption_leaves_all_as_it_was(
+    tmp_path: Path,
+    opened: Callable[[Path], AbstractContextManager[object]],
+    ending: BaseException,
 ) -> None:
+    path = tmp_path / "x.json"
+    if opened is whole_file:
+        path.write_bytes(b"before")
+    before = {found: found.read_bytes() for found in tmp_path.iterdir()}
+
     def write_half() -> None:
         with opened(path) as beside:
             if isinstance(beside, Path):
@@ -46,25 +53,7 @@ def interrupted(
 
     with pytest.raises(type(ending)):
         write_half()
-
-
-@ENDINGS
-def test_what_is_interrupted_leaves_the_file_as_it_was(
-    tmp_path: Path, ending: BaseException
-) -> None:
-    path = tmp_path / "x.json"
-    path.write_bytes(b"before")
-    interrupted(whole_file, path, ending)
-    assert path.read_bytes() == b"before"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-@ENDINGS
-def test_nothing_is_left_of_a_new_folder_that_was_interrupted(
-    tmp_path: Path, ending: BaseException
-) -> None:
-    interrupted(new_path, tmp_path / "export", ending)
-    assert list(tmp_path.iterdir()) == []
+    assert {found: found.read_bytes() for found in tmp_path.iterdir()} == before
 
 
 @pytest.mark.parametrize("exists", [True, False])

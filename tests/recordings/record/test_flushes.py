@@ -5,18 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import cycle, pairwise
 from pathlib import Path
-from types import SimpleNamespace
-from typing import cast
+from unittest.mock import Mock, patch
 
 import pytest
 from clock_by_hand import ClockByHand
 from recordings_by_hand import PLAN, SCENARIO, whole_run
 
-from agents.events import Event
-from agents.launcher_link import LauncherLink
 from bus_schemas.codec import encode
-from bus_schemas.zenoh_bus import ZenohTap
-from recordings.record import recorder
 from recordings.record.recorder import FLUSH_S, Recorder, RecordingEnd
 from recordings.record.writer import RunWriter
 
@@ -26,48 +21,23 @@ MESSAGE_S = 20e-6
 LASTS_S = 10.0
 
 
-class BusyTap:
-    """A bus on which there is always one more message, until the recording is to end."""
-
-    def __init__(self, clock: ClockByHand, end: RecordingEnd, bursts_s: float) -> None:
-        self._clock = clock
-        self._end = end
-        self._ends_ns = clock.now_ns + round(LASTS_S * 1e9)
-        self._bursts_ns = round(bursts_s * 1e9)
-        said = [(PLAN.keys.key(port), encode(message)) for port, message in whole_run(5)]
-        self._said = cycle(said)
-
-    def drain(self) -> Iterator[tuple[str, bytes]]:
-        while self._clock.now_ns < self._ends_ns:
-            if self._bursts_ns and self._clock.now_ns // self._bursts_ns % 2:
-                return
-            self._clock.sleep(MESSAGE_S)
-            yield next(self._said)
-        self._end.ask()
-
-    def presence(self) -> list[tuple[str, bool]]:
-        return []
-
-
-class SilentLink:
-    def tell(self, event: Event) -> None: ...
-
-    def expected_messages(self) -> None: ...
-
-
 @pytest.mark.parametrize("bursts_s", [0.0, 0.1])
-def test_it_flushes_every_half_second_however_much_comes(
-    bursts_s: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_flushes_every_half_second(bursts_s: float, tmp_path: Path) -> None:
     clock = ClockByHand()
     began_ns = clock.now_ns
-    monkeypatch.setattr(
-        recorder,
-        "time",
-        SimpleNamespace(
-            monotonic=lambda: clock.now_ns / 1e9, monotonic_ns=clock, sleep=clock.sleep
-        ),
-    )
+    ends_ns, bursts_ns = began_ns + round(LASTS_S * 1e9), round(bursts_s * 1e9)
+    said = cycle((PLAN.keys.key(port), encode(message)) for port, message in whole_run(5))
+    end = RecordingEnd()
+
+    def drain() -> Iterator[tuple[str, bytes]]:
+        """There is always one more message, or bursts of them, until the recording is to end."""
+        while clock.now_ns < ends_ns:
+            if bursts_ns and clock.now_ns // bursts_ns % 2:
+                return
+            clock.sleep(MESSAGE_S)
+            yield next(said)
+        end.ask()
+
     flushed_s: list[float] = []
 
     class NotedWriter(RunWriter):
@@ -75,15 +45,11 @@ def test_it_flushes_every_half_second_however_much_comes(
             flushed_s.append((clock.now_ns - began_ns) / 1e9)
             super().flush()
 
-    end = RecordingEnd()
-    Recorder(
-        PLAN,
-        cast("ZenohTap", BusyTap(clock, end, bursts_s)),
-        NotedWriter(tmp_path / "run.mcap", PLAN, SCENARIO, "launch"),
-        cast("LauncherLink", SilentLink()),
-        end,
-        lambda text: None,
-    ).run()
+    tap, link = Mock(drain=drain, presence=list), Mock(expected_messages=lambda: None)
+    writer = NotedWriter(tmp_path / "run.mcap", PLAN, SCENARIO, "launch")
+    time = Mock(monotonic=lambda: clock.now_ns / 1e9, monotonic_ns=clock, sleep=clock.sleep)
+    with patch("recordings.record.recorder.time", time):
+        Recorder(PLAN, tap, writer, link, end, lambda text: None).run()
     # What it takes in at once, 2000 messages, is all that can come between.
     longest_s = FLUSH_S + 2000 * MESSAGE_S
     gaps_s = [later - earlier for earlier, later in pairwise([0.0, *flushed_s, LASTS_S])]

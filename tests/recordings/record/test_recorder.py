@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import cast
+from unittest.mock import Mock
 
 import pytest
 from msgspec.structs import replace
+from recorded_runs import published
 
-from agents.events import Complaint, Event, Recorded
-from agents.launcher_link import LauncherLink
-from agents.plan import RunPlan
+from agents.events import Complaint, Recorded
 from bus_schemas.codec import encode
 from bus_schemas.messages import Impp, Message, Setpoint
 from bus_schemas.signals import DISPATCH, IMPP, RUN, SETPOINT, Port
 from bus_schemas.tree import CENTRAL, ROOT
-from bus_schemas.zenoh_bus import ZenohTap
-from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.reader import RunReader
@@ -31,6 +28,9 @@ PREPARED = prepare(load_scenario("oahu"), RunOptions(duration=str(CYCLES)), "spo
 DEVICE = "c2/inv07"
 IN_LOCKSTEP = replace(PREPARED.plan, external=(DEVICE,))
 PORT = IMPP.of(DEVICE)
+SAID = published(IN_LOCKSTEP, PREPARED.profile)
+
+Spoken = tuple[Port[Message], Message | bytes]
 
 
 def impp(cycle: int, power_kw: float = 1.0, sequence: int = 0, node: str = DEVICE) -> Impp:
@@ -39,79 +39,36 @@ def impp(cycle: int, power_kw: float = 1.0, sequence: int = 0, node: str = DEVIC
     )
 
 
-def messages_of_a_run() -> list[tuple[Port[Message], Message]]:
-    """All that is said in a run in memory."""
-    said: list[tuple[Port[Message], Message]] = []
-    run = MemoryRun(
-        IN_LOCKSTEP, PREPARED.profile, lambda port, message: said.append((port, message))
-    )
-    for _ in run.cycles():
-        pass
-    run.close()
-    return said
+def recorded(said: Sequence[Spoken], folder: Path) -> tuple[list[Message], Recorded]:
+    """What a recorder keeps of a device's IMPPs after an arming round, and its account."""
+    first = [(port, m) for port, m in said if isinstance(m, Message) and m.cycle == 0]
+    arming = [(port, replace(message, cycle=-1)) for port, message in first]
+    waiting = [
+        (IN_LOCKSTEP.keys.key(port), entry if isinstance(entry, bytes) else encode(entry))
+        for port, entry in [*arming, *said]
+    ]
 
+    def drain() -> Iterator[tuple[str, bytes]]:
+        while waiting:
+            yield waiting.pop(0)
 
-class FakeTap:
-    """The recorder's place on a bus that has delivered all."""
-
-    def __init__(
-        self, plan: RunPlan, said: Sequence[tuple[Port[Message], Message | bytes]]
-    ) -> None:
-        self._waiting = [
-            (plan.keys.key(port), entry if isinstance(entry, bytes) else encode(entry))
-            for port, entry in said
-        ]
-
-    def drain(self) -> Iterator[tuple[str, bytes]]:
-        while self._waiting:
-            yield self._waiting.pop(0)
-
-    def watch_presence(self) -> None: ...
-
-    def presence(self) -> list[tuple[str, bool]]:
-        return []
-
-    def publish(self, port: Port[Message], message: Message) -> None: ...
-
-
-class FakeLink:
-    def __init__(self) -> None:
-        self.told: list[Event] = []
-
-    def tell(self, event: Event) -> None:
-        self.told.append(event)
-
-    def expected_messages(self) -> None: ...
-
-
-def recorded(
-    said: Sequence[tuple[Port[Message], Message | bytes]], folder: Path
-) -> tuple[list[Message], Recorded]:
-    """What a recorder keeps of a device's IMPPs, and its account."""
+    tap = Mock(drain=drain, presence=list)
+    link = Mock(expected_messages=lambda: None)
     writer = RunWriter(folder / "run.mcap", IN_LOCKSTEP, 'name = "oahu"\n', "launch")
-    end, link = RecordingEnd(), FakeLink()
+    end = RecordingEnd()
     end.ask()
-    Recorder(
-        IN_LOCKSTEP,
-        cast("ZenohTap", FakeTap(IN_LOCKSTEP, said)),
-        writer,
-        cast("LauncherLink", link),
-        end,
-        lambda text: None,
-    ).run()
-    (account,) = [event for event in link.told if isinstance(event, Recorded)]
+    Recorder(IN_LOCKSTEP, tap, writer, link, end, lambda text: None).run()
+    told = [call.args[0] for call in link.tell.call_args_list]
+    (account,) = [event for event in told if isinstance(event, Recorded)]
     with RunReader(folder) as reader:
         return [message for port, message in reader.messages(IMPP) if port is PORT], account
 
 
-def test_a_device_that_answers_ahead_is_recorded_with_both_messages_and_named(
-    tmp_path: Path,
-) -> None:
-    said = messages_of_a_run()
-    arming = [(port, replace(message, cycle=-1)) for port, message in said if message.cycle == 0]
+def test_a_device_that_answers_ahead_is_recorded_and_named(tmp_path: Path) -> None:
+    said = list(SAID)
     place = next(n for n, (port, message) in enumerate(said) if port is PORT and message.cycle == 2)
     said.insert(place, (PORT, impp(6)))
-    kept, account = recorded(arming + said, tmp_path)
+    kept, account = recorded(said, tmp_path)
     assert [message.cycle for message in kept] == [0, 1, 6, 2, 3, 4, 5, 6, 7]
     assert account.foreign == 0
     assert "two senders" in {entry.cause for entry in account.complaints}
@@ -121,17 +78,15 @@ def test_a_device_that_answers_ahead_is_recorded_with_both_messages_and_named(
 @pytest.mark.parametrize("node", [DEVICE, "c1/inv01"])
 def test_a_payload_that_is_nested_very_deep_is_set_aside(node: str, tmp_path: Path) -> None:
     payload = b"\x82\xa5cycle\x01\xa4more" + b"\x91" * 300_000 + b"\xc0"
-    said = messages_of_a_run()
-    arming = [(port, replace(message, cycle=-1)) for port, message in said if message.cycle == 0]
-    kept, account = recorded([*arming, *said, (IMPP.of(node), payload)], tmp_path)
+    said = list(SAID)
+    kept, account = recorded([*said, (IMPP.of(node), payload)], tmp_path)
     assert len(kept) == CYCLES
     assert "undecodable" in {entry.cause for entry in account.complaints}
 
 
 def of_a_run(answers: list[tuple[int, int]], folder: Path) -> Recorded:
     """The recorder's account of a run in which a device gives these IMPPs: cycle and number."""
-    said = messages_of_a_run()
-    arming = [(port, replace(message, cycle=-1)) for port, message in said if message.cycle == 0]
+    said = list(SAID)
     spoken = [entry for entry in said if entry[0] is not PORT]
     place = 0
     for cycle, sequence in answers:
@@ -139,7 +94,7 @@ def of_a_run(answers: list[tuple[int, int]], folder: Path) -> Recorded:
             place += 1
         place += 1
         spoken.insert(place, (PORT, impp(cycle, sequence=sequence)))
-    return recorded(arming + spoken, folder)[1]
+    return recorded(spoken, folder)[1]
 
 
 @pytest.mark.parametrize(
@@ -202,17 +157,14 @@ def see(senders: SecondSenders, message: Setpoint) -> str | None:
     return found[0] if found else None
 
 
-def test_what_comes_second_on_a_key_of_a_process_is_no_loss_and_a_false_stop_is_named(
-    tmp_path: Path,
-) -> None:
-    said = messages_of_a_run()
-    arming = [(port, replace(message, cycle=-1)) for port, message in said if message.cycle == 0]
+def test_what_comes_second_on_a_key_is_no_loss_and_a_false_stop_is_named(tmp_path: Path) -> None:
+    said = list(SAID)
     place = next(
         n for n, (port, m) in enumerate(said) if port is DISPATCH.of(ROOT) and m.cycle == 4
     )
     said.insert(place, (RUN.of(ROOT), IN_LOCKSTEP.run_message("stop", 4, 0)))
     said.insert(place, (RUN.of(ROOT), IN_LOCKSTEP.run_message("stop", 1, 0)))
-    _, account = recorded(arming + said, tmp_path)
+    _, account = recorded(said, tmp_path)
     (complaint,) = account.complaints
     assert (complaint.key, complaint.cause, complaint.count) == ("oahu/run", "two senders", 2)
     assert account.extra == {"run": 2}

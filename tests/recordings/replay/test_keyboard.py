@@ -34,14 +34,14 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[int, int]]:
         (b"xyz", []),
     ],
 )
-def test_every_key_that_was_typed_is_read_at_once(
+def test_every_key_is_read_at_once(
     typed: bytes, keys: list[Key], terminal: tuple[int, int]
 ) -> None:
     typing, _ = terminal
     with keyboard() as found:
         os.write(typing, typed)
-        assert found.wait(10.0) == keys
-        assert found.wait(0.0) == []
+        assert found(10.0) == keys
+        assert found(0.0) == []
 
 
 def test_an_arrow_key_may_come_in_two_parts() -> None:
@@ -56,9 +56,7 @@ def test_an_arrow_key_may_come_in_two_parts() -> None:
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
-def test_the_terminal_is_restored_however_it_ends(
-    terminal: tuple[int, int], error: type[BaseException]
-) -> None:
+def test_the_terminal_is_restored(terminal: tuple[int, int], error: type[BaseException]) -> None:
     _, seen = terminal
     before = termios.tcgetattr(seen)
 
@@ -77,5 +75,5 @@ def test_the_terminal_is_restored_however_it_ends(
 def test_without_a_terminal_no_key_comes(monkeypatch: pytest.MonkeyPatch) -> None:
     with open(os.devnull, encoding="utf-8") as nothing:  # noqa: PTH123 - os.devnull is text
         monkeypatch.setattr("sys.stdin", nothing)
-        with keyboard() as keys:
-            assert keys.wait(0.001) == []
+        with keyboard() as wait:
+            assert wait(0.001) == []

@@ -9,17 +9,17 @@ from typing import TextIO
 
 import pytest
 from clock_by_hand import ClockByHand
-from replayed_runs import PLAN, Said, run_in_memory, write
+from replayed_runs import CYCLE_NS, PLAN, Said, run_in_memory, write
 
 from bus_schemas.codec import encode
 from bus_schemas.messages import Message
-from bus_schemas.signals import Port
+from bus_schemas.signals import IMPP, Port
 from launch_scripts.launcher.interruption import Interruption
 from launch_scripts.launcher.live_view import StatusLine
-from recordings.read.reader import RunReader
+from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus
-from recordings.replay.clock import PlaybackClock
-from recordings.replay.keyboard import Key
+from recordings.replay.clock import ClockKind, PlaybackClock, Positions
+from recordings.replay.keyboard import Key, Keyboard
 from recordings.replay.playback import Playback
 
 SAID = run_in_memory()
@@ -47,23 +47,20 @@ class Heard(ReplayBus):
         self.states.append((cycle, rate, paused))
 
 
-class Hands:
+def hands(*keys: Key | list[Key] | None) -> Keyboard:
     """Keys that are pressed, those of one entry in one go."""
+    left = list(keys)
 
-    def __init__(self, *keys: Key | list[Key] | None) -> None:
-        self._keys = list(keys)
+    def wait(seconds: float) -> list[Key]:
+        pressed = left.pop(0) if left else Key.QUIT
+        return pressed if isinstance(pressed, list) else [] if pressed is None else [pressed]
 
-    def wait(self, seconds: float) -> list[Key]:
-        keys = self._keys.pop(0) if self._keys else Key.QUIT
-        return keys if isinstance(keys, list) else [] if keys is None else [keys]
+    return wait
 
 
-class NoHands:
-    """Nobody presses a key."""
-
-    def wait(self, seconds: float) -> list[Key]:
-        assert seconds == 0.0, "a replay under way does not stop to look at the keyboard"
-        return []
+def no_hands(seconds: float) -> list[Key]:
+    assert seconds == 0.0, "a replay under way does not stop to look at the keyboard"
+    return []
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +76,7 @@ def play(
     span: Span = (0, None),
     rate: float = 0.0,
     paused: bool = False,
-    hands: Hands | NoHands | None = None,
+    keyboard: Keyboard = no_hands,
     interruption: Interruption | None = None,
     out: TextIO | None = None,
     loop: bool = False,
@@ -93,7 +90,7 @@ def play(
             heard,
             PlaybackClock(rate, paused=paused, now_ns=heard.clock),
             "wall",
-            hands or NoHands(),
+            keyboard,
             Interruption() if interruption is None else interruption,
             StatusLine(out or io.StringIO(), in_place=False),
             heard.clock.sleep,
@@ -175,7 +172,7 @@ def test_each_message_is_sent_when_it_is_due_and_all_is_timed(recorded: Path) ->
 
 def test_while_it_is_paused_nothing_is_sent_but_where_it_stands(recorded: Path) -> None:
     heard = Heard()
-    play(recorded, heard, paused=True, hands=Hands(None, None, Key.QUIT))
+    play(recorded, heard, paused=True, keyboard=hands(None, None, Key.QUIT))
     assert heard.payloads == []
     assert heard.states[0] == (0, 0.0, True)
 
@@ -185,7 +182,7 @@ def test_each_step_sends_one_cycle_also_if_keys_come_together(
     keys: list[Key | list[Key] | None], recorded: Path
 ) -> None:
     heard = Heard()
-    played = play(recorded, heard, paused=True, hands=Hands(*keys), rate=1.0)
+    played = play(recorded, heard, paused=True, keyboard=hands(*keys), rate=1.0)
     assert heard.payloads == step(0, 2)
     assert played.timing.figures() is None  # a step has no due time
 
@@ -194,25 +191,25 @@ def test_each_step_sends_one_cycle_also_if_keys_come_together(
     ("key", "lands_at"),
     [(Key.FORWARD, 12), (Key.FAR_FORWARD, 39), (Key.BACK, 0), (Key.FAR_BACK, 0)],
 )
-def test_arrows_seek_by_simulated_time_within_the_run(
-    recorded: Path, key: Key, lands_at: int
-) -> None:
+def test_arrows_seek_by_simulated_time(recorded: Path, key: Key, lands_at: int) -> None:
     heard = Heard()
-    play(recorded, heard, paused=True, hands=Hands([Key.STEP, Key.STEP, key, Key.STEP, Key.QUIT]))
+    play(
+        recorded, heard, paused=True, keyboard=hands([Key.STEP, Key.STEP, key, Key.STEP, Key.QUIT])
+    )
     assert heard.payloads == step(0, 1) + step(lands_at)
 
 
 def test_arrows_stay_within_the_span(recorded: Path) -> None:
     heard = Heard()
-    hands = Hands(Key.FAR_FORWARD, Key.STEP, Key.FAR_BACK, Key.STEP, Key.QUIT)
-    play(recorded, heard, span=(5, 9), paused=True, hands=hands)
+    keyboard = hands(Key.FAR_FORWARD, Key.STEP, Key.FAR_BACK, Key.STEP, Key.QUIT)
+    play(recorded, heard, span=(5, 9), paused=True, keyboard=keyboard)
     assert heard.payloads == payloads(SAID, 8, 9) + step(5)
 
 
 def test_after_a_step_to_the_end_one_can_go_back(recorded: Path) -> None:
     heard = Heard()
-    hands = Hands(Key.STEP, Key.STEP, Key.BACK, Key.STEP, Key.QUIT)
-    play(recorded, heard, span=(30, 31), paused=True, hands=hands)
+    keyboard = hands(Key.STEP, Key.STEP, Key.BACK, Key.STEP, Key.QUIT)
+    play(recorded, heard, span=(30, 31), paused=True, keyboard=keyboard)
     assert heard.payloads == payloads(SAID, 30, 31) * 2
 
 
@@ -221,6 +218,38 @@ def test_plus_and_minus_change_the_rate_unless_it_is_as_fast_as_possible(
     rate: float, rates: list[float], recorded: Path
 ) -> None:
     heard = Heard()
-    hands = Hands([Key.FASTER, Key.FASTER, Key.SLOWER, Key.QUIT])
-    play(recorded, heard, paused=True, hands=hands, rate=rate)
+    keyboard = hands([Key.FASTER, Key.FASTER, Key.SLOWER, Key.QUIT])
+    play(recorded, heard, paused=True, keyboard=keyboard, rate=rate)
     assert [state[1] for state in heard.states[:4]] == rates
+
+
+PUBLISHED = [(4, 1_000), (4, 1_300), (5, 1_400), (4, 1_350), (5, 1_700), (7, 2_000), (7, 3 * 10**9)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("wall", [0, 300, 400, 400, 700, 1_000, 3 * 10**9 - 1_000]),
+        ("sim", [0, 300, CYCLE_NS, CYCLE_NS, CYCLE_NS + 300, 3 * CYCLE_NS, 4 * CYCLE_NS]),
+    ],
+)
+def test_the_clock_says_how_far_messages_are_apart(kind: ClockKind, expected: list[int]) -> None:
+    positions = Positions(PLAN, kind)
+    found = [
+        positions.next(RecordedMessage(IMPP.of("c1/a"), cycle, 0, time_ns, time_ns, b""))
+        for cycle, time_ns in PUBLISHED
+    ]
+    assert [position - found[0] for position in found] == expected
+
+
+def test_pauses_and_changes_of_rate_count_from_where_the_clock_is() -> None:
+    moment = ClockByHand(1_000)
+    clock = PlaybackClock(1.0, now_ns=moment)
+    clock.move_to(0)
+    moment.now_ns += 200
+    clock.toggle_pause()
+    moment.now_ns += 5_000
+    clock.toggle_pause()
+    assert clock.due_ns(200) == moment.now_ns
+    clock.set_rate(4.0)
+    assert clock.due_ns(600) == moment.now_ns + 100

@@ -42,9 +42,7 @@ def test_what_was_recorded_in_batches_comes_as_it_was_published(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("first", "before"), [(0, 1), (7, 8), (13, None), (0, 40), (38, 200), (0, None)]
 )
-def test_a_span_of_cycles_is_what_the_whole_has_of_them(
-    whole: Path, first: int, before: int | None
-) -> None:
+def test_a_span_is_what_the_whole_has_of_it(whole: Path, first: int, before: int | None) -> None:
     wanted = [entry for entry in SAID if first <= entry.message.cycle < (before or len(SAID))]
     with RunReader(whole) as reader:
         found = [record.payload for record in in_publish_order(reader, None, first, before)]

@@ -11,29 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from recorded_runs import (
-    AGENTS,
-    cloudy_profile,
-    of_publisher,
-    plan_of,
-    published,
-    record,
-)
+from recorded_runs import AGENTS, cloudy_profile, of_publisher, plan_of, published, record
 
 from agents.direct import DirectController
 from agents.parent import Children, Supervisor
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Help, Impp, Message, Setpoint
-from bus_schemas.signals import (
-    COMMAND,
-    HELP,
-    IMPP,
-    SETPOINT,
-    SIGNALS,
-    TELEMETRY,
-    Port,
-    Signal,
-)
+from bus_schemas.signals import COMMAND, HELP, IMPP, SETPOINT, SIGNALS, TELEMETRY, Port, Signal
 from bus_schemas.tree import PLANT
 from recordings.verify.comparison import Comparison, FieldDifference
 from recordings.verify.findings import Difference
@@ -50,11 +34,8 @@ Verify = Callable[..., Verification]
 def verified(tmp_path: Path) -> Verify:
     """Verify a recording of what was published."""
 
-    def run(
-        messages: list[Delivery], *nodes: str, comparison: Comparison | None = None
-    ) -> Verification:
-        folder = record(tmp_path / "run", PLAN, messages, PROFILE)
-        return verify(folder, nodes, comparison or Comparison())
+    def run(messages: list[Delivery], *nodes: str) -> Verification:
+        return verify(record(tmp_path / "run", PLAN, messages, PROFILE), nodes, Comparison())
 
     return run
 
@@ -67,12 +48,8 @@ def first_of(found: Verification, agent: str) -> Difference:
 
 def place_of(port: Port[Message], cycle: int) -> int:
     """Place of the message of a port in a cycle."""
-    (place,) = [
-        place
-        for place, (other, message) in enumerate(PUBLISHED)
-        if other is port and message.cycle == cycle
-    ]
-    return place
+    found = [(other, message.cycle) for other, message in PUBLISHED]
+    return found.index((port, cycle))
 
 
 def with_message(place: int, message: Message) -> list[Delivery]:
@@ -102,9 +79,7 @@ def test_a_recording_of_the_same_code_is_equal(verified: Verify) -> None:
     [signal for signal in SIGNALS if signal.logged and signal.decided],
     ids=lambda signal: signal.name,
 )
-def test_a_changed_field_is_found_in_a_message_of_any_signal(
-    signal: Signal[Message], verified: Verify
-) -> None:
+def test_a_changed_field_of_any_signal_is_found(signal: Signal[Message], verified: Verify) -> None:
     places = [place for place, (port, _) in enumerate(PUBLISHED) if port.signal is signal]
     place = places[len(places) // 2]
     port, message = PUBLISHED[place]
@@ -149,9 +124,7 @@ def test_a_message_that_is_not_sent_any_more_is_found(verified: Verify) -> None:
     assert found.differences == 1, "nobody acts on a call that the residual does not announce"
 
 
-def test_a_message_that_was_recorded_twice_is_found_and_the_first_one_counts(
-    verified: Verify,
-) -> None:
+def test_of_a_message_recorded_twice_the_first_one_counts(verified: Verify) -> None:
     place = place_of(SETPOINT.of("c1/a"), 6)
     found = verified([*PUBLISHED[: place + 1], PUBLISHED[place], *PUBLISHED[place + 1 :]])
     assert first_of(found, "c1").kind == "recorded twice"
@@ -159,9 +132,7 @@ def test_a_message_that_was_recorded_twice_is_found_and_the_first_one_counts(
 
 
 @pytest.mark.parametrize("after", [0, 1])
-def test_of_two_senders_the_agent_s_own_message_is_compared_and_nobody_is_blamed(
-    verified: Verify, after: int
-) -> None:
+def test_of_two_senders_the_agents_own_message_is_compared(verified: Verify, after: int) -> None:
     place = place_of(SETPOINT.of("c1/a"), 6) + after
     port, genuine = PUBLISHED[place - after]
     forged = replace(genuine, power_kw=0.0, sequence=7)
@@ -171,9 +142,7 @@ def test_of_two_senders_the_agent_s_own_message_is_compared_and_nobody_is_blamed
     assert not found.equal
 
 
-def test_nothing_is_compared_after_an_input_is_lost_that_the_agent_remembers(
-    verified: Verify,
-) -> None:
+def test_nothing_is_compared_after_a_remembered_input_is_lost(verified: Verify) -> None:
     found = verified(without(place_of(TELEMETRY.of("c2/c"), 11)))
     assert first_of(found, PLANT).kind == "only new"
     lack = first_of(found, "c2/c")
@@ -197,9 +166,7 @@ def test_a_message_of_no_cycle_of_the_run_is_found(verified: Verify) -> None:
 # In the code --------------------------------------------------------------------------------------
 
 
-def test_a_wrong_allocation_is_found_at_the_first_help(
-    verified: Verify, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrong_allocation_is_found(verified: Verify, monkeypatch: pytest.MonkeyPatch) -> None:
     right = Children.setpoints
 
     def halve_help(self: Children, *words: object) -> list[Delivery]:
