@@ -18,7 +18,7 @@ and `missing` names a few inputs of each child."""
 
 def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
     """Return how an agent of the plan, or a standby, joins the bus."""
-    listen, connect = plan.links.endpoints(agent, plan.tcp_ports, plan.host)
+    listen, connect = plan.links.endpoints(agent, plan.tcp_ports, plan.host_of)
     settings = SessionSettings(
         plan.bus_namespace,
         listen,

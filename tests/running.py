@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -82,15 +82,17 @@ class Heliarch:
         Of its run.
     words
         The command line.
+    within
+        A command that runs it somewhere else, such as in a namespace of the network.
     """
 
-    def __init__(self, folder: Path, *words: str) -> None:
+    def __init__(self, folder: Path, *words: str, within: Sequence[str] = ()) -> None:
         self.folder = folder
         self.output = folder.with_suffix(".out")
         self.errors = folder.with_suffix(".err")
         with self.output.open("wb") as out, self.errors.open("wb") as err:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "launch_scripts", *words, "--out", str(folder)],
+                [*within, sys.executable, "-m", "launch_scripts", *words, "--out", str(folder)],
                 stdout=out,
                 stderr=err,
                 env={
@@ -157,8 +159,8 @@ def commands_in(folder: Path) -> Iterator[Callable[..., Heliarch]]:
     """Start `heliarch` commands, each with a folder of its own; nothing outlives the context."""
     started: list[Heliarch] = []
 
-    def start(*words: str) -> Heliarch:
-        command = Heliarch(folder / f"run{len(started)}", *words)
+    def start(*words: str, within: Sequence[str] = ()) -> Heliarch:
+        command = Heliarch(folder / f"run{len(started)}", *words, within=within)
         started.append(command)
         return command
 

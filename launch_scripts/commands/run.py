@@ -115,7 +115,7 @@ def run(
     if server is not None and plan.keys_folder:
         from launch_scripts.scenarios.plant_keys import check_keys  # Its package is optional.
 
-        check_keys(plan)
+        check_keys(plan, [name for name in plan.tree.agents() if name not in plan.elsewhere])
     try:
         with view_for(console, plan, scenario.time.timezone) as view:
             for line in (scenario.title, *preparation.remarks):

@@ -92,7 +92,7 @@ def timing(
             "--to": end, "--seed": plant.seed, "--scheme": plant.scheme,
             "--actuator": plant.actuator, "--set": plant.settings, "--fault": plant.faults,
             "--external": machine.external, "--device": machine.devices,
-            "--base-port": machine.base_port,
+            "--base-port": machine.base_port, "--on": machine.on,
             "--cpus": machine.cpus, "--priority": machine.priority,
             "--page": page.page or None, "--page-port": page.page_port,
             "--page-address": page.page_address,

@@ -94,7 +94,7 @@ class _Launch:
         self._folder = folder
         self._view = view
         self._began_at = began_at
-        self._patience_s = preparation.options.external_timeout_s if plan.external else 0.0
+        self._patience_s = preparation.options.external_timeout_s if plan.elsewhere else 0.0
         self._armed_at = began_at
         self._watch = RunWatch(plan, view.say)
         self._stalled_at: float | None = None
@@ -113,7 +113,7 @@ class _Launch:
         refused = refusals(plan.machine, lockstep=plan.lockstep)
         for refusal in refused:
             view.say(refusal)
-        agents = tuple(agent for agent in plan.processes if agent not in plan.external)
+        agents = tuple(agent for agent in plan.processes if agent not in plan.elsewhere)
         if plan.lockstep and plan.standby:
             view.say("no standby in lockstep, where nothing has a deadline: give a --pace")
         view.say(f"starting {len(agents)} processes, logs in {self._folder.logs}")
@@ -296,7 +296,7 @@ class _Launch:
         heard = without_external(recorded)
         if self._restarts.counts:
             # Nobody knows what processes published that died: the numbers of messages tell.
-            lost = count_lost(self._folder.recording, plan.external)
+            lost = count_lost(self._folder.recording, plan.elsewhere)
             published |= {
                 name: max(published.get(name, 0), heard.get(name, 0) + lost[name])
                 for name in {*heard, *lost}

@@ -78,8 +78,8 @@ def make_keys(
     return MadeKeys(tuple(agents), expires, new_authority)
 
 
-def check_keys(plan: RunPlan) -> None:
-    """Refuse keys with which Zenoh would not open the links of a run.
+def check_keys(plan: RunPlan, agents: Iterable[str]) -> None:
+    """Refuse keys of some agents with which Zenoh would not open the links of a run.
 
     Raises
     ------
@@ -96,9 +96,9 @@ def check_keys(plan: RunPlan) -> None:
     _check_plant(folder / "ca.pem", authority, plan.plant)
     # Links close when a certificate expires. How long a run in lockstep takes nobody knows.
     ends = datetime.now(UTC) + timedelta(seconds=plan.cycles * plan.cycle_wall_ns / 1e9)
-    for agent in plan.tree.agents():
-        if agent not in plan.external:
-            _check(KeyFiles.of(folder, agent), agent, authority, ip_address(plan.address), ends)
+    for agent in agents:
+        address = ip_address(plan.addresses.get(agent, plan.address))
+        _check(KeyFiles.of(folder, agent), agent, authority, address, ends)
 
 
 def _check(

@@ -40,6 +40,7 @@ from studies.timing.sweep import (
 )
 from studies.timing.tables import (
     budgets_table,
+    clocks_tables,
     counts_table,
     failures,
     header_lines,
@@ -97,6 +98,7 @@ def run_page(reported: Reported) -> str:
             *([loop_figure(reported)] if report.cycles else []),
             *curves,
             *times_tables(report),
+            *clocks_tables(report.clocks),
             counts_table(report.tiers),
             *devices_tables(report.devices),
             budgets_table(report.verdicts),

@@ -19,6 +19,7 @@ from studies.tables import (
     word_column,
 )
 from studies.timing.budgets import Verdict
+from studies.timing.clocks import ACROSS, ClockOffset
 from studies.timing.durations import Distribution, Times
 from studies.timing.processes import ProcessTiming, TierTiming
 from studies.timing.report import Host, TimingReport
@@ -42,6 +43,7 @@ _JUDGED: Final = (*_TIMES, Column("p99 at most"), word_column("budget"))
 _HOPS: Final = (
     "(each time begins when what the agent waited for was published: it includes the hop)"
 )
+_ACROSS: Final = "* between two clocks: worked out from both, see the table of clocks"
 _DECIMALS: Final = {"ms": 3, "%": 2, "MB": 1, "": 0}
 """Decimals of a budget's figures, by unit."""
 
@@ -50,7 +52,8 @@ def print_report(report: TimingReport, console: Console, *, processes: bool) -> 
     """Print the tables of a run; with `processes` one for each process as well."""
     print_lines(console, [*header_lines(report), ""])
     devices = devices_tables(report.devices)
-    for table in (*times_tables(report), counts_table(report.tiers), *devices):
+    clocks = clocks_tables(report.clocks)
+    for table in (*times_tables(report), *clocks, counts_table(report.tiers), *devices):
         print_table(console, table)
     for process in report.processes if processes else ():
         print_table(console, _process_table(process))
@@ -162,7 +165,11 @@ def times_tables(report: TimingReport) -> list[Table]:
         rows = [(_name(row), *_figures(row.times), *_limit(row, report.verdicts)) for row in found]
         columns = _JUDGED if any(row[-1] != "" for row in rows) else _TIMES
         cut = tuple(row[: len(columns)] for row in rows)
-        tables.append(Table(f"{measure.capitalize()} [ms]", columns, cut, (MEANINGS[measure],)))
+        notes = (
+            MEANINGS[measure],
+            *([_ACROSS] if any(ACROSS in str(row[0]) for row in cut) else []),
+        )
+        tables.append(Table(f"{measure.capitalize()} [ms]", columns, cut, notes))
     return tables
 
 
@@ -180,6 +187,23 @@ def _limit(row: Times, verdicts: Iterable[Verdict]) -> tuple[Cell, Cell]:
         if (verdict.measure, verdict.of) == (row.measure, row.of) and verdict.line.endswith("p99"):
             return verdict.limit, verdict.passed
     return "", ""
+
+
+def clocks_tables(clocks: Sequence[ClockOffset]) -> list[Table]:
+    """Return the clocks of other hosts and devices, if there are any."""
+    columns = (
+        key_column("clock of"),
+        Column("agents"),
+        Column("ahead of the plant's", "ms", 3),
+        Column("+- at most", "ms", 3),
+    )
+    rows = tuple(
+        (one.name, len(one.agents), one.ahead_us / 1e3, one.within_us / 1e3) for one in clocks
+    )
+    note = (
+        "by the fastest messages each way; +- is half their round trip, and a hop if both are equal"
+    )
+    return [Table("Clocks", columns, rows, (note,))] if rows else []
 
 
 def counts_table(tiers: Sequence[TierTiming]) -> Table:

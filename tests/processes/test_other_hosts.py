@@ -1,0 +1,167 @@
+"""One run on two hosts: `heliarch node` starts the agents of the second, whatever its clock."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from command_line import done, refusal
+from running import Heliarch, assert_none_left, small_plant
+from slow_network import ADDRESSES, HOP_MS, slow_network
+from test_external import our_decisions, shown, verified
+from test_launch import decisions, summary_of
+
+from studies.timing.report import report_on
+
+pytestmark = pytest.mark.processes
+
+Start = Callable[..., Heliarch]
+
+SECOND = "127.0.0.2"
+"""On one machine, another address of the loopback interface stands for another host."""
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> str:
+    return small_plant(tmp_path / "plant")
+
+
+def node(
+    heliarch: Start, run: Heliarch, host: str, *words: str, **where: Sequence[str]
+) -> Heliarch:
+    """Start the other host's share of a run that is launched."""
+    plan = run.folder / "plan.json"
+    run.until(plan.exists, "a plan")
+    return heliarch("node", "--plan", str(plan), "--host", host, *words, **where)
+
+
+def test_the_agents_of_two_hosts_decide_what_those_of_one_decide(
+    heliarch: Start, plant: str
+) -> None:
+    lockstep = ("--duration", "25", "--seed", "3", "--scheme", "paper")
+    run = heliarch("launch", plant, *lockstep, "--on", f"{SECOND}=c2/*")
+    other = node(heliarch, run, SECOND)
+    assert run.wait() == 0, run.error_text()
+    assert other.wait() == 0, other.error_text()
+    assert decisions(run.folder) == our_decisions(plant)
+    found = verified(run)
+    assert found.equal
+    assert not found.left_out
+    summary = summary_of(run.folder)
+    assert (summary.lost, summary.wrong) == (0, ())
+    assert f"c2 ({SECOND}) is here" in run.output.read_text()
+    assert_none_left(run.folder)
+    assert_none_left(other.folder)
+
+
+def test_a_process_that_dies_on_another_host_is_started_again_there(
+    heliarch: Start, plant: str
+) -> None:
+    run = heliarch("launch", plant, "--duration", "1h", "--pace", "10", "--on", f"{SECOND}=c2/*")
+    other = node(heliarch, run, SECOND)
+    run.until_running()
+    other.process_of("c2/inv03").send_signal(signal.SIGKILL)
+    run.until(shown(run, f"c2/inv03 ({SECOND}) is back in cycle"), "news of its return")
+    run.process.send_signal(signal.SIGINT)
+    run.wait()
+    assert other.wait() == 0, other.error_text()
+    assert_none_left(other.folder)
+
+
+def test_a_node_ends_when_the_plant_disappears(heliarch: Start, plant: str) -> None:
+    run = heliarch("launch", plant, "--duration", "1h", "--pace", "10", "--on", f"{SECOND}=c2/*")
+    other = node(heliarch, run, SECOND)
+    run.until_running()
+    run.process.kill()
+    assert other.wait() == 1
+    assert "the plant is gone" in other.error_text()
+    assert_none_left(other.folder)
+
+
+# Over a network ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def hosts() -> Iterator[tuple[str, str]]:
+    """Two namespaces of the network."""
+    if os.geteuid() or not all(map(shutil.which, ("ip", "unshare"))):
+        pytest.skip("namespaces need root, iproute2 and util-linux")
+    names = f"heliarch-{os.getpid()}-1", f"heliarch-{os.getpid()}-2"
+    try:
+        network = slow_network(names)
+        network.__enter__()
+    except (OSError, subprocess.CalledProcessError) as error:
+        pytest.skip(f"no namespaces of the network here: {error}")
+    with ExitStack() as stack:
+        stack.push(network)
+        yield names
+
+
+def test_hosts_with_keys_a_slow_network_and_another_clock(
+    heliarch: Start, plant: str, hosts: tuple[str, str], tmp_path: Path
+) -> None:
+    here, there = ADDRESSES
+    keys, keys_there = tmp_path / "keys", tmp_path / "keys-there"
+    words = ("--address", here, "--address", there, "--out", str(keys))
+    done("keys", plant, *words)
+    keys_there.mkdir()
+    for path in (keys / "ca.pem", *keys.glob("c2.*"), *keys.glob("c2.inv*")):
+        shutil.copy(path, keys_there)
+    run = heliarch(
+        *("launch", plant, "--duration", "20", "--pace", "2", "--secure", "--keys", str(keys)),
+        *("--address", here, "--on", f"{there}=c2/*"),
+        within=("ip", "netns", "exec", hosts[0]),
+    )
+    later = ("unshare", "--time", "--monotonic", "1000000", "--fork", "--kill-child")
+    within = ("ip", "netns", "exec", hosts[1], *later)
+    other = node(heliarch, run, there, "--keys", str(keys_there), within=within)
+    assert run.wait() == 0, run.error_text()
+    assert other.wait() == 0, other.error_text()
+    assert "clock is ahead by 10000" in (other.folder / "logs" / "c2.log").read_text()
+    report = report_on(run.folder).report
+    (clock,) = report.clocks
+    assert (clock.name, len(clock.agents)) == (there, 3)
+    # The node's clock is set by messages that took so long.
+    assert HOP_MS <= clock.within_us / 1e3 < 2.0 * HOP_MS
+    assert clock.ahead_us / 1e3 == pytest.approx(-HOP_MS, abs=0.7 * HOP_MS)
+    across = [row for row in report.times if row.measure == "hop" and row.of.endswith(" *")]
+    assert {"residual *", "command *"} <= {row.of for row in across}
+    assert all(row.times.p50_us / 1e3 > 0.9 * HOP_MS for row in across)
+    assert verified(run).equal
+
+
+# Bad input ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def plan(plant: str, tmp_path: Path) -> Path:
+    """The plan of a run that has c1 on the second host."""
+    done("simulate", plant, "--duration", "2", "--out", tmp_path / "run")
+    path = tmp_path / "run" / "plan.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"addresses": {"c1": SECOND}}))
+    return path
+
+
+def test_a_node_refuses_a_plan_that_has_nothing_for_it(plan: Path) -> None:
+    assert f"--host: expected {SECOND}" in refusal("node", "--plan", plan, "--host", "127.0.0.3")
+    keys = ("--keys", plan.parent)
+    assert "--keys: expected" in refusal("node", "--plan", plan, "--host", SECOND, *keys)
+    plan.write_text(json.dumps(json.loads(plan.read_text()) | {"addresses": {}}))
+    assert "--host: expected a plan" in refusal("node", "--plan", plan, "--host", SECOND)
+
+
+def test_a_unit_for_systemd_runs_the_same_command(plan: Path, tmp_path: Path) -> None:
+    unit = done("node", "--plan", plan, "--host", SECOND, "--systemd")
+    (command,) = [line for line in unit.splitlines() if line.startswith("ExecStart=")]
+    assert command.endswith(f"node --plan {plan} --host {SECOND}")
+    if shutil.which("systemd-analyze") is not None:
+        path = tmp_path / "heliarch.service"
+        path.write_text(unit)
+        subprocess.run(["systemd-analyze", "verify", path], check=True)
