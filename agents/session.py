@@ -25,6 +25,8 @@ def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
         connect,
         lockstep=plan.lockstep,
         largest_bytes=_LARGEST_BYTES + _BYTES_PER_INVERTER * len(plan.inverters),
+        # zenoh-pico closes a link that is idle for 10 s.
+        signs_of_life=12 if plan.external else 4,
     )
     if plan.keys_folder:
         keys = KeyFiles.of(Path(plan.keys_folder), agent_of(agent))

@@ -119,6 +119,8 @@ class SessionSettings:
         For links of TLS. None: links of TCP.
     largest_bytes
         Larger messages are not received.
+    signs_of_life
+        On a link that is idle, in each lease.
     """
 
     namespace: str
@@ -132,6 +134,7 @@ class SessionSettings:
     access: dict[str, object] | None = None
     keys: KeyFiles | None = None
     largest_bytes: int = 1 << 20
+    signs_of_life: int = 4
 
     def config(self) -> zenoh.Config:
         """Return these settings as Zenoh wants them."""
@@ -159,6 +162,7 @@ class SessionSettings:
             # A plant of 1,000 inverters puts 200 kB at once on its link to the recorder.
             "transport/link/tx/queue/size/data": 16,
             "transport/link/tx/lease": LEASE_MS,
+            "transport/link/tx/keep_alive": self.signs_of_life,
             "transport/link/rx/max_message_size": self.largest_bytes,
             "transport/link/protocols": ["tcp" if self.keys is None else "tls"],
         }

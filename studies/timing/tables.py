@@ -194,16 +194,17 @@ def clocks_tables(clocks: Sequence[ClockOffset]) -> list[Table]:
     columns = (
         key_column("clock of"),
         Column("agents"),
-        Column("ahead of the plant's", "ms", 3),
-        Column("+- at most", "ms", 3),
+        Column("ahead", "ms", 3),
+        Column("+-", "ms", 3),
     )
     rows = tuple(
         (one.name, len(one.agents), one.ahead_us / 1e3, one.within_us / 1e3) for one in clocks
     )
-    note = (
-        "by the fastest messages each way; +- is half their round trip, and a hop if both are equal"
+    notes = (
+        "ahead of the plant's clock, by the fastest messages each way;",
+        "+- is half their round trip: so far off it may be if one way is slower than the other",
     )
-    return [Table("Clocks", columns, rows, (note,))] if rows else []
+    return [Table("Clocks", columns, rows, notes)] if rows else []
 
 
 def counts_table(tiers: Sequence[TierTiming]) -> Table:
