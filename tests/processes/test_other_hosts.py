@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import signal
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from command_line import done, refusal
+from plans_by_hand import plan_at_noon
 from running import Heliarch, assert_none_left, small_plant
 from slow_network import ADDRESSES, HOP_MS, slow_network
 from test_external import our_decisions, shown, verified
@@ -137,31 +137,19 @@ def test_hosts_with_keys_a_slow_network_and_another_clock(
     assert verified(run).equal
 
 
-# Bad input ---------------------------------------------------------------------------------------
+# The command --------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def plan(plant: str, tmp_path: Path) -> Path:
-    """The plan of a run that has c1 on the second host."""
-    done("simulate", plant, "--duration", "2", "--out", tmp_path / "run")
-    path = tmp_path / "run" / "plan.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"addresses": {"c1": SECOND}}))
-    return path
+def test_a_plan_without_other_hosts_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "plan.json").write_bytes(plan_at_noon().as_json())
+    line = refusal("node", "--plan", tmp_path / "plan.json", "--host", SECOND)
+    assert "--host: expected a plan with agents on other hosts" in line
 
 
-def test_a_node_refuses_a_plan_that_has_nothing_for_it(plan: Path) -> None:
-    assert f"--host: expected {SECOND}" in refusal("node", "--plan", plan, "--host", "127.0.0.3")
-    keys = ("--keys", plan.parent)
-    assert "--keys: expected" in refusal("node", "--plan", plan, "--host", SECOND, *keys)
-    plan.write_text(json.dumps(json.loads(plan.read_text()) | {"addresses": {}}))
-    assert "--host: expected a plan" in refusal("node", "--plan", plan, "--host", SECOND)
-
-
-def test_a_unit_for_systemd_runs_the_same_command(plan: Path, tmp_path: Path) -> None:
-    unit = done("node", "--plan", plan, "--host", SECOND, "--systemd")
-    (command,) = [line for line in unit.splitlines() if line.startswith("ExecStart=")]
-    assert command.endswith(f"node --plan {plan} --host {SECOND}")
+def test_a_unit_for_systemd_runs_the_same_command(tmp_path: Path) -> None:
+    plan, path = tmp_path / "plan.json", tmp_path / "heliarch.service"
+    plan.write_bytes(plan_at_noon(addresses={"c1": SECOND}).as_json())
+    path.write_text(done("node", "--plan", plan, "--host", SECOND, "--systemd"))
+    assert f"node --plan {plan} --host {SECOND}\n" in path.read_text()
     if shutil.which("systemd-analyze") is not None:
-        path = tmp_path / "heliarch.service"
-        path.write_text(unit)
         subprocess.run(["systemd-analyze", "verify", path], check=True)

@@ -18,8 +18,9 @@ from typing import Final, TextIO
 import psutil
 import pytest
 from command_line import heliarch, process, refusal
+from msgspec.structs import replace
 from recordings_by_hand import whole_run, write_run
-from replayed_runs import run_in_memory, write
+from replayed_runs import PLAN, run_in_memory, write
 from running import small_plant
 from timed_recordings import cycle, recorded
 from typer.testing import CliRunner
@@ -33,6 +34,7 @@ RUN: Final = "RUN"
 
 QUICK: Final[dict[str, tuple[str, ...]]] = {
     "launch": ("small.toml", "--duration", "5"),
+    "node": ("--plan", "there.json", "--host", "127.0.0.2", "--systemd"),
     "simulate": ("small.toml", "--duration", "5"),
     "timing": ("timed",),
     "inverters": ("small.toml", "--duration", "1", "--port", "0"),
@@ -63,6 +65,7 @@ QUICK: Final[dict[str, tuple[str, ...]]] = {
 
 LONG: Final[dict[str, tuple[signal.Signals, tuple[str, ...]]]] = {
     "launch": (SIGINT, ("small.toml", "--pace", "1")),
+    "node": (SIGTERM, ("--plan", "there.json", "--host", "127.0.0.2")),
     "simulate": (SIGTERM, ("small.toml", "--pace", "1")),
     "timing": (SIGTERM, ("small.toml", "--duration", "10m")),
     "conform": (SIGINT, ("c1/inv01", "--scenario", "small.toml", "--command", "sleep 100")),
@@ -82,9 +85,12 @@ LONG: Final[dict[str, tuple[signal.Signals, tuple[str, ...]]]] = {
 
 @pytest.fixture(scope="module")
 def master(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a scenario and two recorded runs."""
+    """A folder with a scenario, a plan for another host, and two recorded runs."""
     path = tmp_path_factory.mktemp("master")
     small_plant(path)
+    ports = dict.fromkeys(PLAN.links.listening, 7_999)
+    there = replace(PLAN, addresses={"c1": "127.0.0.2"}, tcp_ports=ports)
+    (path / "there.json").write_bytes(there.as_json())
     write(path / "run", run_in_memory())
     (path / "timed").mkdir()
     recorded(path / "timed", cycle(0), cycle(1))
@@ -104,7 +110,7 @@ def words_of(name: str, folder: Path) -> list[str]:
 
 
 def with_json(names: list[str]) -> list[str]:
-    return [name for name in names if name not in {"view", "report", "inverters"}]
+    return [name for name in names if name not in {"view", "report", "inverters", "node"}]
 
 
 def test_every_command_is_held_to_the_contract() -> None:
@@ -156,7 +162,11 @@ BAD: Final = [
     ("launch", "--from", "noon"),
     ("launch", "--out", "run"),
     ("launch", "--external", "c9"),
+    ("launch", "--on", "c2/*"),
     ("launch", "--cpus", "x"),
+    ("node", "--plan", "nowhere.json"),
+    ("node", "--host", "127.0.0.3"),
+    ("node", "--keys", "run"),
     ("launch", "--device", "c9=modbus://10.0.0.7/1"),
     ("inverters", "--port", "-1"),
     ("inverters", "--from", "noon"),
