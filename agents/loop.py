@@ -445,9 +445,12 @@ class AgentLoop(Generic[S]):
     def _may_take_over(self, stage: Stage, now_ns: int) -> bool:
         """Whether the agent's other process has missed its deadline.
 
-        A process that comes late to a deadline itself knows nothing of the other one.
+        A process that comes late to a deadline itself knows nothing of the other one. One that has
+        just joined leaves the standby a cycle to speak first: both would be of one incarnation.
         """
         if not self.silent or self.deadline_ns is None or self.waiting.isdisjoint(self._signs):
+            return False
+        if self.incarnation and self.cycle <= self.incarnation + 1:
             return False
         newest = max(self._inputs[port].incarnation for port in self._signs)
         return self.cycle > newest and now_ns <= self.deadline_ns + self._grace_ns(stage)

@@ -284,6 +284,19 @@ def test_messages_of_cycle_0_may_overtake_the_beginning_of_the_run() -> None:
     assert (loop.cycle, loop.is_complete) == (0, True)
 
 
+def test_one_that_has_just_joined_leaves_its_standby_a_cycle_to_speak_first() -> None:
+    loop = AgentLoop(Clerk(), plan(cycle_wall_ns=REAL_TIME, standby=("c1",)))
+    loop.hear(*dispatch(20, 1.0, 200.0), 0)
+    spoke = {}
+    for cycle in (20, 21, 22):
+        for port, message in both(cycle):
+            loop.hear(port, message, 0)
+        assert loop.deadline_ns is not None
+        loop.close_stage(loop.deadline_ns)
+        spoke[cycle] = not loop.silent
+    assert spoke == {20: False, 21: False, 22: True}
+
+
 def test_whoever_wakes_late_goes_to_the_cycle_under_way() -> None:
     clerk = AtWork(ON_THE_CLOCK, Clerk())
     clerk.hear(*both(0))
