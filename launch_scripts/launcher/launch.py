@@ -20,7 +20,7 @@ from agents.events import (
 from agents.machine import refusals
 from agents.plan import RunPlan
 from bus_schemas.errors import FailureError
-from bus_schemas.tree import PLANT, RECORDER, some_of
+from bus_schemas.tree import PLANT, RECORDER, agent_of, some_of
 from launch_scripts.launcher.fork_requests import Start
 from launch_scripts.launcher.interruption import Interruption, interruptible
 from launch_scripts.launcher.live_view import View
@@ -268,9 +268,7 @@ class _Launch:
         if late:
             names = some_of([child.agent for child in late])
             raise RunFailure(with_log(late[0], f"{names} did not end with the run"))
-        published = merge_counts(
-            [child.finished.published for child in children if child.finished is not None]
-        )
+        published = self._published(children)
         recorder = children[RECORDER]
         # What a process that died has published nobody knows: wait until nothing more comes.
         total = _UNKNOWN if self._restarts.counts else sum(published.values())
@@ -278,6 +276,14 @@ class _Launch:
         if children.await_exit([recorder], 2.0 * longest_s) or recorder.recorded is None:
             raise RunFailure(with_log(recorder, "the recorder did not close its file"))
         return recorder.recorded
+
+    def _published(self, children: Children) -> dict[str, int]:
+        """Return what the processes have published, by signal.
+
+        What a standby says for an agent on another host counts as that agent's.
+        """
+        own = [child for child in children if agent_of(child.agent) not in self._plan.elsewhere]
+        return merge_counts([child.finished.published for child in own if child.finished])
 
     def _summary(
         self, children: Children, recorded: Recorded, ended_at: float, refused: tuple[str, ...]
@@ -292,7 +298,7 @@ class _Launch:
         for child in children:
             if child.memory.resident_mb:  # A short run may be over before all were looked at.
                 memory.setdefault(child.kind, []).append(child.memory)
-        published = merge_counts([account.published for account in accounts])
+        published = self._published(children)
         heard = without_external(recorded)
         if self._restarts.counts:
             # Nobody knows what processes published that died: the numbers of messages tell.

@@ -61,17 +61,22 @@ def test_the_agents_of_two_hosts_decide_what_those_of_one_decide(
     assert_none_left(other.folder)
 
 
-def test_a_process_that_dies_on_another_host_is_started_again_there(
+def test_a_standby_here_and_a_restart_there_follow_a_death_on_another_host(
     heliarch: Start, plant: str
 ) -> None:
-    run = heliarch("launch", plant, "--duration", "1h", "--pace", "10", "--on", f"{SECOND}=c2/*")
+    words = ("--duration", "1h", "--pace", "2", "--set", 'standby=["supervisors"]')
+    run = heliarch("launch", plant, *words, "--on", f"{SECOND}=c2/*")
     other = node(heliarch, run, SECOND)
     run.until_running()
-    other.process_of("c2/inv03").send_signal(signal.SIGKILL)
-    run.until(shown(run, f"c2/inv03 ({SECOND}) is back in cycle"), "news of its return")
+    other.process_of("c2").send_signal(signal.SIGKILL)
+    run.until(shown(run, "c2+standby took over in cycle"), "news of the standby")
+    run.until(shown(run, f"c2 ({SECOND}) is back in cycle"), "news of its return")
     run.process.send_signal(signal.SIGINT)
     run.wait()
     assert other.wait() == 0, other.error_text()
+    summary = summary_of(run.folder)
+    assert summary.takeovers["c2"] >= 1
+    assert summary.lost_by_processes == 0
     assert_none_left(other.folder)
 
 
@@ -129,7 +134,7 @@ def test_hosts_with_keys_a_slow_network_and_another_clock(
     (clock,) = report.clocks
     assert (clock.name, len(clock.agents)) == (there, 3)
     # The node's clock is set by messages that took so long.
-    assert HOP_MS <= clock.within_us / 1e3 < 2.0 * HOP_MS
+    assert 0.9 * HOP_MS <= clock.within_us / 1e3 < 2.0 * HOP_MS
     assert clock.ahead_us / 1e3 == pytest.approx(-HOP_MS, abs=0.7 * HOP_MS)
     across = [row for row in report.times if row.measure == "hop" and row.of.endswith(" *")]
     assert {"residual *", "command *"} <= {row.of for row in across}
