@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from bus_schemas.codec import decode
 from bus_schemas.messages import Dispatch, Message, Notice, Production, Run
-from bus_schemas.signals import DISPATCH, IMPP, NOTICE, PRODUCTION, RUN, Port
+from bus_schemas.signals import DISPATCH, IMPP, NOTICE, PRODUCTION, RUN, TELEMETRY, Port
 from bus_schemas.tree import PLANT, RECORDER, agent_name
 from live_page.event_log import EventLog
 from recordings.inspect.health import FAILURE_NAME
@@ -83,8 +83,13 @@ class RunFollower:
         self._lasts: list[int] = []
         self.ports: dict[int, Port[Message]] = {}
         self._next_sequence: dict[int, int] = {}
-        self._heard = dict.fromkeys(self.plan.tree.nodes, -1)
-        self._silent: set[str] = set()
+        # Each node states its IMPP in each cycle; a real inverter that is gone has no telemetry.
+        self._names: dict[Port[Message], str] = {
+            **{IMPP.of(node): agent_name(node) for node in self.plan.tree.nodes},
+            **{TELEMETRY.of(node): f"device {node}" for node, _ in self.plan.devices},
+        }
+        self._heard = dict.fromkeys(self._names, -1)
+        self._silent: set[Port[Message]] = set()
         self._power_kw = {name: np.full(self.plan.cycles, np.nan) for name in _POWERS}
         for rule in self.plan.faults:
             self.events.add("fault", 0, "network", f"fault rule: {rule}")
@@ -209,8 +214,10 @@ class RunFollower:
             if sequence != self._next_sequence.get(channel, 0):
                 self._note_jump(channel, port, sequence, cycle_of(payload))
             self._next_sequence[channel] = sequence + 1
-            if port.signal in _FOLLOWED:
-                with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
+            with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
+                if port in self._names:
+                    self._hear(port, cycle_of(payload))
+                elif port.signal in _FOLLOWED:
                     self._see(port, payload)
             begin, end = begin or payload, payload
         if begin:
@@ -220,9 +227,6 @@ class RunFollower:
         self._note_silence()
 
     def _see(self, port: Port[Message], payload: bytes) -> None:
-        if port.signal is IMPP:
-            self._hear(port.node, cycle_of(payload))
-            return
         message = decode(port.signal, payload)
         cycle = message.cycle
         match message:
@@ -243,22 +247,21 @@ class RunFollower:
                 self._stop_cycle = cycle
                 self.events.add("run", cycle, PLANT, f"the run is over after {cycle:,} cycles")
 
-    def _hear(self, node: str, cycle: int) -> None:
-        """Note that a node has stated its IMPP, which each node does in each cycle."""
-        before = self._heard[node]
-        if node in self._silent:
-            self._silent.discard(node)
-            self.events.add("back", cycle, agent_name(node), "heard again")
+    def _hear(self, port: Port[Message], cycle: int) -> None:
+        """Note a message that comes in each cycle."""
+        before, name = self._heard[port], self._names[port]
+        if port in self._silent:
+            self._silent.discard(port)
+            self.events.add("back", cycle, name, "heard again")
         elif cycle > before + 1 + self.plan.hold_cycles and before >= 0:
-            text = f"silent up to cycle {cycle - 1:,}"
-            self.events.add("silent", before + 1, agent_name(node), text)
-        self._heard[node] = max(cycle, before)
+            self.events.add("silent", before + 1, name, f"silent up to cycle {cycle - 1:,}")
+        self._heard[port] = max(cycle, before)
 
     def _note_silence(self) -> None:
-        for node, cycle in self._heard.items():
-            if self.cycles - 1 > cycle + self.plan.hold_cycles and node not in self._silent:
-                self._silent.add(node)
-                self.events.add("silent", cycle + 1, agent_name(node), "silent")
+        for port, cycle in self._heard.items():
+            if self.cycles - 1 > cycle + self.plan.hold_cycles and port not in self._silent:
+                self._silent.add(port)
+                self.events.add("silent", cycle + 1, self._names[port], "silent")
 
     def _note_jump(self, channel: int, port: Port[Message], sequence: int, cycle: int) -> None:
         """Note what a message tells whose number is not the next one on its key."""
@@ -277,5 +280,5 @@ class RunFollower:
             self.events.add("failure", self.cycles, "launcher", text)
 
 
-_FOLLOWED: Final = frozenset({DISPATCH, PRODUCTION, NOTICE, RUN, IMPP})
-"""Signals that are read of each cycle."""
+_FOLLOWED: Final = frozenset({DISPATCH, PRODUCTION, NOTICE, RUN})
+"""Signals of which each message is read."""

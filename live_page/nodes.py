@@ -12,7 +12,7 @@ from agents.cycle import kind_of, stage_of, stage_place
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message, Production, Setpoint
 from bus_schemas.missing import Missing, parse_missing
-from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, Port
+from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, TELEMETRY, Port
 from bus_schemas.tree import PLANT, ROOT, agent_name, depth
 from live_page.follower import MOST_CHUNKS, RunFollower
 from recordings.read.chunks import ChunkPlace, DamagedChunkError, messages_in, unpack_chunk
@@ -77,6 +77,11 @@ class NodeStates:
             "nodes": self._powers(found, self._tree.nodes),
             "help": self._help(found),
             "agents": self._agents(cycle, found, newest),
+            "unread": [
+                self._place[node]
+                for node, _ in self._plan.devices
+                if TELEMETRY.of(node) not in found
+            ],
             "timing": self._timing(cycle, found),
         }
 

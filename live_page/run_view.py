@@ -21,6 +21,7 @@ from recordings.export.viewer_layout import viewer_layout
 from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
 from studies.metrics import RunMetrics
 from studies.metrics.figures_of_merit import shown_in
+from sunspec.process import read_accounts
 
 UPDATE_S: Final = 0.1
 """Time between two updates of a page."""
@@ -107,6 +108,7 @@ class RunView:
             return None
         plan, tree = states.follower.plan, states.follower.plan.tree
         place = {node: number for number, node in enumerate(tree.nodes)}
+        devices = dict(plan.devices)
         return {
             "run": plan.run_id,
             "plant": plan.plant,
@@ -118,6 +120,7 @@ class RunView:
                     "rating_kw": tree.rating_kw(node),
                     "inverter": tree.is_leaf(node),
                     "external": node in plan.external,
+                    "device": devices.get(node),
                 }
                 for node in tree.nodes
             ],
@@ -246,6 +249,8 @@ class RunView:
         self._slow_at, self._slow_cycles = now, follower.cycles
         if is_new:
             self._slow["figures"] = _figures(follower.metrics())
+            accounts = read_accounts(self.path.parent)
+            self._slow["devices"] = {account.node: account for account in accounts}
         if not is_over:
             self._processes = self._processes or RunProcesses(self.path.parent, states.agents)
             self._slow["processes"] = self._processes.use()

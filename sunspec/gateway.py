@@ -22,12 +22,13 @@ from hdrh.histogram import HdrHistogram
 from agents.plan import RunPlan
 from sim_plant.devices import Pipes, Reading
 from sunspec.client import DeviceError, DeviceRefusedError, SunSpecInverter
-from sunspec.process import Accounts, Connected, DeviceAccount, Event, Latency, News
+from sunspec.process import Connected, DeviceAccount, Event, Latency, News, write_accounts
 
 _READ_AT: Final = 0.75
 """When an inverter is read, as a share of the cycle after the command came."""
 
 _RETRY_S: Final = 1.0
+_ACCOUNTS_S: Final = 2.0
 _LONGEST_US: Final = 60_000_000
 _SMALL_CHANGE: Final = 1e-4
 """Share of the rating that no inverter can tell apart: 0.01 %."""
@@ -66,13 +67,23 @@ class Gateway:
             for link in self._links.values():
                 link.begin(pipes)
             self._tell(Connected())
-            while until not in select.select([until, pipes.commands], [], [])[0]:
+            told_at = 0.0
+            while until not in select.select([until, pipes.commands], [], [], _ACCOUNTS_S)[0]:
                 for place, limit_kw, revert_kw in pipes.take_commands():
                     self._links[place].command((limit_kw, revert_kw))
-            accounts = tuple(link.end() for link in self._links.values())
+                if time.monotonic() > told_at + _ACCOUNTS_S:
+                    told_at = time.monotonic()
+                    self._account(folder)
+            for link in self._links.values():
+                link.stop()
+            for link in self._links.values():
+                link.join()
+            self._account(folder)
         finally:
             pipes.close()
-        self._tell(Accounts(accounts))
+
+    def _account(self, folder: Path) -> None:
+        write_accounts(folder, tuple(link.account() for link in self._links.values()))
 
 
 class _Link:
@@ -97,7 +108,7 @@ class _Link:
         self._written_kw: float | None = None
         self._written_at = 0.0
         self._state = ""
-        self._refused = self._breaks = 0
+        self._late = self._refused = self._breaks = 0
         self._gone_at: float | None = None
         self._said = ""
         self._took = {what: HdrHistogram(1, _LONGEST_US, 2) for what in ("read", "write")}
@@ -124,21 +135,21 @@ class _Link:
         self._commands.append(limit)
         self._wake.set()
 
-    def end(self) -> DeviceAccount:
-        """Stop; return what was measured."""
+    def stop(self) -> None:
+        """Ask the thread to end."""
         self._over.set()
         self._wake.set()
+
+    def join(self) -> None:
+        """Wait until it has, unless the inverter keeps it."""
         self._thread.join(_RETRY_S)
-        reads, writes = (
-            Latency(
-                took.get_total_count(),
-                took.get_value_at_percentile(50.0) / 1e3,
-                took.get_value_at_percentile(99.0) / 1e3,
-            )
-            for took in (self._took["read"], self._took["write"])
-        )
-        gone_s = None if self._gone_at is None else time.monotonic() - self._gone_at
-        address, counts = self._inverter.address, (self._refused, self._breaks)
+
+    def account(self) -> DeviceAccount:
+        """Return what was measured so far."""
+        reads, writes = map(_latency, self._took.values())
+        gone_at = self._gone_at
+        gone_s = None if gone_at is None else time.monotonic() - gone_at
+        address, counts = self._inverter.address, (self._late, self._refused, self._breaks)
         return DeviceAccount(self._node, address, reads, writes, *counts, gone_s)
 
     def _run(self) -> None:
@@ -151,8 +162,10 @@ class _Link:
                     read_at = time.monotonic() + _READ_AT * self._cycle_s
                     self._write(self._commands.pop())
                 if time.monotonic() >= read_at:
+                    late_at = read_at + (1.0 - _READ_AT) * self._cycle_s
                     read_at = max(read_at + self._cycle_s, time.monotonic())
                     self._read()
+                    self._late += time.monotonic() > late_at
             except DeviceRefusedError as error:
                 self._refused += 1
                 self._written_kw = None  # The next command is written in any case.
@@ -212,3 +225,8 @@ class _Link:
         if text != self._said:
             self._said = text
             self._tell(News(f"{self._node}: {text}"))
+
+
+def _latency(took: HdrHistogram) -> Latency:
+    p50_us, p99_us = map(took.get_value_at_percentile, (50.0, 99.0))
+    return Latency(took.get_total_count(), p50_us / 1e3, p99_us / 1e3)

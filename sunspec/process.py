@@ -21,6 +21,7 @@ from agents.plan import RunPlan
 from bus_schemas.errors import FailureError, InputError
 
 _ENDING_S: Final = 5.0
+_ACCOUNTS: Final = "devices.json"
 
 
 class Latency(msgspec.Struct, frozen=True):
@@ -34,16 +35,23 @@ class Latency(msgspec.Struct, frozen=True):
 class DeviceAccount(msgspec.Struct, frozen=True):
     """A real inverter in a run: how long it took to answer, how often it refused or was gone.
 
-    `gone_s` is how long it had been gone at the end; None if it was there.
+    `late` counts readings that came after the end of their cycle. `gone_s` is how long it has been
+    gone; None if it is there.
     """
 
     node: str
     address: str
     reads: Latency
     writes: Latency
+    late: int
     refused: int
     breaks: int
     gone_s: float | None
+
+    @property
+    def is_troubled(self) -> bool:
+        """Whether it was late, refused anything, or was gone."""
+        return any((self.late, self.refused, self.breaks))
 
 
 class Connected(msgspec.Struct, frozen=True, tag=True):
@@ -62,15 +70,24 @@ class News(msgspec.Struct, frozen=True, tag=True):
     text: str
 
 
-class Accounts(msgspec.Struct, frozen=True, tag=True):
-    """The last event."""
-
-    devices: tuple[DeviceAccount, ...]
-
-
-Event: TypeAlias = Connected | Refused | News | Accounts
+Event: TypeAlias = Connected | Refused | News
 
 _decoder = msgspec.json.Decoder(Event)
+
+
+def write_accounts(folder: Path, accounts: tuple[DeviceAccount, ...]) -> None:
+    """Leave the accounts so far in a run's folder."""
+    part = folder / ".devices.part"
+    part.write_bytes(msgspec.json.encode(accounts))
+    part.replace(folder / _ACCOUNTS)
+
+
+def read_accounts(folder: Path) -> tuple[DeviceAccount, ...]:
+    """Return the accounts of the real inverters of the run in a folder; none if it had none."""
+    with suppress(OSError, msgspec.DecodeError):
+        document = (folder / _ACCOUNTS).read_bytes()
+        return msgspec.json.decode(document, type=tuple[DeviceAccount, ...])
+    return ()
 
 
 def log_in(folder: Path) -> Path:
@@ -96,7 +113,7 @@ class GatewayProcess:
             process_group=0,  # Ctrl-C in a terminal is for the launcher.
         )
         self._rest = b""
-        self._log: Path | None = None
+        self._folder: Path | None = None
         try:
             self._tell(msgspec.json.encode(plan))
             first = self._events(wait=True)
@@ -122,7 +139,7 @@ class GatewayProcess:
 
     def join(self, folder: Path) -> None:
         """Let the plant's process find the gateway in a run's folder."""
-        self._log = log_in(folder)
+        self._folder = folder
         self._tell(str(folder.absolute()).encode())
         self._events(wait=True)
 
@@ -140,12 +157,9 @@ class GatewayProcess:
 
     def end(self) -> tuple[DeviceAccount, ...]:
         """End the gateway; return what it measured."""
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        while True:
-            for event in self._events(wait=True):
-                if isinstance(event, Accounts):
-                    return event.devices
+        assert self._folder is not None
+        self.__exit__()
+        return read_accounts(self._folder)
 
     def _tell(self, line: bytes) -> None:
         assert self._process.stdin is not None
@@ -168,4 +182,6 @@ class GatewayProcess:
         code = self._process.wait()
         how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
         text = f"the gateway to the devices (process {self._process.pid}) {how}"
-        return f"{text} in the middle of the run; its log: {self._log}" if self._log else text
+        if self._folder is None:
+            return text
+        return f"{text} in the middle of the run; its log: {log_in(self._folder)}"

@@ -1,7 +1,7 @@
 """SunSpec registers of a simulated inverter, and of the meter of a plant.
 
 A unit is a list of models from address 40000 on. Measurements are worked out when they are read;
-what is written to the points of a limit is what the inverter is told.
+what is written to the points of a limit, or to `Conn`, is what the inverter is told.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from math import ceil, inf, log10, sqrt
 from typing import Any, Final, TypeAlias
 
+import msgspec
 from pymodbus.constants import ExcCodes
 from pymodbus.simulator import DataType, SimData, SimDevice
 from sunspec2.device import Model
 
-from sunspec.limited_inverter import LimitedInverter, LimitSettings
+from sunspec.limited_inverter import LimitedInverter
 
 Points: TypeAlias = Mapping[str, float | str]
 
@@ -27,6 +28,7 @@ _UNSIGNED: Final = 65_535
 
 _LIMIT_POINTS: Final = {
     123: {
+        "Conn": "connected",
         "WMaxLim_Ena": "enabled",
         "WMaxLimPct": "percent",
         "WMaxLimPct_RvrtTms": "revert_s",
@@ -37,9 +39,24 @@ _LIMIT_POINTS: Final = {
         "WMaxLimPctRvrtTms": "revert_s",
         "WMaxLimPctEnaRvrt": "revert_enabled",
         "WMaxLimPctRvrt": "revert_percent",
+        "WSetEna": "set_enabled",
+        "WSetMod": "set_in_w",
+        "WSet": "set_w",
     },
 }
 """Points that may be written, and the fields of `LimitSettings` that they are."""
+
+_RANGES: Final = {
+    "percent": (0.0, 100.0),
+    "revert_percent": (0.0, 100.0),
+    "revert_s": (0.0, inf),
+    "set_in_w": (1.0, 1.0),
+    "set_w": (0.0, inf),
+}
+"""Of the values of fields; of all others from 0 to 1."""
+
+_NO_REVERT: Final = {"revert_enabled": False, "revert_percent": 100.0}
+"""What a limit by model 123, which has no such points, means for those of 704."""
 
 
 class Registers:
@@ -155,13 +172,16 @@ class InverterRegisters(Registers):
             point.set_mb(data[2 * place : 2 * (place + point.len)])
             told[known[name]] = point.cvalue
         for field, value in told.items():
-            if value is None or not 0 <= value <= _highest(field):
+            low, high = _RANGES.get(field, (0.0, 1.0))
+            if value is None or not low <= value <= high:
                 return ExcCodes.ILLEGAL_VALUE
-        settings = LimitSettings(
-            **{field: getattr(self._inverter.settings, field) for field in known.values()} | told
-        )
+        renews = not told.keys() <= {"connected", "set_enabled", "set_in_w", "set_w"}
+        if renews and number == 123:
+            told |= _NO_REVERT
         self._on_limit()
-        self._inverter.told(settings, at)
+        self._inverter.advance(at)  # It may have reverted meanwhile.
+        settings = msgspec.structs.replace(self._inverter.settings, **told)
+        self._inverter.told(settings, at, renews=renews)
         return None
 
     def _inverter_points(self, number: int, at: float) -> Points:
@@ -224,16 +244,17 @@ def _measurements(inverter: LimitedInverter, at: float) -> Points:
         "Tmp_SF": 0, "A": amperes, "AphA": amperes, "AphB": amperes, "AphC": amperes,
         "PhVphA": volts, "PhVphB": volts, "PhVphC": volts, "W": watts, "Hz": 60,
         "WH": 1e3 * inverter.energy_kwh, "TmpCab": 40, "Evt1": 0, "Evt2": 0,
-        "St": 2 if inverter.possible_kw(at) <= 0.0 else 5 if _throttled(inverter, at) else 4,
+        "St": _state(inverter, at, off=1, sleeping=2, running=4, throttled=5),
     }  # fmt: skip
 
 
 def _der_measurements(inverter: LimitedInverter, at: float) -> Points:
-    throttled = _throttled(inverter, at)
+    throttled, connected = _throttled(inverter, at), inverter.settings.connected
     return {
         "W_SF": scale(1e3 * inverter.rating_kw), "TotWh_SF": 0, "Hz_SF": -2, "V_SF": 0,
-        "ACType": 2, "St": 1, "ConnSt": 1, "Alrm": 0, "W": 1e3 * inverter.power_kw(at),
-        "InvSt": 1 if inverter.possible_kw(at) <= 0.0 else 4 if throttled else 3,
+        "ACType": 2, "St": connected, "ConnSt": connected, "Alrm": 0,
+        "W": 1e3 * inverter.power_kw(at),
+        "InvSt": _state(inverter, at, off=0, sleeping=1, running=3, throttled=4),
         "Hz": 60, "LLV": _VOLTS, "TotWhInj": 1e3 * inverter.energy_kwh,
         "ThrotPct": ceil(throttled), "ThrotSrc": 1 if throttled else 0,
     }  # fmt: skip
@@ -262,14 +283,15 @@ def _settings(inverter: LimitedInverter, at: float) -> Points:
 def _status(inverter: LimitedInverter, at: float) -> Points:
     return {
         "WAval_SF": scale(1e3 * inverter.rating_kw, _UNSIGNED), "PVConn": 7, "StorConn": 0,
-        "ECPConn": 2, "ActWh": round(1e3 * inverter.energy_kwh),
+        "ECPConn": 2 if inverter.settings.connected else 1,
+        "ActWh": round(1e3 * inverter.energy_kwh),
         "WAval": 1e3 * inverter.possible_kw(at), "StActCtl": inverter.settings.enabled,
     }  # fmt: skip
 
 
 def _controls(inverter: LimitedInverter, at: float) -> Points:
     return {
-        "WMaxLimPct_SF": -2, "OutPFSet_SF": -2, "Conn": 1, "OutPFSet": 1, "OutPFSet_Ena": 0,
+        "WMaxLimPct_SF": -2, "OutPFSet_SF": -2, "OutPFSet": 1, "OutPFSet_Ena": 0,
         "VArPct_Ena": 0, **_limit_points(123, inverter),
     }  # fmt: skip
 
@@ -282,7 +304,7 @@ def _capacity(inverter: LimitedInverter, at: float) -> Points:
 def _der_controls(inverter: LimitedInverter, at: float) -> Points:
     ramp = inverter.ramp_percent_per_s
     return {
-        "WMaxLimPct_SF": -2, **_limit_points(704, inverter),
+        "WMaxLimPct_SF": -2, "WSet_SF": 0, **_limit_points(704, inverter),
         "WMaxLimPctRvrtRem": ceil(inverter.revert_in_s(at)),
         **({} if ramp == inf else {"WRmp": round(ramp), "WRmpRef": 1}),
     }  # fmt: skip
@@ -306,14 +328,20 @@ def _limit_points(number: int, inverter: LimitedInverter) -> Points:
     return {name: getattr(settings, field) for name, field in _LIMIT_POINTS[number].items()}
 
 
+def _state(
+    inverter: LimitedInverter, at: float, *, off: int, sleeping: int, running: int, throttled: int
+) -> int:
+    if not inverter.settings.connected:
+        return off
+    if inverter.possible_kw(at) <= 0.0:
+        return sleeping
+    return throttled if _throttled(inverter, at) else running
+
+
 def _throttled(inverter: LimitedInverter, at: float) -> float:
     """Return what a limit holds back, in per cent of the rating."""
     held_kw = inverter.possible_kw(at) - inverter.power_kw(at)
     return 100.0 * held_kw / inverter.rating_kw if held_kw > 1e-6 * inverter.rating_kw else 0.0
-
-
-def _highest(field: str) -> float:
-    return {"percent": 100.0, "revert_percent": 100.0, "revert_s": inf}.get(field, 1.0)
 
 
 def _amperes(watts: float) -> float:

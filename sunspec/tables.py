@@ -3,24 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
-
-import msgspec
 
 from studies.tables import Column, Table, key_column
 from sunspec.process import DeviceAccount
-
-
-class _Summary(msgspec.Struct):
-    devices: tuple[DeviceAccount, ...] = ()
-
-
-def devices_in(summary: Path) -> tuple[DeviceAccount, ...]:
-    """Return the real inverters that the summary of a run tells of."""
-    try:
-        return msgspec.json.decode(summary.read_bytes(), type=_Summary).devices
-    except (OSError, msgspec.DecodeError):
-        return ()
 
 
 def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:
@@ -32,6 +17,7 @@ def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:
             for what in ("reads", "writes")
             for figure, unit, decimals in (("", "", 0), (" p50", "ms", 1), (" p99", "ms", 1))
         ),
+        Column("late"),
         Column("refused"),
         Column("breaks"),
         Column("gone for", "s", 1),
@@ -41,12 +27,13 @@ def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:
             device.node,
             *(device.reads.count, device.reads.p50_ms, device.reads.p99_ms),
             *(device.writes.count, device.writes.p50_ms, device.writes.p99_ms),
-            *(device.refused, device.breaks, device.gone_s),
+            *(device.late, device.refused, device.breaks, device.gone_s),
         )
         for device in devices
     )
     notes = (
         "how long it takes over Modbus to read all that is needed, and to write a limit",
+        "late: readings that came after the end of their cycle",
         "gone for: since the link broke, of a device that was not back at the end of the run",
     )
     return [Table("Devices", columns, rows, notes)] if rows else []

@@ -11,7 +11,7 @@ import typer
 from bus_schemas.errors import InputError
 from bus_schemas.tree import PLANT
 from launch_scripts.commands.boundary import FAILED, OK
-from launch_scripts.commands.options import JsonOption, SchemeOption, SeedOption
+from launch_scripts.commands.options import JsonOption, SchemeOption
 from launch_scripts.commands.output import say, write_json
 from studies.tables import console_for, json_rows, print_table
 
@@ -57,7 +57,10 @@ def conform(
         ),
     ] = "1",
     scheme: SchemeOption = "paper",
-    seed: SeedOption = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(help="Seed of the clouds, of random inputs and of random faults."),
+    ] = None,
     tolerance: Annotated[
         float,
         typer.Option(help="Largest difference between numbers that count as equal.", metavar="X"),
@@ -84,8 +87,8 @@ def conform(
     """Test your own device against each requirement of the wire document.
 
     Plays the agents around the device: a normal run, inputs at their limits,
-    wrong messages, random inputs, inputs that are late or missing, links that
-    close, a restart. Compares each answer with that of Heliarch's own agent.
+    wrong messages, random inputs, inputs that are late or missing, random
+    faults, links that close, a restart. Compares each answer with that of Heliarch's own agent.
     Exit status 1: a requirement is not met.
     """
     from launch_scripts.launcher.request import RunRequest, prepare_run

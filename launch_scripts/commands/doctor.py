@@ -26,7 +26,12 @@ from studies.tables import console_for
 
 EXAMPLE: Final = "heliarch doctor"
 
-_PACKAGES: Final = ("heliarch", "eclipse-zenoh", "numpy", "msgspec", "mcap", "cryptography")
+_PACKAGES: Final = ("heliarch", "eclipse-zenoh", "numpy", "msgspec", "mcap")
+_OPTIONAL: Final = {
+    "cryptography": "--secure needs it: pip install 'heliarch[keys]'",
+    "pymodbus": "real inverters and `inverters` need it: pip install 'heliarch[modbus]'",
+}
+
 _BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome", "firefox")
 _CLOCK: Final = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 _GOVERNOR: Final = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
@@ -82,7 +87,7 @@ def _processors() -> Iterator[Finding]:
             "processors",
             f"{cores}",
             "slow",
-            "23 processes share them; with 4 or more, fewer messages are late",
+            "use 4 or more if you can: the 23 processes of oahu share them",
         )
     else:
         yield Finding("processors", f"{cores}")
@@ -157,13 +162,15 @@ def _loopback() -> Iterator[Finding]:
     try:
         trips_us = sorted(_round_trips_us(500))
     except OSError as error:
-        yield Finding("loopback", f"{error.strerror}", "wrong", "agents listen on 127.0.0.1")
+        advice = "agents listen on 127.0.0.1: ip link set lo up"
+        yield Finding("loopback", f"{error.strerror}", "wrong", advice)
         return
     text = f"median {trips_us[250]:.0f} µs there and back, 99 of 100 within {trips_us[495]:.0f} µs"
     if statistics.median(trips_us) < 200.0:
         yield Finding("loopback", text)
     else:
-        yield Finding("loopback", text, "slow", "a cycle waits for eight such hops")
+        advice = "a cycle waits for eight such hops: end other programs"
+        yield Finding("loopback", text, "slow", advice)
 
 
 def _round_trips_us(times: int) -> list[float]:
@@ -204,7 +211,8 @@ def _zenoh() -> Iterator[Finding]:
         with open_session(SessionSettings("doctor", ["tcp/127.0.0.1:0"], [])):
             threads = psutil.Process().num_threads() - before
     except zenoh.ZError as error:
-        yield Finding("Zenoh", f"{error}", "wrong", "no agent can open its session")
+        advice = "no agent can open its session: reinstall eclipse-zenoh"
+        yield Finding("Zenoh", f"{error}", "wrong", advice)
         return
     text = f"a session has {threads} thread" + "s" * (threads != 1)
     if given in {None, ZENOH_RUNTIME}:
@@ -253,23 +261,20 @@ def _memory() -> Iterator[Finding]:
 
     free_mb = psutil.virtual_memory().available / 1e6
     processes = int(free_mb // 25)
-    advice = "a process needs about 25 MB"
+    advice = "a process needs about 25 MB: end other programs, or take a smaller plant"
     is_enough = processes >= 40
     text = f"{free_mb:,.0f} MB free, enough for about {processes:,} processes"
     yield Finding("memory", text, "ok" if is_enough else "slow", "" if is_enough else advice)
 
 
 def _versions() -> Iterator[Finding]:
-    found, absent = [f"Python {platform.python_version()}"], []
-    for name in _PACKAGES:
+    found = [f"Python {platform.python_version()}"]
+    for name in (*_PACKAGES, *_OPTIONAL):
         try:
             found.append(f"{name} {version(name)}")
         except PackageNotFoundError:
-            absent.append(name)
+            yield Finding(name, "not installed", "ok", _OPTIONAL.get(name, "reinstall heliarch"))
     yield Finding("versions", ", ".join(found))
-    if "cryptography" in absent:
-        advice = "--secure needs it: pip install 'heliarch[keys]'"
-        yield Finding("cryptography", "not installed", "ok", advice)
     browser = next(filter(None, map(shutil.which, _BROWSERS)), None)
     if browser:
         yield Finding("browser", browser)
@@ -285,7 +290,8 @@ def _disk(folder: Path) -> Iterator[Finding]:
     hours = free_gb * 1e6 / 6.0 / 3600.0
     text = f"{free_gb:,.1f} GB free, about {hours:,.0f} h of 17 inverters at 1 cycle/s"
     if free_gb < 0.1:
-        yield Finding("disk", text, "wrong", "a recording ends early when the disk is full")
+        advice = "free some, or choose another folder for runs with --out"
+        yield Finding("disk", text, "wrong", advice)
     else:
         yield Finding("disk", text)
 

@@ -155,6 +155,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
             or self.missing_inputs
             or self.skipped_cycles
             or self.recording_ended
+            or any(device.is_troubled for device in self.devices)
             or any((self.dropped, self.faults, self.wrong, self.restarts, self.takeovers))
         )
 

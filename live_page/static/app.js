@@ -62,6 +62,7 @@ function showRun(plan) {
   let span = WINDOWS[1][1], frame = null, selected = null;
   let power = {cycle: [], possible: [], desired: [], delivered: [], unavoidable: [], control_caused: []};
   let history = {cycle: []}, current = {};
+  let devices = {};  // What the gateway measured of real inverters.
   let overview = {}, overviewCycles = -1, dragged = null;
 
   const seek = target => { live = false; playing = false; go(target); };
@@ -147,14 +148,21 @@ function showRun(plan) {
 
   function select(place) {
     selected = place;
-    const node = plan.nodes[place];
-    $("node-title").textContent = node.path || "central";
-    $("node-about").textContent = `${node.inverter ? "inverter" : place ? "supervisor" : "central controller"}, ${kw(node.rating_kw)} kW`;
+    $("node-title").textContent = plan.nodes[place].path || "central";
+    describe();
     map.select(place);
     tree.select(place);
     history = {cycle: []};
     drawNode();
     reload();
+  }
+
+  function describe() {
+    const node = plan.nodes[selected], {reads, late, breaks} = devices[node.path] ?? {};
+    let text = `${node.inverter ? "inverter" : selected ? "supervisor" : "central controller"}, ${kw(node.rating_kw)} kW`;
+    if (node.device) text += `; ${node.device} ${frame?.unread.includes(selected) ? "gives no readings" : "connected"}`;
+    if (reads) text += `; reads take ${reads.p50_ms.toFixed(1)} ms (p50), ${reads.p99_ms.toFixed(1)} ms (p99), ${late} late, connection lost ${breaks}×`;
+    $("node-about").textContent = text;
   }
 
   // Updates --------------------------------------------------------------------------------------
@@ -188,6 +196,7 @@ function showRun(plan) {
       figures($("figures"), news.figures);
       $("figures-about").textContent = `${cycles.toLocaleString("en")} cycles so far`;
     }
+    devices = news.devices ?? devices;
     if (over || news.processes) tree.use(over ? null : news.processes);
     if (news.frame) showFrame(news, fresh);
     if (!live && playing && cycle >= cycles - 1) { playing = false; connect(); }
@@ -222,6 +231,7 @@ function showRun(plan) {
     if (dragged === null) $("position").value = cycle;
     $("position-text").textContent = `cycle ${(cycle + 1).toLocaleString("en")} of ${Math.max(plan.cycles, cycles).toLocaleString("en")}`;
     if (selected === null) select(plan.nodes.findIndex(node => node.inverter));
+    describe();
   }
 
   // Controls -------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ export function controlTree(body, plan, select) {
       name.append(row.fold);
     }
     name.append(row.path === "plant" ? "plant" : row.path.split("/").pop() || "central");
-    if (row.external) name.append(" (device)");
+    if (row.external || row.device) name.append(row.device ? " (Modbus)" : " (device)");
     row.cells = Array.from({length: 8}, (_, column) => { const cell = line.insertCell(); if (column) cell.className = "n"; return cell; });
     if (row.place !== null) line.addEventListener("click", () => select(row.place));
   }
@@ -45,10 +45,11 @@ export function controlTree(body, plan, select) {
     for (const row of order) {
       if (row.line.hidden) continue;
       const own = row.agent, age = agents.age[own], lost = isLost(row);
+      const unread = frame.unread.includes(row.place);
       const dead = row.folded ? below(row).slice(1).filter(isLost).length : 0;
       const [state, ages, inputs, oldest, loop, restarts, cpu, memory] = row.cells;
-      state.className = lost || dead ? "dead" : "alive";
-      state.textContent = lost ? "✕ silent" : dead ? `✕ ${dead} below silent` : "● alive";
+      state.className = lost || dead || unread ? "dead" : "alive";
+      state.textContent = lost ? "✕ silent" : unread ? "✕ no reading" : dead ? `✕ ${dead} below silent` : "● alive";
       ages.textContent = age ?? "–";
       const absent = agents.absent[own], older = agents.older[own];
       inputs.innerHTML = lost ? "–" : absent || older ? `<span class="late">${[absent && `${absent} missing`, older && `${older} old`].filter(Boolean).join(", ")}</span>` : "all";

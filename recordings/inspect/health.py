@@ -17,11 +17,12 @@ from agents.plan import RunPlan
 from bus_schemas.faults import UNHEARD, FaultRule, FaultTally
 from bus_schemas.messages import Message
 from bus_schemas.missing import parse_missing
-from bus_schemas.signals import Port
+from bus_schemas.signals import TELEMETRY, Port
 from bus_schemas.tree import PLANT
 from recordings.read.gaps import LISTED_GAPS, RunGaps, due_step
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.read.run_clock import RunClock
+from sunspec.process import DeviceAccount, read_accounts
 
 SUMMARY_NAME: Final = "summary.json"
 FAILURE_NAME: Final = "failure.txt"
@@ -35,7 +36,7 @@ class Absence(msgspec.Struct, frozen=True):
     Attributes
     ----------
     agent
-        Its name.
+        Its name; of a real inverter, which has no telemetry while it is gone, `device c2/inv07`.
     first_cycle, last_cycle
         The cycles without a message of it; both None if it only restarted.
     back_in
@@ -116,7 +117,8 @@ class Health(msgspec.Struct, frozen=True):
     misses
         Missed inputs by agent, most first.
     absences
-        Agents that were absent or restarted, in the order of time: the first ones.
+        Agents that were absent or restarted, and real inverters that were gone, in the order of
+        time: the first ones.
     more_absences
         How many others there were.
     ended
@@ -125,6 +127,8 @@ class Health(msgspec.Struct, frozen=True):
         Why the launcher gave up; empty if it did not.
     launcher
         What only the summary knows; None if there is none beside the recording.
+    devices
+        What was measured of real inverters.
     """
 
     fault_acts: tuple[FaultAct, ...]
@@ -137,6 +141,7 @@ class Health(msgspec.Struct, frozen=True):
     failure: str
     launcher: LauncherAccount | None
     more_absences: int = 0
+    devices: tuple[DeviceAccount, ...] = ()
 
     @property
     def messages_lost(self) -> int:
@@ -158,6 +163,10 @@ class HealthWatch:
         for port in self.gaps.ports:
             if step := due_step(plan, port):
                 steps[port.publisher] = min(step, steps.get(port.publisher, step))
+        self._devices: dict[Port[Message], str] = {
+            TELEMETRY.of(node): f"device {node}" for node, _ in plan.devices
+        }
+        steps |= dict.fromkeys(self._devices.values(), 1)
         self._step = steps
         self._last_cycle = dict.fromkeys(steps, cycles.start - 1)
         # The cycle in which the process that speaks for each agent joined.
@@ -181,6 +190,8 @@ class HealthWatch:
                 self._last_cycle[agent] = max(self._last_cycle[agent], cycle - 1)
             joined = self._newly_joined(record, numbered_anew=sequence.restarts > restarts)
             self._see_agent(agent, cycle, joined)
+        if port in self._devices:
+            self._see_agent(self._devices[port], cycle, None)
         if self._plan.faults and port.signal.is_cyclic:
             self._see_faults(port, record.message())
         if b"missing\x90" not in record.payload:  # An empty list: it missed nothing.
@@ -217,6 +228,7 @@ class HealthWatch:
             failure=_failure(run.path.parent),
             launcher=_launcher_account(run),
             more_absences=self._more_absences,
+            devices=read_accounts(run.path.parent),
         )
 
     def _stop_act(self, rule: FaultRule, run: RunReader) -> FaultAct:
@@ -319,6 +331,7 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
         yield "absent", f"and {others:,} times more"
     if not health.absences:
         yield "absent", "nobody restarted, died, or missed a cycle"
+    yield from (("devices", text) for text in _devices_texts(health.devices))
     if health.failure:
         yield "run", f"failed: {health.failure}"
     else:
@@ -373,6 +386,14 @@ def _absence_text(absence: Absence, clock: RunClock) -> str:
     if absence.by_standby:
         return f"{text}, then its standby took over"
     return f"{text}, then back{', numbered from 0 again' if absence.restarted else ''}"
+
+
+def _devices_texts(devices: tuple[DeviceAccount, ...]) -> Iterator[str]:
+    fields = {"breaks": "lost connections", "late": "late readings", "refused": "refused requests"}
+    for field, what in fields.items():
+        if counts := +Counter({device.node: getattr(device, field) for device in devices}):
+            worst = ", ".join(f"{node} {count:,}" for node, count in counts.most_common(_NAMED))
+            yield f"{counts.total():,} {what}, most at {worst}"
 
 
 def _launcher_account(run: RunReader) -> LauncherAccount | None:

@@ -24,6 +24,10 @@ from studies.conformance.trial import Edit, Trial
 UNDISTURBED: Final = 5
 RANDOM: Final = 10
 """Cycles of random inputs."""
+RANDOM_FAULTS: Final = 12
+"""Cycles in real time in which inputs have random fates."""
+
+_FATES: Final = ("in time", "in time", "lost", "twice", "late", "held back")
 
 
 def in_lockstep(trial: Trial, seed: int) -> None:
@@ -61,11 +65,28 @@ def in_real_time(trial: Trial, seed: int) -> None:
         trial.play("late", dict.fromkeys(ports, ()), late=late)
         trial.play("late", dict.fromkeys(ports, ()))
         trial.play("late")
-    draw = random.Random(seed)
-    for _ in range(RANDOM):
-        chosen = [port for port in trial.ports() if port.publisher != PLANT and draw.random() < 0.3]
-        late = {port: (encode(trial.message(port)),) for port in chosen if draw.random() < 0.5}
-        trial.play("missing", dict.fromkeys(chosen, ()), late=late)
+    _random_faults(trial, random.Random(seed))
+
+
+def _random_faults(trial: Trial, draw: random.Random) -> None:
+    """Lose, repeat, delay and reorder inputs; something of the plant comes in each cycle."""
+    held: dict[Port[Message], tuple[bytes, ...]] = {}
+    for _ in range(RANDOM_FAULTS):
+        edit, late = {}, {}
+        of_plant = [port for port in trial.ports() if port.publisher == PLANT]
+        unharmed = draw.choice(of_plant)
+        for port in trial.ports():
+            message = encode(trial.message(port))
+            older = held.pop(port, ())
+            fate = "in time" if port == unharmed else draw.choice(_FATES)
+            now = {"in time": (message,), "twice": (message, message)}.get(fate, ())
+            first, second = draw.sample((older, now), 2)
+            edit[port] = (*first, *second)
+            if fate == "late":
+                late[port] = (message,)
+            elif fate == "held back":
+                held[port] = (message,)
+        trial.play("random faults", edit, late=late)
 
 
 def _units(trial: Trial) -> list[list[Port[Message]]]:

@@ -11,12 +11,12 @@ from rich.console import Console
 from rich.markup import escape
 
 from bus_schemas.errors import InputError
-from recordings.inspect.health import SUMMARY_NAME
 from recordings.read.reader import RunReader
 from recordings.read.series import read_series
 from studies.report.run_report import run_line, write_report
 from studies.report.tables import health_table, metrics_tables
-from sunspec.tables import devices_in, devices_tables
+from sunspec.process import read_accounts
+from sunspec.tables import devices_tables
 
 REPORT_NAME: Final = "report.html"
 
@@ -30,7 +30,7 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
         size_mb = reader.path.stat().st_size / 1e6
         with console.status(f"reading {size_mb:,.0f} MB of {escape(str(run))}"):
             series = replace(read_series(run), label=f"hierarchical ({plan.scheme})")
-            devices = devices_tables(devices_in(reader.path.with_name(SUMMARY_NAME)))
+            devices = devices_tables(read_accounts(reader.path.parent))
             tables = [health_table(reader), *metrics_tables([series]), *devices]
     with console.status("drawing"):
         title = f"{plan.plant}: run {plan.run_id}"

@@ -6,12 +6,13 @@ import time
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 from recordings_by_hand import PLAN, SCENARIO, cycle_of_the_plant, whole_run, write_run
 
 from bus_schemas.bus import Delivery, Outbox
 from bus_schemas.codec import encode
 from bus_schemas.messages import Notice, Production
-from bus_schemas.signals import IMPP, NOTICE, PRODUCTION
+from bus_schemas.signals import IMPP, NOTICE, PRODUCTION, TELEMETRY
 from live_page.follower import RunFollower
 from live_page.nodes import NodeStates
 from recordings.read.series import read_plant_series
@@ -110,6 +111,18 @@ def test_an_agent_that_is_silent_for_good_is_named(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     write_run(path, whole_run(20), is_kept=lambda d: d[0] is not IMPP.of("c2") or d[1].cycle < 9)
     assert ("silent", 9, "c2") in kinds(followed(path))
+
+
+def test_a_real_inverter_that_is_gone_for_a_while_is_named(tmp_path: Path) -> None:
+    path, telemetry = tmp_path / "run.mcap", TELEMETRY.of("c2/c")
+    plan = replace(PLAN, devices=(("c2/c", "modbus://10.0.0.7:502/1"),))
+    gone = range(5, 12)
+    run = [pair for pair in whole_run(20) if pair[0] is not telemetry or pair[1].cycle not in gone]
+    write_run(path, run, plan=plan)
+    follower = followed(path)
+    assert kinds(follower)[1:-1] == [("silent", 5, "device c2/c")]
+    states = NodeStates(follower)
+    assert [states.frame(cycle)["unread"] for cycle in (4, 5)] == [[], [place("c2/c")]]
 
 
 def test_a_restart_is_told_by_numbers_that_begin_again(tmp_path: Path) -> None:

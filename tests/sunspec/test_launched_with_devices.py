@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
 from running import REPOSITORY, Heliarch, small_plant
+
+from recordings.inspect.health import read_health
+from recordings.read.reader import RunReader
+from sim_plant.devices import parse_address
+from sunspec.process import read_accounts
 
 pytest.importorskip("pymodbus")
 pytest.importorskip("sunspec2")
@@ -28,17 +35,25 @@ def scenario(tmp_path: Path) -> str:
     )
 
 
-@pytest.fixture
-def served_inverters(scenario: str) -> Iterator[list[str]]:
-    """Serve the scenario's inverters; gives the options of `launch` that say where they are."""
-    words = [sys.executable, "-m", "launch_scripts", "inverters", scenario, "--port", "0", "--wait"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=REPOSITORY) as process:
+@contextmanager
+def inverters(scenario: str, port: str = "0") -> Iterator[list[str]]:
+    """Serve a scenario's inverters; gives the options of `launch` that say where they are."""
+    words = [sys.executable, "-m", "launch_scripts", "inverters", scenario, "--port", port]
+    with subprocess.Popen(
+        [*words, "--wait"], stdout=subprocess.PIPE, text=True, cwd=REPOSITORY
+    ) as process:
         assert process.stdout is not None
         options: list[str] = []
         while not (line := process.stdout.readline()).startswith("meter: "):
             options += line.split()
         yield options
         process.kill()
+
+
+@pytest.fixture
+def served_inverters(scenario: str) -> Iterator[list[str]]:
+    with inverters(scenario) as options:
+        yield options
 
 
 def test_energies_are_those_of_simulated_inverters(
@@ -67,6 +82,33 @@ def test_energies_are_those_of_simulated_inverters(
     assert verified.returncode == 0, verified.stdout
     assert "plant" in verified.stdout
     assert "devices" in verified.stdout
+
+
+def test_the_health_names_a_device_that_was_gone_for_a_while(
+    scenario: str, heliarch: Callable[..., Heliarch]
+) -> None:
+    with inverters(scenario) as options:
+        address = options[1].partition("=")[2]
+        words = ("launch", scenario, "--pace", "1", "--duration", "5m", *options[:2])
+        run = heliarch(*words)
+        run.until_running()
+    run.until(lambda: _gone_s(run.folder) > 2.0, "the loss of the device")
+    with inverters(scenario, str(parse_address(address, "")[1])):
+        run.until(lambda: "connected again" in run.output.read_text(), "its return")
+        cycles = run.recorded_cycles()
+        run.until_recorded(cycles + 8)
+        run.process.send_signal(signal.SIGINT)
+        assert run.wait() == 130
+    with RunReader(run.folder) as reader:
+        health = read_health(reader)
+    (absence,) = [found for found in health.absences if found.agent == "device c1/inv01"]
+    assert absence.back_in is not None
+    assert health.devices[0].breaks
+    assert "device c1/inv01: nothing in cycles" in " ".join(run.output.read_text().split())
+
+
+def _gone_s(folder: Path) -> float:
+    return sum(account.gone_s or 0.0 for account in read_accounts(folder))
 
 
 def test_a_run_names_its_gateway_that_was_killed(
@@ -108,6 +150,7 @@ def test_inverters_that_cannot_be_served_are_refused_in_one_line(
         (("--pace", "1", "--device", "c9/inv01=modbus://127.0.0.1:1/1"), "c9/inv01"),
         (("--pace", "1", "--device", "c1/inv01=127.0.0.1:502"), "modbus://"),
         (("--pace", "1", "--device", "c1/inv01=modbus://127.0.0.1:1/1"), "refused"),
+        (("--pace", "1", "--device", "c1/inv01=modbus://127.0.0.1:1/248"), "unit 1 to"),
         (("--device", "c1/inv01=modbus://127.0.0.1:1/1"), "--pace"),
         (
             ("--pace", "1", "--actuator", "fraction", "--device", "c1/inv01=modbus://h/1"),
@@ -123,6 +166,17 @@ def test_devices_that_cannot_be_are_refused_in_one_line(
     (line,) = run.error_text().splitlines()
     assert named in line
     assert not run.folder.exists()
+
+
+def test_a_unit_that_is_not_there_is_refused_in_one_line(
+    scenario: str, served_inverters: list[str], heliarch: Callable[..., Heliarch]
+) -> None:
+    wrong = served_inverters[1].rpartition("/")[0] + "/99"
+    run = heliarch("launch", scenario, "--pace", "1", "--duration", "1s", "--device", wrong)
+    assert run.wait() == 2
+    (line,) = run.error_text().splitlines()
+    for fact in ("c1/inv01", "/99", "unit"):
+        assert fact in line
 
 
 def _summary(folder: Path) -> dict[str, Any]:

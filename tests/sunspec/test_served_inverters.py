@@ -146,6 +146,45 @@ def test_a_limited_inverter_says_what_it_could_give_and_what_throttles_it(site: 
     assert status.WAval.cvalue == 80_000
 
 
+def test_a_limit_in_watts_holds_beside_one_in_per_cent(site: Site) -> None:
+    site.serve()
+    device = site.client()
+    model = device.models[704][0]
+    model.WSetEna.value, model.WSetMod.value, model.WSet.cvalue = 1, 1, 45_000
+    model.write()
+    assert watts(device) == 45_000
+    limit_123(device, 30.0, 60)
+    assert watts(device) == 30_000
+    site.clock.sleep(40.0)
+    model.WSet.cvalue = 25_000
+    model.write()
+    assert watts(device) == 25_000
+    site.clock.sleep(25.0)  # The limit in per cent has reverted, whatever came in watts meanwhile.
+    model.WSet.cvalue = 70_000
+    model.write()
+    assert watts(device) == 70_000
+    model.WSetMod.value = 0
+    with pytest.raises(ModbusClientException):
+        model.write()
+
+
+def test_an_inverter_that_is_disconnected_stops_and_keeps_its_limit(site: Site) -> None:
+    site.serve()
+    device = site.client()
+    limit_123(device, 50.0, 0)
+    model, der, status = (device.models[number][0] for number in (123, 701, 122))
+    model.Conn.value = 0
+    model.write()
+    assert watts(device) == 0
+    assert device.models[103][0].St.value == 1
+    der.read()
+    status.read()
+    assert (der.InvSt.value, der.ConnSt.value, status.WAval.cvalue) == (0, 0, 0)
+    model.Conn.value = 1
+    model.write()
+    assert watts(device) == 50_000
+
+
 def test_the_meter_adds_up_power_and_energy(site: Site) -> None:
     site.serve()
     limit_123(site.client("c1/a"), 40.0, 0)

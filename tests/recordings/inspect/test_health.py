@@ -16,7 +16,7 @@ from bus_schemas.bus import Delivery, Outbox
 from bus_schemas.codec import encode
 from bus_schemas.faults import FaultRule
 from bus_schemas.messages import Message
-from bus_schemas.signals import HELP, Port
+from bus_schemas.signals import HELP, TELEMETRY, Port
 from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
@@ -33,6 +33,7 @@ from recordings.inspect.health import (
 from recordings.inspect.overview import read_overview
 from recordings.read.run_clock import RunClock
 from recordings.record.writer import RunWriter
+from sunspec.process import DeviceAccount, Latency, write_accounts
 
 CYCLES = 60
 DEVICE = "c2/c"
@@ -88,6 +89,24 @@ def test_a_device_that_left_and_came_back_is_named_and_repeats_nothing(tmp_path:
     assert health.absences == (Absence(DEVICE, 20, 29, 30, True),)
     assert (health.messages_lost, health.repeated) == (0, 0)
     assert f"{DEVICE}: nothing in cycles 20 to 29 (12:00:20 to 12:00:29)" in text
+
+
+def test_a_real_inverter_that_was_gone_or_refused_is_named(tmp_path: Path) -> None:
+    plan = replace(PLAN, devices=((DEVICE, "modbus://10.0.0.7:502/1"),))
+    telemetry, gone = TELEMETRY.of(DEVICE), range(20, 30)
+    run = (
+        pair for pair in whole_run(CYCLES) if pair[0] is not telemetry or pair[1].cycle not in gone
+    )
+    write_run(tmp_path / "run.mcap", run, plan=plan)
+    took = Latency(50, 10.0, 20.0)
+    account = DeviceAccount(
+        DEVICE, plan.devices[0][1], took, took, late=3, refused=4, breaks=1, gone_s=None
+    )
+    write_accounts(tmp_path, (account,))
+    health, text = health_of(tmp_path)
+    assert health.absences == (Absence(f"device {DEVICE}", 20, 29, 30, False),)
+    for fact in ("12:00:20 to 12:00:29", "1 lost", "3 late", "4 refused"):
+        assert fact in text
 
 
 def joined_in_cycle_20(agent: str, is_kept: Callable[[Delivery], bool]) -> Iterator[Delivery]:
