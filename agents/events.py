@@ -70,10 +70,6 @@ class Finished(Event, frozen=True):
         Messages of the run that it published, by signal.
     dropped
         Messages that it did not use, by port and cause.
-    missing_inputs
-        Awaited inputs that a deadline found missing.
-    old_inputs
-        Inputs of an earlier cycle that were used in place of them.
     skipped_cycles
         Cycles that were over before the agent came to them.
     faults
@@ -84,8 +80,6 @@ class Finished(Event, frozen=True):
 
     published: dict[str, int]
     dropped: dict[str, dict[str, int]]
-    missing_inputs: int
-    old_inputs: int = 0
     skipped_cycles: int = 0
     faults: dict[str, int] = msgspec.field(default_factory=dict)
     dismissed: bool = False

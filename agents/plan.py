@@ -291,6 +291,15 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return explicit_links(self.tree, self.standbys)
 
     @property
+    def restarts(self) -> bool:
+        """Whether a process that ends is started again."""
+        when = self.restart.when
+        if self.lockstep:
+            # A parent that acts rarely would lack what came between its turns.
+            return when in {"on-failure", "always"} and self.periods.longest == 1
+        return when != "never"
+
+    @property
     def standbys(self) -> tuple[str, ...]:
         """Agents that have a standby."""
         return () if self.lockstep else self.standby

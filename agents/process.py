@@ -232,8 +232,6 @@ class AgentProcess:
             Finished(
                 published=dict(self._bus.outbox.published),
                 dropped=causes,
-                missing_inputs=loop.missing_inputs,
-                old_inputs=loop.old_inputs,
                 skipped_cycles=loop.skipped_cycles,
                 faults=self._faults.tally.as_counts() if self._faults else {},
                 dismissed=self.link.dismissed and loop.cycle < self.plan.cycles,

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Any, TypeAlias
 
-from agents.agent import Agent
+from agents.agent import Agent, Stage
 from agents.cycle import kind_of
 from agents.direct import DirectController
 from agents.parent import CentralController, Supervisor
 from agents.plan import RunPlan
-from bus_schemas.tree import CENTRAL, agent_name
+from bus_schemas.signals import COMMAND
+from bus_schemas.tree import CENTRAL, PLANT, agent_name
 
 Controller: TypeAlias = Agent[Any]
 """An agent; only the agent itself knows the type of its state."""
@@ -26,3 +27,14 @@ def controller(plan: RunPlan, name: str) -> Controller:
 def controllers(plan: RunPlan) -> list[Controller]:
     """Return all controllers of a run, the central one first."""
     return [controller(plan, agent_name(node)) for node in plan.tree.nodes]
+
+
+def stages_of_agents(plan: RunPlan) -> dict[str, list[tuple[Stage, ...]]]:
+    """Return the stages of each agent, the plant first, in the cycles until they repeat."""
+    commands = tuple(COMMAND.of(leaf) for leaf in plan.tree.leaves)
+    cycles = range(plan.periods.longest)
+    found: dict[str, list[tuple[Stage, ...]]] = {}
+    found[PLANT] = [(Stage("sense", (), timed=True), Stage("apply", commands)) for _ in cycles]
+    for one in controllers(plan):
+        found[one.name] = [tuple(one.stages(cycle)) for cycle in cycles]
+    return found

@@ -231,6 +231,9 @@ class RunFollower:
         cycle = message.cycle
         match message:
             case Dispatch() if 0 <= cycle < self.plan.cycles:
+                if self._stop_cycle is not None and self._stop_cycle <= cycle:
+                    self._note_false_stop(self._stop_cycle)
+                    self._stop_cycle = None
                 self._power_kw["commitment"][cycle] = message.commitment_kw
                 self._power_kw["regulation"][cycle] = message.regulation_kw
             case Production() if 0 <= cycle < self.plan.cycles:
@@ -243,9 +246,15 @@ class RunFollower:
                 self.start_time_ns = message.start_time_ns
                 pace = "in real time" if message.cycle_wall_ns else "in lockstep"
                 self.events.add("run", cycle, PLANT, f"the run begins, {pace}")
+            case Run(state="stop") if cycle < self.cycles:
+                self._note_false_stop(cycle)
             case Run(state="stop"):
                 self._stop_cycle = cycle
                 self.events.add("run", cycle, PLANT, f"the run is over after {cycle:,} cycles")
+
+    def _note_false_stop(self, cycle: int) -> None:
+        text = f"the run goes on, although a message said that it was over after {cycle:,} cycles"
+        self.events.add("run", cycle, PLANT, text)
 
     def _hear(self, port: Port[Message], cycle: int) -> None:
         """Note a message that comes in each cycle."""

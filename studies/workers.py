@@ -5,13 +5,13 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
 from multiprocessing.resource_tracker import ensure_running
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, cast
 
 from agents.process import die_with_parent
 from bus_schemas.errors import FailureError, InputError
@@ -28,7 +28,7 @@ class WorkerLostError(FailureError):
 
 def share_work(
     function: Callable[[Item], Result], items: Sequence[Item], workers: int
-) -> Iterator[tuple[int, Result]]:
+) -> Generator[tuple[int, Result]]:
     """Apply a function to each item; yield the item's place and the result as each is done.
 
     With one worker everything runs in this process. With more, function and items must be
@@ -43,32 +43,54 @@ def share_work(
     if workers == 1 or len(items) <= 1:
         yield from enumerate(map(function, items))
         return
-    pool = ProcessPoolExecutor(
-        min(workers, len(items)),
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_die_with_study,
-    )
+    context = multiprocessing.get_context("spawn")
+    started: list[SpawnProcess] = []
+    ours: list[Connection] = []
+    waiting = iter(enumerate(items))
     try:
         ensure_running()  # Its start lifts a block of signals, so it must not fall within ours.
-        with _signals_blocked():
-            places = {pool.submit(function, item): place for place, item in enumerate(items)}
-        for future in as_completed(places):
-            yield places[future], future.result()
-    except BrokenProcessPool:
+        for _ in range(min(workers, len(items))):
+            end, theirs = context.Pipe()
+            ours.append(end)
+            worker = context.Process(target=_work, args=(theirs,))
+            with _signals_blocked(), theirs:
+                worker.start()
+                started.append(worker)
+        for end in ours:
+            end.send(function)
+            end.send(next(waiting))
+        for _ in items:
+            end = cast("Connection", wait(ours)[0])
+            place, result, error = end.recv()
+            if error is not None:
+                raise error
+            if (item := next(waiting, None)) is not None:
+                end.send(item)
+            yield place, result
+    except (EOFError, ConnectionError):
         raise WorkerLostError(
             "a worker was killed, often because memory ran out: try fewer --workers"
         ) from None
     finally:
-        for worker in multiprocessing.active_children():
+        for worker in started:
             worker.kill()
-        pool.shutdown(cancel_futures=True)
+        for worker in started:
+            worker.join()
 
 
-def _die_with_study() -> None:
+def _work(study: Connection) -> None:
+    """Apply the function that the study sends to each of its items, until it kills this process."""
     die_with_parent()
-    study = multiprocessing.parent_process()
-    if study is None or os.getppid() != study.pid:  # It died before the kernel was asked.
-        os._exit(1)
+    parent = multiprocessing.parent_process()
+    if parent is None or os.getppid() != parent.pid:  # It died before the kernel was asked.
+        return
+    function = study.recv()
+    while True:
+        place, item = study.recv()
+        try:
+            study.send((place, function(item), None))
+        except Exception as error:
+            study.send((place, None, error))
 
 
 @contextmanager
@@ -86,7 +108,7 @@ def _signals_blocked() -> Iterator[None]:
 
 def share_over_cluster(
     function: Callable[[Item], Result], items: Sequence[Item], scheduler: str
-) -> Iterator[tuple[int, Result]]:
+) -> Generator[tuple[int, Result]]:
     """As `share_work`, over the workers of a Dask scheduler.
 
     They must have Heliarch installed and see the data under the same paths.

@@ -17,7 +17,7 @@ from bus_schemas.faults import FaultRule
 from bus_schemas.signals import RUN
 from bus_schemas.tree import PLANT
 from launch_scripts.launcher.simulation import MemoryRun
-from recordings.read.run_file import RECORDING_NAME
+from recordings.read.run_file import RECORDING_NAME, further_file
 from recordings.record.writer import RunWriter
 from recordings.verify.verification import PROFILE_NAME
 from sim_plant.profile import Profile
@@ -84,14 +84,23 @@ def record(
     """Write a recording into a folder, which is made if need be. Return the folder."""
     folder.mkdir(exist_ok=True)
     (folder / RECORDING_NAME).unlink(missing_ok=True)
-    driver = "simulate" if plan.lockstep else "launch"
-    writer = RunWriter(folder / RECORDING_NAME, plan, 'name = "oahu"\n', driver)
-    for port, message in messages:
-        writer.add(port, message, encode(message), time.monotonic_ns())
-    writer.close()
+    _write(folder / RECORDING_NAME, plan, messages)
     if profile is not None:
         profile.save(folder / PROFILE_NAME)
     return folder
+
+
+def record_on(folder: Path, plan: RunPlan, messages: Iterable[Delivery], number: int = 2) -> None:
+    """Write the file of a recorder that was started again."""
+    _write(further_file(folder / RECORDING_NAME, number), plan, messages)
+
+
+def _write(path: Path, plan: RunPlan, messages: Iterable[Delivery]) -> None:
+    driver = "simulate" if plan.lockstep else "launch"
+    writer = RunWriter(path, plan, 'name = "oahu"\n', driver)
+    for port, message in messages:
+        writer.add(port, message, encode(message), time.monotonic_ns())
+    writer.close()
 
 
 def of_publisher(messages: Iterable[Delivery], agent: str) -> list[Delivery]:

@@ -137,8 +137,8 @@ def _plant_text(central: NodeCycle) -> str:
 
 
 def _print_lines(console: Console, lines: Iterable[str], style: str = "") -> None:
-    for line in lines:
-        console.print(Text(printable(line), style), soft_wrap=True)
+    # Together: each call of `print` costs more than a line.
+    console.print(Text("\n".join(map(printable, lines)), style), soft_wrap=True)
 
 
 # The whole recording -------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from typing import Annotated, Final
 
 import typer
 
+from bus_schemas.errors import InputError
 from launch_scripts.commands.options import DataOption, JsonOption, ScenarioArgument
 from launch_scripts.commands.output import say, write_json
 from studies.tables import console_for
@@ -20,7 +21,7 @@ def keys(
         Path | None, typer.Option(help="Folder of the keys; default keys/PLANT.", metavar="DIR")
     ] = None,
     days: Annotated[
-        float, typer.Option(min=0.0, max=3650.0, help="Days for which the certificates are valid.")
+        float, typer.Option(max=3650.0, help="Days for which the certificates are valid.")
     ] = 365.0,
     address: Annotated[
         list[str] | None,
@@ -35,14 +36,16 @@ def keys(
 ) -> None:
     """Make a certificate authority for a plant, and a certificate for each of its agents.
 
-    Run it again to renew the certificates; those that a run has read stay
-    valid until they expire. Give a device only its own certificate, its own
-    key and ca.pem. Keep ca.key secret: it can sign certificates.
+    Run it again to renew the certificates, also while a run is on; the private
+    keys stay the same. Give a device only its own certificate, its own key and
+    ca.pem. Keep ca.key secret: it can sign certificates.
     """
     from launch_scripts.scenarios.plant_keys import make_keys
     from launch_scripts.scenarios.preparation import RunOptions, prepare
     from launch_scripts.scenarios.scenario import load_scenario
 
+    if not days > 0.0:
+        raise InputError(f"--days: expected more than 0, got {days:g}")
     plan = prepare(load_scenario(scenario, data), RunOptions(), "keys").plan
     folder = out or Path("keys") / plan.plant
     made = make_keys(folder, plan.plant, plan.tree.agents(), days, address or ())

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TypeVar
 
@@ -42,13 +42,19 @@ def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
 
 
 def counted(
-    items: Iterable[Item], description: str, total: int, console: Console
+    items: Generator[Item], description: str, total: int, console: Console
 ) -> Iterator[Item]:
-    """Yield items; show in a terminal how many of them are done."""
+    """Yield items; show in a terminal how many of them are done.
+
+    Whatever ends it ends those who work on the items.
+    """
     columns = (TextColumn(description), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as progress:
+    with (
+        closing(items),
+        Progress(
+            *columns, console=console, transient=True, disable=not console.is_terminal
+        ) as progress,
+    ):
         task = progress.add_task(description, total=total)
         for item in items:
             yield item

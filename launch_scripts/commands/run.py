@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 from rich.console import Console
 
+from agents.plan import RunPlan
 from bus_schemas.errors import FailureError, InputError
 from launch_scripts.commands.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
 from launch_scripts.commands.options import (
@@ -112,10 +113,15 @@ def run(
         if all(rule.stops for rule in plan.faults):
             why = "cycles keep to no clock"
         raise InputError(f"{where}: expected a --pace such as 1 with it, got lockstep, where {why}")
+<<<<<<< HEAD
     if server is not None and plan.keys_folder:
         from launch_scripts.scenarios.plant_keys import check_keys  # Its package is optional.
 
         check_keys(plan, [name for name in plan.tree.agents() if name not in plan.elsewhere])
+=======
+    if server is not None and (trouble := _key_trouble(plan)):
+        raise InputError(trouble)
+>>>>>>> main
     try:
         with view_for(console, plan, scenario.time.timezone) as view:
             for line in (scenario.title, *preparation.remarks):
@@ -129,6 +135,22 @@ def run(
     except RunFailure as failure:
         if not folder.recording.exists():
             raise
-        raise FailureError(f"{failure}\nrecording up to there: {folder.recording}") from failure
+        text = f"{failure}\nrecording up to there: {folder.recording}"
+        if plan.lockstep and (trouble := _key_trouble(plan)):  # They may have expired meanwhile.
+            text += f"\n{trouble}"
+        raise FailureError(text) from failure
     folder.summary.write_bytes(summary.as_json() + b"\n")
     return summary, folder
+
+
+def _key_trouble(plan: RunPlan) -> str:
+    """Say why Zenoh would not open links with the keys of a run; empty: it would."""
+    if not plan.keys_folder:
+        return ""
+    from launch_scripts.scenarios.plant_keys import check_keys  # Its package is optional.
+
+    try:
+        check_keys(plan)
+    except InputError as error:
+        return str(error)
+    return ""

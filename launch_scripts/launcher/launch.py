@@ -31,6 +31,7 @@ from launch_scripts.launcher.summary import (
     RunSummary,
     count_lost,
     count_messages,
+    count_missed,
     dropped_by_cause,
     memory_use,
     merge_counts,
@@ -145,6 +146,8 @@ class _Launch:
 
     def _start_again(self, agent: str) -> None:
         self._start((agent,), again=True)
+        if agent == RECORDER:
+            self._watch.begin(time.monotonic())
 
     def _follow(self, children: Children) -> None:
         """Show the run until the plant says that it is over."""
@@ -213,7 +216,9 @@ class _Launch:
             self._check_arming(children, now)
         if self._stalled_at is not None and now > self._stalled_at + _GATHER_S:
             line, to_blame = stall(children)
-            if not self._restarts.mends(to_blame):
+            # While the recorder stands still, everybody waits for it.
+            is_silent = self._watch.recorder_silent_s(now) > HEARTBEAT_S
+            if not is_silent and not self._restarts.mends(to_blame):
                 raise RunFailure(blame(children, to_blame[0], line))
             self._stalled_at = self._stalled_in = None
             for child in children:
@@ -298,7 +303,12 @@ class _Launch:
         for child in children:
             if child.memory.resident_mb:  # A short run may be over before all were looked at.
                 memory.setdefault(child.kind, []).append(child.memory)
+<<<<<<< HEAD
         published = self._published(children)
+=======
+        missed = count_missed(self._folder.recording, plan)
+        published = merge_counts([account.published for account in accounts])
+>>>>>>> main
         heard = without_external(recorded)
         if self._restarts.counts:
             # Nobody knows what processes published that died: the numbers of messages tell.
@@ -324,18 +334,19 @@ class _Launch:
             restarts=dict(self._restarts.counts),
             takeovers=dict(self._restarts.takeovers),
             dropped=dropped,
-            missing_inputs=sum(account.missing_inputs for account in accounts),
+            missing_inputs=missed.all_missing,
             memory=memory_use(memory),
             hindsight_neighbours=self._preparation.hindsight,
             remarks=(*self._preparation.remarks, *refused),
             interrupted=bool(self._interruption),
             recording_ended=recorded.ended_early,
             faults=merge_counts([account.faults for account in accounts]),
-            old_inputs=sum(account.old_inputs for account in accounts),
+            old_inputs=missed.all_old,
             skipped_cycles=sum(account.skipped_cycles for account in accounts),
             processes_startup_s=self._armed_at - self._started_at,
             processes=tuple(
-                process_account(child, self._cpu_at_start_s.get(child.agent)) for child in children
+                process_account(child, self._cpu_at_start_s.get(child.agent), missed)
+                for child in children
             ),
             external=recorded.external,
             devices=self._gateway.end() if self._gateway is not None else (),
@@ -379,6 +390,6 @@ def launch(
             gateway.join(folder.path)
         try:
             return _Launch(preparation, plan, folder, view, began_at, server, gateway).run()
-        except RunFailure as failure:
+        except FailureError as failure:
             folder.failure.write_text(f"{failure}\n", encoding="utf-8")
             raise

@@ -65,10 +65,7 @@ class Restarts:
         self.counts: Counter[str] = Counter()
         self.takeovers: Counter[str] = Counter()
         self._policy = plan.restart
-        # In lockstep a parent that acts rarely would lack what came between its turns.
-        self._allowed = plan.restart.when != "never"
-        if plan.lockstep:
-            self._allowed &= plan.restart.when is not None and plan.periods.longest == 1
+        self._allowed = plan.restarts
         self._children = children
         self._start = start
         self._say = say

@@ -14,7 +14,8 @@ from agents.plan import RunPlan
 from bus_schemas.tree import PLANT, RECORDER
 
 PATIENCE_S: Final = 10.0
-"""How long the recorder may stand still in real time: messages queue up for it meanwhile."""
+"""How long the recorder may stand still in real time, where messages queue up for it meanwhile; or
+may take to come back, where it is started again."""
 
 HEARTBEAT_S: Final = 2.0
 """The recorder reports a few times a second: silence for this long is a fault."""
@@ -34,7 +35,8 @@ class RunWatch:
     """The signs of life of one run, from its first cycle on.
 
     In lockstep every agent soon waits for a recorder that stands still, and the run stalls. In
-    real time none does: the messages queue up and are recorded later.
+    real time none does: the messages queue up and are recorded later. Where processes are started
+    again, it is killed after a while and everybody goes on.
 
     `say` is called with a line for the user.
     """
@@ -42,17 +44,19 @@ class RunWatch:
     def __init__(self, plan: RunPlan, say: Callable[[str], None]) -> None:
         self._say = say
         self._patience_s = HEARTBEAT_S if plan.lockstep else PATIENCE_S
-        self._what_next = f"if it stays silent for {self._patience_s:g} s, the run ends"
-        if plan.restart.when != "never" and plan.restart.frozen_s < self._patience_s:
-            frozen_s = f"{plan.restart.frozen_s:g} s"
-            self._what_next = f"if it stays silent for {frozen_s}, it is killed and started again"
+        longest_s, then = self._patience_s, "the run ends"
+        if plan.restarts:
+            longest_s, then = plan.restart.frozen_s, "it is killed and started again"
+            self._patience_s = longest_s + PATIENCE_S
+        meanwhile = "waits for it" if plan.lockstep else "goes on without it"
+        self._what_next = f"the run {meanwhile}; if it stays silent for {longest_s:g} s, {then}"
         self._cycle_s = max(PLANT_S, 3.0 * plan.cycle_wall_ns / 1e9)
         self._cycle = -1
         self._heard_at = self._went_on_at = self._looked_at = 0.0
         self._is_silent = False
 
     def begin(self, now_s: float) -> None:
-        """Cycle 0 begins."""
+        """Cycle 0 begins, or a new recorder is started."""
         self._heard_at = self._went_on_at = self._looked_at = now_s
 
     def hear(self, cycle: int, now_s: float) -> None:
@@ -78,10 +82,7 @@ class RunWatch:
             return RECORDER, f"recorder has not been heard of for {self._patience_s:g} s"
         if silent_s > HEARTBEAT_S and not self._is_silent:
             self._is_silent = True
-            self._say(
-                f"recorder has not been heard of for {HEARTBEAT_S:g} s; the run goes on without "
-                f"it; {self._what_next}"
-            )
+            self._say(f"recorder has not been heard of for {HEARTBEAT_S:g} s; {self._what_next}")
         if not self._is_silent and now_s - self._went_on_at > self._cycle_s:
             return PLANT, f"plant has not completed a cycle for {self._cycle_s:g} s"
         return None

@@ -32,7 +32,13 @@ from bus_schemas.tree import PLANT, ROOT, agent_of, standby_of
 from launch_scripts.launcher.interruption import interruptible
 from launch_scripts.launcher.live_view import View
 from launch_scripts.launcher.run_folder import RunFolder
-from launch_scripts.launcher.summary import RunSummary, count_messages, memory_use, recorded_metrics
+from launch_scripts.launcher.summary import (
+    RunSummary,
+    count_messages,
+    count_missed,
+    memory_use,
+    recorded_metrics,
+)
 from launch_scripts.launcher.supervision import RunFailure, memory_of, who_waits
 from launch_scripts.scenarios.preparation import Preparation
 from recordings.record.monitor import RunMonitor
@@ -239,6 +245,8 @@ def simulate(
     plan = msgspec.structs.replace(preparation.plan, devices=())  # In memory none is real.
     preparation = dataclasses.replace(preparation, plan=on_the_clock(plan) if plan.faults else plan)
     plan = folder.fill(preparation, tcp_ports={})
+    if plan.standby and not plan.faults:
+        view.say("no standby: without a --fault nothing has a deadline here")
     monitor = RunMonitor()
     # A virtual clock stands at 0 when the run begins.
     anchor = ClockAnchor(0, time.time_ns()) if plan.faults else ClockAnchor.now()
@@ -267,9 +275,9 @@ def simulate(
     finally:
         writer.close()
     wall_s = time.monotonic() - started_at
-    loops = run.loops.values()
+    missed = count_missed(folder.recording, plan)
     drops: Counter[str] = Counter()
-    for loop in loops:
+    for loop in run.loops.values():
         for (_, cause), number in loop.dropped.items():
             drops[cause] += number
     return RunSummary(
@@ -286,9 +294,9 @@ def simulate(
         metrics=recorded_metrics(folder.recording),
         messages=count_messages(run.bus.outbox.published, writer.recorded),
         dropped=dict(drops),
-        missing_inputs=sum(loop.missing_inputs for loop in loops),
+        missing_inputs=missed.all_missing,
         faults=run.bus.tally.as_counts(),
-        old_inputs=sum(loop.old_inputs for loop in loops),
+        old_inputs=missed.all_old,
         memory=memory_use({"simulation": [memory_of(os.getpid())]}),
         hindsight_neighbours=preparation.hindsight,
         remarks=preparation.remarks,

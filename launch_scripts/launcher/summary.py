@@ -5,15 +5,19 @@ from __future__ import annotations
 import statistics
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
 
 from agents.events import ExternalAccount, Finished, Recorded
+from agents.plan import RunPlan
 from bus_schemas.errors import InputError
+from bus_schemas.signals import PRODUCTION
 from launch_scripts.launcher.supervision import Child, Memory
 from launch_scripts.launcher.wrong_messages import WrongMessages
 from recordings.read.gaps import RunGaps
+from recordings.read.missed_inputs import MissedInputs
 from recordings.read.reader import RunReader
 from recordings.read.series import read_plant_series
 from studies.metrics import RunMetrics, run_metrics
@@ -55,10 +59,8 @@ class ProcessAccount(msgspec.Struct, frozen=True):
         Messages that it could not use, by cause.
     resident_mb
         Most memory that was seen resident [MB].
-    missing_inputs
-        Awaited inputs that a deadline found missing.
-    old_inputs
-        Inputs of an earlier cycle that it used in place of them.
+    missing_inputs, old_inputs
+        Inputs that its agent missed at deadlines, and older ones that it used in place of them.
     skipped_cycles
         Cycles that were over before it came to them.
     cpu_s
@@ -125,6 +127,13 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
         return self.cycles / self.wall_s if self.wall_s > 0.0 else 0.0
 
     @property
+    def recorded_cycles(self) -> int:
+        """Cycles whose production is in the recording."""
+        name = PRODUCTION.name
+        own = sum(count.recorded for count in self.messages if count.signal == name)
+        return own + sum(account.recorded.get(name, 0) for account in self.external)
+
+    @property
     def lost(self) -> int:
         """Messages that were published and not recorded, or recorded and not published.
 
@@ -189,6 +198,16 @@ def count_lost(recording: Path, external: Collection[str]) -> Counter[str]:
     return lost
 
 
+def count_missed(recording: Path, plan: RunPlan) -> MissedInputs:
+    """Count the inputs that were missing at deadlines; in lockstep there are none."""
+    found = MissedInputs(plan)
+    if not plan.lockstep:
+        with suppress(InputError), RunReader(recording) as run:
+            for record in run.records():
+                found.see(record)
+    return found
+
+
 def count_messages(
     published: Mapping[str, int], recorded: Mapping[str, int]
 ) -> tuple[MessageCount, ...]:
@@ -240,7 +259,9 @@ def dropped_by_cause(accounts: Sequence[Finished]) -> dict[str, int]:
     return merge_counts([causes for account in accounts for causes in account.dropped.values()])
 
 
-def process_account(child: Child, cpu_at_start_s: float | None) -> ProcessAccount:
+def process_account(
+    child: Child, cpu_at_start_s: float | None, missed: MissedInputs
+) -> ProcessAccount:
     """Return the account of a process that has ended.
 
     `cpu_at_start_s` is its processor time when cycle 0 began [s].
@@ -251,8 +272,8 @@ def process_account(child: Child, cpu_at_start_s: float | None) -> ProcessAccoun
         child.kind,
         dropped=dropped_by_cause([finished]) if finished else {},
         resident_mb=child.memory.resident_mb,
-        missing_inputs=finished.missing_inputs if finished else 0,
-        old_inputs=finished.old_inputs if finished else 0,
+        missing_inputs=missed.missing.get(child.agent, Counter()).total(),
+        old_inputs=missed.old[child.agent],
         skipped_cycles=finished.skipped_cycles if finished else 0,
         cpu_s=None if cpu_at_start_s is None or cpu_s is None else cpu_s - cpu_at_start_s,
         voluntary_switches=child.exited.voluntary_switches if child.exited else 0,

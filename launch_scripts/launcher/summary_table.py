@@ -40,30 +40,21 @@ _SHARES: Final = {
 
 def print_summary(summary: RunSummary, console: Console) -> None:
     """Print the table, and the health of a run with faults or where something went wrong."""
-    cycles = _cycles_of_the_run(summary)
-    for table in (summary_table(summary, cycles), *devices_tables(summary.devices)):
+    for table in (summary_table(summary), *devices_tables(summary.devices)):
         print_table(console, table)
     with suppress(InputError), RunReader(Path(summary.folder)) as run:
         if summary.troubled or run.plan.faults:
             print_table(console, health_table(run))
 
 
-def _cycles_of_the_run(summary: RunSummary) -> int:
-    """Return how many cycles the run had, also those that no recorder saw."""
-    with suppress(InputError), RunReader(Path(summary.folder)) as run:
-        return max(run.stop_cycle or 0, summary.cycles)
-    return summary.cycles
-
-
-def summary_table(summary: RunSummary, cycles: int | None = None) -> Table:
-    """Return the table; `cycles` are those of the run, of which it may have recorded less."""
-    cycles = summary.cycles if cycles is None else cycles
+def summary_table(summary: RunSummary) -> Table:
+    """Return the table."""
     hindsight = "Clusters and neighbours were chosen from the run's own data: hindsight."
     return Table(
         f"{summary.scenario} from {summary.sim_start}, {summary.driver}",
         _COLUMNS,
         (
-            *_pace_rows(summary, cycles),
+            *_pace_rows(summary),
             _GAP,
             *_metrics_rows(summary.metrics),
             _GAP,
@@ -71,17 +62,17 @@ def summary_table(summary: RunSummary, cycles: int | None = None) -> Table:
             *_external_rows(summary),
             *_wrong_rows(summary),
             _GAP,
-            *_process_rows(summary, cycles),
+            *_process_rows(summary),
         ),
         (hindsight,) if summary.hindsight_neighbours else (),
     )
 
 
-def _pace_rows(summary: RunSummary, cycles: int) -> Iterator[Row]:
-    rate = cycles / summary.wall_s if summary.wall_s > 0.0 else 0.0
+def _pace_rows(summary: RunSummary) -> Iterator[Row]:
+    rate, recorded = summary.cycles_per_s, summary.recorded_cycles
     note = f"of {summary.cycle_s:g} s"
-    if cycles != summary.cycles:
-        note = f"of {cycles:,} recorded, {summary.cycle_s:g} s each: the figures are of these"
+    if recorded < summary.cycles:
+        note += f"; {recorded:,} of them recorded: the figures are of these"
     yield "Cycles", summary.cycles, "", note
     yield "Cycle rate", Number(rate, 1), "/s", f"{rate * summary.cycle_s:,.0f} x real time"
     yield "Wall time", Number(summary.wall_s, 1), "s", f"after {summary.startup_s:.1f} s to start"
@@ -157,10 +148,10 @@ def _wrong_rows(summary: RunSummary) -> Iterator[Row]:
         yield "Wrong: other keys", count, "", f"{len(rest)} more kinds, see --json"
 
 
-def _process_rows(summary: RunSummary, cycles: int) -> Iterator[Row]:
+def _process_rows(summary: RunSummary) -> Iterator[Row]:
     cpu_s = [process.cpu_s for process in summary.processes if process.cpu_s is not None]
-    if cycles and cpu_s:
-        per_cycle = Number(1e3 * sum(cpu_s) / cycles, 2)
+    if summary.cycles and cpu_s:
+        per_cycle = Number(1e3 * sum(cpu_s) / summary.cycles, 2)
         yield "Processor time per cycle", per_cycle, "ms", "all processes"
     for use in summary.memory:
         own = f"resident in each, {use.own_median_mb:.1f} MB its own"

@@ -54,6 +54,9 @@ def make_keys(
 ) -> MadeKeys:
     """Make a certificate for each agent, and the authority that signs them if there is none yet.
 
+    Private keys by the authority there stay: a process that starts in between finds a pair that
+    matches, and a device needs nothing but its new certificate.
+
     Raises
     ------
     InputError
@@ -70,10 +73,11 @@ def make_keys(
     authority, key = _authority(folder, plant)
     expires = min(datetime.now(UTC) + timedelta(days=days), authority.not_valid_after_utc)
     for agent in agents:
-        own = _new_key()
-        certificate = _certificate(plant, common_name(agent), own, expires, (authority, key), hosts)
         files = KeyFiles.of(folder, agent)
-        _write_key(files.key, own)
+        if new_authority or not files.key.exists():
+            _write_key(files.key, _new_key())
+        own = _read_key(files.key)
+        certificate = _certificate(plant, common_name(agent), own, expires, (authority, key), hosts)
         _write(files.certificate, _pem(certificate))
     return MadeKeys(tuple(agents), expires, new_authority)
 
@@ -96,9 +100,17 @@ def check_keys(plan: RunPlan, agents: Iterable[str]) -> None:
     _check_plant(folder / "ca.pem", authority, plan.plant)
     # Links close when a certificate expires. How long a run in lockstep takes nobody knows.
     ends = datetime.now(UTC) + timedelta(seconds=plan.cycles * plan.cycle_wall_ns / 1e9)
+<<<<<<< HEAD
     for agent in agents:
         address = ip_address(plan.addresses.get(agent, plan.address))
         _check(KeyFiles.of(folder, agent), agent, authority, address, ends)
+=======
+    for agent in plan.tree.agents():
+        files = KeyFiles.of(folder, agent)
+        # The key of a device may be on the device alone.
+        if agent not in plan.external or files.key.exists():
+            _check(files, agent, authority, ip_address(plan.address), ends)
+>>>>>>> main
 
 
 def _check(
@@ -155,16 +167,20 @@ def _read(path: Path) -> x509.Certificate:
 
 
 def _authority(folder: Path, plant: str) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
-    path = folder / _AUTHORITY_KEY
+    key = _read_key(folder / _AUTHORITY_KEY)
+    certificate = _read(folder / "ca.pem")
+    _check_plant(folder / "ca.pem", certificate, plant)
+    return certificate, key
+
+
+def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:
     try:
         key = load_pem_private_key(path.read_bytes(), password=None)
     except ValueError:
         key = None
     if not isinstance(key, ec.EllipticCurvePrivateKey):
         raise InputError(f"{path}: expected a key that `heliarch keys` has made")
-    certificate = _read(folder / "ca.pem")
-    _check_plant(folder / "ca.pem", certificate, plant)
-    return certificate, key
+    return key
 
 
 def _check_plant(path: Path, authority: x509.Certificate, plant: str) -> None:

@@ -16,10 +16,10 @@ import msgspec
 from agents.plan import RunPlan
 from bus_schemas.faults import UNHEARD, FaultRule, FaultTally
 from bus_schemas.messages import Message
-from bus_schemas.missing import parse_missing
 from bus_schemas.signals import TELEMETRY, Port
 from bus_schemas.tree import PLANT
 from recordings.read.gaps import LISTED_GAPS, RunGaps, due_step
+from recordings.read.missed_inputs import MissedInputs
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.read.run_clock import RunClock
 from sunspec.process import DeviceAccount, read_accounts
@@ -63,12 +63,14 @@ class Absence(msgspec.Struct, frozen=True):
 
 
 class Misses(msgspec.Struct, frozen=True):
-    """Inputs that an agent had to do without, or used in an older version."""
+    """Inputs that an agent missed at its deadlines, and older messages that it used."""
 
     agent: str
     inputs: int
+    old: int
     first_cycle: int
     last_cycle: int
+    external: bool
 
 
 class FaultAct(msgspec.Struct, frozen=True):
@@ -174,9 +176,7 @@ class HealthWatch:
         self._numbered_anew: dict[str, int] = {}
         self._absences: list[Absence] = []
         self._more_absences = 0
-        self._misses: Counter[str] = Counter()
-        self._missed_in: dict[str, tuple[int, int]] = {}
-        self._missed_now: dict[str, tuple[int, set[str]]] = {}
+        self._missed = MissedInputs(plan)
 
     def see(self, record: RecordedMessage) -> None:
         """Take in a message."""
@@ -194,8 +194,7 @@ class HealthWatch:
             self._see_agent(self._devices[port], cycle, None)
         if self._plan.faults and port.signal.is_cyclic:
             self._see_faults(port, record.message())
-        if b"missing\x90" not in record.payload:  # An empty list: it missed nothing.
-            self._see_missing(record.message())
+        self._missed.see(record)
 
     def end(self, cycle: int) -> None:
         """Note what is missing up to the cycle before which the run ended."""
@@ -219,10 +218,7 @@ class HealthWatch:
             faults=self._tally.as_counts(),
             lost=dict(lost.most_common()),
             repeated=sum(found.repeated for found in sequences.values()),
-            misses=tuple(
-                Misses(agent, count, *self._missed_in[agent])
-                for agent, count in self._misses.most_common()
-            ),
+            misses=tuple(sorted(self._misses(), key=lambda one: one.inputs, reverse=True)),
             absences=tuple(self._absences),
             ended=run.stop_cycle is not None,
             failure=_failure(run.path.parent),
@@ -279,19 +275,12 @@ class HealthWatch:
             self._absences.remove(min(self._absences, key=lambda one: one.weight))
             self._more_absences += 1
 
-    def _see_missing(self, message: Message) -> None:
-        """Count an input once a cycle, however many messages of its agent name it."""
-        agent, cycle = message.source, message.cycle
-        if not message.missing:
-            return
-        now, counted = self._missed_now.get(agent, (-1, set()))
-        if cycle != now:
-            now, counted = self._missed_now[agent] = (cycle, set())
-        new = {parse_missing(entry).key for entry in message.missing} - counted
-        counted |= new
-        self._misses[agent] += len(new)
-        first, last = self._missed_in.get(agent, (cycle, cycle))
-        self._missed_in[agent] = min(first, cycle), max(last, cycle)
+    def _misses(self) -> Iterator[Misses]:
+        missed = self._missed
+        for agent, cycles in missed.cycles.items():
+            is_external = agent in self._plan.external
+            count = missed.missing[agent].total()
+            yield Misses(agent, count, missed.old[agent], *cycles, is_external)
 
 
 def read_health(run: RunReader) -> Health:
@@ -370,8 +359,11 @@ def _missed_text(misses: tuple[Misses, ...], clock: RunClock) -> str:
     first = min(found.first_cycle for found in misses)
     last = max(found.last_cycle for found in misses)
     worst = ", ".join(f"{found.agent} {found.inputs:,}" for found in misses[:_NAMED])
-    total = sum(found.inputs for found in misses)
-    return f"{total:,} missed or old {clock.span_text(first, last)}, most at {worst}"
+    own = [found for found in misses if not found.external]
+    missed, old = sum(found.inputs for found in own), sum(found.old for found in own)
+    devices = "".join(f"; {m.agent} (external) {m.inputs:,}" for m in misses if m.external)
+    when = clock.span_text(first, last)
+    return f"{missed:,} missed and {old:,} older ones used {when}, most at {worst}{devices}"
 
 
 def _absence_text(absence: Absence, clock: RunClock) -> str:

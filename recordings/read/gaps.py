@@ -6,13 +6,17 @@ numbers leave out: `inspect`, `recover`, `verify` and the recorder all use it.
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 
 from agents.plan import RunPlan
 from bus_schemas.messages import Message
 from bus_schemas.signals import Occurrence, Port
+
+if TYPE_CHECKING:
+    from recordings.read.reader import RunReader
 
 LISTED_GAPS: Final = 100
 """So many gaps are kept with their place; the rest is counted."""
@@ -142,3 +146,27 @@ class RunGaps:
             self.gaps.append(Gap(str(port), gap[0], gap[-1], len(gap)))
         else:
             self.more_gaps += 1
+
+
+def recorder_absences(run: RunReader) -> Iterator[tuple[str, range]]:
+    """Yield for each publisher the cycles that the recorder may have missed: between two files.
+
+    The first and the last of them may be recorded in part, or as a whole.
+    """
+    if run.files == 1:
+        return
+    newest: dict[Port[Message], int] = {}
+    seen_in: dict[Port[Message], int] = {}
+    absences: dict[tuple[str, int], range] = {}
+    regular = [port for port in run.ports() if due_step(run.plan, port)]
+    for port, cycle, *_ in run.records(regular):
+        file = run.file_number
+        if seen_in.get(port, 0) < file:
+            key = port.publisher, file
+            before = absences.get(key, range(cycle, cycle))
+            first = min(newest.get(port, 0), before.start)
+            absences[key] = range(first, max(cycle + 1, before.stop))
+        seen_in[port] = file
+        newest[port] = max(cycle, newest.get(port, 0))
+    for (publisher, _), absence in absences.items():
+        yield publisher, absence

@@ -130,6 +130,8 @@ class Outline:
         In the order of the file. The last one may be cut.
     damaged_attachments
         Names of those whose checksum is wrong; of one that cannot be read, where it is.
+    further_files
+        First bytes of the files that it goes on in.
     """
 
     size: int
@@ -143,6 +145,7 @@ class Outline:
     channels: dict[int, Channel] = field(default_factory=dict)
     chunks: list[ChunkPlace] = field(default_factory=list)
     damaged_attachments: list[str] = field(default_factory=list)
+    further_files: list[int] = field(default_factory=list)
 
     @property
     def cut_early(self) -> bool:
@@ -153,6 +156,7 @@ class Outline:
         """Go on with the outline of a further file, which begins at a byte."""
         if self.chunks and self.chunks[-1].cut:
             self.chunks.pop()
+        self.further_files.append(begin)
         self.chunks += [one._replace(offset=one.offset + begin) for one in other.chunks]
         self.channels, self.schemas = self.channels or other.channels, self.schemas or other.schemas
         self.size, self.readable_end = begin + other.size, begin + other.readable_end

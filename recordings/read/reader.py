@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Collection, Container, Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -308,11 +309,14 @@ class RunReader:
     @cached_property
     def stop_cycle(self) -> int | None:
         """The cycle before which the plant ended the run; None: the recording does not tell."""
-        cycles = range(max(self.last_cycle, 0), _MOST_CYCLES)
-        for record in self.records([RUN.of(ROOT)], cycles):
-            if decode(RUN, record.payload).state == "stop":
-                return record.cycle
-        return None
+        last = max(self.last_cycle, 0)
+        records = self.records([RUN.of(ROOT)], range(last, _MOST_CYCLES))
+        runs = (decode(RUN, record.payload) for record in records)
+        stops = [run.cycle for run in runs if run.state == "stop"]
+        # Another program may have said so before a cycle that took place. Controllers that did not
+        # wait for the plant may have begun the cycle of its own stop.
+        later = [cycle for cycle in stops if cycle > self.last_cycle]
+        return min(later or stops, default=None)
 
     def cycles_in(self, place: ChunkPlace) -> range:
         """Return the cycles that a chunk has messages of; empty if none can be read."""
@@ -344,6 +348,11 @@ class RunReader:
     def _nearest(self, places: Iterable[ChunkPlace]) -> range:
         """Return the cycles of the first readable chunk."""
         return next(filter(None, map(self.cycles_in, places)), range(0))
+
+    @property
+    def file_number(self) -> int:
+        """Which of its files the reading has come to, from 0 on."""
+        return bisect_right(self.outline.further_files, self._position)
 
     @property
     def read_share(self) -> float:

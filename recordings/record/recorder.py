@@ -354,7 +354,7 @@ class Recorder:
                     recorded[record.port.signal.name] += 1
                     if record.port.publisher in self._plan.elsewhere:
                         external.hear(record.port, record.message())
-            completed = recorded[PRODUCTION.name]
+            completed = cycles
         self._link.tell(
             Recorded(
                 recorded=dict(recorded),

@@ -18,7 +18,7 @@ from bus_schemas.tree import RECORDER
 MOST_WAITING: Final = 200_000
 """Most messages that wait for an agent that is late or has ended: about 100 MB."""
 
-_MARGIN: Final = 1
+_MARGIN: Final = 20
 """Messages of one agent may overtake each other by this many cycles on the way to the recorder."""
 
 
@@ -164,7 +164,9 @@ class RecentMessages:
         contested = {
             port
             for port, second in cycle.repeated
-            if port.publisher not in self._external and differ(cycle.messages[port], second)
+            if port.publisher not in self._external
+            and port in cycle.messages
+            and differ(cycle.messages[port], second)
         }
         if contested:
             self.contested[cycle.number] = contested

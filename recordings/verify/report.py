@@ -99,6 +99,7 @@ def verification_data(found: Verification, comparison: Comparison, wall_s: float
         "first_agent": found.first[0] if found.first is not None else None,
         "misplaced": found.misplaced,
         "cut_off": found.cut_off,
+        "unrecorded_cycles": found.unrecorded_cycles,
         "left_out": found.left_out,
         "wall_s": wall_s,
         "agents": finding_data(found.agents),
@@ -132,6 +133,12 @@ def _remarks(found: Verification) -> Iterator[str]:
         yield (
             f"the run or its recording broke off: {found.cut_off:,} messages of incomplete cycles "
             "left out"
+        )
+    if found.unrecorded_cycles is not None:
+        later = sum(one.not_compared for one in found.agents.values() if one.first is None)
+        yield (
+            f"the recorder was started again: {found.unrecorded_cycles:,} cycles were not recorded "
+            f"and are not compared, nor are {later:,} later messages of agents that remember them"
         )
     if found.misplaced:
         yield f"{found.misplaced:,} messages belong to no cycle of the run, or come long after it"

@@ -8,6 +8,9 @@ without recorded outputs was not closed. A process that replaced another says so
 its agent begins again, or, if it was a standby, with what the standby says that it knew. One that
 was killed may have sent a part of its last messages. In the cycle of a takeover both processes may
 have spoken: each listener used what it heard first, and its outputs show which that was.
+
+What is missing because the recorder was away is no difference. An agent that remembers earlier
+cycles is not compared after that, until another process takes its place.
 """
 
 from __future__ import annotations
@@ -44,6 +47,8 @@ class _Process:
         The cycle in which a standby took over, maybe after its first stage; -1 for others.
     heard, sequence
         Newest cycle of each input, and number of the next message of each port.
+    spoke
+        Cycle of the last recorded message of each port.
     is_over
         Whether what the agent knows is not certain any more.
     unsent
@@ -55,6 +60,7 @@ class _Process:
     began_in: int
     heard: dict[Port[Message], int]
     sequence: dict[Port[Message], int] = field(default_factory=dict)
+    spoke: dict[Port[Message], int] = field(default_factory=dict)
     is_over: bool = False
     unsent: list[tuple[Port[Message], Message, str, dict[Port[Message], Message]]] = field(
         default_factory=list
@@ -71,6 +77,7 @@ class AgentRerun:
         plan: RunPlan,
         recent: RecentMessages,
         takeovers: Mapping[tuple[str, int], Takeover],
+        absences: Sequence[tuple[str, range]],
         comparison: Comparison,
         from_cycle: int,
     ) -> None:
@@ -82,6 +89,7 @@ class AgentRerun:
         self._rivals: dict[Port[Message], list[Message]] = {}
         self._others = recent.others
         self._takeovers = takeovers
+        self._absences = absences
         self._comparison = comparison
         self._stage_of = {
             port: stage_of(port, plan.tree)
@@ -138,6 +146,9 @@ class AgentRerun:
             loop.resume(takeover)
         began_in = -1 if takeover is None else cycle
         process = _Process(loop, began_in, dict.fromkeys(self._period, -1))
+        # A takeover may be what was not recorded.
+        is_certain = takeover is not None or not cycle or not self._was_away(self.name, cycle)
+        process.is_over = self._remembers and not is_certain
         self._processes[cycle] = process
         return process
 
@@ -166,9 +177,6 @@ class AgentRerun:
                 self._run(number, recorded, is_last=is_last)
             except (Exception, SystemExit) as error:
                 self._fail(number, self._stage, error)
-            loops = [process.loop for process in self._processes.values()]
-            findings.missing_inputs = sum(loop.missing_inputs for loop in loops)
-            findings.old_inputs = sum(loop.old_inputs for loop in loops)
         findings.leave_out(number, sum(map(len, recorded.values())))
 
     @property
@@ -208,10 +216,10 @@ class AgentRerun:
             return
         # What the agent knows from here on is not certain.
         for port, kind in lost.items():
-            if self._lost.get(port) != cycle:  # Both stages of a cycle may use it.
+            if kind and self._lost.get(port) != cycle:  # Both stages of a cycle may use it.
                 self._lost[port] = cycle
                 self._add(kind, cycle, stage.name, port)
-        if not lost:
+        if not lost and not self._was_away(self.name, cycle):
             self._add("not recorded", cycle, stage.name)
         self.findings.leave_out(cycle, len(recorded))
         recorded.clear()
@@ -219,10 +227,13 @@ class AgentRerun:
 
     def _hear_inputs(
         self, stage: Stage, cycle: int, missing: Sequence[str]
-    ) -> dict[Port[Message], Kind]:
-        """Give the agent the messages that a stage used; return the ports where it is not known."""
+    ) -> dict[Port[Message], Kind | None]:
+        """Give the agent the messages that a stage used; return the ports where it is not known.
+
+        None in place of a kind: the recorder was away.
+        """
         used_of = dict(map(parse_missing, missing))
-        lost: dict[Port[Message], Kind] = {}
+        lost: dict[Port[Message], Kind | None] = {}
         for port in (*stage.awaits, *stage.uses):
             due = cycle - cycle % self._period[port]
             used = used_of.get(str(port), due) if used_of else due
@@ -230,7 +241,8 @@ class AgentRerun:
                 continue
             message = self._recent[port].get(used)
             if message is None:
-                lost[port] = "input not recorded"
+                was_away = self._was_away(port.publisher, used)
+                lost[port] = None if was_away else "input not recorded"
                 continue
             if port in self._contested.get(used, ()):
                 lost[port] = "input of two senders"
@@ -284,7 +296,8 @@ class AgentRerun:
     def _compare_unsent(self) -> None:
         """Find what the process did not send, though it went on."""
         for port, new, stage, inputs in self._process.unsent:
-            self.findings.compare(self._comparison, port, None, new, stage, inputs)
+            if not self._was_away(self.name, new.cycle):
+                self.findings.compare(self._comparison, port, None, new, stage, inputs)
         self._process.unsent.clear()
 
     def _find_lost_outputs(
@@ -299,9 +312,20 @@ class AgentRerun:
                 if any(rival.sequence == expected for rival in self._rivals.get(port, ())):
                     sequence = expected
                 if sequence > expected:
-                    self._add("not recorded", cycle, stage, port, message)
+                    since = self._process.spoke.get(port, message.incarnation)
+                    if not self._was_away(self.name, since, cycle):
+                        self._add("not recorded", cycle, stage, port, message)
                     self._process.is_over = self._remembers
                 self._process.sequence[port] = sequence + 1
+                self._process.spoke[port] = cycle
+
+    def _was_away(self, publisher: str, first: int, last: int | None = None) -> bool:
+        """Whether the recorder may have missed a publisher in a cycle, or in one of several."""
+        last = first if last is None else last
+        return any(
+            name == publisher and first < absence.stop and last >= absence.start
+            for name, absence in self._absences
+        )
 
     def _fail(self, cycle: int, stage: str, error: BaseException) -> None:
         text = f"{type(error).__name__}: {error}"

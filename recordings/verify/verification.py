@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,8 +12,12 @@ from agents.agent import Agent
 from agents.cycle import stage_place
 from agents.plan import RunPlan
 from agents.team import controller
+from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
-from bus_schemas.tree import PLANT, agent_name
+from bus_schemas.signals import PRODUCTION
+from bus_schemas.tree import PLANT, ROOT, agent_name
+from recordings.read.gaps import recorder_absences
+from recordings.read.missed_inputs import MissedInputs
 from recordings.read.reader import RunReader
 from recordings.read.selection import find_agents
 from recordings.verify.comparison import Comparison
@@ -40,6 +44,8 @@ class Verification:
         Cycles that were verified, and all messages of the recording.
     not_decided, misplaced, cut_off
         Messages that were not compared, see `RecordedCycles`.
+    unrecorded_cycles
+        Cycles in which the recorder was away; None if it always was there.
     agents
         Findings of each agent that was run again.
     left_out
@@ -54,6 +60,7 @@ class Verification:
     not_decided: int
     misplaced: int
     cut_off: int
+    unrecorded_cycles: int | None
     agents: dict[str, Findings]
     left_out: dict[str, str]
 
@@ -78,8 +85,8 @@ class Verification:
 
     @property
     def equal(self) -> bool:
-        """Whether every agent publishes what it published."""
-        return not (self.differences or self.misplaced or self.total("not_compared"))
+        """Whether every agent publishes what it published, as far as that was recorded."""
+        return not (self.differences or self.misplaced)
 
 
 def verify(
@@ -106,23 +113,33 @@ def verify(
         plan, stop_cycle = reader.plan, reader.stop_cycle
         wanted = reader.clock.span(start, end)
         team, left_out = _team(plan, nodes, reader.path)
-        recorded = RecordedCycles(reader.messages(), plan, stop_cycle)
+        missed = _missed_inputs(plan)
+        recorded = RecordedCycles(_counted(reader.messages(), missed), plan, stop_cycle)
         recent = RecentMessages(plan)
+        absences = list(recorder_absences(reader))
         reruns = [
-            AgentRerun(name, make, plan, recent, recorded.takeovers, comparison, wanted.start)
+            AgentRerun(
+                name, make, plan, recent, recorded.takeovers, absences, comparison, wanted.start
+            )
             for name, make in team.items()
         ]
-        cycles = 0
+        away = {cycle for name, absence in absences if name == PLANT for cycle in absence}
+        cycles = unrecorded = 0
         for cycle in recorded:
             if end is not None and cycle.number >= wanted.stop:
                 break
             recent.add(cycle)
             for rerun in reruns:
                 rerun.take(cycle)
-            cycles += bool(cycle.messages) and cycle.number >= wanted.start
+            if cycle.number >= wanted.start:
+                cycles += bool(cycle.messages)
+                unrecorded += cycle.number in away and PRODUCTION.of(ROOT) not in cycle.messages
             progress(reader.read_share)
         for rerun in reruns:
             rerun.end()
+            if missed is not None:
+                rerun.findings.missing_inputs = missed.missing[rerun.name].total()
+                rerun.findings.old_inputs = missed.old[rerun.name]
         found = Verification(
             reader.path,
             plan,
@@ -132,12 +149,28 @@ def verify(
             recorded.not_decided,
             recorded.misplaced,
             recorded.cut_off,
+            unrecorded if absences else None,
             {rerun.name: rerun.findings for rerun in reruns},
             left_out,
         )
-    if not found.total("compared") and found.equal:
+    if not found.total("recorded") and found.equal:
         raise InputError(f"{found.recording}: expected messages of {', '.join(team)}, got none")
     return found
+
+
+def _missed_inputs(plan: RunPlan) -> MissedInputs | None:
+    """Return what counts missed inputs; None if an agent cannot be made, which is a finding."""
+    try:
+        return MissedInputs(plan)
+    except (Exception, SystemExit):
+        return None
+
+
+def _counted(messages: Iterable[Delivery], missed: MissedInputs | None) -> Iterator[Delivery]:
+    for port, message in messages:
+        if missed is not None:
+            missed.count(port, message)
+        yield port, message
 
 
 def run_profile(plan: RunPlan, recording: Path) -> Profile | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from math import isnan
@@ -87,7 +87,7 @@ def study_clusters(
     question: ClusterQuestion,
     remarks: tuple[str, ...],
     workers: int,
-    watch: Callable[[Iterator[Done], int], Iterator[Done]],
+    watch: Callable[[Generator[Done], int], Iterator[Done]],
 ) -> ClusterStudy:
     """Run all ways to choose clusters; `watch` passes their results on, to show progress."""
     scheme, periods, control = question.scheme, question.periods, question.control

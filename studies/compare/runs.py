@@ -9,6 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from bus_schemas.errors import InputError
+from recordings.read.gaps import recorder_absences
 from recordings.read.reader import RunReader
 from recordings.read.series import RunSeries, read_series
 from studies.metrics import run_metrics
@@ -33,7 +35,7 @@ _GIVEN: Final = ("commitment_kw", "regulation_kw", "mpp_kw")
 
 
 def read_two_runs(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]:
-    """Read two recordings as A and B, as far as both go, and a line about each.
+    """Read two recordings as A and B, the cycles that both have, and a line about each.
 
     Raises
     ------
@@ -41,8 +43,10 @@ def read_two_runs(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]
         One is no recording, or they differ in their inverters, cycles or beginning.
     """
     series, lines = [], []
+    away: set[int] = set()
     for label, path in zip("AB", paths, strict=True):
         with RunReader(path) as reader:
+            away.update(*(absence for _, absence in recorder_absences(reader)))
             lines.append(f"{label}: {path}, run {reader.plan.run_id}. {run_line(reader.plan)}")
         series.append(replace(read_series(path), label=label))
     cycles = min(one.cycles for one in series)
@@ -54,9 +58,25 @@ def read_two_runs(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]
     ]
     check_comparable(series)
     first, second = series
+    left_out = ~(first.known & second.known) | np.isin(np.arange(cycles), list(away))
+    if left_out.any():
+        lines.append(
+            f"{left_out.sum():,} of {cycles:,} cycles are left out: A or B has not recorded them."
+        )
+        first, second = series = [_without(one, left_out) for one in series]
+    if left_out.all():
+        raise InputError(f"{paths[1]}: expected a cycle that {paths[0]} has recorded too, got none")
     if any(_differ(first, second, name).any() for name in _GIVEN):
         lines.append("Sky or dispatch differ: figures of possible power and regulation show A's.")
     return series, lines
+
+
+def _without(series: RunSeries, cycles: NDArray[np.bool_]) -> RunSeries:
+    """Return a run as if some of its cycles had not been recorded."""
+    arrays = {name: getattr(series, name).copy() for name in _IN_ORDER}
+    for array in arrays.values():
+        array[cycles] = np.nan
+    return replace(series, **arrays)
 
 
 def _differ(first: RunSeries, second: RunSeries, name: str) -> NDArray[np.bool_]:

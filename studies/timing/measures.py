@@ -127,8 +127,8 @@ class _Measures:
         spoke_ns = np.column_stack([np.where(one.closed, one.last_ns, 0) for one in stages])
         latest_ns = np.maximum.accumulate(np.concatenate([[0], spoke_ns.ravel()]))
         before_ns = latest_ns[:-1].reshape(spoke_ns.shape)
-        missed, missing, overruns = Counter[str](), Counter[str](), Counter[str]()
-        old_inputs = slowest_ns = 0
+        missed, overruns = Counter[str](), Counter[str]()
+        slowest_ns = 0
         for stage, before in zip(stages, before_ns.T, strict=True):
             decision_ns = (stage.last_ns - stage.ready_ns)[stage.closed]
             self._add_stage("decision", stage, decision_ns)
@@ -137,11 +137,8 @@ class _Measures:
             known = stage.closed & (stage.oldest_ns < NEVER)
             self._add_stage("age", stage, (stage.ready_ns - stage.oldest_ns)[known])
             self._see_hops(stage, before)
-            for place, port in enumerate(stage.inputs):
-                missing[str(port)] += int(stage.without[:, place].sum())
             missed[stage.name] += int(stage.lacking.sum())
             overruns[stage.name] += int(overran.sum())
-            old_inputs += stage.old_inputs
             self.late |= stage.lacking | overran
         silent = ~np.logical_or.reduce([stage.closed for stage in stages])
         self.late |= silent
@@ -151,8 +148,8 @@ class _Measures:
                 tier=tier_of(agent, self._tree),
                 kind=kind_of(agent, self._tree),
                 missed_deadlines=dict(+missed),
-                missing_inputs=dict(+missing),
-                old_inputs=old_inputs,
+                missing_inputs=dict(self._messages.missed.missing[agent]),
+                old_inputs=self._messages.missed.old[agent],
                 overruns=dict(+overruns),
                 skipped_cycles=int(silent.sum()),
                 slowest_decision_us=slowest_ns / 1e3,

@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 from agents.agent import Stage
 from agents.cycle import STAGES, kind_of, stage_of
 from agents.plan import START_WITHIN_NS, RunPlan
-from agents.team import controllers
+from agents.team import stages_of_agents
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, Run
 from bus_schemas.missing import parse_missing
 from bus_schemas.signals import COMMAND, PRODUCTION, RUN, Port
 from bus_schemas.tree import PLANT, ROOT
+from recordings.read.missed_inputs import MissedInputs
 from recordings.read.reader import RunReader
 
 NEVER: Final = np.iinfo(np.int64).max
@@ -56,8 +57,13 @@ class MessageTimes:
         As the messages state them [ns], shape (T, P); 0 where there is no message.
     missing
         By port and cycle, what a message says of inputs that were older than due.
+<<<<<<< HEAD
     fastest_ns
         Shortest time from the publishing of a port's message to the recorder [ns], shape (P,).
+=======
+    missed
+        How many inputs each agent missed.
+>>>>>>> main
     """
 
     plan: RunPlan
@@ -66,7 +72,11 @@ class MessageTimes:
     ready_ns: NDArray[np.int64]
     publish_ns: NDArray[np.int64]
     missing: dict[Port[Message], dict[int, tuple[str, ...]]]
+<<<<<<< HEAD
     fastest_ns: NDArray[np.int64]
+=======
+    missed: MissedInputs
+>>>>>>> main
 
     def published_ns(self, port: Port[Message]) -> NDArray[np.int64]:
         """Return when the messages of a port went out, shape (T,); 0 where there is none."""
@@ -92,8 +102,6 @@ class StageTimes:
         none; and which it is, a place in `inputs`. Shape (T,).
     oldest_ns
         When the oldest message went out that it used, shape (T,); `NEVER` if it used none.
-    old_inputs
-        How many of the messages that it used were older than due.
     closed
         Whether it published anything, shape (T,).
     ready_ns, first_ns, last_ns, last
@@ -144,7 +152,6 @@ class StageTimes:
                     if key in places:
                         late[cycle, places[key]] = True
                         used[cycle, places[key]] = -1 if of_cycle is None else of_cycle
-        self.old_inputs = int((late & (used >= 0)).sum())
         self.without: NDArray[np.bool_] = np.logical_and(self.awaited, late)
         self.lacking: NDArray[np.bool_] = self.without.any(axis=1)
         self.input_ns = messages.publish_ns[:, [messages.columns[port] for port in self.inputs]]
@@ -166,6 +173,7 @@ def read_message_times(reader: RunReader) -> MessageTimes:
     cycles, places, readies, publishes = (array("q") for _ in range(4))
     fastest_ns = [NEVER] * len(columns)
     missing: dict[Port[Message], dict[int, tuple[str, ...]]] = {}
+    missed = MissedInputs(plan)
     for record in reader.records(columns, range(_end_cycle(reader))):
         try:
             head = _decode_head(record.payload)
@@ -174,6 +182,7 @@ def read_message_times(reader: RunReader) -> MessageTimes:
                 f"{reader.path}: {record.port}: {error}, expected a "
                 f"{record.port.signal.type.__name__}"
             ) from None
+        missed.see(record)
         # A device without this host's clock states 0, one with another clock an impossible time.
         earliest_ns = max(start_ns + (record.cycle - 1) * plan.cycle_wall_ns, 1)
         if record.publish_time_ns > record.log_time_ns or head.publish_time_ns < earliest_ns:
@@ -195,19 +204,17 @@ def read_message_times(reader: RunReader) -> MessageTimes:
     ready_ns[cycle[kept], place[kept]] = np.array(readies)[::-1][kept]
     publish_ns[cycle[kept], place[kept]] = np.array(publishes)[::-1][kept]
     tick_ns = start_ns + np.arange(length) * plan.cycle_wall_ns
+<<<<<<< HEAD
     fastest = np.array(fastest_ns, dtype=np.int64)
     return MessageTimes(plan, columns, tick_ns, ready_ns, publish_ns, missing, fastest)
+=======
+    return MessageTimes(plan, columns, tick_ns, ready_ns, publish_ns, missing, missed)
+>>>>>>> main
 
 
 def stage_times(messages: MessageTimes) -> list[StageTimes]:
     """Return every stage of every agent: the plant first, the stages of an agent in their order."""
     plan = messages.plan
-    commands = tuple(COMMAND.of(leaf) for leaf in plan.tree.leaves)
-    cycles = range(plan.periods.longest)
-    patterns: dict[str, list[tuple[Stage, ...]]] = {}
-    patterns[PLANT] = [(Stage("sense", (), timed=True), Stage("apply", commands))]
-    for one in controllers(plan):
-        patterns[one.name] = [one.stages(cycle) for cycle in cycles]
     outputs: dict[tuple[str, str], list[Port[Message]]] = {}
     for port in messages.columns:
         outputs.setdefault((port.publisher, stage_of(port, plan.tree)), []).append(port)
@@ -218,7 +225,7 @@ def stage_times(messages: MessageTimes) -> list[StageTimes]:
             [next((one for one in stages if one.name == name), None) for stages in pattern],
             outputs[agent, name],
         )
-        for agent, pattern in patterns.items()
+        for agent, pattern in stages_of_agents(plan).items()
         for name in STAGES[kind_of(agent, plan.tree)]
     ]
 

@@ -1,14 +1,18 @@
 """Who can say what to whom: sessions of all agents of a run, and of programs that are none.
 
 The sessions are set up as the agents' own are, with and without keys. Each hears all that it is
-sent; an intruder links with all that listen, and puts a message on each key.
+sent; an intruder links with all that listen, puts a message on each key, and declares each agent's
+liveliness token.
 """
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
+from functools import partial
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -18,7 +22,7 @@ from plans_by_hand import plan_of
 
 from agents.plan import RunPlan
 from agents.session import session_settings, users
-from bus_schemas.access import session_id
+from bus_schemas.access import password, session_id
 from bus_schemas.signals import CLOCK
 from bus_schemas.tree import PLANT, RECORDER
 from bus_schemas.zenoh_bus import KeyFiles, SessionSettings
@@ -30,9 +34,14 @@ PORTS = [port for port in BARE.keys.ports if port.signal is not CLOCK]
 LISTENING = BARE.links.listening
 DEVICE = "c2/b"
 INTRUDING_S = 1.0
+VALID_S = 15.0
 
 Heard = set[tuple[str, str]]
 """Agent and key."""
+
+
+def alive(agent: str) -> str:
+    return BARE.keys.alive_key(agent).partition("/")[2]
 
 
 class Team:
@@ -47,7 +56,6 @@ class Team:
         }
         for agent, session in self.sessions.items():
             self._listen(agent, session)
-            session.liveliness().declare_token(plan.keys.alive_key(agent))
 
     def _listen(self, agent: str, session: zenoh.Session) -> None:
         def hear(sample: zenoh.Sample) -> None:
@@ -56,6 +64,14 @@ class Team:
 
         remote = zenoh.Locality.REMOTE
         session.declare_subscriber(f"{self.plan.plant}/**", hear, allowed_origin=remote)
+        every_token = self.plan.keys.alive_key("**")
+        session.liveliness().declare_subscriber(every_token, partial(self._see_token, agent))
+
+    def _see_token(self, agent: str, sample: zenoh.Sample) -> None:
+        """Note a token that comes: nobody but an intruder declares any."""
+        if sample.kind == zenoh.SampleKind.PUT:
+            key = str(sample.key_expr).partition("/")[2]
+            self._heard.append((agent, key, b"intruder"))
 
     def heard_of(self, name: str) -> Heard:
         """Who has heard what of a sender."""
@@ -66,14 +82,24 @@ class Team:
         for port in PORTS:
             session.put(self.plan.keys.key(port), name)
 
-    def until_linked(self) -> None:
+    def until_linked(self, without: str = "") -> None:
         """Wait until each agent's messages come through to each that is to hear them."""
+        self._heard.clear()
         give_up_at = time.monotonic() + 30.0
-        while any(self.heard_of(agent) != self.due(agent) for agent in AGENTS):
+        while any(
+            self.heard_of(agent) != {place for place in self.due(agent) if place[0] != without}
+            for agent in AGENTS
+            if agent != without
+        ):
             assert time.monotonic() < give_up_at, "the links never came up"
             for agent, session in self.sessions.items():
                 self.say(session, agent)
             time.sleep(0.1)
+
+    def can_forge(self, agent: str) -> Heard:
+        """Who that listens is to hear what of an intruder in an agent's name."""
+        tokens = {(peer, alive(agent)) for peer in self.plan.links.peers(agent)}
+        return {place for place in self.due(agent) | tokens if place[0] in LISTENING}
 
     def due(self, agent: str) -> Heard:
         """Who is to hear what of an agent: its keys, their listeners and the recorder."""
@@ -85,7 +111,11 @@ class Team:
         }
 
     def intrude(
-        self, mode: str = "peer", keys: KeyFiles | None = None, session_id: str = ""
+        self,
+        mode: str = "peer",
+        keys: KeyFiles | None = None,
+        session_id: str = "",
+        password: str = "",
     ) -> Heard:
         """Let a program speak that is none of the agents; return who hears what of it."""
         with ExitStack() as stack:
@@ -97,17 +127,24 @@ class Team:
                     [f"{self.plan.host_of(PLANT)}:{port}"],
                     keys=keys,
                     session_id=session_id,
+                    user=PLANT if password else "",
+                    password=password,
                 )
                 config = settings.config()
                 config.insert_json5("mode", f'"{mode}"')
                 config.insert_json5("connect/timeout_ms", "500")
                 with suppress(zenoh.ZError):  # A client that is not admitted has no session.
                     sessions.append(stack.enter_context(zenoh.open(config)))
+            tokens = [
+                session.liveliness().declare_token(self.plan.keys.alive_key(agent))
+                for agent, session in product(AGENTS, sessions)
+            ]
             until = time.monotonic() + INTRUDING_S
             while time.monotonic() < until:
                 for session in sessions:
                     self.say(session, "intruder")
                 time.sleep(0.05)
+            del tokens
         found = self.heard_of("intruder")
         self._heard.clear()
         return found
@@ -152,7 +189,12 @@ def with_keys(keys: Path) -> Iterator[Team]:
 def test_without_keys_nobody_hears_a_stranger(without_keys: Team, mode: str) -> None:
     assert without_keys.intrude(mode) == set()
     # Whoever links with an agent is told the id of its session.
-    assert without_keys.intrude(mode, session_id=session_id(BARE.secret, PLANT)) == set()
+    plants_id = session_id(BARE.secret, PLANT)
+    assert without_keys.intrude(mode, session_id=plants_id) == set()
+    # Of each session there is one: as long as the plant lives, nobody can take its place.
+    plants_password = password(BARE.secret, PLANT)
+    found = without_keys.intrude(mode, session_id=plants_id, password=plants_password)
+    assert found == set()
 
 
 @pytest.mark.parametrize("mode", ["peer", "client"])
@@ -160,8 +202,7 @@ def test_beside_a_device_a_stranger_can_say_what_the_device_may_and_is_heard_by_
     with_a_device: Team, mode: str
 ) -> None:
     everything = {(RECORDER, str(port)) for port in PORTS if port.publisher != RECORDER}
-    of_device = {place for place in with_a_device.due(DEVICE) if place[0] in LISTENING}
-    assert with_a_device.intrude(mode) == everything | of_device
+    assert with_a_device.intrude(mode) == everything | with_a_device.can_forge(DEVICE)
 
 
 @pytest.mark.parametrize("mode", ["peer", "client"])
@@ -178,4 +219,21 @@ def test_with_the_keys_of_an_agent_a_program_can_say_what_that_agent_may_and_no_
     with_keys: Team, keys: Path, agent: str
 ) -> None:
     found = with_keys.intrude(keys=KeyFiles.of(keys / "own", agent))
-    assert found == {place for place in with_keys.due(agent) if place[0] in LISTENING}
+    assert found == with_keys.can_forge(agent)
+
+
+def test_a_link_closes_when_a_certificate_expires_and_comes_back_with_a_renewed_one(
+    keys: Path, tmp_path: Path
+) -> None:
+    """Who connects reads its certificate anew for each link, who listens does not."""
+    from launch_scripts.scenarios.plant_keys import make_keys  # noqa: PLC0415
+
+    shutil.copytree(keys / "own", tmp_path / "keys")
+    renew = partial(make_keys, tmp_path / "keys", BARE.plant, addresses=())
+    expires = renew(agents=["c1/a", "c2/b"], days=VALID_S / 86_400).expires.timestamp()
+    for team in team_of(replace(BARE, keys_folder=str(tmp_path / "keys")), tmp_path):
+        assert time.time() < expires, "the machine is too slow"
+        renew(agents=["c1/a"], days=1.0)
+        time.sleep(expires + 1.0 - time.time())
+        team.until_linked(without="c2/b")
+        assert not team.heard_of("c2/b")

@@ -12,7 +12,8 @@ from recordings_by_hand import PLAN, SCENARIO, cycle_of_the_plant, whole_run, wr
 from bus_schemas.bus import Delivery, Outbox
 from bus_schemas.codec import encode
 from bus_schemas.messages import Notice, Production
-from bus_schemas.signals import IMPP, NOTICE, PRODUCTION, TELEMETRY
+from bus_schemas.signals import IMPP, NOTICE, PRODUCTION, RUN, TELEMETRY
+from bus_schemas.tree import ROOT
 from live_page.follower import RunFollower
 from live_page.nodes import NodeStates
 from recordings.read.series import read_plant_series
@@ -138,6 +139,18 @@ def test_a_restart_is_told_by_numbers_that_begin_again(tmp_path: Path) -> None:
     follower = followed(path)
     assert ("restart", 6, "c1/a") in kinds(follower)
     assert follower.restarts["c1/a"] == 1
+
+
+def test_a_stop_that_the_plant_contradicts_does_not_end_the_run(tmp_path: Path) -> None:
+    (start, *cycles, stop), told = whole_run(9), (RUN.of(ROOT), PLAN.run_message("stop", 4, 1))
+    files = {
+        "before.mcap": ([start, told, *cycles], "running"),
+        "after.mcap": ([start, *cycles, told], "running"),
+        "ended.mcap": ([start, told, *cycles, stop], "over"),
+    }
+    for name, (deliveries, state) in files.items():
+        write_run(tmp_path / name, deliveries, close=False)
+        assert followed(tmp_path / name).state == state, name
 
 
 def test_notices_are_events_that_are_counted(tmp_path: Path) -> None:

@@ -57,8 +57,12 @@ class Attacker:
 
     def put(self, port: Port[Message], message: Message) -> None:
         """Send a message to everybody."""
+        self.put_bytes(self.plan.keys.key(port), encode(message))
+
+    def put_bytes(self, key: str, payload: bytes) -> None:
+        """Send a payload to everybody."""
         for session in self._sessions:
-            session.put(self.plan.keys.key(port), encode(message))
+            session.put(key, payload)
 
     def forge(self, cycle: int, spared: str = "") -> None:
         """Forge what decides of power in a cycle, but for one agent's."""

@@ -14,8 +14,10 @@ from running import Heliarch, assert_none_left, small_plant
 from verifying import assert_equal_as_far_as_recorded, findings, verified
 
 from bus_schemas.signals import SETPOINT
+from recordings.inspect.health import read_health
 from recordings.read.reader import RunReader
 from recordings.read.run_file import log_name
+from studies.timing.measures import run_timing
 
 pytestmark = pytest.mark.processes
 
@@ -119,7 +121,12 @@ def test_a_standby_takes_over_from_a_killed_parent_which_then_stands_by(
     assert summary["takeovers"]["central"] >= 2
     assert summary["restarts"] == {"central": 1, "central+standby": 1}
     assert_none_left(run.folder)
-    assert_equal_as_far_as_recorded(run, verified(run))
+    found = verified(run)
+    assert_equal_as_far_as_recorded(run, found)
+    with RunReader(run.folder) as reader:
+        inspected = sum(one.inputs for one in read_health(reader).misses)
+        timed = sum(sum(one.missing_inputs.values()) for one in run_timing(reader).processes)
+    assert summary["missing_inputs"] == inspected == timed == found.total("missing_inputs")
 
 
 def until_taken_over(run: Heliarch, agent: str, times: int = 1) -> None:

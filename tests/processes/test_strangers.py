@@ -20,7 +20,7 @@ from test_launch import summary_of
 from agents.plan import RunPlan, load_plan
 from bus_schemas.codec import encode
 from bus_schemas.messages import Message
-from bus_schemas.signals import Port
+from bus_schemas.signals import IMPP, Port
 from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.scenarios.preparation import RunOptions, prepare
@@ -71,22 +71,53 @@ def test_nothing_that_a_stranger_says_is_heard(heliarch: Start, tmp_path: Path, 
 def test_beside_a_device_what_a_stranger_forges_reaches_no_agent_and_is_named(
     heliarch: Start, tmp_path: Path
 ) -> None:
-    words = ("--scheme", "paper", "--duration", LONG, "--external", DEVICE)
-    run = heliarch("launch", small_plant(tmp_path / "plant"), *words)
-    with example_controller(run):
-        run.until_running()
-        plan = load_plan(run.folder / "plan.json")
-        with attacker_of(plan) as attacker:
-            attacker.forge(run.recorded_cycles() + AHEAD, spared=DEVICE)
-            run.until(named(run, plan, "c1/setpoint"), "news of two senders of a setpoint")
-            attacker.stop_run(run.recorded_cycles())
-            run.until(named(run, plan, "run"), "news of two senders of a stop")
+    with beside_a_device(heliarch, tmp_path) as (run, plan), attacker_of(plan) as attacker:
+        attacker.forge(run.recorded_cycles() + AHEAD, spared=DEVICE)
+        run.until(named(run, plan, "c1/setpoint"), "news of two senders of a setpoint")
+        attacker.stop_run(run.recorded_cycles())
+        run.until(named(run, plan, "run"), "news of two senders of a stop")
         summary = ended(run)
     assert run.process.returncode == 1
     assert "more than one program sent messages on" in run.error_text()
     found = {(wrong.key, wrong.cause) for wrong in summary.wrong}
     assert {("run", "two senders"), ("c1/setpoint", "two senders")} <= found
     assert_right(run, summary.cycles)
+
+
+GARBAGE = {
+    "nested too deep": b"\x81\xa1x" + b"\x91" * 60_000 + b"\xc0",
+    "an array of 4,294,967,295 entries": b"\xdd" + b"\xff" * 4,
+    "a map of 4,294,967,295 entries": b"\xdf" + b"\xff" * 4,
+    "entries without end in a message": b"\x81\xa7missing\xdd" + b"\xff" * 4,
+    "a text of 4 GB": b"\x81\xa6source\xdb" + b"\xff" * 4,
+    "no msgpack": b"\xc1",
+}
+
+
+def test_garbage_of_a_stranger_beside_a_device_is_named_and_takes_no_memory(
+    heliarch: Start, tmp_path: Path
+) -> None:
+    with beside_a_device(heliarch, tmp_path) as (run, plan), attacker_of(plan) as attacker:
+        before = {agent: resident_mb(run, agent) for agent in ("recorder", "c1")}
+        for number, payload in enumerate(GARBAGE.values()):
+            attacker.put_bytes(f"{plan.plant}/{DEVICE}/impp", payload)
+            attacker.put_bytes(f"{plan.plant}/garbage{number}", payload)
+        # Heard by none: it is larger than a message can be.
+        attacker.put_bytes(f"{plan.plant}/{DEVICE}/impp", bytes(100_000_000))
+        last = f"garbage{len(GARBAGE) - 1}"
+        run.until(named(run, plan, last), "news of the last key that the run does not have")
+        run.until(named(run, plan, f"{DEVICE}/impp"), "news of what does not decode")
+        run.until_recorded(run.recorded_cycles() + 100)
+        for agent, mb in before.items():
+            assert resident_mb(run, agent) < mb + 60.0
+        summary = ended(run)
+    causes = {(wrong.key, wrong.cause): wrong.count for wrong in summary.wrong}
+    assert causes[f"{DEVICE}/impp", "undecodable"] == len(GARBAGE)
+    assert_right(run, summary.cycles)
+
+
+def resident_mb(run: Heliarch, agent: str) -> float:
+    return float(run.process_of(agent).memory_info().rss / 1e6)
 
 
 def named(run: Heliarch, plan: RunPlan, key: str) -> Callable[[], bool]:
@@ -102,6 +133,16 @@ def attack(run: Heliarch, plan: RunPlan, mode: str) -> None:
             attacker.stop_run(run.recorded_cycles() + 50)
             time.sleep(0.05)
         assert not attacker.heard
+
+
+@contextmanager
+def beside_a_device(heliarch: Start, folder: Path) -> Iterator[tuple[Heliarch, RunPlan]]:
+    """A long run of the small plant with a device, under way."""
+    words = ("--scheme", "paper", "--duration", LONG, "--external", DEVICE)
+    run = heliarch("launch", small_plant(folder / "plant"), *words)
+    with example_controller(run):
+        run.until_running()
+        yield run, load_plan(run.folder / "plan.json")
 
 
 @contextmanager
@@ -140,6 +181,32 @@ def timeless(port: Port[Message], message: Message) -> bytes:
     return str(port).encode() + encode(replace(message, publish_time_ns=0, ready_time_ns=0))
 
 
+@pytest.mark.soak
+@pytest.mark.parametrize("size", [20, 60_000])
+def test_a_flood_takes_bounded_memory_and_ends_nothing(
+    heliarch: Start, tmp_path: Path, size: int
+) -> None:
+    words = ("--duration", "60", "--external", DEVICE)
+    run = heliarch(
+        "launch", small_plant(tmp_path / "plant"), "--scheme", "paper", "--pace", "1", *words
+    )
+    with example_controller(run):
+        run.until_running()
+        plan = load_plan(run.folder / "plan.json")
+        with attacker_of(plan) as attacker:
+            until, most_mb = time.monotonic() + 30.0, 0.0
+            while time.monotonic() < until:
+                for _ in range(100):
+                    attacker.put_bytes(f"{plan.plant}/{DEVICE}/impp", bytes(size))
+                most_mb = max(most_mb, *(resident_mb(run, agent) for agent in ("recorder", "c1")))
+        run.wait()
+    summary = summary_of(run.folder)
+    assert most_mb < 700.0
+    assert summary.cycles == 60
+    assert (f"{DEVICE}/impp", "undecodable") in {(one.key, one.cause) for one in summary.wrong}
+    assert_none_left(run.folder)
+
+
 @pytest.mark.parametrize("pace", ["max", "10"])
 def test_with_its_keys_a_plant_runs_as_without(heliarch: Start, tmp_path: Path, pace: str) -> None:
     pytest.importorskip("cryptography")
@@ -151,3 +218,43 @@ def test_with_its_keys_a_plant_runs_as_without(heliarch: Start, tmp_path: Path, 
     summary = summary_of(run.folder)
     assert (summary.cycles, summary.wrong) == (20, ())
     assert_none_left(run.folder)
+
+
+def test_a_process_that_is_started_again_reads_renewed_certificates(
+    heliarch: Start, tmp_path: Path
+) -> None:
+    pytest.importorskip("cryptography")
+    plant, keys = small_plant(tmp_path / "plant"), str(tmp_path / "keys")
+    done("keys", plant, "--out", keys)
+    words = ("--duration", "1h", "--pace", "5", "--secure", "--keys", keys)
+    run = heliarch("launch", plant, *words)
+    run.until_running()
+    done("keys", plant, "--out", keys, "--days", "0.0000001")
+    run.process_of(DEVICE).kill()
+    run.until_recorded(run.recorded_cycles() + 20)
+    assert not is_back(run, DEVICE)
+    done("keys", plant, "--out", keys)
+    run.until(lambda: is_back(run, DEVICE), "messages of the restarted controller")
+    run.process_of("c1").kill()
+    run.until(lambda: is_back(run, "c1"), "messages of the restarted supervisor")
+    assert ended(run).wrong == ()
+
+
+@pytest.mark.soak
+def test_a_run_in_lockstep_that_outlives_its_certificates_says_so(
+    heliarch: Start, tmp_path: Path
+) -> None:
+    pytest.importorskip("cryptography")
+    plant = small_plant(tmp_path / "plant", ("stall_timeout_s = 60", "stall_timeout_s = 5"))
+    done("keys", plant, "--out", tmp_path / "keys", "--days", str(20 / 86_400))
+    words = ("--duration", LONG, "--secure", "--keys", str(tmp_path / "keys"))
+    run = heliarch("launch", plant, *words)
+    assert run.wait() == 1
+    assert "`heliarch keys` renews it" in run.error_text()
+    assert_none_left(run.folder)
+
+
+def is_back(run: Heliarch, node: str) -> bool:
+    """Whether a process that was started again has been heard."""
+    with RunReader(run.folder) as reader:
+        return any(message.incarnation for _, message in reader.messages(IMPP, nodes=node))

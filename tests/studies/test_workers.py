@@ -48,10 +48,15 @@ def test_a_worker_that_is_killed_is_reported() -> None:
         list(share_work(die_on_three, range(6), 2))
 
 
+def sleep_for(item: tuple[float, bytes]) -> None:
+    time.sleep(item[0])
+
+
 def test_who_stops_listening_ends_the_workers() -> None:
-    found = share_work(time.sleep, [0.0, 600.0, 600.0], 2)
+    large = bytes(1_000_000)
+    found = share_work(sleep_for, [(0.0, large), *((600.0, large),) * 9], 2)
     next(found)
-    found.close()  # type: ignore[attr-defined]
+    found.close()
     assert not [child for child in psutil.Process().children() if "spawn_main" in words(child)]
 
 
@@ -87,7 +92,7 @@ def test_no_worker_outlives_a_comparison(
         workers = [child for child in comparison.children() if "spawn_main" in words(child)]
         time.sleep(0.05)
     comparison.send_signal(signum)
-    _, alive = psutil.wait_procs(workers, timeout=30)
+    _, alive = psutil.wait_procs([*workers, comparison], timeout=30)
     assert not alive
 
 

@@ -175,6 +175,19 @@ def test_the_longer_run_is_compared_as_far_as_the_shorter_one_goes(
     assert delivered["Delivered energy"]["difference"] == pytest.approx(0.0)
 
 
+def test_cycles_that_one_run_has_not_recorded_are_left_out_of_both(
+    runs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    document, gap = tmp_path / "runs.json", tmp_path / "gap.mcap"
+    write_run(gap, whole_run(20), is_kept=lambda pair: not 5 <= pair[1].cycle < 9)
+    text = done("compare", runs[1], gap, "--json", document)
+    assert "4 of 20 cycles" in " ".join(text.split())
+    found = json.loads(document.read_bytes())
+    assert found["differences"] == [], "they differ in cycle 7 alone"
+    delivered = {row["figure"]: row for row in found["figures"]}["Delivered energy"]
+    assert delivered["A"] == delivered["B"] == pytest.approx(239.0 * 16.0 / 3600.0)
+
+
 def test_what_are_no_two_runs_of_one_plant_is_refused(
     runs: tuple[Path, Path], tmp_path: Path, small: str
 ) -> None:

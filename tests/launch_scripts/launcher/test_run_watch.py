@@ -48,7 +48,7 @@ def test_in_lockstep_a_silent_recorder_is_a_fault_at_once() -> None:
 
 
 def test_in_real_time_it_is_told_once_and_is_a_fault_after_ten_seconds() -> None:
-    run = Watched(real_time())
+    run = Watched(replace(real_time(), restart=RestartPolicy(when="never")))
     assert run.blamed(101.9, 102.1, 105.5, 109.9) == []
     assert len(run.told) == 1
     assert "for 2 s" in run.told[0]
@@ -60,7 +60,7 @@ def test_in_real_time_it_is_told_once_and_is_a_fault_after_ten_seconds() -> None
     [
         (RestartPolicy(), "for 5 s, it is killed and started again"),
         (RestartPolicy(when="never"), "for 10 s, the run ends"),
-        (RestartPolicy(frozen_s=20.0), "for 10 s, the run ends"),
+        (RestartPolicy(frozen_s=20.0), "for 20 s, it is killed and started again"),
     ],
 )
 def test_what_happens_to_a_silent_recorder_follows_from_the_restart_policy(
@@ -69,6 +69,12 @@ def test_what_happens_to_a_silent_recorder_follows_from_the_restart_policy(
     run = Watched(replace(real_time(), restart=policy))
     assert run.blamed(102.1) == []
     assert next_step in run.told[0]
+
+
+def test_in_lockstep_it_is_waited_for_where_it_is_started_again() -> None:
+    run = Watched(replace(PLAN, restart=RestartPolicy(when="on-failure")))
+    assert run.blamed(102.1, 106.0) == []
+    assert "for 5 s, it is killed and started again" in run.told[0]
 
 
 @pytest.mark.parametrize("first_word", [7, 90])

@@ -30,17 +30,23 @@ def test_keys_are_for_their_owner_alone(plant: str) -> None:
     assert all(key.stat().st_mode & 0o077 == 0 for key in keys)
 
 
-def test_renewed_certificates_are_of_the_same_authority(plant: str) -> None:
+def test_renewed_certificates_are_of_the_same_authority_and_keys(plant: str) -> None:
     folder = Path("keys/small")
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     done("keys", plant)
     after = {path.name: path.read_bytes() for path in folder.iterdir()}
     same = {name for name in before if before[name] == after[name]}
-    assert same == {"ca.pem", "ca.key"}
+    assert same == {"ca.pem", *(name for name in before if name.endswith(".key"))}
+
+
+@pytest.mark.parametrize("days", ["0", "-1", "nan", "4000"])
+def test_certificates_that_are_never_valid_are_not_made(plant: str, days: str) -> None:
+    assert "--days" in refusal("keys", plant, "--days", days, "--out", "never")
+    assert not Path("never").exists()
 
 
 def expired(folder: Path, plant: str) -> None:
-    done("keys", plant, "--days", "0")
+    done("keys", plant, "--days", "0.0000001")
 
 
 def of_another_plant(folder: Path, plant: str) -> None:
@@ -87,6 +93,11 @@ def test_wrong_keys_are_refused_before_anything_starts(
     spoil(Path("keys/small"), plant)
     assert told in refusal("launch", plant, *SHORT, "--secure")
     assert not Path("runs").exists()
+
+
+def test_a_device_with_wrong_keys_is_refused_as_well(plant: str) -> None:
+    of_another_plant(Path("keys/small"), plant)
+    assert "c1.pem" in refusal("launch", plant, *SHORT, "--secure", "--external", "c1")
 
 
 def test_keys_that_expire_in_the_middle_of_a_run_are_refused(plant: str) -> None:

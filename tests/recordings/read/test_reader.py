@@ -241,3 +241,8 @@ def test_the_plants_last_message_tells_where_the_run_ended(run: RunReader, tmp_p
     write_run(path, cycle_of_the_plant(0))
     with open_run(path) as open_end:
         assert open_end.stop_cycle is None
+    start, *cycles, stop = whole_run(5)
+    forged = [(RUN.of(ROOT), PLAN.run_message("stop", cycle, 1)) for cycle in (4, 90, 2)]
+    write_run(tmp_path / "forged.mcap", [start, *forged, *cycles, stop])
+    with open_run(tmp_path / "forged.mcap") as contradicted:
+        assert contradicted.stop_cycle == 5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from pathlib import Path
 
 import pytest
@@ -11,15 +12,17 @@ from recorded_runs import (
     TWO_TIERS,
     cloudy_profile,
     faulty_plan,
+    plan_of,
     published,
     record,
+    record_on,
 )
 
 from agents.plan import RunPlan, Scheme
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import FaultRule
 from bus_schemas.missing import parse_missing
-from bus_schemas.signals import COMMAND, IMPP, RESIDUAL
+from bus_schemas.signals import COMMAND, IMPP, PRODUCTION, RESIDUAL, SETPOINT
 from recordings.verify.comparison import Comparison
 from recordings.verify.verification import Verification, verify
 
@@ -118,6 +121,69 @@ def test_all_outputs_of_a_stage_lost_by_the_recording_are_named(tmp_path: Path) 
     assert findings.first is not None
     assert (findings.first.kind, findings.first.cycle) == ("not recorded", 10)
     assert findings.not_compared_from == 10, "nobody knows its estimate any more"
+
+
+def test_a_message_that_came_after_the_successor_s_is_compared_all_the_same(
+    tmp_path: Path,
+) -> None:
+    plan = faulty_plan(FaultRule(kill="c1", at=(12.2,)), standby=("c1",))
+    messages = published(plan, cloudy_profile(plan))
+    own = [pair for pair in messages if pair[0] is IMPP.of("c1")]
+    successor = next(pair for pair in own if pair[1].incarnation)
+    late = own[own.index(successor) - 1]
+    messages.remove(late)
+    messages.insert(messages.index(successor) + 1, late)
+    assert verified(tmp_path / "run", plan, messages).equal
+
+
+# The recorder was away ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "plan",
+    [
+        plan_of(cycles=40),
+        faulty_plan(LATE, cycles=40),
+        faulty_plan(replace(LATE, loss=0.1), cycles=40, period_cycles=(6, 2)),
+        faulty_plan(FaultRule(kill="c1", at=(20.2,)), LATE, cycles=40, standby=("c1", "central")),
+    ],
+    ids=["lockstep", "late", "slow", "standby"],
+)
+def test_what_was_sent_while_the_recorder_was_away_is_no_difference(
+    plan: RunPlan, seed: int, tmp_path: Path
+) -> None:
+    messages = published(plan, cloudy_profile(plan, seed))
+    draw = random.Random(seed)
+    first, second, third, last = sorted(draw.choices(range(200, len(messages) - 200), k=4))
+    kept = [messages[:first], messages[second:third], messages[last:]]
+    folder = record(tmp_path / "run", plan, kept[0], cloudy_profile(plan, seed))
+    record_on(folder, plan, kept[1], 2)
+    record_on(folder, plan, kept[2], 3)
+    found = verify(folder, (), Comparison())
+    assert findings(found) == {}
+    assert found.equal
+    productions = sum(port.signal is PRODUCTION for part in kept for port, _ in part)
+    assert found.unrecorded_cycles == plan.cycles - productions
+    assert found.agents["c2"].compared > 0.8 * found.agents["c2"].recorded, "it remembers nothing"
+
+
+def test_a_difference_after_the_recorder_was_away_is_found(tmp_path: Path) -> None:
+    plan = faulty_plan(LATE)
+    messages = published(plan, cloudy_profile(plan))
+    third = len(messages) // 3
+    folder = record(tmp_path / "run", plan, messages[:third])
+    port = SETPOINT.of("c1/a")
+    changed = [
+        (other, replace(message, power_kw=1.0))
+        if other is port and message.cycle == plan.cycles - 2
+        else (other, message)
+        for other, message in messages[2 * third :]
+    ]
+    record_on(folder, plan, changed)
+    found = verify(folder, (), Comparison())
+    assert found.agents["c1"].differences == {"differs": 1}
+    assert not found.equal
 
 
 @pytest.mark.parametrize("share", [0.3, 0.55, 0.8])
