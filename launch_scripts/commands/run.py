@@ -113,15 +113,8 @@ def run(
         if all(rule.stops for rule in plan.faults):
             why = "cycles keep to no clock"
         raise InputError(f"{where}: expected a --pace such as 1 with it, got lockstep, where {why}")
-<<<<<<< HEAD
-    if server is not None and plan.keys_folder:
-        from launch_scripts.scenarios.plant_keys import check_keys  # Its package is optional.
-
-        check_keys(plan, [name for name in plan.tree.agents() if name not in plan.elsewhere])
-=======
     if server is not None and (trouble := _key_trouble(plan)):
         raise InputError(trouble)
->>>>>>> main
     try:
         with view_for(console, plan, scenario.time.timezone) as view:
             for line in (scenario.title, *preparation.remarks):

@@ -303,12 +303,8 @@ class _Launch:
         for child in children:
             if child.memory.resident_mb:  # A short run may be over before all were looked at.
                 memory.setdefault(child.kind, []).append(child.memory)
-<<<<<<< HEAD
-        published = self._published(children)
-=======
         missed = count_missed(self._folder.recording, plan)
-        published = merge_counts([account.published for account in accounts])
->>>>>>> main
+        published = self._published(children)
         heard = without_external(recorded)
         if self._restarts.counts:
             # Nobody knows what processes published that died: the numbers of messages tell.

@@ -57,13 +57,10 @@ class MessageTimes:
         As the messages state them [ns], shape (T, P); 0 where there is no message.
     missing
         By port and cycle, what a message says of inputs that were older than due.
-<<<<<<< HEAD
-    fastest_ns
-        Shortest time from the publishing of a port's message to the recorder [ns], shape (P,).
-=======
     missed
         How many inputs each agent missed.
->>>>>>> main
+    fastest_ns
+        Shortest time from the publishing of a port's message to the recorder [ns], shape (P,).
     """
 
     plan: RunPlan
@@ -72,11 +69,8 @@ class MessageTimes:
     ready_ns: NDArray[np.int64]
     publish_ns: NDArray[np.int64]
     missing: dict[Port[Message], dict[int, tuple[str, ...]]]
-<<<<<<< HEAD
-    fastest_ns: NDArray[np.int64]
-=======
     missed: MissedInputs
->>>>>>> main
+    fastest_ns: NDArray[np.int64]
 
     def published_ns(self, port: Port[Message]) -> NDArray[np.int64]:
         """Return when the messages of a port went out, shape (T,); 0 where there is none."""
@@ -204,12 +198,8 @@ def read_message_times(reader: RunReader) -> MessageTimes:
     ready_ns[cycle[kept], place[kept]] = np.array(readies)[::-1][kept]
     publish_ns[cycle[kept], place[kept]] = np.array(publishes)[::-1][kept]
     tick_ns = start_ns + np.arange(length) * plan.cycle_wall_ns
-<<<<<<< HEAD
     fastest = np.array(fastest_ns, dtype=np.int64)
-    return MessageTimes(plan, columns, tick_ns, ready_ns, publish_ns, missing, fastest)
-=======
-    return MessageTimes(plan, columns, tick_ns, ready_ns, publish_ns, missing, missed)
->>>>>>> main
+    return MessageTimes(plan, columns, tick_ns, ready_ns, publish_ns, missing, missed, fastest)
 
 
 def stage_times(messages: MessageTimes) -> list[StageTimes]:
