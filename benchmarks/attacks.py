@@ -26,8 +26,8 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import msgspec
 import numpy as np
 import zenoh
+from harness import die_with_parent, run
 from numpy.typing import NDArray
-from outside import die_with_parent, run
 
 import heliarch
 from agents.plan import RunPlan, load_plan

@@ -1,6 +1,6 @@
 """The messages of one cycle over and over, without any control: what the machine and Zenoh can do.
 
-    python benchmarks/bare_graph.py GRAPH.json --cycles 800 [--no-recorder]
+    python benchmarks/bare_graph.py GRAPH.json --cycles 800
 
 GRAPH.json names each process with the keys that it hears and its stages: the keys that a stage
 awaits, one message of each, and the messages that it then puts. `cycle_rate.py` derives it from a
@@ -38,8 +38,8 @@ from typing import Any, Final
 
 import msgspec
 import zenoh
+from harness import die_with_parent
 from mcap.writer import CompressionType, Writer
-from outside import die_with_parent
 
 RECORDER: Final = "recorder"
 WARM_UP: Final = 50
@@ -96,34 +96,34 @@ class Graph(msgspec.Struct, frozen=True):
         return [key for process in self.processes for key in process.says()]
 
 
-class Report(msgspec.Struct, frozen=True):
-    """What a process used in the cycles that count, and when they began and ended."""
+class Used(msgspec.Struct, frozen=True):
+    """What a process has used so far, and what the recorder has written."""
 
+    at: float
     processor_s: float
     switches: int
-    began: float
-    ended: float
     written: int = 0
 
+    def since(self, before: Used) -> Used:
+        """Return what was used since, and how long that is."""
+        return Used(
+            self.at - before.at,
+            self.processor_s - before.processor_s,
+            self.switches - before.switches,
+            self.written,
+        )
 
-class Meter:
-    """Counts from when it is made: time, processor time and voluntary context switches."""
 
-    def __init__(self) -> None:
-        self._began, self._used = time.monotonic(), resource.getrusage(resource.RUSAGE_SELF)
-
-    def report(self, written: int = 0) -> Report:
-        before, used = self._used, resource.getrusage(resource.RUSAGE_SELF)
-        processor_s = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime
-        switches = used.ru_nvcsw - before.ru_nvcsw
-        return Report(processor_s, switches, self._began, time.monotonic(), written)
+def used_so_far(written: int = 0) -> Used:
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return Used(time.monotonic(), used.ru_utime + used.ru_stime, used.ru_nvcsw, written)
 
 
 class Network:
     """Who links with whom, and through which ports."""
 
-    def __init__(self, graph: Graph, recorder: bool) -> None:
-        pairs = [(RECORDER, process.name) for process in graph.processes if recorder]
+    def __init__(self, graph: Graph) -> None:
+        pairs = [(RECORDER, process.name) for process in graph.processes]
         for one, other in itertools.combinations(graph.processes, 2):
             if {*one.says()} & {*other.hears} or {*other.says()} & {*one.hears}:
                 pairs.append((one.name, other.name))
@@ -159,9 +159,7 @@ class Network:
         return token
 
 
-Work = Callable[[], Report]
-
-
+Work = Callable[[], Used]
 THREAD: Final = threading.local()
 
 
@@ -203,13 +201,13 @@ def player(process: Process, cycles: int, session: zenoh.Session) -> Work:
             for put, payload in puts:
                 put(payload)
 
-    def play(_kept: object = kept) -> Report:
+    def play(_kept: object = kept) -> Used:
         for _ in range(WARM_UP):
             cycle()
-        meter = Meter()
+        before = used_so_far()
         for _ in range(cycles):
             cycle()
-        return meter.report()
+        return used_so_far().since(before)
 
     return play
 
@@ -219,8 +217,8 @@ def recorder(graph: Graph, cycles: int, session: zenoh.Session) -> Work:
     subscriber = session.declare_subscriber("**", zenoh.handlers.FifoChannel(65536))
     keys = graph.says()
 
-    def record() -> Report:
-        written, meter = 0, Meter()
+    def record() -> Used:
+        written, before = 0, used_so_far()
         with tempfile.TemporaryFile() as file:
             writer = Writer(file, compression=CompressionType.LZ4)
             writer.start(profile="bare", library="bare graph")
@@ -234,14 +232,14 @@ def recorder(graph: Graph, cycles: int, session: zenoh.Session) -> Work:
                     writer.add_message(channel, now_ns, data, now_ns, written)
                     written, heard = written + 1, now
                     if written == len(keys) * WARM_UP:
-                        meter = Meter()
+                        before = used_so_far()
                 if now - flushed > FLUSH_S:
                     writer.flush()
                     flushed = now
                 time.sleep(NAP_S)
                 now = time.monotonic()
             writer.finish()
-        return meter.report(written)
+        return used_so_far(written).since(before)
 
     return record
 
@@ -267,13 +265,12 @@ def hear(child: Connection, process: BaseProcess, limit_s: float) -> Any:
     return child.recv()
 
 
-def run(graph: Graph, cycles: int, recorded: bool) -> dict[str, object]:
+def run(graph: Graph, cycles: int) -> dict[str, object]:
     """Run the graph; return its figures."""
     os.environ["ZENOH_RUNTIME"] = RUNTIME
-    network = Network(graph, recorded)
+    network = Network(graph)
     roles = {each.name: partial(player, each, cycles) for each in graph.processes}
-    if recorded:
-        roles[RECORDER] = partial(recorder, graph, cycles)
+    roles[RECORDER] = partial(recorder, graph, cycles)
     if len(list(Path("/proc/self/task").iterdir())) > 1:
         raise RuntimeError("a process with several threads must not fork")
     gc.collect()
@@ -292,7 +289,7 @@ def run(graph: Graph, cycles: int, recorded: bool) -> dict[str, object]:
         startup_s = time.monotonic() - began
         for child, _ in reversed(children):
             child.send("go")
-        reports: list[Report] = [hear(*each, RUN_LIMIT_S) for each in children]
+        reports: list[Used] = [hear(*each, RUN_LIMIT_S) for each in children]
     finally:
         for _, started in children:
             started.kill()
@@ -300,13 +297,13 @@ def run(graph: Graph, cycles: int, recorded: bool) -> dict[str, object]:
     messages = len(graph.says())
     switches = sum(report.switches for report in reports)
     return {
-        "cycles_per_s": cycles / (reports[0].ended - reports[0].began),
+        "cycles_per_s": cycles / reports[0].at,
         "startup_s": startup_s,
         "processor_ms": 1e3 * sum(report.processor_s for report in reports) / cycles,
         "switches_per_message": switches / (messages * cycles),
         "messages": messages,
         "processes": len(reports),
-        "lost": messages * (WARM_UP + cycles) - reports[-1].written if recorded else 0,
+        "lost": messages * (WARM_UP + cycles) - reports[-1].written,
     }
 
 
@@ -314,10 +311,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("graph", type=Path)
     parser.add_argument("--cycles", type=int, default=800)
-    parser.add_argument("--no-recorder", action="store_true")
     options = parser.parse_args()
     graph = msgspec.json.decode(options.graph.read_bytes(), type=Graph)
-    print(json.dumps(run(graph, options.cycles, recorded=not options.no_recorder)))
+    print(json.dumps(run(graph, options.cycles)))
 
 
 if __name__ == "__main__":

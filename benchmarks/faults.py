@@ -19,9 +19,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from fnmatch import fnmatchcase
 from itertools import repeat
@@ -29,6 +26,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final, NamedTuple
 
+import harness
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
@@ -90,22 +88,25 @@ def main() -> None:
     parser.add_argument("--scenario", default="oahu")
     parser.add_argument("--only", default=",".join(VICTIMS))
     words = parser.parse_args()
-    # A list is several values to choose from: this one value is a list itself.
-    settings = {"standby": [["central", "supervisors"]]} if words.standby else {}
+    standby = '["central","supervisors"]' if words.standby else "[]"
     rows: list[tuple[Cell, ...]] = []
     with TemporaryDirectory() as folder:
 
-        def run(start: str, faults: tuple[str, ...] = ()) -> Recorded:
+        def run(start: str, fault: str = "") -> Recorded:
             place = Path(folder, str(len(list(Path(folder).iterdir()))))
-            if words.real and faults:
-                launch(words.scenario, start, faults[0], settings, place)
+            length, out = ("--duration", LENGTH), ("--out", str(place))
+            if words.real and fault:
+                command = ("launch", words.scenario, "--from", start, *length, "--pace", "1")
+                settings = ("--fault", fault, "--set", f"standby={standby}")
+                harness.run([str(harness.OURS), *command, *settings, *out])
             else:
                 heliarch.simulate(
                     words.scenario,
                     start=start,
                     duration=LENGTH,
-                    faults=faults,
-                    settings=settings if faults else {},
+                    faults=(fault,) if fault else (),
+                    # A list is several values to choose from: this one value is a list itself.
+                    settings={"standby": [json.loads(standby)]} if fault else {},
                     out=place,
                 )
             return recorded(place)
@@ -114,7 +115,7 @@ def main() -> None:
         healthy = [run(start) for start in starts]
         for victim in words.only.split(","):
             for name in REAL if words.real else FAULTS:
-                found = [run(start, (FAULTS[name].format(victim),)) for start in starts]
+                found = [run(start, FAULTS[name].format(victim)) for start in starts]
                 worst = map(max, zip(*map(figures, repeat(victim), found, healthy), strict=True))
                 numbers = (None if number < 0.0 else number for number in worst)
                 rows.append((VICTIMS.get(victim, victim), name, *numbers))
@@ -127,22 +128,6 @@ def main() -> None:
     )
     columns = (*keys, *(Column(*measure) for measure in measures))
     print_table(Console(width=100), Table(title, columns, tuple(rows)))
-
-
-def launch(
-    scenario: str, start: str, fault: str, settings: dict[str, list[list[str]]], folder: Path
-) -> None:
-    """Run a scenario over real processes, with a fault."""
-    words = ["--from", start, "--duration", LENGTH, "--pace", "1", "--fault", fault]
-    for name, (value,) in settings.items():
-        words += ["--set", f"{name}={json.dumps(value)}"]
-    program = [sys.executable, "-m", "launch_scripts", "launch", scenario, "--out", str(folder)]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
-    done = subprocess.run(
-        [*program, *words], env=environment, capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        raise SystemExit(f"{fault}: {done.stderr}")
 
 
 def recorded(folder: Path) -> Recorded:

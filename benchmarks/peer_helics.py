@@ -29,7 +29,7 @@ from typing import Any, Final
 
 import helics as h
 import peer_graph
-from outside import die_with_parent
+from harness import die_with_parent
 
 HOPS: Final = 6
 TIMES: Final = {"plant": (6,), "direct": (1, 5), "supervisor": (2, 4), "central": (3,)}

@@ -17,19 +17,16 @@ from __future__ import annotations
 
 import argparse
 import json
-import platform
-import statistics
 import sys
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
+from statistics import median
 from typing import Final
 
 import msgspec
 import peer_graph
-from launched import launch
-from outside import Failure, run
-from rich.console import Console
-from rich.table import Table
+from harness import OURS, Failure, launch, print_table, rounds_of, run, write_figures
 
 HERE: Final = Path(__file__).parent
 TOLERANCE_KW: Final = 1e-6
@@ -52,43 +49,32 @@ def peer(script: str, cycles: int, *options: str) -> Figures:
         if abs(got - want) > TOLERANCE_KW:
             raise Failure(f"{script}: cycle {cycle} delivered {got:.3f} kW, expected {want:.3f}")
     began, ended = result["began"], result["ended"]
-    processor_ms = watched.processor_ms(began, ended, cycles)
-    return Figures(cycles / (ended - began), processor_ms, watched.processes)
+    cycles_per_s = cycles / (ended - began)
+    processor_ms = 1e3 * watched.busy(began, ended) / cycles_per_s
+    return Figures(cycles_per_s, processor_ms, watched.processes)
 
 
 def heliarch(cycles: int) -> Figures:
     """Launch the plant with Heliarch, recorded."""
-    result = launch(Path(sys.executable).parent / "heliarch", "oahu", cycles)
+    result = launch(OURS, "oahu", cycles)
     if result.lost:
         raise Failure(f"heliarch launch: {result.lost:,} messages lost")
     return Figures(result.cycles_per_s, result.processor_ms, result.processes)
 
 
-def print_table(rounds: dict[str, list[Figures]], cycles: int, console: Console) -> None:
-    """Print one row for each of the three."""
-    count = len(rounds["Heliarch"])
-    table = Table(title=f"22 nodes, 6 hops in a cycle: {count} rounds, {cycles:,} cycles each")
-    table.add_column("", no_wrap=True)
-    for heading in ("median", "min", "max"):
-        table.add_column(f"{heading}\ncycles/s", justify="right")
-    table.add_column("processor time\nin a cycle", justify="right")
-    table.add_column("processes", justify="right")
-    table.add_column("Heliarch is faster,\nround by round", justify="right")
+def rows_of(rounds: dict[str, list[Figures]]) -> Iterator[tuple[str, ...]]:
+    """Yield one row for each of the three."""
     for name, figures in rounds.items():
         rates = [each.cycles_per_s for each in figures]
-        processor_ms = statistics.median(each.processor_ms for each in figures)
-        ratio = statistics.median(
-            ours.cycles_per_s / each.cycles_per_s
-            for ours, each in zip(rounds["Heliarch"], figures, strict=True)
-        )
-        table.add_row(
+        pairs = zip(rounds["Heliarch"], figures, strict=True)
+        ratio = median(ours.cycles_per_s / each.cycles_per_s for ours, each in pairs)
+        yield (
             name,
-            *(f"{value:,.1f}" for value in (statistics.median(rates), min(rates), max(rates))),
-            f"{processor_ms:.1f} ms",
+            *(f"{value:,.1f}" for value in (median(rates), min(rates), max(rates))),
+            f"{median(each.processor_ms for each in figures):.1f} ms",
             str(max(each.processes for each in figures)),
             "" if name == "Heliarch" else f"{ratio:.1f} times",
         )
-    console.print(table)
 
 
 def main() -> int:
@@ -99,27 +85,23 @@ def main() -> int:
     parser.add_argument("--core", default="ipc", help="HELICS core: ipc, zmq, zmq_ss, tcp, tcp_ss")
     parser.add_argument("--json", type=Path, metavar="PATH", help="write all figures as JSON")
     options = parser.parse_args()
-    console = Console(width=110)
-    helics = f"HELICS {version('helics')} ({options.core}), not recorded"
+    cycles, core = options.cycles, options.core
+    helics = f"HELICS {version('helics')} ({core}), not recorded"
     mosaik = f"mosaik {version('mosaik')}, not recorded"
     rounds: dict[str, list[Figures]] = {helics: [], mosaik: [], "Heliarch": []}
     try:
-        for number in range(options.rounds):
-            sys.stderr.write(f"round {number + 1} of {options.rounds}\n")
-            rounds[helics].append(peer("peer_helics.py", options.cycles, options.core))
-            rounds[mosaik].append(peer("peer_mosaik.py", options.cycles))
-            rounds["Heliarch"].append(heliarch(options.cycles))
+        for _ in rounds_of(options.rounds):
+            rounds[helics].append(peer("peer_helics.py", cycles, core))
+            rounds[mosaik].append(peer("peer_mosaik.py", cycles))
+            rounds["Heliarch"].append(heliarch(cycles))
     except Failure as failure:
         sys.stderr.write(f"peers: {failure}\n")
         return 1
-    print_table(rounds, options.cycles, console)
-    console.print(
-        f"Heliarch recorded. {platform.system()} {platform.release()}, "
-        f"Python {platform.python_version()}",
-        highlight=False,
-    )
-    if options.json is not None:
-        options.json.write_bytes(msgspec.json.format(msgspec.json.encode(rounds), indent=1))
+    title = f"22 nodes, 6 hops in a cycle: {options.rounds} rounds, {cycles:,} cycles each"
+    rates = (f"{which}\ncycles/s" for which in ("median", "min", "max"))
+    others = ("processor time\nin a cycle", "processes", "Heliarch is faster,\nround by round")
+    print_table(title, ("", *rates, *others), rows_of(rounds))
+    write_figures(rounds, options.json)
     return 0
 
 

@@ -33,15 +33,7 @@ from studies.workers import share_work
 
 @dataclass(frozen=True, slots=True)
 class SimulatedRun:
-    """A run that is over.
-
-    Attributes
-    ----------
-    summary
-        Its figures of merit and counts, as `summary.json` has them.
-    folder
-        Its folder, for `open_run`.
-    """
+    """A run that is over: its figures and counts as in `summary.json`, and a folder to open."""
 
     summary: RunSummary
     folder: Path
@@ -81,16 +73,6 @@ def simulate(
         Rules as for `--fault`: `"source=c1/*,delay=50ms"`.
     out
         Folder of the run; by default a new one in `runs/`.
-
-    Returns
-    -------
-    SimulatedRun
-        The summary, and the folder with the recording.
-
-    Raises
-    ------
-    InputError
-        Scenario, options and data do not go together.
     """
     options = RunOptions(start, duration, end, None, seed, scheme, actuator, tuple(faults))
     scenario_file = with_settings(_loaded(scenario), _texts(settings))
@@ -136,11 +118,6 @@ def compare(
     -------
     DataFrame
         A row for each case, scheme and actuator, a column for each figure of merit.
-
-    Raises
-    ------
-    InputError
-        Scenario, schemes, options and data do not go together.
     """
     comparison = Comparison(tuple(schemes), actuators=tuple(actuators))
     for option, names, known in (
@@ -190,11 +167,6 @@ def compare_runs(first: str | Path, second: str | Path) -> ComparedRuns:
     first, second
         A and B: the folders of two runs of the same plant that begin at the same time, or their
         `run.mcap`. Of the longer one only the cycles that both have count.
-
-    Raises
-    ------
-    InputError
-        One is no recording, or they differ in their inverters, cycles or beginning.
     """
     series, notes = read_two_runs((Path(first), Path(second)))
     tables = two_runs_tables(*series)

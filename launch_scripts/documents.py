@@ -9,7 +9,7 @@ hand; a test compares the parts between `<!-- table: NAME -->` and `<!-- end -->
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, cast
@@ -64,15 +64,11 @@ def _lines(what: str, which: str = "") -> Iterator[str]:
             return _fields(getattr(messages, which))
         case "bytes":
             return _rows(("bytes (hex)", "what they are"), _parts(encode(_EXAMPLES[which])))
-    tables = {
-        "signals": _signals,
-        "stages": _stages,
-        "bounds": _bounds,
-        "sizes": _sizes,
-        "vector": _vector,
-        "exchange": _exchange,
+    writers: dict[str, Callable[[], Iterator[str]]] = {
+        **{"signals": _signals, "stages": _stages, "bounds": _bounds},
+        **{"sizes": _sizes, "vector": _vector, "exchange": _exchange},
     }
-    return tables[what]()
+    return writers[what]()
 
 
 def _rows(header: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> Iterator[str]:
@@ -160,13 +156,9 @@ def _fields(kind: type[Message]) -> Iterator[str]:
     return _rows(
         ("field", "msgpack type", "unit"),
         (
-            (
-                f"`{field.name}`",
-                _type_name(field.type),
-                units.get(field.name.rpartition("_")[2], ""),
-            )
+            (f"`{name}`", _type_name(field.type), units.get(name.rpartition("_")[2], ""))
             for field in fields
-            if field.name not in known
+            if (name := field.name) not in known
         ),
     )
 

@@ -52,20 +52,9 @@ _POWERS: Final = ("commitment", "regulation", "possible", "delivered")
 class RunFollower:
     """A recording, as far as it has been read.
 
-    Attributes
-    ----------
-    run, plan
-        The recording and its plan.
-    cycles
-        Cycles that the plant has completed.
-    events
-        What happened so far.
-    restarts
-        How often each agent began again.
-    start_time_ns
-        Of the run on its own clock; None: not recorded yet.
-    ports
-        By the number of their channel.
+    `cycles` are those that the plant has completed, `restarts` says how often each agent began
+    again. `start_time_ns` is that of the run on its own clock, None until it is recorded. `ports`
+    are by the number of their channel.
     """
 
     def __init__(self, path: Path) -> None:

@@ -11,7 +11,7 @@ import msgspec
 from agents.cycle import kind_of, stage_of, stage_place
 from bus_schemas.codec import decode
 from bus_schemas.messages import Message, Production, Setpoint
-from bus_schemas.missing import Missing, parse_missing
+from bus_schemas.missing import parse_missing
 from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, TELEMETRY, Port
 from bus_schemas.tree import PLANT, ROOT, agent_name, depth
 from live_page.follower import MOST_CHUNKS, RunFollower
@@ -38,12 +38,7 @@ class _Stage(NamedTuple):
 class NodeStates:
     """Reads the state of a plant's nodes from its recording, cycle by cycle.
 
-    Attributes
-    ----------
-    follower
-        The recording.
-    agents
-        The plant, then the controllers in the order of the tree's nodes.
+    `agents` are the plant, then the controllers in the order of the tree's nodes.
     """
 
     def __init__(self, follower: RunFollower) -> None:
@@ -126,31 +121,27 @@ class NodeStates:
         `input_age`: how old the oldest of them was. `loop_ms`: from the last input of a stage to
         its message.
         """
-        waits: dict[str, list[Missing]] = {agent: [] for agent in self.agents}
-        loop_ms: dict[str, float] = {}
+        said: dict[str, list[Message]] = {agent: [] for agent in self.agents}
         for message in found.values():
-            agent = message.source
-            if message.cycle != cycle or agent not in waits:
-                continue
-            waits[agent] += map(parse_missing, message.missing)
-            if message.ready_time_ns:
-                took_ms = (message.publish_time_ns - message.ready_time_ns) / 1e6
-                loop_ms[agent] = max(round(took_ms, 3), loop_ms.get(agent, 0.0))
-        ages = [
-            [cycle - missing.cycle for missing in waits[agent] if missing.cycle is not None]
-            for agent in self.agents
-        ]
-        return {
-            "age": [cycle - newest[agent] if agent in newest else None for agent in self.agents],
-            "absent": [
-                len(waits[agent]) - len(older)
-                for agent, older in zip(self.agents, ages, strict=True)
-            ],
-            "older": [len(older) for older in ages],
-            "input_age": [max(older, default=0) for older in ages],
-            "loop_ms": [loop_ms.get(agent) for agent in self.agents],
-            "restarts": [self.follower.restarts[agent] for agent in self.agents],
-        }
+            if message.cycle == cycle and message.source in said:
+                said[message.source].append(message)
+        rows = []
+        for agent, messages in said.items():
+            waits = [parse_missing(entry) for one in messages for entry in one.missing]
+            older = [cycle - missing.cycle for missing in waits if missing.cycle is not None]
+            ready = [one for one in messages if one.ready_time_ns]
+            loops_ns = [one.publish_time_ns - one.ready_time_ns for one in ready]
+            rows.append(
+                {
+                    "age": cycle - newest[agent] if agent in newest else None,
+                    "absent": len(waits) - len(older),
+                    "older": len(older),
+                    "input_age": max(older, default=0),
+                    "loop_ms": round(max(loops_ns) / 1e6, 3) if loops_ns else None,
+                    "restarts": self.follower.restarts[agent],
+                }
+            )
+        return {name: [row[name] for row in rows] for name in rows[0]}
 
     def _timing(self, cycle: int, found: Messages) -> list[dict[str, object]]:
         """Return when the messages of each stage went out, after the beginning of the cycle [ms].

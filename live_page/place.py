@@ -14,12 +14,8 @@ from bus_schemas.errors import InputError
 class Place:
     """Where the page is served.
 
-    Attributes
-    ----------
-    socket
-        Listens already, so that a browser may come before the server is up.
-    token
-        What a browser must know; empty on the loopback address, which nobody else can reach.
+    The socket listens already, so that a browser may come before the server is up. A browser must
+    know the token, which is empty on the loopback address: nobody else can reach that.
     """
 
     socket: socket.socket
@@ -40,13 +36,7 @@ class Place:
 
 
 def open_place(address: str | None, port: int | None) -> Place:
-    """Take an address and a port for a page: by default the loopback address, and any free port.
-
-    Raises
-    ------
-    InputError
-        They cannot be had.
-    """
+    """Take an address and a port for a page: by default the loopback address, and any free port."""
     try:
         ip = ipaddress.ip_address("127.0.0.1" if address in {None, "localhost"} else address)
     except ValueError:

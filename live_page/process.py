@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -16,9 +15,10 @@ from typing import Final
 
 import msgspec
 
+from agents.side_process import SideProcess
 from live_page.place import open_place
 
-_ENDING_S: Final = 3.0
+_CLOSING_S: Final = 3.0
 _NICE: Final = 10
 
 
@@ -31,39 +31,21 @@ class PageSettings(msgspec.Struct):
     token: str
 
 
-class PageProcess:
-    """The page's process, as its launcher sees it. It ends with the context.
-
-    Parameters
-    ----------
-    address, port
-        Where to serve the page, see `open_place`.
-    """
+class PageProcess(SideProcess):
+    """The page's process, as its launcher sees it. It ends with the context."""
 
     def __init__(self, address: str | None, port: int | None) -> None:
         self._place = open_place(address, port)
-        self._process = subprocess.Popen(
-            (sys.executable, "-P", "-m", "live_page"),
-            stdin=subprocess.PIPE,
+        super().__init__(
+            "live_page",
             stdout=subprocess.DEVNULL,
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
             pass_fds=(self._place.socket.fileno(),),
-            process_group=0,  # Ctrl-C in a terminal is for the launcher.
         )
-
-    def __enter__(self) -> PageProcess:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self._place.socket.close()
-        assert self._process.stdin is not None
-        with suppress(BrokenPipeError):
-            self._process.stdin.close()
-        try:
-            self._process.wait(_ENDING_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        super().__exit__()
 
     def show(self, path: Path, *, several: bool = False) -> str:
         """Serve the run in a folder, or the `several` runs there; return the address to open.
@@ -72,24 +54,18 @@ class PageProcess:
         """
         number, token = self._place.socket.fileno(), self._place.token
         settings = PageSettings(str(path.absolute()), several, number, token)
-        self._tell(msgspec.json.encode(settings))
+        self.tell(msgspec.json.encode(settings))
         return self._place.address
 
     def let_end(self, say: Callable[[str], None]) -> None:
         """Wait until nobody looks at the page any more, or until Ctrl-C."""
-        self._tell(b"over")
+        self.tell(b"over")
         with suppress(KeyboardInterrupt):
             try:
-                self._process.wait(_ENDING_S)
+                self.process.wait(_CLOSING_S)
             except subprocess.TimeoutExpired:
                 say("page: still open in a browser; close it there or press Ctrl-C to end")
-                self._process.wait()
-
-    def _tell(self, line: bytes) -> None:
-        assert self._process.stdin is not None
-        with suppress(BrokenPipeError):
-            self._process.stdin.write(line + b"\n")
-            self._process.stdin.flush()
+                self.process.wait()
 
 
 def get_behind_others() -> None:
@@ -98,5 +74,4 @@ def get_behind_others() -> None:
     In lockstep the processes of a run do not interrupt one of the normal policies when they wake.
     """
     os.nice(_NICE)
-    if sys.platform == "linux":
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))

@@ -66,12 +66,7 @@ class Moment(NamedTuple):
 class RunView:
     """A run that pages look at. Nothing is read while nobody does.
 
-    Attributes
-    ----------
-    path
-        The recording.
-    watched
-        How many browsers follow it.
+    `path` is the recording, `watched` how many browsers follow it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -164,12 +159,8 @@ class RunView:
     async def updates(self, position: float | None, speed: float) -> AsyncIterator[bytes]:
         """Yield the state of the run whenever there is news, as JSON.
 
-        Parameters
-        ----------
-        position
-            The cycle to begin with; None: follow the newest one.
-        speed
-            Simulated seconds a second; 0: stay there.
+        `position` is the cycle to begin with; None: follow the newest one. `speed` is in simulated
+        seconds a second; 0: stay there.
         """
         self.watched += 1
         sent = _Sent()

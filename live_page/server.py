@@ -11,7 +11,7 @@ import secrets
 from collections import OrderedDict
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -52,7 +52,7 @@ class Audience:
     """The browsers that look on, and when the last one left."""
 
     streams: int = 0
-    left_at: float = field(default=float("-inf"))
+    left_at: float = float("-inf")
 
 
 class EventStream(StreamingResponse):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import select
 import subprocess
-import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -18,9 +17,9 @@ from typing import Final, TypeAlias
 import msgspec
 
 from agents.plan import RunPlan
+from agents.side_process import SideProcess
 from bus_schemas.errors import FailureError, InputError
 
-_ENDING_S: Final = 5.0
 _ACCOUNTS: Final = "devices.json"
 
 
@@ -95,7 +94,7 @@ def log_in(folder: Path) -> Path:
     return folder / "logs" / "gateway.log"
 
 
-class GatewayProcess:
+class GatewayProcess(SideProcess):
     """The gateway's process, as its launcher sees it. It ends with the context.
 
     Raises
@@ -105,17 +104,11 @@ class GatewayProcess:
     """
 
     def __init__(self, plan: RunPlan) -> None:
-        self._process = subprocess.Popen(
-            (sys.executable, "-P", "-m", "sunspec"),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            bufsize=0,
-            process_group=0,  # Ctrl-C in a terminal is for the launcher.
-        )
+        super().__init__("sunspec", stdout=subprocess.PIPE)
         self._rest = b""
         self._folder: Path | None = None
         try:
-            self._tell(msgspec.json.encode(plan))
+            self.tell(msgspec.json.encode(plan))
             first = self._events(wait=True)
         except BaseException:
             self.__exit__()
@@ -125,22 +118,10 @@ class GatewayProcess:
             text = first[0].text if isinstance(first[0], Refused) else "the gateway has failed"
             raise InputError(text)
 
-    def __enter__(self) -> GatewayProcess:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        try:
-            self._process.wait(_ENDING_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-
     def join(self, folder: Path) -> None:
         """Let the plant's process find the gateway in a run's folder."""
         self._folder = folder
-        self._tell(str(folder.absolute()).encode())
+        self.tell(str(folder.absolute()).encode())
         self._events(wait=True)
 
     def look(self, say: Callable[[str], None]) -> None:
@@ -161,14 +142,9 @@ class GatewayProcess:
         self.__exit__()
         return read_accounts(self._folder)
 
-    def _tell(self, line: bytes) -> None:
-        assert self._process.stdin is not None
-        with suppress(BrokenPipeError):  # It has ended, and says so where it is listened to.
-            self._process.stdin.write(line + b"\n")
-
     def _events(self, *, wait: bool = False) -> list[Event]:
-        assert self._process.stdout is not None
-        pipe = self._process.stdout.fileno()
+        assert self.process.stdout is not None
+        pipe = self.process.stdout.fileno()
         events: list[Event] = []
         while (wait and not events) or select.select([pipe], [], [], 0.0)[0]:
             found = os.read(pipe, 1 << 16)
@@ -179,9 +155,9 @@ class GatewayProcess:
         return events
 
     def _how_it_ended(self) -> str:
-        code = self._process.wait()
+        code = self.process.wait()
         how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
-        text = f"the gateway to the devices (process {self._process.pid}) {how}"
+        text = f"the gateway to the devices (process {self.process.pid}) {how}"
         if self._folder is None:
             return text
         return f"{text} in the middle of the run; its log: {log_in(self._folder)}"

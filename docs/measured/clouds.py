@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
@@ -164,6 +164,12 @@ def by_distance(sky: Sky, index: Array, direction: str, interval_s: float | None
     return pairs.by_distance(CLASSES_M)
 
 
+def panels_of(rows: int, skies: list[Sky], height: float, **shared: Any) -> tuple[Figure, Any]:
+    """Make a column of panels for each sky."""
+    size = (9.5, height)
+    return plt.subplots(rows, len(skies), figsize=size, sharex=True, layout="constrained", **shared)
+
+
 def band(
     axes: Axes, x: Array, curves: list[Array], color: str, label: str, style: str = "-"
 ) -> None:
@@ -176,9 +182,7 @@ def band(
 
 def draw_correlation(skies: list[Sky], drawn: dict[str, list[Array]]) -> Figure:
     """Draw the correlation of sensors against their distance."""
-    figure, panels = plt.subplots(
-        3, len(skies), figsize=(9.5, 7.4), sharex=True, sharey=True, layout="constrained"
-    )
+    figure, panels = panels_of(3, skies, 7.4, sharey=True)
     middle_m = 0.5 * (CLASSES_M[1:] + CLASSES_M[:-1])
     rows = [
         ("any", None, "index"),
@@ -214,9 +218,7 @@ def travelled(sky: Sky, index: Array) -> tuple[Array, Array, Array]:
 
 def draw_lags(skies: list[Sky], drawn: dict[str, list[Array]]) -> Figure:
     """Draw how much later, and how much alike, a sensor down wind sees the same clouds."""
-    figure, panels = plt.subplots(
-        2, len(skies), figsize=(9.5, 5.2), sharex=True, sharey="row", layout="constrained"
-    )
+    figure, panels = panels_of(2, skies, 5.2, sharey="row")
     for column, sky in enumerate(skies):
         upper, lower = panels[:, column]
         samples = (
@@ -238,9 +240,7 @@ def draw_lags(skies: list[Sky], drawn: dict[str, list[Array]]) -> Figure:
 
 def draw_changes(skies: list[Sky], drawn: dict[str, list[Array]]) -> Figure:
     """Draw how often the index changes by more than a given size."""
-    figure, panels = plt.subplots(
-        1, len(skies), figsize=(9.5, 3.4), sharex=True, sharey=True, layout="constrained"
-    )
+    figure, panels = panels_of(1, skies, 3.4, sharey=True)
     styles = ((0, "-"), (1, "--"))
     for axes, sky in zip(panels, skies, strict=True):
         for (which, style), interval_s in zip(styles, intervals_s(sky), strict=False):
@@ -263,9 +263,7 @@ def draw_changes(skies: list[Sky], drawn: dict[str, list[Array]]) -> Figure:
 
 def draw_shares(skies: list[Sky], drawn: dict[str, list[Array]]) -> Figure:
     """Draw the histogram of the clear-sky index."""
-    figure, panels = plt.subplots(
-        1, len(skies), figsize=(9.5, 3.0), sharex=True, layout="constrained"
-    )
+    figure, panels = panels_of(1, skies, 3.0)
     middle = 0.5 * (LEVELS[1:] + LEVELS[:-1])
     for axes, sky in zip(panels, skies, strict=True):
         curves = [histogram(index) for index in drawn[sky.name]]
@@ -356,9 +354,8 @@ def side_by_side(folder: Path) -> Lines:
     found = [compared(folder)[name] for name in names]
     yield from header(["measured / synthetic (10 % to 90 %)", *names])
     settings = [sky.settings() for sky, *_ in found]
-    yield row(
-        ["cover, speed", *(f"{s.cloud_cover:.2f}, {s.drift_speed_ms:.1f} m/s" for s in settings)]
-    )
+    covers = (f"{one.cloud_cover:.2f}, {one.drift_speed_ms:.1f} m/s" for one in settings)
+    yield row(["cover, speed", *covers])
     yield row(["skies, of so many seeds", *(f"{len(rows)} of {n}" for _, _, rows, n in found)])
     for figure in found[0][1] | found[1][1]:
         cells = []
@@ -430,21 +427,14 @@ def beyond_the_atmosphere(folder: Path) -> Lines:
     jumps = (np.abs(np.diff(read.ghi_wm2, axis=0)) > 200.0).sum(axis=0)
     jumping = [f"{name} ({n})" for name, n in zip(read.sensors, jumps, strict=True) if n]
     yield from header(["HOPE", ""])
-    yield row(
-        [
-            "irradiance outside the atmosphere",
-            f"{limit_wm2.min():.0f} to {limit_wm2.max():.0f} W/m²",
-        ]
-    )
-    yield row(
-        ["values above it", f"{100.0 * above.mean():.1f} %, of {above.any(axis=0).sum()} stations"]
-    )
-    yield row(
-        ["time in which the mean of all stations is above it", f"{100.0 * mean_above.mean():.1f} %"]
-    )
-    yield row(
-        ["stations that change by more than 200 W/m² in 1 s, and how often", ", ".join(jumping)]
-    )
+    outside = f"{limit_wm2.min():.0f} to {limit_wm2.max():.0f} W/m²"
+    yield row(["irradiance outside the atmosphere", outside])
+    values = f"{100.0 * above.mean():.1f} %, of {above.any(axis=0).sum()} stations"
+    yield row(["values above it", values])
+    time = f"{100.0 * mean_above.mean():.1f} %"
+    yield row(["time in which the mean of all stations is above it", time])
+    title = "stations that change by more than 200 W/m² in 1 s, and how often"
+    yield row([title, ", ".join(jumping)])
 
 
 TABLES: Final[Tables] = {

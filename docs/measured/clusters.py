@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import nullcontext
 from functools import cache
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any, Final
 from unittest.mock import patch
 
-import pandas as pd
 from tables import WORKERS, Lines, Tables, header, heliarch, hope, plant, row
 
 from agents.periods import Periods
@@ -153,13 +152,6 @@ def ten_skies(data: Path) -> Lines:
 # Topping up ---------------------------------------------------------------------------------------
 
 
-@contextmanager
-def nothing_topped_up() -> Iterator[None]:
-    """Let no parent top up its children between its turns."""
-    with patch.object(Periods, "rests_between", return_value=False):
-        yield
-
-
 def once_a_minute(data: Path) -> dict[str, tuple[ScenarioFile, dict[str, Any], int]]:
     """Return scenario and settings of each case, and the cycles in a minute."""
     real = plant(data)
@@ -173,19 +165,28 @@ def once_a_minute(data: Path) -> dict[str, tuple[ScenarioFile, dict[str, Any], i
 
 
 @cache
-def topped(data: Path, case: str, clusters: str, scheme: str, tops_up: bool, always: bool) -> Any:
-    """Return the figures of one run."""
+def acting(
+    data: Path,
+    case: str,
+    clusters: str = "virtual",
+    scheme: str = "predictive",
+    tops_up: bool = True,
+    always: bool = False,
+) -> Any:
+    """Return the figures of a run whose central controller acts once a minute, or always."""
     scenario, settings, minute = once_a_minute(data)[case]
-    chosen: dict[str, Any] = {
+    one = {"control.cluster_count": [[1]]} if minute == 6 else {"control.cluster_sizes": [[[17]]]}
+    chosen: dict[str, dict[str, Any]] = {
         "virtual": {},
         "geographic": {"control.clusters": "geographic"},
-        "one": {"control.cluster_count": [[1]]}
-        if minute == 6
-        else {"control.cluster_sizes": [[[17]]]},
-    }[clusters]
+        "one": one,
+    }
     period = {"control.period_cycles": [[1 if always else minute, 1]]}
-    run = compare(scenario, schemes=[scheme], settings=settings | chosen | period)
-    return run.iloc[0]
+    settings = settings | chosen[clusters] | period
+    # So no parent tops up its children between its turns.
+    at_rest = patch.object(Periods, "rests_between", return_value=False)
+    with nullcontext() if tops_up else at_rest:
+        return compare(scenario, schemes=[scheme], settings=settings).iloc[0]
 
 
 def topping_up(data: Path) -> Lines:
@@ -201,17 +202,9 @@ def topping_up(data: Path) -> Lines:
     }
     yield from header(["", *columns, "virtual, always acting"])
     for case in once_a_minute(data):
-        found = [run_of(data, case, *what) for what in columns.values()]
-        found.append(topped(data, case, "virtual", "predictive", True, True))
+        found = [acting(data, case, *what) for what in columns.values()]
+        found.append(acting(data, case, always=True))
         yield row([case, *(f"{one['control-caused']:.3f}" for one in found)])
-
-
-def run_of(data: Path, case: str, clusters: str, scheme: str, tops_up: bool) -> pd.Series[Any]:
-    """Return the figures of a run whose central controller acts once a minute."""
-    if tops_up:
-        return topped(data, case, clusters, scheme, True, False)
-    with nothing_topped_up():
-        return topped(data, case, clusters, scheme, False, False)
 
 
 def cost_of_topping_up(data: Path) -> Lines:
@@ -222,10 +215,10 @@ def cost_of_topping_up(data: Path) -> Lines:
     yield from header(["", *titles])
     for case in once_a_minute(data):
         found = [
-            run_of(data, case, "virtual", "predictive", False),
-            run_of(data, case, "virtual", "predictive", True),
-            topped(data, case, "virtual", "predictive", True, True),
-            run_of(data, case, "virtual", "paper", True),
+            acting(data, case, tops_up=False),
+            acting(data, case),
+            acting(data, case, always=True),
+            acting(data, case, scheme="paper"),
         ]
         numbers = [
             f"{one[name]:,.{decimals}f}"

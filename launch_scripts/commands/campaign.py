@@ -3,42 +3,37 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final, TypeVar
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from bus_schemas.errors import InputError
 from launch_scripts.commands.options import (
-    DataOption,
-    JsonOption,
-    ReportOption,
+    ResultOptions,
     ScenarioArgument,
     SettingsOption,
     StartOption,
     WorkersOption,
+    changed_scenario,
 )
-from launch_scripts.commands.output import counted, say, write_json, write_page
+from launch_scripts.commands.output import say, shared, write_files
 from studies.tables import console_for, print_table
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from launch_scripts.scenarios.preparation import Preparation
     from studies.campaign.study import Campaign, Outcome
 
 EXAMPLE: Final = "heliarch campaign oahu --seeds 1..200 --workers 2"
-PAGE_NAME: Final = "campaign.html"
+PAGE: Final = Path("campaign.html")
 _LISTED: Final = 10
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 
 def campaign(
     scenario: ScenarioArgument = "oahu",
+    *,
     seeds: Annotated[
         str, typer.Option(help="Seeds of the faults, such as 1..1000.", metavar="SEEDS")
     ] = "1..100",
@@ -54,9 +49,7 @@ def campaign(
             "--curves", help="Instead, measure what failures cost, by rate and repair time."
         ),
     ] = False,
-    data: DataOption = None,
-    report: ReportOption = None,
-    json: JsonOption = None,
+    files: ResultOptions,
 ) -> None:
     """Kill, freeze, cut off and disturb controllers at random, and check that the plant stays safe.
 
@@ -65,39 +58,38 @@ def campaign(
     invariant was broken. --report writes campaign.html by default.
     """
     from launch_scripts.scenarios.preparation import RunOptions, prepare
-    from launch_scripts.scenarios.scenario import load_scenario
     from studies.campaign import study, tables
-    from studies.compare.cases import parse_seeds, with_settings
+    from studies.compare.cases import parse_seeds
 
-    changed = with_settings(load_scenario(scenario, data), tuple(settings or ()))
+    changed = changed_scenario(scenario, files.data, settings)
     preparation = prepare(changed, RunOptions(start, duration), "campaign")
     length_s = preparation.plan.cycles * preparation.plan.cycle_ns / 1e9
     least_s = study.least_length_s(preparation.plan)
     if length_s < least_s:
         raise InputError(f"--duration: expected {least_s:g} s or more, got {length_s:g} s")
     chosen = parse_seeds(seeds)
-    console = console_for(json)
     found = study.campaign(preparation)
-    page = Path(report or PAGE_NAME) if report is not None else None
     if curves:
-        _measure_curves(preparation, found, chosen, workers, page, json)
+        _measure_curves(preparation, found, chosen, workers, files)
         return
-    ordered = _shared(study.run_seed, found, chosen, workers, console)
-    write_json(ordered, json)
-    if page is not None:
+    outcomes = shared(partial(study.run_seed, found), chosen, workers, "runs")
+
+    def page() -> str:
         from studies.campaign.page import campaign_page  # Plotly is slow to import.
 
-        write_page(campaign_page(preparation, found, ordered), page)
-    print_table(console, tables.campaign_table(preparation, ordered))
-    broken = [outcome for outcome in ordered if outcome.violations]
+        return campaign_page(preparation, found, outcomes)
+
+    written = write_files(outcomes, files.json, page, files.report, PAGE)
+    console = console_for(files.json)
+    print_table(console, tables.campaign_table(preparation, outcomes))
+    broken = [outcome for outcome in outcomes if outcome.violations]
     for outcome in broken[:_LISTED]:
         first = outcome.violations[0]
         say(console, f"seed {outcome.seed}: {first.invariant}, cycle {first.cycle}: {first.text}")
         say(console, f"  {_command(scenario, start, duration, settings or (), outcome)}")
     if len(broken) > _LISTED:
         say(console, f"and {len(broken) - _LISTED:,} other seeds; --json lists all of them")
-    if page is not None:
-        say(console, f"report: {page}")
+    say(console, *written)
     if broken:
         raise typer.Exit(1)
 
@@ -107,44 +99,28 @@ def _measure_curves(
     campaign: Campaign,
     seeds: Sequence[int],
     workers: int,
-    page: Path | None,
-    json: str | None,
+    files: ResultOptions,
 ) -> None:
     """Measure what failures cost; print the tables and write the page."""
     from studies.campaign import curves
 
-    console = console_for(json)
-    points = _shared(curves.run_under, campaign, curves.conditions(seeds), workers, console)
-    write_json(points, json)
+    points = shared(partial(curves.run_under, campaign), curves.conditions(seeds), workers, "runs")
     plan = preparation.plan
     title = f"{plan.plant}, {plan.cycles} cycles from {preparation.local_start()}"
     title += f", mean of {len(seeds)} seeds"
     tables = curves.curve_tables(title, points)
-    if page is not None:
+
+    def page() -> str:
         from studies.campaign.page import curve_figure  # Plotly is slow to import.
         from studies.report.page import html_page
 
-        figure = curve_figure(points)
-        write_page(html_page(f"What failures cost: {title}", [], [figure, *tables]), page)
+        return html_page(f"What failures cost: {title}", [], [curve_figure(points), *tables])
+
+    written = write_files(points, files.json, page, files.report, PAGE)
+    console = console_for(files.json)
     for table in tables:
         print_table(console, table)
-    if page is not None:
-        say(console, f"report: {page}")
-
-
-def _shared(
-    function: Callable[[Campaign, Item], Result],
-    campaign: Campaign,
-    items: Sequence[Item],
-    workers: int,
-    console: Console,
-) -> list[Result]:
-    """Apply a function of a campaign to each item; return the results in their order."""
-    from studies.workers import share_work
-
-    shared = share_work(partial(function, campaign), items, workers)
-    found = dict(counted(shared, "runs", len(items), console))
-    return [found[place] for place in sorted(found)]
+    say(console, *written)
 
 
 def _command(

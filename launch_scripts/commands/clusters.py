@@ -8,30 +8,26 @@ from typing import Annotated, Final
 import typer
 
 from launch_scripts.commands.options import (
-    DataOption,
-    DurationOption,
-    EndOption,
-    JsonOption,
-    ReportOption,
+    ResultOptions,
     ScenarioArgument,
     SchemeOption,
     SeedOption,
     SettingsOption,
-    StartOption,
+    TimeOptions,
     WorkersOption,
+    changed_scenario,
 )
-from launch_scripts.commands.output import counted, say, write_json, write_page
+from launch_scripts.commands.output import counted, say, write_files
 from studies.tables import console_for, print_lines, print_table
 
 EXAMPLE: Final = "heliarch clusters oahu --random 50 --periods 1,30 --report"
-PAGE_NAME: Final = "clusters.html"
+PAGE: Final = Path("clusters.html")
 
 
 def clusters(
     scenario: ScenarioArgument = "oahu",
-    start: StartOption = None,
-    end: EndOption = None,
-    duration: DurationOption = None,
+    *,
+    span: TimeOptions,
     periods: Annotated[
         str | None,
         typer.Option(
@@ -54,9 +50,7 @@ def clusters(
     ] = None,
     settings: SettingsOption = None,
     workers: WorkersOption = 1,
-    data: DataOption = None,
-    report: ReportOption = None,
-    json: JsonOption = None,
+    files: ResultOptions,
 ) -> None:
     """Compare virtual neighbours with geographic and random clusters.
 
@@ -64,25 +58,13 @@ def clusters(
     """
     from bus_schemas.times import parse_duration_s
     from launch_scripts.scenarios.preparation import RunOptions, prepare
-    from launch_scripts.scenarios.scenario import load_scenario
+    from studies.clusters import study as of_clusters
     from studies.clusters.page import study_page
-    from studies.clusters.study import (
-        ClusterQuestion,
-        central_periods,
-        clusters_table,
-        members_table,
-        orders_table,
-        study_clusters,
-        study_json,
-        study_lines,
-    )
     from studies.clusters.worth import by_first_part, by_scenario
-    from studies.compare.cases import with_settings
     from studies.compare.study import remarks_of
 
-    console = console_for(json)
-    changed = with_settings(load_scenario(scenario, data), settings or ())
-    options = RunOptions(start, duration, seed=seed, scheme=scheme, end=end)
+    changed = changed_scenario(scenario, files.data, settings)
+    options = RunOptions(span.start, span.duration, seed=seed, scheme=scheme, end=span.end)
     preparation = prepare(changed, options, "clusters")
     plan = preparation.plan
     if learn is None:
@@ -94,19 +76,19 @@ def clusters(
         )
         arrange, remarks = by_first_part(preparation, learn_s), (*preparation.remarks, remark)
     control, inverters = changed.scenario.control, len(plan.inverters)
-    central = central_periods(periods, plan)
-    question = ClusterQuestion(arrange, control, inverters, plan.scheme, central, random)
-    study = study_clusters(
-        question, remarks, workers, lambda done, total: counted(done, "clusters", total, console)
+    central = of_clusters.central_periods(periods, plan)
+    question = of_clusters.ClusterQuestion(
+        arrange, control, inverters, plan.scheme, central, random
     )
-    # Files first: whoever reads the table may leave before its end.
-    write_json(study_json(study), json)
-    page = Path(report or PAGE_NAME)
-    if report is not None:
-        write_page(study_page(study), page)
+    study = of_clusters.study_clusters(
+        question, remarks, workers, lambda done, total: counted(done, "clusters", total)
+    )
+    document = of_clusters.study_json(study)
+    written = write_files(document, files.json, lambda: study_page(study), files.report, PAGE)
+    console = console_for(files.json)
     print_lines(console, study.remarks)
-    for table in (clusters_table(study), orders_table(study), members_table(study)):
-        print_table(console, table)
-    print_lines(console, study_lines(study))
-    if report is not None:
-        say(console, f"report: {page}")
+    tables = of_clusters.clusters_table, of_clusters.orders_table, of_clusters.members_table
+    for table in tables:
+        print_table(console, table(study))
+    print_lines(console, of_clusters.study_lines(study))
+    say(console, *written)

@@ -12,16 +12,13 @@ import typer
 from agents.plan import Actuator
 from bus_schemas.errors import InputError
 from launch_scripts.commands.options import (
-    CsvOption,
-    DataOption,
-    DurationOption,
-    EndOption,
-    JsonOption,
-    ReportOption,
-    StartOption,
+    ResultOptions,
+    TimeOptions,
     WorkersOption,
+    file_in_folder,
+    refuse_others,
 )
-from launch_scripts.commands.output import counted, say, write_json
+from launch_scripts.commands.output import counted, say, shared, write_json
 from studies.tables import Table, console_for, print_table
 
 if TYPE_CHECKING:
@@ -32,10 +29,6 @@ if TYPE_CHECKING:
     from studies.compare.study import CaseResult, Comparison
 
 EXAMPLE: Final = "heliarch compare oahu --set commitment.share=0.3,0.45 --seeds 1..10"
-PAGE_NAME: Final = "compare.html"
-
-_OF_TWO_RUNS: Final = ("scenario", "other", "report", "json")
-"""What can be said where two runs are compared."""
 
 
 def compare(
@@ -52,9 +45,8 @@ def compare(
         Path | None,
         typer.Argument(help="A second run, to compare the first with.", metavar="RUN"),
     ] = None,
-    start: StartOption = None,
-    end: EndOption = None,
-    duration: DurationOption = None,
+    *,
+    span: TimeOptions,
     days: Annotated[
         str | None,
         typer.Option(help="Dates, such as 2010-04-01..2010-04-30.", metavar="DATES"),
@@ -111,20 +103,26 @@ def compare(
     scheduler: Annotated[
         str | None, typer.Option(help="Dask scheduler that shares the cases.", metavar="ADDRESS")
     ] = None,
-    data: DataOption = None,
-    report: ReportOption = None,
-    json: JsonOption = None,
-    csv: CsvOption = None,
+    files: ResultOptions,
+    csv: Annotated[
+        str | None,
+        typer.Option(
+            "--csv",
+            help="Write the summary of the cases as CSV.",
+            metavar="FILE",
+            callback=file_in_folder,
+        ),
+    ] = None,
 ) -> None:
     """Put control schemes side by side: the paper's tables, for one day or many. Or two runs.
 
     Of a single case and of two runs --report writes a page, compare.html by default.
     """
-    page = None if report is None else Path(report or PAGE_NAME)
-    console = console_for(json)
+    page = None if files.report is None else Path(files.report or "compare.html")
     if other is not None:
-        _refuse_options_of_studies(context)
-        _two_runs((Path(scenario), other), page, json, console)
+        allowed = ("scenario", "other", "report", "json")
+        refuse_others(context, allowed, "expected a scenario to go with it, got two runs")
+        _two_runs((Path(scenario), other), page, files.json)
         return
     if _is_run(Path(scenario)):
         raise InputError(f"{scenario}: expected a second run to compare it with, or a scenario")
@@ -137,8 +135,8 @@ def compare(
 
     shown = _names("--show", show, FIGURES_OF_MERIT)
     found = cases(
-        load_scenario(scenario, data),
-        RunOptions(start, duration, end=end),
+        load_scenario(scenario, files.data),
+        RunOptions(span.start, span.duration, end=span.end),
         [parse_setting(text) for text in settings or ()],
         () if days is None else parse_days(days),
         () if seeds is None else parse_seeds(seeds),
@@ -147,30 +145,21 @@ def compare(
         raise InputError("--scheduler: expected cases to share (--seeds, --days, --set), got one")
     if page is not None and len(found) > 1:
         raise InputError(f"--report: expected one case, got {len(found):,}; see --csv and --json")
+    actuators = _names("--actuator", actuator, get_args(Actuator)) if actuator else ()
     comparison = Comparison(
         tuple(SCHEMES) if schemes is None else _names("--schemes", schemes, SCHEMES),
         _groups(reference),
-        cast(tuple[Actuator, ...], _names("--actuator", actuator, get_args(Actuator)))
-        if actuator
-        else (),
+        cast(tuple[Actuator, ...], actuators),
     )
     if len(found) == 1:
-        _one(found[0], comparison, page, json, csv, console)
+        _one(found[0], comparison, page, files.json, csv)
     else:
-        results = _many(found, comparison, workers, scheduler, console)
-        _tell_many(results, shown, json, csv, console)
+        results = _many(found, comparison, workers, scheduler)
+        _tell_many(results, shown, files.json, csv)
 
 
 def _is_run(path: Path) -> bool:
     return path.suffix == ".mcap" or (path / "run.mcap").exists()
-
-
-def _refuse_options_of_studies(context: typer.Context) -> None:
-    for option in context.command.params:
-        name = str(option.name)
-        source = context.get_parameter_source(name)
-        if source and source.name == "COMMANDLINE" and name not in _OF_TWO_RUNS:
-            raise InputError(f"{option.opts[0]}: expected a scenario to go with it, got two runs")
 
 
 def _names(option: str, text: str, known: Collection[str]) -> tuple[str, ...]:
@@ -201,7 +190,6 @@ def _one(
     page: Path | None,
     json: str | None,
     csv: str | None,
-    console: Console,
 ) -> None:
     """Run one case and print the paper's tables; write a page and files of it if asked for."""
     from launch_scripts.scenarios.preparation import prepare
@@ -228,12 +216,10 @@ def _one(
         series = [one for _, one in found]
         merits = metrics_tables(series)
         write_report(page, title, series, [*tables, frontier(schemes), *merits], notes)
-    _print(console, remarks, tables, page)
+    _print(console_for(json), remarks, tables, page)
 
 
-def _two_runs(
-    paths: tuple[Path, Path], page: Path | None, json: str | None, console: Console
-) -> None:
+def _two_runs(paths: tuple[Path, Path], page: Path | None, json: str | None) -> None:
     """Print two recordings side by side; write a page and JSON of them if asked for."""
     from studies.compare.runs import read_two_runs, two_runs_tables
     from studies.report.run_report import write_report
@@ -253,7 +239,7 @@ def _two_runs(
     if page is not None:
         title = f"{paths[0].name} and {paths[1].name}"
         write_report(page, title, series, tables, lines[1:], lead=lines[0])
-    _print(console, lines, tables, page)
+    _print(console_for(json), lines, tables, page)
 
 
 def _print(
@@ -267,37 +253,28 @@ def _print(
 
 
 def _many(
-    found: Sequence[Case],
-    comparison: Comparison,
-    workers: int,
-    scheduler: str | None,
-    console: Console,
+    found: Sequence[Case], comparison: Comparison, workers: int, scheduler: str | None
 ) -> list[CaseResult]:
     """Run many cases with a progress bar; return their results in order."""
     from studies.compare.study import run_case
-    from studies.workers import share_over_cluster, share_work
+    from studies.workers import share_over_cluster
 
     run = partial(run_case, comparison)
-    if scheduler is not None:
-        shared = share_over_cluster(run, found, scheduler)
-    else:
-        shared = share_work(run, found, workers)
-    results = dict(counted(shared, "cases", len(found), console))
+    if scheduler is None:
+        return shared(run, found, workers, "cases")
+    results = dict(counted(share_over_cluster(run, found, scheduler), "cases", len(found)))
     return [results[number] for number in sorted(results)]
 
 
 def _tell_many(
-    results: Sequence[CaseResult],
-    shown: Sequence[str],
-    json: str | None,
-    csv: str | None,
-    console: Console,
+    results: Sequence[CaseResult], shown: Sequence[str], json: str | None, csv: str | None
 ) -> None:
     """Print the cases and their summary; write files of them if asked for."""
     from studies.compare.tables import cases_tables
 
     # The files first: whoever reads the table may leave before its end.
     _write_figures(results, json, csv)
+    console = console_for(json)
     remarks = dict.fromkeys(line for result in results for line in result.remarks)
     _print(console, list(remarks), cases_tables(shown, results), None)
     prepare_s = sum(result.prepare_s for result in results)

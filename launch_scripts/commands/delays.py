@@ -10,28 +10,22 @@ import typer
 
 from bus_schemas.errors import InputError
 from launch_scripts.commands.options import (
-    DataOption,
-    DurationOption,
-    EndOption,
-    JsonOption,
-    ReportOption,
+    ResultOptions,
     SeedOption,
     SettingsOption,
-    StartOption,
+    TimeOptions,
     WorkersOption,
+    changed_scenario,
 )
-from launch_scripts.commands.output import counted, say, write_json, write_page
+from launch_scripts.commands.output import say, shared, write_files
 from studies.tables import console_for
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from launch_scripts.scenarios.preparation import Preparation, RunOptions
     from launch_scripts.scenarios.scenario import ScenarioFile
-    from studies.delays.study import Outcome
 
 EXAMPLE: Final = "heliarch delays oahu --from 12:30 --duration 20m --report"
-PAGE_NAME: Final = "delays.html"
+PAGE: Final = Path("delays.html")
 
 DEFAULT_SCENARIO: Final = "oahu-day"
 DEFAULT_START: Final = "11:58"
@@ -49,15 +43,12 @@ def delays(
             show_default=False,
         ),
     ] = None,
-    start: StartOption = None,
-    end: EndOption = None,
-    duration: DurationOption = None,
+    *,
+    span: TimeOptions,
     seed: SeedOption = None,
     settings: SettingsOption = None,
     workers: WorkersOption = 2,
-    data: DataOption = None,
-    report: ReportOption = None,
-    json: JsonOption = None,
+    files: ResultOptions,
 ) -> None:
     """Measure what delays, losses and a slow central controller cost.
 
@@ -65,39 +56,38 @@ def delays(
     --report writes delays.html by default.
     """
     from launch_scripts.scenarios.preparation import RunOptions
-    from launch_scripts.scenarios.scenario import load_scenario
-    from studies.compare.cases import with_settings
     from studies.compare.study import remarks_of
     from studies.delays.page import study_page
-    from studies.delays.tables import print_study
+    from studies.delays.study import conditions, run_under
+    from studies.delays.tables import counted_s, print_study
 
-    changes = tuple(settings or ())
+    changes, start, duration = tuple(settings or ()), span.start, span.duration
     if scenario is None:
         scenario, start = DEFAULT_SCENARIO, start or DEFAULT_START
         changes = (*DEFAULT_SETTINGS, *changes)
-        if end is None:
+        if span.end is None:
             duration = duration or DEFAULT_DURATION
-    console = console_for(json)
-    changed = with_settings(load_scenario(scenario, data), changes)
-    preparation = _prepared(changed, RunOptions(start, duration, seed=seed, end=end))
-    outcomes = _outcomes(preparation, workers, console)
+    changed = changed_scenario(scenario, files.data, changes)
+    preparation = _prepared(changed, RunOptions(start, duration, seed=seed, end=span.end))
+    plan = preparation.plan
+    cycle_s, correction = plan.cycle_ns / 1e9, changed.scenario.control.correction
+    chosen = conditions(cycle_s, counted_s(preparation), correction)
+    run = partial(run_under, plan, preparation.profile)
+    outcomes = shared(run, chosen, workers, "runs")
     document: dict[str, Any] = {
-        "scenario": preparation.plan.plant,
+        "scenario": plan.plant,
         "start": preparation.local_start(),
-        "cycles": preparation.plan.cycles,
-        "cycle_s": preparation.plan.cycle_ns / 1e9,
+        "cycles": plan.cycles,
+        "cycle_s": cycle_s,
         "settings": changes,
         "remarks": remarks_of(preparation),
         "outcomes": outcomes,
     }
-    # Files first: whoever reads the tables may leave before their end.
-    write_json(document, json)
-    page = Path(report or PAGE_NAME)
-    if report is not None:
-        write_page(study_page(preparation, outcomes), page)
+    page = partial(study_page, preparation, outcomes)
+    written = write_files(document, files.json, page, files.report, PAGE)
+    console = console_for(files.json)
     print_study(preparation, outcomes, console)
-    if report is not None:
-        say(console, f"report: {page}")
+    say(console, *written)
 
 
 def _prepared(scenario: ScenarioFile, options: RunOptions) -> Preparation:
@@ -115,16 +105,3 @@ def _prepared(scenario: ScenarioFile, options: RunOptions) -> Preparation:
             f"that do not count, got {length_s:g} s"
         )
     return preparation
-
-
-def _outcomes(preparation: Preparation, workers: int, console: Console) -> list[Outcome]:
-    from studies.delays.study import conditions, run_under
-    from studies.delays.tables import counted_s
-    from studies.workers import share_work
-
-    plan = preparation.plan
-    correction = preparation.scenario.scenario.control.correction
-    chosen = conditions(plan.cycle_ns / 1e9, counted_s(preparation), correction)
-    shared = share_work(partial(run_under, plan, preparation.profile), chosen, workers)
-    found = dict(counted(shared, "runs", len(chosen), console))
-    return [found[number] for number in sorted(found)]

@@ -7,14 +7,14 @@ import platform
 import resource
 import shutil
 import socket
-import statistics
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from textwrap import wrap
-from typing import Annotated, Final, Literal, NamedTuple
+from typing import Annotated, Final, Literal, NamedTuple, TypeAlias
 
 import typer
 
@@ -38,6 +38,9 @@ _GOVERNOR: Final = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
 _INDENT: Final = 19
 
 
+Verdict: TypeAlias = Literal["ok", "slow", "wrong"]
+
+
 class Finding(NamedTuple):
     """One thing that was checked, how good it is, and what to do about it.
 
@@ -46,8 +49,15 @@ class Finding(NamedTuple):
 
     about: str
     found: str
-    verdict: Literal["ok", "slow", "wrong"] = "ok"
+    verdict: Verdict = "ok"
     advice: str = ""
+
+
+def _judged(
+    about: str, found: str, is_ok: bool, advice: str, otherwise: Verdict = "slow"
+) -> Finding:
+    """Return a finding that has advice unless all is well."""
+    return Finding(about, found) if is_ok else Finding(about, found, otherwise, advice)
 
 
 def doctor(
@@ -65,7 +75,7 @@ def doctor(
     if not out.is_dir():
         raise InputError(f"--out: expected an existing folder, got {out}")
     found = [finding for check in _CHECKS for finding in check()]
-    found += _disk(out)
+    found.append(_disk(out))
     write_json([finding._asdict() for finding in found], json)
     console = console_for(json)
     width = min(console.width, 100)
@@ -80,31 +90,16 @@ def doctor(
 
 
 def _processors() -> Iterator[Finding]:
-    affinity = getattr(os, "sched_getaffinity", lambda pid: range(os.cpu_count() or 1))
-    cores = len(affinity(0))
-    if cores < 4:
-        yield Finding(
-            "processors",
-            f"{cores}",
-            "slow",
-            "use 4 or more if you can: the 23 processes of oahu share them",
-        )
-    else:
-        yield Finding("processors", f"{cores}")
+    cores = len(os.sched_getaffinity(0))
+    few = "use 4 or more if you can: the 23 processes of oahu share them"
+    yield _judged("processors", f"{cores}", cores >= 4, few)
     load = os.getloadavg()[0]
-    if load > 0.5 * cores:
-        yield Finding(
-            "load", f"{load:.1f}", "slow", "other programs are running: end them before you measure"
-        )
-    else:
-        yield Finding("load", f"{load:.1f}")
+    busy = "other programs are running: end them before you measure"
+    yield _judged("load", f"{load:.1f}", load <= 0.5 * cores, busy)
     if _GOVERNOR.exists():
         governor = _GOVERNOR.read_text(encoding="ascii").strip()
-        if governor in {"performance", "schedutil"}:
-            yield Finding("frequency", governor)
-        else:
-            advice = "run: cpupower frequency-set -g performance"
-            yield Finding("frequency", governor, "slow", advice)
+        advice = "run: cpupower frequency-set -g performance"
+        yield _judged("frequency", governor, governor in {"performance", "schedutil"}, advice)
 
 
 def _scheduling() -> Iterator[Finding]:
@@ -126,17 +121,12 @@ def _clock() -> Iterator[Finding]:
         time.monotonic_ns()
     each_ns = (time.perf_counter_ns() - began_ns) / calls
     name = _CLOCK.read_text(encoding="ascii").strip() if _CLOCK.exists() else "unknown"
-    text = f"{name}, read in {each_ns:.0f} ns"
-    if each_ns < 500.0:
-        yield Finding("clock", text)
-    else:
-        yield Finding("clock", text, "slow", "boot with clocksource=tsc if the processor has it")
+    advice = "boot with clocksource=tsc if the processor has it"
+    yield _judged("clock", f"{name}, read in {each_ns:.0f} ns", each_ns < 500.0, advice)
     late_us = sorted(_lateness_us(200))
     text = f"median {late_us[100]:.0f} µs late, 99 of 100 within {late_us[197]:.0f} µs"
-    if late_us[197] < 1000.0:
-        yield Finding("wake-up", text)
-    else:
-        yield Finding("wake-up", text, "slow", "agents notice deadlines this late: try --priority")
+    advice = "agents notice deadlines this late: try --priority"
+    yield _judged("wake-up", text, late_us[197] < 1000.0, advice)
 
 
 def _lateness_us(times: int) -> list[float]:
@@ -166,11 +156,8 @@ def _loopback() -> Iterator[Finding]:
         yield Finding("loopback", f"{error.strerror}", "wrong", advice)
         return
     text = f"median {trips_us[250]:.0f} µs there and back, 99 of 100 within {trips_us[495]:.0f} µs"
-    if statistics.median(trips_us) < 200.0:
-        yield Finding("loopback", text)
-    else:
-        advice = "a cycle waits for eight such hops: end other programs"
-        yield Finding("loopback", text, "slow", advice)
+    advice = "a cycle waits for eight such hops: end other programs"
+    yield _judged("loopback", text, trips_us[250] < 200.0, advice)
 
 
 def _round_trips_us(times: int) -> list[float]:
@@ -178,24 +165,24 @@ def _round_trips_us(times: int) -> list[float]:
     with socket.create_server(("127.0.0.1", 0)) as server:
         near = socket.create_connection(server.getsockname())
         far, _ = server.accept()
-    for end in (near, far):
-        end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def answer() -> None:
         while byte := far.recv(1):
             far.send(byte)
 
     thread = threading.Thread(target=answer)
-    thread.start()
     trips = []
-    for _ in range(times):
-        began_ns = time.monotonic_ns()
-        near.send(b".")
-        near.recv(1)
-        trips.append((time.monotonic_ns() - began_ns) / 1e3)
-    near.close()
-    thread.join()
-    far.close()
+    with near, far:
+        for end in (near, far):
+            end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        thread.start()
+        for _ in range(times):
+            began_ns = time.monotonic_ns()
+            near.send(b".")
+            near.recv(1)
+            trips.append((time.monotonic_ns() - began_ns) / 1e3)
+        near.shutdown(socket.SHUT_WR)
+        thread.join()
     return trips
 
 
@@ -215,29 +202,24 @@ def _zenoh() -> Iterator[Finding]:
         yield Finding("Zenoh", f"{error}", "wrong", advice)
         return
     text = f"a session has {threads} thread" + "s" * (threads != 1)
-    if given in {None, ZENOH_RUNTIME}:
-        yield Finding("Zenoh", text)
-    else:
-        advice = "unset ZENOH_RUNTIME: one worker thread for each agent is fastest"
-        yield Finding("Zenoh", text, "slow", advice)
+    advice = "unset ZENOH_RUNTIME: one worker thread for each agent is fastest"
+    yield _judged("Zenoh", text, given in {None, ZENOH_RUNTIME}, advice)
 
 
 def _limits() -> Iterator[Finding]:
     files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    text = f"{files:,} at once" if files != resource.RLIM_INFINITY else "any number"
     # Recorder and plant have a link with each inverter.
-    if files == resource.RLIM_INFINITY or files >= 4096:
-        yield Finding("open files", text)
+    inverters = max(files - 100, 0)
+    if files == resource.RLIM_INFINITY:
+        yield Finding("open files", "any number")
     else:
-        inverters = max(files - 100, 0)
         advice = f"enough for {inverters:,} inverters; ulimit -n 65536 for more"
-        yield Finding("open files", text, "slow" if inverters > 50 else "wrong", advice)
+        otherwise: Verdict = "slow" if inverters > 50 else "wrong"
+        yield _judged("open files", f"{files:,} at once", files >= 4096, advice, otherwise)
     first, last = _free_port_range()
-    text = f"{last - first + 1:,} from {first} on"
-    if _is_free(7500):
-        yield Finding("ports", f"{text}; 7500 is free")
-    else:
-        yield Finding("ports", f"{text}; 7500 is taken", "ok", "choose another --base-port")
+    is_free = _is_free(7500)
+    text = f"{last - first + 1:,} from {first} on; 7500 is {'free' if is_free else 'taken'}"
+    yield _judged("ports", text, is_free, "choose another --base-port", "ok")
 
 
 def _free_port_range() -> tuple[int, int]:
@@ -247,13 +229,11 @@ def _free_port_range() -> tuple[int, int]:
 
 
 def _is_free(port: int) -> bool:
-    with socket.socket() as tried:
+    with socket.socket() as tried, suppress(OSError):
         tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            tried.bind(("127.0.0.1", port))
-        except OSError:
-            return False
-    return True
+        tried.bind(("127.0.0.1", port))
+        return True
+    return False
 
 
 def _memory() -> Iterator[Finding]:
@@ -262,9 +242,8 @@ def _memory() -> Iterator[Finding]:
     free_mb = psutil.virtual_memory().available / 1e6
     processes = int(free_mb // 25)
     advice = "a process needs about 25 MB: end other programs, or take a smaller plant"
-    is_enough = processes >= 40
     text = f"{free_mb:,.0f} MB free, enough for about {processes:,} processes"
-    yield Finding("memory", text, "ok" if is_enough else "slow", "" if is_enough else advice)
+    yield _judged("memory", text, processes >= 40, advice)
 
 
 def _versions() -> Iterator[Finding]:
@@ -276,24 +255,17 @@ def _versions() -> Iterator[Finding]:
             yield Finding(name, "not installed", "ok", _OPTIONAL.get(name, "reinstall heliarch"))
     yield Finding("versions", ", ".join(found))
     browser = next(filter(None, map(shutil.which, _BROWSERS)), None)
-    if browser:
-        yield Finding("browser", browser)
-    else:
-        yield Finding(
-            "browser", "none found", "ok", "open the page from another host: --page-address"
-        )
+    advice = "open the page from another host: --page-address"
+    yield _judged("browser", browser or "none found", browser is not None, advice, "ok")
 
 
-def _disk(folder: Path) -> Iterator[Finding]:
+def _disk(folder: Path) -> Finding:
     free_gb = shutil.disk_usage(folder).free / 1e9
     # 17 inverters take about 6 kB a cycle.
     hours = free_gb * 1e6 / 6.0 / 3600.0
     text = f"{free_gb:,.1f} GB free, about {hours:,.0f} h of 17 inverters at 1 cycle/s"
-    if free_gb < 0.1:
-        advice = "free some, or choose another folder for runs with --out"
-        yield Finding("disk", text, "wrong", advice)
-    else:
-        yield Finding("disk", text)
+    advice = "free some, or choose another folder for runs with --out"
+    return _judged("disk", text, free_gb >= 0.1, advice, "wrong")
 
 
 _CHECKS: Final[tuple[Callable[[], Iterator[Finding]], ...]] = (

@@ -12,7 +12,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.printable import printable
 from launch_scripts.commands.boundary import OK, complain
 from launch_scripts.commands.options import FirstOption, JsonOption, LastOption, RunArgument
-from launch_scripts.commands.output import progress_bar, write_json
+from launch_scripts.commands.output import json_rows, progress_bar, write_json
 from studies.tables import console_for
 
 if TYPE_CHECKING:
@@ -80,18 +80,17 @@ def _width(console: Console) -> int:
 def _show_nodes(
     run: RunReader, nodes: Sequence[str], cycles: range, json: str | None, console: Console
 ) -> None:
-    from launch_scripts.launcher.json_rows import json_rows
     from recordings.inspect.timeline import timeline
     from recordings.inspect.timeline_table import TimelineTable
 
-    with json_rows(json) as listed:
+    with json_rows(json) as write:
         for node in nodes:
             table = TimelineTable(run.plan.tree, node, len(run.clock.text(0)), _width(console))
             _print_lines(console, table.heading(), "bold")
             for rows in timeline(run, [node], cycles):
                 for row in rows:
                     _print_lines(console, table.row(row), _style(row))
-                    listed.write(row)
+                    write(row)
     _warn_if_cut(run, console)
 
 
@@ -104,7 +103,6 @@ def _style(row: NodeCycle) -> str:
 
 
 def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) -> None:
-    from launch_scripts.launcher.json_rows import json_rows
     from recordings.inspect.timeline import timeline
     from recordings.inspect.timeline_table import plant_lines
 
@@ -118,9 +116,7 @@ def _show_plant(run: RunReader, cycle: int, json: str | None, console: Console) 
     heading, units, *lines = plant_lines(run.plan.tree, found, _width(console))
     _print_lines(console, ["", heading, units], "bold")
     _print_lines(console, lines)
-    with json_rows(json) as listed:
-        for row in found:
-            listed.write(row)
+    write_json(found, json)
     _warn_if_cut(run, console)
 
 

@@ -13,12 +13,11 @@ import typer
 from bus_schemas.errors import InputError
 from launch_scripts.commands.options import (
     DataOption,
-    DurationOption,
-    EndOption,
     ScenarioArgument,
     SeedOption,
     SettingsOption,
-    StartOption,
+    TimeOptions,
+    changed_scenario,
 )
 
 EXAMPLE: Final = "heliarch inverters oahu --port 5020 --set plant.delay_s=1"
@@ -49,9 +48,7 @@ def inverters(
         bool,
         typer.Option("--wait", help="Let the clouds stand still until the first limit is written."),
     ] = False,
-    start: StartOption = None,
-    end: EndOption = None,
-    duration: DurationOption = None,
+    span: TimeOptions,
     seed: SeedOption = None,
     settings: SettingsOption = None,
     data: DataOption = None,
@@ -66,8 +63,6 @@ def inverters(
         raise InputError("--port: expected no --base-port with it")
     from launch_scripts.launcher.run_folder import new_run_id
     from launch_scripts.scenarios.preparation import RunOptions, prepare
-    from launch_scripts.scenarios.scenario import load_scenario
-    from studies.compare.cases import with_settings
 
     try:
         from sunspec.limited_inverter import LimitedInverter
@@ -77,8 +72,8 @@ def inverters(
             f"inverters: {error.name} is not installed: pip install 'heliarch[modbus]'"
         ) from None
 
-    scenario_file = with_settings(load_scenario(scenario, data), settings or ())
-    options = RunOptions(start=start, end=end, duration=duration, seed=seed)
+    scenario_file = changed_scenario(scenario, data, settings)
+    options = RunOptions(span.start, span.duration, span.end, seed=seed)
     prepared = prepare(scenario_file, options, new_run_id(scenario_file.scenario.name))
     plan = prepared.plan
     sky = Sky(prepared.profile.mpp_kw, plan.cycle_ns / 1e9, None if wait else time.monotonic())
@@ -88,6 +83,7 @@ def inverters(
         ramp = settings.ramp_percent_per_s or inf
         return LimitedInverter(rating_kw, sky.possible_kw(place), settings.delay_s or 0.0, ramp)
 
+    first_port = next((given for given in (port, base_port) if given is not None), 5020)
     plant = ServedPlant(
         inverters={
             name: simulated(place, name, rating_kw)
@@ -96,7 +92,7 @@ def inverters(
         sky=sky,
         now=time.monotonic,
         host=address,
-        port=next((given for given in (port, base_port) if given is not None), 5020),
+        port=first_port,
         a_port_each=base_port is not None,
     )
     with suppress(KeyboardInterrupt), served(plant) as addresses:

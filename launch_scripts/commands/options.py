@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
 from agents.plan import Actuator, Scheme
 from bus_schemas.errors import InputError
 
+if TYPE_CHECKING:
+    from launch_scripts.scenarios.scenario import ScenarioFile
 
-def _file_in_folder(option: typer.CallbackParam, value: str | None) -> str | None:
+
+def file_in_folder(option: typer.CallbackParam, value: str | None) -> str | None:
     """Refuse a place where no file can be written, before any work is done."""
     if value in (None, "", "-"):
         return value
@@ -122,7 +125,7 @@ ReportOption: TypeAlias = Annotated[
         "--report",
         help="Write an HTML page to FILE.html, or to a default path, which is printed.",
         metavar="[FILE]",
-        callback=_file_in_folder,
+        callback=file_in_folder,
         show_default=False,
     ),
 ]
@@ -134,16 +137,7 @@ JsonOption: TypeAlias = Annotated[
         "--json",
         help="Write the result as JSON; - is standard output.",
         metavar="FILE",
-        callback=_file_in_folder,
-    ),
-]
-CsvOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(
-        "--csv",
-        help="Write the summary of the cases as CSV.",
-        metavar="FILE",
-        callback=_file_in_folder,
+        callback=file_in_folder,
     ),
 ]
 
@@ -151,12 +145,18 @@ CsvOption: TypeAlias = Annotated[
 
 
 @dataclass(frozen=True, slots=True)
-class SpanOptions:
-    """Which part of a scenario is run, and how fast."""
+class TimeOptions:
+    """Which part of a scenario is run."""
 
     start: StartOption = None
     end: EndOption = None
     duration: DurationOption = None
+
+
+@dataclass(frozen=True, slots=True)
+class SpanOptions(TimeOptions):
+    """Which part of a scenario is run, and how fast."""
+
     pace: Annotated[
         str | None,
         typer.Option(
@@ -286,16 +286,41 @@ class PageOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class FileOptions:
+class ResultOptions:
     """Where data come from and results go."""
 
     data: DataOption = None
+    report: ReportOption = None
+    json: JsonOption = None
+
+
+@dataclass(frozen=True, slots=True)
+class FileOptions(ResultOptions):
+    """The same of a run, which has a folder."""
+
     out: Annotated[
         Path | None,
         typer.Option(help="Folder of the run; default runs/NAME-TIME.", metavar="DIR"),
     ] = None
-    report: ReportOption = None
-    json: JsonOption = None
+
+
+def refuse_others(context: typer.Context, allowed: Collection[str], why: str) -> None:
+    """Refuse what the command line has beside the options that are allowed here."""
+    for option in context.command.params:
+        name = str(option.name)
+        source = context.get_parameter_source(name)
+        if source and source.name == "COMMANDLINE" and name not in allowed:
+            raise InputError(f"{option.opts[0]}: {why}")
+
+
+def changed_scenario(
+    scenario: str, data: Path | None, settings: Sequence[str] | None
+) -> ScenarioFile:
+    """Load a scenario, and change the fields that `--set` names."""
+    from launch_scripts.scenarios.scenario import load_scenario
+    from studies.compare.cases import with_settings
+
+    return with_settings(load_scenario(scenario, data), settings or ())
 
 
 def with_groups(command: Callable[..., int | None]) -> Callable[..., int | None]:

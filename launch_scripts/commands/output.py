@@ -1,12 +1,12 @@
-"""What commands print and write: the console, lines, a progress bar, JSON."""
+"""What commands print and write: lines, a progress bar, pages, JSON."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Generator, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from pathlib import Path
-from typing import TypeVar
+from typing import BinaryIO, TypeVar
 
 import msgspec
 from rich.console import Console
@@ -21,6 +21,7 @@ from rich.progress import (
 from bus_schemas.printable import printable
 
 Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def say(console: Console, *lines: str) -> None:
@@ -32,39 +33,59 @@ def say(console: Console, *lines: str) -> None:
 @contextmanager
 def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
     """Show in a terminal how far something has come; give a function to say so, from 0 to 1."""
-    console = Console(stderr=True)
-    columns = (TextColumn(description, markup=False), BarColumn(), TimeRemainingColumn())
-    with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
-    ) as progress:
+    with _progress(description) as progress:
         task = progress.add_task(description, total=1.0)
         yield lambda share: progress.update(task, completed=share)
 
 
 def counted(
-    items: Generator[Item], description: str, total: int, console: Console
-) -> Iterator[Item]:
-    """Yield items; show in a terminal how many of them are done.
+    numbered: Generator[tuple[int, Result]], description: str, total: int
+) -> Iterator[tuple[int, Result]]:
+    """Yield numbered results as they are done; show in a terminal how many are.
 
-    Whatever ends it ends those who work on the items.
+    Whatever ends it ends those who work on the results.
     """
-    columns = (TextColumn(description), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with (
-        closing(items),
-        Progress(
-            *columns, console=console, transient=True, disable=not console.is_terminal
-        ) as progress,
-    ):
+    with closing(numbered), _progress(description, MofNCompleteColumn()) as progress:
         task = progress.add_task(description, total=total)
-        for item in items:
-            yield item
+        for one in numbered:
+            yield one
             progress.advance(task)
 
 
-def write_page(html: str, path: Path) -> None:
-    """Write a page; folders that are missing are made."""
+def shared(
+    function: Callable[[Item], Result], items: Sequence[Item], workers: int, description: str
+) -> list[Result]:
+    """Apply a function to each item in a pool of processes; return the results in their order."""
+    from studies.workers import share_work
+
+    found = dict(counted(share_work(function, items, workers), description, len(items)))
+    return [found[place] for place in range(len(items))]
+
+
+def _progress(description: str, *columns: MofNCompleteColumn) -> Progress:
+    console = Console(stderr=True)
+    return Progress(
+        *(TextColumn(description, markup=False), BarColumn(), *columns, TimeRemainingColumn()),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    )
+
+
+def write_files(
+    document: object, json: str | None, page: Callable[[], str], report: str | None, default: Path
+) -> list[str]:
+    """Write a result as JSON and as a page, where they are wanted; return what to say of it.
+
+    Call it before anything is printed: whoever reads the tables may leave before their end.
+    """
+    write_json(document, json)
+    if report is None:
+        return []
+    path = Path(report) if report else default
     path.parent.mkdir(parents=True, exist_ok=True)
-    _write(html.encode(), path)
+    _write(page().encode(), path)
+    return [f"report: {path}"]
 
 
 def write_json(content: object, destination: str | None) -> None:
@@ -76,6 +97,30 @@ def write_json(content: object, destination: str | None) -> None:
         sys.stdout.write(document.decode())
     else:
         _write(document, Path(destination))
+
+
+@contextmanager
+def json_rows(destination: str | None) -> Iterator[Callable[[object], None]]:
+    """Give a function that adds a row to the list for `--json`, which so needs no memory."""
+    from recordings.read.whole_file import whole_file
+
+    if destination is None:
+        yield lambda row: None
+        return
+    place: AbstractContextManager[BinaryIO] = nullcontext(sys.stdout.buffer)
+    if destination != "-":
+        place = whole_file(Path(destination))
+    with place as file:
+        rows = 0
+
+        def add(row: object) -> None:
+            nonlocal rows
+            file.write((b",\n" if rows else b"[\n") + msgspec.json.encode(row))
+            rows += 1
+
+        yield add
+        file.write(b"\n]\n" if rows else b"[]\n")
+        file.flush()
 
 
 def _write(content: bytes, path: Path) -> None:

@@ -18,6 +18,7 @@ from launch_scripts.commands.options import (
     NodesOption,
     RunArgument,
     SignalsOption,
+    refuse_others,
 )
 from launch_scripts.commands.output import write_json
 
@@ -27,6 +28,7 @@ _ENDPOINT: Final = re.compile(r"tcp/[^/\s#?]+:\d{1,5}")
 
 
 def replay(
+    context: typer.Context,
     run: RunArgument,
     start: FirstOption = None,
     end: LastOption = None,
@@ -89,14 +91,8 @@ def replay(
     if start_paused and not has_keyboard():
         raise InputError("--start-paused: expected a terminal, where space goes on")
     if live is not None:
-        options = {
-            "--from": start, "--pace": pace != "1", "--clock": clock, "--loop": loop,
-            "--start-paused": start_paused, "--signals": signals, "--exclude": exclude,
-            "--nodes": nodes,
-        }  # fmt: skip
-        for option, given in options.items():
-            if given:
-                raise InputError(f"{option}: not possible with --live, which begins with the run")
+        allowed = ("run", "end", "wait", "listen", "live", "plan", "json")
+        refuse_others(context, allowed, "not possible with --live, which begins with the run")
         with RunReader(run) as reader:
             found = replay_live(
                 reader, out, live, plan_file=plan, end=end, wait=wait, listen=listen

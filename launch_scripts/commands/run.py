@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +21,9 @@ from launch_scripts.commands.options import (
     PlantOptions,
     ProcessOptions,
     SpanOptions,
+    changed_scenario,
 )
 from launch_scripts.commands.output import say, write_json
-from launch_scripts.commands.page import page_beside
 from launch_scripts.launcher.launch import launch
 from launch_scripts.launcher.live_view import view_for
 from launch_scripts.launcher.request import RunRequest, prepare_run
@@ -31,9 +34,7 @@ from launch_scripts.launcher.summary_table import print_summary
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.launcher.wrong_messages import one_line_each
 from launch_scripts.scenarios.preparation import RunOptions
-from launch_scripts.scenarios.scenario import load_scenario
 from live_page.process import PageProcess
-from studies.compare.cases import with_settings
 from studies.tables import console_for
 
 
@@ -47,9 +48,23 @@ def run_request(
     given: dict[str, Any] = dict(span)
     for group in groups:
         given |= asdict(group)
-    settings = given.pop("settings") or ()
-    scenario_file = with_settings(load_scenario(scenario, files.data), settings)
+    scenario_file = changed_scenario(scenario, files.data, given.pop("settings"))
     return RunRequest(scenario_file, RunOptions(**given), files.out)
+
+
+@contextmanager
+def page_beside(options: PageOptions, console: Console) -> Iterator[PageProcess | None]:
+    """Start the page of a command, if it is wanted; at the end, wait until nobody looks at it."""
+    if options.page:
+        with PageProcess(options.page_address, options.page_port) as page:
+            yield page
+            page.let_end(partial(say, console))
+        return
+    addresses = {"--page-address": options.page_address, "--page-port": options.page_port}
+    for option, given in addresses.items():
+        if given is not None:
+            raise InputError(f"{option}: expected --page with it")
+    yield None
 
 
 def run_and_print(

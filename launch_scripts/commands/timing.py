@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from bus_schemas.errors import InputError
 from launch_scripts.commands.boundary import FAILED, INTERRUPTED, OK
 from launch_scripts.commands.options import (
     EndOption,
@@ -17,8 +17,9 @@ from launch_scripts.commands.options import (
     PlantOptions,
     ProcessOptions,
     StartOption,
+    refuse_others,
 )
-from launch_scripts.commands.output import say, write_json, write_page
+from launch_scripts.commands.output import say, write_files
 from studies.tables import console_for
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ _SWEEP_DURATION: Final = "15s"
 
 
 def timing(
+    context: typer.Context,
     scenario: Annotated[
         str,
         typer.Argument(
@@ -79,30 +81,16 @@ def timing(
     Exit status 1: a budget was not kept, or the run failed. A scenario states its own budgets in
     its table timing.budgets; see docs/timing.md.
     """
-    from launch_scripts.commands.page import page_beside
-    from launch_scripts.commands.run import run_request
+    from launch_scripts.commands.run import page_beside, run_request
     from studies.timing.measured_run import measured_run, prepare_at, run_length_s
     from studies.timing.report import report_on
     from studies.timing.sweep import parse_rates
 
     console = console_for(files.json)
     if (path := Path(scenario)).is_dir() or path.suffix == ".mcap":
-        options = {
-            "--rate": rate, "--duration": duration, "--out": files.out, "--from": start,
-            "--to": end, "--seed": plant.seed, "--scheme": plant.scheme,
-            "--actuator": plant.actuator, "--set": plant.settings, "--fault": plant.faults,
-            "--external": machine.external, "--device": machine.devices,
-            "--base-port": machine.base_port, "--on": machine.on,
-            "--cpus": machine.cpus, "--priority": machine.priority,
-            "--page": page.page or None, "--page-port": page.page_port,
-            "--page-address": page.page_address,
-        }  # fmt: skip
-        for option, given in options.items():
-            if given is not None:
-                raise InputError(
-                    f"{option}: expected only --processes, --report or --json with {path}, which "
-                    "was run already"
-                )
+        allowed = ("scenario", "processes", "report", "json")
+        why = f"expected only --processes, --report or --json with {path}, which was run already"
+        refuse_others(context, allowed, why)
         return _print_one(report_on(path, by_agent=processes), path, files, console, processes)
     rates = parse_rates(_RATE if rate is None else rate)
     request = run_request(scenario, files, plant, machine, start=start, end=end, duration=duration)
@@ -128,11 +116,10 @@ def _print_one(
 
     report = reported.report
     recording = run / RECORDING_NAME if run.is_dir() else run
-    # Files first: whoever reads the tables may leave before their end.
-    page = _write_page(lambda: run_page(reported), recording.with_name(PAGE_NAME), files.report)
-    write_json(report.document(), files.json)
+    page, default = partial(run_page, reported), recording.with_name(PAGE_NAME)
+    written = write_files(report.document(), files.json, page, files.report, default)
     print_report(report, console, processes=processes)
-    say(console, f"recording: {recording}", *page)
+    say(console, f"recording: {recording}", *written)
     if report.interrupted:
         return INTERRUPTED
     return OK if report.passed else FAILED
@@ -173,21 +160,12 @@ def _time_several(
         return reports[-1]
 
     found = sweep(rates, timed)
-    page: list[str] = []
-    if reports:
-        page = _write_page(lambda: sweep_page(found, reports[-1]), folder / PAGE_NAME, files.report)
-    write_json(found, files.json)
+    report = files.report if reports else None
+    written = write_files(
+        found, files.json, lambda: sweep_page(found, reports[-1]), report, folder / PAGE_NAME
+    )
     print_sweep(found, console)
-    say(console, f"recordings: {folder}", *page)
+    say(console, f"recordings: {folder}", *written)
     if found.interrupted:
         return INTERRUPTED
     return FAILED if found.highest_clean_hz is None else OK
-
-
-def _write_page(html: Callable[[], str], default: Path, report: str | None) -> list[str]:
-    """Write the page if it is wanted; return the line that says where it is."""
-    if report is None:
-        return []
-    page = Path(report) if report else default
-    write_page(html(), page)
-    return [f"report: {page}"]

@@ -8,18 +8,10 @@ import msgspec
 
 
 class Start(msgspec.Struct, frozen=True, tag=True):
-    """Start the processes of these agents.
+    """Start the processes of these agents, those first that the others connect to.
 
-    Attributes
-    ----------
-    plan, logs
-        Path of the run's plan, and folder of the log files.
-    agents
-        Names, those first that the others connect to.
-    patience_s
-        How long the plant waits for everybody [s].
-    again
-        Whether they join a run that is under way.
+    `plan` is a path, `logs` a folder. The plant waits `patience_s` for everybody. `again`: they
+    join a run that is under way.
     """
 
     plan: str

@@ -129,7 +129,7 @@ class _Launch:
             self._start(agents)
             try:
                 self._follow(children)
-            except RunFailure as failure:
+            except FailureError as failure:
                 text = self._external.explain(str(failure), running=bool(self._rounds))
                 raise RunFailure(text) from failure
             ended_at = time.monotonic()
@@ -157,7 +157,8 @@ class _Launch:
                 self._restarts.hear(child, event)
                 if isinstance(event, Armed):
                     self._cpu_at_start_s = {child.agent: child.cpu_s() for child in children}
-            self._hear_gateway()
+            if self._gateway is not None:
+                self._gateway.look(self._view.say)
             self._restarts.look(self._watch.recorder_silent_s(time.monotonic()))
             self._check_progress(children)
             if self._interruption:
@@ -202,13 +203,6 @@ class _Launch:
                 self._view.say(f"wrong message on {event.key}: {event.example}")
             case RecordingEnded():
                 self._view.say(f"{event.text}; the run goes on without it")
-
-    def _hear_gateway(self) -> None:
-        if self._gateway is not None:
-            try:
-                self._gateway.look(self._view.say)
-            except FailureError as error:
-                raise RunFailure(str(error)) from None
 
     def _check_progress(self, children: Children) -> None:
         now = time.monotonic()
@@ -359,21 +353,9 @@ def launch(
     began_at: float,
     server: ForkServerProcess,
 ) -> RunSummary:
-    """Run and record a plant as processes over Zenoh.
+    """Run and record a plant as processes over Zenoh, which the server starts.
 
-    Parameters
-    ----------
-    preparation, folder, view
-        The run, where it goes, and what shows it.
-    began_at
-        Monotonic time at which the user asked for it [s]: start-up counts from there.
-    server
-        Starts the processes.
-
-    Raises
-    ------
-    RunFailure
-        A process died or gave up, a cycle stalled, or messages got lost.
+    Start-up counts from `began_at`, the monotonic time at which the user asked for the run [s].
     """
     agents, base_port = preparation.plan.links.listening, preparation.options.base_port
     check_devices(preparation.plan)

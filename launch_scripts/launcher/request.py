@@ -20,13 +20,7 @@ class RunRequest:
 
 
 def prepare_run(request: RunRequest) -> tuple[Preparation, RunFolder]:
-    """Work out the run and the path of its folder; write nothing yet.
-
-    Raises
-    ------
-    InputError
-        The options, the scenario and its data do not fit together.
-    """
+    """Work out the run and the path of its folder; write nothing yet."""
     run_id = new_run_id(request.scenario.scenario.name)
     folder = run_folder(run_id, request.out)
     return prepare(request.scenario, request.options, run_id), folder

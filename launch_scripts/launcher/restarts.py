@@ -33,25 +33,8 @@ _SIGNALS: Final = {"kill": signal.SIGKILL, "freeze": signal.SIGSTOP, "thaw": sig
 class Restarts:
     """Starts processes again, kills those that say nothing, and does what fault rules ask for.
 
-    Parameters
-    ----------
-    plan
-        Of the run, with its policy.
-    children
-        The processes.
-    start
-        Starts a process.
-    say
-        Called with a line for the user.
-    now_s
-        Clock.
-
-    Attributes
-    ----------
-    counts
-        How often each process was started again.
-    takeovers
-        How often a standby has taken each agent over.
+    `start` starts a process, `say` is called with a line for the user. `counts` says how often each
+    process was started again, `takeovers` how often a standby has taken each agent over.
     """
 
     def __init__(

@@ -60,11 +60,6 @@ class RunFolder:
         """Write what the processes need; return the plan with its ports.
 
         The plan comes last and complete: a device may be waiting for it to appear.
-
-        Raises
-        ------
-        InputError
-            No folder can be made there.
         """
         self.make()
         plan = preparation.plan
@@ -99,13 +94,7 @@ def new_run_id(scenario: str) -> str:
 
 
 def run_folder(run_id: str, out: Path | None) -> RunFolder:
-    """Choose the folder of a run; it is not made yet.
-
-    Raises
-    ------
-    InputError
-        It holds something already, or no folder can be made there.
-    """
+    """Choose the folder of a run; it is not made yet."""
     path = out or Path("runs") / run_id
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise InputError(f"--out: expected a new or empty folder, got {path}, which exists already")

@@ -61,15 +61,8 @@ def on_the_clock(plan: RunPlan) -> RunPlan:
 class MemoryRun:
     """A run in memory: in lockstep, or on a virtual clock where its network has faults.
 
-    Parameters
-    ----------
-    plan, profile
-        The run.
-    on_publish
-        Called with every message, with its port.
-    restart_takes_s
-        Time from the death of a controller until its successor hears messages [s]. Infinite: the
-        others go on without it.
+    `on_publish` is called with every message, with its port. `restart_takes_s` is the time from the
+    death of a controller until its successor hears messages [s]; infinite: there is none.
     """
 
     def __init__(
@@ -98,13 +91,7 @@ class MemoryRun:
         self._clock = clock
 
     def cycles(self) -> Iterator[int]:
-        """Run cycle after cycle; yield the number of each once the plant has finished it.
-
-        Raises
-        ------
-        RunFailure
-            The agents wait for each other, or a controller has died that may not be started again.
-        """
+        """Run cycle after cycle; yield the number of each once the plant has finished it."""
         plant = self.loops[PLANT]
         start_ns = self._driver.now_ns()
         self._publish_run(self.plan.run_message("start", 0, start_ns))
@@ -235,13 +222,7 @@ class MemoryRun:
 def simulate(
     preparation: Preparation, folder: RunFolder, view: View, began_at: float
 ) -> RunSummary:
-    """Run a plant in this process, recorded like a launched one.
-
-    Raises
-    ------
-    RunFailure
-        The run could not go on, see `MemoryRun.cycles`.
-    """
+    """Run a plant in this process, recorded like a launched one."""
     plan = msgspec.structs.replace(preparation.plan, devices=())  # In memory none is real.
     preparation = dataclasses.replace(preparation, plan=on_the_clock(plan) if plan.faults else plan)
     plan = folder.fill(preparation, tcp_ports={})

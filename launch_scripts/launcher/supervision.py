@@ -57,13 +57,7 @@ class Memory(NamedTuple):
 
 
 def memory_of(pid: int) -> Memory:
-    """Return the memory of a process.
-
-    Raises
-    ------
-    psutil.Error
-        It has ended.
-    """
+    """Return the memory of a process."""
     info = psutil.Process(pid).memory_full_info()
     return Memory(info.rss / 1e6, info.uss / 1e6)
 
@@ -229,13 +223,7 @@ class Children:
         return iter(self.by_agent.values())
 
     def events(self, timeout_s: float) -> list[tuple[Child, AnyEvent]]:
-        """Return what the processes say within a time; note what they report of themselves.
-
-        Raises
-        ------
-        RunFailure
-            A process gave up, or ended before its time.
-        """
+        """Return what the processes say within a time; note what they report of themselves."""
         heard: list[tuple[Child, AnyEvent]] = []
         control = self.server.control
         control.settimeout(timeout_s)

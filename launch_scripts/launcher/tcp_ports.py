@@ -18,19 +18,8 @@ def reserved_ports(
     A socket stays bound to each port without listening on it, so that the kernel gives the port to
     nobody else, while Zenoh, which sets SO_REUSEADDR as well, can listen on it.
 
-    Parameters
-    ----------
-    agents
-        Who needs one.
-    base_port
-        Port of the first agent; the others get the next ones. None: whatever is free.
-    address
-        Of this host, where the agents listen.
-
-    Raises
-    ------
-    InputError
-        One of the ports that were asked for is taken.
+    The first agent gets `base_port`, and the others the next ones; None: whatever is free. The
+    agents listen at `address`, which is one of this host.
     """
     with ExitStack() as sockets:
         ports: dict[str, int] = {}

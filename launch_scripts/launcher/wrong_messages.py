@@ -49,15 +49,9 @@ def wrong_messages(
 ) -> tuple[WrongMessages, ...]:
     """Bring together what was complained of, those keys first of which it was most.
 
-    Parameters
-    ----------
-    plan
-        Plan of the run.
-    complaints
-        Complaints of the recorder. The plant's name is left out of their keys.
-    dropped_ports
-        What agents dropped, by port and cause. Only ports of external agents count here: what comes
-        late from a process is the machine's fault.
+    The complaints are those of the recorder; the plant's name is left out of their keys. Of what
+    agents dropped, by port and cause, only ports of external agents count: what comes late from a
+    process is the machine's fault.
     """
     publishers = {str(port): port.publisher for port in ports(plan.tree)}
     theirs = {port for port, publisher in publishers.items() if publisher in plan.external}

@@ -25,13 +25,7 @@ class DeviceTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def devices(
     tables: Iterable[DeviceTable], options: Sequence[str], tree: ControlTree
 ) -> tuple[tuple[str, str], ...]:
-    """Return node and address of each real inverter; options replace what the scenario says.
-
-    Raises
-    ------
-    InputError
-        There is no such inverter, or an address that cannot be read.
-    """
+    """Return node and address of each real inverter; options replace what the scenario says."""
     found = {table.node: ("devices", table.address) for table in tables}
     for option in options:
         node, _, address = option.partition("=")
@@ -47,22 +41,15 @@ def devices(
 
 
 def check_devices(plan: RunPlan) -> None:
-    """Refuse real inverters where a run cannot have them.
-
-    Raises
-    ------
-    InputError
-        Lockstep, the actuator `fraction`, or a plant that is external.
-    """
+    """Refuse real inverters where a run cannot have them."""
     if not plan.devices:
         return
-    node = plan.devices[0][0]
-    if plan.lockstep:
-        raise InputError(f"device {node}: expected --pace 1 with it, got lockstep")
-    if plan.cycle_wall_ns != plan.cycle_ns:
-        pace = plan.cycle_ns / plan.cycle_wall_ns
-        raise InputError(f"device {node}: expected --pace 1 with it, got {pace:g}")
-    if plan.actuator != "limit":
-        raise InputError(f"device {node}: expected --actuator limit with it, got {plan.actuator}")
-    if PLANT in plan.external:
-        raise InputError(f"device {node}: expected our own plant with it, got an external one")
+    pace = plan.cycle_wall_ns and plan.cycle_ns / plan.cycle_wall_ns
+    for is_right, expected, got in (
+        (not plan.lockstep, "--pace 1 with it", "lockstep"),
+        (pace == 1.0, "--pace 1 with it", f"{pace:g}"),
+        (plan.actuator == "limit", "--actuator limit with it", plan.actuator),
+        (PLANT not in plan.external, "our own plant with it", "an external one"),
+    ):
+        if not is_right:
+            raise InputError(f"device {plan.devices[0][0]}: expected {expected}, got {got}")

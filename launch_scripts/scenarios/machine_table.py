@@ -69,18 +69,11 @@ def _cpu_list(where: str, text: str) -> tuple[int, ...]:
     for part in text.split(","):
         first, _, last = part.partition("-")
         cpus.update(range(int(first), int(last or first) + 1))
-    known = _own_cpus()
+    known = os.sched_getaffinity(0)
     if not cpus or not cpus <= known:
         listed = ", ".join(map(str, sorted(known)))
         raise InputError(f"{where}: expected processors of this machine, {listed}, got {text}")
     return tuple(sorted(cpus))
-
-
-def _own_cpus() -> set[int]:
-    """Return the processors that this process may use, and so its children."""
-    if hasattr(os, "sched_getaffinity"):
-        return set(os.sched_getaffinity(0))
-    return set(range(os.cpu_count() or 1))
 
 
 def _check_priority(priority: int, lockstep: bool) -> None:

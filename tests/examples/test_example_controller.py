@@ -80,10 +80,12 @@ class Device:
         return round(left_s, 9), [name for name, _ in self.sent[before:]]
 
 
-def test_without_a_setpoint_in_time_the_last_one_is_commanded(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    device = Device(monkeypatch)
+@pytest.fixture
+def device(monkeypatch: pytest.MonkeyPatch) -> Device:
+    return Device(monkeypatch)
+
+
+def test_without_a_setpoint_in_time_the_last_one_is_commanded(device: Device) -> None:
     device.measure(0)
     assert device.dispatch(0) == ["impp", "residual"]
     assert device.hear("setpoint", 0, power_kw=30.0) == ["command"]
@@ -104,18 +106,14 @@ def test_without_a_setpoint_in_time_the_last_one_is_commanded(
     assert (device.last()["alpha"], device.last()["missing"]) == (0.25, [])
 
 
-def test_without_any_setpoint_its_own_request_is_commanded(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    device = Device(monkeypatch)
+def test_without_any_setpoint_its_own_request_is_commanded(device: Device) -> None:
     device.measure(0)
     device.dispatch(0, power_kw=90.0)
     assert device.wait() == (0.7 * CYCLE_S, ["command"])
     assert (device.last()["power_kw"], device.last()["missing"]) == (45.0, [f"{NODE}/setpoint"])
 
 
-def test_an_old_setpoint_gives_way_to_its_own_request(monkeypatch: pytest.MonkeyPatch) -> None:
-    device = Device(monkeypatch)
+def test_an_old_setpoint_gives_way_to_its_own_request(device: Device) -> None:
     for cycle in range(9):  # Its parent acts in every fifth cycle, and only in the first it does.
         device.measure(cycle)
         device.dispatch(cycle, power_kw=90.0)
@@ -127,10 +125,7 @@ def test_an_old_setpoint_gives_way_to_its_own_request(monkeypatch: pytest.Monkey
         assert device.last()["power_kw"] == pytest.approx(expected_kw)
 
 
-def test_without_setpoint_and_dispatch_nothing_is_commanded(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    device = Device(monkeypatch)
+def test_without_setpoint_and_dispatch_nothing_is_commanded(device: Device) -> None:
     assert device.measure(0) == []
     assert device.wait() == (0.14 * CYCLE_S, ["impp", "residual"])
     assert device.last()["missing"] == ["dispatch"]
@@ -138,8 +133,7 @@ def test_without_setpoint_and_dispatch_nothing_is_commanded(
     assert device.controller.seconds_left() is None
 
 
-def test_without_telemetry_the_last_estimate_holds(monkeypatch: pytest.MonkeyPatch) -> None:
-    device = Device(monkeypatch)
+def test_without_telemetry_the_last_estimate_holds(device: Device) -> None:
     device.measure(1)
     device.dispatch(1)
     device.dispatch(2)
@@ -149,10 +143,7 @@ def test_without_telemetry_the_last_estimate_holds(monkeypatch: pytest.MonkeyPat
     assert impp["missing"] == [f"{NODE}/telemetry@1"]
 
 
-def test_an_inverter_that_states_its_available_power_is_believed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    device = Device(monkeypatch)
+def test_an_inverter_that_states_its_available_power_is_believed(device: Device) -> None:
     device.dispatch(1)
     device.hear("telemetry", 1, power_kw=30.0, alpha=0.5, available_kw=70.0)
     (impp,) = [message for name, message in device.sent if name == "impp"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import threading
 import urllib.error
 import urllib.request
@@ -11,6 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from running import Heliarch
 
 from live_page.place import Place, open_place
 from live_page.server import PageServer
@@ -44,6 +47,13 @@ class Served:
             for line in answer:
                 if line.startswith(b"data: "):
                     yield json.loads(line[6:])
+
+
+def page_of(run: Heliarch) -> str:
+    """Return the address of the page of a launched run, once it is printed."""
+    page = re.compile(r"page: (http://127\.0\.0\.1:\d+/)")
+    run.until(lambda: page.search(run.output.read_text()) is not None, "its page")
+    return str(page.findall(run.output.read_text())[0])
 
 
 @contextmanager

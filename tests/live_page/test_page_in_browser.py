@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import pytest
 from browser import MISSING, Browser, browser
 from replayed_runs import run_in_memory, write
 from running import Heliarch, assert_none_left, small_plant
-from served import served
+from served import page_of, served
 
 pytestmark = [
     pytest.mark.processes,
@@ -53,11 +52,7 @@ def test_a_launched_run_moves_and_stays_when_it_is_over(
 ) -> None:
     plant = small_plant(tmp_path / "plant")
     run = heliarch("launch", plant, "--duration", "150", "--pace", "10", "--page")
-    page = re.compile(r"page: (http://127\.0\.0\.1:\d+/)")
-    run.until(lambda: page.search(run.output.read_text()) is not None, "its page")
-    found = page.search(run.output.read_text())
-    assert found is not None
-    window.open(found[1])
+    window.open(page_of(run))
     window.until("return document.querySelector('#state').textContent == 'running'", "its run")
     assert window.run("return document.querySelectorAll('.inverter').length") == 4
     moved = "return +document.querySelector('#position').value > {}"
@@ -82,9 +77,7 @@ def test_a_run_that_fails_says_so(
     plant = small_plant(tmp_path / "plant")
     run = heliarch("launch", plant, "--pace", "10", "--page")
     run.until_running()
-    found = re.search(r"page: (http\S+)", run.output.read_text())
-    assert found is not None
-    window.open(found[1])
+    window.open(page_of(run))
     window.until("return document.querySelector('#state').textContent == 'running'", "its run")
     run.process_of("plant").kill()
     assert run.wait() == 1

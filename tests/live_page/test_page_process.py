@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import time
 import urllib.error
 import urllib.request
@@ -12,16 +11,9 @@ from pathlib import Path
 
 import pytest
 from running import Heliarch, small_plant
+from served import page_of
 
 pytestmark = pytest.mark.processes
-
-
-def page_of(run: Heliarch) -> str:
-    pattern = re.compile(r"page: (http://127\.0\.0\.1:\d+/)")
-    run.until(lambda: pattern.search(run.output.read_text()) is not None, "its page")
-    found = pattern.search(run.output.read_text())
-    assert found is not None
-    return found[1]
 
 
 def answers(page: str) -> bool:

@@ -49,67 +49,32 @@ def test_every_way_to_choose_clusters_has_its_row(found: Found) -> None:
     assert "Order of help in the virtual clusters" in found.text
     lines = [line for line in found.text.splitlines() if not line.startswith("report: ")]
     assert max(map(len, lines)) <= 80
-
-
-def test_the_page_has_the_figure_and_every_figure_of_the_table(found: Found) -> None:
     assert 'id="shortfall-plot"' in found.page
     assert all(f">{cell}</td>" in found.page for row in found.rows.values() for cell in row)
 
 
 def test_json_holds_every_seed_and_period(found: Found) -> None:
     document = found.document
-    assert [(way["clusters"], way["seed"]) for way in document["ways"]] == [
-        ("virtual", None),
-        ("geographic", None),
-        ("random", 1),
-        ("random", 2),
-        ("random", 3),
-        ("most alike", None),
-    ]
-    assert [order["order"] for order in document["orders"]] == [
-        "least alike first",
-        "as listed",
-        "most alike first",
-    ]
+    random = [("random", 1), ("random", 2), ("random", 3)]
+    listed = [("virtual", None), ("geographic", None), *random, ("most alike", None)]
+    assert [(way["clusters"], way["seed"]) for way in document["ways"]] == listed
     for row in (*document["ways"], *document["orders"]):
-        assert sorted(name for cluster in row["members"] for name in cluster) == [
-            f"inv{number:02}" for number in range(1, 18)
-        ]
+        assert len({name for cluster in row["members"] for name in cluster}) == 17
         assert [entry["central_period_s"] for entry in row["shortfalls"]] == [10.0, 50.0, 600.0]
-        calls = row["help"]["plant"]
-        assert row["central_percent"] == pytest.approx(100 * calls["central"] / calls["needy"])
-    assert len(document["search"]["correlation_of_starts"]) == 20
-
-
-def test_the_mean_and_the_range_of_random_clusters_are_those_of_its_seeds(found: Found) -> None:
-    ways = found.document["ways"]
-    values = [way["past_correlation"] for way in ways if way["clusters"] == "random"]
-    assert float(found.rows["random, mean of 3"][0]) == pytest.approx(sum(values) / 3, abs=6e-4)
-    assert float(found.rows["- least"][0]) == pytest.approx(min(values), abs=6e-4)
-    assert float(found.rows["- most"][0]) == pytest.approx(max(values), abs=6e-4)
+    past = [way["past_correlation"] for way in document["ways"] if way["clusters"] == "random"]
+    assert float(found.rows["random, mean of 3"][0]) == pytest.approx(sum(past) / 3, abs=6e-4)
 
 
 def test_without_periods_those_of_the_paper_are_taken_that_the_cycle_allows() -> None:
     document = json.loads(done(*QUICK, "--random", "1", "--json", "-"))
     periods = [entry["central_period_s"] for entry in document["ways"][0]["shortfalls"]]
     assert periods == [10.0, 60.0]
+    assert "--periods" in refusal(*QUICK, "--periods", "15")
 
 
 def test_a_first_part_to_learn_from_is_not_run() -> None:
     text = done(*QUICK, "--learn", "20m")
     assert "12:20:00 HST, 240 cycles of 10 s" in text
-    assert "the first 1200 s" in text
-
-
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        (("--periods", "15"), "--periods"),
-        (("--set", "control.period_cycles=[2,2]", "--periods", "30"), "control.period_cycles"),
-    ],
-)
-def test_what_cannot_be_is_refused(words: tuple[str, ...], named: str) -> None:
-    assert named in refusal(*QUICK, *words)
 
 
 def test_under_the_measured_sky_of_melpitz_virtual_neighbours_spare_the_central_controller(

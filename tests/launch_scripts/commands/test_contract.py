@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -29,55 +30,46 @@ from launch_scripts.cli import COMMANDS, app
 
 NAMES: Final = [module.__name__.rpartition(".")[2] for some in COMMANDS.values() for module in some]
 FULL: Final = Path("/dev/full")
-RUN: Final = "RUN"
-"""Stands for the folder of a recorded run."""
 
-QUICK: Final[dict[str, tuple[str, ...]]] = {
-    "launch": ("small.toml", "--duration", "5"),
-    "node": ("--plan", "there.json", "--host", "127.0.0.2", "--systemd"),
-    "simulate": ("small.toml", "--duration", "5"),
-    "timing": ("timed",),
-    "inverters": ("small.toml", "--duration", "1", "--port", "0"),
-    "conform": (
-        "c1/inv01",
-        "--scenario",
-        "small.toml",
-        "--pace",
-        "max",
-        *("--external-timeout", "0.1", "--command", "true"),
-    ),
-    "scenarios": (),
-    "view": ("run",),
-    "report": (RUN,),
-    "inspect": (RUN, "--nodes", "c1"),
-    "verify": (RUN,),
-    "replay": (RUN, "--pace", "max"),
-    "compare": ("small.toml", "--duration", "5", "--schemes", "paper"),
-    "clusters": ("small.toml", "--duration", "20", "--random", "1"),
-    "delays": ("small.toml", "--duration", "130", "--set", "time.cycle_s=5", "--workers", "1"),
-    "campaign": ("small.toml", "--seeds", "1..2", "--duration", "110"),
-    "export": (RUN, "--format", "csv"),
-    "recover": (RUN,),
-    "doctor": (),
-    "keys": ("small.toml",),
+QUICK: Final = {
+    "launch": "small.toml --duration 5",
+    "node": "--plan there.json --host 127.0.0.2 --systemd",
+    "simulate": "small.toml --duration 5",
+    "timing": "timed",
+    "inverters": "small.toml --duration 1 --port 0",
+    "conform": "c1/inv01 --scenario small.toml --pace max --external-timeout 0.1 --command true",
+    "scenarios": "",
+    "view": "run",
+    "report": "RUN",
+    "inspect": "RUN --nodes c1",
+    "verify": "RUN",
+    "replay": "RUN --pace max",
+    "compare": "small.toml --duration 5 --schemes paper",
+    "clusters": "small.toml --duration 20 --random 1",
+    "delays": "small.toml --duration 130 --set time.cycle_s=5 --workers 1",
+    "campaign": "small.toml --seeds 1..2 --duration 110",
+    "export": "RUN --format csv",
+    "recover": "RUN",
+    "doctor": "",
+    "keys": "small.toml",
 }
 """For each command words with which it has done its work in seconds; `view` serves until Ctrl-C."""
 
-LONG: Final[dict[str, tuple[signal.Signals, tuple[str, ...]]]] = {
-    "launch": (SIGINT, ("small.toml", "--pace", "1")),
-    "node": (SIGTERM, ("--plan", "there.json", "--host", "127.0.0.2")),
-    "simulate": (SIGTERM, ("small.toml", "--pace", "1")),
-    "timing": (SIGTERM, ("small.toml", "--duration", "10m")),
-    "conform": (SIGINT, ("c1/inv01", "--scenario", "small.toml", "--command", "sleep 100")),
-    "report": (SIGINT, ("long.mcap",)),
-    "inspect": (SIGTERM, ("long.mcap",)),
-    "replay": (SIGTERM, ("long.mcap", "--pace", "1")),
-    "compare": (SIGINT, ("small.toml", "--seeds", "1..1000", "--workers", "2")),
-    "clusters": (SIGINT, ("oahu", "--random", "1000")),
-    "delays": (SIGTERM, ("small.toml", "--workers", "2")),
-    "campaign": (SIGTERM, ("small.toml", "--seeds", "1..10000", "--workers", "2")),
-    "export": (SIGINT, ("long.mcap", "--format", "csv")),
-    "recover": (SIGTERM, ("long.mcap",)),
+LONG: Final = {
+    "launch": (SIGINT, "small.toml --pace 1"),
+    "node": (SIGTERM, "--plan there.json --host 127.0.0.2"),
+    "simulate": (SIGTERM, "small.toml --pace 1"),
+    "timing": (SIGTERM, "small.toml --duration 10m"),
+    "conform": (SIGINT, "c1/inv01 --scenario small.toml --command 'sleep 100'"),
+    "report": (SIGINT, "long.mcap"),
+    "inspect": (SIGTERM, "long.mcap"),
+    "replay": (SIGTERM, "long.mcap --pace 1"),
+    "compare": (SIGINT, "small.toml --seeds 1..1000 --workers 2"),
+    "clusters": (SIGINT, "oahu --random 1000"),
+    "delays": (SIGTERM, "small.toml --workers 2"),
+    "campaign": (SIGTERM, "small.toml --seeds 1..10000 --workers 2"),
+    "export": (SIGINT, "long.mcap --format csv"),
+    "recover": (SIGTERM, "long.mcap"),
 }
 """Words with which it takes long enough to be ended, and the signal that ends it. `verify` and
 `scenarios` never do."""
@@ -106,7 +98,7 @@ def folder(master: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
 
 
 def words_of(name: str, folder: Path) -> list[str]:
-    return [name, *(str(folder / "run") if word == RUN else word for word in QUICK[name])]
+    return [name, *QUICK[name].replace("RUN", str(folder / "run")).split()]
 
 
 def with_json(names: list[str]) -> list[str]:
@@ -120,20 +112,18 @@ def test_every_command_is_held_to_the_contract() -> None:
 # Bad input ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", with_json(NAMES))
-@pytest.mark.parametrize("place", ["nowhere/x.json", "run"])
-def test_a_json_file_that_cannot_be_is_refused_before_any_work(
-    name: str, place: str, folder: Path
+@pytest.mark.parametrize(
+    ("name", "option", "place"),
+    [
+        *((name, "--json", place) for name in with_json(NAMES) for place in ("nowhere/x", "run")),
+        *((name, "--report", "nowhere/x.html") for name in ("launch", "timing", "delays")),
+    ],
+)
+def test_a_file_that_cannot_be_is_refused_before_any_work(
+    name: str, option: str, place: str, folder: Path
 ) -> None:
     before = sorted(folder.rglob("*"))
-    assert "--json" in refusal(*words_of(name, folder), "--json", place)
-    assert sorted(folder.rglob("*")) == before
-
-
-@pytest.mark.parametrize("name", ["launch", "simulate", "timing", "report", "compare", "delays"])
-def test_a_page_that_cannot_be_is_refused_before_any_work(name: str, folder: Path) -> None:
-    before = sorted(folder.rglob("*"))
-    assert "--report" in refusal(*words_of(name, folder), "--report", "nowhere/x.html")
+    assert option in refusal(*words_of(name, folder), option, place)
     assert sorted(folder.rglob("*")) == before
 
 
@@ -142,97 +132,49 @@ def test_an_unknown_option_is_refused(name: str, folder: Path) -> None:
     assert "--nonsense" in refusal(*words_of(name, folder), "--nonsense")
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if RUN in QUICK[name]])
+@pytest.mark.parametrize("name", [name for name in NAMES if "RUN" in QUICK[name]])
 def test_what_is_no_recording_is_refused(name: str, folder: Path) -> None:
     (folder / "text.mcap").write_text("cycle,power_kw\n")
-    words = [word if word != str(folder / "run") else "{}" for word in words_of(name, folder)]
     for bad in ("nowhere", "text.mcap", "."):
-        line = refusal(*(bad if word == "{}" else word for word in words))
+        line = refusal(name, *QUICK[name].replace("RUN", bad).split())
         assert bad in line or "run.mcap" in line
 
 
-BAD: Final = [
-    *(("simulate", option, value) for option, value in (
-        ("--from", "noon"), ("--to", "11:00"), ("--duration", "soon"), ("--pace", "0"),
-        ("--pace", "fast"), ("--seed", "-1"), ("--seed", "x"), ("--scheme", "magic"),
-        ("--actuator", "magic"), ("--set", "commitment.share"), ("--set", "no.such=1"),
-        ("--set", "commitment.share=0.1,0.2"), ("--fault", "loss=2"), ("--out", "run"),
-        ("--out", "/dev/null/run"), ("--data", "nowhere"), ("--page-port", "8000"),
-         ("--page-address", "0.0.0.0"))),
-    ("launch", "--from", "noon"),
-    ("launch", "--out", "run"),
-    ("launch", "--external", "c9"),
-    ("launch", "--on", "c2/*"),
-    ("launch", "--cpus", "x"),
-    ("node", "--plan", "nowhere.json"),
-    ("node", "--host", "127.0.0.3"),
-    ("node", "--keys", "run"),
-    ("launch", "--device", "c9=modbus://10.0.0.7/1"),
-    ("inverters", "--port", "-1"),
-    ("inverters", "--from", "noon"),
-    ("timing", "--rate", "20"),
-    ("timing", "--priority", "20"),
-    ("timing", "--page-port", "8000"),
-    ("conform", "--pace", "0"),
-    ("conform", "--tolerance", "-1"),
-    ("conform", "--external-timeout", "0"),
-    ("conform", "--command", "{plan"),
-    ("view", "--page-port", "-1"),
-    ("view", "--page-address", "moon"),
-    ("report", "--report", "nowhere/report.html"),
-    ("inspect", "--nodes", "c9"),
-    ("inspect", "--from", "18:00"),
-    ("inspect", "--to", "noonish"),
-    ("inspect", "--cycle", "3"),
-    ("verify", "--nodes", "c1/aa"),
-    ("verify", "--from", "18:00"),
-    ("verify", "--tolerance", "-1"),
-    ("verify", "--ignore", "powr_kw"),
-    ("replay", "--from", "18:00"),
-    ("replay", "--from", "noon"),
-    ("replay", "--nodes", "c9"),
-    ("replay", "--pace", "-1"),
-    ("replay", "--pace", "nan"),
-    ("replay", "--clock", "moon"),
-    ("replay", "--signals", "imp"),
-    ("replay", "--exclude", "wind"),
-    ("replay", "--listen", "7447"),
-    ("replay", "--plan", "plan.json"),
-    ("replay", "--live", "c1/x"),
-    ("replay", "--live", "plant"),
-    ("compare", "--schemes", "magic"),
-    ("compare", "--show", "beauty"),
-    ("compare", "--workers", "0"),
-    ("compare", "--seeds", "x"),
-    ("compare", "--days", "x"),
-    ("compare", "--set", "x"),
-    ("compare", "--scheduler", "x"),
-    ("clusters", "--periods", "1.5"),
-    ("clusters", "--periods", "10,x"),
-    ("clusters", "--periods", "inf"),
-    ("clusters", "--random", "0"),
-    ("clusters", "--learn", "1h"),
-    ("clusters", "--learn", "x"),
-    ("clusters", "--set", "commitment.share=0.1,0.2"),
-    ("campaign", "--seeds", "x"),
-    ("campaign", "--duration", "1m"),
-    ("delays", "--workers", "0"),
-    ("delays", "--duration", "1m"),
-    ("delays", "--set", "commitment.share=0.1,0.2"),
-    ("export", "--format", "xlsx"),
-    ("export", "--signals", "residuals"),
-    ("export", "--nodes", "c1/inv99"),
-    ("export", "--from", "18:00"),
-    ("export", "--clock", "sim"),
-    ("export", "--out", "run"),
-    ("recover", "--out", "run"),
-    ("keys", "--days", "-1"),
-    ("keys", "--address", "moon"),
-    ("doctor", "--out", "nowhere"),
-]  # fmt: skip
+BAD: Final = {
+    "simulate": "--from noon, --to 11:00, --duration soon, --pace 0, --pace fast, --seed -1, "
+    "--seed x, --scheme magic, --actuator magic, --set commitment.share, --set no.such=1, "
+    "--set commitment.share=[0.1], --fault loss=2, --out run, --out /dev/null/run, --data nowhere, "
+    "--page-port 8000, --page-address 0.0.0.0",
+    "launch": "--from noon, --out run, --external c9, --cpus x, --device c9=modbus://10.0.0.7/1, "
+    "--on c2/*",
+    "node": "--plan nowhere.json, --host 127.0.0.3, --keys run",
+    "inverters": "--port -1, --from noon",
+    "timing": "--rate 20, --priority 20, --page-port 8000",
+    "conform": "--pace 0, --tolerance -1, --external-timeout 0, --command {plan",
+    "view": "--page-port -1, --page-address moon",
+    "report": "--report nowhere/report.html",
+    "inspect": "--nodes c9, --from 18:00, --to noonish, --cycle 3",
+    "verify": "--nodes c1/aa, --from 18:00, --tolerance -1, --ignore powr_kw",
+    "replay": "--from 18:00, --from noon, --nodes c9, --pace -1, --pace nan, --clock moon, "
+    "--signals imp, --exclude wind, --listen 7447, --plan plan.json, --live c1/x, --live plant",
+    "compare": "--schemes magic, --show beauty, --workers 0, --seeds x, --days x, --set x, "
+    "--scheduler x, --actuator magic",
+    "clusters": "--periods 1.5, --periods inf, --random 0, --learn 1h, --learn x",
+    "campaign": "--seeds x, --duration 1m",
+    "delays": "--workers 0, --duration 1m",
+    "export": "--format xlsx, --signals residuals, --nodes c1/inv99, --from 18:00, --clock sim, "
+    "--out run",
+    "recover": "--out run",
+    "keys": "--days -1, --address moon",
+    "doctor": "--out nowhere",
+}
+"""Options of each command with a value that is refused."""
 
 
-@pytest.mark.parametrize(("name", "option", "value"), BAD)
+@pytest.mark.parametrize(
+    ("name", "option", "value"),
+    [(name, *one.split(" ")) for name, several in BAD.items() for one in several.split(", ")],
+)
 def test_bad_input_is_one_line_and_leaves_nothing(
     name: str, option: str, value: str, folder: Path
 ) -> None:
@@ -253,29 +195,29 @@ def cut(recording: Path) -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        ("simulate", "small.toml", "--to", "13:00", "--duration", "1h"),
-        ("launch", "small.toml", "--fault", "loss=1%"),
-        ("inspect", "run", "--cycle", "3", "--nodes", "c1"),
-        ("verify", "run", "--accept", "--nodes", "c1"),
-        ("verify", "run", "--accept", "--to", "3"),
-        ("replay", "run", "--start-paused"),
-        ("replay", "run", "--signals", "impp", "--exclude", "impp"),
-        ("replay", "run", "--live", "c1", "--loop"),
-        ("replay", "run", "--live", "c1", "--from", "9"),
-        ("replay", "run", "--live", "c1", "--pace", "2"),
-        ("replay", "run", "--live", "c1", "--nodes", "c1"),
-        ("compare", "small.toml", "--seeds", "1,2", "--report"),
-        ("compare", "small.toml", "--schemes", "grouping", "--reference", "few"),
-        ("compare", "small.toml", "--days", "2010-04-01", "--from", "2010-04-01T12:00"),
-        ("timing", "small.toml", "--rate", "0.1..5", "--duration", "5s"),
-        ("timing", "small.toml", "--rate", "5,10", "--out", "run"),
-        ("conform", "c9", "--scenario", "small.toml"),
-        ("nonsense",),
+        "simulate small.toml --to 13:00 --duration 1h",
+        "simulate small.toml --set commitment.share=0.1,0.2",
+        "launch small.toml --fault loss=1%",
+        "inspect run --cycle 3 --nodes c1",
+        "verify run --accept --nodes c1",
+        "verify run --accept --to 3",
+        "replay run --start-paused",
+        "replay run --signals impp --exclude impp",
+        "replay run --live c1 --loop",
+        "replay run --live c1 --pace 2",
+        "compare small.toml --seeds 1,2 --report",
+        "compare small.toml --schemes grouping --reference few",
+        "compare small.toml --days 2010-04-01 --from 2010-04-01T12:00",
+        "timing small.toml --rate 0.1..5 --duration 5s",
+        "timing small.toml --rate 5,10 --out run",
+        "timing timed --seed 3",
+        "conform c9 --scenario small.toml",
+        "nonsense",
     ],
 )
-def test_options_that_do_not_go_together_are_refused(words: tuple[str, ...], folder: Path) -> None:
+def test_options_that_do_not_go_together_are_refused(words: str, folder: Path) -> None:
     before = sorted(folder.rglob("*"))
-    refusal(*words)
+    refusal(*words.split())
     assert sorted(folder.rglob("*")) == before
 
 
@@ -291,24 +233,23 @@ full_disk = pytest.mark.skipif(not FULL.exists(), reason="this system has no dev
 
 
 @full_disk
-@pytest.mark.parametrize("name", with_json(NAMES))
-def test_json_on_a_full_disk_is_a_failure_in_one_line(name: str, folder: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "option"),
+    [
+        *((name, "--json") for name in with_json(NAMES)),
+        *((name, "--report") for name in ("simulate", "timing", "compare", "delays")),
+    ],
+)
+def test_a_file_on_a_full_disk_is_a_failure_in_one_line(
+    name: str, option: str, folder: Path
+) -> None:
     if name == "recover":
         cut(folder / "run" / "run.mcap")
-    result = heliarch(*words_of(name, folder), "--json", FULL)
+    result = heliarch(*words_of(name, folder), f"{option}={FULL}")
     assert result.exit_code == 1, result.output
     (line,) = result.stderr.splitlines()
     assert str(FULL) in line
     assert FULL.is_char_device()
-
-
-@full_disk
-@pytest.mark.parametrize("name", ["simulate", "timing", "compare", "delays"])
-def test_a_page_on_a_full_disk_is_a_failure_in_one_line(name: str, folder: Path) -> None:
-    result = heliarch(*words_of(name, folder), f"--report={FULL}")
-    assert result.exit_code == 1, result.output
-    (line,) = result.stderr.splitlines()
-    assert str(FULL) in line
 
 
 def output_to(
@@ -424,7 +365,7 @@ def test_a_signal_ends_a_command_with_its_status_and_leaves_nothing_behind(
     number, words = LONG[name]
     (folder / "long.mcap").symlink_to(long_recording)
     before = set(folder.iterdir())
-    found = started(name, *words, cwd=folder)
+    found = started(name, *shlex.split(words), cwd=folder)
     give_up_at = time.monotonic() + 100.0
     while not is_at_work(found):
         assert time.monotonic() < give_up_at

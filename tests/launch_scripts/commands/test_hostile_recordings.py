@@ -57,22 +57,15 @@ def nested(depth: int) -> bytes:
     ("make", "named"),
     [
         (with_plan(timezone="../../etc/passwd"), "timezone: expected a name"),
-        (with_plan(timezone="Mars/Olympus"), "timezone: expected a name"),
         (with_plan(cycle_ns=0), "cycle_ns: expected above 0"),
         (with_plan(cycle_ns=2**62), "cycle_ns: expected above 0, up to"),
         (with_plan(cycles=10**15), "cycles: expected up to"),
         (with_plan(start_time_ns=-(2**63)), "start_time_ns: expected"),
         (with_plan(period_cycles=(1,)), "period_cycles"),
-        (with_plan(faults=(FaultRule(partition="x"),)), "faults[0]: partition: expected"),
         (with_plan(faults=(FaultRule(kill="c1"),)), "faults[0]: at: expected"),
         (with_payload(nested(300_000)), "nested too deep"),
-        (with_payload(encode(replace(HEAD, cycle=-(2**63)))), "c1/a/impp"),
         (with_payload(encode(replace(HEAD, cycle=2**63 - 1))), "c1/a/impp"),
         (with_payload(b"\x81\xa5cycle\xa1\xff"), "c1/a/impp"),
-    ],
-    ids=[
-        *("path", "Mars", "no length", "long", "endless", "1677", "no tiers", "half", "never"),
-        *("deep", "negative", "huge", "no UTF-8"),
     ],
 )
 def test_hostile_content_is_refused_in_one_line(
@@ -101,9 +94,8 @@ def test_production_of_a_cycle_far_from_all_others_is_refused(tmp_path: Path) ->
     assert "production of most cycles" in refusal("report", tmp_path)
 
 
-@pytest.mark.parametrize("cycle_s", ["0.01", "0.4"])
-def test_a_scenario_of_more_cycles_than_memory_holds_is_refused(cycle_s: str) -> None:
-    words = ["--set", "time.duration_s=2590000", "--set", f"time.cycle_s={cycle_s}"]
+def test_a_scenario_of_more_cycles_than_memory_holds_is_refused() -> None:
+    words = ["--set", "time.duration_s=2590000", "--set", "time.cycle_s=0.4"]
     assert "time.duration_s: expected up to" in refusal("simulate", "oahu", *words)
 
 

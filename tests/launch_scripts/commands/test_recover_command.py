@@ -62,12 +62,7 @@ def test_a_recording_with_a_cut_file_among_others_is_not_whole(
         ("run-2.mcap", range(40, 70), False),
         ("run-3.mcap", range(75, 101), True),
     ):
-        write_run(
-            tmp_path / name,
-            whole_run(100),
-            is_kept=is_of(cycles),
-            close=close,
-        )
+        write_run(tmp_path / name, whole_run(100), is_kept=is_of(cycles), close=close)
     with open_run(tmp_path) as run:
         assert (run.files, run.whole) == (3, False)
         kept = sum(1 for _ in run.records())
@@ -93,17 +88,6 @@ def test_a_recording_that_lacks_its_index_alone_has_lost_nothing(
         assert run.whole
 
 
-@pytest.mark.parametrize("length", [0, 8, 300])
-def test_of_a_recording_cut_before_its_plan_nothing_is_recovered(
-    content: bytes, tmp_path: Path, length: int
-) -> None:
-    path = tmp_path / "run.mcap"
-    path.write_bytes(content[:length])
-    result = heliarch("recover", path)
-    assert (result.exit_code, list(tmp_path.iterdir())) == (1, [path])
-    assert "there is nothing to recover" in result.stderr
-
-
 def test_of_a_recording_cut_before_its_first_message_nothing_is_recovered(
     content: bytes, tmp_path: Path
 ) -> None:
@@ -111,10 +95,11 @@ def test_of_a_recording_cut_before_its_first_message_nothing_is_recovered(
     path.write_bytes(content)
     with open_run(path) as run:
         first = run.outline.chunks[0].offset
-    for length in (first, first + 100):
+    for length in (0, 8, 300, first, first + 100):
         path.write_bytes(content[:length])
-        assert heliarch("recover", path).exit_code == 1
-        assert list(tmp_path.iterdir()) == [path]
+        result = heliarch("recover", path)
+        assert (result.exit_code, list(tmp_path.iterdir())) == (1, [path])
+        assert "there is nothing to recover" in result.stderr
 
 
 @pytest.mark.parametrize("length", [2**64 - 1, 2**40])

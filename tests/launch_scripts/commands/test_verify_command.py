@@ -11,15 +11,12 @@ from command_line import heliarch, refusal
 from msgspec.structs import replace
 from recorded_runs import AGENTS, cloudy_profile, faulty_plan, plan_of, published, record
 
-from agents.agent import Turn
 from agents.direct import DirectController
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message
 from bus_schemas.signals import COMMAND, Port
-from launch_scripts.launcher import simulation
 from recordings.read.run_file import RECORDING_NAME
 from recordings.verify.verification import PROFILE_NAME
-from sim_plant.plant import Plant, PlantState
 
 PLAN = plan_of(cycles=8)
 PROFILE = cloudy_profile(PLAN)
@@ -128,21 +125,11 @@ def test_only_the_cycles_that_are_asked_for_are_compared(
     assert outcome["compared"] == sum(first <= c < first + cycles for c in published_by_it)
 
 
-def test_an_input_lost_before_the_cycles_that_are_compared_is_told(tmp_path: Path) -> None:
-    messages = [pair for pair in PUBLISHED if (str(pair[0]), pair[1].cycle) != ("dispatch", 2)]
-    run = record(tmp_path / "run", PLAN, messages, PROFILE)
-    status, outcome = outcome_of(run, "--from", "5", "--nodes", "c1/a")
-    assert status == 1
-    (agent,) = outcome["agents"]
-    assert (agent["first"]["cycle"], agent["compared"]) == (2, 0)
-
-
-def test_the_json_has_numbers_that_are_none_as_text(tmp_path: Path) -> None:
-    for value in ("nan", "inf", "-inf"):
-        messages = [with_alpha(*pair, alpha=float(value)) for pair in PUBLISHED]
-        _, outcome = outcome_of(record(tmp_path / "run", PLAN, messages), "--nodes", "c2/d")
-        first = outcome["agents"][0]["first"]
-        assert first["fields"][0]["recorded"] == first["content"]["alpha"] == value
+def test_numbers_that_are_none_are_text_in_json(tmp_path: Path) -> None:
+    messages = [with_alpha(*pair, alpha=float("nan")) for pair in PUBLISHED]
+    _, outcome = outcome_of(record(tmp_path / "run", PLAN, messages), "--nodes", "c2/d")
+    first = outcome["agents"][0]["first"]
+    assert first["fields"][0]["recorded"] == first["content"]["alpha"] == "nan"
 
 
 def test_a_run_in_real_time_says_how_many_inputs_were_missing(tmp_path: Path) -> None:
@@ -150,17 +137,9 @@ def test_a_run_in_real_time_says_how_many_inputs_were_missing(tmp_path: Path) ->
     profile = cloudy_profile(plan)
     folder = record(tmp_path / "run", plan, published(plan, profile), profile)
     status, outcome = outcome_of(folder)
-    assert status == 0
-    assert outcome["missing_inputs"] > 0
+    assert (status, outcome["missing_inputs"] > 0) == (0, True)
     assert f"{outcome['missing_inputs']:,} inputs" in heliarch("verify", folder).stdout
-
-
-def test_without_the_profile_the_plant_is_left_out(run: Path) -> None:
-    (run / PROFILE_NAME).unlink()
-    status, outcome = outcome_of(run)
-    assert status == 0
-    assert list(outcome["left_out"]) == ["plant"]
-    assert len(outcome["agents"]) == len(AGENTS) - 1
+    assert "real time" in refusal("verify", folder, "--accept")
 
 
 # What it refuses ----------------------------------------------------------------------------------
@@ -171,7 +150,9 @@ def test_a_recording_that_cannot_be_verified_is_refused(run: Path, tmp_path: Pat
     cloudy_profile(plan_of(cycles=9)).save(run / PROFILE_NAME)
     assert "(9, 4)" in refusal("verify", run), "the profile of another run"
     (run / PROFILE_NAME).unlink()
-    assert PROFILE_NAME in refusal("verify", run, "--nodes", "plant")
+    assert list(outcome_of(run)[1]["left_out"]) == ["plant"], "what is in none is left out"
+    for words in (("--nodes", "plant"), ("--accept",)):
+        assert PROFILE_NAME in refusal("verify", run, *words)
     record(run, PLAN, [PUBLISHED[0]])
     assert "got none" in refusal("verify", run)
 
@@ -191,41 +172,17 @@ def changed_code(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(DirectController, "__init__", bold)
 
 
-@pytest.mark.parametrize("method", ["__init__", "step"])
-def test_code_that_fails_is_not_accepted(
-    method: str, run: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_code_that_fails_is_not_accepted(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(self: DirectController, *words: object) -> None:
         raise SystemExit(3)
 
-    monkeypatch.setattr(DirectController, method, fail)
+    monkeypatch.setattr(DirectController, "step", fail)
     before = (run / RECORDING_NAME).read_bytes()
     result = heliarch("verify", run, "--accept")
     assert result.exit_code == 1
     (line,) = result.stderr.splitlines()
     assert "c1/a fails in cycle 0: SystemExit: 3" in line
     assert (run / RECORDING_NAME).read_bytes() == before
-    assert sorted(path.name for path in run.iterdir()) == [PROFILE_NAME, RECORDING_NAME]
-
-
-@pytest.mark.usefixtures("changed_code")
-def test_what_fails_only_as_the_run_is_made_anew_is_not_accepted(
-    run: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Broken(Plant):
-        def step(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
-            if turn.cycle == 5:
-                raise ZeroDivisionError("by hand")
-            return super().step(state, turn)
-
-    monkeypatch.setattr(simulation, "Plant", Broken)
-    before = (run / RECORDING_NAME).read_bytes()
-    result = heliarch("verify", run, "--accept")
-    assert result.exit_code == 1
-    (line,) = result.stderr.splitlines()
-    assert "ZeroDivisionError: by hand" in line
-    assert (run / RECORDING_NAME).read_bytes() == before
-    assert sorted(path.name for path in run.iterdir()) == [PROFILE_NAME, RECORDING_NAME]
 
 
 @pytest.mark.usefixtures("changed_code")
@@ -241,13 +198,3 @@ def test_a_change_of_behaviour_is_accepted_on_purpose_alone(run: Path) -> None:
     assert differing <= set(result.stdout.splitlines()), "the accepted difference is not shown"
     assert heliarch("verify", run).exit_code == 0
     assert sorted(path.name for path in run.iterdir()) == [PROFILE_NAME, RECORDING_NAME]
-
-
-def test_a_recording_that_a_simulation_cannot_repeat_is_not_replaced(
-    run: Path, tmp_path: Path
-) -> None:
-    plan = faulty_plan(cycles=8)
-    in_real_time = record(tmp_path / "real", plan, published(plan, PROFILE), PROFILE)
-    assert "real time" in refusal("verify", in_real_time, "--accept")
-    (run / PROFILE_NAME).unlink()
-    assert PROFILE_NAME in refusal("verify", run, "--accept")

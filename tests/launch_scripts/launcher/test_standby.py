@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
-import msgspec
 import pytest
+from sent_messages import run_with
 from typer.testing import CliRunner
 
-from agents.plan import RunPlan
-from bus_schemas.messages import Message, Takeover
-from bus_schemas.signals import SETPOINT, Port
+from bus_schemas.messages import Takeover
+from bus_schemas.signals import SETPOINT
 from bus_schemas.tree import CENTRAL
 from launch_scripts.cli import app
-from launch_scripts.launcher.simulation import MemoryRun, on_the_clock
-from launch_scripts.scenarios.fault_rules import parse_fault
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 
@@ -32,14 +30,9 @@ class Run:
     """A run with a standby of each parent, and what was sent."""
 
     def __init__(self, prepared: Preparation, *faults: str, **changes: object) -> None:
-        self.sent: list[tuple[Port[Message], Message]] = []
-        rules = tuple(map(parse_fault, faults))
-        changed = {"standby": PARENTS, **changes}
-        plan: RunPlan = msgspec.structs.replace(prepared.plan, faults=rules, **changed)
-        self.memory = MemoryRun(
-            on_the_clock(plan), prepared.profile, lambda *sent: self.sent.append(sent)
-        )
-        assert list(self.memory.cycles()) == list(range(CYCLES))
+        changed: dict[str, Any] = {"standby": PARENTS, **changes}
+        self.memory, sent = run_with(prepared, faults, **changed)
+        self.sent = sent.messages
 
     @property
     def takeovers(self) -> list[tuple[str, int]]:

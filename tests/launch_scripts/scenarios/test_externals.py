@@ -47,11 +47,8 @@ def watch(*agents: str, pace: float | Literal["max"] = "max") -> ExternalWatch:
 def test_the_plan_names_them_in_the_order_of_the_tree() -> None:
     assert planned(NODE, "plant", "c1", NODE).external == ("plant", "c1", NODE)
     assert planned().external == ()
-
-
-def test_with_a_base_port_the_namespace_is_the_plants_name() -> None:
-    assert planned(NODE, base_port=7500).bus_namespace == "oahu"
     assert planned(NODE).bus_namespace == "run-1"
+    assert planned(NODE, base_port=7500).bus_namespace == "oahu", "a device is configured once"
 
 
 @pytest.mark.parametrize(
@@ -101,14 +98,11 @@ def test_what_stops_processes_of_another_host_is_refused() -> None:
     assert "kill=c1,at=2s: expected controllers" in found
 
 
-def test_ports_begin_with_the_base_port() -> None:
+def test_ports_begin_with_the_base_port_and_must_be_free() -> None:
     with reserved_ports(("recorder", "plant")) as found:
         first = found["recorder"]
     with reserved_ports(("recorder",), first) as found:
         assert found == {"recorder": first}
-
-
-def test_a_port_that_somebody_listens_on_is_refused() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         taken = server.getsockname()[1]
         complaint = f"--base-port {taken}: expected free ports"
@@ -147,11 +141,7 @@ def test_only_who_never_came_is_missed_and_only_after_the_time_out() -> None:
     externals.hear(Presence("central", True, -1), 161.0, running=False)
     assert externals.late(162.0) == ""
     assert externals.complete_at == 161.0
-
-
-def test_without_externals_nobody_is_waited_for() -> None:
-    assert watch().complete_at == 100.0
-    assert watch().late(1e9) == ""
+    assert (watch().complete_at, watch().late(1e9)) == (100.0, "")
 
 
 def test_who_goes_in_mid_run_is_named_with_the_cycle() -> None:
@@ -165,24 +155,13 @@ def test_who_goes_in_mid_run_is_named_with_the_cycle() -> None:
     back = externals.hear(Presence(NODE, True, 60), 170.0, running=True)
     assert back == f"{NODE} (external) is back in cycle 60, gone since cycle 41"
     assert externals.explain("stalled", running=True) == "stalled"
-
-
-def test_in_lockstep_who_comes_back_does_not_save_the_run() -> None:
-    externals = watch(NODE, pace="max")
-    externals.hear(Presence(NODE, True, -1), 101.0, running=False)
-    gone = externals.hear(Presence(NODE, False, 41), 150.0, running=True)
-    assert "the run cannot go on without it" in gone
-    back = externals.hear(Presence(NODE, True, 41), 151.0, running=True)
-    assert "what it missed since cycle 41" in back
-    assert f"{NODE} went away in cycle 41" in externals.explain("stalled", running=True)
-
-
-def test_an_external_plant_that_goes_is_remembered_with_the_time() -> None:
-    externals = watch("plant")
+    externals = watch("plant", pace="max")
     externals.hear(Presence("plant", True, -1), 101.0, running=False)
-    assert externals.plant_gone_at is None
-    externals.hear(Presence("plant", False, 5), 150.0, running=True)
+    externals.hear(Presence("plant", False, 41), 150.0, running=True)
     assert externals.plant_gone_at == 150.0
+    back = externals.hear(Presence("plant", True, 41), 151.0, running=True)
+    assert "what it missed since cycle 41" in back, "in lockstep nothing is sent again"
+    assert "plant went away in cycle 41" in externals.explain("stalled", running=True)
 
 
 def test_who_does_not_answer_arming_rounds_is_named_first_with_what_was_wrong() -> None:

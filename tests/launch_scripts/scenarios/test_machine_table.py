@@ -15,7 +15,7 @@ from launch_scripts.scenarios.machine_table import MachineTable, machine_setting
 @pytest.fixture(autouse=True)
 def four_cpus(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four processors, of which this process may use all but CPU 2."""
-    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1, 3}, raising=False)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1, 3})
 
 
 def settings(
@@ -24,10 +24,6 @@ def settings(
     """Return the settings that options and the table of a scenario lead to."""
     read = msgspec.toml.decode(table.encode(), type=MachineTable)
     return machine_settings(read, cpus, priority, lockstep=lockstep)
-
-
-def test_nothing_said_is_nothing_special() -> None:
-    assert settings() == MachineSettings()
 
 
 @pytest.mark.parametrize(
@@ -55,9 +51,6 @@ def test_other_words_are_refused(word: str) -> None:
 def test_a_priority_is_1_to_99(priority: int) -> None:
     with pytest.raises(InputError, match="--priority: expected 1 to 99"):
         settings(priority=priority)
-
-
-def test_a_priority_needs_a_clock() -> None:
     with pytest.raises(InputError, match="--priority: expected a --pace"):
         settings(priority=20, lockstep=True)
 

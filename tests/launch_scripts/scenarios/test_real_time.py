@@ -35,14 +35,7 @@ def test_the_shortest_deadlines_leave_each_stage_what_it_takes_to_wake_a_process
     assert found == (500_000, 600_000, 700_000)
     with pytest.raises(InputError, match=r"at most 0\.699 ms"):
         tier_deadlines_ns(shortest_ms, THREE_LAYERS, 899_000)
-
-
-def test_without_deadlines_each_stage_has_its_share() -> None:
-    assert tier_deadlines_ns(None, THREE_LAYERS, SECOND_NS) == ()
-
-
-def test_in_lockstep_deadlines_are_not_used_whatever_the_cycle() -> None:
-    assert len(tier_deadlines_ns([1e3, 1e4, 6e4], THREE_LAYERS, 0)) == 3
+    assert len(tier_deadlines_ns([1e3, 1e4, 6e4], THREE_LAYERS, 0)) == 3, "unused in lockstep"
 
 
 @pytest.mark.parametrize(

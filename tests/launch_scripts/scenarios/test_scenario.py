@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from complaints import complaint_of
+from own_scenarios import Folder
 
-from bus_schemas.errors import InputError
-from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
+from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario, shipped_scenarios
 
 SCENARIO = """\
@@ -81,34 +81,11 @@ utc,16,40
 POSITIONS = "station,lat,lon\n16,51.525,12.92\n40,51.526,12.93\n"
 
 
-class Folder:
-    """A folder with a scenario and its data, in which one thing is changed."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.scenario = path / "scenario.toml"
-        self.write("scenario.toml", SCENARIO)
-        self.write("plant.csv", INVERTERS)
-
-    def write(self, name: str, text: str) -> None:
-        (self.path / name).write_text(text, encoding="utf-8")
-
-    def change(self, old: str, new: str, name: str = "scenario.toml") -> None:
-        text = (self.path / name).read_text(encoding="utf-8")
-        assert old in text
-        self.write(name, text.replace(old, new))
-
-    def prepare(self, **options: object) -> Preparation:
-        scenario = load_scenario(str(self.scenario))
-        return prepare(scenario, RunOptions(**options), "by-hand")  # type: ignore[arg-type]
-
-    def complaint(self, **options: object) -> str:
-        return complaint_of(self.prepare, **options)
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Folder:
-    return Folder(tmp_path)
+    found = Folder(tmp_path, SCENARIO)
+    found.write("plant.csv", INVERTERS)
+    return found
 
 
 @pytest.fixture
@@ -131,6 +108,7 @@ def test_a_scenario_becomes_a_plan_and_a_profile(folder: Folder) -> None:
     assert found.plan.tree.rating_kw("") == 300.0
     assert found.profile.mpp_kw.shape == (30, 3)
     assert set(found.profile.commitment_kw.tolist()) == {100.0}
+    assert not found.profile.regulation_kw.any(), "nothing is offered without a table"
     assert found.local_start() == "2024-05-12 13:00:00 CEST"
     assert found.plan.lockstep
     assert not found.hindsight
@@ -139,16 +117,18 @@ def test_a_scenario_becomes_a_plan_and_a_profile(folder: Folder) -> None:
 def test_the_command_line_may_change_time_and_pace(folder: Folder) -> None:
     found = folder.prepare(start="07:30", duration="1m", pace=2.0)
     assert found.local_start() == "2024-05-12 07:30:00 CEST"
-    assert found.plan.cycles == 60
-    assert found.plan.cycle_wall_ns == 500_000_000
+    assert (found.plan.cycles, found.plan.cycle_wall_ns) == (60, 500_000_000)
+    assert folder.prepare(start="2024-05-12T10:00:00Z").local_start() == "2024-05-12 12:00:00 CEST"
 
 
-def test_deadlines_are_as_the_scenario_says(folder: Folder) -> None:
-    assert folder.prepare(pace=1.0).plan.tier_deadlines_ns == ()
-    said = "[[2, 1]]\ndeadlines_ms = [20, 30.5, 40]"
-    folder.write("scenario.toml", SCENARIO.replace("[[2, 1]]", said))
+def test_some_fields_come_as_they_are_into_the_plan(folder: Folder) -> None:
+    before = folder.prepare(pace=1.0).plan
+    assert (before.tier_deadlines_ns, before.available_bias) == ((), None)
+    folder.change("[[2, 1]]", "[[2, 1]]\ndeadlines_ms = [20, 30.5, 40]")
+    folder.change("[plant]", "[plant]\navailable_bias = 0.02")
     found = folder.prepare(pace=1.0).plan
     assert found.tier_deadlines_ns == (20_000_000, 30_500_000, 40_000_000)
+    assert found.available_bias == 0.02
 
 
 def test_the_meter_corrects_with_the_scheme_that_looks_ahead_unless_the_scenario_says(
@@ -162,34 +142,19 @@ def test_the_meter_corrects_with_the_scheme_that_looks_ahead_unless_the_scenario
     assert not folder.prepare(scheme="predictive").plan.correction
 
 
-def test_inverters_state_their_available_power_if_the_scenario_says(folder: Folder) -> None:
-    assert folder.prepare().plan.available_bias is None
-    folder.change("[plant]", "[plant]\navailable_bias = 0.02")
-    assert folder.prepare().plan.available_bias == 0.02
-
-
-def test_a_moment_with_an_offset_is_that_moment(folder: Folder) -> None:
-    assert folder.prepare(start="2024-05-12T10:00:00Z").local_start() == "2024-05-12 12:00:00 CEST"
-
-
-def test_tiers_above_tiers_are_named_by_their_letters(folder: Folder) -> None:
-    folder.change("[[2, 1]]", "[[2, 1], [2]]")
-    folder.change("cluster_sizes", 'clusters = "listed"\ncluster_sizes')
-    assert folder.prepare().plan.tree.leaves == ("z1/c1/a", "z1/c1/b", "z1/c2/c")
-
-
 @pytest.mark.parametrize(
-    ("counts", "leaves"),
+    ("clusters", "leaves"),
     [
-        ("[1]", "c1/a c1/b c1/c"),
-        ("[2]", "c1/a c1/b c2/c"),
-        ("[3, 2]", "z1/c1/a z1/c2/b z2/c3/c"),
+        ("cluster_count = [1]", "c1/a c1/b c1/c"),
+        ("cluster_count = [2]", "c1/a c1/b c2/c"),
+        ("cluster_count = [3, 2]", "z1/c1/a z1/c2/b z2/c3/c"),
+        ("cluster_sizes = [[2, 1], [2]]", "z1/c1/a z1/c1/b z1/c2/c"),
     ],
 )
-def test_clusters_may_be_counted_and_are_then_as_equal_as_can_be(
-    folder: Folder, counts: str, leaves: str
+def test_clusters_may_be_counted_and_tiers_are_named_by_their_letters(
+    folder: Folder, clusters: str, leaves: str
 ) -> None:
-    folder.change("cluster_sizes = [[2, 1]]", f'clusters = "listed"\ncluster_count = {counts}')
+    folder.change("cluster_sizes = [[2, 1]]", f'clusters = "listed"\n{clusters}')
     assert folder.prepare().plan.tree.leaves == tuple(leaves.split())
 
 
@@ -249,12 +214,6 @@ def test_shipped_scenarios_under_clouds_need_no_data(
     assert (found.profile.mpp_kw <= ratings_kw).all()
 
 
-def test_stations_keep_names_that_inverters_could_have(measured: Folder) -> None:
-    measured.change("40,", "inv40,", "positions.csv")
-    measured.change("16,40", "16,inv40", "ghi.csv")
-    assert set(measured.prepare().plan.tree.leaves) == {"c1/inv16", "c1/inv40"}
-
-
 # Bad scenario files -------------------------------------------------------------------------------
 
 
@@ -265,7 +224,6 @@ def test_stations_keep_names_that_inverters_could_have(measured: Folder) -> None
         ('title = "', 'motto = "', "expected the fields name, title, time, plant, irradiance"),
         ("seed = 7", "seeds = 7", "irradiance: expected the fields kind, seed, clouds, got seeds"),
         ("[control]", "[machine]\nnice = 3\n[control]", "machine: expected the fields cpus"),
-        ("[control]", "[timing.budget]\na = 3\n[control]", "timing: expected the fields budgets"),
         ("[control]", '[[faults]]\ndelay = "5ms"\n[control]', "faults[0]: expected the fields"),
         ("[control]", "[[faults]]\nloss = 2\n[control]", "faults[0].loss: expected"),
         ("[control]", "[[faults]]\nsignal = 'impp'\n[control]", "faults[0]: expected a delay"),
@@ -275,8 +233,6 @@ def test_stations_keep_names_that_inverters_could_have(measured: Folder) -> None
             "plant.rating_kw: expected number above 0 up to 10000000, got -300",
         ),
         ("rating_kw = 300", 'rating_kw = "8 MW"', "plant.rating_kw: expected number"),
-        ("rating_kw = 300", "rating_kw = inf", "plant.rating_kw: expected number"),
-        ("rating_kw = 300", "rating_kw = 300\naltitude_m = nan", "plant.altitude_m: expected"),
         (
             'history = "earlier-day"',
             'history = "later"',
@@ -286,39 +242,19 @@ def test_stations_keep_names_that_inverters_could_have(measured: Folder) -> None
         ("[[2, 1]]", "[[3, 0]]", "control.cluster_sizes[0][1]: expected whole number"),
         ("[[2, 1]]", "[[2, 1]]\nperiod_cycles = [10, 5, 1]", "control.period_cycles: expected"),
         ("[[2, 1]]", "[[2, 1]]\ndeadlines_ms = [0, 2, 3]", "control.deadlines_ms[0]: expected"),
-        ("[[2, 1]]", '[[2, 1]]\nscheme = "hold"', "control.scheme: expected"),
         ("2024-05-12T13:00:00", '"13:00"', "time.start: expected date and time, got '13:00'"),
         ("Europe/Madrid", "Europe/Madird", "time.timezone: expected an IANA name"),
         ("[time]", "[time", "expected TOML"),
         ('inverters = "plant.csv"\n', "", "plant.inverters: expected a CSV"),
-        ("seed = 7", "seed = -7", "irradiance.seed: expected whole number"),
         ("duration_s = 30", "duration_s = nan", "time.duration_s: expected number"),
-        ("duration_s = 30", "duration_s = 30\ncycle_s = 1e-10", "time.cycle_s: expected number"),
-        (
-            "duration_s = 30",
-            "duration_s = 30\ncycle_s = 4",
-            "time.duration_s: expected one or more",
-        ),
-        ("power_kw = 100", "power_kw = inf", "commitment.power_kw: expected number"),
+        ("duration_s = 30", "duration_s = 30\ncycle_s = 4", "time.duration_s: expected one or"),
         ('"constant"', '"half"', 'commitment.kind: expected "constant"'),
         ('"constant"\npower_kw', '"share-of-median"\nshare', "commitment.share: expected number"),
-        ('"constant"\npower_kw', '"share-of-clear-sky"\nshare', "commitment.share: expected"),
         ("seed = 7", "clouds.cloud_cover = nan", "irradiance.clouds.cloud_cover: expected"),
-        ("seed = 7", "clouds.drift_speed_ms = -1.0", "irradiance.clouds.drift_speed_ms: expected"),
-        ("seed = 7", "clouds.cloud_size_m = 0.0", "irradiance.clouds.cloud_size_m: expected"),
-        ("seed = 7", "clouds.edge_enhancement = 0.9", "irradiance.clouds.edge_enhancement: exp"),
         ("[control]", "[pv]\ntilt_deg = -1.0\n[control]", "pv.tilt_deg: expected"),
-        ("[control]", "[pv]\nalbedo = nan\n[control]", "pv.albedo: expected"),
-        ("[control]", "[pv]\ndc_ac_ratio = 0.0\n[control]", "pv.dc_ac_ratio: expected"),
         ('title = "', 'pace = 1e7\ntitle = "', "pace: expected number"),
-        ('"small"', '"a b"', "name"),
         ('"small"', '"../x"', "name"),
-        (
-            '[neighbours]\nhistory = "earlier-day"\n',
-            "",
-            "neighbours: expected table, got nothing",
-        ),
-        ('history = "earlier-day"\n', "", "neighbours.history: expected"),
+        ('[neighbours]\nhistory = "earlier-day"\n', "", "neighbours: expected table, got nothing"),
     ],
 )
 def test_a_bad_scenario_is_refused_with_file_and_field(
@@ -343,65 +279,40 @@ def test_a_budget_that_makes_no_sense_is_refused(folder: Folder, line: str, name
     assert folder.complaint().startswith(f"{folder.scenario}: {named}")
 
 
-def test_a_scenario_that_is_not_utf8_is_refused(folder: Folder) -> None:
+def test_a_scenario_that_is_not_there_or_no_text_is_refused(folder: Folder) -> None:
     folder.scenario.write_bytes(folder.scenario.read_bytes().replace(b"Three", b"Thr\xe9"))
     assert folder.complaint().startswith(f"{folder.scenario}: expected UTF-8")
-
-
-@pytest.mark.parametrize("name", ["ohau", "nowhere/scenario.toml"])
-def test_a_scenario_that_is_not_there_is_refused(name: str) -> None:
-    with pytest.raises(InputError, match=name):
-        load_scenario(name)
+    for name in ("ohau", "nowhere/scenario.toml"):
+        assert name in complaint_of(load_scenario, name)
 
 
 # Bad inverters and measurements -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("name", "old", "new", "complaint"),
+    ("old", "new", "complaint"),
     [
-        ("scenario.toml", "plant.csv", "plants.csv", "{folder}/plants.csv: expected"),
-        ("scenario.toml", '"plant.csv"', '""', "{folder}: expected"),
-        ("scenario.toml", "rating_kw = 300\n", "", "plant.csv: expected plant.rating_kw"),
-        ("plant.csv", "c,", "a,", "plant.csv: line 4, column 'inverter': expected"),
+        ("plant.csv", "plants.csv", "{}/plants.csv: expected"),
+        ('"plant.csv"', '""', "{}: expected"),
+        ("rating_kw = 300\n", "", "plant.csv: expected plant.rating_kw"),
     ],
 )
-def test_bad_inverters_are_refused(
-    folder: Folder, name: str, old: str, new: str, complaint: str
-) -> None:
-    folder.change(old, new, name)
-    assert folder.complaint().startswith(complaint.format(folder=folder.path))
+def test_bad_inverters_are_refused(folder: Folder, old: str, new: str, complaint: str) -> None:
+    folder.change(old, new)
+    assert folder.complaint().startswith(complaint.format(folder.path))
 
 
 @pytest.mark.parametrize(
-    ("name", "old", "new", "complaint"),
+    ("old", "new", "complaint"),
     [
-        ("ghi.csv", "300", "NaN", "ghi.csv: line 3, column '40': expected a number"),
-        (
-            "scenario.toml",
-            "rating_kw = 200",
-            'rating_kw = 200\ninverters = "12"',
-            "{folder}/scenario.toml: plant.inverters: expected none",
-        ),
-        (
-            "scenario.toml",
-            "duration_s = 4",
-            "duration_s = 3\ncycle_s = 1.5",
-            "{folder}/ghi.csv: expected a time.cycle_s",
-        ),
-        (
-            "scenario.toml",
-            "hindsight",
-            "earlier-day",
-            "{folder}/scenario.toml: neighbours.history: expected 'hindsight'",
-        ),
+        ("rating_kw = 200", 'rating_kw = 200\ninverters = "12"', "scenario.toml: plant.inverters"),
+        ("duration_s = 4", "duration_s = 3\ncycle_s = 1.5", "ghi.csv: expected a time.cycle_s"),
+        ("hindsight", "earlier-day", "scenario.toml: neighbours.history: expected 'hindsight'"),
     ],
 )
-def test_bad_measurements_are_refused(
-    measured: Folder, name: str, old: str, new: str, complaint: str
-) -> None:
-    measured.change(old, new, name)
-    assert measured.complaint().startswith(complaint.format(folder=measured.path))
+def test_bad_measurements_are_refused(measured: Folder, old: str, new: str, complaint: str) -> None:
+    measured.change(old, new)
+    assert measured.complaint().startswith(f"{measured.path}/{complaint}")
 
 
 # Options ------------------------------------------------------------------------------------------
@@ -424,11 +335,6 @@ def test_a_bad_option_is_refused_in_one_short_line(
     assert len(complaint) < 200
 
 
-@pytest.mark.parametrize("day", ["1900-01-01", "2200-12-31"])
-def test_the_first_and_the_last_day_that_a_run_can_start_on(folder: Folder, day: str) -> None:
-    assert folder.prepare(start=f"{day}T12:00").local_start().startswith(f"{day} 12:00:00 ")
-
-
 # Regulation ---------------------------------------------------------------------------------------
 
 ONE_O_CLOCK_S = 13 * 3600
@@ -437,12 +343,6 @@ ONE_O_CLOCK_S = 13 * 3600
 def with_regulation(folder: Folder, table: str) -> Folder:
     folder.change("[control]", f"[regulation]\n{table}\n[control]")
     return folder
-
-
-def test_a_scenario_without_the_table_has_no_regulation(folder: Folder) -> None:
-    profile = folder.prepare().profile
-    assert profile.regulation_capacity_kw == 0.0
-    assert profile.regulation_kw.tolist() == [0.0] * 30
 
 
 def test_a_file_beside_the_scenario_is_held_onto_its_cycles(folder: Folder) -> None:

@@ -1,0 +1,232 @@
+"""Runs a program, `heliarch launch` above all, and watches all its processes from outside."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from importlib.metadata import version
+from math import nan
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import psutil
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+
+OURS: Final = Path(sys.executable).parent / "heliarch"
+CONSOLE: Final = Console(width=120, highlight=False)
+SAMPLE_S: Final = 0.2
+LIMIT_S: Final = 300.0
+_PR_SET_PDEATHSIG: Final = 1
+_prctl: Final = ctypes.CDLL(None).prctl
+
+
+class Failure(Exception):  # noqa: N818 - what failed is the program that was run
+    """A program that did not end as it should, with what it said."""
+
+
+class Sample(msgspec.Struct, frozen=True):
+    """Processor time of all processes so far [s], at one moment of the monotonic clock [s].
+
+    `page_s` and `page_mb` are those of the live page's process, 0 without one.
+    """
+
+    at: float
+    processor_s: float
+    processes: int
+    page_s: float
+    page_mb: float
+
+
+class Watched(msgspec.Struct, frozen=True):
+    """A program that has ended: what it printed, when it was started, what was seen of it."""
+
+    output: str
+    started: float
+    samples: list[Sample]
+
+    def busy(self, began: float, ended: float, field: str = "processor_s") -> float:
+        """Return the processor time of all its processes for each second of a time.
+
+        The middle 60 % of that time is used: start-up and end do not count. User and system time
+        of the program and all its descendants; NaN if the time was too short to tell.
+        """
+        edge = 0.2 * (ended - began)
+        inside = [each for each in self.samples if began + edge <= each.at <= ended - edge]
+        if len(inside) < 2:
+            return nan
+        first, last = inside[0], inside[-1]
+        used_s: float = getattr(last, field) - getattr(first, field)
+        return used_s / (last.at - first.at)
+
+    @property
+    def processes(self) -> int:
+        return max((each.processes for each in self.samples), default=0)
+
+
+def die_with_parent(number: int = signal.SIGKILL) -> None:
+    """Have the kernel send this process a signal when its parent ends (Linux)."""
+    _prctl(_PR_SET_PDEATHSIG, number)
+
+
+def run(command: Sequence[str], look: Callable[[str], None] = lambda text: None) -> Watched:
+    """Run a program to its end; `look` is called with its output a few times a second.
+
+    It gets SIGTERM if this process ends before it, and is killed with its descendants if it takes
+    too long.
+    """
+    with tempfile.NamedTemporaryFile("w", prefix="bench-") as output:
+        started = time.monotonic()
+        process = subprocess.Popen(
+            command,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            process_group=0,
+            preexec_fn=partial(die_with_parent, signal.SIGTERM),  # noqa: PLW1509 - one thread here
+        )
+        samples: list[Sample] = []
+        try:
+            while process.poll() is None:
+                if time.monotonic() > started + LIMIT_S:
+                    raise Failure(f"{command[1:3]} took over {LIMIT_S:g} s")
+                samples += _sample(process.pid)
+                look(Path(output.name).read_text(encoding="utf-8"))
+                time.sleep(SAMPLE_S)
+        finally:
+            if process.poll() is None:
+                _end(process)
+        text = Path(output.name).read_text(encoding="utf-8")
+    if process.returncode:
+        raise Failure(f"{' '.join(command)}\nended with status {process.returncode}:\n{text}")
+    return Watched(text, started, samples)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.terminate()
+    try:
+        process.wait(20.0)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def _sample(pid: int) -> Iterable[Sample]:
+    """Yield what the processes have used so far; nothing if one has just ended."""
+    processor_s = page_s = page_mb = 0.0
+    try:
+        root = psutil.Process(pid)
+        processes = [root, *root.children(recursive=True)]
+        for process in processes:
+            used_s = sum(process.cpu_times()[:2])
+            processor_s += used_s
+            if "live_page" in process.cmdline():
+                page_s, page_mb = used_s, process.memory_info().rss / 1e6
+    except psutil.Error:
+        return
+    yield Sample(time.monotonic(), processor_s, len(processes), page_s, page_mb)
+
+
+class Launch(msgspec.Struct, frozen=True, kw_only=True):
+    """One launch.
+
+    `startup_s` is the time from the command to cycle 0. `processor_ms` is the processor time of all
+    processes for each cycle, seen from outside; `page_ms` that of the live page for each second.
+    Memory is that of the median direct controller [MB], NaN if unknown: a launcher looks at its
+    processes one after another, and in a short run it may not come round.
+    """
+
+    cycles: int
+    cycles_per_s: float
+    startup_s: float
+    processor_ms: float
+    processes: int
+    messages: int
+    lost: int
+    missed_inputs: int
+    resident_mb: float
+    own_mb: float
+    page_ms: float
+    page_mb: float
+
+
+def launch(
+    heliarch: Path,
+    scenario: str,
+    cycles: int,
+    *words: str,
+    pace: str = "max",
+    keep: Path | None = None,
+    look: Callable[[str], None] = lambda text: None,
+) -> Launch:
+    """Launch a scenario with cycles of one second, recorded, in a folder that goes unless kept.
+
+    `words` are further options.
+    """
+    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+        summary = Path(folder) / "summary.json"
+        out = str(keep or Path(folder) / "run")
+        command = [str(heliarch), "launch", scenario, "--pace", pace, "--duration", f"{cycles}s"]
+        watched = run([*command, *words, "--out", out, "--json", str(summary)], look)
+        if not summary.exists():
+            raise Failure(f"{heliarch} wrote no summary:\n{watched.output}")
+        return _read(msgspec.json.decode(summary.read_bytes()), watched)
+
+
+def _read(summary: dict[str, Any], watched: Watched) -> Launch:
+    """Take the figures out of a summary: the one place that knows its names."""
+    of_direct = (each for each in summary["memory"] if each["kind"] == "direct")
+    memory: dict[str, Any] = next(of_direct, {})
+    began = watched.started + summary["startup_s"]
+    ended = began + summary["wall_s"]
+    return Launch(
+        cycles=summary["cycles"],
+        cycles_per_s=summary["cycles_per_s"],
+        startup_s=summary["startup_s"],
+        processor_ms=1e3 * watched.busy(began, ended) / summary["cycles_per_s"],
+        processes=watched.processes,
+        messages=sum(each["published"] for each in summary["messages"]),
+        lost=summary["messages_lost"],
+        missed_inputs=summary["missing_inputs"],
+        resident_mb=memory.get("resident_median_mb") or nan,
+        own_mb=memory.get("own_median_mb") or nan,
+        page_ms=1e3 * watched.busy(began, ended, "page_s"),
+        page_mb=max((each.page_mb for each in watched.samples), default=0.0),
+    )
+
+
+def rounds_of(count: int) -> Iterable[int]:
+    """Yield the numbers of rounds; say which one begins, and how busy the machine is."""
+    for number in range(count):
+        load = psutil.getloadavg()[0]
+        sys.stderr.write(f"round {number + 1} of {count}, load {load:.1f}\n")
+        yield number
+
+
+def print_table(title: str, headings: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
+    """Print a table, and below it the machine. Columns without a heading are names."""
+    table = Table(title=title, box=SIMPLE)
+    for heading in headings:
+        table.add_column(heading, justify="right" if heading else "left", no_wrap=not heading)
+    for row in rows:
+        table.add_row(*row)
+    CONSOLE.print(table)
+    CONSOLE.print(
+        f"{platform.system()} {platform.release()}, {os.cpu_count()} cores, Python "
+        f"{platform.python_version()}, Zenoh {version('eclipse-zenoh')}"
+    )
+
+
+def write_figures(figures: object, path: Path | None) -> None:
+    """Write all figures as JSON, if they are wanted."""
+    if path is not None:
+        path.write_bytes(msgspec.json.format(msgspec.json.encode(figures), indent=1))
