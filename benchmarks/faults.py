@@ -53,8 +53,6 @@ FAULTS: Final = {
     "cut off 30 s": "partition={}|*,at=30.7s..60.7s",
 }
 STARTS: Final = ("12:00", "12:10", "12:20", "12:30", "12:40", "12:50")
-REAL: Final = ("kill", "freeze 15 s")
-"""Of real processes a smaller set: each row takes two minutes."""
 
 
 class Recorded(NamedTuple):
@@ -114,7 +112,7 @@ def main() -> None:
         starts = STARTS[:1] if words.real else STARTS
         healthy = [run(start) for start in starts]
         for victim in words.only.split(","):
-            for name in REAL if words.real else FAULTS:
+            for name in FAULTS:
                 found = [run(start, FAULTS[name].format(victim)) for start in starts]
                 worst = map(max, zip(*map(figures, repeat(victim), found, healthy), strict=True))
                 numbers = (None if number < 0.0 else number for number in worst)

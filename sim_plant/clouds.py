@@ -49,6 +49,7 @@ measurements their constants were set, and by which others they were checked.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated
 
 import msgspec
@@ -258,6 +259,7 @@ class _Layer:
     in_common: float
 
 
+@lru_cache(maxsize=2)  # A run's own day may also be the history of its neighbours.
 def _layers(settings: CloudSettings, seed: int) -> tuple[_Layer, _Layer]:
     """Draw steps 1 and 2 of the model: a coarse and a fine layer, whose variances add up to 1."""
     rng = np.random.default_rng(seed)

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import os
-import subprocess
+import re
+import signal
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from multiprocessing import set_forkserver_preload
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
 import psutil
 import pytest
 
+import launch_scripts.commands.run
+import launch_scripts.launcher.launch  # noqa: F401
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION
+from launch_scripts.cli import main
 from recordings.read.reader import RunReader
 from recordings.read.run_file import log_name
 
@@ -73,35 +80,78 @@ def small_plant(folder: Path, *changes: tuple[str, str]) -> str:
     return str(path)
 
 
+class Command(ForkServerProcess):
+    """`heliarch` with some words, as a process, with the methods of `subprocess.Popen`.
+
+    It is forked from a process that has imported this module, and so what most commands need.
+    """
+
+    def __init__(
+        self, words: Sequence[str], output: Path, errors: Path, environment: Mapping[str, str]
+    ) -> None:
+        super().__init__()
+        self._words, self._files = words, (Path(os.devnull), output, errors)
+        self._environment = environment
+        set_forkserver_preload(["running"])
+        with pytest.MonkeyPatch.context() as patch:  # The server does not take over `sys.path`.
+            patch.setenv("PYTHONPATH", f"{REPOSITORY}:{REPOSITORY / 'tests'}")
+            self.start()
+
+    def run(self) -> None:
+        """Be the command."""
+        os.setpgid(0, 0)  # Ctrl-C at the test's own terminal is not meant for the run.
+        for number, path in enumerate(self._files):
+            os.dup2(os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC), number)
+        os.environ.update(self._environment)
+        tempfile.tempdir = None  # TMPDIR may be another now.
+        sys.argv = ["heliarch", *self._words]
+        main()
+
+    @property
+    def returncode(self) -> int | None:
+        """Its exit status, if it has ended."""
+        return self.exitcode
+
+    def poll(self) -> int | None:
+        """Return its exit status, if it has ended."""
+        return self.exitcode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for its end; return its exit status."""
+        self.join(timeout)
+        assert self.exitcode is not None, "it does not end"
+        return self.exitcode
+
+    def send_signal(self, number: signal.Signals) -> None:
+        """Send it a signal."""
+        os.kill(self.pid or 0, number)
+
+
 class Heliarch:
     """One `heliarch` command, running, with its output so far.
 
     Parameters
     ----------
     folder
-        Of its run.
+        Of its run; a replay has its temporary files there.
     words
         The command line.
-    within
-        A command that runs it somewhere else, such as in a namespace of the network.
     """
 
-    def __init__(self, folder: Path, *words: str, within: Sequence[str] = ()) -> None:
+    def __init__(self, folder: Path, *words: str | Path) -> None:
         self.folder = folder
         self.output = folder.with_suffix(".out")
         self.errors = folder.with_suffix(".err")
-        with self.output.open("wb") as out, self.errors.open("wb") as err:
-            self.process = subprocess.Popen(
-                [*within, sys.executable, "-m", "launch_scripts", *words, "--out", str(folder)],
-                stdout=out,
-                stderr=err,
-                env={
-                    **os.environ,
-                    "PYTHONPATH": f"{REPOSITORY}:{os.environ.get('PYTHONPATH', '')}",
-                },
-                # Ctrl-C at the test's own terminal is not meant for the run.
-                process_group=0,
-            )
+        modules = f"{REPOSITORY}:{os.environ.get('PYTHONPATH', '')}"
+        environment = {**os.environ, "PYTHONPATH": modules}
+        if words[0] == "replay":
+            folder.mkdir()
+            environment["TMPDIR"] = str(folder)
+        else:
+            words = (*words, "--out", folder)
+        for path in (self.output, self.errors):
+            path.touch()
+        self.process = Command([*map(str, words)], self.output, self.errors, environment)
 
     def wait(self) -> int:
         """Wait for the end; return the exit status."""
@@ -114,11 +164,21 @@ class Heliarch:
     def until(self, condition: Callable[[], bool], what: str) -> None:
         """Wait until something has happened."""
         give_up_at = time.monotonic() + 120.0
+        is_over = False
         while not condition():
-            if self.process.poll() is not None or time.monotonic() > give_up_at:
+            if is_over or time.monotonic() > give_up_at:
                 output = self.output.read_text() + self.error_text()
                 pytest.fail(f"it never came to {what}; the run said:\n{output}")
+            is_over = self.process.poll() is not None
             time.sleep(0.02)
+
+    def until_said(self, beginning: str) -> str:
+        """Wait for a line of its output; return what follows the line's beginning."""
+        line = re.compile(rf"^{re.escape(beginning)}(.*)\n", re.MULTILINE)
+        self.until(lambda: line.search(self.output.read_text()) is not None, repr(beginning))
+        found = line.search(self.output.read_text())
+        assert found is not None
+        return found[1].strip()
 
     def until_running(self) -> None:
         """Wait until cycles go by."""
@@ -159,8 +219,8 @@ def commands_in(folder: Path) -> Iterator[Callable[..., Heliarch]]:
     """Start `heliarch` commands, each with a folder of its own; nothing outlives the context."""
     started: list[Heliarch] = []
 
-    def start(*words: str, within: Sequence[str] = ()) -> Heliarch:
-        command = Heliarch(folder / f"run{len(started)}", *words, within=within)
+    def start(*words: str | Path) -> Heliarch:
+        command = Heliarch(folder / f"run{len(started)}", *words)
         started.append(command)
         return command
 
@@ -180,7 +240,7 @@ def processes_of(folder: Path) -> list[psutil.Process]:
 
     They are told by their standard output, which each of them keeps to its end.
     """
-    outputs = (str(folder.with_suffix(".out")), str(folder / "logs"))
+    outputs = (str(folder.with_suffix(".out")), f"{folder}/")
     found = []
     for pid in psutil.pids():
         if _output_of(pid).startswith(outputs):

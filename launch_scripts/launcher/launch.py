@@ -341,7 +341,10 @@ class _Launch:
             external=recorded.external,
             devices=self._gateway.end() if self._gateway is not None else (),
             wrong=wrong_messages(
-                plan, recorded.complaints, [account.dropped for account in accounts]
+                plan,
+                recorded.complaints,
+                [account.dropped for account in accounts],
+                replaced=bool(self._restarts.counts or self._restarts.takeovers),
             ),
         )
 

@@ -22,6 +22,7 @@ _LISTENERS_CAUSES: Final = {
     "other_cycle": "of a cycle far from this one",
     "unexpected": "not of a turn of its sender",
     "duplicate": "came twice in a cycle",
+    "two senders": "its listeners heard two messages in a cycle",
     "foreign": "not from who may publish there",
     "flooded": "more than can be looked at",
     "contradicted": "contradicts what the publisher goes on saying",
@@ -46,20 +47,26 @@ def wrong_messages(
     plan: RunPlan,
     complaints: Iterable[Complaint],
     dropped_ports: Iterable[Mapping[str, Mapping[str, int]]],
+    *,
+    replaced: bool = False,
 ) -> tuple[WrongMessages, ...]:
     """Bring together what was complained of, those keys first of which it was most.
 
     The complaints are those of the recorder; the plant's name is left out of their keys. Of what
-    agents dropped, by port and cause, only ports of external agents count: what comes late from a
-    process is the machine's fault.
+    agents dropped, by port and cause, all counts that came from external agents. What comes late
+    from a process is the machine's fault. But no process sends two messages in a cycle, unless some
+    were `replaced` or a fault of the network repeats messages.
     """
     publishers = {str(port): port.publisher for port in ports(plan.tree)}
-    theirs = {port for port, publisher in publishers.items() if publisher in plan.external}
+    may_repeat = replaced or any(rule.duplicate for rule in plan.faults)
     counts: Counter[tuple[str, str]] = Counter()
     for dropped in dropped_ports:
-        for port in theirs.intersection(dropped):
-            for cause, count in dropped[port].items():
-                counts[port, cause] += count
+        for port, causes in dropped.items():
+            for cause, count in causes.items():
+                if publishers.get(port) in plan.external:
+                    counts[port, cause] += count
+                elif cause == "duplicate" and not may_repeat:
+                    counts[port, "two senders"] += count
     examples = {place: _LISTENERS_CAUSES.get(place[1], "") for place in counts}
     for complaint in complaints:
         place = (complaint.key.removeprefix(f"{plan.plant}/"), complaint.cause)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from functools import partial
 from itertools import product
@@ -119,7 +120,7 @@ class Team:
     ) -> Heard:
         """Let a program speak that is none of the agents; return who hears what of it."""
         with ExitStack() as stack:
-            sessions = []
+            configs = []
             for port in self.plan.tcp_ports.values():
                 settings = SessionSettings(
                     self.plan.bus_namespace,
@@ -133,8 +134,10 @@ class Team:
                 config = settings.config()
                 config.insert_json5("mode", f'"{mode}"')
                 config.insert_json5("connect/timeout_ms", "500")
-                with suppress(zenoh.ZError):  # A client that is not admitted has no session.
-                    sessions.append(stack.enter_context(zenoh.open(config)))
+                configs.append(config)
+            with ThreadPoolExecutor(len(configs)) as pool:  # Who is not admitted waits in vain.
+                opened = [session for session in pool.map(session_of, configs) if session]
+            sessions = [stack.enter_context(session) for session in opened]
             tokens = [
                 session.liveliness().declare_token(self.plan.keys.alive_key(agent))
                 for agent, session in product(AGENTS, sessions)
@@ -148,6 +151,13 @@ class Team:
         found = self.heard_of("intruder")
         self._heard.clear()
         return found
+
+
+def session_of(config: zenoh.Config) -> zenoh.Session | None:
+    """Open a session; a client that is not admitted has none."""
+    with suppress(zenoh.ZError):
+        return zenoh.open(config)
+    return None
 
 
 def team_of(plan: RunPlan, folder: Path) -> Iterator[Team]:
@@ -222,6 +232,7 @@ def test_with_the_keys_of_an_agent_a_program_can_say_what_that_agent_may_and_no_
     assert found == with_keys.can_forge(agent)
 
 
+@pytest.mark.soak
 def test_a_link_closes_when_a_certificate_expires_and_comes_back_with_a_renewed_one(
     keys: Path, tmp_path: Path
 ) -> None:

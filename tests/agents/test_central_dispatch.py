@@ -42,11 +42,6 @@ def test_a_dispatch_from_zero_to_the_rating_is_followed_without_a_notice(power_k
     assert set_and_noticed(power_kw) == ([max(0.75 * power_kw, FLOOR_KW)], [])
 
 
-@pytest.mark.parametrize("power_kw", [math.nan, math.inf, -math.inf])
-def test_one_that_is_no_number_is_not_used_and_the_last_one_holds(power_kw: float) -> None:
-    assert set_and_noticed(200.0, power_kw) == ([150.0, 150.0], [])
-
-
 @pytest.mark.parametrize(
     ("power_kw", "set_kw"), [(400.0001, 300.0), (1e12, 300.0), (-0.5, FLOOR_KW), (-1e12, FLOOR_KW)]
 )

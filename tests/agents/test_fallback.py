@@ -128,13 +128,6 @@ def test_from_cycle_0_on_a_supervisor_keeps_to_its_own_share_of_the_dispatch() -
     assert setpoints_in(AtWork(CLUSTER, "c1"), 0, dispatch_kw=50.0) == (20.0, 30.0)
 
 
-@pytest.mark.parametrize("absurd_kw", [*ABSURD_KW, 200.1])
-def test_a_supervisor_does_not_use_an_absurd_setpoint(absurd_kw: float) -> None:
-    work = AtWork(CLUSTER, "c1")
-    assert setpoints_in(work, 0, setpoint_kw=60.0) == (20.0, 40.0)
-    assert setpoints_in(work, 1, setpoint_kw=absurd_kw) == (20.0, 40.0)
-
-
 def test_a_supervisor_names_what_it_does_without() -> None:
     work = AtWork(CLUSTER, "c1")
     setpoints_in(work, 0, setpoint_kw=60.0)

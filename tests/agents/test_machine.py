@@ -45,8 +45,11 @@ def place_of(
     )
 
 
-def may_run_first() -> bool:
-    return not refusals(MachineSettings(priority=1), lockstep=False)
+def lines_of(code: str) -> list[str]:
+    """Run Python code in a process of its own; return the lines that it prints."""
+    words = [sys.executable, "-c", f"from agents.machine import *\n{code}"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=True)
+    return done.stdout.splitlines()
 
 
 def test_by_default_nothing_is_taken() -> None:
@@ -82,66 +85,59 @@ def test_a_cpu_that_is_not_there_is_said_and_the_process_goes_on() -> None:
 @linux
 def test_priority_is_taken_where_the_machine_permits_it_else_it_is_said() -> None:
     refused, policy = place_of(MachineSettings(priority=7))
-    if may_run_first():
+    if not refusals(MachineSettings(priority=1), lockstep=False):
         assert (refused, policy.partition(" on")[0]) == ((), "fifo 7")
     else:
         assert "CAP_SYS_NICE" in refused[0]
         assert policy == scheduling_policy()
 
 
+# Modules are imported before the privileges go: the folder may be closed to strangers.
+GIVE_UP = """
+import os, resource, traceback
+os.setgroups([]); os.setgid(65534); os.setuid(65534)
+"""
+root = pytest.mark.skipif(os.geteuid() != 0, reason="privileges can be given up by root alone")
+
+
 @linux
+@root
 def test_without_permission_the_policy_stays_and_the_text_says_what_it_takes() -> None:
     """A process without privileges, and with a limit of 0, may not run first."""
-    if os.geteuid() != 0:
-        pytest.skip("privileges can be given up by root alone")
-    code = (
-        "import os, resource; resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0)); "
-        "os.setgroups([]); os.setgid(65534); os.setuid(65534); "
-        "from agents.machine import *; "
-        "print(take_machine(MachineSettings(priority=20), 'direct', lockstep=False)); "
-        "print(scheduling_policy())"
+    refused, policy = lines_of(
+        f"""
+import resource
+resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+{GIVE_UP}
+print(take_machine(MachineSettings(priority=20), "direct", lockstep=False))
+print(scheduling_policy())
+"""
     )
-    # Modules are imported before the privileges go: the folder may be closed to strangers.
-    code = "import agents.machine, traceback; " + code
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
-    )
-    refused, policy = done.stdout.splitlines()
     assert "priority 20: the kernel refuses SCHED_FIFO (Operation not permitted)" in refused
     assert "`ulimit -r 20`" in refused
     assert policy.startswith("other")
 
 
-LOCKING = """
-import ctypes, os, re, resource, pathlib
-import agents.machine
-from agents.machine import *
-resource.setrlimit(resource.RLIMIT_MEMLOCK, (LIMIT, LIMIT))
-GIVE_UP
+def locking(limit: str, give_up: str = "") -> list[str]:
+    """What is said beforehand, in lockstep, when memory is locked, and how much is [kB]."""
+    return lines_of(
+        f"""
+import ctypes, pathlib, re, resource
+resource.setrlimit(resource.RLIMIT_MEMLOCK, ({limit}, {limit}))
+{give_up}
 locks = MachineSettings(lock_memory=True)
 print(refusals(locks, lockstep=False))
 print(refusals(locks, lockstep=True))
 print(take_machine(locks, "direct", lockstep=False))
 print(re.search("VmLck:.*", pathlib.Path("/proc/self/status").read_text())[0].split()[1])
 """
-
-
-def locking(limit: str, give_up: str = "") -> list[str]:
-    """What is said beforehand, in lockstep, when memory is locked, and how much is [kB]."""
-    code = LOCKING.replace("(LIMIT, LIMIT)", f"({limit}, {limit})").replace("GIVE_UP", give_up)
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
     )
-    return done.stdout.splitlines()
 
 
 @linux
+@root
 def test_memory_that_may_not_be_locked_is_said_beforehand() -> None:
-    if os.geteuid() != 0:
-        pytest.skip("privileges can be given up by root alone")
-    beforehand, in_lockstep, then, locked_kb = locking(
-        "8 << 20", "os.setgroups([]); os.setgid(65534); os.setuid(65534)"
-    )
+    beforehand, in_lockstep, then, locked_kb = locking("8 << 20", GIVE_UP)
     assert "memory: not locked (the limit is 8,192 KiB); it takes CAP_IPC_LOCK" in beforehand
     assert in_lockstep == "()"
     assert then == beforehand
@@ -160,31 +156,22 @@ def test_memory_is_locked_where_that_is_permitted() -> None:
 
 @linux
 def test_only_the_thread_that_stands_back_does_so() -> None:
-    before = os.getpriority(os.PRIO_PROCESS, 0)
-    inside: list[int] = []
-
-    def stand_aside() -> None:
+    def priority_aside() -> int:
         stand_back()
-        inside.append(os.getpriority(os.PRIO_PROCESS, 0))
+        return os.getpriority(os.PRIO_PROCESS, 0)
 
-    thread = threading.Thread(target=stand_aside)
-    thread.start()
-    thread.join()
-    assert inside == [before + 5]
+    before = os.getpriority(os.PRIO_PROCESS, 0)
+    assert in_a_thread(priority_aside) == before + 5
     assert os.getpriority(os.PRIO_PROCESS, 0) == before
 
 
 @linux
 def test_timers_are_exact_in_real_time() -> None:
     code = (
-        "import ctypes; from agents.machine import *; "
-        "take_machine(MachineSettings(), 'direct', lockstep=False); "
+        "import ctypes; take_machine(MachineSettings(), 'direct', lockstep=False); "
         "print(ctypes.CDLL(None).prctl(30))"  # PR_GET_TIMERSLACK
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
-    )
-    assert done.stdout.strip() == "1"
+    assert lines_of(code) == ["1"]
 
 
 @linux
@@ -197,16 +184,6 @@ def test_trying_what_is_refused_leaves_this_process_as_it_is() -> None:
 
 def test_memory_is_that_of_this_process_not_of_the_one_that_started_it() -> None:
     hoard = bytearray(b"x" * 300_000_000)
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            "from agents.machine import resources_used; print(resources_used().resident_mb)",
-        ],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=True,
-    )
+    (resident_mb,) = lines_of("print(resources_used().resident_mb)")
     assert resources_used().resident_mb > len(hoard) / 1e6
-    assert 5.0 < float(done.stdout) < 150.0
+    assert 5.0 < float(resident_mb) < 150.0

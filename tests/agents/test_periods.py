@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from math import fsum
-
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from plans_by_hand import plan_of
 from plants_by_hand import Heard, hear
 
@@ -14,7 +10,6 @@ from agents.periods import Periods
 from bus_schemas.errors import InputError
 from bus_schemas.messages import HelpGiven
 from bus_schemas.signals import COMMAND, HELP, IMPP, RESIDUAL, SETPOINT
-from bus_schemas.tree import ROOT
 
 FOUR = {"c1/a": 100.0, "c1/b": 100.0, "c2/a": 100.0, "c2/b": 100.0}
 CYCLES = 12
@@ -102,42 +97,6 @@ def test_two_slow_tiers_leave_the_inverters_their_last_setpoints() -> None:
     assert found.cycles_of(SETPOINT.of("c1")) == [0, 4]
     assert found.cycles_of(SETPOINT.of("c1/a")) == [0, 2, 4]
     assert [found.get(cycle, SETPOINT.of("c1/a")).power_kw for cycle in (0, 2, 4)] == [50, 50, 30]
-
-
-SIX = [f"z{zone}/c{cluster}/i" for zone in (1, 2) for cluster in (1, 2, 3)]
-
-
-@given(
-    factors=st.tuples(st.integers(1, 3), st.integers(1, 3), st.integers(1, 3)),
-    light=st.lists(st.lists(st.floats(0.0, 100.0), min_size=6, max_size=6), min_size=7, max_size=7),
-    dispatch_kw=st.lists(st.floats(0.0, 600.0), min_size=7, max_size=7),
-)
-@settings(max_examples=30)
-def test_whenever_a_parent_acts_its_children_meet_its_last_target(
-    factors: tuple[int, int, int], light: list[list[float]], dispatch_kw: list[float]
-) -> None:
-    slow, middle, fast = factors
-    periods = (slow * middle * fast, middle * fast, fast)
-    plan = plan_of(dict.fromkeys(SIX, 100.0), cycles=7, period_cycles=periods)
-    found = hear(plan, light, dispatch_kw)
-    target_kw = dict.fromkeys(plan.tree.parents, 0.0)
-    spoke = 0
-    for cycle in range(plan.cycles):
-        target_kw[ROOT] = dispatch_kw[cycle]
-        for node in plan.tree.parents:
-            own = found.find(cycle, SETPOINT.of(node)) if node else None
-            target_kw[node] = own.power_kw if own else target_kw[node]
-            children = plan.tree.children(node)
-            setpoints = [found.find(cycle, SETPOINT.of(child)) for child in children]
-            given_kw = [setpoint.power_kw for setpoint in setpoints if setpoint]
-            assert len(given_kw) == (len(children) if plan.periods.is_turn(node, cycle) else 0)
-            if given_kw:
-                most_kw = fsum(found.get(cycle, IMPP.of(child)).power_kw for child in children)
-                least_kw = plan.alpha_floor * most_kw
-                expected_kw = min(max(target_kw[node], least_kw), most_kw)
-                assert fsum(given_kw) == pytest.approx(expected_kw, rel=0.0, abs=1e-6)
-                spoke += 1
-    assert spoke >= len(plan.tree.parents)
 
 
 @pytest.mark.parametrize(

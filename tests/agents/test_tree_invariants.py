@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import fsum, inf, isfinite, nan
+from math import fsum, inf, isfinite, nan, prod
 from typing import NamedTuple
 
 import pytest
@@ -13,7 +13,7 @@ from plans_by_hand import plan_of
 from plants_by_hand import Heard, hear
 
 from agents.plan import Neighbourhood, NodeNeighbourhoods, RunPlan
-from bus_schemas.signals import HELP, IMPP, NOTICE, RESIDUAL, SETPOINT
+from bus_schemas.signals import HELP, IMPP, RESIDUAL, SETPOINT
 from bus_schemas.tree import ROOT, ControlTree
 
 TOLERANCE_KW = 1e-6
@@ -52,17 +52,19 @@ def neighbourhoods(draw: st.DrawFn, tree: ControlTree) -> tuple[NodeNeighbourhoo
     return (NodeNeighbourhoods(ROOT, (Neighbourhood(0, rows),)),)
 
 
-def plant_rating_kw(tree: ControlTree) -> float:
-    """The most that can be dispatched."""
-    return tree.rating_kw(ROOT)
+@st.composite
+def periods(draw: st.DrawFn, tree: ControlTree) -> tuple[int, ...]:
+    """Each tier acts as often as the one below it, or half as often."""
+    factors = draw(st.lists(st.integers(1, 2), min_size=tree.height, max_size=tree.height))
+    return tuple(prod(factors[tier:]) for tier in range(tree.height))
 
 
 @st.composite
 def weathers(draw: st.DrawFn) -> Weather:
     ratings_kw = draw(ratings())
     tree = ControlTree(tuple(ratings_kw.items()))
-    cycles = draw(st.integers(1, 3))
-    plant_kw = plant_rating_kw(tree)
+    cycles = draw(st.integers(1, 5))
+    plant_kw = tree.rating_kw(ROOT)
     light = st.one_of(st.sampled_from([0.0, 1.0, 1.01, nan]), st.floats(0.0, 1.0))
     usable = st.floats(0.0, 1.0).map(lambda share: share * plant_kw)
     wish = st.one_of(usable, st.sampled_from([0.0, plant_kw, -1.0, nan, inf, -inf, 1e12]))
@@ -71,7 +73,12 @@ def weathers(draw: st.DrawFn) -> Weather:
         st.lists(st.lists(light, min_size=count, max_size=count), min_size=cycles, max_size=cycles)
     )
     return Weather(
-        plan_of(ratings_kw, cycles=cycles, neighbourhoods=draw(neighbourhoods(tree))),
+        plan_of(
+            ratings_kw,
+            cycles=cycles,
+            period_cycles=draw(periods(tree)),
+            neighbourhoods=draw(neighbourhoods(tree)),
+        ),
         [
             [share * rating for share, rating in zip(row, ratings_kw.values(), strict=True)]
             for row in lights
@@ -82,7 +89,7 @@ def weathers(draw: st.DrawFn) -> Weather:
 
 def usable_dispatches_kw(weather: Weather) -> list[float]:
     """In each cycle the last dispatch that can be used."""
-    rating_kw, last_kw = plant_rating_kw(weather.plan.tree), 0.0
+    rating_kw, last_kw = weather.plan.tree.rating_kw(ROOT), 0.0
     usable_kw: list[float] = []
     for wished_kw in weather.dispatch_kw:
         last_kw = min(max(wished_kw, 0.0), rating_kw) if isfinite(wished_kw) else last_kw
@@ -90,29 +97,29 @@ def usable_dispatches_kw(weather: Weather) -> list[float]:
     return usable_kw
 
 
-def targets_kw(weather: Weather, heard: Heard) -> dict[tuple[int, str], float]:
-    """Each parent's target in each cycle: the dispatch for the root, its setpoint for the rest."""
-    targets: dict[tuple[int, str], float] = {}
-    for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather)):
-        targets[cycle, ROOT] = dispatch_kw
-        for node in weather.plan.tree.parents[1:]:
-            targets[cycle, node] = heard.get(cycle, SETPOINT.of(node)).power_kw
-    return targets
-
-
 @given(weathers())
-@settings(max_examples=50)
-def test_setpoints_add_up_to_the_target_or_to_all_there_is(weather: Weather) -> None:
-    heard = weather.hear()
-    for (cycle, node), target_kw in targets_kw(weather, heard).items():
-        children = weather.plan.tree.children(node)
-        setpoints_kw = [heard.get(cycle, SETPOINT.of(child)).power_kw for child in children]
-        impp_kw = [heard.get(cycle, IMPP.of(child)).power_kw for child in children]
-        most_kw = fsum(impp_kw)
-        expected_kw = min(max(target_kw, weather.plan.alpha_floor * most_kw), most_kw)
-        assert fsum(setpoints_kw) == pytest.approx(expected_kw, rel=0.0, abs=TOLERANCE_KW)
-        for setpoint_kw, most_kw in zip(setpoints_kw, impp_kw, strict=True):
-            assert weather.plan.alpha_floor * most_kw - TOLERANCE_KW <= setpoint_kw <= most_kw
+@settings(max_examples=60)
+def test_whenever_a_parent_acts_its_children_meet_its_newest_target_or_give_all_there_is(
+    weather: Weather,
+) -> None:
+    heard, plan = weather.hear(), weather.plan
+    target_kw = dict.fromkeys(plan.tree.parents, 0.0)
+    for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather)):
+        target_kw[ROOT] = dispatch_kw
+        for node in plan.tree.parents:
+            if node != ROOT and (own := heard.find(cycle, SETPOINT.of(node))):
+                target_kw[node] = own.power_kw
+            children = plan.tree.children(node)
+            if not plan.periods.is_turn(node, cycle):
+                assert not any(heard.find(cycle, SETPOINT.of(child)) for child in children)
+                continue
+            set_kw = [heard.get(cycle, SETPOINT.of(child)).power_kw for child in children]
+            impp_kw = [heard.get(cycle, IMPP.of(child)).power_kw for child in children]
+            all_kw = fsum(impp_kw)
+            expected_kw = min(max(target_kw[node], plan.alpha_floor * all_kw), all_kw)
+            assert fsum(set_kw) == pytest.approx(expected_kw, rel=0.0, abs=TOLERANCE_KW)
+            for setpoint_kw, most_kw in zip(set_kw, impp_kw, strict=True):
+                assert plan.alpha_floor * most_kw - TOLERANCE_KW <= setpoint_kw <= most_kw
 
 
 @given(weathers())
@@ -139,16 +146,3 @@ def test_reports_add_up_and_what_is_missing_is_called_for_up_to_the_root(weather
 def approx_kw(powers_kw: Iterable[float]) -> object:
     """A sum, but for rounding errors."""
     return pytest.approx(fsum(powers_kw), rel=0.0, abs=TOLERANCE_KW)
-
-
-@given(weathers())
-@settings(max_examples=30)
-def test_a_dispatch_that_is_clamped_is_noticed_and_no_other(weather: Weather) -> None:
-    heard = weather.hear()
-    clamped = 0
-    rating_kw = plant_rating_kw(weather.plan.tree)
-    for cycle, wished_kw in enumerate(weather.dispatch_kw):
-        is_clamped = isfinite(wished_kw) and not 0.0 <= wished_kw <= rating_kw
-        notice = heard.find(cycle, NOTICE.of(ROOT))
-        clamped += is_clamped
-        assert (notice.count if notice else None) == (clamped if is_clamped else None)

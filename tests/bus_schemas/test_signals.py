@@ -6,16 +6,7 @@ import pytest
 
 from bus_schemas.keys import KeyTable
 from bus_schemas.links import explicit_links
-from bus_schemas.signals import (
-    CLOCK,
-    READY,
-    RUN,
-    SIGNALS,
-    TAKEOVER,
-    Wiring,
-    listeners,
-    ports,
-)
+from bus_schemas.signals import CLOCK, RUN, Wiring, listeners, ports
 from bus_schemas.tree import ROOT, ControlTree
 
 OAHU = ControlTree((("c1/inv07", 470.0), ("c1/inv08", 470.0), ("c2/inv09", 470.0)))
@@ -105,40 +96,6 @@ def test_keys_name_one_port_each_and_lead_back_to_it(tree: ControlTree) -> None:
 )
 def test_a_key_of_no_port_is_known_as_such(key: str) -> None:
     assert KEYS.port(key) is None
-
-
-def test_each_signal_is_about_the_nodes_that_it_makes_sense_for() -> None:
-    nodes = {signal.name: signal.nodes(OAHU) for signal in SIGNALS}
-    leaves = LEAVES
-    assert nodes == {
-        "telemetry": leaves,
-        "dispatch": (ROOT,),
-        "meter": (ROOT,),
-        "impp": (ROOT, "c1", "c2", *leaves),
-        "residual": (ROOT, "c1", "c2", *leaves),
-        "help": (ROOT, "c1", "c2", *leaves),
-        "setpoint": ("c1", "c2", *leaves),
-        "command": leaves,
-        "production": (ROOT,),
-        "notice": (ROOT, "c1", "c2", *leaves),
-        "run": (ROOT,),
-        "ready": (ROOT,),
-        "clock": (ROOT,),
-        "takeover": (ROOT, "c1", "c2", *leaves),
-    }
-
-
-def test_all_is_logged_but_the_messages_of_recorder_and_replayer() -> None:
-    assert {signal for signal in SIGNALS if not signal.logged} == {READY, CLOCK}
-
-
-def test_all_is_decided_by_agents_but_what_is_said_about_the_run() -> None:
-    assert {signal for signal in SIGNALS if not signal.decided} == {
-        RUN,
-        READY,
-        CLOCK,
-        TAKEOVER,
-    }
 
 
 @pytest.mark.parametrize("tree", TREES)

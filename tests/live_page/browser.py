@@ -65,7 +65,7 @@ class Browser:
         event = f"new KeyboardEvent('keydown', {{key: {json.dumps(key)}, bubbles: true}})"
         self.run(f"document.body.dispatchEvent({event})")
 
-    def until(self, script: str, what: str, timeout_s: float = 60.0) -> Any:  # noqa: ANN401
+    def until(self, script: str, what: str, timeout_s: float = 120.0) -> Any:  # noqa: ANN401
         """Wait until a script returns something true; return it."""
         give_up_at = time.monotonic() + timeout_s
         while not (found := self.run(script)):

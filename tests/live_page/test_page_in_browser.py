@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -51,7 +52,7 @@ def test_a_launched_run_moves_and_stays_when_it_is_over(
     window: Browser, heliarch: Callable[..., Heliarch], tmp_path: Path
 ) -> None:
     plant = small_plant(tmp_path / "plant")
-    run = heliarch("launch", plant, "--duration", "150", "--pace", "10", "--page")
+    run = heliarch("launch", plant, "--pace", "10", "--page")
     window.open(page_of(run))
     window.until("return document.querySelector('#state').textContent == 'running'", "its run")
     assert window.run("return document.querySelectorAll('.inverter').length") == 4
@@ -61,13 +62,14 @@ def test_a_launched_run_moves_and_stays_when_it_is_over(
     window.until(curve("power-chart"), "curves")
     memory_mb = "document.querySelector('#tree tr td:last-child').textContent"
     window.until(f"return +{memory_mb} > 10", "the memory of the plant's process")
+    run.process.send_signal(signal.SIGINT)
     window.until("return document.querySelector('#state').textContent == 'over'", "its end")
-    window.until(at(150), "the last cycle")
+    window.until(at(run.recorded_cycles()), "the last cycle")
     assert window.run("return document.querySelector('#banner').hidden")
     assert window.problems() == []
     assert run.process.poll() is None  # It is still looked at.
     window.open("about:blank")
-    assert run.wait() == 0
+    assert run.wait() == 130, run.error_text()
     assert_none_left(run.folder)
 
 
@@ -76,7 +78,6 @@ def test_a_run_that_fails_says_so(
 ) -> None:
     plant = small_plant(tmp_path / "plant")
     run = heliarch("launch", plant, "--pace", "10", "--page")
-    run.until_running()
     window.open(page_of(run))
     window.until("return document.querySelector('#state').textContent == 'running'", "its run")
     run.process_of("plant").kill()

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 
 import zenoh
 from msgspec.structs import replace
@@ -16,38 +14,22 @@ from bus_schemas.codec import encode
 from bus_schemas.messages import Command, Dispatch, Impp, Message, Setpoint, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, IMPP, RUN, SETPOINT, TELEMETRY, Port
 from bus_schemas.tree import ROOT
-from bus_schemas.zenoh_bus import KeyFiles, SessionSettings
+from bus_schemas.zenoh_bus import SessionSettings
 
 FORGED_KW = 123.0
 
 
 class Attacker:
-    """One session linked with every agent of a run that listens.
+    """A session linked with every agent of a run that listens."""
 
-    Parameters
-    ----------
-    plan
-        Of the run.
-    mode
-        Of the session: what a client says, peers relay to everybody.
-    agent
-        Whose keys it has; empty: none.
-    """
-
-    def __init__(self, plan: RunPlan, stack: ExitStack, mode: str, agent: str) -> None:
+    def __init__(self, plan: RunPlan, stack: ExitStack) -> None:
         self.plan = plan
         self.heard: list[str] = []
-        keys = KeyFiles.of(Path(plan.keys_folder), agent) if agent else None
         self._sessions = []
         for port in plan.tcp_ports.values():
-            endpoint = f"{'tls' if keys else 'tcp'}/127.0.0.1:{port}"
-            config = SessionSettings(plan.bus_namespace, [], [endpoint], keys=keys).config()
-            config.insert_json5("mode", json.dumps(mode))
-            config.insert_json5("connect/timeout_ms", "3000")
-            try:
-                session = stack.enter_context(zenoh.open(config))
-            except zenoh.ZError:  # A client's session does not open where it is not admitted.
-                continue
+            endpoint = f"tcp/127.0.0.1:{port}"
+            config = SessionSettings(plan.bus_namespace, [], [endpoint]).config()
+            session = stack.enter_context(zenoh.open(config))
             self._sessions.append(session)
             session.declare_subscriber(
                 f"{plan.plant}/**",
@@ -97,9 +79,9 @@ class Attacker:
 
 
 @contextmanager
-def attacker_of(plan: RunPlan, mode: str = "peer", agent: str = "") -> Iterator[Attacker]:
+def attacker_of(plan: RunPlan) -> Iterator[Attacker]:
     """An attacker, linked; it leaves at the end."""
     with ExitStack() as stack:
-        attacker = Attacker(plan, stack, mode, agent)
+        attacker = Attacker(plan, stack)
         time.sleep(1.0)  # Links that are refused never come up: there is nothing to wait for.
         yield attacker

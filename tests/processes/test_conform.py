@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import command_line
 import pytest
 from running import Heliarch, small_plant
 from split_links import free_ports, split_links
@@ -33,74 +34,79 @@ def plant(tmp_path: Path) -> str:
     return small_plant(tmp_path / "plant", ("[control]\n", "[control]\nhold_cycles = 2\n"))
 
 
-def results(
-    start: Start, plant: str, agent: str, command: str, pace: str, *more: str
-) -> dict[str, str]:
+def results(plant: str, agent: str, command: str, *more: str, pace: str = "max") -> dict[str, str]:
     """Try a device; return the result of each requirement."""
-    file = Path(plant).with_name("results.json")
-    words = ("--scenario", plant, "--pace", pace, "--json", str(file), "--external-timeout", "20")
-    run = start("conform", agent, *words, "--command", command, *more)
-    status = run.wait()
+    file, out = (Path(plant).with_name(f"{name}-{pace}") for name in ("results", "trials"))
+    words = ("--scenario", plant, "--pace", pace, "--external-timeout", "20", "--out", out)
+    ended = command_line.heliarch(
+        "conform", agent, *words, "--json", file, "--command", command, *more
+    )
     found = json.loads(file.read_text(encoding="utf-8"))
-    text = json.dumps(found, indent=1) + run.error_text()
-    assert status == (0 if found["passed"] else 1), text
+    text = json.dumps(found, indent=1) + ended.output
+    assert ended.exit_code == (0 if found["passed"] else 1), text
     assert found["passed"] == all(row["result"] != "FAIL" for row in found["requirements"]), text
     print(text)
     return {row["requirement"]: row["result"] for row in found["requirements"]}
+
+
+def in_real_time(plant: str, agent: str, command: str) -> dict[str, str]:
+    """Try a device at a pace that this machine keeps up with, where the device can."""
+    for pace in ("8", "2", "1"):
+        found = results(plant, agent, command, pace=pace)
+        if not failed(found):
+            break
+    return found
 
 
 def failed(found: dict[str, str]) -> set[str]:
     return {name for name, result in found.items() if result == "FAIL"}
 
 
-def test_the_example_controller_meets_every_requirement(heliarch: Start, plant: str) -> None:
-    found = results(heliarch, plant, NODE, CONTROLLER, "2")
-    assert found == dict.fromkeys(REQUIREMENTS, "PASS")
+def test_the_example_controller_meets_every_requirement(plant: str) -> None:
+    assert in_real_time(plant, NODE, CONTROLLER) == dict.fromkeys(REQUIREMENTS, "PASS")
 
 
-def test_the_example_plant_meets_every_requirement(heliarch: Start, plant: str) -> None:
+def test_the_example_plant_meets_every_requirement(plant: str) -> None:
     command = f"{sys.executable} {EXAMPLES / 'plant.py'} --plan {{plan}}"
-    assert results(heliarch, plant, "plant", command, "4") == dict.fromkeys(OF_PLANT, "PASS")
+    assert in_real_time(plant, "plant", command) == dict.fromkeys(OF_PLANT, "PASS")
 
 
-@pytest.mark.parametrize("agent", ["c1", "central"])
-def test_parents_are_tried_in_their_own_place(agent: str, heliarch: Start, plant: str) -> None:
+@pytest.mark.parametrize("agent", ["c1", pytest.param("central", marks=pytest.mark.soak)])
+def test_parents_are_tried_in_their_own_place(agent: str, plant: str) -> None:
     command = f"{sys.executable} -m agents {{node}} --plan {{plan}}"
-    found = results(heliarch, plant, agent, command, "max")
+    found = results(plant, agent, command)
     assert failed(found) <= {"links closed"}, "our own processes end with their launcher"
     tried = {name for name, result in found.items() if result == "PASS"}
     assert tried >= {"arming", "decisions", "head", "bounds", "links", "limits", "replaced"}
 
 
+def wrong_device(faults: str) -> str:
+    return f"{sys.executable} {WRONG} '{faults}' {{plan}} {{node}}"
+
+
+def test_a_device_with_faults_fails_where_it_is_wrong_and_nowhere_else(plant: str) -> None:
+    faults = {"decisions", "head", "bounds", "wrong messages", "replaced"}
+    found = failed(results(plant, NODE, wrong_device(",".join(sorted(faults)))))
+    assert found == faults | {"links closed"}, "it decides wrongly in the next run too"
+
+
+@pytest.mark.soak
 @pytest.mark.parametrize(
     "fault",
     [
-        pytest.param("arming", marks=pytest.mark.soak),
-        "decisions",
-        "head",
-        pytest.param("bounds", marks=pytest.mark.soak),
-        pytest.param("links", marks=pytest.mark.soak),
-        pytest.param("limits", marks=pytest.mark.soak),
-        "wrong messages",
-        "replaced",
-        pytest.param("links closed", marks=pytest.mark.soak),
+        *("arming", "decisions", "head", "bounds", "links", "limits", "wrong messages"),
+        *("replaced", "links closed"),
     ],
 )
-def test_a_device_with_a_fault_fails_where_it_is_wrong(
-    fault: str, heliarch: Start, plant: str
-) -> None:
-    command = f"{sys.executable} {WRONG} '{fault}' {{plan}} {{node}}"
-    found = results(heliarch, plant, NODE, command, "max")
+def test_a_device_with_one_fault_fails(fault: str, plant: str) -> None:
+    found = results(plant, NODE, wrong_device(fault))
     assert found[fault] == "FAIL"
     assert found["token"] == "PASS"
 
 
 @pytest.mark.soak
-def test_a_device_that_holds_its_inputs_for_ever_fails_in_real_time(
-    heliarch: Start, plant: str
-) -> None:
-    command = f"{sys.executable} {WRONG} silent {{plan}} {{node}}"
-    assert "silent" in failed(results(heliarch, plant, NODE, command, "2"))
+def test_a_device_that_holds_its_inputs_for_ever_fails_in_real_time(plant: str) -> None:
+    assert "silent" in failed(results(plant, NODE, wrong_device("silent"), pace="2"))
 
 
 # In C ---------------------------------------------------------------------------------------------
@@ -125,23 +131,20 @@ def controller_in_c(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return build / "controller"
 
 
-def test_the_controller_in_c_meets_every_requirement(
-    controller_in_c: Path, heliarch: Start, plant: str
-) -> None:
-    found = results(heliarch, plant, NODE, f"{controller_in_c} {{plan}} {{node}}", "2")
+def test_the_controller_in_c_meets_every_requirement(controller_in_c: Path, plant: str) -> None:
+    found = in_real_time(plant, NODE, f"{controller_in_c} {{plan}} {{node}}")
     assert found == dict.fromkeys(REQUIREMENTS, "PASS")
 
 
 def test_its_links_outlive_reads_that_split_the_length_of_a_batch(
-    controller_in_c: Path, heliarch: Start, plant: str
+    controller_in_c: Path, plant: str
 ) -> None:
     first = free_ports(5)
     with split_links(first, first + 1, first + 3) as links:
         command = " ".join(
             [f"{controller_in_c} {{plan}} {{node}}", *(one.endpoint for one in links)]
         )
-        words = ("--base-port", str(first))
-        found = results(heliarch, plant, NODE, command, "max", *words)
+        found = results(plant, NODE, command, "--base-port", str(first))
     assert not failed(found), "docs/own-device.md, With zenoh-pico: is the library patched?"
 
 

@@ -12,11 +12,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import command_line
 import pytest
+from command_line import done
 from misbehaving_device import FIRST_ABSURD
 from msgspec.structs import replace
 from running import Heliarch, assert_none_left, small_plant
 from test_launch import decisions, summary_of
+from verifying import verified
 
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, Production
@@ -26,8 +29,6 @@ from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.reader import RunReader
-from recordings.verify.comparison import Comparison
-from recordings.verify.verification import Verification, verify
 
 pytestmark = pytest.mark.processes
 
@@ -80,12 +81,9 @@ def device() -> Iterator[Device]:
         process.wait()
 
 
-def controller(device: Device, run: Heliarch) -> subprocess.Popen[bytes]:
-    return device(CONTROLLER, "--plan", run.folder / "plan.json", "--node", NODE)
-
-
-def verified(run: Heliarch) -> Verification:
-    return verify(run.folder, (), Comparison())
+def controller(device: Device, folder: Path) -> subprocess.Popen[bytes]:
+    """Start the example controller; it waits for the plan of a run in a folder."""
+    return device(CONTROLLER, "--plan", folder / "plan.json", "--node", NODE)
 
 
 def wrong(summary: RunSummary) -> dict[tuple[str, str], int]:
@@ -93,33 +91,32 @@ def wrong(summary: RunSummary) -> dict[tuple[str, str], int]:
 
 
 def test_the_example_controller_decides_bit_for_bit_what_ours_decides(
-    heliarch: Start, device: Device, plant: str
+    device: Device, plant: str, tmp_path: Path
 ) -> None:
-    run = heliarch("launch", plant, *LOCKSTEP, "--external", NODE)
-    process = controller(device, run)
-    right = our_decisions(plant)
-    assert run.wait() == 0, run.error_text()
-    assert decisions(run.folder) == right
+    folder = tmp_path / "run"
+    process = controller(device, folder)
+    done("launch", plant, *LOCKSTEP, "--external", NODE, "--out", folder)
+    assert decisions(folder) == our_decisions(plant)
     assert process.wait(timeout=60) == 0
-    summary = summary_of(run.folder)
+    summary = summary_of(folder)
     (account,) = summary.external
     assert (account.agent, account.lost, account.expected, account.answered) == (NODE, 0, 75, 75)
     assert (summary.lost, summary.wrong) == (0, ())
-    found = verified(run)
+    found = verified(folder)
     assert found.equal
     assert list(found.left_out) == [NODE]
-    assert_none_left(run.folder)
+    assert_none_left(folder)
 
 
 def test_in_lockstep_a_device_that_goes_away_ends_the_run_also_if_it_comes_back(
     heliarch: Start, device: Device, plant: str
 ) -> None:
     run = heliarch("launch", plant, "--duration", "1h", "--external", NODE)
-    first = controller(device, run)
+    first = controller(device, run.folder)
     run.until_running()
     first.send_signal(signal.SIGKILL)
     run.until(shown(run, f"{NODE} (external) is gone in cycle"), "news that the device is gone")
-    controller(device, run)
+    controller(device, run.folder)
     assert run.wait() == 1
     assert f"{NODE} went away in cycle" in run.error_text()
     assert_none_left(run.folder)
@@ -129,12 +126,12 @@ def test_in_real_time_a_device_may_die_and_come_back(
     heliarch: Start, device: Device, plant: str
 ) -> None:
     run = heliarch("launch", plant, "--duration", "1h", "--pace", "10", "--external", NODE)
-    first = controller(device, run)
+    first = controller(device, run.folder)
     run.until_running()
     first.send_signal(signal.SIGKILL)
     run.until(shown(run, f"{NODE} (external) is gone in cycle"), "news that the device is gone")
     run.until(lambda: silent_cycles(run) >= 3, "cycles without it")
-    controller(device, run)
+    controller(device, run.folder)
     run.until(shown(run, f"{NODE} (external) is back in cycle"), "news that the device is back")
     run.until(lambda: counts_anew(run), "an answer of the device that came back")
     run.process.send_signal(signal.SIGINT)
@@ -178,7 +175,7 @@ def test_a_device_goes_on_with_the_standby_of_its_parent(
     words = ("--pace", "10", "--external", NODE)
     settings = ("--set", 'standby=["supervisors"]', "--set", "restart.frozen_s=1000")
     run = heliarch("launch", plant, "--duration", "1h", *words, *settings)
-    controller(device, run)
+    controller(device, run.folder)
     run.until_recorded()
     parent = run.process_of("c1")
     parent.send_signal(signal.SIGSTOP)  # If it died it would come back, and might take over.
@@ -202,18 +199,19 @@ def misses_nothing(run: Heliarch, wanted: Signal[Any], node: str, since: int) ->
 
 @pytest.mark.parametrize("pace", ["max", "10"])
 def test_the_example_plant_conducts_our_controllers(
-    heliarch: Start, device: Device, plant: str, pace: str
+    device: Device, plant: str, pace: str, tmp_path: Path
 ) -> None:
-    run = heliarch("launch", plant, "--duration", "20", "--pace", pace, "--external", "plant")
-    process = device(PLANT, "--plan", run.folder / "plan.json")
-    run.wait()
+    folder = tmp_path / "run"
+    process = device(PLANT, "--plan", folder / "plan.json")
+    words = ("--duration", "20", "--pace", pace, "--external", "plant", "--out", folder)
+    ended = command_line.heliarch("launch", plant, *words)
     assert process.wait(timeout=60) == 0
-    assert "armed: cycle 0 began" in run.output.read_text()
-    summary = summary_of(run.folder)
+    assert "armed: cycle 0 began" in ended.output
+    summary = summary_of(folder)
     assert summary.cycles == 20
     assert [account.agent for account in summary.external] == ["plant"]
     assert summary.wrong == ()
-    with RunReader(run.folder) as reader:
+    with RunReader(folder) as reader:
         heard = [message for _, message in reader.messages(PRODUCTION)]
     powers_kw = [(m.desired_kw, m.delivered_kw) for m in heard if isinstance(m, Production)]
     assert len(powers_kw) == 20
@@ -221,20 +219,19 @@ def test_the_example_plant_conducts_our_controllers(
     if pace == "max":
         # In real time controllers that a slow machine keeps waiting curtail nothing.
         assert all(delivered <= 1.1 * desired for desired, delivered in powers_kw[1:])
-        assert run.process.returncode == 0, run.error_text()
-    assert "plant" not in verified(run).agents
-    assert_none_left(run.folder)
+        assert ended.exit_code == 0, ended.output
+    assert "plant" not in verified(folder).agents
+    assert_none_left(folder)
 
 
 def test_a_device_that_does_everything_wrong_is_named_and_contained(
-    heliarch: Start, device: Device, plant: str
+    device: Device, plant: str, tmp_path: Path
 ) -> None:
-    run = heliarch("launch", plant, *LOCKSTEP, "--external", NODE)
-    device(MISBEHAVING, run.folder / "plan.json", NODE)
-    right = our_decisions(plant)
-    assert run.wait() == 0, run.error_text()
-    contained(decisions(run.folder), right)
-    summary = summary_of(run.folder)
+    folder = tmp_path / "run"
+    device(MISBEHAVING, folder / "plan.json", NODE)
+    output = done("launch", plant, *LOCKSTEP, "--external", NODE, "--out", folder)
+    contained(decisions(folder), our_decisions(plant))
+    summary = summary_of(folder)
     found = wrong(summary)
     assert found[f"{NODE}/impp", "undecodable"] == 7, "one is too large to be received"
     assert found[f"{NODE}/impp", "foreign"] == 1
@@ -244,12 +241,12 @@ def test_a_device_that_does_everything_wrong_is_named_and_contained(
     assert found[f"{NODE}/impp", "duplicate"] > 10
     assert found[f"{NODE}/impp", "absurd"] == found[f"{NODE}/command", "absurd"] == 5
     assert summary.lost_by_processes == 0
-    assert "is from 'central'" in (run.folder / "logs" / "c1.log").read_text()
-    assert f"wrong message on small/{NODE}/impp: " in run.output.read_text()
+    assert "is from 'central'" in (folder / "logs" / "c1.log").read_text()
+    assert f"wrong message on small/{NODE}/impp: " in output
     largest_mb = max(use.resident_median_mb for use in summary.memory)
     assert largest_mb < 150.0, "a flood fills no memory"
-    assert verified(run).equal
-    assert_none_left(run.folder)
+    assert verified(folder).equal
+    assert_none_left(folder)
 
 
 def contained(launched: Decisions, right: Decisions) -> None:
@@ -260,18 +257,19 @@ def contained(launched: Decisions, right: Decisions) -> None:
 
 
 def test_a_device_that_never_comes_is_named_with_where_it_should_have_come(
-    heliarch: Start, plant: str
+    plant: str, tmp_path: Path
 ) -> None:
-    words = ("--external", NODE, "--external-timeout", "0.5")
-    run = heliarch("launch", plant, "--duration", "20", *words)
-    assert run.wait() == 1
-    plan = json.loads((run.folder / "plan.json").read_text())
-    failure, text = run.error_text(), run.output.read_text()
+    folder = tmp_path / "run"
+    words = ("--external", NODE, "--external-timeout", "0.5", "--out", folder)
+    ended = command_line.heliarch("launch", plant, "--duration", "20", *words)
+    assert ended.exit_code == 1
+    plan = json.loads((folder / "plan.json").read_text())
+    failure, text = ended.stderr, ended.stdout
     assert f"no sign of {NODE} after 0.5 s" in failure
-    assert str(run.folder / "plan.json") in failure
+    assert str(folder / "plan.json") in failure
     for agent in ("recorder", "plant", "c1"):
         assert f"tcp/127.0.0.1:{plan['tcp_ports'][agent]} ({agent})" in text
     assert f"namespace {plan['run_id']}" in text
     assert f"liveliness token small/{NODE}/alive" in text
-    assert str(run.folder / "plan.json") in text
-    assert_none_left(run.folder)
+    assert str(folder / "plan.json") in text
+    assert_none_left(folder)

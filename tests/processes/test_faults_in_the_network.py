@@ -26,7 +26,7 @@ def test_a_run_over_a_bad_network_verifies_equal_and_misses_what_the_rules_took(
     heliarch: Callable[..., Heliarch], tmp_path: Path
 ) -> None:
     scenario = small_plant(tmp_path / "plant")
-    run = heliarch("launch", scenario, "--pace", "2", "--duration", str(CYCLES), *FAULTS)
+    run = heliarch("launch", scenario, "--pace", "4", "--duration", str(CYCLES), *FAULTS)
     run.wait()
     summary = summary_of(run.folder)
     # The plant ticks through all cycles, and says of each what it delivered.
@@ -35,7 +35,7 @@ def test_a_run_over_a_bad_network_verifies_equal_and_misses_what_the_rules_took(
     assert summary.cycles == production.recorded
     assert summary.missing_inputs > 0
     assert set(summary.faults) == {"lost", "duplicated", "delayed"}
-    found = verified(run)
+    found = verified(run.folder)
     assert_equal_as_far_as_recorded(run, found)
     assert found.total("missing_inputs") > 0
     assert_none_left(run.folder)

@@ -37,7 +37,7 @@ def decisions(folder: Path) -> dict[tuple[str, int], Message]:
 
 def decided(folder: Path, command: str, *words: str) -> dict[tuple[str, int], Message]:
     """Launch or simulate a run from this process; return all that its agents decided."""
-    done(command, *words, "--out", folder)
+    command_line.heliarch(command, *words, "--out", folder)
     return decisions(folder)
 
 
@@ -75,10 +75,13 @@ def test_processes_decide_bit_for_bit_what_one_process_decides(
     assert_none_left(launched[0])
 
 
-def test_so_do_they_by_the_clock(plant: str, tmp_path: Path) -> None:
+def test_so_do_they_by_the_clock_if_they_have_the_time(plant: str, tmp_path: Path) -> None:
     words = (plant, "--duration", "4")
-    ours = decided(tmp_path / "launched", "launch", *words, "--pace", "0.5")
-    summary = summary_of(tmp_path / "launched")
+    for pace in ("4", "1", "0.2"):  # One that this machine keeps up with.
+        ours = decided(tmp_path / pace, "launch", *words, "--pace", pace)
+        summary = summary_of(tmp_path / pace)
+        if not (summary.missing_inputs or summary.skipped_cycles or summary.lost):
+            break
     assert (summary.missing_inputs, summary.skipped_cycles, summary.lost) == (0, 0, 0)
     assert ours == decided(tmp_path / "simulated", "simulate", *words)
 

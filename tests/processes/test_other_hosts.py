@@ -6,17 +6,20 @@ import os
 import shutil
 import signal
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
+import sys
+import time
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 from command_line import done, refusal
 from plans_by_hand import plan_at_noon
-from running import Heliarch, assert_none_left, small_plant
+from running import REPOSITORY, Heliarch, assert_none_left, small_plant
 from slow_network import ADDRESSES, HOP_MS, slow_network
-from test_external import our_decisions, shown, verified
+from test_external import our_decisions, shown
 from test_launch import decisions, summary_of
+from verifying import verified
 
 from studies.timing.report import report_on
 
@@ -33,13 +36,11 @@ def plant(tmp_path: Path) -> str:
     return small_plant(tmp_path / "plant")
 
 
-def node(
-    heliarch: Start, run: Heliarch, host: str, *words: str, **where: Sequence[str]
-) -> Heliarch:
+def node(heliarch: Start, run: Heliarch, host: str) -> Heliarch:
     """Start the other host's share of a run that is launched."""
     plan = run.folder / "plan.json"
     run.until(plan.exists, "a plan")
-    return heliarch("node", "--plan", str(plan), "--host", host, *words, **where)
+    return heliarch("node", "--plan", str(plan), "--host", host)
 
 
 def test_the_agents_of_two_hosts_decide_what_those_of_one_decide(
@@ -51,7 +52,7 @@ def test_the_agents_of_two_hosts_decide_what_those_of_one_decide(
     assert run.wait() == 0, run.error_text()
     assert other.wait() == 0, other.error_text()
     assert decisions(run.folder) == our_decisions(plant)
-    found = verified(run)
+    found = verified(run.folder)
     assert found.equal
     assert not found.left_out
     summary = summary_of(run.folder)
@@ -108,28 +109,35 @@ def hosts() -> Iterator[tuple[str, str]]:
         yield names
 
 
+def in_host(name: str, *words: str | Path) -> subprocess.Popen[bytes]:
+    """Start a command in a namespace of the network."""
+    command = [sys.executable, "-m", "launch_scripts", *map(str, words)]
+    later = ("unshare", "--time", "--monotonic", "1000000", "--fork", "--kill-child")
+    clock = later if words[0] == "node" else ()
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    return subprocess.Popen(["ip", "netns", "exec", name, *clock, *command], env=environment)
+
+
 def test_hosts_with_keys_a_slow_network_and_another_clock(
-    heliarch: Start, plant: str, hosts: tuple[str, str], tmp_path: Path
+    plant: str, hosts: tuple[str, str], tmp_path: Path
 ) -> None:
     here, there = ADDRESSES
-    keys, keys_there = tmp_path / "keys", tmp_path / "keys-there"
-    words = ("--address", here, "--address", there, "--out", str(keys))
-    done("keys", plant, *words)
+    keys, keys_there, folder = tmp_path / "keys", tmp_path / "keys-there", tmp_path / "run"
+    done("keys", plant, "--address", here, "--address", there, "--out", keys)
     keys_there.mkdir()
-    for path in (keys / "ca.pem", *keys.glob("c2.*"), *keys.glob("c2.inv*")):
+    for path in (keys / "ca.pem", *keys.glob("c2.*")):
         shutil.copy(path, keys_there)
-    run = heliarch(
-        *("launch", plant, "--duration", "20", "--pace", "2", "--secure", "--keys", str(keys)),
-        *("--address", here, "--on", f"{there}=c2/*"),
-        within=("ip", "netns", "exec", hosts[0]),
-    )
-    later = ("unshare", "--time", "--monotonic", "1000000", "--fork", "--kill-child")
-    within = ("ip", "netns", "exec", hosts[1], *later)
-    other = node(heliarch, run, there, "--keys", str(keys_there), within=within)
-    assert run.wait() == 0, run.error_text()
-    assert other.wait() == 0, other.error_text()
-    assert "clock is ahead by 10000" in (other.folder / "logs" / "c2.log").read_text()
-    report = report_on(run.folder).report
+    paced = ("--duration", "20", "--pace", "2", "--out", folder)
+    secure = ("--secure", "--keys", keys, "--address", here, "--on", f"{there}=c2/*")
+    with in_host(hosts[0], "launch", plant, *paced, *secure) as run:
+        while not (folder / "plan.json").exists():
+            assert run.poll() is None
+            time.sleep(0.05)
+        words = ("--plan", folder / "plan.json", "--host", there, "--keys", keys_there)
+        with in_host(hosts[1], "node", *words, "--out", tmp_path / "node") as other:
+            assert (run.wait(170), other.wait(60)) == (0, 0)
+    assert "clock is ahead by 10000" in (tmp_path / "node" / "logs" / "c2.log").read_text()
+    report = report_on(folder).report
     (clock,) = report.clocks
     assert (clock.name, len(clock.agents)) == (there, 3)
     # The node's clock is set by messages that took so long.
@@ -138,7 +146,7 @@ def test_hosts_with_keys_a_slow_network_and_another_clock(
     across = [row for row in report.times if row.measure == "hop" and row.of.endswith(" *")]
     assert {"residual *", "command *"} <= {row.of for row in across}
     assert all(row.times.p50_us / 1e3 > 0.9 * HOP_MS for row in across)
-    assert verified(run).equal
+    assert verified(folder).equal
 
 
 # The command --------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ import signal
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -31,25 +30,12 @@ LATENESS_S = 1.0
 """What a machine that does nothing else may add to the time between two flushes."""
 
 
-@dataclass(frozen=True)
-class Loss:
-    """What a kill cost.
+def kill_recorder(run: Heliarch) -> float:
+    """Kill the recorder of a run some time after its first flush, recover what it left.
 
-    Attributes
-    ----------
-    lost_s
-        Time between the last message that was kept and the kill.
-    flushed_cycles, kept_cycles
-        Cycles that could be read just before the kill, and after it.
+    Returns the time between the last message that was kept and the kill [s].
     """
-
-    lost_s: float
-    flushed_cycles: int
-    kept_cycles: int
-
-
-def kill_recorder(run: Heliarch, phase_s: float) -> Loss:
-    """Kill the recorder of a run some time after its first flush, recover what it left."""
+    phase_s = random.uniform(0.0, 2.0 * FLUSH_S)
     run.until_recorded()
     recorder = run.process_of("recorder")
     time.sleep(phase_s)
@@ -69,16 +55,15 @@ def kill_recorder(run: Heliarch, phase_s: float) -> Loss:
         for port, message in after.messages():
             last_ns = max(last_ns, message.publish_time_ns)
             cycles += port.signal is PRODUCTION
-    return Loss((killed_at_ns - last_ns) / 1e9, flushed_cycles, cycles)
+    assert cycles >= flushed_cycles > 0, f"killed {phase_s:.3f} s after a flush"
+    return (killed_at_ns - last_ns) / 1e9
 
 
 def test_a_recorder_killed_at_a_random_moment_loses_nothing_that_it_had_flushed(
     heliarch: Start, tmp_path: Path
 ) -> None:
     """It flushes every half second: `tests/recordings/test_flushes.py`."""
-    phase_s = random.uniform(0.0, 2.0 * FLUSH_S)
-    loss = kill_recorder(heliarch("launch", small_plant(tmp_path / "plant")), phase_s)
-    assert loss.kept_cycles >= loss.flushed_cycles > 0, f"killed {phase_s:.3f} s after a flush"
+    kill_recorder(heliarch("launch", small_plant(tmp_path / "plant")))
 
 
 @pytest.mark.parametrize("pace", [("--pace", "10"), ("--set", "restart.when=on-failure")])
@@ -110,7 +95,7 @@ def test_a_recorder_is_started_again_and_all_its_files_are_one_recording(
     assert recorded == sorted(set(recorded))
     assert summary["cycles"] == reader.stop_cycle > len(recorded)
     assert summary["cycles_per_s"] == pytest.approx(summary["cycles"] / summary["wall_s"])
-    found = verified(run)
+    found = verified(run.folder)
     assert findings(found) == {}
     assert found.equal
     assert found.unrecorded_cycles == summary["cycles"] - len(recorded)
@@ -122,13 +107,10 @@ def test_twenty_kills_at_random_moments(
     heliarch: Start, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Measures what is lost, on a machine that does nothing else."""
-    losses = []
-    for _ in range(20):
-        run = heliarch("launch", small_plant(tmp_path / "plant"))
-        losses.append(kill_recorder(run, random.uniform(0.0, 2.0 * FLUSH_S)))
-    lost_s = sorted(loss.lost_s for loss in losses)
+    plant = small_plant(tmp_path / "plant")
+    lost_s = sorted(kill_recorder(heliarch("launch", plant)) for _ in range(20))
     with capsys.disabled():
-        print(f"\nlost of {len(losses)} recordings [s]: " + ", ".join(f"{s:.3f}" for s in lost_s))
+        print(f"\nlost of {len(lost_s)} recordings [s]: " + ", ".join(f"{s:.3f}" for s in lost_s))
         print(f"worst loss: {lost_s[-1]:.3f} s, flushed every {FLUSH_S:g} s")
     assert lost_s[-1] <= FLUSH_S + LATENESS_S
 

@@ -11,27 +11,27 @@ import sys
 import termios
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import msgpack
 import msgspec
-import psutil
 import pytest
 import zenoh
 from command_line import done
 from mcap.reader import make_reader
-from running import Heliarch, small_plant
+from running import Heliarch, assert_none_left, small_plant
 
 from agents.plan import RunPlan, load_plan
 from bus_schemas.codec import decode, encode
 from bus_schemas.messages import Telemetry
 from bus_schemas.signals import RUN
-from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.reader import RunReader
 from recordings.record.writer import RunWriter
 
 pytestmark = pytest.mark.processes
+
+Start = Callable[..., Heliarch]
 
 CYCLES = 30
 PATIENCE_S = 120.0
@@ -39,80 +39,16 @@ PATIENCE_S = 120.0
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a run in lockstep: 17 inverters, three clusters."""
-    folder = tmp_path_factory.mktemp("recorded") / "run"
-    # With it live agents and the replay wait as long for each other as a slow machine needs.
-    scenario = folder.with_suffix(".toml")
-    before, control, after = load_scenario("oahu").text.partition("[control]\n")
-    scenario.write_text(f"{before}{control}stall_timeout_s = {PATIENCE_S}\n{after}")
-    done("simulate", scenario, "--duration", str(CYCLES), "--out", folder)
-    return folder
+    """Folder of a run in lockstep: four inverters, two clusters."""
+    folder = tmp_path_factory.mktemp("recorded")
+    done("simulate", small_plant(folder), "--duration", str(CYCLES), "--out", folder / "run")
+    return folder / "run"
 
 
 @pytest.fixture(scope="module")
 def plan(recorded: Path) -> RunPlan:
     """The plan of that run."""
     return load_plan(recorded / "plan.json")
-
-
-class Replay:
-    """`heliarch replay`, running."""
-
-    def __init__(self, scratch: Path, *words: str | Path) -> None:
-        self.scratch = scratch
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "launch_scripts", "replay", *map(str, words)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            process_group=0,
-            env={**os.environ, "TMPDIR": str(scratch)},
-        )
-        self.lines: list[str] = []
-
-    def until(self, beginning: str) -> str:
-        """Read its output up to a line, and return what follows the line's beginning."""
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self.lines.append(line.rstrip("\n"))
-            if line.startswith(beginning):
-                return line.removeprefix(beginning).strip()
-        raise AssertionError(f"no line {beginning!r} in {self.lines}: {self.wait()}")
-
-    def wait(self) -> tuple[int, str, str]:
-        """Wait for its end; return exit status, the rest of its output, and its complaints."""
-        out, err = self.process.communicate(timeout=PATIENCE_S)
-        return self.process.returncode, out, err
-
-    def processes(self) -> list[psutil.Process]:
-        """The processes that it has started: they are told by a variable of their environment."""
-        found = []
-        for process in psutil.process_iter():
-            with suppress(psutil.Error):
-                if process.environ().get("TMPDIR") == str(self.scratch):
-                    found.append(process)
-        return [process for process in found if process.pid != self.process.pid]
-
-
-@pytest.fixture
-def replay(tmp_path: Path) -> Iterator[Callable[..., Replay]]:
-    """Start replays; nothing outlives the test."""
-    started: list[Replay] = []
-
-    def start(*words: str | Path) -> Replay:
-        scratch = tmp_path / f"scratch{len(started)}"
-        scratch.mkdir()
-        started.append(Replay(scratch, *words))
-        return started[-1]
-
-    yield start
-    for command in started:
-        command.process.kill()
-        command.process.communicate()
-        for process in command.processes():
-            with suppress(psutil.NoSuchProcess):
-                process.kill()
 
 
 @contextmanager
@@ -156,20 +92,19 @@ def in_the_file(folder: Path, plan: RunPlan, *signals: str) -> list[tuple[str, b
     ],
 )
 def test_any_subscriber_hears_the_recorded_bytes_in_their_order_and_where_the_replay_stands(
-    replay: Callable[..., Replay],
+    heliarch: Start,
     recorded: Path,
     plan: RunPlan,
     mode: str,
     words: tuple[str, ...],
     signals: tuple[str, ...],
 ) -> None:
-    command = replay(recorded, "--wait", *words)
-    endpoint, keys = command.until("endpoint"), command.until("keys")
+    replay = heliarch("replay", recorded, "--wait", *words)
+    endpoint, keys = replay.until_said("endpoint"), replay.until_said("keys")
     wanted = in_the_file(recorded, plan, *signals)
     with subscriber(endpoint, keys, mode) as heard:
-        status, _, complaint = command.wait()
+        assert replay.wait() == 0, replay.error_text()
         until(lambda: len(heard) >= len(wanted) + CYCLES)
-    assert status == 0, complaint
     assert [entry for entry in heard if not entry[0].endswith("/clock")] == wanted
     clocks = [msgpack.unpackb(payload) for key, payload in heard if key.endswith("/clock")]
     assert [clock["cycle"] for clock in clocks][:CYCLES] == list(range(CYCLES))
@@ -177,17 +112,14 @@ def test_any_subscriber_hears_the_recorded_bytes_in_their_order_and_where_the_re
 
 
 def test_ctrl_c_ends_a_replay_that_waits_and_one_that_plays(
-    replay: Callable[..., Replay], recorded: Path
+    heliarch: Start, recorded: Path
 ) -> None:
-    waiting = replay(recorded, "--wait")
-    waiting.until("waiting for a subscriber")
-    playing = replay(recorded, "--loop")
-    playing.until("12:00:")
-    for command in (waiting, playing):
-        command.process.send_signal(signal.SIGINT)
-        status, text, _ = command.wait()
-        assert status == 130
-        assert "replayed " in text
+    for words, sign in (("--wait", "waiting for a subscriber"), ("--loop", "12:00:")):
+        replay = heliarch("replay", recorded, words)
+        replay.until_said(sign)
+        replay.process.send_signal(signal.SIGINT)
+        assert replay.wait() == 130
+        assert "replayed " in replay.output.read_text()
 
 
 def test_keys_steer_a_replay_and_the_terminal_is_left_as_it_was(recorded: Path) -> None:
@@ -226,35 +158,33 @@ def some_live(plan: RunPlan) -> tuple[str, str]:
 
 
 def test_live_agents_of_the_same_code_say_bit_for_bit_what_they_said(
-    replay: Callable[..., Replay], recorded: Path, plan: RunPlan
+    heliarch: Start, recorded: Path, plan: RunPlan
 ) -> None:
     live = some_live(plan)
-    command = replay(recorded, "--live", ",".join(live), "--json", "-")
-    status, text, complaint = command.wait()
-    assert status == 0, complaint
-    figures = json.loads(text)
+    replay = heliarch("replay", recorded, "--live", ",".join(live), "--json", "-")
+    assert replay.wait() == 0, replay.error_text()
+    figures = json.loads(replay.output.read_text())
     with RunReader(recorded) as reader:
         said = sum(port.publisher in live for port, _ in reader.messages())
     assert (figures["compared"], figures["differing"]) == (said, {})
     assert figures["cycles"] == CYCLES
-    assert command.processes() == []
-    assert list(command.scratch.iterdir()) == []
+    assert replay.processes() == []
+    assert list(replay.folder.iterdir()) == []
 
 
 def test_a_changed_controller_is_told_by_its_first_difference_and_heard_by_subscribers(
-    replay: Callable[..., Replay], recorded: Path, plan: RunPlan, tmp_path: Path
+    heliarch: Start, recorded: Path, plan: RunPlan, tmp_path: Path
 ) -> None:
     leaf, _ = some_live(plan)
     changed = tmp_path / "changed.json"
     changed.write_bytes(msgspec.structs.replace(plan, scheme="paper").as_json())
     figures_path = tmp_path / "figures.json"
     words = ("--wait", "--live", leaf, "--plan", changed, "--json", figures_path)
-    command = replay(recorded, *words)
-    endpoint = command.until("endpoint")
-    with subscriber(endpoint, f"{plan.run_id}/oahu/{leaf}/impp") as heard:
-        status, text, complaint = command.wait()
+    replay = heliarch("replay", recorded, *words)
+    endpoint = replay.until_said("endpoint")
+    with subscriber(endpoint, f"{plan.run_id}/{plan.plant}/{leaf}/impp") as heard:
+        assert replay.wait() == 1, replay.error_text()
         until(lambda: len(heard) == CYCLES)
-    assert status == 1, complaint
     figures = json.loads(figures_path.read_bytes())
     (account,) = figures["agents"]
     first = account["first"]
@@ -269,11 +199,11 @@ def test_a_changed_controller_is_told_by_its_first_difference_and_heard_by_subsc
     (field,) = first["fields"]
     cycle = first["cycle"]
     assert (field["recorded"], field["new"]) == (recorded_kw[cycle], heard_kw[cycle])
-    assert str(field["new"]) in text
+    assert str(field["new"]) in replay.output.read_text()
 
 
 def test_who_waits_for_what_the_recording_lacks_is_named(
-    replay: Callable[..., Replay], recorded: Path, plan: RunPlan, tmp_path: Path
+    heliarch: Start, recorded: Path, plan: RunPlan, tmp_path: Path
 ) -> None:
     leaf, cluster = some_live(plan)
     impatient = msgspec.structs.replace(plan, stall_timeout_s=3.0)
@@ -285,43 +215,37 @@ def test_who_waits_for_what_the_recording_lacks_is_named(
             if not (is_lost and record.port.node == leaf):
                 writer.add(record.port, message, encode(message), message.publish_time_ns)
     writer.close()
-    command = replay(tmp_path, "--live", f"{leaf},{cluster}")
-    status, _, complaint = command.wait()
-    assert status == 1
+    replay = heliarch("replay", tmp_path, "--live", f"{leaf},{cluster}")
+    assert replay.wait() == 1
+    complaint = replay.error_text()
     assert "stalled in cycle 7" in complaint
     assert f"{leaf} waits for {leaf}/telemetry from plant" in complaint
-    assert str(command.scratch) in complaint, "the logs stay"
-    assert command.processes() == []
+    assert str(replay.folder) in complaint, "the logs stay"
+    assert replay.processes() == []
 
 
 @pytest.mark.parametrize(("sent", "status"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
 def test_no_live_agent_outlives_its_replay(
-    replay: Callable[..., Replay],
-    recorded: Path,
-    plan: RunPlan,
-    sent: signal.Signals,
-    status: int,
+    heliarch: Start, recorded: Path, plan: RunPlan, sent: signal.Signals, status: int
 ) -> None:
-    command = replay(recorded, "--live", ",".join(plan.tree.agents()[2:]))
-    command.until("endpoint")
-    until(lambda: len(command.processes()) > 3)
-    command.process.send_signal(sent)
-    assert command.wait()[0] == status
-    _, alive = psutil.wait_procs(command.processes(), timeout=60)
-    assert not alive
+    replay = heliarch("replay", recorded, "--live", ",".join(plan.tree.agents()[2:]))
+    replay.until(lambda: len(replay.processes()) > 3, "its processes")
+    replay.process.send_signal(sent)
+    assert replay.wait() == status
+    assert_none_left(replay.folder)
 
 
 def test_in_real_time_live_agents_have_the_inputs_and_deadlines_of_the_run(
-    replay: Callable[..., Replay], heliarch: Callable[..., Heliarch], tmp_path: Path
+    heliarch: Start, tmp_path: Path
 ) -> None:
     plant = small_plant(tmp_path / "plant")
     launched = heliarch("launch", plant, "--duration", "10", "--pace", "5")
     launched.wait()  # On a slow machine messages may get lost: then the run says so.
     plan = load_plan(launched.folder / "plan.json")
     leaf = plan.tree.leaves[0]
-    command = replay(launched.folder, "--live", leaf, "--json", "-")
-    status, text, complaint = command.wait()
-    figures = json.loads(text)
+    replay = heliarch("replay", launched.folder, "--live", leaf, "--json", "-")
+    status = replay.wait()
+    figures = json.loads(replay.output.read_text())
     with RunReader(launched.folder) as reader:
         replayed = [
             (port.publisher, message)
@@ -329,7 +253,7 @@ def test_in_real_time_live_agents_have_the_inputs_and_deadlines_of_the_run(
             if message.cycle < 10 and port.signal is not RUN
         ]
     of_others = [message for publisher, message in replayed if publisher != leaf]
-    assert figures["cycles"] == 1 + max(message.cycle for message in of_others), complaint
+    assert figures["cycles"] == 1 + max(message.cycle for message in of_others), replay.error_text()
     assert figures["wall_s"] > 0.2 * (figures["cycles"] - 1)
     assert figures["timing_error"]["count"] == len(of_others)
     # On a slow machine deadlines may fall otherwise than when it was recorded: then it is told.

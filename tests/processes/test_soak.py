@@ -99,6 +99,6 @@ def test_a_kill_every_ten_seconds_leaves_no_orphan_no_leak_and_nothing_unaccount
         # A recorder keeps what its file's index will say: some 6 kB a second.
         growth_mb = 8e-3 * SOAK_S if name == RECORDER else 0.0
         assert late[-1].own_mb <= early[-1].own_mb + 2.0 + growth_mb, name
-    found_again = verified(run)
+    found_again = verified(run.folder)
     assert findings(found_again) == {}
     assert found_again.equal

@@ -49,7 +49,7 @@ def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(
     scenario = tmp_path / "oahu.toml"
     scenario.write_text(load_scenario("oahu").text + IMPOSSIBLE)
     folder = tmp_path / "run"
-    words = ("--rate", "5", "--duration", f"{CYCLES / 5:g}s", "--json", "-", "--report")
+    words = ("--rate", "10", "--duration", f"{CYCLES / 10:g}s", "--json", "-", "--report")
     result = command_line.heliarch("timing", scenario, *words, "--out", folder)
     assert result.exit_code == 1, result.output
     report: dict[str, Any] = json.loads(result.stdout)

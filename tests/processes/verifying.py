@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from running import Heliarch
 
 from recordings.verify.comparison import Comparison
 from recordings.verify.verification import Verification, verify
 
 
-def verified(run: Heliarch) -> Verification:
+def verified(folder: Path) -> Verification:
     """Verify what a run has recorded."""
-    return verify(run.folder, (), Comparison())
+    return verify(folder, (), Comparison())
 
 
 def findings(found: Verification) -> dict[str, object]:

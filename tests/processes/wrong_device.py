@@ -1,4 +1,4 @@
-"""A direct controller with one fault: `python wrong_device.py FAULT PLAN NODE`."""
+"""A direct controller with faults: `python wrong_device.py FAULT,FAULT... PLAN NODE`."""
 
 from __future__ import annotations
 
@@ -11,43 +11,43 @@ sys.path.insert(0, str(EXAMPLES))
 
 import direct_controller  # noqa: E402
 
-FAULT = sys.argv[1]
-"""The requirement that the device does not meet."""
+FAULTS = set(sys.argv[1].split(","))
+"""The requirements that the device does not meet."""
 
 
 class WrongDevice(direct_controller.DirectController):
-    """The example, with one fault."""
+    """The example, with faults."""
 
     def publish(self, signal: str, **fields: float | None) -> None:
-        match FAULT:
-            case "decisions" if self.cycle > 2 and signal == "residual":
+        if "arming" in FAULTS and self.cycle < 0:
+            return
+        if self.cycle == 3:
+            if "decisions" in FAULTS and signal == "residual":
                 fields["power_kw"] = (fields["power_kw"] or 0.0) + 1e-9
-            case "arming" if self.cycle < 0:
-                return
-            case "head" if self.cycle == 3:
+            if "head" in FAULTS:
                 self.sequences[signal] = 7
-            case "bounds" if self.cycle == 3 and signal == "command":
+            if "bounds" in FAULTS and signal == "command":
                 fields["alpha"] = 0.0
-            case "links":
-                super().publish(signal, **fields)
-                self.sequences[signal] = max(self.cycle, 0)
+        if "links" in FAULTS:
+            super().publish(signal, **fields)
+            self.sequences[signal] = max(self.cycle, 0)
         super().publish(signal, **fields)
 
     def inputs(self, *signals: str) -> list[dict[str, Any] | None]:
-        if FAULT == "silent":
+        if "silent" in FAULTS:
             self.plan["hold_cycles"] = 1_000
         return super().inputs(*signals)
 
     def is_usable(self, signal: str, message: dict[str, Any]) -> bool:
-        return FAULT == "limits" or super().is_usable(signal, message)
+        return "limits" in FAULTS or super().is_usable(signal, message)
 
     def hear(self, signal: str, message: dict[str, Any]) -> None:
-        if FAULT == "replaced":
+        if "replaced" in FAULTS:
             message["incarnation"] = 0
         super().hear(signal, message)
 
     def leave(self) -> None:
-        if FAULT != "links closed":
+        if "links closed" not in FAULTS:
             super().leave()
 
 
@@ -64,6 +64,6 @@ READ = direct_controller.read_message
 if __name__ == "__main__":
     sys.argv = [sys.argv[0], "--plan", sys.argv[2], "--node", sys.argv[3]]
     direct_controller.DirectController = WrongDevice  # type: ignore[misc]
-    if FAULT == "wrong messages":
+    if "wrong messages" in FAULTS:
         direct_controller.read_message = believes_all
     direct_controller.main()

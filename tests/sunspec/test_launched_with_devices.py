@@ -59,7 +59,7 @@ def served_inverters(scenario: str) -> Iterator[list[str]]:
 def test_energies_are_those_of_simulated_inverters(
     scenario: str, served_inverters: list[str], heliarch: Callable[..., Heliarch]
 ) -> None:
-    span = ("launch", scenario, "--pace", "1", "--duration", "15s")
+    span = ("launch", scenario, "--pace", "1", "--duration", "8s")
     plain, real = heliarch(*span), heliarch(*span, *served_inverters)
     assert (plain.wait(), real.wait()) == (0, 0), real.error_text()
     expected, found = (_summary(run.folder) for run in (plain, real))

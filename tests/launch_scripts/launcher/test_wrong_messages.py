@@ -31,6 +31,13 @@ def test_what_comes_late_from_processes_is_no_device_s_fault() -> None:
     assert wrong_messages(PLAN, [], [{"c1/inv04/impp": {"late": 9}}]) == ()
 
 
+def test_two_messages_of_a_process_in_a_cycle_are_of_two_senders_unless_it_was_replaced() -> None:
+    dropped = [{"c1/setpoint": {"duplicate": 2}}, {"c1/setpoint": {"duplicate": 1}}]
+    (found,) = wrong_messages(PLAN, [], dropped)
+    assert (found.key, found.cause, found.count) == ("c1/setpoint", "two senders", 3)
+    assert wrong_messages(PLAN, [], dropped, replaced=True) == ()
+
+
 def test_complaints_are_told_once_and_counted_by_key_and_cause() -> None:
     log: list[str] = []
     told: list[Complaint] = []
