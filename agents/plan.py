@@ -210,6 +210,8 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         Folder of the agents' certificates; empty: the links are not encrypted.
     address
         Where the agents listen.
+    addresses
+        Where the agents are that run on other hosts.
     devices
         Real inverters, each with its address: `modbus://host:port/unit`.
     ramp_percent_per_s, delay_s
@@ -264,6 +266,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     users_file: str = ""
     keys_folder: str = ""
     address: str = "127.0.0.1"
+    addresses: dict[str, str] = {}
     standby: tuple[str, ...] = ()
     protocol: int = PROTOCOL
 
@@ -306,11 +309,17 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         """Names of the processes of a run: agents, then standbys."""
         return (*self.tree.agents(), *map(standby_of, self.standbys))
 
-    @property
-    def host(self) -> str:
-        """Protocol and address of the links, as Zenoh's endpoints begin."""
-        address = f"[{self.address}]" if ":" in self.address else self.address
-        return f"{'tls' if self.keys_folder else 'tcp'}/{address}"
+    @cached_property
+    def elsewhere(self) -> tuple[str, ...]:
+        """Agents that the launcher does not start: devices, and agents on other hosts."""
+        away = {*self.external, *self.addresses}
+        return tuple(agent for agent in self.tree.agents() if agent in away)
+
+    def host_of(self, process: str) -> str:
+        """Protocol and address at which a process listens, as Zenoh's endpoints begin."""
+        address = self.addresses.get(process, self.address)
+        bracketed = f"[{address}]" if ":" in address else address
+        return f"{'tls' if self.keys_folder else 'tcp'}/{bracketed}"
 
     @property
     def alpha_floor(self) -> float:
@@ -445,7 +454,7 @@ def check_plan(plan: RunPlan) -> None:
             f"cycle_ns: expected above 0, up to {LONGEST_CYCLE_NS:,}, got {plan.cycle_ns:,}"
         )
     for number, rule in enumerate(plan.faults):
-        check_rule(rule, plan.tree, f"faults[{number}]", plan.external)
+        check_rule(rule, plan.tree, f"faults[{number}]", plan.elsewhere)
     for number, entry in enumerate(plan.settings):
         if not any(fnmatchcase(leaf, entry.nodes) for leaf in plan.tree.leaves):
             raise InputError(

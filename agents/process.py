@@ -10,6 +10,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from math import inf
 from typing import Any, Final
 
 from agents.agent import Agent
@@ -23,8 +24,10 @@ from agents.machine import take_machine
 from agents.plan import RunPlan
 from agents.session import session_settings
 from agents.team import controller
+from bus_schemas.errors import FailureError
 from bus_schemas.faulty_bus import FaultyBus
-from bus_schemas.tree import agent_of
+from bus_schemas.host_clock import HostClock
+from bus_schemas.tree import PLANT, agent_of
 from bus_schemas.zenoh_bus import ZenohBus
 
 log = logging.getLogger(__name__)
@@ -38,6 +41,9 @@ STANDING_S: Final = 1.0
 
 _LOOK_S: Final = 0.02
 
+_PLANT_PATIENCE_S: Final = 2.0
+"""How long an agent on another host goes on after the plant has disappeared."""
+
 _STOP_PATIENCE_S: Final = 10.0
 """How long a controller waits after its last cycle for the plant to end the run."""
 
@@ -50,7 +56,9 @@ def die_with_parent(death_signal: signal.Signals = signal.SIGKILL) -> None:
 
 def run_controller(plan: RunPlan, name: str, link: LauncherLink, *, rejoins: bool = False) -> int:
     """Take a controller through a run; `rejoins`: that is under way. Returns the exit status."""
-    return run_guarded(name, link, lambda: _run_controller(plan, name, link, rejoins))
+    return run_guarded(
+        name, link, lambda: _run_controller(plan, name, link, rejoins), expected=(FailureError,)
+    )
 
 
 def run_guarded(
@@ -85,6 +93,8 @@ def _run_controller(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool)
             for _ in process.drive():
                 if link.dismissed:
                     break
+                if process.plant_is_gone():
+                    raise FailureError("the plant is gone")
             if _is_over(process, link):
                 break
         process.report()
@@ -101,7 +111,9 @@ def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
     while loop.finished and not link.dismissed:
         if loop.stop_heard and loop.end_cycle == plan.cycles:
             return True
-        process.driver.turn(longest_ns=time.monotonic_ns() + round(_LOOK_S * 1e9))
+        process.driver.turn(longest_ns=process.driver.now_ns() + round(_LOOK_S * 1e9))
+        if process.plant_is_gone():
+            return True
         if time.monotonic() > give_up_at:
             log.warning("%s ends: the plant did not say that the run is over", loop.agent.name)
             return True
@@ -130,6 +142,7 @@ class AgentProcess:
         self.link = link
         self._drop_log = DropLog()
         set_up_process(plan, agent.name)
+        is_away = (name or agent.name) in plan.addresses
         self._bus = ZenohBus(
             agent.name,
             plan.keys,
@@ -137,13 +150,16 @@ class AgentProcess:
             session_settings(plan, name or agent.name),
             patience_s=plan.stall_timeout_s,
             process=name,
+            clock=HostClock() if is_away else None,
         )
         self._faults: FaultyBus | None = None
         if plan.network_faults.concern(agent.name):
             self._faults = FaultyBus(self._bus, agent.name, plan.network_faults)
         self.loop = AgentLoop(agent, plan, self._drop_log, name)
-        self.driver = Driver([self.loop], self._faults or self._bus, time.monotonic_ns)
+        self.driver = Driver([self.loop], self._faults or self._bus, self._bus.now_ns)
         self.watch_alive = self._bus.watch_alive
+        self._alive = self.watch_alive() if is_away else None
+        self._plant_seen_at = inf
         link.tell(Joined())
 
     def __enter__(self) -> AgentProcess:
@@ -179,6 +195,17 @@ class AgentProcess:
                 self.link.tell(TookOver(loop.incarnation))
             was_silent = loop.silent
             yield
+
+    def plant_is_gone(self) -> bool:
+        """Whether the plant, on another host, has disappeared and does not come back.
+
+        Nobody else ends an agent there if the launcher dies.
+        """
+        if self._alive is None:
+            return False
+        if self.plan.keys.alive_key(PLANT) in self._alive():
+            self._plant_seen_at = time.monotonic()
+        return time.monotonic() > self._plant_seen_at + _PLANT_PATIENCE_S
 
     def catch_up(self) -> None:
         """Join a run in lockstep, where the others wait: ask them for what they have said last."""

@@ -18,13 +18,15 @@ and `missing` names a few inputs of each child."""
 
 def session_settings(plan: RunPlan, agent: str) -> SessionSettings:
     """Return how an agent of the plan, or a standby, joins the bus."""
-    listen, connect = plan.links.endpoints(agent, plan.tcp_ports, plan.host)
+    listen, connect = plan.links.endpoints(agent, plan.tcp_ports, plan.host_of)
     settings = SessionSettings(
         plan.bus_namespace,
         listen,
         connect,
         lockstep=plan.lockstep,
         largest_bytes=_LARGEST_BYTES + _BYTES_PER_INVERTER * len(plan.inverters),
+        # zenoh-pico closes a link that is idle for 10 s.
+        signs_of_life=12 if plan.external else 4,
     )
     if plan.keys_folder:
         keys = KeyFiles.of(Path(plan.keys_folder), agent_of(agent))

@@ -6,7 +6,6 @@ rules take from it or add to its time comes on top.
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from heapq import heappop, heappush
 from itertools import count
@@ -63,7 +62,7 @@ class FaultyBus:
             due_ns = self._under_way[0][0]
             until_ns = due_ns if until_ns is None else min(until_ns, due_ns)
         urgent = self._send_on(self._bus.receive(until_ns, wanted))
-        now_ns = time.monotonic_ns()
+        now_ns = self._bus.now_ns()
         arrived = urgent
         while self._under_way and self._under_way[0][0] <= now_ns:
             arrived.append(heappop(self._under_way)[2])

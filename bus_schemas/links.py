@@ -6,7 +6,7 @@ docs/decisions/0002-explicit-links.md for the alternatives, measured).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -34,14 +34,17 @@ class Links:
         return tuple(dict.fromkeys(listener for listener, _ in self.pairs))
 
     def endpoints(
-        self, agent: str, tcp_ports: Mapping[str, int], host: str = "tcp/127.0.0.1"
+        self,
+        agent: str,
+        tcp_ports: Mapping[str, int],
+        host_of: Callable[[str], str] = lambda agent: "tcp/127.0.0.1",
     ) -> tuple[list[str], list[str]]:
         """Endpoints that an agent listens on, and those it connects to.
 
-        `host` is the protocol and the address of all of them.
+        `host_of` gives the protocol and the address of an agent.
         """
-        listens = [f"{host}:{tcp_ports[agent]}"] if agent in self.listening else []
-        connects = [f"{host}:{tcp_ports[top]}" for top in self._tops.get(agent, ())]
+        listens = [f"{host_of(agent)}:{tcp_ports[agent]}"] if agent in self.listening else []
+        connects = [f"{host_of(top)}:{tcp_ports[top]}" for top in self._tops.get(agent, ())]
         return listens, connects
 
     def peers(self, agent: str) -> tuple[str, ...]:

@@ -24,9 +24,11 @@ import zenoh
 
 from bus_schemas.bus import Arrival, Outbox
 from bus_schemas.codec import decode, encode
+from bus_schemas.host_clock import HostClock
 from bus_schemas.keys import KeyTable
 from bus_schemas.messages import Message
 from bus_schemas.signals import DISPATCH, Occurrence, Port, Signal, Wiring
+from bus_schemas.tree import PLANT
 
 ENCODING: Final = "application/msgpack"
 
@@ -117,6 +119,8 @@ class SessionSettings:
         For links of TLS. None: links of TCP.
     largest_bytes
         Larger messages are not received.
+    signs_of_life
+        On a link that is idle, in each lease.
     """
 
     namespace: str
@@ -130,6 +134,7 @@ class SessionSettings:
     access: dict[str, object] | None = None
     keys: KeyFiles | None = None
     largest_bytes: int = 1 << 20
+    signs_of_life: int = 4
 
     def config(self) -> zenoh.Config:
         """Return these settings as Zenoh wants them."""
@@ -157,6 +162,7 @@ class SessionSettings:
             # A plant of 1,000 inverters puts 200 kB at once on its link to the recorder.
             "transport/link/tx/queue/size/data": 16,
             "transport/link/tx/lease": LEASE_MS,
+            "transport/link/tx/keep_alive": self.signs_of_life,
             "transport/link/rx/max_message_size": self.largest_bytes,
             "transport/link/protocols": ["tcp" if self.keys is None else "tls"],
         }
@@ -281,6 +287,8 @@ class ZenohBus:
         How long to wait for a message where the agent waits for no time of its own.
     process
         Name of the process, where it is another one than the agent's.
+    clock
+        Of the plant, where that is on another host.
     """
 
     def __init__(
@@ -291,8 +299,11 @@ class ZenohBus:
         settings: SessionSettings,
         patience_s: float = 0.5,
         process: str | None = None,
+        clock: HostClock | None = None,
     ) -> None:
         self.outbox = Outbox()
+        self.now_ns = time.monotonic_ns if clock is None else clock.now_ns
+        self._clock = clock
         self.undecodable: Counter[str] = Counter()
         self._process = process or agent
         self._keys = keys
@@ -369,7 +380,7 @@ class ZenohBus:
         """Return what has arrived: once `wanted` messages are there, or when the time has come."""
         timeout_s = self._patience_s
         if until_ns is not None:
-            timeout_s = min(timeout_s, (until_ns - time.monotonic_ns()) / 1e9)
+            timeout_s = min(timeout_s, (until_ns - self.now_ns()) / 1e9)
         give_up_at = time.monotonic() + timeout_s
         while taken := self._inbox.take(wanted, give_up_at - time.monotonic()):
             arrivals = self._decoded(taken)
@@ -385,7 +396,12 @@ class ZenohBus:
             except msgspec.DecodeError:
                 self.undecodable[str(port)] += 1
             else:
-                arrivals.append(Arrival(self._process, port, message, time_ns))
+                came_ns = time_ns
+                if self._clock is not None:
+                    if port.publisher == PLANT:
+                        self._clock.hear(message.publish_time_ns, time_ns)
+                    came_ns = self._clock.at(time_ns)
+                arrivals.append(Arrival(self._process, port, message, came_ns))
         return arrivals
 
     def watch_alive(self) -> Callable[[], set[str]]:

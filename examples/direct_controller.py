@@ -273,8 +273,10 @@ def session_config(plan: dict[str, Any], node: str, endpoints: list[str]) -> zen
         talks_to = ["recorder", "plant", parent]
         if f"{parent}+standby" in ports:  # From one of the two it hears setpoints.
             talks_to.append(f"{parent}+standby")
-        host = f"tls/{plan['address']}" if keys_folder else "tcp/127.0.0.1"
-        endpoints = [f"{host}:{ports[agent]}" for agent in talks_to]
+        link, addresses = "tls" if keys_folder else "tcp", plan.get("addresses", {})
+        endpoints = [
+            f"{link}/{addresses.get(agent, plan['address'])}:{ports[agent]}" for agent in talks_to
+        ]
     config = zenoh.Config()
     settings: dict[str, object] = {
         "mode": "peer",

@@ -20,6 +20,7 @@ from launch_scripts.commands import (
     inverters,
     keys,
     launch,
+    node,
     recover,
     replay,
     report,
@@ -33,7 +34,7 @@ from launch_scripts.commands.boundary import BAD_INPUT, Command, CommandLine
 from launch_scripts.commands.options import with_groups
 
 COMMANDS: Final[dict[str, tuple[ModuleType, ...]]] = {
-    "Run": (launch, simulate, timing, conform, inverters, scenarios),
+    "Run": (launch, node, simulate, timing, conform, inverters, scenarios),
     "Look": (view, report, inspect, verify, replay),
     "Compare": (compare, clusters, delays, campaign),
     "Files": (export, recover),

@@ -139,7 +139,7 @@ class PlantRun:
                 return number
             if time.monotonic() > give_up_at:
                 break
-        needs = needed_messages(self._loop.waiting, self._plan.external)
+        needs = needed_messages(self._loop.waiting, self._plan.elsewhere)
         raise ArmingError(f"no arming round closed; the plant waits for {needs}")
 
     def _round_closes(self, cycle: int, until: float) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from plans_by_hand import plan_at_noon
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
-from bus_schemas.messages import Run
+from bus_schemas.messages import Message, Run
 from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import ROOT
 from recordings.record.writer import ClockAnchor, RunWriter
@@ -130,14 +130,15 @@ def recorded(
     scenario: str = SCENARIO,
     driver: str = "launch",
     start: Run | None = None,
+    heard: Callable[[Message], int] = lambda message: message.publish_time_ns,
 ) -> Path:
-    """A recording of these cycles, each message logged when it was published."""
+    """A recording of these cycles, each message logged when it was published, or `heard`."""
     anchor = ClockAnchor(0, 1_700_000_000_000_000_000)
     writer = RunWriter(folder / "run.mcap", plan, scenario, driver, anchor)
     first = replace(plan.run_message("start", 0, START_NS), publish_time_ns=START_NS - 200 * MS)
     run: list[Delivery] = [(RUN.of(ROOT), start or first)]
     for port, message in (*run, *(entry for messages in cycles for entry in messages)):
-        logged_ns = max(message.publish_time_ns, START_NS - 200 * MS)
+        logged_ns = max(heard(message), START_NS - 200 * MS)
         writer.add(port, message, encode(message), logged_ns)
     writer.close()
     return folder

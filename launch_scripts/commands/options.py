@@ -248,6 +248,14 @@ class ProcessOptions:
             metavar="ADDRESS",
         ),
     ] = "127.0.0.1"
+    on: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Run these controllers on the host with this address, by `heliarch node` there: "
+            "10.0.0.2=c2/*,c3/inv12. May be given several times.",
+            metavar="ADDRESS=AGENTS",
+        ),
+    ] = None
     cpus: Annotated[
         list[str] | None,
         typer.Option(

@@ -20,7 +20,7 @@ from agents.events import (
 from agents.machine import refusals
 from agents.plan import RunPlan
 from bus_schemas.errors import FailureError
-from bus_schemas.tree import PLANT, RECORDER, some_of
+from bus_schemas.tree import PLANT, RECORDER, agent_of, some_of
 from launch_scripts.launcher.fork_requests import Start
 from launch_scripts.launcher.interruption import Interruption, interruptible
 from launch_scripts.launcher.live_view import View
@@ -95,7 +95,7 @@ class _Launch:
         self._folder = folder
         self._view = view
         self._began_at = began_at
-        self._patience_s = preparation.options.external_timeout_s if plan.external else 0.0
+        self._patience_s = preparation.options.external_timeout_s if plan.elsewhere else 0.0
         self._armed_at = began_at
         self._watch = RunWatch(plan, view.say)
         self._stalled_at: float | None = None
@@ -114,7 +114,7 @@ class _Launch:
         refused = refusals(plan.machine, lockstep=plan.lockstep)
         for refusal in refused:
             view.say(refusal)
-        agents = tuple(agent for agent in plan.processes if agent not in plan.external)
+        agents = tuple(agent for agent in plan.processes if agent not in plan.elsewhere)
         if plan.lockstep and plan.standby:
             view.say("no standby in lockstep, where nothing has a deadline: give a --pace")
         view.say(f"starting {len(agents)} processes, logs in {self._folder.logs}")
@@ -267,9 +267,7 @@ class _Launch:
         if late:
             names = some_of([child.agent for child in late])
             raise RunFailure(with_log(late[0], f"{names} did not end with the run"))
-        published = merge_counts(
-            [child.finished.published for child in children if child.finished is not None]
-        )
+        published = self._published(children)
         recorder = children[RECORDER]
         # What a process that died has published nobody knows: wait until nothing more comes.
         total = _UNKNOWN if self._restarts.counts else sum(published.values())
@@ -277,6 +275,14 @@ class _Launch:
         if children.await_exit([recorder], 2.0 * longest_s) or recorder.recorded is None:
             raise RunFailure(with_log(recorder, "the recorder did not close its file"))
         return recorder.recorded
+
+    def _published(self, children: Children) -> dict[str, int]:
+        """Return what the processes have published, by signal.
+
+        What a standby says for an agent on another host counts as that agent's.
+        """
+        own = [child for child in children if agent_of(child.agent) not in self._plan.elsewhere]
+        return merge_counts([child.finished.published for child in own if child.finished])
 
     def _summary(
         self, children: Children, recorded: Recorded, ended_at: float, refused: tuple[str, ...]
@@ -292,11 +298,11 @@ class _Launch:
             if child.memory.resident_mb:  # A short run may be over before all were looked at.
                 memory.setdefault(child.kind, []).append(child.memory)
         missed = count_missed(self._folder.recording, plan)
-        published = merge_counts([account.published for account in accounts])
+        published = self._published(children)
         heard = without_external(recorded)
         if self._restarts.counts:
             # Nobody knows what processes published that died: the numbers of messages tell.
-            lost = count_lost(self._folder.recording, plan.external)
+            lost = count_lost(self._folder.recording, plan.elsewhere)
             published |= {
                 name: max(published.get(name, 0), heard.get(name, 0) + lost[name])
                 for name in {*heard, *lost}

@@ -49,15 +49,19 @@ class RunFolder:
         """Why the launcher gave up, in words; there only if it did."""
         return self.path / FAILURE_NAME
 
+    def make(self) -> None:
+        """Make the folder, with that of the logs."""
+        try:
+            self.logs.mkdir(parents=True)
+        except OSError as error:
+            raise _no_folder(self.path, error.strerror) from None
+
     def fill(self, preparation: Preparation, tcp_ports: dict[str, int]) -> RunPlan:
         """Write what the processes need; return the plan with its ports.
 
         The plan comes last and complete: a device may be waiting for it to appear.
         """
-        try:
-            self.logs.mkdir(parents=True)
-        except OSError as error:
-            raise _no_folder(self.path, error.strerror) from None
+        self.make()
         plan = preparation.plan
         if tcp_ports:
             file = self.path.absolute() / "users"
@@ -67,12 +71,15 @@ class RunFolder:
             file.write_text(users(plan), encoding="utf-8")
         preparation.profile.save(self.path / "profile.npz")
         (self.path / "scenario.toml").write_text(preparation.scenario.text, encoding="utf-8")
+        self.write_plan(plan)
+        return plan
+
+    def write_plan(self, plan: RunPlan) -> None:
+        """Write the plan at once. It lets a program join the run: it is for the user alone."""
         unfinished = self.plan.with_suffix(".json.part")
-        # It holds what lets a program join the run: for the user alone.
         unfinished.touch(mode=0o600)
         unfinished.write_bytes(plan.as_json())
         unfinished.replace(self.plan)
-        return plan
 
 
 def _no_folder(path: Path, reason: str | None) -> InputError:

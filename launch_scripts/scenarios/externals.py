@@ -1,13 +1,14 @@
-"""External agents: the launcher does not start them, but waits for them to appear.
+"""Agents that the launcher does not start, but waits for: devices, and agents on other hosts.
 
 A device of the user's own takes the place of a process. It finds the bus by the run's `plan.json`;
-`docs/wire.md` says what it must do.
+`docs/wire.md` says what it must do. `heliarch node` starts the agents of another host.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
 
@@ -17,6 +18,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.links import explicit_links
 from bus_schemas.signals import ports
 from bus_schemas.tree import PLANT, RECORDER, ControlTree
+from recordings.read.selection import find_agents
 
 _LONGEST_WAIT_S: Final = 86_400.0
 _PORTS: Final = range(1024, 65_536)
@@ -53,6 +55,35 @@ def check_externals(
     return tuple(agent for agent in team if agent in external)
 
 
+def addresses_of(
+    on: Sequence[str], tree: ControlTree, external: Sequence[str], own: str, *, secure: bool
+) -> dict[str, str]:
+    """Return the address of each agent that `--on` puts on another host; `own` is this host's."""
+    found: dict[str, str] = {}
+    for text in on:
+        where = f"--on {text}"
+        address, _, names = text.partition("=")
+        try:
+            is_loopback = ip_address(address).is_loopback
+            agents = find_agents(tree, names)
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+        except ValueError:
+            agents = ()
+        if not agents:
+            raise InputError(f"{where}: expected ADDRESS=AGENTS such as 10.0.0.2=c2/*")
+        if not is_loopback and not secure:
+            raise InputError(f"{where}: expected --secure with an address that others can reach")
+        if not is_loopback and ip_address(own).is_loopback:
+            raise InputError(f"{where}: expected --address with this host's address, got {own}")
+        for agent in agents:
+            if agent == PLANT:
+                raise InputError(f"{where}: expected controllers, got plant, which stays here")
+            if agent in external or found.setdefault(agent, address) != address:
+                raise InputError(f"{where}: expected each agent in one place, got {agent} in two")
+    return found
+
+
 class ExternalWatch:
     """Which external agents are present, and the messages to the user about them.
 
@@ -61,34 +92,39 @@ class ExternalWatch:
     """
 
     def __init__(self, plan: RunPlan, plan_path: Path, timeout_s: float, began_at: float) -> None:
-        self.complete_at = None if plan.external else began_at
+        self.complete_at = None if plan.elsewhere else began_at
         self.plant_gone_at: float | None = None
         self._plan = plan
         self._plan_path = plan_path
         self._timeout_s = timeout_s
         self._began_at = began_at
-        self._never_seen = set(plan.external)
+        self._never_seen = set(plan.elsewhere)
         self._gone_in: dict[str, int] = {}
         self._unheard: list[str] = []
         self._complaints: dict[str, str] = {}
         self._publisher_of = {
             str(port): port.publisher
             for port in ports(plan.tree)
-            if port.publisher in plan.external
+            if port.publisher in plan.elsewhere
         }
 
     def directions(self) -> Iterator[str]:
         """Yield lines that say how each of them can join."""
-        if not self._plan.external:
+        plan = self._plan
+        if not plan.elsewhere:
             return
-        names = ", ".join(self._plan.external)
+        names = ", ".join(plan.elsewhere)
         yield f"waiting up to {self._timeout_s:g} s for {names}, plan: {self._plan_path}"
-        for agent in self._plan.external:
+        for agent in plan.external:
             yield f"  {agent}: {self._place(agent)}"
+        for host in dict.fromkeys(plan.addresses.values()):
+            command = f"heliarch node --plan plan.json --host {host}"
+            yield f"  on {host}, with a copy of the plan: {command}"
 
     def hear(self, event: Presence, now: float, *, running: bool) -> str:
         """Note that an agent has come or gone; return a message about it."""
-        agent, name = event.agent, f"{event.agent} (external)"
+        agent = event.agent
+        name = f"{agent} ({self._plan.addresses.get(agent, 'external')})"
         if agent == PLANT:
             self.plant_gone_at = None if event.alive else now
         if event.alive:
@@ -117,7 +153,7 @@ class ExternalWatch:
         """Name the agents that did not come in time; empty if none is missing yet."""
         if self.complete_at is not None or now <= self._began_at + self._timeout_s:
             return ""
-        absent = [agent for agent in self._plan.external if agent in self._never_seen]
+        absent = [agent for agent in self._plan.elsewhere if agent in self._never_seen]
         return (
             f"no sign of {', '.join(absent)} after {self._timeout_s:g} s: no liveliness token was "
             f"seen; where a device finds the bus is said above and in {self._plan_path}"
@@ -157,8 +193,8 @@ class ExternalWatch:
 
     def _place(self, agent: str) -> str:
         plan = self._plan
-        listeners = {f"{plan.host}:{port}": name for name, port in plan.tcp_ports.items()}
-        listens, connects = plan.links.endpoints(agent, plan.tcp_ports, plan.host)
+        listeners = {f"{plan.host_of(name)}:{port}": name for name, port in plan.tcp_ports.items()}
+        listens, connects = plan.links.endpoints(agent, plan.tcp_ports, plan.host_of)
         targets = ", ".join(f"{end} ({listeners[end]})" for end in connects)
         parts = [f"listens on {', '.join(listens)}"] if listens else []
         parts += [f"connects to {targets}"] if targets else []

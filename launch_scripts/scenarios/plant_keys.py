@@ -82,8 +82,8 @@ def make_keys(
     return MadeKeys(tuple(agents), expires, new_authority)
 
 
-def check_keys(plan: RunPlan) -> None:
-    """Refuse keys with which Zenoh would not open the links of a run.
+def check_keys(plan: RunPlan, agents: Sequence[str] = ()) -> None:
+    """Refuse keys with which Zenoh would not open the links of a run; `agents`: those here.
 
     Raises
     ------
@@ -100,11 +100,12 @@ def check_keys(plan: RunPlan) -> None:
     _check_plant(folder / "ca.pem", authority, plan.plant)
     # Links close when a certificate expires. How long a run in lockstep takes nobody knows.
     ends = datetime.now(UTC) + timedelta(seconds=plan.cycles * plan.cycle_wall_ns / 1e9)
-    for agent in plan.tree.agents():
+    for agent in agents or plan.tree.agents():
         files = KeyFiles.of(folder, agent)
-        # The key of a device may be on the device alone.
-        if agent not in plan.external or files.key.exists():
-            _check(files, agent, authority, ip_address(plan.address), ends)
+        # The key of an agent elsewhere may be there alone.
+        if agents or agent not in plan.elsewhere or files.key.exists():
+            address = ip_address(plan.addresses.get(agent, plan.address))
+            _check(files, agent, authority, address, ends)
 
 
 def _check(

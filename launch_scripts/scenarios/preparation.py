@@ -23,7 +23,7 @@ from bus_schemas.times import FIRST_YEAR, LAST_YEAR, parse_duration_s, read_time
 from bus_schemas.tree import ROOT, ControlTree, agent_name, depth
 from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
 from launch_scripts.scenarios.devices import devices
-from launch_scripts.scenarios.externals import check_externals
+from launch_scripts.scenarios.externals import addresses_of, check_externals
 from launch_scripts.scenarios.fault_rules import fault_remarks, fault_rules
 from launch_scripts.scenarios.fields import field_names
 from launch_scripts.scenarios.machine_table import machine_settings
@@ -67,6 +67,7 @@ class RunOptions:
     secure: bool | None = None
     keys: Path | None = None
     address: str = "127.0.0.1"
+    on: Sequence[str] | None = None
     cpus: Sequence[str] | None = None
     priority: int | None = None
     devices: Sequence[str] | None = None
@@ -196,6 +197,10 @@ def _plan(
     external = check_externals(
         options.external or (), options.external_timeout_s, options.base_port, day.tree
     )
+    keys_folder = _keys_folder(scenario, options)
+    addresses = addresses_of(
+        options.on or (), day.tree, external, options.address, secure=bool(keys_folder)
+    )
     scheme = options.scheme or control.scheme
     seed = options.seed
     if seed is None and isinstance(scenario.irradiance, CloudIrradiance):
@@ -224,7 +229,7 @@ def _plan(
         external=external,
         # With fixed ports the namespace is fixed too, so that a device is configured once.
         namespace=scenario.name if options.base_port is not None else "",
-        faults=fault_rules(scenario_file, options.faults or (), day.tree, external),
+        faults=fault_rules(scenario_file, options.faults or (), day.tree, (*external, *addresses)),
         faults_seed=scenario.faults_seed,
         machine=machine_settings(
             scenario.machine, options.cpus or (), options.priority, lockstep=pace == "max"
@@ -241,8 +246,9 @@ def _plan(
         restart=scenario.restart,
         tier_deadlines_ns=deadlines_ns,
         seed=seed,
-        keys_folder=_keys_folder(scenario, options),
+        keys_folder=keys_folder,
         address=options.address,
+        addresses=addresses,
         devices=devices(scenario.devices, options.devices or (), day.tree),
         positions_m=day.positions_m,
         standby=_standby(scenario.standby, day.tree, external),

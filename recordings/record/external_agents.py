@@ -17,9 +17,9 @@ class ExternalAgents:
     def __init__(self, plan: RunPlan) -> None:
         self.heard = 0
         self._plan = plan
-        self._agent_of = {plan.keys.alive_key(agent): agent for agent in plan.external}
-        self._recorded: dict[str, Counter[str]] = {agent: Counter() for agent in plan.external}
-        theirs = [port for port in ports(plan.tree) if port.publisher in plan.external]
+        self._agent_of = {plan.keys.alive_key(agent): agent for agent in plan.elsewhere}
+        self._recorded: dict[str, Counter[str]] = {agent: Counter() for agent in plan.elsewhere}
+        theirs = [port for port in ports(plan.tree) if port.publisher in plan.elsewhere]
         self._gaps = {port: SequenceGaps() for port in theirs}
         self._last_cycle = dict.fromkeys(theirs, -1)
         self._answers: Counter[Port[Message]] = Counter()

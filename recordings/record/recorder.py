@@ -170,7 +170,7 @@ class Recorder:
         self._read = {
             port
             for port in plan.keys.ports
-            if port.signal in {DISPATCH, PRODUCTION, RUN} or port.publisher in plan.external
+            if port.signal in {DISPATCH, PRODUCTION, RUN} or port.publisher in plan.elsewhere
         }
 
     def go_on(self, first: Path, last_cycle: int) -> None:
@@ -181,7 +181,7 @@ class Recorder:
 
     def run(self) -> None:
         """Record until told to end, then close the file and report."""
-        if self._plan.external:
+        if self._plan.elsewhere:
             self._tap.watch_presence()
         flush_at = status_at = heard_at = time.monotonic()
         while not self._may_end(time.monotonic() - heard_at):
@@ -267,7 +267,7 @@ class Recorder:
         heard_ns = time.monotonic_ns()
         self._writer.add(port, head, payload, heard_ns)
         self._heard_ns[head.source] = heard_ns
-        is_external = port.publisher in self._plan.external
+        is_external = port.publisher in self._plan.elsewhere
         wrong = self._senders.see(port, head.cycle, head.incarnation, payload)
         if is_external and message is not None:
             is_first = self._external.hear(port, message)
@@ -330,8 +330,8 @@ class Recorder:
 
     def _tell_status(self) -> None:
         status = self.monitor.status(self._writer.recorded.total())
-        if self._plan.external and self._newest_cycle < 0:
-            status = replace(status, unheard=self._round.unheard(self._plan.external))
+        if self._plan.elsewhere and self._newest_cycle < 0:
+            status = replace(status, unheard=self._round.unheard(self._plan.elsewhere))
         quiet_since_ns = time.monotonic_ns() - round(longest_pause_s(self._plan) * 1e9)
         silent = [agent for agent, at_ns in self._heard_ns.items() if at_ns < quiet_since_ns]
         if silent and not self._plan.lockstep:
@@ -346,7 +346,7 @@ class Recorder:
             with RunReader(self._first) as run:
                 for record in run.records():
                     recorded[record.port.signal.name] += 1
-                    if record.port.publisher in self._plan.external:
+                    if record.port.publisher in self._plan.elsewhere:
                         external.hear(record.port, record.message())
             completed = cycles
         self._link.tell(

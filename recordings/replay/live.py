@@ -97,7 +97,14 @@ def live_plan(plan: RunPlan, live: Iterable[str], tcp_ports: dict[str, int], por
     everybody = dict.fromkeys(plan.links.listening, port)
     everybody.update({agent: tcp_ports[agent] for agent in live if agent in everybody})
     return msgspec.structs.replace(
-        plan, tcp_ports=everybody, namespace="", external=(), faults=(), machine=MachineSettings()
+        plan,
+        tcp_ports=everybody,
+        namespace="",
+        external=(),
+        address="127.0.0.1",
+        addresses={},
+        faults=(),
+        machine=MachineSettings(),
     )
 
 

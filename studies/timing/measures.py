@@ -20,6 +20,7 @@ from bus_schemas.signals import COMMAND, PRODUCTION, SIGNALS
 from bus_schemas.tree import PLANT, ROOT, ControlTree, depth
 from launch_scripts.launcher.summary import ProcessAccount
 from recordings.read.reader import RunReader
+from studies.timing.clocks import ACROSS, ClockOffset, clock_of, clock_offsets, on_one_clock
 from studies.timing.cycle_waits import CycleWaits, cycle_waits
 from studies.timing.durations import Times, distribution
 from studies.timing.stage_times import (
@@ -96,6 +97,7 @@ class RunTiming(NamedTuple):
     late_cycles: int
     loop_cycles: NDArray[np.int64]
     loop_ns: Durations
+    clocks: tuple[ClockOffset, ...] = ()
 
     @property
     def cycles(self) -> int:
@@ -107,7 +109,10 @@ def run_timing(reader: RunReader, *, by_agent: bool = False) -> RunTiming:
     """Work out the timing of a run; with `by_agent` each agent has rows of its own too."""
     messages = read_message_times(reader)
     stages = stage_times(messages)
-    measures = _Measures(messages)
+    if clocks := clock_offsets(messages, stages):
+        messages = on_one_clock(messages, clocks)
+        stages = stage_times(messages)
+    measures = _Measures(messages, clocks)
     for _, own in groupby(stages, key=lambda stage: stage.agent):
         measures.see_agent(list(own))
     cycles, loop_ns, slowest = measures.see_loop()
@@ -120,6 +125,7 @@ def run_timing(reader: RunReader, *, by_agent: bool = False) -> RunTiming:
         late_cycles=int(measures.late.sum()),
         loop_cycles=cycles,
         loop_ns=loop_ns,
+        clocks=clocks,
     )
 
 
@@ -138,8 +144,9 @@ class _Part(NamedTuple):
 class _Measures:
     """Rows of durations, counts, and the cycles in which one of our agents was late."""
 
-    def __init__(self, messages: MessageTimes) -> None:
+    def __init__(self, messages: MessageTimes, clocks: Sequence[ClockOffset]) -> None:
         self._messages = messages
+        self._clocks = {clock.name for clock in clocks}
         self._plan, self._tree = messages.plan, messages.plan.tree
         self._parts: list[_Part] = []
         self.processes: list[ProcessTiming] = []
@@ -209,10 +216,14 @@ class _Measures:
         for place, port in enumerate(stage.inputs):
             at = waited & (stage.cause == place)
             hop_ns = (stage.ready_ns - stage.completed_ns)[at]
-            signal, order = port.signal.name, SIGNALS.index(port.signal)
-            self._add(_Part("hop", signal, signal, order, hop_ns, stage.agent, str(port)))
+            order = SIGNALS.index(port.signal)
+            ends = {clock_of(agent, self._plan) for agent in (stage.agent, port.publisher)}
+            mark = ACROSS if len(ends) > 1 and ends & self._clocks else ""
+            signal = f"{port.signal.name}{mark}"
+            self._add(_Part("hop", signal, signal, order, hop_ns, stage.agent, f"{port}{mark}"))
             if port.publisher in self._plan.external and port.publisher != PLANT:
-                self._add(_Part("hop", f"{signal} of {port.publisher}", signal, order, hop_ns))
+                row = f"{port.signal.name} of {port.publisher}{mark}"
+                self._add(_Part("hop", row, signal, order, hop_ns))
 
     def _see_device(self, stage: StageTimes) -> None:
         """Measure from outside how long a device took to answer."""

@@ -94,6 +94,7 @@ def run_page(reported: Reported) -> str:
             *([loop_figure(reported)] if report.cycles else []),
             *curves,
             *tables.times_tables(report),
+            *tables.clocks_tables(report.clocks),
             tables.counts_table(report.tiers),
             *devices_tables(report.devices),
             tables.budgets_table(report.verdicts),

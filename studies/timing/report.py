@@ -18,6 +18,7 @@ from launch_scripts.launcher.wrong_messages import WrongMessages
 from launch_scripts.scenarios.budget_table import BudgetTable, TimingTable
 from recordings.read.reader import RunReader
 from studies.timing.budgets import Verdict, judge
+from studies.timing.clocks import ClockOffset
 from studies.timing.durations import Times
 from studies.timing.measures import (
     ProcessTiming,
@@ -81,6 +82,7 @@ class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
     wrong: tuple[WrongMessages, ...] = ()
     faults: dict[str, int] = {}
     lost_messages: int | None = None
+    clocks: tuple[ClockOffset, ...] = ()
     times: tuple[Times, ...]
     tiers: tuple[TierTiming, ...]
     processes: tuple[ProcessTiming, ...]
@@ -152,6 +154,7 @@ def report_on(
         rate_hz=1e9 / plan.cycle_wall_ns,
         cycles=timing.cycles,
         late_cycles=timing.late_cycles,
+        clocks=timing.clocks,
         wall_s=wall_s,
         remarks=remarks,
         times=timing.times,

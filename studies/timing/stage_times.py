@@ -50,7 +50,8 @@ class MessageTimes:
     `columns` has the column of each port. `tick_ns`, shape (T,), is the scheduled beginning of each
     cycle. `ready_ns` and `publish_ns`, shape (T, P), are what the messages state; 0: no message.
     `missing` is what they say of inputs that were older than due, by port and cycle; `missed` how
-    many inputs each agent missed.
+    many inputs each agent missed; `fastest_ns`, shape (P,), the shortest time from publishing to
+    the recorder.
     """
 
     plan: RunPlan
@@ -60,6 +61,7 @@ class MessageTimes:
     publish_ns: NDArray[np.int64]
     missing: dict[Port[Message], dict[int, tuple[str, ...]]]
     missed: MissedInputs
+    fastest_ns: NDArray[np.int64]
 
     def published_ns(self, port: Port[Message]) -> NDArray[np.int64]:
         """Return when the messages of a port went out, shape (T,); 0 where there is none."""
@@ -151,6 +153,7 @@ def read_message_times(reader: RunReader) -> MessageTimes:
     ports = [port for port in plan.keys.ports if port.signal.is_cyclic and port.signal.logged]
     columns = {port: column for column, port in enumerate(ports)}
     cycles, places, readies, publishes = (array("q") for _ in range(4))
+    fastest_ns = [NEVER] * len(columns)
     missing: dict[Port[Message], dict[int, tuple[str, ...]]] = {}
     missed = MissedInputs(plan)
     for record in reader.records(columns, range(_end_cycle(reader))):
@@ -166,22 +169,25 @@ def read_message_times(reader: RunReader) -> MessageTimes:
         earliest_ns = max(start_ns + (record.cycle - 1) * plan.cycle_wall_ns, 1)
         if record.publish_time_ns > record.log_time_ns or head.publish_time_ns < earliest_ns:
             continue
+        column = columns[record.port]
+        fastest_ns[column] = min(fastest_ns[column], record.log_time_ns - record.publish_time_ns)
         cycles.append(record.cycle)
-        places.append(columns[record.port])
+        places.append(column)
         readies.append(head.ready_time_ns)
         publishes.append(head.publish_time_ns)
         if head.missing:
             missing.setdefault(record.port, {}).setdefault(record.cycle, head.missing)
     # Turned round, so that of a message that came twice the first one stays.
-    cycle, column = np.array(cycles)[::-1], np.array(places)[::-1]
-    ended = cycle[column == columns[PRODUCTION.of(ROOT)]]
+    cycle, place = np.array(cycles)[::-1], np.array(places)[::-1]
+    ended = cycle[place == columns[PRODUCTION.of(ROOT)]]
     length = int(ended.max()) + 1 if len(ended) else 0
     kept = cycle < length
     ready_ns, publish_ns = (np.zeros((length, len(columns)), dtype=np.int64) for _ in range(2))
-    ready_ns[cycle[kept], column[kept]] = np.array(readies)[::-1][kept]
-    publish_ns[cycle[kept], column[kept]] = np.array(publishes)[::-1][kept]
+    ready_ns[cycle[kept], place[kept]] = np.array(readies)[::-1][kept]
+    publish_ns[cycle[kept], place[kept]] = np.array(publishes)[::-1][kept]
     tick_ns = start_ns + np.arange(length) * plan.cycle_wall_ns
-    return MessageTimes(plan, columns, tick_ns, ready_ns, publish_ns, missing, missed)
+    fastest = np.array(fastest_ns, dtype=np.int64)
+    return MessageTimes(plan, columns, tick_ns, ready_ns, publish_ns, missing, missed, fastest)
 
 
 def stage_times(messages: MessageTimes) -> list[StageTimes]:

@@ -20,6 +20,7 @@ from studies.tables import (
     word_column,
 )
 from studies.timing.budgets import Verdict
+from studies.timing.clocks import ACROSS, ClockOffset
 from studies.timing.durations import Distribution
 from studies.timing.measures import ProcessTiming, TierTiming, count_of
 from studies.timing.report import Host, TimingReport
@@ -59,6 +60,7 @@ _TIER_NOTE: Final = (
 _HOPS: Final = (
     "(each time begins when what the agent waited for was published: it includes the hop)"
 )
+_ACROSS: Final = "* between two clocks: worked out from both, see the table of clocks"
 _DECIMALS: Final = {"ms": 3, "%": 2, "MB": 1, "": 0}
 """Decimals of a budget's figures, by unit."""
 
@@ -67,7 +69,8 @@ def print_report(report: TimingReport, console: Console, *, processes: bool) -> 
     """Print the tables of a run; with `processes` one for each process as well."""
     print_lines(console, [*header_lines(report), ""])
     devices = devices_tables(report.devices)
-    for table in (*times_tables(report), counts_table(report.tiers), *devices):
+    clocks = clocks_tables(report.clocks)
+    for table in (*times_tables(report), *clocks, counts_table(report.tiers), *devices):
         print_table(console, table)
     for process in report.processes if processes else ():
         print_table(console, _process_table(process))
@@ -180,13 +183,35 @@ def times_tables(report: TimingReport) -> list[Table]:
             rows.append((name, *_figures(row.times), *limits.get((measure, row.of), ("", ""))))
         columns = _JUDGED if any(row[-1] != "" for row in rows) else _TIMES
         cut = tuple(row[: len(columns)] for row in rows)
-        tables.append(Table(f"{measure.capitalize()} [ms]", columns, cut, (MEANINGS[measure],)))
+        notes = (
+            MEANINGS[measure],
+            *([_ACROSS] if any(ACROSS in str(row[0]) for row in cut) else []),
+        )
+        tables.append(Table(f"{measure.capitalize()} [ms]", columns, cut, notes))
     return tables
 
 
 def _figures(times: Distribution) -> tuple[Cell, ...]:
     statistics_us = (times.min_us, times.p50_us, times.p99_us, times.p99_9_us, times.max_us)
     return (times.count, *(value_us / 1e3 for value_us in statistics_us))
+
+
+def clocks_tables(clocks: Sequence[ClockOffset]) -> list[Table]:
+    """Return the clocks of other hosts and devices, if there are any."""
+    columns = (
+        key_column("clock of"),
+        Column("agents"),
+        Column("ahead", "ms", 3),
+        Column("+-", "ms", 3),
+    )
+    rows = tuple(
+        (one.name, len(one.agents), one.ahead_us / 1e3, one.within_us / 1e3) for one in clocks
+    )
+    notes = (
+        "ahead of the plant's clock, by the fastest messages each way;",
+        "+- is half their round trip: so far off it may be if one way is slower than the other",
+    )
+    return [Table("Clocks", columns, rows, notes)] if rows else []
 
 
 def counts_table(tiers: Sequence[TierTiming]) -> Table:

@@ -125,7 +125,7 @@ class Team:
                 settings = SessionSettings(
                     self.plan.bus_namespace,
                     [],
-                    [f"{self.plan.host}:{port}"],
+                    [f"{self.plan.host_of(PLANT)}:{port}"],
                     keys=keys,
                     session_id=session_id,
                     user=PLANT if password else "",

@@ -43,6 +43,7 @@ class Wire:
     def __init__(self) -> None:
         self.coming: list[Arrival] = []
         self.outbox = Outbox()
+        self.now_ns = time.monotonic_ns
 
     def receive(self, until_ns: int | None, wanted: int = 1) -> list[Arrival]:
         came, self.coming = self.coming, []

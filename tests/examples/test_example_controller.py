@@ -28,6 +28,7 @@ PLAN: dict[str, Any] = {
     "plant": "field",
     "namespace": "",
     "run_id": "run-1",
+    "address": "127.0.0.1",
     "inverters": [[NODE, 100.0], ["c1/inv02", 100.0]],
     "tcp_ports": {"recorder": 7500, "plant": 7501, "central": 7502, "c1": 7503},
     "start_time_ns": 0,

@@ -19,8 +19,9 @@ from typing import Final, TextIO
 import psutil
 import pytest
 from command_line import heliarch, process, refusal
+from msgspec.structs import replace
 from recordings_by_hand import whole_run, write_run
-from replayed_runs import run_in_memory, write
+from replayed_runs import PLAN, run_in_memory, write
 from running import small_plant
 from timed_recordings import cycle, recorded
 from typer.testing import CliRunner
@@ -32,6 +33,7 @@ FULL: Final = Path("/dev/full")
 
 QUICK: Final = {
     "launch": "small.toml --duration 5",
+    "node": "--plan there.json --host 127.0.0.2 --systemd",
     "simulate": "small.toml --duration 5",
     "timing": "timed",
     "inverters": "small.toml --duration 1 --port 0",
@@ -55,6 +57,7 @@ QUICK: Final = {
 
 LONG: Final = {
     "launch": (SIGINT, "small.toml --pace 1"),
+    "node": (SIGTERM, "--plan there.json --host 127.0.0.2"),
     "simulate": (SIGTERM, "small.toml --pace 1"),
     "timing": (SIGTERM, "small.toml --duration 10m"),
     "conform": (SIGINT, "c1/inv01 --scenario small.toml --command 'sleep 100'"),
@@ -74,9 +77,12 @@ LONG: Final = {
 
 @pytest.fixture(scope="module")
 def master(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a scenario and two recorded runs."""
+    """A folder with a scenario, a plan for another host, and two recorded runs."""
     path = tmp_path_factory.mktemp("master")
     small_plant(path)
+    ports = dict.fromkeys(PLAN.links.listening, 7_999)
+    there = replace(PLAN, addresses={"c1": "127.0.0.2"}, tcp_ports=ports)
+    (path / "there.json").write_bytes(there.as_json())
     write(path / "run", run_in_memory())
     (path / "timed").mkdir()
     recorded(path / "timed", cycle(0), cycle(1))
@@ -96,7 +102,7 @@ def words_of(name: str, folder: Path) -> list[str]:
 
 
 def with_json(names: list[str]) -> list[str]:
-    return [name for name in names if name not in {"view", "report", "inverters"}]
+    return [name for name in names if name not in {"view", "report", "inverters", "node"}]
 
 
 def test_every_command_is_held_to_the_contract() -> None:
@@ -139,7 +145,9 @@ BAD: Final = {
     "--seed x, --scheme magic, --actuator magic, --set commitment.share, --set no.such=1, "
     "--set commitment.share=[0.1], --fault loss=2, --out run, --out /dev/null/run, --data nowhere, "
     "--page-port 8000, --page-address 0.0.0.0",
-    "launch": "--from noon, --out run, --external c9, --cpus x, --device c9=modbus://10.0.0.7/1",
+    "launch": "--from noon, --out run, --external c9, --cpus x, --device c9=modbus://10.0.0.7/1, "
+    "--on c2/*",
+    "node": "--plan nowhere.json, --host 127.0.0.3, --keys run",
     "inverters": "--port -1, --from noon",
     "timing": "--rate 20, --priority 20, --page-port 8000",
     "conform": "--pace 0, --tolerance -1, --external-timeout 0, --command {plan",

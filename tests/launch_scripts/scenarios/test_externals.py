@@ -17,7 +17,7 @@ from bus_schemas.errors import InputError
 from bus_schemas.links import explicit_links
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.tcp_ports import reserved_ports
-from launch_scripts.scenarios.externals import ExternalWatch, check_externals
+from launch_scripts.scenarios.externals import ExternalWatch, addresses_of, check_externals
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 
@@ -69,6 +69,33 @@ def test_bad_options_are_refused_in_one_line(
 ) -> None:
     found = complaint_of(check_externals, agents, timeout_s, base_port, planned().tree)
     assert found.startswith(complaint)
+
+
+SECOND = "127.0.0.2"
+
+
+@pytest.mark.parametrize(
+    ("on", "secure", "named"),
+    [
+        (("10.0.0.2=c2/*",), False, "--on 10.0.0.2=c2/*: expected --secure"),
+        (("10.0.0.2=c2/*",), True, "--on 10.0.0.2=c2/*: expected --address"),
+        (("lab=c2",), False, "--on lab=c2: expected ADDRESS=AGENTS"),
+        ((SECOND,), False, f"--on {SECOND}: expected ADDRESS=AGENTS"),
+        ((f"{SECOND}=c9",), False, f"--on {SECOND}=c9: node 'c9'"),
+        ((f"{SECOND}=plant",), False, f"--on {SECOND}=plant: expected controllers"),
+        ((f"{SECOND}=c1/*",), False, f"--on {SECOND}=c1/*: expected each agent in one place"),
+        ((f"{SECOND}=c2", "127.0.0.3=c2/*"), False, "--on 127.0.0.3=c2/*: expected each agent"),
+    ],
+)
+def test_a_place_that_cannot_be_is_refused(on: tuple[str, ...], secure: bool, named: str) -> None:
+    found = complaint_of(addresses_of, on, planned().tree, (NODE,), "127.0.0.1", secure=secure)
+    assert found.startswith(named)
+
+
+def test_what_stops_processes_of_another_host_is_refused() -> None:
+    options = RunOptions(pace=1.0, on=(f"{SECOND}=c1",), faults=("kill=c1,at=2s",))
+    found = complaint_of(prepare, load_scenario("oahu"), options, "run-1")
+    assert "kill=c1,at=2s: expected controllers" in found
 
 
 def test_ports_begin_with_the_base_port_and_must_be_free() -> None:

@@ -1,0 +1,70 @@
+"""`heliarch node`: the agents of one host in a run that is launched on another one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+from msgspec.structs import replace
+
+from bus_schemas.errors import InputError
+from launch_scripts.commands.output import say
+from studies.tables import console_for
+
+EXAMPLE: Final = "heliarch node --plan plan.json --host 10.0.0.2"
+
+
+def node(
+    *,
+    plan: Annotated[
+        Path,
+        typer.Option(help="The plan.json of the run, or a copy of it.", show_default=False),
+    ],
+    host: Annotated[
+        str,
+        typer.Option(
+            help="This host's address, as in launch --on.", metavar="ADDRESS", show_default=False
+        ),
+    ],
+    keys: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the keys; default keys/PLANT.", metavar="DIR"),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the logs; default runs/PLANT-TIME.", metavar="DIR"),
+    ] = None,
+    systemd: Annotated[
+        bool, typer.Option("--systemd", help="Only print a systemd unit that runs this command.")
+    ] = False,
+) -> None:
+    """Run the agents that `launch --on` puts on this host.
+
+    Waits for the plant, takes part in the run, and ends with it. Exit
+    status 1: an agent ended before the run, or the plant disappeared.
+    """
+    from agents.plan import load_plan
+    from launch_scripts.launcher.node import run_share, share_of, systemd_unit
+    from launch_scripts.launcher.run_folder import new_run_id, run_folder
+    from launch_scripts.launcher.supervision import ForkServerProcess
+
+    run_plan = load_plan(plan)
+    agents = share_of(run_plan, host)
+    if run_plan.keys_folder:
+        from launch_scripts.scenarios.plant_keys import check_keys  # Its package is optional.
+
+        own = (keys or Path("keys") / run_plan.plant).absolute()
+        run_plan = replace(run_plan, keys_folder=str(own))
+        check_keys(run_plan, agents)
+    elif keys is not None:
+        raise InputError(f"--keys: expected a plan with keys, got {plan}, which has none")
+    if systemd:
+        typer.echo(systemd_unit(run_plan, plan, host), nl=False)
+        return
+    console = console_for(None)
+    folder = run_folder(new_run_id(run_plan.plant), out)
+    with ForkServerProcess() as server:
+        say(console, f"{len(agents)} agents of {run_plan.plant} on {host}, logs in {folder.logs}")
+        run_share(run_plan, agents, folder, server, lambda line: say(console, line))
+    say(console, "the run is over")

@@ -1,0 +1,99 @@
+"""`heliarch node`: the agents of one host, which take part in a run that is launched on another."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+from msgspec.structs import replace
+
+from agents.events import Joined
+from agents.plan import RunPlan
+from bus_schemas.errors import InputError
+from bus_schemas.tree import PLANT
+from launch_scripts.launcher.fork_requests import Start
+from launch_scripts.launcher.restarts import Restarts
+from launch_scripts.launcher.run_folder import RunFolder
+from launch_scripts.launcher.supervision import Children, ForkServerProcess
+
+_UNIT: Final = """\
+[Unit]
+Description=Heliarch: agents of {plan.plant} on {host}
+Wants=network-online.target
+After=network-online.target
+
+[Service]
+ExecStart={command}
+WorkingDirectory={folder}
+Restart=always
+RestartSec=1
+LimitRTPRIO=99
+LimitMEMLOCK=infinity
+
+[Install]
+WantedBy=multi-user.target
+"""
+
+
+def share_of(plan: RunPlan, host: str) -> tuple[str, ...]:
+    """Return the agents that a plan has for a host.
+
+    Raises
+    ------
+    InputError
+        It has none.
+    """
+    agents = tuple(agent for agent in plan.elsewhere if plan.addresses.get(agent) == host)
+    if not agents:
+        hosts = ", ".join(dict.fromkeys(plan.addresses.values()))
+        expected = hosts or "a plan with agents on other hosts (launch --on)"
+        raise InputError(f"--host: expected {expected}, got {host}")
+    return agents
+
+
+def run_share(
+    plan: RunPlan,
+    agents: Sequence[str],
+    folder: RunFolder,
+    server: ForkServerProcess,
+    say: Callable[[str], None],
+) -> None:
+    """Start agents of a plan and see them through its run.
+
+    Raises
+    ------
+    RunFailure
+        One of them ended before the run, and the policy does not start it again.
+    """
+    folder.make()
+    folder.write_plan(plan)
+
+    def start(*names: str, again: bool = True) -> None:
+        server.ask(Start(str(folder.plan), names, str(folder.logs), 0.0, again))
+
+    with Children(server, plan, agents, folder.logs) as children:
+        # The launcher alone does what fault rules ask for.
+        restarts = Restarts(replace(plan, faults=()), children, start, say)
+        start(*agents, again=False)
+        restarts.begin(time.monotonic())
+        waiting = set(agents)
+        while not all(child.finished and child.exited for child in children):
+            for child, event in children.events(0.1):
+                if isinstance(event, Joined) and child.agent in waiting:
+                    waiting.discard(child.agent)
+                    if not waiting:
+                        place = f"{plan.host_of(PLANT)}:{plan.tcp_ports[PLANT]}"
+                        say(f"all are ready for the plant at {place}")
+            restarts.look(0.0)
+
+
+def systemd_unit(plan: RunPlan, path: Path, host: str) -> str:
+    """Return a systemd unit that runs the agents of a host, for one run after another."""
+    words = [sys.executable, "-m", "launch_scripts", "node"]
+    words += ["--plan", str(path.absolute()), "--host", host]
+    words += ["--keys", plan.keys_folder] if plan.keys_folder else []
+    return _UNIT.format(plan=plan, host=host, command=shlex.join(words), folder=Path.cwd())

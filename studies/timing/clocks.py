@@ -1,0 +1,98 @@
+"""How far the clocks of other hosts are from the launcher's, worked out from a recording.
+
+A message that goes from host to host seems to take its time on the way plus what the listener's
+clock is ahead. So the fastest messages each way tell both, if the network is equally fast each
+way: the clock is ahead by half their difference, and half their sum is the time on the way. If the
+network is not, the clock may be off by as much as that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+
+from agents.plan import RunPlan
+from bus_schemas.tree import PLANT
+from studies.timing.stage_times import NEVER, MessageTimes, StageTimes
+
+ACROSS = " *"
+"""Marks rows of messages between two clocks."""
+
+
+class ClockOffset(msgspec.Struct, frozen=True):
+    """The clock of another host, or of a device.
+
+    Attributes
+    ----------
+    name
+        Address of the host, or name of the device.
+    agents
+        Who has that clock.
+    ahead_us
+        How far it is ahead of the launcher's; where `heliarch node` sets it, this is what is left.
+    within_us
+        How far off this may be: half the fastest round trip.
+    """
+
+    name: str
+    agents: tuple[str, ...]
+    ahead_us: float
+    within_us: float
+
+
+def clock_of(agent: str, plan: RunPlan) -> str:
+    """Return what has the clock of an agent: an address or a device; empty: the launcher's host."""
+    if agent in plan.external and agent != PLANT:
+        return agent
+    return plan.addresses.get(agent, "")
+
+
+def clock_offsets(messages: MessageTimes, stages: Sequence[StageTimes]) -> tuple[ClockOffset, ...]:
+    """Return the clocks of other hosts that the messages of a run tell."""
+    plan = messages.plan
+    members: dict[str, list[str]] = {}
+    for agent in plan.elsewhere:
+        if name := clock_of(agent, plan):
+            members.setdefault(name, []).append(agent)
+    there, back = (dict.fromkeys(members, NEVER) for _ in range(2))
+    for port, column in messages.columns.items():
+        if name := clock_of(port.publisher, plan):
+            back[name] = min(back[name], int(messages.fastest_ns[column]))
+    for stage in stages:
+        listener = clock_of(stage.agent, plan)
+        waited = stage.closed & (stage.completed_ns > 0) & ~stage.lacking & (stage.ready_ns > 0)
+        for place, port in enumerate(stage.inputs):
+            publisher = clock_of(port.publisher, plan)
+            at = waited & (stage.cause == place)
+            if bool(listener) == bool(publisher) or not at.any():
+                continue
+            way, name = (there, listener) if listener else (back, publisher)
+            way[name] = min(way[name], int((stage.ready_ns - stage.completed_ns)[at].min()))
+    return tuple(
+        ClockOffset(
+            name,
+            tuple(agents),
+            (there[name] - back[name]) / 2e3,
+            (there[name] + back[name]) / 2e3,
+        )
+        for name, agents in members.items()
+        # A round trip that takes no time is none: the device does not state when inputs came.
+        if max(there[name], back[name]) < NEVER and there[name] + back[name] >= 0
+    )
+
+
+def on_one_clock(messages: MessageTimes, clocks: Sequence[ClockOffset]) -> MessageTimes:
+    """Return the times of messages as the launcher's clock would have shown them."""
+    ahead_ns = np.zeros(len(messages.columns), dtype=np.int64)
+    for clock in clocks:
+        for port, column in messages.columns.items():
+            if port.publisher in clock.agents:
+                ahead_ns[column] = round(clock.ahead_us * 1e3)
+    ready_ns, publish_ns = (
+        np.where(times_ns > 0, times_ns - ahead_ns, 0)
+        for times_ns in (messages.ready_ns, messages.publish_ns)
+    )
+    return replace(messages, ready_ns=ready_ns, publish_ns=publish_ns)

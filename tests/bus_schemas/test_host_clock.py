@@ -1,0 +1,31 @@
+"""The clock of another host, as the messages that come from there tell it."""
+
+from __future__ import annotations
+
+import random
+
+from bus_schemas.host_clock import HostClock
+
+MS, S = 1_000_000, 1_000_000_000
+AHEAD = 432_000 * S
+
+
+def test_a_drifting_clock_is_followed_to_the_shortest_time_on_the_way() -> None:
+    for drift in (-50e-6, 0.0, 50e-6):
+        hops_ms, clock, before = random.Random(1), HostClock(), 0
+        for published in range(S, 3_600 * S, S):
+            came = published + round(hops_ms.choice((20.0, 25.0, 300.0)) * MS)
+            shown = round(came * (1.0 + drift)) + AHEAD
+            clock.hear(published, shown)
+            assert before <= clock.at(shown) <= came - 20 * MS
+            before = clock.at(shown)
+            if published > 30 * S:
+                assert came - before < 25 * MS
+
+
+def test_it_shows_the_hosts_own_time_until_a_message_with_a_time_has_come() -> None:
+    clock = HostClock()
+    clock.hear(0, AHEAD)
+    assert clock.at(AHEAD) == AHEAD
+    clock.hear(7 * S, AHEAD)
+    assert clock.at(AHEAD) == 7 * S

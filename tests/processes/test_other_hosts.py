@@ -1,0 +1,167 @@
+"""One run on two hosts: `heliarch node` starts the agents of the second, whatever its clock."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from command_line import done, refusal
+from plans_by_hand import plan_at_noon
+from running import REPOSITORY, Heliarch, assert_none_left, small_plant
+from slow_network import ADDRESSES, HOP_MS, slow_network
+from test_external import our_decisions, shown
+from test_launch import decisions, summary_of
+from verifying import verified
+
+from studies.timing.report import report_on
+
+pytestmark = pytest.mark.processes
+
+Start = Callable[..., Heliarch]
+
+SECOND = "127.0.0.2"
+"""On one machine, another address of the loopback interface stands for another host."""
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> str:
+    return small_plant(tmp_path / "plant")
+
+
+def node(heliarch: Start, run: Heliarch, host: str) -> Heliarch:
+    """Start the other host's share of a run that is launched."""
+    plan = run.folder / "plan.json"
+    run.until(plan.exists, "a plan")
+    return heliarch("node", "--plan", str(plan), "--host", host)
+
+
+def test_the_agents_of_two_hosts_decide_what_those_of_one_decide(
+    heliarch: Start, plant: str
+) -> None:
+    lockstep = ("--duration", "25", "--seed", "3", "--scheme", "paper")
+    run = heliarch("launch", plant, *lockstep, "--on", f"{SECOND}=c2/*")
+    other = node(heliarch, run, SECOND)
+    assert run.wait() == 0, run.error_text()
+    assert other.wait() == 0, other.error_text()
+    assert decisions(run.folder) == our_decisions(plant)
+    found = verified(run.folder)
+    assert found.equal
+    assert not found.left_out
+    summary = summary_of(run.folder)
+    assert (summary.lost, summary.wrong) == (0, ())
+    assert_none_left(run.folder)
+    assert_none_left(other.folder)
+
+
+def test_a_standby_here_and_a_restart_there_follow_a_death_on_another_host(
+    heliarch: Start, plant: str
+) -> None:
+    words = ("--duration", "1h", "--pace", "2", "--set", 'standby=["supervisors"]')
+    run = heliarch("launch", plant, *words, "--on", f"{SECOND}=c2/*")
+    other = node(heliarch, run, SECOND)
+    run.until_running()
+    other.process_of("c2").send_signal(signal.SIGKILL)
+    run.until(shown(run, "c2+standby took over in cycle"), "news of the standby")
+    run.until(shown(run, f"c2 ({SECOND}) is back in cycle"), "news of its return")
+    run.process.send_signal(signal.SIGINT)
+    run.wait()
+    assert other.wait() == 0, other.error_text()
+    summary = summary_of(run.folder)
+    assert summary.takeovers["c2"] >= 1
+    assert summary.lost_by_processes == 0
+    assert_none_left(other.folder)
+
+
+def test_a_node_ends_when_the_plant_disappears(heliarch: Start, plant: str) -> None:
+    run = heliarch("launch", plant, "--duration", "1h", "--pace", "10", "--on", f"{SECOND}=c2/*")
+    other = node(heliarch, run, SECOND)
+    run.until_running()
+    run.process.kill()
+    assert other.wait() == 1
+    assert "the plant is gone" in other.error_text()
+    assert_none_left(other.folder)
+
+
+# Over a network ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def hosts() -> Iterator[tuple[str, str]]:
+    """Two namespaces of the network."""
+    if os.geteuid() or not all(map(shutil.which, ("ip", "unshare"))):
+        pytest.skip("namespaces need root, iproute2 and util-linux")
+    names = f"heliarch-{os.getpid()}-1", f"heliarch-{os.getpid()}-2"
+    try:
+        network = slow_network(names)
+        network.__enter__()
+    except (OSError, subprocess.CalledProcessError) as error:
+        pytest.skip(f"no namespaces of the network here: {error}")
+    with ExitStack() as stack:
+        stack.push(network)
+        yield names
+
+
+def in_host(name: str, *words: str | Path) -> subprocess.Popen[bytes]:
+    """Start a command in a namespace of the network."""
+    command = [sys.executable, "-m", "launch_scripts", *map(str, words)]
+    later = ("unshare", "--time", "--monotonic", "1000000", "--fork", "--kill-child")
+    clock = later if words[0] == "node" else ()
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    return subprocess.Popen(["ip", "netns", "exec", name, *clock, *command], env=environment)
+
+
+def test_hosts_with_keys_a_slow_network_and_another_clock(
+    plant: str, hosts: tuple[str, str], tmp_path: Path
+) -> None:
+    here, there = ADDRESSES
+    keys, keys_there, folder = tmp_path / "keys", tmp_path / "keys-there", tmp_path / "run"
+    done("keys", plant, "--address", here, "--address", there, "--out", keys)
+    keys_there.mkdir()
+    for path in (keys / "ca.pem", *keys.glob("c2.*")):
+        shutil.copy(path, keys_there)
+    paced = ("--duration", "20", "--pace", "2", "--out", folder)
+    secure = ("--secure", "--keys", keys, "--address", here, "--on", f"{there}=c2/*")
+    with in_host(hosts[0], "launch", plant, *paced, *secure) as run:
+        while not (folder / "plan.json").exists():
+            assert run.poll() is None
+            time.sleep(0.05)
+        words = ("--plan", folder / "plan.json", "--host", there, "--keys", keys_there)
+        with in_host(hosts[1], "node", *words, "--out", tmp_path / "node") as other:
+            assert (run.wait(170), other.wait(60)) == (0, 0)
+    assert "clock is ahead by 10000" in (tmp_path / "node" / "logs" / "c2.log").read_text()
+    report = report_on(folder).report
+    (clock,) = report.clocks
+    assert (clock.name, len(clock.agents)) == (there, 3)
+    # The node's clock is set by messages that took so long.
+    assert 0.9 * HOP_MS <= clock.within_us / 1e3 < 2.0 * HOP_MS
+    assert clock.ahead_us / 1e3 == pytest.approx(-HOP_MS, abs=0.7 * HOP_MS)
+    across = [row for row in report.times if row.measure == "hop" and row.of.endswith(" *")]
+    assert {"residual *", "command *"} <= {row.of for row in across}
+    assert all(row.times.p50_us / 1e3 > 0.9 * HOP_MS for row in across)
+    assert verified(folder).equal
+
+
+# The command --------------------------------------------------------------------------------------
+
+
+def test_a_plan_without_other_hosts_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "plan.json").write_bytes(plan_at_noon().as_json())
+    line = refusal("node", "--plan", tmp_path / "plan.json", "--host", SECOND)
+    assert "--host: expected a plan with agents on other hosts" in line
+
+
+def test_a_unit_for_systemd_runs_the_same_command(tmp_path: Path) -> None:
+    plan, path = tmp_path / "plan.json", tmp_path / "heliarch.service"
+    plan.write_bytes(plan_at_noon(addresses={"c1": SECOND}).as_json())
+    path.write_text(done("node", "--plan", plan, "--host", SECOND, "--systemd"))
+    assert f"node --plan {plan} --host {SECOND}\n" in path.read_text()
+    if shutil.which("systemd-analyze") is not None:
+        subprocess.run(["systemd-analyze", "verify", path], check=True)
