@@ -53,9 +53,10 @@ def campaign(
 ) -> None:
     """Kill, freeze, cut off and disturb controllers at random, and check that the plant stays safe.
 
-    Each seed is one simulated run. If it breaks an invariant (docs/resilience.md), the shortest
-    list of faults that still does is printed, as a command that repeats the run. Exit status 1: an
-    invariant was broken. --report writes campaign.html by default.
+    Each seed is one simulated run. If it breaks an invariant (docs/resilience.md),
+    a command is printed that repeats the run with the shortest list of faults
+    that still breaks it. Exit status 1: an invariant was broken. --report
+    writes campaign.html by default.
     """
     from launch_scripts.scenarios.preparation import RunOptions, prepare
     from studies.campaign import study, tables

@@ -44,9 +44,9 @@ def conform(
     command: Annotated[
         str | None,
         typer.Option(
-            help="Command that starts the device, with {plan} and {node} for their values. "
-            "Without it, start the device yourself for each plan that is printed; restarts are "
-            "not tested.",
+            help="Command that starts the device; {plan} becomes the path of the plan, {node} the "
+            "agent. Without it, start the device yourself for each plan that is printed; restarts "
+            "are then not tested.",
             metavar="COMMAND",
         ),
     ] = None,
@@ -88,8 +88,8 @@ def conform(
 
     Plays the agents around the device: a normal run, inputs at their limits,
     wrong messages, random inputs, inputs that are late or missing, random
-    faults, links that close, a restart. Compares each answer with that of Heliarch's own agent.
-    Exit status 1: a requirement is not met.
+    faults, links that close, a restart. Compares each answer with that of
+    Heliarch's own agent. Exit status 1: a requirement is not met.
     """
     from launch_scripts.launcher.request import RunRequest, prepare_run
     from launch_scripts.scenarios.preparation import RunOptions

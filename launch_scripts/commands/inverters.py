@@ -34,7 +34,9 @@ def inverters(
     ] = "127.0.0.1",
     port: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, help="One port (5020), with a unit for each inverter."),
+        typer.Option(
+            min=0, max=65535, help="One port, with a unit for each inverter; default 5020."
+        ),
     ] = None,
     base_port: Annotated[
         int | None,

@@ -25,11 +25,11 @@ def launch(
     page: PageOptions,
     files: FileOptions,
 ) -> int:
-    """Run a plant as a team of processes over Zenoh, recorded.
+    """Run a plant as a team of processes over Zenoh, and record it.
 
     Starts the plant simulator, a direct controller for each inverter, the
     supervisors, the central controller and the recorder, each as a process
-    of its own; ends them all; prints the result.
+    of its own. At the end it stops them all and prints the result.
     """
     from launch_scripts.launcher.supervision import ForkServerProcess
 

@@ -1,4 +1,4 @@
-"""`heliarch node`: the agents of one host in a run that is launched on another one."""
+"""`heliarch node`: the controllers of one host in a run that is launched on another one."""
 
 from __future__ import annotations
 
@@ -36,13 +36,16 @@ def node(
         typer.Option(help="Folder of the logs; default runs/PLANT-TIME.", metavar="DIR"),
     ] = None,
     systemd: Annotated[
-        bool, typer.Option("--systemd", help="Only print a systemd unit that runs this command.")
+        bool,
+        typer.Option(
+            "--systemd", help="Only print a systemd unit that runs this command again and again."
+        ),
     ] = False,
 ) -> None:
-    """Run the agents that `launch --on` puts on this host.
+    """Run the controllers that `launch --on` puts on this host.
 
     Waits for the plant, takes part in the run, and ends with it. Exit
-    status 1: an agent ended before the run, or the plant disappeared.
+    status 1: a controller ended before the run, or the plant disappeared.
     """
     from agents.plan import load_plan
     from launch_scripts.launcher.node import run_share, share_of, systemd_unit

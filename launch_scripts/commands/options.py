@@ -173,7 +173,7 @@ class PlantOptions:
     scheme: SchemeOption = None
     actuator: Annotated[
         Actuator | None,
-        typer.Option(help="A command is a fraction of the maximum, or a power limit."),
+        typer.Option(help="Whether a command is a fraction of the maximum or a power limit."),
     ] = None
     settings: SettingsOption = None
     faults: Annotated[
@@ -216,8 +216,8 @@ class ProcessOptions:
         float,
         typer.Option(
             "--external-timeout",
-            help="How long to wait for external agents. Once all are there, they have 30 s to "
-            "answer the arming rounds.",
+            help="How long to wait for external agents and other hosts. Once all are there, they "
+            "have 30 s to answer the arming rounds.",
             metavar="SECONDS",
         ),
     ] = 60.0
@@ -244,14 +244,15 @@ class ProcessOptions:
     address: Annotated[
         str,
         typer.Option(
-            help="Address at which the agents listen, for devices on other hosts; needs --secure.",
+            help="Address at which the agents listen, for devices and controllers on other hosts; "
+            "needs --secure.",
             metavar="ADDRESS",
         ),
     ] = "127.0.0.1"
     on: Annotated[
         list[str] | None,
         typer.Option(
-            help="Run these controllers on the host with this address, by `heliarch node` there: "
+            help="Leave these controllers to `heliarch node` on the host with this address: "
             "10.0.0.2=c2/*,c3/inv12. May be given several times.",
             metavar="ADDRESS=AGENTS",
         ),

@@ -51,7 +51,7 @@ def verify(
 ) -> int:
     """Run the agents of a recording again on the inputs that they used, and compare the outputs.
 
-    Exit status 1: they differ. The first difference of each agent is shown
+    Exit status 1: outputs differ. The first difference of each agent is shown
     with its inputs. Agents run from cycle 0 on; --from and --to say which
     cycles are compared.
     """
