@@ -409,7 +409,7 @@ class ZenohBus:
         return _TokenWatch(self._session, self._keys).alive
 
     def watch_presence(self) -> Callable[[], Iterator[tuple[str, bool]]]:
-        """Follow them; the result yields the key of each one that has come (True) or gone (False)."""
+        """Follow them; the result yields the key of each that has come (True) or gone (False)."""
         return _TokenWatch(self._session, self._keys).changes
 
     def _subscribe(self, key: str, hear: Callable[[zenoh.Sample], None]) -> zenoh.Subscriber[None]:
