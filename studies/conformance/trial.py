@@ -62,11 +62,6 @@ class Reference:
             return
         self.loop.hear(port, message, self.begin_ns(cycle))
 
-    @property
-    def waits(self) -> bool:
-        """Whether the open stage lacks an input, and closes at its deadline."""
-        return bool(self.loop.waiting)
-
     def close(self, stage: str, cycle: int) -> list[Delivery]:
         """Close a stage: now if it has what it awaits, else at its deadline."""
         loop = self.loop
@@ -267,7 +262,7 @@ class Trial:
                     f"from cycle {cycle} on the machine was too slow to judge: inputs of the stage "
                     f"{stage.name} went out too late; try a lower --pace"
                 )
-            least_ns = until_ns if self.reference.waits else 0
+            least_ns = until_ns if self.reference.loop.waiting else 0
             due = dict(self.reference.close(stage.name, cycle))
             expected |= due
             wanted = [port for port in due if port in self._published]
