@@ -49,6 +49,11 @@ class LauncherLink:
         self._events = events
         self._expected = expected
 
+    @property
+    def by_hand(self) -> bool:
+        """Whether the process was started by hand: no launcher ends it."""
+        return self._events is None
+
     def heed_sigterm(self) -> None:
         """Treat SIGTERM as the launcher's request to end in order."""
         signal.signal(signal.SIGTERM, self._dismiss)

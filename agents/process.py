@@ -85,6 +85,12 @@ def run_guarded(
 
 
 def _run_controller(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> None:
+    while not _take_part(plan, name, link, rejoins):
+        log.info("%s forgets the run: the plant has gone", name)
+
+
+def _take_part(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool) -> bool:
+    """Take a controller through a run; return False if the plant went first, and may come back."""
     with AgentProcess(plan, controller(plan, agent_of(name)), link, name) as process:
         log.info("%s is on the bus", name)
         if rejoins and plan.lockstep:
@@ -94,10 +100,13 @@ def _run_controller(plan: RunPlan, name: str, link: LauncherLink, rejoins: bool)
                 if link.dismissed:
                     break
                 if process.plant_is_gone():
+                    if link.by_hand:
+                        return False
                     raise FailureError("the plant is gone")
             if _is_over(process, link):
                 break
         process.report()
+    return True
 
 
 def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
@@ -158,8 +167,8 @@ class AgentProcess:
         self.loop = AgentLoop(agent, plan, self._drop_log, name)
         self.driver = Driver([self.loop], self._faults or self._bus, self._bus.now_ns)
         self.watch_alive = self._bus.watch_alive
-        self._alive = self.watch_alive() if is_away else None
-        self._plant_seen_at = inf
+        self._presence = self._bus.watch_presence() if is_away or link.by_hand else None
+        self._plant_left_at = inf
         link.tell(Joined())
 
     def __enter__(self) -> AgentProcess:
@@ -197,15 +206,16 @@ class AgentProcess:
             yield
 
     def plant_is_gone(self) -> bool:
-        """Whether the plant, on another host, has disappeared and does not come back.
+        """Whether the plant has disappeared and, if it is on another host, does not come back.
 
-        Nobody else ends an agent there if the launcher dies.
+        Nobody else ends an agent there, or one that was started by hand, if the launcher dies.
         """
-        if self._alive is None:
-            return False
-        if self.plan.keys.alive_key(PLANT) in self._alive():
-            self._plant_seen_at = time.monotonic()
-        return time.monotonic() > self._plant_seen_at + _PLANT_PATIENCE_S
+        for key, is_there in self._presence() if self._presence is not None else ():
+            if key == self.plan.keys.alive_key(PLANT):
+                self._plant_left_at = inf if is_there else time.monotonic()
+                if self.link.by_hand and not is_there:
+                    return True
+        return time.monotonic() > self._plant_left_at + _PLANT_PATIENCE_S
 
     def catch_up(self) -> None:
         """Join a run in lockstep, where the others wait: ask them for what they have said last."""

@@ -408,6 +408,10 @@ class ZenohBus:
         """Follow the liveliness tokens of all agents; the result returns the keys seen now."""
         return _TokenWatch(self._session, self._keys).alive
 
+    def watch_presence(self) -> Callable[[], Iterator[tuple[str, bool]]]:
+        """Follow them; the result yields the key of each that has come (True) or gone (False)."""
+        return _TokenWatch(self._session, self._keys).changes
+
     def _subscribe(self, key: str, hear: Callable[[zenoh.Sample], None]) -> zenoh.Subscriber[None]:
         callback = zenoh.handlers.Callback(hear, indirect=False)
         return self._session.declare_subscriber(key, callback, allowed_origin=zenoh.Locality.REMOTE)

@@ -46,20 +46,26 @@ class Findings:
         self._requirements = requirements
         self._tried: set[str] = set()
         self._failures: dict[str, str] = {}
+        self._doubts: dict[str, str] = {}
+        self.doubt = ""
+        """Why nothing that fails from now on is the device's fault for certain; empty: it is."""
 
     def try_(self, requirement: str) -> None:
         """Note that something puts a requirement to the test."""
         self._tried.add(requirement)
 
     def fail(self, requirement: str, text: str) -> None:
-        """Note a failure."""
+        """Note a failure, or that it cannot be judged."""
         self.try_(requirement)
-        self._failures.setdefault(requirement, text)
+        if self.doubt:
+            self._doubts.setdefault(requirement, self.doubt)
+        else:
+            self._failures.setdefault(requirement, text)
 
     @property
     def passed(self) -> bool:
-        """Whether nothing that was tried has failed."""
-        return not self._failures
+        """Whether nothing that was tried has failed, or could not be judged."""
+        return not self._failures and not self._doubts
 
     def table(self, agent: str) -> Table:
         """Return a row for each requirement."""
@@ -71,8 +77,9 @@ class Findings:
         results = (
             dict.fromkeys(self._requirements, "not tried")
             | dict.fromkeys(self._tried, "PASS")
+            | dict.fromkeys(self._doubts, "too slow")
             | dict.fromkeys(self._failures, "FAIL")
         )
-        texts = self._requirements | self._failures
+        texts = self._requirements | self._doubts | self._failures
         rows = tuple((name, results[name], texts[name]) for name in self._requirements)
         return Table(f"Conformance of {agent}", columns, rows)

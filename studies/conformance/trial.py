@@ -10,6 +10,7 @@ from typing import Any, Final, TypeAlias
 
 import msgspec
 
+from agents.agent import Stage
 from agents.loop import AgentLoop
 from agents.plan import RunPlan
 from agents.team import controller
@@ -18,7 +19,7 @@ from bus_schemas.codec import decode, encode
 from bus_schemas.errors import FailureError
 from bus_schemas.messages import Message
 from bus_schemas.signals import RUN, Port
-from bus_schemas.tree import RECORDER, ROOT, some_of
+from bus_schemas.tree import PLANT, RECORDER, ROOT, some_of
 from recordings.record.plausibility import absurdity
 from recordings.verify.comparison import Comparison
 from studies.conformance.device import Device
@@ -121,6 +122,7 @@ class Trial:
                 self.findings.fail(of, text)
                 raise FailureError(f"{self.agent}: {text}")
         self.reference = Reference(self.plan, self.agent)
+        self.findings.doubt = ""
         self.start_ns = time.monotonic_ns() + 200_000_000
         start = self.plan.run_message("start", 0, self.start_ns)
         self.reference.loop.begin(0, 0)
@@ -132,7 +134,9 @@ class Trial:
     def stop(self) -> None:
         """Say that the run is over; nothing may come after that."""
         self.findings.try_("stop")
-        while (heard := self._bus.next(_QUIET_S)) is not None:
+        # A device with a clock goes on to the next cycle by itself.
+        quiet_s = min(_QUIET_S, 0.2 * self.plan.cycle_wall_ns / 1e9 or _QUIET_S)
+        while (heard := self._bus.next(quiet_s)) is not None:
             self._take(heard)
         stop = self.plan.run_message("stop", self.cycle, self.start_ns)
         self._bus.put(self._run, encode(stop))
@@ -157,7 +161,8 @@ class Trial:
     def skip(self) -> bool:
         """Play a cycle in which the device may be gone; return whether it answered anything.
 
-        It is a new process then: so is our own agent.
+        It is a new process then: so is our own agent. It hears nothing before all its links are
+        open: what it decides would depend on their order.
         """
         if self._incarnation is not None:
             self._incarnation = None
@@ -165,7 +170,8 @@ class Trial:
         cycle = self.cycle
         self.reference = Reference(self.plan, self.agent)
         self.reference.loop.begin(0, self.reference.begin_ns(cycle), cycle)
-        self.play("restart", is_there=False)
+        edit: Edit = dict.fromkeys(self.ports(), ()) if self._bus.absent else {}
+        self.play("restart", edit, is_there=False)
         limit_ns = self._limit_ns(cycle)
         while (heard := self._bus.next((limit_ns - time.monotonic_ns()) / 1e9)) is not None:
             self._take(heard)
@@ -189,7 +195,7 @@ class Trial:
             time.sleep(max(self.start_ns + cycle * wall_ns - time.monotonic_ns(), 0) / 1e9)
         if is_there:
             self.findings.try_(requirement)
-        if not self._play(cycle, edit or {}, requirement, is_there=is_there):
+        if not self._play(cycle, edit or {}, requirement, is_there=is_there) and is_there:
             # The trial ends if the device has gone, or has been silent for some cycles.
             last = max((of for _, of in self._outputs), default=-1)
             if self._bus.absent or cycle - last >= _SILENT_CYCLES:
@@ -219,12 +225,20 @@ class Trial:
             "ready_time_ns": now_ns,
             "publish_time_ns": now_ns,
         }
+        if self._in_real_time(cycle) and message.source == PLANT:
+            head["ready_time_ns"] = self._begin_ns(cycle)
         return msgspec.structs.replace(message, **(head | dict(changes)))
+
+    def _in_real_time(self, cycle: int) -> bool:
+        return cycle >= 0 and self.plan.cycle_wall_ns > 0
+
+    def _begin_ns(self, cycle: int) -> int:
+        return self.start_ns + cycle * self.plan.cycle_wall_ns
 
     def _limit_ns(self, cycle: int) -> int:
         """Return up to when answers of a cycle are awaited."""
-        if cycle >= 0 and self.plan.cycle_wall_ns:
-            return self.start_ns + round((cycle + 0.97) * self.plan.cycle_wall_ns)
+        if self._in_real_time(cycle):
+            return self._begin_ns(cycle) + round(0.97 * self.plan.cycle_wall_ns)
         return time.monotonic_ns() + round((_PATIENCE_S if cycle >= 0 else _ROUND_S) * 1e9)
 
     def _play(self, cycle: int, edit: Edit, requirement: str, *, is_there: bool = True) -> bool:
@@ -235,36 +249,68 @@ class Trial:
         sent: set[Port[Message]] = set()
         stages = self._ours.stages(cycle)
         self._unanswered = []
-        for stage in stages:
+        for stage, (by_ns, until_ns) in zip(stages, self._times_ns(stages, cycle), strict=True):
             for port in (*stage.awaits, *stage.uses):
                 if port in inputs and port not in sent:
                     sent.add(port)
                     whole = (encode(self._retimed(inputs[port], cycle, {})),)
                     for payload in edit.get(port, whole):
                         self._send(port, payload, cycle)
+            is_late = self._in_real_time(cycle) and time.monotonic_ns() > by_ns
+            if is_there and is_late and not self.findings.doubt:
+                self.findings.doubt = (
+                    f"from cycle {cycle} on the machine was too slow to judge: inputs of the stage "
+                    f"{stage.name} went out too late; try a lower --pace"
+                )
+            least_ns = until_ns if self.reference.loop.waiting else 0
             due = dict(self.reference.close(stage.name, cycle))
             expected |= due
-            if is_there:
-                self._collect([port for port in due if port in self._published], cycle, limit_ns)
+            wanted = [port for port in due if port in self._published]
+            self._collect(wanted, cycle, limit_ns if stage is stages[-1] else until_ns, least_ns)
         # A device without a clock is silent in a cycle of whose beginning it hears nothing.
         heard_nothing = not any(edit.get(port, True) for port in stages[0].awaits)
         if is_there and not (self._unanswered and (heard_nothing or cycle < 0)):
             self._judge(expected, cycle, requirement)
         return not self._unanswered
 
+    def _times_ns(self, stages: Sequence[Stage], cycle: int) -> list[tuple[int, int]]:
+        """Return by when the inputs of each stage go out, and up to when they may still come.
+
+        What comes between that and the next stage does not depend on the device's answers.
+        """
+        limit_ns = self._limit_ns(cycle)
+        if not self._in_real_time(cycle):
+            return [(limit_ns, limit_ns)] * len(stages)
+        from_ns = self._begin_ns(cycle)
+        close = [from_ns + self.plan.deadlines.deadline_ns(self.agent, one.name) for one in stages]
+        times = []
+        for close_ns, next_ns in zip(close, [*close[1:], limit_ns], strict=True):
+            until_ns = (close_ns + next_ns) // 2
+            times.append(((from_ns + close_ns) // 2, until_ns))
+            from_ns = until_ns
+        return times
+
     def _send(self, port: Port[Message], payload: bytes, cycle: int | None = None) -> None:
         self._bus.put(port, payload)
         self.reference.hear(port, payload, self.cycle if cycle is None else cycle)
 
-    def _collect(self, wanted: Sequence[Port[Message]], cycle: int, limit_ns: int) -> None:
-        """Take in what comes until all listeners have what they should, or it is too late."""
+    def _collect(
+        self, wanted: Sequence[Port[Message]], cycle: int, limit_ns: int, least_ns: int
+    ) -> None:
+        """Take in what comes until all listeners have what they should, or it is too late.
+
+        If the device waits for its deadline, it may send what nobody wants up to `least_ns`.
+        """
         due = {
             (listener, port, cycle)
             for port in wanted
             for listener in (RECORDER, *self.plan.wiring.listeners[port])
         }
-        while due := {place for place in due if not self._arrived[place]}:
-            heard = self._bus.next((limit_ns - time.monotonic_ns()) / 1e9)
+        while (
+            due := {place for place in due if not self._arrived[place]}
+        ) or time.monotonic_ns() < least_ns:
+            until_ns = limit_ns if due else least_ns
+            heard = self._bus.next((until_ns - time.monotonic_ns()) / 1e9)
             if heard is None:
                 self._unanswered += sorted({str(port) for _, port, _ in due})
                 return
