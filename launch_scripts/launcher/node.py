@@ -25,6 +25,7 @@ _UNIT: Final = """\
 Description=Heliarch: agents of {plan.plant} on {host}
 Wants=network-online.target
 After=network-online.target
+StartLimitIntervalSec=0
 
 [Service]
 ExecStart={command}

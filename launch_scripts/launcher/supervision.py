@@ -310,7 +310,8 @@ class Children:
             )
         for child in self:
             why = self._why_ended_early(child)
-            if why and not (child.exited is not None and self.replaces(child, why)):
+            died = child.exited is not None and child.failed is None  # It would give up again.
+            if why and not (died and self.replaces(child, why)):
                 raise RunFailure(with_log(child, why))
 
     def _why_ended_early(self, child: Child) -> str:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
+import psutil
 import pytest
 from command_line import done, refusal
 from plans_by_hand import plan_at_noon
@@ -87,6 +88,19 @@ def test_a_node_ends_when_the_plant_disappears(heliarch: Start, plant: str) -> N
     run.process.kill()
     assert other.wait() == 1
     assert "the plant is gone" in other.error_text()
+    assert_none_left(other.folder)
+
+
+def test_a_node_that_was_frozen_meanwhile_ends_too(heliarch: Start, plant: str) -> None:
+    run = heliarch("launch", plant, "--duration", "1h", "--pace", "10", "--on", f"{SECOND}=c2/*")
+    other = node(heliarch, run, SECOND)
+    run.until_running()
+    agents = [other.process_of(name) for name in ("c2", "c2/inv03", "c2/inv04")]
+    other.process.send_signal(signal.SIGSTOP)
+    run.process.kill()
+    psutil.wait_procs(agents, timeout=60)
+    other.process.send_signal(signal.SIGCONT)
+    assert other.wait() == 1
     assert_none_left(other.folder)
 
 
