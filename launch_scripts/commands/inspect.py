@@ -84,6 +84,8 @@ def _show_nodes(
 
     with json_rows(json) as write:
         for node in nodes:
+            if len(nodes) > 1:
+                _print_lines(console, [node], "bold")
             table = TimelineTable(run.plan.tree, node, len(run.clock.text(0)), _width(console))
             _print_lines(console, table.heading(), "bold")
             for rows in timeline(run, [node], cycles):

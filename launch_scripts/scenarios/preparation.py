@@ -307,7 +307,8 @@ def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
     cycles = round(duration_s / table.cycle_s)
     if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:
         raise InputError(
-            f"{where}: expected one or more cycles of {table.cycle_s:g} s, got {duration_s:g} s"
+            f"{where}: expected a whole number of cycles of {table.cycle_s:g} s, "
+            f"got {duration_s:g} s"
         )
     check_size(cycles, 1, where)
     step = pd.Timedelta(seconds=table.cycle_s)

@@ -51,6 +51,12 @@ def test_the_timeline_of_a_node_has_a_line_for_each_cycle_of_the_span(recording:
     assert impp == ["40.00"] * 2 + ["-"] * 5 + ["40.00"] * 2
 
 
+def test_each_of_several_nodes_is_named_above_its_lines(recording: Path) -> None:
+    text = done("inspect", recording, "--nodes", "c1/a,c1/b", "--from", "5", "--to", "6")
+    lines = text.splitlines()
+    assert [line for line in lines if line in {"c1/a", "c1/b"}] == ["c1/a", "c1/b"]
+
+
 def test_figures_come_as_json_too(recording: Path, tmp_path: Path) -> None:
     overview: dict[str, Any] = json.loads(done("inspect", recording, "--json", "-"))
     assert overview["complete_cycles"] == 120

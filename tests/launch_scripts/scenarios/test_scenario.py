@@ -247,7 +247,7 @@ def test_shipped_scenarios_under_clouds_need_no_data(
         ("[time]", "[time", "expected TOML"),
         ('inverters = "plant.csv"\n', "", "plant.inverters: expected a CSV"),
         ("duration_s = 30", "duration_s = nan", "time.duration_s: expected number"),
-        ("duration_s = 30", "duration_s = 30\ncycle_s = 4", "time.duration_s: expected one or"),
+        ("duration_s = 30", "duration_s = 30\ncycle_s = 4", "time.duration_s: expected a whole"),
         ('"constant"', '"half"', 'commitment.kind: expected "constant"'),
         ('"constant"\npower_kw', '"share-of-median"\nshare', "commitment.share: expected number"),
         ("seed = 7", "clouds.cloud_cover = nan", "irradiance.clouds.cloud_cover: expected"),
