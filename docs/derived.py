@@ -1,6 +1,6 @@
 """Fills what documents show of the code: tables and byte examples, between two comments.
 
-    .venv/bin/python -m launch_scripts.documents
+    .venv/bin/python docs/derived.py
 
 rewrites `docs/scenarios.md`, `docs/own-device.md` and `docs/wire.md`. The prose is written there by
 hand; a test compares the parts between `<!-- table: NAME -->` and `<!-- end -->` with the code.
