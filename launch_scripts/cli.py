@@ -31,7 +31,7 @@ from launch_scripts.commands import (
     view,
 )
 from launch_scripts.commands.boundary import BAD_INPUT, Command, CommandLine
-from launch_scripts.commands.options import with_groups
+from launch_scripts.commands.options import with_options
 
 COMMANDS: Final[dict[str, tuple[ModuleType, ...]]] = {
     "Run": (launch, node, simulate, timing, conform, inverters, scenarios),
@@ -74,7 +74,7 @@ for _heading, _modules in COMMANDS.items():
             cls=Command,
             rich_help_panel=_heading,
             epilog=f"Example: {_module.EXAMPLE}",
-        )(with_groups(getattr(_module, _name)))
+        )(with_options(getattr(_module, _name)))
 
 
 def main() -> None:

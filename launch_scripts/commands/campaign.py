@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Final
 
 import typer
 
@@ -34,21 +34,12 @@ _LISTED: Final = 10
 def campaign(
     scenario: ScenarioArgument = "oahu",
     *,
-    seeds: Annotated[
-        str, typer.Option(help="Seeds of the faults, such as 1..1000.", metavar="SEEDS")
-    ] = "1..100",
+    seeds: str = "1..100",
     start: StartOption = None,
-    duration: Annotated[
-        str, typer.Option(help="Length of each run: 150s, 10m.", metavar="TIME")
-    ] = "150s",
+    duration: str = "150s",
     settings: SettingsOption = None,
     workers: WorkersOption = 1,
-    curves: Annotated[
-        bool,
-        typer.Option(
-            "--curves", help="Instead, measure what failures cost, by rate and repair time."
-        ),
-    ] = False,
+    curves: bool = False,
     files: ResultOptions,
 ) -> None:
     """Kill, freeze, cut off and disturb controllers at random, and check that the plant stays safe.
@@ -57,6 +48,10 @@ def campaign(
     a command is printed that repeats the run with the shortest list of faults
     that still breaks it. Exit status 1: an invariant was broken. --report
     writes campaign.html by default.
+
+    --seeds SEEDS: Seeds of the faults, such as 1..1000.
+    --duration TIME: Length of each run: 150s, 10m.
+    --curves: Instead, measure what failures cost, by rate and repair time.
     """
     from launch_scripts.scenarios.preparation import RunOptions, prepare
     from studies.campaign import study, tables

@@ -28,26 +28,13 @@ def clusters(
     scenario: ScenarioArgument = "oahu",
     *,
     span: TimeOptions,
-    periods: Annotated[
-        str | None,
-        typer.Option(
-            help="How often the central controller acts, seconds; default 1,10,60 as the cycle "
-            "allows.",
-            metavar="SECONDS",
-        ),
-    ] = None,
+    periods: str | None = None,
     random: Annotated[
         int, typer.Option(min=1, max=1000, help="How many random choices of clusters to try.")
     ] = 20,
     seed: SeedOption = None,
     scheme: SchemeOption = None,
-    learn: Annotated[
-        str | None,
-        typer.Option(
-            help="Choose clusters from a first part of the run, of this length; run the rest.",
-            metavar="TIME",
-        ),
-    ] = None,
+    learn: str | None = None,
     settings: SettingsOption = None,
     workers: WorkersOption = 1,
     files: ResultOptions,
@@ -55,6 +42,10 @@ def clusters(
     """Compare virtual neighbours with geographic and random clusters.
 
     --report writes clusters.html by default.
+
+    --periods SECONDS: How often the central controller acts, seconds; default 1,10,60 as the cycle
+        allows.
+    --learn TIME: Choose clusters from a first part of the run, of this length; run the rest.
     """
     from bus_schemas.times import parse_duration_s
     from launch_scripts.scenarios.preparation import RunOptions, prepare

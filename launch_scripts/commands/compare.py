@@ -47,62 +47,15 @@ def compare(
     ] = None,
     *,
     span: TimeOptions,
-    days: Annotated[
-        str | None,
-        typer.Option(help="Dates, such as 2010-04-01..2010-04-30.", metavar="DATES"),
-    ] = None,
-    seeds: Annotated[
-        str | None, typer.Option(help="Seeds of synthetic clouds, such as 1..5,9.", metavar="SEEDS")
-    ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            help="A field of the scenario and its values; each combination is a case.",
-            metavar="FIELD=VALUES",
-        ),
-    ] = None,
-    schemes: Annotated[
-        str | None,
-        typer.Option(
-            help="Control schemes, with commas: uncontrolled, uniform-cap, grouping, paper, "
-            "predictive, physical-limit. Default all.",
-            metavar="NAMES",
-        ),
-    ] = None,
-    actuator: Annotated[
-        str | None,
-        typer.Option(
-            help="Actuators that each scheme is run with: fraction,limit. Default that of the "
-            "scenario.",
-            metavar="NAMES",
-        ),
-    ] = None,
-    reference: Annotated[
-        str | None,
-        typer.Option(
-            help="Reference groups of grouping control: sizes (1,4,8), or inverters (inv01,inv07).",
-            metavar="GROUPS",
-        ),
-    ] = None,
-    show: Annotated[
-        str,
-        typer.Option(
-            help="Figures of merit to show for many cases, with commas: desired-energy, "
-            "possible-energy, delivered-energy, satisfied, shortfall-energy, unavoidable-energy, "
-            "control-caused-energy, over-delivered-energy, shortfall, unavoidable, "
-            "control-caused, over-delivered, rmse, mae, mileage-total, mileage, "
-            "mileage-per-minute, headroom, mean-headroom, ancillary-potential, rise, fall, "
-            "ramp, ramp-limit, above-ramp-limit, capacity, offered, signal-mileage, "
-            "regd-strict, regd, regd-feasible-strict, regd-feasible, accuracy, delay, precision, "
-            "score, score-unclipped.",
-            metavar="FIGURES",
-        ),
-    ] = "control-caused,over-delivered",
+    days: str | None = None,
+    seeds: str | None = None,
+    settings: list[str] | None = None,
+    schemes: str | None = None,
+    actuator: str | None = None,
+    reference: str | None = None,
+    show: str = "control-caused,over-delivered",
     workers: WorkersOption = 1,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Dask scheduler that shares the cases.", metavar="ADDRESS")
-    ] = None,
+    scheduler: str | None = None,
     files: ResultOptions,
     csv: Annotated[
         str | None,
@@ -117,6 +70,25 @@ def compare(
     """Put control schemes side by side: the paper's tables, for one day or many. Or two runs.
 
     Of a single case and of two runs --report writes a page, compare.html by default.
+
+    --days DATES: Dates, such as 2010-04-01..2010-04-30.
+    --seeds SEEDS: Seeds of synthetic clouds, such as 1..5,9.
+    --set FIELD=VALUES (settings): A field of the scenario and its values; each combination is a
+        case.
+    --schemes NAMES: Control schemes, with commas: uncontrolled, uniform-cap, grouping, paper,
+        predictive, physical-limit. Default all.
+    --actuator NAMES: Actuators that each scheme is run with: fraction,limit. Default that of the
+        scenario.
+    --reference GROUPS: Reference groups of grouping control: sizes (1,4,8), or inverters
+        (inv01,inv07).
+    --show FIGURES: Figures of merit to show for many cases, with commas: desired-energy,
+        possible-energy, delivered-energy, satisfied, shortfall-energy, unavoidable-energy,
+        control-caused-energy, over-delivered-energy, shortfall, unavoidable, control-caused,
+        over-delivered, rmse, mae, mileage-total, mileage, mileage-per-minute, headroom,
+        mean-headroom, ancillary-potential, rise, fall, ramp, ramp-limit, above-ramp-limit,
+        capacity, offered, signal-mileage, regd-strict, regd, regd-feasible-strict, regd-feasible,
+        accuracy, delay, precision, score, score-unclipped.
+    --scheduler ADDRESS: Dask scheduler that shares the cases.
     """
     page = None if files.report is None else Path(files.report or "compare.html")
     if other is not None:

@@ -47,29 +47,13 @@ def timing(
         ),
     ] = "oahu",
     *,
-    rate: Annotated[
-        str | None,
-        typer.Option(
-            help="Cycles a second: 20; several: 5,10,20; a range such as 1..200, or auto: find the "
-            "highest rate that the plant keeps up with. Default 1.",
-            metavar="RATES",
-        ),
-    ] = None,
+    rate: str | None = None,
     start: StartOption = None,
     end: EndOption = None,
-    duration: Annotated[
-        str | None,
-        typer.Option(
-            help="Length of the run, simulated and real, in place of --to: seconds, or 90s, 10m; "
-            "default 60s, 15s for each of several rates.",
-            metavar="TIME",
-        ),
-    ] = None,
+    duration: str | None = None,
     plant: PlantOptions,
     machine: ProcessOptions,
-    processes: Annotated[
-        bool, typer.Option("--processes", help="Show each process as well as the tiers.")
-    ] = False,
+    processes: bool = False,
     page: PageOptions,
     files: FileOptions,
 ) -> int:
@@ -80,6 +64,12 @@ def timing(
 
     Exit status 1: a budget was not kept, or the run failed. A scenario states its own budgets in
     its table timing.budgets; see docs/timing.md.
+
+    --rate RATES: Cycles a second: 20; several: 5,10,20; a range such as 1..200, or auto: find the
+        highest rate that the plant keeps up with. Default 1.
+    --duration TIME: Length of the run, simulated and real, in place of --to: seconds, or 90s, 10m;
+        default 60s, 15s for each of several rates.
+    --processes: Show each process as well as the tiers.
     """
     from launch_scripts.commands.run import page_beside, run_request
     from studies.timing.measured_run import measured_run, prepare_at, run_length_s
