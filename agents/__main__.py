@@ -15,7 +15,6 @@ from bus_schemas.tree import CENTRAL, PLANT, RECORDER
 
 
 def main() -> int:
-    """Run the controller that the command line names. Returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m agents", description=__doc__)
     parser.add_argument("agent", help=f"{CENTRAL}, or a path in the control tree such as c2/inv07")
     parser.add_argument("--plan", type=Path, required=True, help="plan.json of the run")

@@ -67,7 +67,6 @@ class DirectController:
         self._alone = (estimate, Stage("actuate", (), (self._setpoint, self._dispatch)))
 
     def initial_state(self) -> DirectState:
-        """Nothing measured."""
         return DirectState(NOTHING_KNOWN, _NEVER)
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
@@ -75,7 +74,6 @@ class DirectController:
         return self._with_parent if self._periods.is_turn(self._parent, cycle) else self._alone
 
     def step(self, state: DirectState, turn: Turn) -> tuple[DirectState, list[Delivery]]:
-        """Close a stage."""
         if turn.stage == "estimate":
             return self._estimate(state, turn)
         return state, self._actuate(state, turn)

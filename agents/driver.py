@@ -55,7 +55,6 @@ class Driver:
 
     @property
     def finished(self) -> bool:
-        """Whether the run has ended for all agents."""
         return all(loop.finished for loop in self.loops.values())
 
     def run(self) -> Iterator[Sequence[Arrival]]:
@@ -110,7 +109,6 @@ class Driver:
             bus.publish(port, message, now_ns())
 
     def _next_deadline_ns(self) -> int | None:
-        """Return the next deadline of an open stage."""
         while self._deadlines:
             deadline_ns, _, name = self._deadlines[0]
             loop = self.loops.get(name)

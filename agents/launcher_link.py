@@ -62,7 +62,6 @@ class LauncherLink:
         self.dismissed = True
 
     def tell(self, event: Event) -> None:
-        """Send an event."""
         data = msgspec.json.encode(event)
         if self._events is None:
             sys.stdout.buffer.write(data + b"\n")

@@ -181,7 +181,6 @@ class AgentLoop(Generic[S]):
 
     @property
     def stage(self) -> str:
-        """Name of the open stage, empty if none is open."""
         return self._stages[self._place].name if self._place < len(self._stages) else ""
 
     @property
@@ -191,7 +190,6 @@ class AgentLoop(Generic[S]):
 
     @property
     def finished(self) -> bool:
-        """Whether the run has ended for this agent."""
         return self.cycle >= self.end_cycle
 
     @property
@@ -405,7 +403,6 @@ class AgentLoop(Generic[S]):
         return round(self._waits * self._plan.deadlines.slice_ns(self.agent.name, stage.name))
 
     def _deadline_after_ns(self, stage: str) -> int:
-        """Deadline of a stage after the beginning of its cycle."""
         after_ns = self._deadlines_ns.get(stage)
         if after_ns is None:
             after_ns = self._plan.deadlines.deadline_ns(self.agent.name, stage)

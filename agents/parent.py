@@ -211,7 +211,6 @@ class Supervisor:
         return self._with_parent if parent_acts else self._alone
 
     def step(self, state: None, turn: Turn) -> tuple[None, list[Delivery]]:
-        """Close a stage."""
         reports = self._children.reports(turn)
         if turn.stage == "report":
             return None, self._children.report_up(turn, reports)
@@ -272,7 +271,6 @@ class CentralController:
         self._stages = (Stage("solve", inputs),)
 
     def initial_state(self) -> CentralState:
-        """Nothing corrected."""
         return CentralState()
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:

@@ -272,22 +272,18 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @cached_property
     def tree(self) -> ControlTree:
-        """The control tree."""
         return ControlTree(self.inverters)
 
     @cached_property
     def keys(self) -> KeyTable:
-        """The keys of the run."""
         return KeyTable(self.plant, self.tree)
 
     @cached_property
     def wiring(self) -> Wiring:
-        """Who publishes and hears what."""
         return Wiring(self.tree, self.standbys)
 
     @cached_property
     def links(self) -> Links:
-        """The TCP links between the agents."""
         return explicit_links(self.tree, self.standbys)
 
     @property
@@ -301,7 +297,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @property
     def standbys(self) -> tuple[str, ...]:
-        """Agents that have a standby."""
         return () if self.lockstep else self.standby
 
     @property
@@ -346,16 +341,13 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @cached_property
     def periods(self) -> Periods:
-        """The periods of the tiers."""
         return Periods(self.period_cycles)
 
     @cached_property
     def deadlines(self) -> Deadlines:
-        """The deadlines of the stages, in real time."""
         return Deadlines(self.tree, self.cycle_wall_ns, self.tier_deadlines_ns)
 
     def settings_of(self, leaf: str) -> InverterSettings:
-        """Return how an inverter takes commands."""
         found = InverterSettings(
             revert=self.revert, ramp_percent_per_s=self.ramp_percent_per_s, delay_s=self.delay_s
         )
@@ -402,7 +394,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return next((entry.hours for entry in self.neighbourhoods if entry.node == node), ())
 
     def as_json(self) -> bytes:
-        """Return the plan as JSON."""
         return msgspec.json.format(msgspec.json.encode(self), indent=1)
 
 

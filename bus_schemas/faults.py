@@ -221,7 +221,6 @@ class FaultTally:
     delayed: int = 0
 
     def count(self, fate: tuple[int, ...]) -> None:
-        """Count the fate of one message."""
         self.lost += not fate
         self.duplicated += len(fate) > 1
         self.delayed += any(fate)

@@ -26,7 +26,6 @@ class VirtualClock:
         self.now_ns = 0
 
     def __call__(self) -> int:
-        """Return its time [ns]."""
         return self.now_ns
 
 

@@ -103,7 +103,6 @@ class Signal(Generic[M_co]):
         return self.occurrence in _CYCLIC
 
     def of(self, node: str) -> Port[M_co]:
-        """Return the port of this signal about a node."""
         port = self._ports.get(node)
         if port is None:
             (publisher,) = _agents(self.publisher, node)
@@ -111,7 +110,6 @@ class Signal(Generic[M_co]):
         return port
 
     def nodes(self, tree: ControlTree) -> tuple[str, ...]:
-        """Return the nodes of a tree that this signal is about."""
         match self.about:
             case About.LEAVES:
                 return tree.leaves

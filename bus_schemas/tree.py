@@ -149,7 +149,6 @@ class ControlTree:
         return self._children_of.get(path, ())
 
     def is_leaf(self, path: str) -> bool:
-        """Whether the node is an inverter."""
         return path not in self._children_of
 
     def rating_kw(self, path: str) -> float:

@@ -137,7 +137,6 @@ class SessionSettings:
     signs_of_life: int = 4
 
     def config(self) -> zenoh.Config:
-        """Return these settings as Zenoh wants them."""
         config = zenoh.Config()
         settings: dict[str, object] = {
             "mode": "peer",
@@ -515,7 +514,6 @@ class ZenohTap:
         _close(self._session)
 
     def publish(self, port: Port[Message], message: Message) -> None:
-        """Send a message."""
         self.outbox.stamp(port, message, time.monotonic_ns())
         self._session.put(self._keys.key(port), encode(message), encoding=ENCODING)
 

@@ -78,5 +78,4 @@ for _heading, _modules in COMMANDS.items():
 
 
 def main() -> None:
-    """Run the command line."""
     app()

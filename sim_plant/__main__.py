@@ -16,7 +16,6 @@ from sim_plant.profile import load_profile
 
 
 def main() -> int:
-    """Run the plant of a plan. Returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m sim_plant", description=__doc__)
     parser.add_argument("--plan", type=Path, required=True, help="plan.json of the run")
     parser.add_argument("--profile", type=Path, help="default: profile.npz beside the plan")

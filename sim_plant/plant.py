@@ -97,11 +97,9 @@ class Plant:
         )
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
-        """Return the stages, the same in each cycle."""
         return self._stages
 
     def step(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
-        """Close a stage."""
         if self._devices is not None:
             state = self._read(state, self._devices)
         if turn.stage == "sense":

@@ -123,7 +123,6 @@ class _Link:
         self._state = self._inverter.state
 
     def begin(self, pipes: Pipes) -> None:
-        """Start the thread."""
         self._pipes = pipes
         assert self._reading is not None
         pipes.hand_reading(self.place, self._reading)
@@ -136,7 +135,6 @@ class _Link:
         self._wake.set()
 
     def stop(self) -> None:
-        """Ask the thread to end."""
         self._over.set()
         self._wake.set()
 
@@ -145,7 +143,6 @@ class _Link:
         self._thread.join(_RETRY_S)
 
     def account(self) -> DeviceAccount:
-        """Return what was measured so far."""
         reads, writes = map(_latency, self._took.values())
         gone_at = self._gone_at
         gone_s = None if gone_at is None else time.monotonic() - gone_at

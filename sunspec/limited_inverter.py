@@ -93,11 +93,9 @@ class LimitedInverter:
         return self._revert_at - at if self._revert_at < inf else 0.0
 
     def power_kw(self, at: float) -> float:
-        """Return the power at a time that it has advanced to."""
         return min(self.possible_kw(at), self._limit(at) / 100.0 * self.rating_kw)
 
     def advance(self, until: float) -> None:
-        """Let time pass up to a moment."""
         while True:
             pending_at = self._pending[0][0] if self._pending else inf
             event_at = min(pending_at, self._revert_at)

@@ -97,7 +97,6 @@ def _measure_curves(
     workers: int,
     files: ResultOptions,
 ) -> None:
-    """Measure what failures cost; print the tables and write the page."""
     from studies.campaign import curves
 
     points = shared(partial(curves.run_under, campaign), curves.conditions(seeds), workers, "runs")

@@ -99,7 +99,6 @@ def timing(
 def _print_one(
     reported: Reported, run: Path, files: FileOptions, console: Console, processes: bool
 ) -> int:
-    """Print and write the result of a run."""
     from recordings.read.run_file import RECORDING_NAME
     from studies.timing.page import PAGE_NAME, run_page
     from studies.timing.tables import print_report

@@ -247,7 +247,6 @@ def memory_use(samples: Mapping[str, list[Memory]]) -> tuple[MemoryUse, ...]:
 
 
 def merge_counts(counts: list[dict[str, int]]) -> dict[str, int]:
-    """Add up counts by name."""
     total: Counter[str] = Counter()
     for count in counts:
         total.update(count)

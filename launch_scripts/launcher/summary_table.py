@@ -48,7 +48,6 @@ def print_summary(summary: RunSummary, console: Console) -> None:
 
 
 def summary_table(summary: RunSummary) -> Table:
-    """Return the table."""
     hindsight = "Clusters and neighbours were chosen from the run's own data: hindsight."
     return Table(
         f"{summary.scenario} from {summary.sim_start}, {summary.driver}",

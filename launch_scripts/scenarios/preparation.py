@@ -121,7 +121,6 @@ class _Day:
 
 
 def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Preparation:
-    """Work out a run."""
     if options.seed is not None and not 0 <= options.seed <= LARGEST_SEED:
         raise InputError(f"--seed: expected 0 to {LARGEST_SEED}, got {options.seed}")
     scenario = scenario_file.scenario

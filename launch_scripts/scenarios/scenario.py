@@ -285,7 +285,6 @@ _SHIPPED: Final = Path(str(files("launch_scripts.scenarios")))
 
 
 def shipped_scenarios() -> tuple[str, ...]:
-    """Names of the scenarios that come with Heliarch."""
     return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
 
 

@@ -51,7 +51,6 @@ class ControlArrays(NamedTuple):
 
 
 def control_arrays(plan: RunPlan, cycles: int) -> ControlArrays:
-    """Return a plan's control tree with its nodes numbered, for so many cycles."""
     tree = plan.tree
     number = {ROOT: 0}
     parents: list[str] = []

@@ -138,5 +138,4 @@ def means(
 
 
 def repair_text(repair_s: float) -> str:
-    """Say how long a controller is away."""
     return "never" if repair_s == inf else f"{repair_s:g} s"

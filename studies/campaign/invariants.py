@@ -58,7 +58,6 @@ class Trace:
     ended: str = ""
 
     def __call__(self, port: Port[Message], message: Message) -> None:
-        """Take in a message as it is published."""
         if message.cycle < 0:
             return
         match message:
@@ -77,12 +76,10 @@ class Trace:
 
     @property
     def delivered_kw(self) -> NDArray[np.float64]:
-        """Power of the plant [kW], shape (cycles,)."""
         return np.array([one.delivered_kw for one in self.produced])
 
     @property
     def desired_kw(self) -> NDArray[np.float64]:
-        """Power that is wanted of it [kW], shape (cycles,)."""
         return np.array([one.desired_kw for one in self.produced])
 
 

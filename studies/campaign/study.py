@@ -60,7 +60,6 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def fault_rules(self) -> tuple[FaultRule, ...]:
-        """Its faults."""
         return tuple(map(parse_fault, self.rules))
 
 
@@ -82,7 +81,6 @@ class Campaign:
 
 
 def campaign(preparation: Preparation) -> Campaign:
-    """Return the campaign on a prepared run."""
     plan = on_the_clock(preparation.plan)
     healthy = trace_of(plan, preparation.profile, ())
     return Campaign(plan, preparation.profile, healthy.delivered_kw)
@@ -159,7 +157,6 @@ def _settles_s(plan: RunPlan) -> float:
 
 
 def random_rules(plan: RunPlan, seed: int) -> tuple[FaultRule, ...]:
-    """Draw the faults of a seed."""
     draw = random.Random(seed)
     length_s = plan.cycles * plan.cycle_ns / 1e9
     last_s = length_s - _settles_s(plan) - FIRST_S

@@ -54,7 +54,6 @@ def clusters_table(study: ClusterStudy) -> Table:
 
 
 def _figures(worth: ClustersWorth) -> tuple[float | None, ...]:
-    """Return the figures of a row of the table."""
     return (
         worth.past_correlation,
         worth.run_correlation,
@@ -107,7 +106,6 @@ def study_lines(study: ClusterStudy) -> list[str]:
 
 
 def study_json(study: ClusterStudy) -> dict[str, object]:
-    """Return all figures of the study for other programs."""
     return {
         "title": study.title,
         "remarks": study.remarks,
@@ -144,7 +142,6 @@ def _json_row(periods_s: Sequence[float], worth: ClustersWorth) -> dict[str, obj
 
 
 def study_page(study: ClusterStudy) -> str:
-    """Return the page: what was run, the figure, the table, and how clusters were found."""
     paragraphs = [f"{study.title}.", *study.remarks, *study_lines(study)]
     return html_page(
         "Virtual neighbours and other clusters",

@@ -53,7 +53,6 @@ def print_study(preparation: Preparation, outcomes: Sequence[Outcome], console: 
 
 
 def study_title(preparation: Preparation) -> str:
-    """Return what was studied."""
     plan = preparation.plan
     length = f"{plan.cycles:,} cycles of {plan.cycle_ns / 1e9:g} s"
     return f"{plan.plant} from {preparation.local_start()}, {length}"
@@ -101,7 +100,6 @@ def _is_bearable(one: Outcome) -> bool:
 
 
 def trouble_table(trouble: Trouble, outcomes: Sequence[Outcome]) -> Table:
-    """Return a row for each run under a trouble."""
     title, measure, unit = TROUBLES[trouble]
     figures = shown_in("delays")
     columns = (
@@ -126,7 +124,6 @@ def trouble_table(trouble: Trouble, outcomes: Sequence[Outcome]) -> Table:
 
 
 def study_page(preparation: Preparation, outcomes: Sequence[Outcome]) -> str:
-    """Return the page: the figure, and a table for each trouble."""
     title = f"{study_title(preparation)}: delay, loss and a slow central controller"
     notes = [*study_notes(preparation), *survived(outcomes)]
     tables = [trouble_table(trouble, outcomes) for trouble in VALUES]

@@ -187,7 +187,6 @@ def _hover(wait: Wait) -> str:
 
 
 def loop_figure(reported: Reported) -> ReportFigure:
-    """Draw the loop time of every cycle over the run, with its budgets."""
     timing, report = reported.timing, reported.report
     times_ms = timing.loop_ns / 1e6
     rows = extremes(times_ms)

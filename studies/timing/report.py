@@ -91,7 +91,6 @@ class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def passed(self) -> bool:
-        """Whether every budget was kept."""
         return all(verdict.passed for verdict in self.verdicts)
 
     @property
@@ -101,7 +100,6 @@ class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
         return self.cycles > 0 and few_late and not self.lost_messages
 
     def document(self) -> dict[str, object]:
-        """Return the report for other programs, with the verdict on all of it."""
         return {"passed": self.passed, "clean": self.clean, **msgspec.structs.asdict(self)}
 
 

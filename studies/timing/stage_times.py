@@ -148,7 +148,6 @@ class StageTimes:
 
 
 def read_message_times(reader: RunReader) -> MessageTimes:
-    """Read the times of a run's messages."""
     plan, start_ns = reader.plan, _start_ns(reader)
     ports = [port for port in plan.keys.ports if port.signal.is_cyclic and port.signal.logged]
     columns = {port: column for column, port in enumerate(ports)}

@@ -170,7 +170,6 @@ def _search(search_hz: tuple[float, float], rows: dict[float, RateRow]) -> Itera
 
 
 def rate_row(report: TimingReport) -> RateRow:
-    """Return the row of a run."""
     rows = {(row.measure, row.of): row.times for row in report.times}
     loop = rows.get((LOOP, WHOLE_LOOP))
     return RateRow(
@@ -214,7 +213,6 @@ def print_sweep(found: Sweep, console: Console) -> None:
 
 
 def sweep_table(found: Sweep) -> Table:
-    """Return a row for each rate."""
     columns = (
         key_column("rate"),
         Column("cycles"),

@@ -215,12 +215,10 @@ def clocks_tables(clocks: Sequence[ClockOffset]) -> list[Table]:
 
 
 def counts_table(tiers: Sequence[TierTiming]) -> Table:
-    """Return counts and resources of each tier."""
     return Table("Counts", _TIER_COLUMNS, attributes(tiers, _TIER_COLUMNS), (_TIER_NOTE,))
 
 
 def processes_table(processes: Iterable[ProcessTiming]) -> Table:
-    """Return counts and resources of each process."""
     columns = (
         key_column("process"),
         word_column("tier"),
