@@ -34,15 +34,7 @@ class DirectState(msgspec.Struct, frozen=True, gc=False):
 
 
 class DirectController:
-    """Estimates its inverter's maximum power, says what it lacks, turns a setpoint into alpha.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    node
-        Path of the inverter in the control tree.
-    """
+    """Estimates its inverter's maximum power, says what it lacks, turns a setpoint into alpha."""
 
     may_skip = True
 

@@ -41,18 +41,12 @@ _POLICIES: Final = {
 class MachineSettings(msgspec.Struct, frozen=True):
     """What the processes of a run may take of the machine. By default nothing special.
 
-    Attributes
-    ----------
-    cpus
-        Processors that all processes run on. Empty: any.
-    cpus_of
-        Processors of the processes of one kind, instead of those.
-    priority
-        In real time: the plant and the controllers run under SCHED_FIFO with this priority, 1 to
-        99, so that nothing of the normal policy takes the processor from them. 0: they do not.
-    lock_memory
-        In real time: whether the memory of plant and controllers is never paged out. It takes
-        CAP_IPC_LOCK or no limit on locked memory.
+    cpus: Processors that all processes run on. Empty: any.
+    cpus_of: Processors of the processes of one kind, instead of those.
+    priority: In real time: the plant and the controllers run under SCHED_FIFO with this priority, 1
+        to 99, so that nothing of the normal policy takes the processor from them. 0: they do not.
+    lock_memory: In real time: whether the memory of plant and controllers is never paged out. It
+        takes CAP_IPC_LOCK or no limit on locked memory.
     """
 
     cpus: tuple[int, ...] = ()

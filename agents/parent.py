@@ -41,14 +41,11 @@ from bus_schemas.tree import ROOT, agent_name, parent_of
 class Report(NamedTuple):
     """What a parent knows of a child.
 
-    Attributes
-    ----------
-    impp_kw, residual_kw
-        Its IMPP and residual [kW]; of a silent child its own request, and nothing beyond it.
-    stale_cycles
-        How old its measurements are.
-    is_old, is_silent
-        Whether the report is of an earlier cycle, and whether it is too old to count.
+    impp_kw, residual_kw: Its IMPP and residual [kW]; of a silent child its own request, and nothing
+        beyond it.
+    stale_cycles: How old its measurements are.
+    is_old, is_silent: Whether the report is of an earlier cycle, and whether it is too old to
+        count.
     """
 
     impp_kw: float
@@ -68,15 +65,7 @@ class _Child:
 
 
 class Children:
-    """A parent's children: what they report, and how a target is divided among them.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    node
-        Path of the parent.
-    """
+    """A parent's children: what they report, and how a target is divided among them."""
 
     def __init__(self, plan: RunPlan, node: str) -> None:
         tree = plan.tree
@@ -175,15 +164,7 @@ class Children:
 
 
 class Supervisor:
-    """Balances need and headroom within its cluster, and asks its parent for the rest.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    node
-        Path of the cluster.
-    """
+    """Balances need and headroom within its cluster, and asks its parent for the rest."""
 
     may_skip = True
 
@@ -225,18 +206,11 @@ class Supervisor:
 class CentralState(msgspec.Struct, frozen=True, gc=False):
     """What the central controller remembers.
 
-    Attributes
-    ----------
-    correction_kw
-        What it adds to its target because the meter read less than was wanted.
-    wanted_kw
-        The dispatch of its last turn.
-    metered_kw, readings
-        Sum of the meter's readings since then, and their number.
-    meter_cycle
-        Cycle of the newest reading. That of cycle 0 is of the time before the run.
-    clamped
-        How many dispatches it clamped.
+    correction_kw: What it adds to its target because the meter read less than was wanted.
+    wanted_kw: The dispatch of its last turn.
+    metered_kw, readings: Sum of the meter's readings since then, and their number.
+    meter_cycle: Cycle of the newest reading. That of cycle 0 is of the time before the run.
+    clamped: How many dispatches it clamped.
     """
 
     correction_kw: float = 0.0
@@ -248,13 +222,7 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
 
 
 class CentralController:
-    """Takes the operator's dispatch and moves power between clusters to meet it.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    """
+    """Takes the operator's dispatch and moves power between clusters to meet it."""
 
     may_skip = True
 

@@ -15,16 +15,8 @@ class Periods:
     A parent gives requests and setpoints in its turns only. Between them the tiers below go on
     rebalancing against its last target. Everybody reports upwards in every cycle.
 
-    Parameters
-    ----------
-    cycles
-        Period of each tier that has children, the central controller's first. Each must be a
+    cycles: Period of each tier that has children, the central controller's first. Each must be a
         multiple of the next.
-
-    Raises
-    ------
-    InputError
-        A period below 1, or one that is no multiple of the next tier's.
     """
 
     cycles: tuple[int, ...]

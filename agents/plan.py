@@ -47,12 +47,8 @@ START_WITHIN_NS: Final = 10_000_000_000
 class Neighbourhood(msgspec.Struct, frozen=True):
     """The order of help among a parent's children from a time on.
 
-    Attributes
-    ----------
-    from_time_ns
-        Simulated time from which it holds.
-    correlation
-        Pearson correlation between the children's power, shape (n, n).
+    from_time_ns: Simulated time from which it holds.
+    correlation: Pearson correlation between the children's power, shape (n, n).
     """
 
     from_time_ns: int
@@ -147,85 +143,55 @@ class InverterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     """What the agents of a run share.
 
-    Attributes
-    ----------
-    run_id
-        Name of the run, and its namespace on the bus.
-    plant
-        Name of the plant: the first part of every key.
-    inverters
-        Path and AC rating [kW] of each inverter.
-    start_time_ns, cycle_ns, cycles
-        Simulated time of cycle 0 [ns since 1970-01-01 UTC], length and number of the cycles.
-    timezone
-        Local time of the plant, an IANA name.
-    regulation_capacity_kw
-        Power that a regulation signal of +1 stands for; 0 if the plant offers none.
-    cycle_wall_ns
-        Length of a cycle on the wall clock; 0 is lockstep, without deadlines.
-    period_cycles
-        Period of each tier that has children, the central controller's first.
-    scheme
-        How the direct controllers estimate the maximum: as in the paper, or ahead of it.
-    actuator
-        What an inverter does with its command.
-    alpha_min
-        Lowest curtailment level that is commanded.
-    hold_cycles
-        An input that is older than this is silent.
-    correction
-        Whether the central controller corrects its target by the plant's meter.
-    available_bias
-        Relative error of the available power that the inverters state; None if they state none.
-    stall_timeout_s
-        In lockstep: how long an agent waits before it says for what.
-    neighbourhoods
-        Order of help among each parent's children.
-    ramp_limit_percent_per_min
-        Ramp limit that the run is measured by, in % of the plant's rating per minute.
-    tcp_ports
-        Port on 127.0.0.1 of each agent that listens. Empty in memory.
-    faults, faults_seed
-        In what ways the network is imperfect, and the seed of what is drawn for it.
-    external
-        Agents that the launcher does not start but waits for: the user's own devices.
-    namespace
-        Prefix of the run's keys on the bus. Empty: the `run_id`, so that two runs never meet.
-    tier_deadlines_ns
-        In real time: when, after the beginning of a cycle, the last message of each tier must be
-        out at the latest; the central controller's first, the direct controllers' last. Empty: each
-        stage has the same share of the cycle.
-    machine
-        What the processes may take of the machine.
-    seed
-        Seed of the synthetic clouds; None where the irradiance is measured.
-    restart
-        What happens when a controller's process ends before the run does.
-    revert
-        What an inverter does without new commands; None: it obeys the last one forever.
-    secret, users_file
-        What ids and passwords of the agents' sessions are made from, and the file of passwords:
-        without keys, a program with one of them may publish as any agent. Empty: any program may.
-    keys_folder
-        Folder of the agents' certificates; empty: the links are not encrypted.
-    address
-        Where the agents listen.
-    addresses
-        Where the agents are that run on other hosts.
-    devices
-        Real inverters, each with its address: `modbus://host:port/unit`.
-    ramp_percent_per_s, delay_s
-        How fast an inverter follows a command, in % of its rating per second (None: at once), and
-        after what time it begins to.
-    settings
-        Settings for some inverters; for each field, the last entry that matches an inverter counts.
-    standby
-        Parents that have a standby: none in lockstep, where nothing has a deadline.
-    positions_m
-        Where each inverter stands: metres east and north of a point that is the same for all of
-        them. Empty: not known.
-    protocol
-        Version of what travels between the agents.
+    run_id: Name of the run, and its namespace on the bus.
+    plant: Name of the plant: the first part of every key.
+    inverters: Path and AC rating [kW] of each inverter.
+    start_time_ns, cycle_ns, cycles: Simulated time of cycle 0 [ns since 1970-01-01 UTC], length and
+        number of the cycles.
+    timezone: Local time of the plant, an IANA name.
+    regulation_capacity_kw: Power that a regulation signal of +1 stands for; 0 if the plant offers
+        none.
+    cycle_wall_ns: Length of a cycle on the wall clock; 0 is lockstep, without deadlines.
+    period_cycles: Period of each tier that has children, the central controller's first.
+    scheme: How the direct controllers estimate the maximum: as in the paper, or ahead of it.
+    actuator: What an inverter does with its command.
+    alpha_min: Lowest curtailment level that is commanded.
+    hold_cycles: An input that is older than this is silent.
+    correction: Whether the central controller corrects its target by the plant's meter.
+    available_bias: Relative error of the available power that the inverters state; None if they
+        state none.
+    stall_timeout_s: In lockstep: how long an agent waits before it says for what.
+    neighbourhoods: Order of help among each parent's children.
+    ramp_limit_percent_per_min: Ramp limit that the run is measured by, in % of the plant's rating
+        per minute.
+    tcp_ports: Port on 127.0.0.1 of each agent that listens. Empty in memory.
+    faults, faults_seed: In what ways the network is imperfect, and the seed of what is drawn for
+        it.
+    external: Agents that the launcher does not start but waits for: the user's own devices.
+    namespace: Prefix of the run's keys on the bus. Empty: the `run_id`, so that two runs never
+        meet.
+    tier_deadlines_ns: In real time: when, after the beginning of a cycle, the last message of each
+        tier must be out at the latest; the central controller's first, the direct controllers'
+        last. Empty: each stage has the same share of the cycle.
+    machine: What the processes may take of the machine.
+    seed: Seed of the synthetic clouds; None where the irradiance is measured.
+    restart: What happens when a controller's process ends before the run does.
+    revert: What an inverter does without new commands; None: it obeys the last one forever.
+    secret, users_file: What ids and passwords of the agents' sessions are made from, and the file
+        of passwords: without keys, a program with one of them may publish as any agent. Empty: any
+        program may.
+    keys_folder: Folder of the agents' certificates; empty: the links are not encrypted.
+    address: Where the agents listen.
+    addresses: Where the agents are that run on other hosts.
+    devices: Real inverters, each with its address: `modbus://host:port/unit`.
+    ramp_percent_per_s, delay_s: How fast an inverter follows a command, in % of its rating per
+        second (None: at once), and after what time it begins to.
+    settings: Settings for some inverters; for each field, the last entry that matches an inverter
+        counts.
+    standby: Parents that have a standby: none in lockstep, where nothing has a deadline.
+    positions_m: Where each inverter stands: metres east and north of a point that is the same for
+        all of them. Empty: not known.
+    protocol: Version of what travels between the agents.
     """
 
     run_id: str
@@ -398,13 +364,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
 
 def load_plan(path: Path) -> RunPlan:
-    """Read a plan.
-
-    Raises
-    ------
-    InputError
-        There is no such file, or it is no plan.
-    """
+    """Read a plan."""
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=RunPlan)
     except FileNotFoundError:
@@ -432,13 +392,7 @@ def check_size(cycles: int, inverters: int, where: str) -> None:
 
 
 def check_plan(plan: RunPlan) -> None:
-    """Check what the types of the fields do not tell.
-
-    Raises
-    ------
-    InputError
-        A plan that no scenario leads to.
-    """
+    """Check what the types of the fields do not tell."""
     check_size(plan.cycles, len(plan.tree.leaves), "cycles")
     if not 0 < plan.cycle_ns <= LONGEST_CYCLE_NS:
         raise InputError(

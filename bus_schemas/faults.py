@@ -252,21 +252,11 @@ class NetworkFaults:
     Several rules on one link act as several imperfect pieces of cable, one after the other: their
     delays add, and each may lose or double whatever has come through those before it.
 
-    Parameters
-    ----------
-    rules, seed
-        The rules, and the seed of all that is drawn.
-    tree
-        Control tree of the run.
-    cycle_ns
-        Length of a cycle in simulated time [ns], which `silent` is stated in.
-    cycle_wall_ns
-        Length of a cycle on the clock that delays go by [ns]; 0 in lockstep.
+    rules, seed: The rules, and the seed of all that is drawn.
+    cycle_ns: Length of a cycle in simulated time [ns], which `silent` is stated in.
+    cycle_wall_ns: Length of a cycle on the clock that delays go by [ns]; 0 in lockstep.
 
-    Attributes
-    ----------
-    acts
-        What each rule has done so far.
+    acts: What each rule has done so far.
     """
 
     def __init__(
@@ -443,20 +433,8 @@ def check_rule(
 ) -> None:
     """Refuse a rule that does not fit the run.
 
-    Parameters
-    ----------
-    rule, tree
-        The rule, and the control tree of the run.
-    where
-        What the user calls it.
-    external
-        Agents whose programs are not Heliarch's: nothing can be done to what comes in there.
-
-    Raises
-    ------
-    InputError
-        Fields that contradict each other, or a rule that does nothing; an agent or a signal that
-        the run does not have, or agents that never talk to each other.
+    where: What the user calls it.
+    external: Agents whose programs are not Heliarch's: nothing can be done to what comes in there.
     """
     _check_fields(rule, where)
     if rule.partition is not None and rule.partition.count("|") != 1:

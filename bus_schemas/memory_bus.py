@@ -34,16 +34,9 @@ class MemoryBus:
 
     There is one queue, so the order of all that happens is the same in every run.
 
-    Parameters
-    ----------
-    wiring
-        Of the run.
-    on_publish
-        Called with every message that is published, as a recorder would hear it.
-    clock
-        Set to the time of each arrival. None: lockstep, where nothing waits for a time.
-    faults
-        Of the network; they need a clock.
+    on_publish: Called with every message that is published, as a recorder would hear it.
+    clock: Set to the time of each arrival. None: lockstep, where nothing waits for a time.
+    faults: Of the network; they need a clock.
     """
 
     def __init__(

@@ -98,29 +98,17 @@ class KeyFiles:
 class SessionSettings:
     """How an agent's session joins the others.
 
-    Attributes
-    ----------
-    namespace
-        Prefix of every key of the run.
-    listen, connect
-        Endpoints, for instance `tcp/127.0.0.1:7447`.
-    lockstep
-        In lockstep nothing may be lost: a publisher waits for a listener who falls behind. In real
-        time a message that cannot go out within 20 ms is dropped instead.
-    session_id
-        Zenoh's id of the session. Empty: any.
-    user, password
-        By which those whom the session connects to know it. Empty: by none.
-    users_file
-        Users and passwords of those who may connect to it. Empty: everybody may.
-    access
-        What the others may do, see `bus_schemas.access`. None: everything.
-    keys
-        For links of TLS. None: links of TCP.
-    largest_bytes
-        Larger messages are not received.
-    signs_of_life
-        On a link that is idle, in each lease.
+    namespace: Prefix of every key of the run.
+    listen, connect: Endpoints, for instance `tcp/127.0.0.1:7447`.
+    lockstep: In lockstep nothing may be lost: a publisher waits for a listener who falls behind. In
+        real time a message that cannot go out within 20 ms is dropped instead.
+    session_id: Zenoh's id of the session. Empty: any.
+    user, password: By which those whom the session connects to know it. Empty: by none.
+    users_file: Users and passwords of those who may connect to it. Empty: everybody may.
+    access: What the others may do, see `bus_schemas.access`. None: everything.
+    keys: For links of TLS. None: links of TCP.
+    largest_bytes: Larger messages are not received.
+    signs_of_life: On a link that is idle, in each lease.
     """
 
     namespace: str
@@ -211,10 +199,7 @@ class Inbox:
 
     An agent that needs seventeen messages to go on is woken once, not seventeen times.
 
-    Attributes
-    ----------
-    flooded
-        Messages that found no room, by port.
+    flooded: Messages that found no room, by port.
     """
 
     def __init__(self) -> None:
@@ -274,20 +259,9 @@ class Inbox:
 class ZenohBus:
     """One agent's place on the bus.
 
-    Parameters
-    ----------
-    agent
-        Name of the agent.
-    keys, wiring
-        Of the run.
-    settings
-        Of the session.
-    patience_s
-        How long to wait for a message where the agent waits for no time of its own.
-    process
-        Name of the process, where it is another one than the agent's.
-    clock
-        Of the plant, where that is on another host.
+    patience_s: How long to wait for a message where the agent waits for no time of its own.
+    process: Name of the process, where it is another one than the agent's.
+    clock: Of the plant, where that is on another host.
     """
 
     def __init__(

@@ -40,17 +40,9 @@ Limit: TypeAlias = tuple[float, float | None]
 class Gateway:
     """The real inverters of a run, connected.
 
-    Parameters
-    ----------
-    plan
-        Of the run.
-    tell
-        Takes events for the launcher, in any thread.
+    tell: Takes events for the launcher, in any thread.
 
-    Raises
-    ------
-    DeviceError
-        One of them does not answer, or lacks what is needed.
+    Raises DeviceError: One of them does not answer, or lacks what is needed.
     """
 
     def __init__(self, plan: RunPlan, tell: Callable[[Event], None]) -> None:

@@ -38,23 +38,12 @@ class LimitSettings(msgspec.Struct, frozen=True):
 class LimitedInverter:
     """An inverter that is asked what it does now.
 
-    Parameters
-    ----------
-    rating_kw
-        Its rating.
-    sun_kw
-        What the sun allows at a time.
-    delay_s
-        Time from a limit until the inverter begins to follow it.
-    ramp_percent_per_s
-        How fast it follows; infinite: at once.
+    sun_kw: What the sun allows at a time.
+    delay_s: Time from a limit until the inverter begins to follow it.
+    ramp_percent_per_s: How fast it follows; infinite: at once.
 
-    Attributes
-    ----------
-    settings
-        What it was told last.
-    energy_kwh
-        Delivered up to the last `advance`.
+    settings: What it was told last.
+    energy_kwh: Delivered up to the last `advance`.
     """
 
     def __init__(

@@ -41,11 +41,8 @@ MEASURES: Final = {"over_percent": "Over-delivered", "short_percent": "Shortfall
 class Point(msgspec.Struct, frozen=True, kw_only=True):
     """What the failures of one seed cost a plant with some protection.
 
-    Attributes
-    ----------
-    over_percent, short_percent
-        Energy beyond what was desired, or what the plant gives without failures, and below both,
-        in % of the desired energy.
+    over_percent, short_percent: Energy beyond what was desired, or what the plant gives without
+        failures, and below both, in % of the desired energy.
     """
 
     protection: Protection

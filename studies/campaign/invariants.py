@@ -92,16 +92,9 @@ def violations(
 ) -> Iterator[Violation]:
     """Yield each invariant that does not hold, with the first cycle in which it does not.
 
-    Parameters
-    ----------
-    plan
-        Of the run.
-    trace, healthy_kw
-        The run, and the power of the same one without faults, shape (cycles,) [kW].
-    last_fault_s
-        Simulated time since cycle 0 at which the last fault has ended [s].
-    longest_s
-        How long power may be out of bounds at a time [s]: what the faults of the run allow.
+    trace, healthy_kw: The run, and the power of the same one without faults, shape (cycles,) [kW].
+    last_fault_s: Simulated time since cycle 0 at which the last fault has ended [s].
+    longest_s: How long power may be out of bounds at a time [s]: what the faults of the run allow.
     """
     if trace.ended:
         yield Violation("end", len(trace.produced), trace.ended)

@@ -38,16 +38,11 @@ _SETTLED_S: Final = 10.0
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     """The result of one seed.
 
-    Attributes
-    ----------
-    rules
-        Its faults, as `--fault` reads them.
-    violations
-        Invariants that did not hold. The faults are then the shortest list that breaks the first.
-    over_kwh, under_kwh
-        Energy beyond and below what the plant delivers without faults.
-    over_kw, under_kw
-        The most of it in a cycle.
+    rules: Its faults, as `--fault` reads them.
+    violations: Invariants that did not hold. The faults are then the shortest list that breaks the
+        first.
+    over_kwh, under_kwh: Energy beyond and below what the plant delivers without faults.
+    over_kw, under_kw: The most of it in a cycle.
     """
 
     seed: int
@@ -67,12 +62,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 class Campaign:
     """A plant and its run without faults.
 
-    Attributes
-    ----------
-    plan, profile
-        The run.
-    healthy_kw
-        Its power, shape (cycles,).
+    healthy_kw: Its power, shape (cycles,).
     """
 
     plan: RunPlan
@@ -231,12 +221,7 @@ def trace_of(
 ) -> Trace:
     """Return the messages of a run under some faults.
 
-    Parameters
-    ----------
-    plan, profile, rules
-        The run, and its faults.
-    restart_takes_s
-        How long a killed controller is away [s]; infinite: it never comes back.
+    restart_takes_s: How long a killed controller is away [s]; infinite: it never comes back.
     """
     trace = Trace()
     # A run without faults goes by the same clock: a rule of no length says so.
