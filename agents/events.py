@@ -90,7 +90,6 @@ class Exited(Event, frozen=True):
     status: int
     cpu_s: float
     voluntary_switches: int
-    involuntary_switches: int
 
 
 class Presence(Event, frozen=True):

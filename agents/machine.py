@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import msgspec
 
@@ -180,36 +180,6 @@ def _has_capability(number: int) -> bool:
     status = Path("/proc/self/status").read_text(encoding="utf-8")
     found = re.search(r"^CapEff:\s*([0-9a-f]+)$", status, re.MULTILINE)
     return found is not None and bool(int(found[1], 16) >> number & 1)
-
-
-class ResourcesUsed(NamedTuple):
-    """What a process has taken so far, with all its threads."""
-
-    cpu_s: float
-    switches_voluntary: int
-    switches_involuntary: int
-    resident_mb: float
-
-
-def resources_used() -> ResourcesUsed:
-    """Return what this process has taken so far. `resident_mb` is the most it ever had."""
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    return ResourcesUsed(
-        usage.ru_utime + usage.ru_stime,
-        usage.ru_nvcsw,
-        usage.ru_nivcsw,
-        _most_resident_bytes(usage.ru_maxrss) / 1e6,
-    )
-
-
-def _most_resident_bytes(maxrss: int) -> int:
-    # On Linux what getrusage knows goes back to before the program was started: to its parent.
-    try:
-        status = Path("/proc/self/status").read_text(encoding="ascii")
-    except OSError:
-        return maxrss * (1 if sys.platform == "darwin" else 1024)
-    found = re.search(r"^VmHWM:\s*(\d+) kB", status, re.MULTILINE)
-    return int(found[1]) * 1024 if found else maxrss * 1024
 
 
 def scheduling_policy() -> str:

@@ -36,10 +36,6 @@ class Periods:
         """Whether a parent acts in a cycle. In arming rounds (below 0) everybody does."""
         return cycle < 0 or cycle % self.cycles[depth(parent)] == 0
 
-    def last_turn(self, parent: str, cycle: int) -> int:
-        """Return the last cycle up to this one in which a parent acts."""
-        return cycle - cycle % self.cycles[depth(parent)]
-
     def rests_between(self, parent: str) -> bool:
         """Whether a parent's children act between its turns."""
         own = depth(parent)

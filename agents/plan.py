@@ -63,37 +63,21 @@ class NodeNeighbourhoods(msgspec.Struct, frozen=True):
 
 
 class RestartPolicy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the launcher does when a controller's process ends before the run does."""
+    """What the launcher does when a controller's process ends before the run does.
 
-    when: Annotated[
-        Literal["never", "on-failure", "always"] | None,
-        Meta(
-            description="`never`: the run ends. `on-failure`: the process is restarted. `always`: "
-            "the same, without a limit. Default: `on-failure` in real time, `never` in lockstep."
-        ),
-    ] = None
-    most: Annotated[
-        int, Meta(ge=1, le=1000, description="Largest number of restarts of one process ...")
-    ] = 5
-    within_s: Annotated[
-        float, Meta(gt=0.0, le=1e6, description="... within this time; one more ends the run [s].")
-    ] = 60.0
-    backoff_s: Annotated[
-        float,
-        Meta(
-            ge=0.0,
-            le=1e6,
-            description="Wait before the second restart within that time, doubled each time [s].",
-        ),
-    ] = 0.5
-    frozen_s: Annotated[
-        float,
-        Meta(
-            gt=0.0,
-            le=1e6,
-            description="A process that reports nothing for this time is killed [s].",
-        ),
-    ] = 5.0
+    when: `never`: the run ends. `on-failure`: the process is restarted. `always`: the same, without
+        a limit. Default: `on-failure` in real time, `never` in lockstep.
+    most: Largest number of restarts of one process ...
+    within_s: ... within this time; one more ends the run [s].
+    backoff_s: Wait before the second restart within that time, doubled each time [s].
+    frozen_s: A process that reports nothing for this time is killed [s].
+    """
+
+    when: Literal["never", "on-failure", "always"] | None = None
+    most: Annotated[int, Meta(ge=1, le=1000)] = 5
+    within_s: Annotated[float, Meta(gt=0.0, le=1e6)] = 60.0
+    backoff_s: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.5
+    frozen_s: Annotated[float, Meta(gt=0.0, le=1e6)] = 5.0
 
     def wait_s(self, earlier_s: Iterable[float], now_s: float) -> float | None:
         """Return how long to wait before one more restart of a process; None: there is none.
@@ -111,33 +95,30 @@ Delay: TypeAlias = Annotated[float, Meta(ge=0.0, le=600.0)]
 
 
 class Revert(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What an inverter does without new commands (SunSpec models 123 and 704)."""
+    """What an inverter does without new commands (SunSpec models 123 and 704).
 
-    after_s: Annotated[
-        float, Meta(gt=0.0, le=86_400.0, description="Time after the last command [s].")
-    ] = 60.0
-    to: Annotated[
-        Literal["request", "release"] | Annotated[float, Meta(ge=0.0, le=1.0)],
-        Meta(
-            description="`request`: its own share of the last dispatch that its controller heard. "
-            "`release`: no limit. A number: this share of its rating."
-        ),
-    ] = "request"
+    after_s: Time after the last command [s].
+    to: `request`: its own share of the last dispatch that its controller heard. `release`: no
+        limit. A number: this share of its rating.
+    """
+
+    after_s: Annotated[float, Meta(gt=0.0, le=86_400.0)] = 60.0
+    to: Literal["request", "release"] | Annotated[float, Meta(ge=0.0, le=1.0)] = "request"
 
 
 class InverterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How some inverters follow commands. Fields that are not given are as for all others."""
+    """How some inverters follow commands. Fields that are not given are as for all others.
 
-    nodes: Annotated[str, Meta(description="Which: `c1/inv07`, or a pattern such as `c1/*`.")] = "*"
-    revert: Annotated[
-        Revert | None, Meta(description="What these inverters do without new commands.")
-    ] = None
-    ramp_percent_per_s: Annotated[
-        Ramp | None, Meta(description="Largest change of power, in % of the rating per second.")
-    ] = None
-    delay_s: Annotated[Delay | None, Meta(description="Time until a command takes effect [s].")] = (
-        None
-    )
+    nodes: Which: `c1/inv07`, or a pattern such as `c1/*`.
+    revert: What these inverters do without new commands.
+    ramp_percent_per_s: Largest change of power, in % of the rating per second.
+    delay_s: Time until a command takes effect [s].
+    """
+
+    nodes: str = "*"
+    revert: Revert | None = None
+    ramp_percent_per_s: Ramp | None = None
+    delay_s: Delay | None = None
 
 
 class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):

@@ -57,54 +57,41 @@ Second: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12)]
 
 
 class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One way in which links are imperfect."""
+    """One way in which links are imperfect.
 
-    source: Annotated[
-        str, Meta(description="Publishing agent: `plant`, `c2/inv07`, or a pattern such as `c1/*`.")
-    ] = "*"
-    listener: Annotated[str, Meta(description="Receiving agent, named in the same way.")] = "*"
-    signal: Annotated[str | None, Meta(description="Name of a cyclic signal. Default: any.")] = None
-    delay_ms: Annotated[Milliseconds, Meta(description="Delay of each message [ms].")] = 0.0
-    jitter_ms: Annotated[
-        Milliseconds, Meta(description="Spread of the delay [ms]; it is never below 0.")
-    ] = 0.0
-    distribution: Annotated[
-        Literal["fixed", "uniform", "normal"],
-        Meta(description="Of the delay; `jitter_ms` is its range (±) or standard deviation."),
-    ] = "uniform"
-    loss: Annotated[Share, Meta(description="Share of the messages that do not arrive.")] = 0.0
-    duplicate: Annotated[
-        Share, Meta(description="Share that arrives twice; the copy has its own delay and loss.")
-    ] = 0.0
-    reorder: Annotated[
-        Share, Meta(description="Share that is held back, so that later messages overtake it.")
-    ] = 0.0
-    reorder_ms: Annotated[
-        Milliseconds | None,
-        Meta(description="Extra delay when held back [ms]. Default: one more `delay_ms`."),
-    ] = None
-    silent: Annotated[
-        tuple[tuple[Second, Second], ...],
-        Meta(description="Intervals of simulated time since cycle 0 in which nothing arrives [s]."),
-    ] = ()
-    partition: Annotated[
-        str | None,
-        Meta(description="Two agents, or patterns, that do not hear each other: `c1|central`."),
-    ] = None
-    kill: Annotated[
-        str | None, Meta(description="Controllers that are killed `at` a time: `c1`, `c2/*`.")
-    ] = None
-    freeze: Annotated[
-        str | None, Meta(description="Controllers that stand still between the two times of `at`.")
-    ] = None
-    at: Annotated[
-        tuple[Second, ...],
-        Meta(
-            description="When, in simulated time since cycle 0 [s]: one time for `kill`, beginning "
-            "and end for other rules. Default: always.",
-            max_length=2,
-        ),
-    ] = ()
+    source: Publishing agent: `plant`, `c2/inv07`, or a pattern such as `c1/*`.
+    listener: Receiving agent, named in the same way.
+    signal: Name of a cyclic signal. Default: any.
+    delay_ms: Delay of each message [ms].
+    jitter_ms: Spread of the delay [ms]; it is never below 0.
+    distribution: Of the delay; `jitter_ms` is its range (±) or standard deviation.
+    loss: Share of the messages that do not arrive.
+    duplicate: Share that arrives twice; the copy has its own delay and loss.
+    reorder: Share that is held back, so that later messages overtake it.
+    reorder_ms: Extra delay when held back [ms]. Default: one more `delay_ms`.
+    silent: Intervals of simulated time since cycle 0 in which nothing arrives [s].
+    partition: Two agents, or patterns, that do not hear each other: `c1|central`.
+    kill: Controllers that are killed `at` a time: `c1`, `c2/*`.
+    freeze: Controllers that stand still between the two times of `at`.
+    at: When, in simulated time since cycle 0 [s]: one time for `kill`, beginning and end for other
+        rules. Default: always.
+    """
+
+    source: str = "*"
+    listener: str = "*"
+    signal: str | None = None
+    delay_ms: Milliseconds = 0.0
+    jitter_ms: Milliseconds = 0.0
+    distribution: Literal["fixed", "uniform", "normal"] = "uniform"
+    loss: Share = 0.0
+    duplicate: Share = 0.0
+    reorder: Share = 0.0
+    reorder_ms: Milliseconds | None = None
+    silent: tuple[tuple[Second, Second], ...] = ()
+    partition: str | None = None
+    kill: str | None = None
+    freeze: str | None = None
+    at: Annotated[tuple[Second, ...], Meta(max_length=2)] = ()
 
     def __str__(self) -> str:
         """Return the rule as `--fault` reads it, without the defaults."""

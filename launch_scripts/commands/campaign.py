@@ -19,8 +19,8 @@ from launch_scripts.commands.options import (
     WorkersOption,
     changed_scenario,
 )
-from launch_scripts.commands.output import say, shared, write_files
-from studies.tables import console_for, print_table
+from launch_scripts.commands.output import say, shared, written
+from studies.tables import print_table
 
 if TYPE_CHECKING:
     from launch_scripts.scenarios.preparation import Preparation
@@ -75,17 +75,16 @@ def campaign(
 
         return campaign_page(preparation, found, outcomes)
 
-    written = write_files(outcomes, files.json, page, files.report, PAGE)
-    console = console_for(files.json)
-    print_table(console, tables.campaign_table(preparation, outcomes))
     broken = [outcome for outcome in outcomes if outcome.violations]
-    for outcome in broken[:_LISTED]:
-        first = outcome.violations[0]
-        say(console, f"seed {outcome.seed}: {first.invariant}, cycle {first.cycle}: {first.text}")
-        say(console, f"  {_command(scenario, start, duration, settings or (), outcome)}")
-    if len(broken) > _LISTED:
-        say(console, f"and {len(broken) - _LISTED:,} other seeds; --json lists all of them")
-    say(console, *written)
+    with written(outcomes, files, page, PAGE) as console:
+        print_table(console, tables.campaign_table(preparation, outcomes))
+        for outcome in broken[:_LISTED]:
+            first = outcome.violations[0]
+            where = f"{first.invariant}, cycle {first.cycle}"
+            say(console, f"seed {outcome.seed}: {where}: {first.text}")
+            say(console, f"  {_command(scenario, start, duration, settings or (), outcome)}")
+        if len(broken) > _LISTED:
+            say(console, f"and {len(broken) - _LISTED:,} other seeds; --json lists all of them")
     if broken:
         raise typer.Exit(1)
 
@@ -111,11 +110,9 @@ def _measure_curves(
 
         return html_page(f"What failures cost: {title}", [], [curve_figure(points), *tables])
 
-    written = write_files(points, files.json, page, files.report, PAGE)
-    console = console_for(files.json)
-    for table in tables:
-        print_table(console, table)
-    say(console, *written)
+    with written(points, files, page, PAGE) as console:
+        for table in tables:
+            print_table(console, table)
 
 
 def _command(

@@ -167,12 +167,8 @@ class ForkServer:
             pid, status, usage = os.wait4(-1, os.WNOHANG)
             if pid == 0:
                 return
-            exited = Exited(
-                os.waitstatus_to_exitcode(status),
-                usage.ru_utime + usage.ru_stime,
-                usage.ru_nvcsw,
-                usage.ru_nivcsw,
-            )
+            cpu_s = usage.ru_utime + usage.ru_stime
+            exited = Exited(os.waitstatus_to_exitcode(status), cpu_s, usage.ru_nvcsw)
             self._tell(self._pids.pop(pid), exited)
 
     def _tell(self, agent: str, event: Event) -> None:

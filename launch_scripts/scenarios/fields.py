@@ -71,11 +71,6 @@ def members(kind: inspect.Type) -> tuple[inspect.Type, ...]:
     return () if isinstance(kind, inspect.NoneType) else (kind,)
 
 
-def description(kind: inspect.Type) -> str:
-    schema = kind.extra_json_schema if isinstance(kind, inspect.Metadata) else None
-    return str((schema or {}).get("description", ""))
-
-
 def takes(types: Iterable[inspect.Type]) -> str:
     return " or ".join(dict.fromkeys(_takes(one) for one in types))
 

@@ -105,10 +105,10 @@ def study_lines(study: ClusterStudy) -> list[str]:
     ]
 
 
-def study_json(study: ClusterStudy) -> dict[str, object]:
+def study_json(study: ClusterStudy, remarks: Sequence[str]) -> dict[str, object]:
     return {
         "title": study.title,
-        "remarks": study.remarks,
+        "remarks": remarks,
         "ways": [
             {
                 "clusters": name,
@@ -141,8 +141,8 @@ def _json_row(periods_s: Sequence[float], worth: ClustersWorth) -> dict[str, obj
     }
 
 
-def study_page(study: ClusterStudy) -> str:
-    paragraphs = [f"{study.title}.", *study.remarks, *study_lines(study)]
+def study_page(study: ClusterStudy, remarks: Sequence[str]) -> str:
+    paragraphs = [f"{study.title}.", *remarks, *study_lines(study)]
     return html_page(
         "Virtual neighbours and other clusters",
         paragraphs,

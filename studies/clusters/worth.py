@@ -85,12 +85,8 @@ class ClustersWorth:
     shortfalls: tuple[Shortfall, ...]
 
 
-def by_scenario(scenario: ScenarioFile, options: RunOptions) -> Arrange:
+def by_scenario(scenario: ScenarioFile, options: RunOptions, control: ControlTable) -> Arrangement:
     """Arrange a scenario's run as any other command does: clusters from the scenario's past."""
-    return partial(_by_scenario, scenario, options)
-
-
-def _by_scenario(scenario: ScenarioFile, options: RunOptions, control: ControlTable) -> Arrangement:
     changed = replace(scenario.scenario, control=control)
     prepared = prepare(replace(scenario, scenario=changed), options, "clusters")
     return Arrangement(prepared.plan, prepared.profile)

@@ -11,7 +11,7 @@ import pytest
 from report_reading import read_page
 from synthetic_runs import cloudy_run, without_estimates
 
-from studies.report.run_report import write_report
+from studies.report.run_report import report_page
 from studies.report.tables import metrics_tables
 
 WIDTHS = """<script>addEventListener("load", () => {
@@ -55,7 +55,7 @@ def test_a_browser_draws_every_figure_without_a_complaint(
     others = ("no help", "grouping control, 4 inverters", "central dispatch", "a fifth scheme")
     runs = [run, *(without_estimates(run, label) for label in others)]
     path = tmp_path / "report.html"
-    write_report(path, "A run", runs, metrics_tables(runs))
+    path.write_text(report_page("A run", runs, metrics_tables(runs)))
     measured = path.with_name("measured.html")
     measured.write_text(path.read_text(encoding="utf-8").replace("</body>", WIDTHS), "utf-8")
     ended = subprocess.run(
