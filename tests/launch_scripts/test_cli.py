@@ -19,7 +19,7 @@ from studies.arrays.schemes import SCHEMES
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
 
 REPOSITORY = Path(__file__).parents[2]
-NAMES = [module.__name__.rpartition(".")[2] for some in COMMANDS.values() for module in some]
+NAMES = [name for names in COMMANDS.values() for name in names]
 HEAVY = {"numba", "pandas", "plotly", "pvlib", "scipy", "zenoh"}
 
 
