@@ -151,7 +151,6 @@ class HealthWatch:
         self._missed = MissedInputs(plan)
 
     def see(self, record: RecordedMessage) -> None:
-        """Take in a message."""
         port, cycle = record.port, record.cycle
         sequence = self.gaps.ports[port].sequence
         restarts, lost = sequence.restarts, sequence.lost

@@ -193,7 +193,6 @@ class Column:
     form: str = ".2f"
 
     def text(self, node: NodeCycle) -> str:
-        """Return the cell of a node."""
         value = getattr(node, self.field)
         return ("-" if value is None else format(value, self.form)).rjust(self.width)
 
