@@ -83,7 +83,7 @@ def conform(
         pace=pace,
         seed=seed,
         scheme=scheme,
-        external=(agent,),
+        external=[agent],
         external_timeout_s=wait_s,
         base_port=base_port,
         faults=[of_plant.FROZEN] if agent == PLANT else None,

@@ -19,7 +19,6 @@ from launch_scripts.commands.options import (
     FileOptions,
     PageOptions,
     PlantOptions,
-    ProcessOptions,
     SpanOptions,
     changed_scenario,
 )
@@ -34,6 +33,7 @@ from launch_scripts.launcher.summary_table import print_summary
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.launcher.wrong_messages import one_line_each
 from launch_scripts.scenarios.preparation import RunOptions
+from launch_scripts.scenarios.process_options import ProcessOptions
 from live_page.process import PageProcess
 from studies.tables import console_for
 

@@ -16,11 +16,11 @@ from launch_scripts.commands.options import (
     FileOptions,
     PageOptions,
     PlantOptions,
-    ProcessOptions,
     StartOption,
     refuse_others,
 )
 from launch_scripts.commands.output import say, written
+from launch_scripts.scenarios.process_options import ProcessOptions
 from studies.tables import console_for
 
 if TYPE_CHECKING:

@@ -28,6 +28,7 @@ from launch_scripts.scenarios.fault_rules import fault_remarks, fault_rules
 from launch_scripts.scenarios.fields import field_names
 from launch_scripts.scenarios.machine_table import machine_settings
 from launch_scripts.scenarios.power_sources import power_source
+from launch_scripts.scenarios.process_options import ProcessOptions
 from launch_scripts.scenarios.real_time import cycle_wall_ns, parse_pace, tier_deadlines_ns
 from launch_scripts.scenarios.scenario import (
     LARGEST_SEED,
@@ -47,7 +48,7 @@ _HOUR_NS: Final = 3_600_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class RunOptions:
+class RunOptions(ProcessOptions):
     """What the user may change about a scenario, as the options of `heliarch launch` say.
 
     None and an empty list leave it as it is.
@@ -61,16 +62,6 @@ class RunOptions:
     scheme: Scheme | None = None
     actuator: Actuator | None = None
     faults: Sequence[str] | None = None
-    external: Sequence[str] | None = None
-    external_timeout_s: float = 60.0
-    base_port: int | None = None
-    secure: bool | None = None
-    keys: Path | None = None
-    address: str = "127.0.0.1"
-    on: Sequence[str] | None = None
-    cpus: Sequence[str] | None = None
-    priority: int | None = None
-    devices: Sequence[str] | None = None
     cycle_s: float | None = None
 
 
