@@ -80,7 +80,8 @@ ATTACKERS: Final = (
     Attacker("nothing"),
     Attacker("plan.json", folder="plan"),
     Attacker("nothing, beside a device", EXTERNAL),
-    Attacker("session ids, beside a device", EXTERNAL, folder="plan"),
+    Attacker("session ids, beside a device", EXTERNAL, folder="ids"),
+    Attacker("plan.json, beside a device", EXTERNAL, folder="plan"),
     Attacker("nothing, with keys", SECURE),
     Attacker("keys of another plant", SECURE, DEVICE, "other"),
     *(Attacker(f"keys of {who}", SECURE, who, "own") for who in (DEVICE, "c2", "central", "plant")),
@@ -165,7 +166,7 @@ def sessions_of(attacker: Attacker, plan: RunPlan, keys: Path) -> Iterator[Sessi
 
         def linked(settings: SessionSettings, modes: Sequence[str]) -> list[zenoh.Session]:
             found = []
-            for port in plan.tcp_ports.values():
+            for port in (*plan.tcp_ports.values(), *plan.agent_ports.values()):
                 host = "tls/127.0.0.1" if settings.keys else "tcp/127.0.0.1"
                 for mode in modes:
                     config = replace(settings, connect=[f"{host}:{port}"]).config()
@@ -177,14 +178,16 @@ def sessions_of(attacker: Attacker, plan: RunPlan, keys: Path) -> Iterator[Sessi
 
         own = KeyFiles.of(keys / attacker.folder, attacker.agent) if attacker.agent else None
         settings = SessionSettings(plan.bus_namespace, [], [], lockstep=False, keys=own)
-        if attacker.folder == "plan":
+        if attacker.folder in {"ids", "plan"}:
             of_agent = {}
             for agent in plan.tree.agents():
                 forged = replace(settings, session_id=session_id(plan.secret, agent))
-                if not plan.external:
-                    proof = password(plan.secret, agent)
-                    forged = replace(forged, user=agent, password=proof)
                 of_agent[agent] = linked(forged, ("peer",))
+                if attacker.folder == "plan":
+                    proof = password(plan.secret, agent)
+                    of_agent[agent] += linked(
+                        replace(forged, user=agent, password=proof), ("peer",)
+                    )
             yield of_agent.__getitem__
         else:
             sessions = linked(settings, ("peer", "client"))
