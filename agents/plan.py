@@ -470,7 +470,7 @@ def check_plan(plan: RunPlan) -> None:
             f"cycle_ns: expected above 0, up to {LONGEST_CYCLE_NS:,}, got {plan.cycle_ns:,}"
         )
     for number, rule in enumerate(plan.faults):
-        check_rule(rule, plan.tree, f"faults[{number}]", plan.elsewhere)
+        check_rule(rule, plan.tree, f"faults[{number}]", plan.external, plan.addresses)
     for number, entry in enumerate(plan.settings):
         if not any(fnmatchcase(leaf, entry.nodes) for leaf in plan.tree.leaves):
             raise InputError(
