@@ -329,6 +329,8 @@ def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
             raise InputError("--to: expected no --duration with it")
         end = _start(table, options.end, "--to", start)
         where, duration_s = "--to", (end - start).total_seconds()
+        if end <= start:
+            raise InputError(f"--to: expected a time after {start}, got {end}")
     cycles = round(duration_s / table.cycle_s)
     if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:
         raise InputError(

@@ -351,6 +351,7 @@ def test_bad_measurements_are_refused(measured: Folder, old: str, new: str, comp
         *(("duration", text) for text in ("0", "soon", "745h", "9" * 400, "0.5", "1.25s")),
         *(("start", text) for text in ("noon", "25:00", "2024-13-01T12:00", "", "12:30Z")),
         *(("start", text) for text in ("1899-12-31", "2201-01-01", "9999-01-01")),
+        *(("end", text) for text in ("13:00", "12:59", "later")),
         ("seed", -1),
     ],
 )
@@ -358,7 +359,8 @@ def test_a_bad_option_is_refused_in_one_short_line(
     folder: Folder, option: str, value: object
 ) -> None:
     complaint = folder.complaint(**{option: value})
-    assert complaint.startswith(f"--{'from' if option == 'start' else option}: expected ")
+    name = {"start": "from", "end": "to"}.get(option, option)
+    assert complaint.startswith(f"--{name}: expected ")
     assert len(complaint) < 200
 
 
