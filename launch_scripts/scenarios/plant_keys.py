@@ -62,7 +62,13 @@ def make_keys(
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     except OSError as error:
         raise InputError(f"--out: expected a folder, got {folder}: {error.strerror}") from None
-    new_authority = not (folder / _AUTHORITY_KEY).exists()
+    there = [name for name in (_AUTHORITY_KEY, "ca.pem") if (folder / name).exists()]
+    if len(there) == 1:
+        raise InputError(
+            f"{folder}: expected both {_AUTHORITY_KEY} and ca.pem, got {there[0]} alone; bring the "
+            "other one back, or name a new folder with --out"
+        )
+    new_authority = not there
     if new_authority:
         _make_authority(folder, plant)
     authority, key = _authority(folder, plant)
