@@ -29,7 +29,7 @@ from bus_schemas.host_clock import HostClock
 from bus_schemas.keys import KeyTable
 from bus_schemas.messages import Message
 from bus_schemas.signals import DISPATCH, Occurrence, Port, Signal, Wiring
-from bus_schemas.tree import PLANT
+from bus_schemas.tree import PLANT, RECORDER
 
 ENCODING: Final = "application/msgpack"
 
@@ -330,8 +330,10 @@ class ZenohBus:
         many = _signals_of_many(published)
         self._put = {
             port: self._putter(
-                # What no device hears need not go there.
-                self._sessions[: 1 if devices.isdisjoint(wiring.processes[port]) else 2],
+                # What nobody hears there need not go there; the recorder hears all.
+                self._sessions[
+                    : 1 if devices.isdisjoint({RECORDER, *wiring.processes[port]}) else 2
+                ],
                 port,
                 settings.lockstep,
                 declared=port.signal not in many,
