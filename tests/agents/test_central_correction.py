@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 from plans_by_hand import REAL_TIME, plan_of
 from plants_by_hand import AtWork, Heard, dispatch, hear_profile, meter, report
-from running import small_plant
 
 from agents.control.correction import HIGHEST_GAIN
-from agents.plan import RunPlan, Scheme
+from agents.plan import RunPlan
 from bus_schemas.messages import Setpoint
 from bus_schemas.signals import PRODUCTION, SETPOINT
 from bus_schemas.tree import ROOT
-from launch_scripts.scenarios.preparation import RunOptions, prepare
-from launch_scripts.scenarios.scenario import load_scenario
 from sim_plant.profile import Profile
 
 CYCLES = 60
@@ -46,12 +42,6 @@ def test_a_lasting_error_is_corrected_away() -> None:
     assert first < 120.0 - 1.0
     assert last == pytest.approx(120.0, abs=0.05)
     assert target_kw(heard, CYCLES - 1) > 121.0
-
-
-def test_without_correction_it_stays() -> None:
-    heard = dimmed(correction=False)
-    assert heard.get(CYCLES - 1, PRODUCTION.of(ROOT)).delivered_kw == pytest.approx(120.0 / 1.02)
-    assert target_kw(heard, CYCLES - 1) == pytest.approx(120.0)
 
 
 def test_where_all_there_is_falls_short_nothing_is_added() -> None:
@@ -117,21 +107,3 @@ def cycle_with_meter(central: AtWork, cycle: int, metered_kw: float | None) -> f
     else:
         sent |= central.hear(meter(cycle, metered_kw))
     return sum(message.power_kw for message in sent.values() if isinstance(message, Setpoint))
-
-
-@pytest.mark.parametrize(
-    ("scheme", "said", "corrects"),
-    [
-        ("predictive", None, True),
-        ("paper", None, False),
-        ("predictive", "false", False),
-        ("paper", "true", True),
-    ],
-)
-def test_it_goes_with_the_scheme_unless_the_scenario_says_otherwise(
-    tmp_path: Path, scheme: Scheme, said: str | None, corrects: bool
-) -> None:
-    said_so = () if said is None else (("[control]", f"[control]\ncorrection = {said}"),)
-    scenario = load_scenario(small_plant(tmp_path, *said_so))
-    plan = prepare(scenario, RunOptions(duration="1", scheme=scheme), "any").plan
-    assert plan.correction is corrects

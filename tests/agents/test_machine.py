@@ -52,12 +52,6 @@ def lines_of(code: str) -> list[str]:
     return done.stdout.splitlines()
 
 
-def test_by_default_nothing_is_taken() -> None:
-    refused, policy = place_of(MachineSettings())
-    assert refused == ()
-    assert policy == scheduling_policy()
-
-
 @linux
 def test_a_process_runs_on_its_cpus() -> None:
     cpu = min(os.sched_getaffinity(0))

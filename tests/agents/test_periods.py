@@ -45,11 +45,6 @@ def test_setpoints_are_sent_in_their_turns_all_else_in_every_cycle(heard: Heard)
         assert heard.cycles_of(port) == list(range(CYCLES))
 
 
-def test_a_setpoint_of_the_last_turn_is_no_missing_input(heard: Heard) -> None:
-    for signal in (IMPP, SETPOINT, COMMAND):
-        assert {message.missing for _, message in heard.of(signal)} == {()}
-
-
 @pytest.mark.parametrize("cycles", [3, 10, 11])
 def test_nothing_is_sent_in_a_cycle_that_does_not_take_place(cycles: int) -> None:
     plan = plan_of(FOUR, cycles=cycles, period_cycles=(10, 1))
@@ -116,10 +111,6 @@ def test_a_parents_turns_follow_from_its_tier(
 
 def test_in_arming_rounds_everybody_acts() -> None:
     assert all(Periods((10, 5)).is_turn("", cycle) for cycle in range(-20, 0))
-
-
-def test_the_longest_period_is_how_far_agents_may_part() -> None:
-    assert Periods((60, 10, 1)).longest == 60
 
 
 @pytest.mark.parametrize(

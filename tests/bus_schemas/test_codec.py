@@ -21,7 +21,6 @@ from bus_schemas.messages import (
     Impp,
     Message,
     Residual,
-    Setpoint,
 )
 from bus_schemas.signals import IMPP, RESIDUAL, SIGNALS, Signal
 from bus_schemas.tree import LONGEST_PATH, MOST_CHILDREN, MOST_INVERTERS
@@ -115,13 +114,6 @@ def test_the_wire_is_one_plain_msgpack_map_from_field_name_to_value(
     assert list(found)[: len(HEAD_FIELDS)] == HEAD_FIELDS
     assert found == msgspec.json.decode(msgspec.json.encode(message))
     assert decode(signal, msgpack.packb(found)) == message, "as another library packs it"
-
-
-def test_a_line_of_help_is_a_pair_on_the_wire() -> None:
-    setpoint = Setpoint(
-        0, 0, "c1", (), power_kw=60.0, share_kw=50.0, help_given=(HelpGiven("c1/inv08", 10.0),)
-    )
-    assert msgpack.unpackb(encode(setpoint))["help_given"] == [["c1/inv08", 10.0]]
 
 
 @each_signal

@@ -133,15 +133,6 @@ def test_sigterm_ends_all_with_143(run: Heliarch) -> None:
     assert run.recorded_cycles() > 0
 
 
-def test_ctrl_c_ends_a_simulation_with_its_table_and_130(heliarch: Start, tmp_path: Path) -> None:
-    run = heliarch("simulate", small_plant(tmp_path / "plant"), "--pace", "20")
-    run.until_recorded()
-    run.process.send_signal(signal.SIGINT)
-    assert run.wait() == 130, run.error_text()
-    assert "satisfied commitment" in run.output.read_text().lower()
-    assert run.recorded_cycles() > 0
-
-
 # Frozen -------------------------------------------------------------------------------------------
 
 

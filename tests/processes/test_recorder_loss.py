@@ -59,13 +59,6 @@ def kill_recorder(run: Heliarch) -> float:
     return (killed_at_ns - last_ns) / 1e9
 
 
-def test_a_recorder_killed_at_a_random_moment_loses_nothing_that_it_had_flushed(
-    heliarch: Start, tmp_path: Path
-) -> None:
-    """It flushes every half second: `tests/recordings/test_flushes.py`."""
-    kill_recorder(heliarch("launch", small_plant(tmp_path / "plant")))
-
-
 @pytest.mark.parametrize("pace", [("--pace", "10"), ("--set", "restart.when=on-failure")])
 def test_a_recorder_is_started_again_and_all_its_files_are_one_recording(
     heliarch: Start, tmp_path: Path, pace: tuple[str, ...]

@@ -6,13 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from sky_statistics import (
-    SkyShares,
-    cloud_cover,
     cloud_motion,
-    exceedance,
-    index_by_quantile,
-    pair_correlations,
-    sky_shares,
 )
 
 from sim_plant import Floats
@@ -62,30 +56,3 @@ def test_the_motion_over_a_real_plant_is_the_one_that_its_publisher_found(
     from_deg = (270.0 - np.rad2deg(angle_rad)) % 360.0
     assert motion.speed_ms == pytest.approx(speed_ms, rel=0.1)
     assert motion.from_deg == pytest.approx(from_deg, abs=5.0)
-
-
-def test_pair_correlations_are_pearsons_and_a_dead_sensor_has_none() -> None:
-    series = np.random.default_rng(2).random((50, 4))
-    series[:, 3] = 0.7
-    pairs = pair_correlations(
-        series, np.array([0.0, 3.0, 0.0, 9.0]), np.array([0.0, 4.0, 1.0, 9.0])
-    )
-    expected = np.asarray(np.corrcoef(series[:, :3].T))
-    np.testing.assert_allclose(pairs.correlation[[0, 1, 3]], expected[[0, 0, 1], [1, 2, 2]])
-    assert np.isnan(pairs.correlation[[2, 4, 5]]).all()
-    np.testing.assert_allclose(pairs.distance_m[:2], [5.0, 1.0])
-    by_class = pairs.by_distance(np.array([0.0, 2.0, 6.0, 8.0]))
-    assert by_class[0] == pytest.approx(expected[0, 2])
-    assert by_class[1] == pytest.approx(0.5 * (expected[0, 1] + expected[1, 2]))
-    assert np.isnan(by_class[2])
-
-
-def test_changes_and_kinds_of_sky_are_counted() -> None:
-    change = np.array([[0.1, -0.3], [0.2, -0.2]])
-    thresholds = np.array([0.0, 0.1, 0.2, 0.3])
-    np.testing.assert_allclose(exceedance(change, thresholds), [1.0, 0.75, 0.25, 0.0])
-    index = np.array([[0.2, 0.5], [0.89, 0.9], [1.0, 1.05], [1.3, 0.4]])
-    assert sky_shares(index) == SkyShares(cloudy=0.25, partly=0.25, clear=0.25, enhanced=0.25)
-    assert cloud_cover(index) == 0.5
-    of_each = index_by_quantile(index * [0.5, 3.0])
-    np.testing.assert_allclose(of_each, index_by_quantile(index))

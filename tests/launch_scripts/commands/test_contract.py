@@ -211,6 +211,8 @@ def cut(recording: Path) -> None:
         "timing small.toml --rate 0.1..5 --duration 5s",
         "timing small.toml --rate 5,10 --out run",
         "timing timed --seed 3",
+        "timing small.toml --rate 10 --duration 0.05",
+        "compare small.toml --seeds 1,2 --csv nowhere/summary.csv",
         "conform c9 --scenario small.toml",
         "nonsense",
     ],

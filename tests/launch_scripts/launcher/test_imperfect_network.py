@@ -124,23 +124,6 @@ def test_a_message_that_is_lost_is_named_with_the_one_that_was_used_instead(
     assert run.loops[parent].missing_inputs == 2
 
 
-def test_a_stage_that_lacks_a_message_closes_at_its_deadline(valley: Preparation) -> None:
-    leaf = valley.plan.tree.leaves[0]
-    rule = FaultRule(listener=leaf, signal="telemetry", silent=((7.0, 8.0),))
-    run, sent = run_with(valley, [rule])
-    deadline_ns = run.plan.deadlines.deadline_ns(leaf, "estimate")
-    found = sent.of(IMPP.of(leaf))
-    assert found[7].publish_time_ns == found[7].ready_time_ns == 7 * SECOND_NS + deadline_ns
-    assert found[8].publish_time_ns == 8 * SECOND_NS
-
-
-def test_a_message_that_is_late_in_every_cycle_is_used_in_the_next(valley: Preparation) -> None:
-    leaf = valley.plan.tree.leaves[0]
-    run, sent = run_with(valley, [FaultRule(listener=leaf, signal="setpoint", delay_ms=950.0)])
-    assert run.loops[leaf].missing_inputs == CYCLES
-    assert sent.of(COMMAND.of(leaf))[9].missing == (f"{leaf}/setpoint@8",)
-
-
 @pytest.mark.parametrize("pace", [1, 10])
 def test_the_plant_ticks_on_the_clock_whatever_the_network_does(
     valley: Preparation, pace: int

@@ -16,7 +16,6 @@ from bus_schemas.errors import InputError
 from launch_scripts.cli import app
 from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.launcher.supervision import RunFailure
-from launch_scripts.scenarios.fault_rules import fault_rules
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings import open_run
@@ -157,36 +156,6 @@ def test_inverters_may_be_set_to_release_or_to_a_share_of_their_rating(oahu: Pre
         np.testing.assert_array_equal(
             trace.power_kw[KILLED_AT + 10 :], expected_kw[KILLED_AT + 10 :]
         )
-
-
-def test_a_run_with_deaths_repeats_to_the_last_bit(oahu: Preparation) -> None:
-    faults = ["kill=c2,at=30s", "freeze=c1/*,at=40s..45s", "loss=2%", "kill=c2,at=60s"]
-    first, again = (run_through(oahu, *faults)[1].messages for _ in range(2))
-    assert [*map(str, first)] == [*map(str, again)]
-
-
-@pytest.mark.parametrize(
-    ("rule", "place", "expected"),
-    [
-        ("kill=plant,at=30s", "kill=plant", "expected a controller"),
-        ("kill=c9,at=30s", "kill=c9", "expected a controller"),
-        ("kill=c2", "at", "one time"),
-        ("kill=c2,at=30s..40s", "at", "one time"),
-        ("freeze=c2,at=30s", "at", "beginning and end"),
-        ("freeze=c2,at=40s..30s", "at", "beginning and end"),
-        ("kill=c2,at=30s,loss=2%", "kill", "alone"),
-        ("partition=c2,at=30s..40s", "partition", "two agents"),
-        ("partition=c1|c2,at=30s..40s", "partition", "hear each other"),
-        ("loss=2%,at=30s", "at", "beginning and end"),
-    ],
-)
-def test_a_rule_that_does_not_fit_is_refused(
-    oahu: Preparation, rule: str, place: str, expected: str
-) -> None:
-    with pytest.raises(InputError) as refused:
-        fault_rules(oahu.scenario, [rule], oahu.plan.tree)
-    assert place in str(refused.value)
-    assert expected in str(refused.value)
 
 
 def test_a_recording_with_deaths_is_repeated_and_says_who_came_back(tmp_path: Path) -> None:

@@ -110,22 +110,6 @@ def test_ports_begin_with_the_base_port_and_must_be_free() -> None:
             pass
 
 
-def test_directions_say_all_that_a_device_needs() -> None:
-    text = "\n".join(watch(NODE).directions())
-    for word in (
-        "waiting up to 60 s for c1/inv01",
-        "my-run/plan.json",
-        "tcp/127.0.0.1:7500 (recorder)",
-        "tcp/127.0.0.1:7501 (plant)",
-        "tcp/127.0.0.1:7503 (c1)",
-        "namespace run-1",
-        "liveliness token oahu/c1/inv01/alive",
-    ):
-        assert word in text
-    assert "listens on tcp/127.0.0.1:7501, connects to" in "\n".join(watch("plant").directions())
-    assert list(watch().directions()) == []
-
-
 def test_only_who_never_came_is_missed_and_only_after_the_time_out() -> None:
     externals = watch(NODE, "central")
     assert externals.complete_at is None

@@ -40,12 +40,6 @@ def by_the_library(path: Path) -> list[RawMessage]:
         ]
 
 
-def test_messages_are_those_that_the_library_finds(recording: Path) -> None:
-    found = by_us(recording)
-    assert len(found) > 500
-    assert found == by_the_library(recording)
-
-
 @pytest.mark.parametrize("compression", list(CompressionType))
 def test_every_compression_is_unpacked(tmp_path: Path, compression: CompressionType) -> None:
     path = tmp_path / "other.mcap"
@@ -60,16 +54,6 @@ def test_every_compression_is_unpacked(tmp_path: Path, compression: CompressionT
         writer.finish()
     assert len(by_us(path)) == 50
     assert by_us(path) == by_the_library(path)
-
-
-def test_channels_that_nobody_asked_for_are_skipped(recording: Path) -> None:
-    with recording.open("rb") as file:
-        outline = read_outline(file)
-        records = unpack_chunk(file, outline.chunks[2])
-    every = list(messages_in(records, outline.channels))
-    wanted = {raw[0] for raw in every if raw[0] % 2}
-    assert wanted
-    assert list(messages_in(records, wanted)) == [raw for raw in every if raw[0] in wanted]
 
 
 @settings(max_examples=40, deadline=None)
