@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from memory_runs import run_in_memory
 from plans_by_hand import plan_at_noon
 
 from agents.plan import RunPlan
@@ -16,7 +17,6 @@ from bus_schemas.codec import encode
 from bus_schemas.faults import FaultRule
 from bus_schemas.signals import RUN
 from bus_schemas.tree import PLANT
-from launch_scripts.launcher.simulation import MemoryRun
 from recordings.read.run_file import RECORDING_NAME, further_file
 from recordings.record.writer import RunWriter
 from recordings.verify.verification import PROFILE_NAME
@@ -70,12 +70,7 @@ def cloudy_profile(plan: RunPlan, seed: int = 1) -> Profile:
 
 def published(plan: RunPlan, profile: Profile) -> list[Delivery]:
     """All that is published in a run, in the order of a recorder."""
-    found: list[Delivery] = []
-    run = MemoryRun(plan, profile, lambda port, message: found.append((port, message)))
-    for _ in run.cycles():
-        pass
-    run.close()
-    return found
+    return run_in_memory(plan, profile)[1].messages
 
 
 def record(

@@ -11,7 +11,8 @@ import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from sent_messages import Sent, run_with
+from memory_runs import Sent
+from sent_messages import run_with
 from typer.testing import CliRunner
 
 from bus_schemas.codec import encode

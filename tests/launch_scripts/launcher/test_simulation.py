@@ -7,10 +7,9 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from memory_runs import Sent, run_in_memory
 from plans_by_hand import plan_of
-from sent_messages import Sent
 
-from agents.plan import RunPlan
 from bus_schemas.codec import encode
 from bus_schemas.signals import (
     COMMAND,
@@ -46,17 +45,9 @@ def power_kw(sent: Sent, cycle: int, *ports: Port[Any]) -> list[float]:
     return [sent.of(port)[cycle].power_kw for port in ports]
 
 
-def sent_in(plan: RunPlan, profile: Profile) -> Sent:
-    sent = Sent()
-    run = MemoryRun(plan, profile, sent)
-    assert list(run.cycles()) == list(range(plan.cycles))
-    run.close()
-    return sent
-
-
 @pytest.fixture(scope="module")
 def sent() -> Sent:
-    return sent_in(PLAN, PROFILE)
+    return run_in_memory(PLAN, PROFILE)[1]
 
 
 @pytest.mark.parametrize(
@@ -151,7 +142,7 @@ def preparation(seed: int) -> Preparation:
 
 def wire(prepared: Preparation) -> list[tuple[str, bytes]]:
     """Key and payload of all that is said, without the times of publishing."""
-    sent = sent_in(prepared.plan, prepared.profile)
+    _, sent = run_in_memory(prepared.plan, prepared.profile)
     keys = prepared.plan.keys
     return [
         (

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from memory_runs import Sent
 from numpy.typing import NDArray
-from sent_messages import Sent, run_with
+from sent_messages import run_with
 from typer.testing import CliRunner
 
 from agents.plan import RestartPolicy, Revert
