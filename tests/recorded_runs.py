@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
@@ -10,15 +9,14 @@ from typing import Final
 import numpy as np
 from memory_runs import run_in_memory
 from plans_by_hand import plan_at_noon
+from recordings_by_hand import write_messages
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.codec import encode
 from bus_schemas.faults import FaultRule
 from bus_schemas.signals import RUN
 from bus_schemas.tree import PLANT
 from recordings.read.run_file import RECORDING_NAME, further_file
-from recordings.record.writer import RunWriter
 from recordings.verify.verification import PROFILE_NAME
 from sim_plant.profile import Profile
 
@@ -92,10 +90,7 @@ def record_on(folder: Path, plan: RunPlan, messages: Iterable[Delivery], number:
 
 def _write(path: Path, plan: RunPlan, messages: Iterable[Delivery]) -> None:
     driver = "simulate" if plan.lockstep else "launch"
-    writer = RunWriter(path, plan, 'name = "oahu"\n', driver)
-    for port, message in messages:
-        writer.add(port, message, encode(message), time.monotonic_ns())
-    writer.close()
+    write_messages(path, messages, plan=plan, scenario='name = "oahu"\n', driver=driver)
 
 
 def of_publisher(messages: Iterable[Delivery], agent: str) -> list[Delivery]:

@@ -20,7 +20,7 @@ import psutil
 import pytest
 from command_line import heliarch, process, refusal
 from msgspec.structs import replace
-from recordings_by_hand import whole_run, write_run
+from recordings_by_hand import cut, whole_run, write_run
 from replayed_runs import PLAN, run_in_memory, write
 from running import small_plant
 from timed_recordings import cycle, recorded
@@ -185,11 +185,6 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     told = (option, value, option.lstrip("-").rstrip("s"))
     assert any(text in line for text in told), line
     assert sorted(folder.rglob("*")) == before
-
-
-def cut(recording: Path) -> None:
-    content = recording.read_bytes()
-    recording.write_bytes(content[: len(content) // 2])
 
 
 @pytest.mark.parametrize(

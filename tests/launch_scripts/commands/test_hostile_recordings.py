@@ -15,7 +15,14 @@ import zstandard
 from command_line import refusal
 from mcap.opcode import Opcode
 from msgspec.structs import replace
-from recordings_by_hand import PLAN, SCENARIO, cycle_of_the_plant, whole_run, write_run
+from recordings_by_hand import (
+    PLAN,
+    SCENARIO,
+    cycle_of_the_plant,
+    whole_run,
+    write_messages,
+    write_run,
+)
 from running import REPOSITORY
 from typer.testing import CliRunner
 
@@ -78,10 +85,7 @@ def test_hostile_content_is_refused_in_one_line(
 
 @pytest.mark.parametrize("command", ["inspect", "report", "timing"])
 def test_a_scenario_that_is_nested_deep_breaks_nothing(command: str, tmp_path: Path) -> None:
-    writer = RunWriter(tmp_path / "run.mcap", PLAN, "a = " + "[" * 300_000, driver="simulate")
-    for port, message in whole_run(3):
-        writer.add(port, message, encode(message), 1)
-    writer.close()
+    write_messages(tmp_path / "run.mcap", whole_run(3), scenario="a = " + "[" * 300_000)
     done = CliRunner().invoke(app, [command, str(tmp_path)])
     assert isinstance(done.exception, SystemExit | None), done.exception
     assert len(done.stderr.splitlines()) <= 1

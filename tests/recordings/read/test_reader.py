@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recordings_by_hand import PLAN, cycle_of_the_plant, whole_run, write_run
+from recordings_by_hand import PLAN, cycle_of_the_plant, whole_run, write_run, zero_chunk
 
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import encode
@@ -189,13 +189,8 @@ def test_what_the_run_does_not_have_is_refused_with_what_it_has(
 @pytest.fixture
 def damaged(recording: Recording, tmp_path: Path) -> tuple[Path, ChunkPlace]:
     """A recording with one chunk zeroed, and that chunk."""
-    path, _ = recording
-    with open_run(path) as run:
-        place = run.outline.chunks[20]
-    content = bytearray(path.read_bytes())
-    content[place.offset : place.offset + 60] = bytes(60)
-    (tmp_path / "run.mcap").write_bytes(content)
-    return tmp_path / "run.mcap", place
+    path = tmp_path / "run.mcap"
+    return path, zero_chunk(recording[0], 20, path)
 
 
 def test_a_damaged_chunk_is_refused_where_it_is_read_or_skipped_and_named(
