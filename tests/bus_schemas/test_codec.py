@@ -8,7 +8,7 @@ from itertools import product
 import msgpack
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
@@ -94,6 +94,7 @@ def required(signal: Signal[Message]) -> set[str]:
 
 
 @each_signal
+@settings(max_examples=30)
 @given(data=st.data())
 def test_what_is_sent_is_what_arrives(signal: Signal[Message], data: st.DataObject) -> None:
     message = data.draw(messages(signal))

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import re
 import signal
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
 from running import Heliarch, assert_none_left, small_plant
+from test_launch import summary_of
 from verifying import assert_equal_as_far_as_recorded, verified
 
 from bus_schemas.signals import SETPOINT
@@ -22,11 +21,6 @@ from studies.timing.measures import run_timing
 pytestmark = pytest.mark.processes
 
 Start = Callable[..., Heliarch]
-
-
-def summary_of(run: Heliarch) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((run.folder / "summary.json").read_bytes())
-    return found
 
 
 def until_joined(run: Heliarch, process: str) -> None:
@@ -74,7 +68,7 @@ def test_killed_controllers_are_started_again_and_the_run_goes_on(
     for parent in VICTIMS[1:]:
         until_heard_of(run, parent)
     ended(run)
-    assert summary_of(run)["restarts"] == dict.fromkeys(VICTIMS, 1)
+    assert summary_of(run.folder).restarts == dict.fromkeys(VICTIMS, 1)
     assert_none_left(run.folder)
     assert_equal_as_far_as_recorded(run, verified(run.folder))
 
@@ -106,16 +100,16 @@ def test_a_standby_takes_over_from_a_killed_parent_which_then_stands_by(
         until_joined(run, process)
         until_taken_over(run, "central", number)
     ended(run)
-    summary = summary_of(run)
-    assert summary["takeovers"]["central"] >= 2
-    assert summary["restarts"] == {"central": 1, "central+standby": 1}
+    summary = summary_of(run.folder)
+    assert summary.takeovers["central"] >= 2
+    assert summary.restarts == {"central": 1, "central+standby": 1}
     assert_none_left(run.folder)
     found = verified(run.folder)
     assert_equal_as_far_as_recorded(run, found)
     with RunReader(run.folder) as reader:
         inspected = sum(one.inputs for one in read_health(reader).misses)
         timed = sum(sum(one.missing_inputs.values()) for one in run_timing(reader).processes)
-    assert summary["missing_inputs"] == inspected == timed == found.total("missing_inputs")
+    assert summary.missing_inputs == inspected == timed == found.total("missing_inputs")
 
 
 def until_taken_over(run: Heliarch, agent: str, times: int = 1) -> None:
@@ -134,7 +128,7 @@ def test_a_thawed_parent_does_not_fight_its_standby(heliarch: Start, tmp_path: P
     log = run.folder / "logs" / "c1.log"
     run.until(lambda: "falls silent" in log.read_text(), "its silence")
     ended(run)
-    assert summary_of(run)["restarts"] == {}
+    assert summary_of(run.folder).restarts == {}
     assert_equal_as_far_as_recorded(run, verified(run.folder))
 
 
@@ -144,7 +138,7 @@ def test_a_standby_that_says_nothing_is_replaced(heliarch: Start, tmp_path: Path
     run.process_of("c1+standby").send_signal(signal.SIGSTOP)
     until_joined(run, "c1+standby")
     ended(run)
-    assert summary_of(run)["restarts"] == {"c1+standby": 1}
+    assert summary_of(run.folder).restarts == {"c1+standby": 1}
     assert_none_left(run.folder)
 
 

@@ -63,7 +63,7 @@ def test_a_file_that_lost_its_index_is_whole_again(recording: Recording, tmp_pat
     assert (recovery.closed, recovery.ended, recovery.complete_cycles) == (False, True, CYCLES)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12)
 @given(share=st.floats(0.2, 0.99))
 def test_all_up_to_the_cut_is_kept_with_times_numbers_and_origin(
     recording: Recording, tmp_path_factory: pytest.TempPathFactory, share: float

@@ -63,15 +63,6 @@ def test_the_clear_sky_is_pvlibs_at_noon_and_dark_at_night() -> None:
     assert not synthetic_ghi(times[1:], LAT_DEG, LON_DEG, 5.0, CloudSettings(), 1).any()
 
 
-def test_the_same_arguments_give_the_same_weather_to_the_last_bit() -> None:
-    times = instants("2010-04-01T22:00Z", 60)
-    first = synthetic_ghi(times, LAT_DEG, LON_DEG, 5.0, CloudSettings(), 7)
-    again = synthetic_ghi(times, LAT_DEG, LON_DEG, 5.0, CloudSettings(), 7)
-    other = synthetic_ghi(times, LAT_DEG, LON_DEG, 5.0, CloudSettings(), 8)
-    assert first.tobytes() == again.tobytes()
-    assert not np.allclose(first, other)
-
-
 def test_the_weather_does_not_depend_on_where_the_run_begins(noon_index: Floats) -> None:
     later = NOON[3601:3661]
     np.testing.assert_allclose(

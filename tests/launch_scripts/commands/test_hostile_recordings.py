@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from struct import pack
@@ -12,7 +9,7 @@ from typing import Any
 
 import pytest
 import zstandard
-from command_line import refusal
+from command_line import python, refusal
 from mcap.opcode import Opcode
 from msgspec.structs import replace
 from recordings_by_hand import (
@@ -23,7 +20,6 @@ from recordings_by_hand import (
     write_messages,
     write_run,
 )
-from running import REPOSITORY
 from typer.testing import CliRunner
 
 from bus_schemas.codec import encode
@@ -133,11 +129,7 @@ def test_a_chunk_that_unpacks_to_gigabytes_is_left_out_and_told(
     body = pack("<QQQII4sQ", 1, 1, claimed, 0, 4, b"zstd", len(packed)) + packed
     with path.open("ab") as file:
         file.write(pack("<BQ", Opcode.CHUNK, len(body)) + body)
-    words = [sys.executable, "-c", PEAK_TOLD, "inspect", str(path)]
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    found = subprocess.run(
-        words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
-    )
+    found = python(PEAK_TOLD, "inspect", path, cwd=tmp_path)
     line, peak_kb = found.stderr.splitlines()
     assert "a part of the file is damaged" in line
     assert int(peak_kb) < 600_000, "most of it the libraries"

@@ -65,8 +65,7 @@ def total(run: MemoryRun, name: str) -> int:
 # What changes nothing -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scheme", ["paper", "predictive"])
-@pytest.mark.parametrize("periods", [(1, 1, 1), (6, 2, 1)])
+@pytest.mark.parametrize(("scheme", "periods"), [("paper", (1, 1, 1)), ("predictive", (6, 2, 1))])
 def test_delays_within_the_cycle_change_nothing_but_the_time(
     valley: Preparation, scheme: str, periods: tuple[int, ...]
 ) -> None:
@@ -140,9 +139,10 @@ def test_the_plant_ticks_on_the_clock_whatever_the_network_does(
 # Controllers that are slow, or never answer -------------------------------------------------------
 
 
-@pytest.mark.parametrize("deadlines_ms", [(), (500, 600, 700, 800)])
 @pytest.mark.parametrize("silent", ["central", "z1/c1"])
-@pytest.mark.parametrize("periods", [(1, 1, 1), (60, 10, 1)])
+@pytest.mark.parametrize(
+    ("periods", "deadlines_ms"), [((1, 1, 1), ()), ((60, 10, 1), (500, 600, 700, 800))]
+)
 def test_everybody_goes_on_without_a_controller_that_never_answers(
     valley: Preparation, silent: str, periods: tuple[int, ...], deadlines_ms: tuple[int, ...]
 ) -> None:

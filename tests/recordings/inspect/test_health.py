@@ -133,14 +133,6 @@ def test_a_process_that_joined_while_nobody_recorded_is_told_with_its_cycle(
     assert Absence("c2", None, None, 20, True, by_standby=bool(standby)) in health.absences
 
 
-def test_lost_messages_are_counted_by_key(tmp_path: Path) -> None:
-    lost = {("c1/a/impp", 7), ("c1/a/impp", 8), ("c2/setpoint", 10)}
-    health, text = written(tmp_path, is_kept=lambda pair: (str(pair[0]), pair[1].cycle) not in lost)
-    assert health.lost == {"c1/a/impp": 2, "c2/setpoint": 1}
-    assert "missing: 3 messages" in text
-    assert "c1/a/impp 2" in text
-
-
 def test_each_fault_says_on_how_many_messages_it_acted_and_when() -> None:
     acts = (
         FaultAct(FaultRule(loss=0.02), 7, 3, 9),
