@@ -59,5 +59,4 @@ def write(folder: Path, said: Iterable[Said], plan: RunPlan = PLAN) -> Path:
 
 
 def without(said: Iterable[Said], is_left_out: Callable[[Said], bool]) -> list[Said]:
-    """All but some."""
     return [entry for entry in said if not is_left_out(entry)]

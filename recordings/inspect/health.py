@@ -255,15 +255,6 @@ class HealthWatch:
             yield Misses(agent, count, missed.old[agent], *cycles, is_external)
 
 
-def read_health(run: RunReader) -> Health:
-    """Go through a recording and say how its run fared."""
-    watch = HealthWatch(run.plan, range(run.last_cycle + 1))
-    for record in run.records():
-        watch.see(record)
-    watch.end(run.last_cycle + 1 if run.stop_cycle is None else run.stop_cycle)
-    return watch.health(run)
-
-
 def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
     """Yield the health of a run as text: what is looked at, and what was found."""
     launcher = health.launcher

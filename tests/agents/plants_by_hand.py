@@ -81,7 +81,6 @@ def at(sent: Mapping[Port[Message], Message], port: Port[M]) -> M:
 
 
 def head(cycle: int, source: str) -> tuple[int, int, str, tuple[str, ...]]:
-    """The first fields of a message."""
     return cycle, cycle * CYCLE_NS, source, ()
 
 
@@ -98,7 +97,6 @@ def dispatch(cycle: int, power_kw: float, plant_rating_kw: float) -> Delivery:
 
 
 def meter(cycle: int, power_kw: float) -> Delivery:
-    """What the plant fed in."""
     return METER.of(ROOT), Meter(*head(cycle, PLANT), power_kw=power_kw)
 
 

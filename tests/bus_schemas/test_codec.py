@@ -68,7 +68,6 @@ each_signal = pytest.mark.parametrize("signal", SIGNALS, ids=lambda signal: sign
 
 
 def messages(signal: Signal[Message]) -> st.SearchStrategy[Message]:
-    """Any message of a signal."""
     fields = {name: FIELDS.get(name, KW) for name in signal.type.__struct_fields__}
     return st.fixed_dictionaries(fields).map(lambda values: msgspec.convert(values, signal.type))
 

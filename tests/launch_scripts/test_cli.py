@@ -22,7 +22,6 @@ HEAVY = {"numba", "pandas", "plotly", "pvlib", "scipy", "zenoh"}
 
 
 def help_of(*words: str) -> str:
-    """Return the help of a command."""
     found = CliRunner().invoke(app, [*words, "--help"])
     assert found.exit_code == 0
     return found.stdout

@@ -45,7 +45,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def plan(recorded: Path) -> RunPlan:
-    """The plan of that run."""
     return load_plan(recorded / "plan.json")
 
 

@@ -13,7 +13,7 @@ from test_launch import summary_of
 from verifying import assert_equal_as_far_as_recorded, verified
 
 from bus_schemas.signals import SETPOINT
-from recordings.inspect.health import read_health
+from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.run_file import log_name
 from studies.timing.measures import run_timing
@@ -24,7 +24,6 @@ Start = Callable[..., Heliarch]
 
 
 def until_joined(run: Heliarch, process: str) -> None:
-    """Wait until a process has joined the run that is under way."""
     log = run.folder / "logs" / log_name(process)
     run.until(lambda: log.exists() and "joined the run in" in log.read_text(), "its return")
 
@@ -107,13 +106,12 @@ def test_a_standby_takes_over_from_a_killed_parent_which_then_stands_by(
     found = verified(run.folder)
     assert_equal_as_far_as_recorded(run, found)
     with RunReader(run.folder) as reader:
-        inspected = sum(one.inputs for one in read_health(reader).misses)
+        inspected = sum(one.inputs for one in read_overview(reader).health.misses)
         timed = sum(sum(one.missing_inputs.values()) for one in run_timing(reader).processes)
     assert summary.missing_inputs == inspected == timed == found.total("missing_inputs")
 
 
 def until_taken_over(run: Heliarch, agent: str, times: int = 1) -> None:
-    """Wait until a standby has taken an agent over so many times."""
     took_over = re.compile(rf"^{agent}\S* took over", re.MULTILINE)
     run.until(lambda: len(took_over.findall(run.output.read_text())) >= times, "a takeover")
 

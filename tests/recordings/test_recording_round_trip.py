@@ -26,7 +26,6 @@ Recording = tuple[Path, list[Delivery]]
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """A recording, and what was written into it."""
     path = tmp_path_factory.mktemp("run") / "run.mcap"
     return path, write_run(path, whole_run(2))
 

@@ -12,6 +12,7 @@ from sky_statistics import (
     index_by_quantile,
     pair_correlations,
     peak_lags,
+    real_plant,
 )
 
 from sim_plant import Floats, clouds
@@ -226,15 +227,8 @@ def test_changes_and_correlations_are_those_of_measurements(hope: tuple[Floats, 
 
 @pytest.mark.parametrize("hour", ["a", "c"])
 def test_changes_are_those_of_a_real_plant(data_folder: Path, hour: str) -> None:
-    folder = data_folder / "plant20mw-combiners-10s"
-    currents = pd.read_csv(folder / f"hour_{hour}.csv", index_col="t_s")
-    places = pd.read_csv(folder / "positions.csv", dtype=str).set_index("combiner")
-    places = places.loc[currents.columns]
-    east_m, north_m = places[["x_m", "y_m"]].to_numpy(dtype=np.float64).T
-    inverters = places["inverter"].to_numpy()
-    averaging = (inverters[:, None] == np.unique(inverters)).astype(np.float64)
-    averaging /= averaging.sum(axis=0)
-    measured = index_by_quantile(currents.to_numpy(dtype=np.float64) @ averaging)
+    current, east_m, north_m, averaging = real_plant(data_folder, hour)
+    measured = index_by_quantile(current @ averaging)
     motion = cloud_motion(measured, east_m @ averaging, north_m @ averaging, 10.0)
     settings = CloudSettings(
         cloud_cover=cloud_cover(measured),

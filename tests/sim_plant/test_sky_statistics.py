@@ -3,11 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
-from sky_statistics import (
-    cloud_motion,
-)
+from sky_statistics import cloud_motion, real_plant
 
 from sim_plant import Floats
 
@@ -43,15 +40,8 @@ def test_the_motion_of_a_drifting_pattern_is_found(speed_ms: float, from_deg: fl
 def test_the_motion_over_a_real_plant_is_the_one_that_its_publisher_found(
     data_folder: Path, hour: str, speed_ms: float, angle_rad: float
 ) -> None:
-    folder = data_folder / "plant20mw-combiners-10s"
-    currents = pd.read_csv(folder / f"hour_{hour}.csv", index_col="t_s")
-    places = pd.read_csv(folder / "positions.csv", dtype=str).set_index("combiner")
-    inverters = places.loc[currents.columns, "inverter"].to_numpy()
-    averaging = (inverters[:, None] == np.unique(inverters)).astype(np.float64)
-    averaging /= averaging.sum(axis=0)
-    metres = places.loc[currents.columns, ["x_m", "y_m"]].to_numpy(dtype=np.float64)
-    east_m, north_m = metres.T @ averaging
-    motion = cloud_motion(currents.to_numpy(dtype=np.float64) @ averaging, east_m, north_m, 10.0)
+    current, east_m, north_m, averaging = real_plant(data_folder, hour)
+    motion = cloud_motion(current @ averaging, east_m @ averaging, north_m @ averaging, 10.0)
     # The angle is that of the velocity, counter-clockwise from east.
     from_deg = (270.0 - np.rad2deg(angle_rad)) % 360.0
     assert motion.speed_ms == pytest.approx(speed_ms, rel=0.1)

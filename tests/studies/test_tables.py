@@ -28,7 +28,6 @@ def many_columns(columns: int) -> Table:
 
 
 def printed(table: Table, width: int) -> list[str]:
-    """Print a table in a terminal of a width; return its lines."""
     text = io.StringIO()
     print_table(Console(file=text, width=width), table)
     return text.getvalue().splitlines()

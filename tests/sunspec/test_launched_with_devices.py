@@ -17,7 +17,7 @@ import pytest
 from command_line import done, refusal
 from running import REPOSITORY, Heliarch, small_plant
 
-from recordings.inspect.health import read_health
+from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from sim_plant.devices import parse_address
 from sunspec.process import read_accounts
@@ -98,7 +98,7 @@ def test_the_health_names_a_device_that_was_gone_for_a_while(
         run.process.send_signal(signal.SIGINT)
         assert run.wait() == 130
     with RunReader(run.folder) as reader:
-        health = read_health(reader)
+        health = read_overview(reader).health
     (absence,) = [found for found in health.absences if found.agent == "device c1/inv01"]
     assert absence.back_in is not None
     assert health.devices[0].breaks

@@ -25,7 +25,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def run(recorded: Path, tmp_path: Path) -> Path:
-    """A run of its own for a test."""
     return Path(shutil.copytree(recorded, tmp_path / "run"))
 
 

@@ -30,8 +30,6 @@ def test_a_listed_rate_that_cannot_be_is_refused_before_any_has_run(tmp_path: Pa
     [
         (10.0, {"duration": "4s"}, 40),
         (7.0, {"duration": "0.5"}, 4),
-        (0.5, {"duration": "2s"}, 1),
-        (20.0, {"end": "12:00:10"}, 200),
         (28.3, {"end": "12:00:10"}, 283),
         (10.0, {}, 30),
     ],

@@ -112,18 +112,6 @@ def test_a_run_over_a_bad_network_repeats_to_the_last_bit(
     assert one.bus.tally == other.bus.tally
 
 
-def test_a_message_that_is_lost_is_named_with_the_one_that_was_used_instead(
-    valley: Preparation,
-) -> None:
-    child = valley.plan.tree.leaves[0]
-    parent = child.rpartition("/")[0]
-    run, sent = run_with(valley, [FaultRule(source=child, signal="impp", silent=((10.0, 12.0),))])
-    missing = {cycle: m.missing for cycle, m in sent.of(IMPP.of(parent)).items() if m.missing}
-    assert missing == {10: (f"{child}/impp@9",), 11: (f"{child}/impp@9",)}
-    assert {10, 11} <= sent.of(IMPP.of(child)).keys(), "it was sent all the same"
-    assert run.loops[parent].missing_inputs == 2
-
-
 @pytest.mark.parametrize("pace", [1, 10])
 def test_the_plant_ticks_on_the_clock_whatever_the_network_does(
     valley: Preparation, pace: int
