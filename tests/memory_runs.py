@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +15,11 @@ from bus_schemas.messages import Message, Production
 from bus_schemas.signals import Port
 from launch_scripts.launcher.simulation import RESTART_TAKES_S, MemoryRun
 from sim_plant.profile import Profile
+
+
+def timeless(message: Message) -> Message:
+    """Return a message without the times at which it was decided and sent."""
+    return msgspec.structs.replace(message, publish_time_ns=0, ready_time_ns=0)
 
 
 class Sent:

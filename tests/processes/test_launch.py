@@ -9,6 +9,7 @@ import command_line
 import msgspec
 import pytest
 from command_line import done
+from memory_runs import timeless
 from running import Heliarch, assert_none_left, small_plant
 from typer.testing import Result
 
@@ -30,8 +31,7 @@ def decisions(folder: Path) -> dict[tuple[str, int], Message]:
     found: dict[tuple[str, int], Message] = {}
     with RunReader(folder) as reader:
         for port, message in reader.messages(*DECIDED):
-            timeless = msgspec.structs.replace(message, publish_time_ns=0, ready_time_ns=0)
-            found.setdefault((str(port), message.cycle), timeless)
+            found.setdefault((str(port), message.cycle), timeless(message))
     return found
 
 

@@ -7,17 +7,15 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from memory_runs import Sent
+from memory_runs import Sent, timeless
 from sent_messages import run_with
 from typer.testing import CliRunner
 
 from bus_schemas.codec import encode
 from bus_schemas.faults import FaultRule
-from bus_schemas.messages import Message
 from bus_schemas.missing import parse_missing
 from bus_schemas.signals import (
     COMMAND,
@@ -52,10 +50,6 @@ def decisions(sent: Sent) -> list[tuple[str, bytes]]:
         if port.signal.decided
     ]
     return [(key, data) for _, key, data in sorted(found)]
-
-
-def timeless(message: Message) -> Message:
-    return msgspec.structs.replace(message, publish_time_ns=0, ready_time_ns=0)
 
 
 def total(run: MemoryRun, name: str) -> int:

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from memory_runs import Sent, run_in_memory
+from memory_runs import Sent, run_in_memory, timeless
 from plans_by_hand import plan_of
 
 from bus_schemas.codec import encode
@@ -145,10 +145,7 @@ def wire(prepared: Preparation) -> list[tuple[str, bytes]]:
     _, sent = run_in_memory(prepared.plan, prepared.profile)
     keys = prepared.plan.keys
     return [
-        (
-            keys.key(port),
-            encode(msgspec.structs.replace(message, publish_time_ns=0, ready_time_ns=0)),
-        )
+        (keys.key(port), encode(timeless(message)))
         for port, message in sent.messages
         if port.signal is not RUN
     ]
