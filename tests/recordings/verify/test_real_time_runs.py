@@ -17,6 +17,7 @@ from recorded_runs import (
     record,
     record_on,
 )
+from verifying import findings
 
 from agents.plan import RunPlan, Scheme
 from bus_schemas.bus import Delivery
@@ -36,11 +37,6 @@ def verified(
     profile = cloudy_profile(plan, seed)
     found = published(plan, profile) if messages is None else messages
     return verify(record(folder, plan, found, profile), (), Comparison())
-
-
-def findings(found: Verification) -> dict[str, object]:
-    """The first difference of each agent that has one."""
-    return {name: entry.first for name, entry in found.agents.items() if entry.first}
 
 
 @pytest.mark.parametrize(
