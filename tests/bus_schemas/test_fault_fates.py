@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from bus_schemas.codec import decode, encode
+from bus_schemas.errors import InputError
 from bus_schemas.faults import (
     FaultRule,
     NetworkFaults,
@@ -201,3 +202,10 @@ def test_no_delay_is_longer_than_the_longest(
     network = NetworkFaults((rule,), 1, TREE, SECOND_NS, SECOND_NS)
     for delay_ns in network.fates(IMPP.of("c1/a"), "c1", impp(cycle)):
         assert delay_ns <= rule.longest_ms * 1e6 + 1
+
+
+def test_only_processes_of_this_host_are_killed_and_messages_to_other_hosts_are_delayed() -> None:
+    there = {"c1": "10.0.0.2", "c1/a": "10.0.0.2", "c1/b": "10.0.0.2"}
+    with pytest.raises(InputError, match=r"10\.0\.0\.2"):
+        check_rule(FaultRule(kill="c1/*", at=(3.0,)), TREE, "rule", (), there)
+    check_rule(FaultRule(listener="c1/a", delay_ms=5.0), TREE, "rule", (), there)
