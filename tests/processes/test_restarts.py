@@ -83,7 +83,7 @@ def test_a_run_ends_in_order_while_a_controller_waits_for_its_restart(
     run.process_of("c1").send_signal(signal.SIGKILL)
     run.until(lambda: "started again in" in run.output.read_text(), "the wait for its restart")
     ended(run)
-    assert summary_of(run)["restarts"] == {"c1": 2}
+    assert summary_of(run.folder).restarts == {"c1": 2}
     assert_none_left(run.folder)
 
 
