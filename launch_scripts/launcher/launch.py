@@ -357,13 +357,18 @@ def launch(
 
     Start-up counts from `began_at`, the monotonic time at which the user asked for the run [s].
     """
-    agents, base_port = preparation.plan.links.listening, preparation.options.base_port
-    check_devices(preparation.plan)
+    plan, base_port = preparation.plan, preparation.options.base_port
+    agents, further = plan.links.listening, plan.agent_links.listening
+    if plan.keys_folder or not plan.external:
+        further = ()
+    further_port = None if base_port is None else base_port + len(agents)
+    check_devices(plan)
     with (
-        GatewayProcess(preparation.plan) if preparation.plan.devices else nullcontext() as gateway,
-        reserved_ports(agents, base_port, preparation.plan.address) as tcp_ports,
+        GatewayProcess(plan) if plan.devices else nullcontext() as gateway,
+        reserved_ports(agents, base_port, plan.address) as tcp_ports,
+        reserved_ports(further, further_port, plan.address) as agent_ports,
     ):
-        plan = folder.fill(preparation, tcp_ports)
+        plan = folder.fill(preparation, tcp_ports, agent_ports)
         if gateway is not None:
             gateway.join(folder.path)
         try:

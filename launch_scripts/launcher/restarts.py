@@ -139,7 +139,29 @@ class Restarts:
             case TookOver():
                 self._note_takeover(child.agent, event.cycle)
             case Status() if self._began_at is not None:
-                self._note_silence(event.silent)
+                self.note_silence(event.silent)
+
+    def note_silence(self, silent: Sequence[str]) -> None:
+        """Count how long each controller has said nothing; name it, and kill it after a while.
+
+        To be called again and again with those that say nothing now.
+        """
+        now = self._now_s()
+        step_s, self._status_at = min(now - self._status_at, _LONGEST_STEP_S), now
+        for child in self._children.controllers():
+            name, agent = child.agent, agent_of(child.agent)
+            speaks = self._speaker.get(agent, (name, 0))[0] == name
+            if child.kind == "plant" or not child.pid or (speaks and agent not in silent):
+                self._silent_s.pop(name, None)
+                continue
+            before_s = self._silent_s.get(name, 0.0)
+            self._silent_s[name] = before_s + step_s
+            # One that stands by says so every now and then.
+            pause_s = self._pause_s if speaks else -2.0 * STANDING_S
+            if speaks and 0.0 < before_s <= _LONGEST_STEP_S < before_s + step_s:
+                self._say(f"{name} (process {child.pid}) says nothing")
+            if self._allowed and before_s and before_s + step_s + pause_s >= self._policy.frozen_s:
+                self._kill_silent(child)
 
     def mends(self, to_blame: Sequence[str]) -> bool:
         """In lockstep: start again those that a stalled run waits for, or wait for their return."""
@@ -174,25 +196,6 @@ class Restarts:
         if since == cycle and before != name:  # Both at once: neither would yield to the other.
             self._speaker[agent] = (agent, cycle)
             self._send(self._children[standby_of(agent)], signal.SIGKILL)
-
-    def _note_silence(self, silent: Sequence[str]) -> None:
-        """Count how long each controller has said nothing; name it, and kill it after a while."""
-        now = self._now_s()
-        step_s, self._status_at = min(now - self._status_at, _LONGEST_STEP_S), now
-        for child in self._children.controllers():
-            name, agent = child.agent, agent_of(child.agent)
-            speaks = self._speaker.get(agent, (name, 0))[0] == name
-            if child.kind == "plant" or not child.pid or (speaks and agent not in silent):
-                self._silent_s.pop(name, None)
-                continue
-            before_s = self._silent_s.get(name, 0.0)
-            self._silent_s[name] = before_s + step_s
-            # One that stands by says so every now and then.
-            pause_s = self._pause_s if speaks else -2.0 * STANDING_S
-            if speaks and 0.0 < before_s <= _LONGEST_STEP_S < before_s + step_s:
-                self._say(f"{name} (process {child.pid}) says nothing")
-            if self._allowed and before_s and before_s + step_s + pause_s >= self._policy.frozen_s:
-                self._kill_silent(child)
 
     def _kill_silent(self, child: Child) -> None:
         if child.pid and child.agent not in self._killed:
