@@ -122,6 +122,8 @@ class SessionSettings:
         Larger messages are not received.
     signs_of_life
         On a link that is idle, in each lease.
+    peers
+        Agents at the other ends of its links.
     devices
         How the same agent joins those whom it does not ask for a password, in a second session.
         None: there is none of them.
@@ -139,6 +141,7 @@ class SessionSettings:
     keys: KeyFiles | None = None
     largest_bytes: int = 1 << 20
     signs_of_life: int = 4
+    peers: tuple[str, ...] = ()
     devices: SessionSettings | None = None
 
     def config(self) -> zenoh.Config:
@@ -321,11 +324,18 @@ class ZenohBus:
         self._patience_s = patience_s
         self._inbox = Inbox()
         self._sessions = open_sessions(settings)
+        devices = set(() if settings.devices is None else settings.devices.peers)
         published, heard = wiring.published[agent], wiring.heard.get(agent, [])
         self._heard = frozenset(heard)
         many = _signals_of_many(published)
         self._put = {
-            port: self._putter(port, settings.lockstep, declared=port.signal not in many)
+            port: self._putter(
+                # What no device hears need not go there.
+                self._sessions[: 1 if devices.isdisjoint(wiring.processes[port]) else 2],
+                port,
+                settings.lockstep,
+                declared=port.signal not in many,
+            )
             for port in published
         }
         many = _signals_of_many(heard)
@@ -427,13 +437,15 @@ class ZenohBus:
         return _TokenWatch(self._sessions, self._keys).changes
 
     def _putter(
-        self, port: Port[Message], lockstep: bool, *, declared: bool
+        self,
+        sessions: Sequence[zenoh.Session],
+        port: Port[Message],
+        lockstep: bool,
+        *,
+        declared: bool,
     ) -> Callable[[bytes], None]:
         """Return what puts the payloads of a port on the bus."""
-        puts = [
-            self._putter_in(session, port, lockstep, declared=declared)
-            for session in self._sessions
-        ]
+        puts = [self._putter_in(session, port, lockstep, declared=declared) for session in sessions]
         if len(puts) == 1:
             return puts[0]
 
