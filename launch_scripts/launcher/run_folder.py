@@ -61,7 +61,12 @@ class RunFolder:
         except OSError as error:
             raise _no_folder(self.path, error.strerror) from None
 
-    def fill(self, preparation: Preparation, tcp_ports: dict[str, int]) -> RunPlan:
+    def fill(
+        self,
+        preparation: Preparation,
+        tcp_ports: dict[str, int],
+        agent_ports: dict[str, int] | None = None,
+    ) -> RunPlan:
         """Write what the processes need; return the plan with its ports.
 
         The plan comes last and complete: a device may be waiting for it to appear.
@@ -71,7 +76,8 @@ class RunFolder:
         if tcp_ports:
             file = self.path.absolute() / "users"
             new = {"secret": secrets.token_hex(16), "users_file": str(file)}
-            plan = msgspec.structs.replace(plan, tcp_ports=tcp_ports, **new)
+            ports = {"tcp_ports": tcp_ports, "agent_ports": agent_ports or {}}
+            plan = msgspec.structs.replace(plan, **ports, **new)
             file.touch(mode=0o600)
             file.write_text(users(plan), encoding="utf-8")
         preparation.profile.save(self.path / "profile.npz")

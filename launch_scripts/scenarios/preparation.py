@@ -254,7 +254,7 @@ def _plan(
         external=external,
         # With fixed ports the namespace is fixed too, so that a device is configured once.
         namespace=scenario.name if options.base_port is not None else "",
-        faults=fault_rules(scenario_file, options.faults or (), day.tree, (*external, *addresses)),
+        faults=fault_rules(scenario_file, options.faults or (), day.tree, external, addresses),
         faults_seed=scenario.faults_seed,
         machine=machine_settings(
             scenario.machine, options.cpus or (), options.priority, lockstep=pace == "max"
