@@ -33,6 +33,7 @@ from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.summary_table import print_summary
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.launcher.wrong_messages import one_line_each
+from launch_scripts.scenarios.devices import check_devices
 from launch_scripts.scenarios.preparation import RunOptions
 from live_page.process import PageProcess
 from studies.tables import console_for
@@ -121,15 +122,8 @@ def run(
     """
     preparation, folder = prepare_run(request)
     plan, scenario = preparation.plan, preparation.scenario.scenario
-    if server is not None and plan.lockstep and plan.faults:
-        given = request.options.faults
-        where = f"--fault {given[0]}" if given else "faults of the scenario"
-        why = "a lost message is waited for without end"
-        if all(rule.stops for rule in plan.faults):
-            why = "cycles keep to no clock"
-        raise InputError(f"{where}: expected a --pace such as 1 with it, got lockstep, where {why}")
-    if server is not None and (trouble := _key_trouble(plan)):
-        raise InputError(trouble)
+    if server is not None:
+        _check_processes(plan, request.options)
     try:
         with view_for(console, plan, scenario.time.timezone) as view:
             for line in (scenario.title, *preparation.remarks):
@@ -149,6 +143,19 @@ def run(
         raise FailureError(text) from failure
     folder.summary.write_bytes(summary.as_json() + b"\n")
     return summary, folder
+
+
+def _check_processes(plan: RunPlan, options: RunOptions) -> None:
+    """Refuse what a run as processes cannot have, before anything is printed."""
+    if plan.lockstep and plan.faults:
+        where = f"--fault {options.faults[0]}" if options.faults else "faults of the scenario"
+        why = "a lost message is waited for without end"
+        if all(rule.stops for rule in plan.faults):
+            why = "cycles keep to no clock"
+        raise InputError(f"{where}: expected a --pace such as 1 with it, got lockstep, where {why}")
+    check_devices(plan)
+    if trouble := _key_trouble(plan):
+        raise InputError(trouble)
 
 
 def _key_trouble(plan: RunPlan) -> str:

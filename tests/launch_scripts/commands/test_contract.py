@@ -193,6 +193,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "simulate small.toml --to 13:00 --duration 1h",
         "simulate small.toml --set commitment.share=0.1,0.2",
         "launch small.toml --fault loss=1%",
+        "launch small.toml --device c1/inv01=modbus://127.0.0.1/1",
         "inspect run --cycle 3 --nodes c1",
         "export run",
         "report run --report page",

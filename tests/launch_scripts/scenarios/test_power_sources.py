@@ -94,7 +94,9 @@ def test_a_day_shorter_than_the_run_and_a_folder_without_days_are_refused(
     oahu.change('"earlier-day"', '"hindsight"')
     assert oahu.prepare().hindsight, "that needs no earlier day"
     (tmp_path / "archive" / "20100401.txt").unlink()
-    assert oahu.complaint().startswith(f"{tmp_path / 'archive'}: expected")
+    complaint = oahu.complaint()
+    assert complaint.startswith(f"{oahu.scenario}: irradiance.folder: expected")
+    assert complaint.endswith(str(tmp_path / "archive"))
 
 
 # Currents of a real plant -------------------------------------------------------------------------
