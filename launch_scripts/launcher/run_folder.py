@@ -16,6 +16,7 @@ from bus_schemas.errors import InputError
 from launch_scripts.scenarios.preparation import Preparation
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
 from recordings.read.run_file import RECORDING_NAME
+from recordings.read.whole_file import whole_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +74,11 @@ class RunFolder:
         (self.path / "scenario.toml").write_text(preparation.scenario.text, encoding="utf-8")
         self.write_plan(plan)
         return plan
+
+    def write_summary(self, document: bytes) -> None:
+        """Write the summary, whole or not at all."""
+        with whole_file(self.summary) as file:
+            file.write(document + b"\n")
 
     def write_plan(self, plan: RunPlan) -> None:
         """Write the plan at once. It lets a program join the run: it is for the user alone."""
