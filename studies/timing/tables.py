@@ -147,6 +147,11 @@ def network_lines(report: TimingReport) -> list[str]:
 def verdict_line(report: TimingReport) -> str:
     """Return the verdict on the whole run."""
     failed = len(failures(report))
+    if not report.ended:
+        return (
+            "FAIL: the run broke off or has not ended yet; in the recorded part "
+            f"{failed} of {len(report.verdicts)} budgets not kept"
+        )
     if not failed:
         return f"PASS: all {len(report.verdicts)} budgets were kept"
     return f"FAIL: {failed} of {len(report.verdicts)} budgets not kept"
