@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -84,10 +85,11 @@ def run_and_print(
 def _print_result(
     summary: RunSummary, folder: RunFolder, files: FileOptions, console: Console
 ) -> int:
-    if files.json is not None:
-        write_json(msgspec.Raw(summary.as_json()), files.json)
+    trouble = _write_summary(summary, folder, files.json)
     print_summary(summary, console)
     say(console, f"recording: {folder.recording}")
+    if trouble:
+        return complain("; ".join(filter(None, (trouble, summary.recording_ended))), FAILED)
     if files.report is not None and summary.cycles:
         from studies.report.run_report import write_run_report  # Plotly is slow to import.
 
@@ -108,6 +110,23 @@ def _print_result(
     return INTERRUPTED if summary.interrupted else OK
 
 
+def _write_summary(summary: RunSummary, folder: RunFolder, json: str | None) -> str:
+    """Write a summary into its folder, and where `--json` says.
+
+    Return what to complain of if the disk is full: the result is to be printed all the same.
+    """
+    document = summary.as_json()
+    try:
+        folder.write_summary(document)
+        if json is not None:
+            write_json(msgspec.Raw(document), json)
+    except OSError as error:
+        if error.errno not in {errno.ENOSPC, errno.EDQUOT}:
+            raise
+        return f"{error.filename}: {error.strerror}"
+    return ""
+
+
 def run(
     request: RunRequest,
     console: Console,
@@ -115,7 +134,7 @@ def run(
     server: ForkServerProcess | None = None,
     page: PageProcess | None = None,
 ) -> tuple[RunSummary, RunFolder]:
-    """Run a plant, recorded, and write its summary; show it meanwhile.
+    """Run a plant, recorded; show it meanwhile.
 
     Without a server, which starts the processes, the run stays in this process. `began_at` is the
     monotonic time at which the user asked for it [s].
@@ -141,7 +160,6 @@ def run(
         if plan.lockstep and (trouble := _key_trouble(plan)):  # They may have expired meanwhile.
             text += f"\n{trouble}"
         raise FailureError(text) from failure
-    folder.summary.write_bytes(summary.as_json() + b"\n")
     return summary, folder
 
 

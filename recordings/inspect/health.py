@@ -17,7 +17,7 @@ from agents.plan import RunPlan
 from bus_schemas.faults import UNHEARD, FaultRule, FaultTally
 from bus_schemas.messages import Message
 from bus_schemas.signals import TELEMETRY, Port
-from bus_schemas.tree import PLANT
+from bus_schemas.tree import PLANT, RECORDER
 from recordings.read.gaps import LISTED_GAPS, RunGaps, due_step
 from recordings.read.missed_inputs import MissedInputs
 from recordings.read.reader import RecordedMessage, RunReader
@@ -89,6 +89,7 @@ class LauncherAccount(msgspec.Struct, frozen=True):
 
     run_id: str
     dropped: dict[str, int] = {}
+    restarts: dict[str, int] = {}
     skipped_cycles: int = 0
     recording_ended: str = ""
     wrong: tuple[WrongMessages, ...] = ()
@@ -281,7 +282,10 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
             yield "absent", _absence_text(absence, clock)
     if others := len(health.absences) + health.more_absences - len(named):
         yield "absent", f"and {others:,} times more"
-    if not health.absences:
+    # Messages show that an agent restarted; the recorder publishes none.
+    if recorder := launcher.restarts.get(RECORDER) if launcher else None:
+        yield "absent", f"{RECORDER} restarted {recorder:,} time{'s' if recorder > 1 else ''}"
+    elif not health.absences:
         yield "absent", "nobody restarted, died, or missed a cycle"
     yield from (("devices", text) for text in _devices_texts(health.devices))
     if health.failure:

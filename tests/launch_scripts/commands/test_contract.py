@@ -263,6 +263,14 @@ def test_a_file_on_a_full_disk_is_a_failure_in_one_line(
     assert FULL.is_char_device()
 
 
+@full_disk
+def test_a_run_is_summed_up_also_where_the_disk_is_full(folder: Path) -> None:
+    out = folder / "full"
+    result = heliarch(*words_of("simulate", folder), f"--json={FULL}", "--out", str(out))
+    assert result.exit_code == 1
+    assert str(out / "run.mcap") in result.stdout
+
+
 def output_to(
     output: TextIO, words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> tuple[int, str]:
