@@ -388,6 +388,11 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return (settings.delay_s or 0.0) + (100.0 / ramp if ramp is not None else 0.0)
 
     @property
+    def public(self) -> RunPlan:
+        """The plan without what the agents of the run prove themselves by."""
+        return replace(self, secret="", users_file="", keys_folder="")
+
+    @property
     def bus_namespace(self) -> str:
         """Prefix of the run's keys on the bus."""
         return self.namespace or self.run_id

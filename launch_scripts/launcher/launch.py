@@ -270,7 +270,7 @@ class _Launch:
         published = self._published(children)
         recorder = children[RECORDER]
         # What a process that died has published nobody knows: wait until nothing more comes.
-        total = _UNKNOWN if self._restarts.counts else sum(published.values())
+        total = _UNKNOWN if self._restarts.lost_processes else sum(published.values())
         children.end_recorder(total)
         if children.await_exit([recorder], 2.0 * longest_s) or recorder.recorded is None:
             raise RunFailure(with_log(recorder, "the recorder did not close its file"))
@@ -300,7 +300,7 @@ class _Launch:
         missed = count_missed(self._folder.recording, plan)
         published = self._published(children)
         heard = without_external(recorded)
-        if self._restarts.counts:
+        if self._restarts.lost_processes:
             # Nobody knows what processes published that died: the numbers of messages tell.
             lost = count_lost(self._folder.recording, plan.elsewhere)
             published |= {

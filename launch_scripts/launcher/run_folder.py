@@ -6,7 +6,9 @@ import os
 import secrets
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import count
 from pathlib import Path
+from typing import Final
 
 import msgspec
 
@@ -16,6 +18,10 @@ from bus_schemas.errors import InputError
 from launch_scripts.scenarios.preparation import Preparation
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
 from recordings.read.run_file import RECORDING_NAME
+from recordings.read.whole_file import whole_file
+
+_NUMBERS: Final = count(1)
+"""Runs of this process: a script can start several in one second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +86,11 @@ class RunFolder:
         self.write_plan(plan)
         return plan
 
+    def write_summary(self, document: bytes) -> None:
+        """Write the summary, whole or not at all."""
+        with whole_file(self.summary) as file:
+            file.write(document + b"\n")
+
     def write_plan(self, plan: RunPlan) -> None:
         """Write the plan at once. It lets a program join the run: it is for the user alone."""
         unfinished = self.plan.with_suffix(".json.part")
@@ -95,8 +106,10 @@ def _no_folder(path: Path, reason: str | None) -> InputError:
 
 
 def new_run_id(scenario: str) -> str:
-    """Return a name that no other run has: scenario, time, process."""
-    return f"{scenario}-{datetime.now():%Y%m%d-%H%M%S}-{os.getpid()}"
+    """Return a name that no other run has: scenario, time, process, and its number in that one."""
+    number = next(_NUMBERS)
+    name = f"{scenario}-{datetime.now():%Y%m%d-%H%M%S}-{os.getpid()}"
+    return name if number == 1 else f"{name}-{number}"
 
 
 def run_folder(run_id: str, out: Path | None) -> RunFolder:

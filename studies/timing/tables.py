@@ -207,14 +207,14 @@ def clocks_tables(clocks: Sequence[ClockOffset]) -> list[Table]:
         key_column("clock of"),
         Column("agents"),
         Column("ahead", "ms", 3),
-        Column("+-", "ms", 3),
+        Column("±", "ms", 3),
     )
     rows = tuple(
         (one.name, len(one.agents), one.ahead_us / 1e3, one.within_us / 1e3) for one in clocks
     )
     notes = (
         "ahead of the plant's clock, by the fastest messages each way;",
-        "+- is half their round trip: so far off it may be if one way is slower than the other",
+        "± is half their round trip: so far off it may be if one way is slower than the other",
     )
     return [Table("Clocks", columns, rows, notes)] if rows else []
 
