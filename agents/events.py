@@ -52,7 +52,7 @@ class Status(Event, frozen=True):
 
 
 class Standing(Event, frozen=True):
-    """The process stands by: another one of its agent speaks."""
+    """The process is there, and nobody hears it here: it stands by, or is on another host."""
 
 
 class TookOver(Event, frozen=True):

@@ -206,6 +206,9 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     secret, users_file
         What ids and passwords of the agents' sessions are made from, and the file of passwords:
         without keys, a program with one of them may publish as any agent. Empty: any program may.
+    agent_ports
+        Without keys, beside devices: the ports where the other agents link with each other.
+        Devices, which have no password, connect to `tcp_ports`.
     keys_folder
         Folder of the agents' certificates; empty: the links are not encrypted.
     address
@@ -264,6 +267,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     positions_m: tuple[tuple[float, float], ...] = ()
     secret: str = ""
     users_file: str = ""
+    agent_ports: dict[str, int] = {}
     keys_folder: str = ""
     address: str = "127.0.0.1"
     addresses: dict[str, str] = {}
@@ -289,6 +293,18 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     def links(self) -> Links:
         """The TCP links between the agents."""
         return explicit_links(self.tree, self.standbys)
+
+    @cached_property
+    def device_links(self) -> Links:
+        """Those of the links that have a device at an end."""
+        devices = set(self.external)
+        return Links(tuple(pair for pair in self.links.pairs if not devices.isdisjoint(pair)))
+
+    @cached_property
+    def agent_links(self) -> Links:
+        """Those of the links that have none."""
+        devices = set(self.external)
+        return Links(tuple(pair for pair in self.links.pairs if devices.isdisjoint(pair)))
 
     @property
     def restarts(self) -> bool:
@@ -370,6 +386,11 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         settings = self.settings_of(leaf)
         ramp = settings.ramp_percent_per_s
         return (settings.delay_s or 0.0) + (100.0 / ramp if ramp is not None else 0.0)
+
+    @property
+    def public(self) -> RunPlan:
+        """The plan without what the agents of the run prove themselves by."""
+        return replace(self, secret="", users_file="", keys_folder="")
 
     @property
     def bus_namespace(self) -> str:
@@ -454,7 +475,7 @@ def check_plan(plan: RunPlan) -> None:
             f"cycle_ns: expected above 0, up to {LONGEST_CYCLE_NS:,}, got {plan.cycle_ns:,}"
         )
     for number, rule in enumerate(plan.faults):
-        check_rule(rule, plan.tree, f"faults[{number}]", plan.elsewhere)
+        check_rule(rule, plan.tree, f"faults[{number}]", plan.external, plan.addresses)
     for number, entry in enumerate(plan.settings):
         if not any(fnmatchcase(leaf, entry.nodes) for leaf in plan.tree.leaves):
             raise InputError(

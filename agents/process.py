@@ -37,7 +37,7 @@ _SET_PARENT_DEATH_SIGNAL: Final = 1
 
 
 STANDING_S: Final = 1.0
-"""How often a process that stands by says that it is there."""
+"""How often a process that nobody hears where it was started says that it is there."""
 
 _LOOK_S: Final = 0.02
 
@@ -121,6 +121,7 @@ def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
         if loop.stop_heard and loop.end_cycle == plan.cycles:
             return True
         process.driver.turn(longest_ns=process.driver.now_ns() + round(_LOOK_S * 1e9))
+        process.tell_standing()
         if process.plant_is_gone():
             return True
         if time.monotonic() > give_up_at:
@@ -151,13 +152,14 @@ class AgentProcess:
         self.link = link
         self._drop_log = DropLog()
         set_up_process(plan, agent.name)
-        is_away = (name or agent.name) in plan.addresses
+        self._is_away = is_away = (name or agent.name) in plan.addresses
+        self._tell_at = 0.0
         self._bus = ZenohBus(
             agent.name,
             plan.keys,
             plan.wiring,
             session_settings(plan, name or agent.name),
-            patience_s=plan.stall_timeout_s,
+            patience_s=min(plan.stall_timeout_s, STANDING_S),
             process=name,
             clock=HostClock() if is_away else None,
         )
@@ -178,12 +180,9 @@ class AgentProcess:
         self._bus.__exit__(*error)
 
     def drive(self) -> Iterator[None]:
-        """Drive the agent through the run; tell the launcher if it cannot go on in lockstep.
-
-        A process that stands by says so every now and then: nothing else is heard of it.
-        """
+        """Drive the agent through the run; tell the launcher if it cannot go on in lockstep."""
         loop = self.loop
-        was_silent, tell_at = loop.silent, 0.0
+        was_silent = loop.silent
         place, waits_since = (loop.cycle, loop.stage), time.monotonic()
         for _ in self.driver.run():
             if self.plan.lockstep and (loop.cycle, loop.stage) != place:
@@ -196,14 +195,17 @@ class AgentProcess:
             ):
                 waits_since = time.monotonic()
                 self.link.tell(Waiting(loop.cycle, loop.stage, loop.needs))
-            if loop.silent and time.monotonic() >= tell_at:
-                tell_at = time.monotonic() + STANDING_S
-                self.link.tell(Standing())
-            elif was_silent and not loop.silent:
-                tell_at = 0.0
+            if was_silent and not loop.silent:
                 self.link.tell(TookOver(loop.incarnation))
+            self.tell_standing()
             was_silent = loop.silent
             yield
+
+    def tell_standing(self) -> None:
+        """Say every now and then that the process is there, if nothing else is heard of it."""
+        if (self.loop.silent or self._is_away) and time.monotonic() >= self._tell_at:
+            self._tell_at = time.monotonic() + STANDING_S
+            self.link.tell(Standing())
 
     def plant_is_gone(self) -> bool:
         """Whether the plant has disappeared and, if it is on another host, does not come back.

@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from itertools import product
@@ -80,7 +81,8 @@ ATTACKERS: Final = (
     Attacker("nothing"),
     Attacker("plan.json", folder="plan"),
     Attacker("nothing, beside a device", EXTERNAL),
-    Attacker("session ids, beside a device", EXTERNAL, folder="plan"),
+    Attacker("session ids, beside a device", EXTERNAL, folder="ids"),
+    Attacker("plan.json, beside a device", EXTERNAL, folder="plan"),
     Attacker("nothing, with keys", SECURE),
     Attacker("keys of another plant", SECURE, DEVICE, "other"),
     *(Attacker(f"keys of {who}", SECURE, who, "own") for who in (DEVICE, "c2", "central", "plant")),
@@ -161,34 +163,44 @@ def ports_of(plan: RunPlan, attack: Attack) -> list[Port[Any]]:
 @contextmanager
 def sessions_of(attacker: Attacker, plan: RunPlan, keys: Path) -> Iterator[Sessions]:
     """Link an attacker with every agent that listens."""
+    own = KeyFiles.of(keys / attacker.folder, attacker.agent) if attacker.agent else None
+    settings = SessionSettings(plan.bus_namespace, [], [], lockstep=False, keys=own)
+    host = "tls/127.0.0.1" if own else "tcp/127.0.0.1"
+    ports = (*plan.tcp_ports.values(), *plan.agent_ports.values())
+
+    def identities() -> Iterator[tuple[str, SessionSettings, Sequence[str]]]:
+        if attacker.folder not in {"ids", "plan"}:
+            yield "", settings, ("peer", "client")
+            return
+        for agent in plan.tree.agents():
+            forged = replace(settings, session_id=session_id(plan.secret, agent))
+            yield agent, forged, ("peer",)
+            if attacker.folder == "plan":
+                proof = password(plan.secret, agent)
+                yield agent, replace(forged, user=agent, password=proof), ("peer",)
+
+    configs = []
+    for name, identity, modes in identities():
+        for port, mode in product(ports, modes):
+            config = replace(identity, connect=[f"{host}:{port}"]).config()
+            config.insert_json5("mode", f'"{mode}"')
+            config.insert_json5("connect/timeout_ms", "500")
+            configs.append((name, config))
+    found: dict[str, list[zenoh.Session]] = {}
     with ExitStack() as stack:
+        with ThreadPoolExecutor(64) as pool:  # Who is not admitted waits for the time-out.
+            opened = list(pool.map(lambda each: session_of(each[1]), configs))
+        for (name, _), session in zip(configs, opened, strict=True):
+            if session is not None:
+                found.setdefault(name, []).append(stack.enter_context(session))
+        yield lambda agent: found.get("" if "" in found else agent, ())
 
-        def linked(settings: SessionSettings, modes: Sequence[str]) -> list[zenoh.Session]:
-            found = []
-            for port in plan.tcp_ports.values():
-                host = "tls/127.0.0.1" if settings.keys else "tcp/127.0.0.1"
-                for mode in modes:
-                    config = replace(settings, connect=[f"{host}:{port}"]).config()
-                    config.insert_json5("mode", f'"{mode}"')
-                    config.insert_json5("connect/timeout_ms", "500")
-                    with suppress(zenoh.ZError):  # A client has no session where it has no link.
-                        found.append(stack.enter_context(zenoh.open(config)))
-            return found
 
-        own = KeyFiles.of(keys / attacker.folder, attacker.agent) if attacker.agent else None
-        settings = SessionSettings(plan.bus_namespace, [], [], lockstep=False, keys=own)
-        if attacker.folder == "plan":
-            of_agent = {}
-            for agent in plan.tree.agents():
-                forged = replace(settings, session_id=session_id(plan.secret, agent))
-                if not plan.external:
-                    proof = password(plan.secret, agent)
-                    forged = replace(forged, user=agent, password=proof)
-                of_agent[agent] = linked(forged, ("peer",))
-            yield of_agent.__getitem__
-        else:
-            sessions = linked(settings, ("peer", "client"))
-            yield lambda agent: sessions
+def session_of(config: zenoh.Config) -> zenoh.Session | None:
+    """Open a session; a client has none where it has no link."""
+    with suppress(zenoh.ZError):
+        return zenoh.open(config)
+    return None
 
 
 def perform(plan: RunPlan, sessions: Sessions, start_ns: int, alive: Callable[[], bool]) -> None:
@@ -222,6 +234,8 @@ def attacked(attacker: Attacker, options: argparse.Namespace, folder: Path) -> l
         start_ns = start_of(out, process)
         plan = load_plan(out / "plan.json")
         with sessions_of(attacker, plan, options.keys) as sessions:
+            if time.monotonic_ns() > start_ns + FIRST * plan.cycle_wall_ns:
+                raise SystemExit(f"{attacker.name}: linked too late for the first attack")
             perform(plan, sessions, start_ns, lambda: process.poll() is None)
         status = process.wait(60.0)
     told = msgspec.json.decode(summary.read_bytes()) if summary.exists() else None

@@ -20,7 +20,7 @@ References
 from __future__ import annotations
 
 import struct
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from hashlib import blake2b
@@ -440,7 +440,11 @@ def links(tree: ControlTree) -> list[tuple[Port[Message], str]]:
 
 
 def check_rule(
-    rule: FaultRule, tree: ControlTree, where: str, external: Collection[str] = ()
+    rule: FaultRule,
+    tree: ControlTree,
+    where: str,
+    external: Collection[str] = (),
+    addresses: Mapping[str, str] = {},
 ) -> None:
     """Refuse a rule that does not fit the run.
 
@@ -452,6 +456,8 @@ def check_rule(
         What the user calls it.
     external
         Agents whose programs are not Heliarch's: nothing can be done to what comes in there.
+    addresses
+        Where the agents are that run on other hosts: their processes cannot be stopped from here.
 
     Raises
     ------
@@ -465,7 +471,7 @@ def check_rule(
             f"{where}: partition: expected two agents such as c1|central, got {rule.partition}"
         )
     if rule.stops is not None:
-        _check_stopped(rule, tree, where, external)
+        _check_stopped(rule, tree, where, external, addresses)
         return
     _check_ends(rule, tree, where)
     heard_by = [listener for port, listener in links(tree) if rule.acts_on(port, listener)]
@@ -510,7 +516,11 @@ def _does_only(rule: FaultRule, name: str) -> bool:
 
 
 def _check_stopped(
-    rule: FaultRule, tree: ControlTree, where: str, external: Collection[str]
+    rule: FaultRule,
+    tree: ControlTree,
+    where: str,
+    external: Collection[str],
+    addresses: Mapping[str, str],
 ) -> None:
     names = [agent_name(node) for node in tree.nodes]
     found = stopped_by(rule, tree)
@@ -523,6 +533,11 @@ def _check_stopped(
     if foreign:
         raise InputError(
             f"{where}: expected controllers that Heliarch runs, got the external {foreign[0]}"
+        )
+    away = [name for name in found if name in addresses]
+    if away:
+        raise InputError(
+            f"{where}: expected controllers on this host, got {away[0]} on {addresses[away[0]]}"
         )
 
 

@@ -49,7 +49,7 @@ class Links:
 
     def peers(self, agent: str) -> tuple[str, ...]:
         """Agents that an agent is linked with."""
-        return self._peers[agent]
+        return self._peers.get(agent, ())
 
     @cached_property
     def _tops(self) -> dict[str, list[str]]:

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
@@ -121,6 +122,9 @@ class SessionSettings:
         Larger messages are not received.
     signs_of_life
         On a link that is idle, in each lease.
+    devices
+        How the same agent joins those whom it does not ask for a password, in a second session.
+        None: there is none of them.
     """
 
     namespace: str
@@ -135,6 +139,7 @@ class SessionSettings:
     keys: KeyFiles | None = None
     largest_bytes: int = 1 << 20
     signs_of_life: int = 4
+    devices: SessionSettings | None = None
 
     def config(self) -> zenoh.Config:
         """Return these settings as Zenoh wants them."""
@@ -180,6 +185,12 @@ class SessionSettings:
         for key, value in settings.items():
             config.insert_json5(key, json.dumps(value))
         return config
+
+
+def open_sessions(settings: SessionSettings, batch_bytes: int | None = None) -> list[zenoh.Session]:
+    """Open an agent's session, and then that with devices if it has one."""
+    both = [settings] if settings.devices is None else [settings, settings.devices]
+    return [open_session(each, batch_bytes) for each in both]
 
 
 def open_session(settings: SessionSettings, batch_bytes: int | None = None) -> zenoh.Session:
@@ -309,7 +320,7 @@ class ZenohBus:
         self._keys = keys
         self._patience_s = patience_s
         self._inbox = Inbox()
-        self._session = open_session(settings)
+        self._sessions = open_sessions(settings)
         published, heard = wiring.published[agent], wiring.heard.get(agent, [])
         self._heard = frozenset(heard)
         many = _signals_of_many(published)
@@ -319,30 +330,30 @@ class ZenohBus:
         }
         many = _signals_of_many(heard)
         hear = self._inbox.callback
+        by_key = {keys.key(port): hear(port) for port in heard if port.signal not in many}
+        for signal in many:
+            by_key[f"{keys.plant}/**/{signal.name}"] = _by_key(hear, heard, keys)
         self._subscribers = [
-            *(
-                self._subscribe(keys.key(port), hear(port))
-                for port in heard
-                if port.signal not in many
-            ),
-            *(
-                self._subscribe(f"{keys.plant}/**/{signal.name}", _by_key(hear, heard, keys))
-                for signal in many
-            ),
+            _subscribe(session, key, callback)
+            for session in self._sessions
+            for key, callback in by_key.items()
         ]
         self._newest: dict[Port[Message], bytes] | None = None
         if settings.lockstep:
             self._newest = {}
-            self._queryable = self._session.declare_queryable(
-                f"{keys.plant}/**", zenoh.handlers.Callback(self._answer, indirect=False)
-            )
-        self._token = self._session.liveliness().declare_token(keys.alive_key(self._process))
+            self._queryables = [
+                session.declare_queryable(
+                    f"{keys.plant}/**", zenoh.handlers.Callback(self._answer, indirect=False)
+                )
+                for session in self._sessions
+            ]
+        self._tokens = _tokens(self._sessions, keys.alive_key(self._process))
 
     def __enter__(self) -> ZenohBus:
         return self
 
     def __exit__(self, *error: object) -> None:
-        _close(self._session)
+        _close(self._sessions)
 
     @property
     def flooded(self) -> Counter[str]:
@@ -359,13 +370,16 @@ class ZenohBus:
 
     def newest(self) -> list[Arrival]:
         """Return the newest messages of those that are heard in lockstep, the dispatch first."""
-        replies = self._session.get(
-            f"{self._keys.plant}/**",
-            target=zenoh.QueryTarget.ALL,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=_ANSWER_S,
-        )
-        samples = [reply.ok for reply in replies if reply.ok is not None]
+        replies = [
+            session.get(
+                f"{self._keys.plant}/**",
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                timeout=_ANSWER_S,
+            )
+            for session in self._sessions
+        ]
+        samples = [reply.ok for reply in chain(*replies) if reply.ok is not None]
         found = [(self._keys.port(str(one.key_expr)), one.payload) for one in samples]
         now_ns = time.monotonic_ns()
         taken = [(port, payload, now_ns) for port, payload in found if port in self._heard]
@@ -406,29 +420,41 @@ class ZenohBus:
 
     def watch_alive(self) -> Callable[[], set[str]]:
         """Follow the liveliness tokens of all agents; the result returns the keys seen now."""
-        return _TokenWatch(self._session, self._keys).alive
+        return _TokenWatch(self._sessions, self._keys).alive
 
     def watch_presence(self) -> Callable[[], Iterator[tuple[str, bool]]]:
         """Follow them; the result yields the key of each that has come (True) or gone (False)."""
-        return _TokenWatch(self._session, self._keys).changes
-
-    def _subscribe(self, key: str, hear: Callable[[zenoh.Sample], None]) -> zenoh.Subscriber[None]:
-        callback = zenoh.handlers.Callback(hear, indirect=False)
-        return self._session.declare_subscriber(key, callback, allowed_origin=zenoh.Locality.REMOTE)
+        return _TokenWatch(self._sessions, self._keys).changes
 
     def _putter(
         self, port: Port[Message], lockstep: bool, *, declared: bool
     ) -> Callable[[bytes], None]:
         """Return what puts the payloads of a port on the bus."""
+        puts = [
+            self._putter_in(session, port, lockstep, declared=declared)
+            for session in self._sessions
+        ]
+        if len(puts) == 1:
+            return puts[0]
+
+        def put(payload: bytes) -> None:
+            for each in puts:
+                each(payload)
+
+        return put
+
+    def _putter_in(
+        self, session: zenoh.Session, port: Port[Message], lockstep: bool, *, declared: bool
+    ) -> Callable[[bytes], None]:
         must_arrive = lockstep or port.signal.occurrence is Occurrence.EVENT
         control = zenoh.CongestionControl.BLOCK if must_arrive else zenoh.CongestionControl.DROP
         if not declared:
             key = zenoh.KeyExpr(self._keys.key(port))
             put: Callable[[bytes], None] = partial(
-                self._session.put, key, encoding=ENCODING, congestion_control=control
+                session.put, key, encoding=ENCODING, congestion_control=control
             )
             return put
-        publisher = self._session.declare_publisher(
+        publisher = session.declare_publisher(
             self._keys.key(port),
             encoding=ENCODING,
             congestion_control=control,
@@ -436,6 +462,17 @@ class ZenohBus:
         )
         declared_put: Callable[[bytes], None] = publisher.put
         return declared_put
+
+
+def _subscribe(
+    session: zenoh.Session, key: str, hear: Callable[[zenoh.Sample], None]
+) -> zenoh.Subscriber[None]:
+    callback = zenoh.handlers.Callback(hear, indirect=False)
+    return session.declare_subscriber(key, callback, allowed_origin=zenoh.Locality.REMOTE)
+
+
+def _tokens(sessions: Sequence[zenoh.Session], key: str) -> list[zenoh.LivelinessToken]:
+    return [session.liveliness().declare_token(key) for session in sessions]
 
 
 def _signals_of_many(ports: Sequence[Port[Message]]) -> list[Signal[Message]]:
@@ -463,16 +500,20 @@ def _by_key(
 class _TokenWatch:
     """The liveliness tokens that are seen."""
 
-    def __init__(self, session: zenoh.Session, keys: KeyTable) -> None:
+    def __init__(self, sessions: Sequence[zenoh.Session], keys: KeyTable) -> None:
         self._alive: set[str] = set()
-        self._subscriber = session.liveliness().declare_subscriber(
-            keys.alive_key("**"), zenoh.handlers.FifoChannel(_TAP_CAPACITY), history=True
-        )
+        self._subscribers = [
+            session.liveliness().declare_subscriber(
+                keys.alive_key("**"), zenoh.handlers.FifoChannel(_TAP_CAPACITY), history=True
+            )
+            for session in sessions
+        ]
 
     def changes(self) -> Iterator[tuple[str, bool]]:
         """Yield the key of each token that has come (True) or gone (False)."""
-        while (sample := self._subscriber.try_recv()) is not None:
-            yield str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
+        for subscriber in self._subscribers:
+            while (sample := subscriber.try_recv()) is not None:
+                yield str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT
 
     def alive(self) -> set[str]:
         """Return the keys of all tokens that are there."""
@@ -481,11 +522,12 @@ class _TokenWatch:
         return self._alive
 
 
-def _close(session: zenoh.Session) -> None:
-    """Close a session: an open one can hang the interpreter's exit."""
-    # With 1,000 links on a busy machine this takes longer than Zenoh waits. All has been said.
-    with suppress(zenoh.ZError):
-        session.close()
+def _close(sessions: Sequence[zenoh.Session]) -> None:
+    """Close sessions: an open one can hang the interpreter's exit."""
+    for session in sessions:
+        # With 1,000 links on a busy machine this takes longer than Zenoh waits. All has been said.
+        with suppress(zenoh.ZError):
+            session.close()
 
 
 class ZenohTap:
@@ -499,29 +541,33 @@ class ZenohTap:
     def __init__(self, agent: str, keys: KeyTable, settings: SessionSettings) -> None:
         self.outbox = Outbox()
         self._keys = keys
-        self._session = open_session(settings, _TAP_BATCH_BYTES)
-        self._subscriber = self._session.declare_subscriber(
-            f"{keys.plant}/**",
-            zenoh.handlers.FifoChannel(_TAP_CAPACITY),
-            allowed_origin=zenoh.Locality.REMOTE,
-        )
-        self._token = self._session.liveliness().declare_token(keys.alive_key(agent))
+        self._sessions = open_sessions(settings, _TAP_BATCH_BYTES)
+        self._subscribers = [
+            session.declare_subscriber(
+                f"{keys.plant}/**",
+                zenoh.handlers.FifoChannel(_TAP_CAPACITY),
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+            for session in self._sessions
+        ]
+        self._own_tokens = _tokens(self._sessions, keys.alive_key(agent))
         self._tokens: _TokenWatch | None = None
 
     def __enter__(self) -> ZenohTap:
         return self
 
     def __exit__(self, *error: object) -> None:
-        _close(self._session)
+        _close(self._sessions)
 
     def publish(self, port: Port[Message], message: Message) -> None:
         """Send a message."""
         self.outbox.stamp(port, message, time.monotonic_ns())
-        self._session.put(self._keys.key(port), encode(message), encoding=ENCODING)
+        for session in self._sessions:
+            session.put(self._keys.key(port), encode(message), encoding=ENCODING)
 
     def watch_presence(self) -> None:
         """Follow the liveliness tokens of all agents from now on, see `presence`."""
-        self._tokens = _TokenWatch(self._session, self._keys)
+        self._tokens = _TokenWatch(self._sessions, self._keys)
 
     def presence(self) -> Iterator[tuple[str, bool]]:
         """Yield the key of each liveliness token that has come (True) or gone (False)."""
@@ -529,5 +575,6 @@ class ZenohTap:
 
     def drain(self) -> Iterator[tuple[str, bytes]]:
         """Yield key and payload of all that has arrived."""
-        while (sample := self._subscriber.try_recv()) is not None:
-            yield str(sample.key_expr), sample.payload.to_bytes()
+        for subscriber in self._subscribers:
+            while (sample := subscriber.try_recv()) is not None:
+                yield str(sample.key_expr), sample.payload.to_bytes()

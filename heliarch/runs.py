@@ -74,6 +74,8 @@ def simulate(
     out
         Folder of the run; by default a new one in `runs/`.
     """
+    _check_names("scheme", () if scheme is None else (scheme,), get_args(Scheme))
+    _check_names("actuator", () if actuator is None else (actuator,), get_args(Actuator))
     options = RunOptions(start, duration, end, None, seed, scheme, actuator, tuple(faults))
     scenario_file = with_settings(_loaded(scenario), _texts(settings))
     request = RunRequest(scenario_file, options, None if out is None else Path(out))
@@ -120,13 +122,8 @@ def compare(
         A row for each case, scheme and actuator, a column for each figure of merit.
     """
     comparison = Comparison(tuple(schemes), actuators=tuple(actuators))
-    for option, names, known in (
-        ("schemes", comparison.schemes, tuple(SCHEMES)),
-        ("actuators", comparison.actuators, get_args(Actuator)),
-    ):
-        for name in names:
-            if name not in known:
-                raise InputError(f"{option}: expected {', '.join(known)}, got {name}")
+    _check_names("schemes", comparison.schemes, tuple(SCHEMES))
+    _check_names("actuators", comparison.actuators, get_args(Actuator))
     found = cases(
         _loaded(scenario),
         RunOptions(start, duration, end=end),
@@ -174,6 +171,12 @@ def compare_runs(first: str | Path, second: str | Path) -> ComparedRuns:
         pd.DataFrame(table_rows(table), columns=table.names()) for table in tables
     )
     return ComparedRuns(figures, differences, tuple(notes))
+
+
+def _check_names(where: str, names: Iterable[str], known: Sequence[str]) -> None:
+    for name in names:
+        if name not in known:
+            raise InputError(f"{where}: expected {', '.join(known)}, got {name}")
 
 
 def _loaded(scenario: str | ScenarioFile) -> ScenarioFile:

@@ -20,7 +20,7 @@ from recordings.read.chunks import (
 )
 from recordings.read.gaps import RunGaps
 from recordings.read.outline import Outline
-from recordings.read.reader import RunReader, cycle_of, head_of
+from recordings.read.reader import RunReader, cycle_of, end_of_run, head_of
 from recordings.read.whole_file import new_path
 
 RECOVERY_METADATA: Final = "recovery"
@@ -117,7 +117,7 @@ class _Copy:
             damaged_attachments=outline.damaged_attachments,
         )
         self._run = run
-        self._end_cycle: int | None = None
+        self._stops: set[int] = set()
         self._gaps = RunGaps(run.plan)
         self._writer = Writer(file, compression=CompressionType.LZ4)
         self._write_origin(outline)
@@ -143,10 +143,11 @@ class _Copy:
     def finish(self) -> None:
         """Write where the file is from, and its index."""
         run, recovery = self._run, self.found
-        recovery.ended = self._end_cycle == recovery.complete_cycles
+        end_cycle = end_of_run(self._stops, recovery.last_cycle)
+        recovery.ended = end_cycle == recovery.complete_cycles
         recovery.lost = self._gaps.lost
-        if self._end_cycle is not None:
-            early = self._gaps.end(self._end_cycle)
+        if end_cycle is not None:
+            early = self._gaps.end(end_cycle)
             recovery.early_ports = len(early)
             recovery.early_messages = sum(map(len, early.values()))
         metadata = {
@@ -167,7 +168,8 @@ class _Copy:
         cycle, port, found = head.cycle, self._port_of[channel], self.found
         if port is not None and port.signal is RUN:
             message = decode(RUN, payload)
-            self._end_cycle = message.cycle if message.state == "stop" else self._end_cycle
+            if message.state == "stop":
+                self._stops.add(message.cycle)
         else:
             found.complete_cycles += port is not None and port.signal is PRODUCTION
             found.last_cycle = max(found.last_cycle, cycle)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from io import StringIO
@@ -137,6 +138,9 @@ def text_fields(text: str, name: str) -> pd.DataFrame:
         raise InputError(f"{name}: expected a CSV file, got: {error}") from None
     if not rows:
         raise InputError(f"{name}: expected a CSV file with a header line, got nothing")
+    if len(rows[0]) == 1 and (other := re.search(r"[;\t]", rows[0][0])):
+        got = "semicolons" if other[0] == ";" else "tabs"
+        raise InputError(f"{name}: line 1: expected commas between the fields, got {got}")
     for line, row in enumerate(rows, start=1):
         if len(row) != len(rows[0]):
             raise InputError(

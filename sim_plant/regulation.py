@@ -168,8 +168,6 @@ def read_signal(path: Path) -> RegulationSignal:
     The first column, whatever its header, is the second of the signal's own clock, the other one
     the signal in per unit.
     """
-    if not path.exists():
-        raise InputError(f"{path}: expected a file, in the folder of --data, got none")
     table = read_csv(path)
     is_number = pd.to_numeric(pd.Series(table.header), errors="coerce").notna()
     if len(table.header) != 2 or is_number.iloc[1]:

@@ -131,13 +131,19 @@ def recorded(
     driver: str = "launch",
     start: Run | None = None,
     heard: Callable[[Message], int] = lambda message: message.publish_time_ns,
+    ended: bool = True,
 ) -> Path:
     """A recording of these cycles, each message logged when it was published, or `heard`."""
     anchor = ClockAnchor(0, 1_700_000_000_000_000_000)
     writer = RunWriter(folder / "run.mcap", plan, scenario, driver, anchor)
     first = replace(plan.run_message("start", 0, START_NS), publish_time_ns=START_NS - 200 * MS)
     run: list[Delivery] = [(RUN.of(ROOT), start or first)]
-    for port, message in (*run, *(entry for messages in cycles for entry in messages)):
+    run += (entry for messages in cycles for entry in messages)
+    if ended:
+        last, at_ns = run[-1][1].cycle, max(message.publish_time_ns for _, message in run)
+        stop = plan.run_message("stop", last + 1, START_NS)
+        run.append((RUN.of(ROOT), replace(stop, publish_time_ns=at_ns)))
+    for port, message in run:
         logged_ns = max(heard(message), START_NS - 200 * MS)
         writer.add(port, message, encode(message), logged_ns)
     writer.close()

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from itertools import zip_longest
 from types import FrameType
 from typing import Any, Final, NoReturn
 
@@ -66,11 +67,21 @@ class Command(TyperCommand):
 
         The argument after it is its file if it ends in .html.
         """
-        found = []
-        for arg, following in zip(args, [*args[1:], ""], strict=False):
-            is_bare = arg == "--report" and not following.endswith(".html")
+        found, other = [], ""
+        for arg, following in zip_longest(args, args[1:]):
+            # As `--out "$FOLDER"` has it if that is not set: as a path it would be this folder.
+            if arg.startswith("--") and (arg.endswith("=") or following == ""):
+                raise InputError(f"{arg.rstrip('=')}: expected a value, got nothing")
+            is_bare = arg == "--report" and not (following or "").endswith(".html")
             found.append("--report=" if is_bare else arg)
-        return super().parse_args(ctx, found)
+            if is_bare and following and not following.startswith("-"):
+                other = following
+        try:
+            return super().parse_args(ctx, found)
+        except _UsageError as error:
+            if other and type(error) is _UsageError:  # One argument too many.
+                raise InputError(f"--report: expected a file *.html, got {other}") from None
+            raise
 
 
 def _with_plain_types(params: list[Any], ctx: object) -> list[Any]:
@@ -148,7 +159,7 @@ def _usage_text(error: Any) -> str:  # noqa: ANN401 - Typer's type is private
     """Say what is wrong with an option as `OPTION: expected X, got Y`."""
     details = getattr(error.__cause__, "errors", None)
     if details is None or error.param is None:
-        return str(error.format_message())
+        return " ".join(str(error.format_message()).split())
     detail = details()[0]
     what = re.sub(r"Value error, .* is (?:not )?(.*?)\.?$", r"expected \1", str(detail["msg"]))
     what = what.partition(", unable to")[0].replace("Input should be", "expected")

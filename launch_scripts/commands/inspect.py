@@ -10,6 +10,7 @@ from rich.text import Text
 
 from bus_schemas.errors import InputError
 from bus_schemas.printable import printable
+from bus_schemas.tree import agent_name
 from launch_scripts.commands.boundary import OK, complain
 from launch_scripts.commands.options import FirstOption, JsonOption, LastOption, RunArgument
 from launch_scripts.commands.output import json_rows, progress_bar, write_json
@@ -85,7 +86,7 @@ def _show_nodes(
     with json_rows(json) as write:
         for node in nodes:
             if len(nodes) > 1:
-                _print_lines(console, [node], "bold")
+                _print_lines(console, [agent_name(node)], "bold")
             table = TimelineTable(run.plan.tree, node, len(run.clock.text(0)), _width(console))
             _print_lines(console, table.heading(), "bold")
             for rows in timeline(run, [node], cycles):

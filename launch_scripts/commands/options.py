@@ -123,8 +123,9 @@ ReportOption: TypeAlias = Annotated[
     str | None,
     typer.Option(
         "--report",
-        help="Write an HTML page to FILE.html, or to a default path, which is printed.",
-        metavar="[FILE]",
+        help="Write an HTML page to a file whose name ends in .html, or to a default path, which "
+        "is printed.",
+        metavar="[FILE.html]",
         callback=file_in_folder,
         show_default=False,
     ),

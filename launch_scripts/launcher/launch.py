@@ -270,7 +270,7 @@ class _Launch:
         published = self._published(children)
         recorder = children[RECORDER]
         # What a process that died has published nobody knows: wait until nothing more comes.
-        total = _UNKNOWN if self._restarts.counts else sum(published.values())
+        total = _UNKNOWN if self._restarts.lost_processes else sum(published.values())
         children.end_recorder(total)
         if children.await_exit([recorder], 2.0 * longest_s) or recorder.recorded is None:
             raise RunFailure(with_log(recorder, "the recorder did not close its file"))
@@ -300,7 +300,7 @@ class _Launch:
         missed = count_missed(self._folder.recording, plan)
         published = self._published(children)
         heard = without_external(recorded)
-        if self._restarts.counts:
+        if self._restarts.lost_processes:
             # Nobody knows what processes published that died: the numbers of messages tell.
             lost = count_lost(self._folder.recording, plan.elsewhere)
             published |= {
@@ -357,13 +357,18 @@ def launch(
 
     Start-up counts from `began_at`, the monotonic time at which the user asked for the run [s].
     """
-    agents, base_port = preparation.plan.links.listening, preparation.options.base_port
-    check_devices(preparation.plan)
+    plan, base_port = preparation.plan, preparation.options.base_port
+    agents, further = plan.links.listening, plan.agent_links.listening
+    if plan.keys_folder or not plan.external:
+        further = ()
+    further_port = None if base_port is None else base_port + len(agents)
+    check_devices(plan)
     with (
-        GatewayProcess(preparation.plan) if preparation.plan.devices else nullcontext() as gateway,
-        reserved_ports(agents, base_port, preparation.plan.address) as tcp_ports,
+        GatewayProcess(plan) if plan.devices else nullcontext() as gateway,
+        reserved_ports(agents, base_port, plan.address) as tcp_ports,
+        reserved_ports(further, further_port, plan.address) as agent_ports,
     ):
-        plan = folder.fill(preparation, tcp_ports)
+        plan = folder.fill(preparation, tcp_ports, agent_ports)
         if gateway is not None:
             gateway.join(folder.path)
         try:

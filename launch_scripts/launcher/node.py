@@ -11,8 +11,9 @@ from typing import Final
 
 from msgspec.structs import replace
 
-from agents.events import Joined
+from agents.events import Joined, Standing
 from agents.plan import RunPlan
+from agents.process import STANDING_S
 from bus_schemas.errors import InputError
 from bus_schemas.tree import PLANT
 from launch_scripts.launcher.fork_requests import Start
@@ -81,15 +82,28 @@ def run_share(
         restarts = Restarts(replace(plan, faults=()), children, start, say)
         start(*agents, again=False)
         restarts.begin(time.monotonic())
-        waiting = set(agents)
+        waiting, heard_at = set(agents), dict.fromkeys(agents, 0.0)
         while not all(child.finished and child.exited for child in children):
             for child, event in children.events(0.1):
+                if isinstance(event, Joined | Standing):
+                    heard_at[child.agent] = time.monotonic()
                 if isinstance(event, Joined) and child.agent in waiting:
                     waiting.discard(child.agent)
                     if not waiting:
                         place = f"{plan.host_of(PLANT)}:{plan.tcp_ports[PLANT]}"
                         say(f"all are ready for the plant at {place}")
             restarts.look(0.0)
+            if not plan.lockstep:
+                silent_since = time.monotonic() - 2.0 * STANDING_S
+                restarts.note_silence(
+                    [
+                        child.agent
+                        for child in children
+                        if child.ready
+                        and not child.finished
+                        and heard_at[child.agent] < silent_since
+                    ]
+                )
 
 
 def systemd_unit(plan: RunPlan, path: Path, host: str) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Final
 
-from agents.events import AnyEvent, Standing, Status, TookOver
+from agents.events import AnyEvent, Exited, Standing, Status, TookOver
 from agents.plan import RunPlan
 from agents.process import STANDING_S
 from bus_schemas.faults import incidents
@@ -54,7 +54,7 @@ class Restarts:
         self._say = say
         self._now_s = now_s
         self._times: dict[str, list[float]] = {}
-        self._start_at: dict[str, float] = {}
+        self._start_at: dict[str, tuple[float, Exited | None]] = {}
         self._killed: set[str] = set()
         self._due = incidents(plan.faults, plan.tree)
         self._frozen: dict[str, Child] = {}
@@ -76,11 +76,24 @@ class Restarts:
     def end(self) -> None:
         """Replace nobody any more: the run is over, and who ends now has nothing left to do."""
         self._began_at = None
+        for name, (_, exited) in self._start_at.items():  # They do not come back.
+            self._children[name].exited = exited
+            self._killed.add(name)
+
+    @property
+    def lost_processes(self) -> bool:
+        """Whether a process has ended, or was killed, that could not say what it had published."""
+        return bool(self.counts or self._killed)
 
     def replaces(self, child: Child, why: str) -> bool:
-        """Start a process again that has ended; return False if the policy does not."""
-        if not self._allowed or self._began_at is None or child.kind == "plant":
+        """Start a process again that has ended; return False if the policy does not.
+
+        At the end of the run nobody is started, but those whom the launcher has killed may be away.
+        """
+        if not self._allowed or child.kind == "plant":
             return False
+        if self._began_at is None:
+            return child.agent in self._killed
         name, now = child.agent, self._now_s()
         earlier = self._times.setdefault(name, [])
         wait_s = self._policy.wait_s(earlier, now)
@@ -94,8 +107,8 @@ class Restarts:
             self._say(f"{why.splitlines()[0].split('; last lines')[0]}; it is started again{later}")
         self._killed.discard(name)
         self._silent_s.pop(name, None)
+        self._start_at[name] = now + wait_s, child.exited
         child.begin_again()
-        self._start_at[name] = now + wait_s
         self._start_due(now)
         return True
 
@@ -126,7 +139,29 @@ class Restarts:
             case TookOver():
                 self._note_takeover(child.agent, event.cycle)
             case Status() if self._began_at is not None:
-                self._note_silence(event.silent)
+                self.note_silence(event.silent)
+
+    def note_silence(self, silent: Sequence[str]) -> None:
+        """Count how long each controller has said nothing; name it, and kill it after a while.
+
+        To be called again and again with those that say nothing now.
+        """
+        now = self._now_s()
+        step_s, self._status_at = min(now - self._status_at, _LONGEST_STEP_S), now
+        for child in self._children.controllers():
+            name, agent = child.agent, agent_of(child.agent)
+            speaks = self._speaker.get(agent, (name, 0))[0] == name
+            if child.kind == "plant" or not child.pid or (speaks and agent not in silent):
+                self._silent_s.pop(name, None)
+                continue
+            before_s = self._silent_s.get(name, 0.0)
+            self._silent_s[name] = before_s + step_s
+            # One that stands by says so every now and then.
+            pause_s = self._pause_s if speaks else -2.0 * STANDING_S
+            if speaks and 0.0 < before_s <= _LONGEST_STEP_S < before_s + step_s:
+                self._say(f"{name} (process {child.pid}) says nothing")
+            if self._allowed and before_s and before_s + step_s + pause_s >= self._policy.frozen_s:
+                self._kill_silent(child)
 
     def mends(self, to_blame: Sequence[str]) -> bool:
         """In lockstep: start again those that a stalled run waits for, or wait for their return."""
@@ -141,7 +176,7 @@ class Restarts:
         return True
 
     def _start_due(self, now: float) -> None:
-        for name in [name for name, at in self._start_at.items() if at <= now]:
+        for name in [name for name, (at, _) in self._start_at.items() if at <= now]:
             del self._start_at[name]
             self._start(name)
 
@@ -161,25 +196,6 @@ class Restarts:
         if since == cycle and before != name:  # Both at once: neither would yield to the other.
             self._speaker[agent] = (agent, cycle)
             self._send(self._children[standby_of(agent)], signal.SIGKILL)
-
-    def _note_silence(self, silent: Sequence[str]) -> None:
-        """Count how long each controller has said nothing; name it, and kill it after a while."""
-        now = self._now_s()
-        step_s, self._status_at = min(now - self._status_at, _LONGEST_STEP_S), now
-        for child in self._children.controllers():
-            name, agent = child.agent, agent_of(child.agent)
-            speaks = self._speaker.get(agent, (name, 0))[0] == name
-            if child.kind == "plant" or not child.pid or (speaks and agent not in silent):
-                self._silent_s.pop(name, None)
-                continue
-            before_s = self._silent_s.get(name, 0.0)
-            self._silent_s[name] = before_s + step_s
-            # One that stands by says so every now and then.
-            pause_s = self._pause_s if speaks else -2.0 * STANDING_S
-            if speaks and 0.0 < before_s <= _LONGEST_STEP_S < before_s + step_s:
-                self._say(f"{name} (process {child.pid}) says nothing")
-            if self._allowed and before_s and before_s + step_s + pause_s >= self._policy.frozen_s:
-                self._kill_silent(child)
 
     def _kill_silent(self, child: Child) -> None:
         if child.pid and child.agent not in self._killed:

@@ -6,7 +6,9 @@ import os
 import secrets
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import count
 from pathlib import Path
+from typing import Final
 
 import msgspec
 
@@ -16,6 +18,9 @@ from bus_schemas.errors import InputError
 from launch_scripts.scenarios.preparation import Preparation
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
 from recordings.read.run_file import RECORDING_NAME
+
+_NUMBERS: Final = count(1)
+"""Runs of this process: a script can start several in one second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +61,12 @@ class RunFolder:
         except OSError as error:
             raise _no_folder(self.path, error.strerror) from None
 
-    def fill(self, preparation: Preparation, tcp_ports: dict[str, int]) -> RunPlan:
+    def fill(
+        self,
+        preparation: Preparation,
+        tcp_ports: dict[str, int],
+        agent_ports: dict[str, int] | None = None,
+    ) -> RunPlan:
         """Write what the processes need; return the plan with its ports.
 
         The plan comes last and complete: a device may be waiting for it to appear.
@@ -66,7 +76,8 @@ class RunFolder:
         if tcp_ports:
             file = self.path.absolute() / "users"
             new = {"secret": secrets.token_hex(16), "users_file": str(file)}
-            plan = msgspec.structs.replace(plan, tcp_ports=tcp_ports, **new)
+            ports = {"tcp_ports": tcp_ports, "agent_ports": agent_ports or {}}
+            plan = msgspec.structs.replace(plan, **ports, **new)
             file.touch(mode=0o600)
             file.write_text(users(plan), encoding="utf-8")
         preparation.profile.save(self.path / "profile.npz")
@@ -89,8 +100,10 @@ def _no_folder(path: Path, reason: str | None) -> InputError:
 
 
 def new_run_id(scenario: str) -> str:
-    """Return a name that no other run has: scenario, time, process."""
-    return f"{scenario}-{datetime.now():%Y%m%d-%H%M%S}-{os.getpid()}"
+    """Return a name that no other run has: scenario, time, process, and its number in that one."""
+    number = next(_NUMBERS)
+    name = f"{scenario}-{datetime.now():%Y%m%d-%H%M%S}-{os.getpid()}"
+    return name if number == 1 else f"{name}-{number}"
 
 
 def run_folder(run_id: str, out: Path | None) -> RunFolder:

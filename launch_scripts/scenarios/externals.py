@@ -46,7 +46,8 @@ def check_externals(
             f"{timeout_s:g}"
         )
     if base_port is not None:
-        last = base_port + len(explicit_links(tree).listening) - 1
+        # Beside devices the other agents have ports of their own.
+        last = base_port + len(explicit_links(tree).listening) * (2 if external else 1) - 1
         if base_port not in _PORTS or last not in _PORTS:
             raise InputError(
                 f"--base-port: expected ports from {_PORTS[0]} to {_PORTS[-1]}, got "

@@ -5,7 +5,7 @@ An option reads `--fault source=c1/*,signal=impp,delay=50ms,jitter=10ms,loss=2%,
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final
 
 import msgspec
@@ -28,14 +28,15 @@ def fault_rules(
     options: Sequence[str],
     tree: ControlTree,
     external: Collection[str] = (),
+    addresses: Mapping[str, str] = {},
 ) -> tuple[FaultRule, ...]:
     """Return the rules of a run, the scenario's first."""
     rules = scenario_file.scenario.faults
     for place, rule in enumerate(rules):
-        check_rule(rule, tree, f"{scenario_file.path}: faults[{place}]", external)
+        check_rule(rule, tree, f"{scenario_file.path}: faults[{place}]", external, addresses)
     for text in options:
         rule = parse_fault(text)
-        check_rule(rule, tree, f"--fault {text}", external)
+        check_rule(rule, tree, f"--fault {text}", external, addresses)
         rules += (rule,)
     return rules
 

@@ -22,7 +22,7 @@ def readable(error: msgspec.ValidationError, struct: type[Any], document: object
         return _at(where, f"expected the fields {names}, got {unknown[1]}")
     if missing := re.fullmatch(r"Object missing required field `(.*)`", what):
         place = f"{where}.{missing[1]}" if where else missing[1]
-        return _at(place, f"expected {takes(types_at(struct, place, document))}, got nothing")
+        return _at(place, f"expected {_needs(struct, place, document)}, got nothing")
     if not what.startswith(("Expected", "Invalid")):
         return _at(where, what)  # From a `__post_init__`, in its own words.
     types, value = types_at(struct, where, document), _value_at(document, where)
@@ -82,6 +82,17 @@ def takes(types: Iterable[inspect.Type]) -> str:
     return " or ".join(dict.fromkeys(_takes(one) for one in types))
 
 
+def _needs(struct: type[Any], place: str, document: object) -> str:
+    """Say in words what a field takes that is missing; of a table also its required fields."""
+    types = types_at(struct, place, document)
+    tables = [one for one in types if isinstance(one, inspect.StructType)]
+    names = [field.encode_name for table in tables[:1] for field in table.fields if field.required]
+    if tables and tables[0].tag_field is not None:
+        names = [tables[0].tag_field]
+    fields = (f"{one} ({takes(types_at(struct, f'{place}.{one}', document))})" for one in names)
+    return " with ".join(filter(None, [takes(types), ", ".join(fields)]))
+
+
 def _takes(kind: inspect.Type) -> str:
     match kind:
         case inspect.LiteralType():
@@ -109,8 +120,8 @@ _PLAIN: Final[dict[type[inspect.Type], str]] = {
     inspect.StructType: "table",
     inspect.StrType: "text",
     inspect.BoolType: "true or false",
-    inspect.DateTimeType: "date and time",
-    inspect.TimeType: "time of day",
+    inspect.DateTimeType: "date and time such as 2024-06-15T13:00:00",
+    inspect.TimeType: "time of day such as 13:00:00",
 }
 
 

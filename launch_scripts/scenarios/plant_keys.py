@@ -60,14 +60,20 @@ def make_keys(
     Raises
     ------
     InputError
-        The folder has the authority of another plant, or an address is none.
+        The folder has the authority of another plant or half of one, or an address is none.
     """
     hosts = [_address("--address", address) for address in (LOOPBACK, *addresses)]
     try:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     except OSError as error:
         raise InputError(f"--out: expected a folder, got {folder}: {error.strerror}") from None
-    new_authority = not (folder / _AUTHORITY_KEY).exists()
+    there = [name for name in (_AUTHORITY_KEY, "ca.pem") if (folder / name).exists()]
+    if len(there) == 1:
+        raise InputError(
+            f"{folder}: expected both {_AUTHORITY_KEY} and ca.pem, got {there[0]} alone; bring the "
+            "other one back, or name a new folder with --out"
+        )
+    new_authority = not there
     if new_authority:
         _make_authority(folder, plant)
     authority, key = _authority(folder, plant)

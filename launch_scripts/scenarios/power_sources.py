@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pandas as pd
 
@@ -65,7 +64,7 @@ def _cloudy_sky(scenario_file: ScenarioFile, table: CloudIrradiance, seed: int |
 
 
 def _measured_sky(scenario_file: ScenarioFile, table: MeasuredIrradiance) -> MeasuredSky:
-    path = _measurements(scenario_file, table.ghi)
+    path = scenario_file.data_path(table.ghi)
     irradiance = read_measured_ghi(path, scenario_file.data_path(table.positions), table.stations)
     sites = _at_the_sensors(scenario_file, irradiance, len(irradiance.sensors))
     scenario = scenario_file.scenario
@@ -112,7 +111,7 @@ def _at_the_sensors(scenario_file: ScenarioFile, irradiance: Irradiance, station
 def _measured_plant(scenario_file: ScenarioFile, table: DcCurrents) -> MeasuredPlant:
     """Take the power of a real plant's inverters from their currents."""
     scenario = scenario_file.scenario
-    path = _measurements(scenario_file, table.currents)
+    path = scenario_file.data_path(table.currents)
     currents = read_currents(
         path,
         scenario_file.data_path(table.positions),
@@ -134,10 +133,3 @@ def _measured_plant(scenario_file: ScenarioFile, table: DcCurrents) -> MeasuredP
         str(path),
         currents.report,
     )
-
-
-def _measurements(scenario_file: ScenarioFile, name: str) -> Path:
-    path = scenario_file.data_path(name)
-    if not path.exists():
-        raise InputError(f"{path}: expected a file, in the folder of --data, got none")
-    return path

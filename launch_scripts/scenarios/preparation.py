@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, time
 from ipaddress import ip_address
@@ -44,6 +44,9 @@ from sim_plant.regulation import regulation_kw, regulation_remarks
 from sim_plant.sources import PowerSource
 
 _HOUR_NS: Final = 3_600_000_000_000
+
+_LARGEST_INVERTER_KW: Final = 10_000.0
+"""Larger than any on the market: a larger rating is probably in W."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +134,8 @@ def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Pr
     try:
         day = _day(scenario_file, scenario, options)
         plan = _plan(scenario_file, scenario, options, run_id, day)
-        regulation, remarks = np.zeros(len(day.times)), [*day.source.remarks(day.times)]
+        regulation, remarks = np.zeros(len(day.times)), [f"warning: {one}" for one in _doubts(day)]
+        remarks += day.source.remarks(day.times)
         if offer is not None:
             zone, data_path = scenario.time.timezone, scenario_file.data_path
             regulation = regulation_kw(offer, day.times, zone, data_path)
@@ -186,6 +190,27 @@ def _day(scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions) -
     return _Day(times, source, possible_kw, commitment, covariance, tree)
 
 
+def _doubts(day: _Day) -> Iterator[str]:
+    """Say what can be run, but is hardly meant."""
+    sites, highest_kw = day.source.sites, day.commitment_kw.max()
+    largest = int(sites.rating_kw.argmax())
+    if sites.rating_kw[largest] > _LARGEST_INVERTER_KW:
+        yield (
+            f"plant: expected inverters of {_LARGEST_INVERTER_KW:,.0f} kW at most, got "
+            f"{sites.names[largest]} of {sites.rating_kw[largest]:,.0f} kW; ratings are in kW"
+        )
+    if highest_kw > sites.rating_kw.sum() * (1.0 + 1e-9):
+        yield (
+            f"commitment: expected the plant's rating of {sites.rating_kw.sum():,.0f} kW at most, "
+            f"got {highest_kw:,.0f} kW"
+        )
+    if not day.possible_kw.any():
+        yield (
+            "time: expected a run by day, got one without any sun; check time.start, "
+            "time.timezone and the positions of the inverters"
+        )
+
+
 def _plan(
     scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions, run_id: str, day: _Day
 ) -> RunPlan:
@@ -229,7 +254,7 @@ def _plan(
         external=external,
         # With fixed ports the namespace is fixed too, so that a device is configured once.
         namespace=scenario.name if options.base_port is not None else "",
-        faults=fault_rules(scenario_file, options.faults or (), day.tree, (*external, *addresses)),
+        faults=fault_rules(scenario_file, options.faults or (), day.tree, external, addresses),
         faults_seed=scenario.faults_seed,
         machine=machine_settings(
             scenario.machine, options.cpus or (), options.priority, lockstep=pace == "max"
@@ -304,6 +329,8 @@ def _times(scenario: Scenario, options: RunOptions) -> pd.DatetimeIndex:
             raise InputError("--to: expected no --duration with it")
         end = _start(table, options.end, "--to", start)
         where, duration_s = "--to", (end - start).total_seconds()
+        if end <= start:
+            raise InputError(f"--to: expected a time after {start}, got {end}")
     cycles = round(duration_s / table.cycle_s)
     if cycles < 1 or abs(cycles * table.cycle_s - duration_s) > 1e-6:
         raise InputError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
@@ -270,7 +271,7 @@ class ScenarioFile(msgspec.Struct, frozen=True):
     data_folder: Path
 
     def data_path(self, name: str) -> Path:
-        """Path of a file that the scenario names.
+        """Path of a file or folder that the scenario names.
 
         It is looked for beside the scenario, then in the data folder, then beside the shipped
         scenarios: a changed copy of one of those still finds its inverters.
@@ -278,8 +279,16 @@ class ScenarioFile(msgspec.Struct, frozen=True):
         for folder in (self.path.parent, self.data_folder, _SHIPPED):
             if (folder / name).exists():
                 return folder / name
-        return self.data_folder / name
+        raise InputError(
+            f"{name}: expected it beside {self.path}, in the folder of --data, or beside the "
+            "shipped scenarios, got none"
+        )
 
+
+_WITHOUT_SECONDS: Final = re.compile(
+    r"=\s*(\d{4}-\d\d-\d\d[T ])?\d\d:\d\d(Z|[+-]\d\d:\d\d)?\s*(#|$)"
+)
+"""A time in a line of TOML, which requires the seconds too."""
 
 _SHIPPED: Final = Path(str(files("launch_scripts.scenarios")))
 
@@ -306,9 +315,18 @@ def load_scenario(name_or_path: str, data_folder: Path | None = None) -> Scenari
         document = msgspec.toml.decode(text)
         raise InputError(f"{path}: {readable(error, Scenario, document)}") from None
     except (msgspec.DecodeError, RecursionError) as error:
-        raise InputError(f"{path}: expected TOML, got {error}") from None
+        raise InputError(f"{path}: {_no_toml(text, str(error))}") from None
     check_scenario(scenario, str(path))
     return ScenarioFile(scenario, text, path, data_folder or path.parent)
+
+
+def _no_toml(text: str, objection: str) -> str:
+    """Say what is wrong with a text that is no TOML."""
+    found = re.search(r"\(at line (\d+)", objection)
+    line = text.split("\n")[int(found[1]) - 1].strip() if found else ""
+    if found and _WITHOUT_SECONDS.search(line):
+        return f"line {found[1]}: expected a time with seconds, such as 13:00:00, got {line}"
+    return f"expected TOML: {objection}"
 
 
 def check_scenario(scenario: Scenario, where: str) -> None:

@@ -277,11 +277,7 @@ class RunReader:
         last = max(self.last_cycle, 0)
         records = self.records([RUN.of(ROOT)], range(last, _MOST_CYCLES))
         runs = (decode(RUN, record.payload) for record in records)
-        stops = [run.cycle for run in runs if run.state == "stop"]
-        # Another program may have said so before a cycle that took place. Controllers that did not
-        # wait for the plant may have begun the cycle of its own stop.
-        later = [cycle for cycle in stops if cycle > self.last_cycle]
-        return min(later or stops, default=None)
+        return end_of_run([run.cycle for run in runs if run.state == "stop"], self.last_cycle)
 
     def cycles_in(self, place: ChunkPlace) -> range:
         """Return the cycles that a chunk has messages of; empty if none can be read."""
@@ -431,6 +427,16 @@ class RunReader:
             raise InputError(f"{self.path}: not an MCAP file, {error}") from None
         except OSError as error:
             raise InputError(f"{self.path}: {error.strerror}, expected an MCAP file") from None
+
+
+def end_of_run(stops: Collection[int], last_cycle: int) -> int | None:
+    """Return the cycle before which the plant ended the run, by the stops that were recorded.
+
+    Another program may have said so before a cycle that took place. Controllers that did not wait
+    for the plant may have begun the cycle of its own stop.
+    """
+    later = [cycle for cycle in stops if cycle > last_cycle]
+    return min(later, default=last_cycle if last_cycle in stops else None)
 
 
 def open_run(path: Path | str) -> RunReader:

@@ -17,7 +17,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Final, Protocol
 
-import msgspec
 from mcap.writer import CompressionType, Writer
 
 from agents.plan import RunPlan
@@ -156,10 +155,9 @@ class RunWriter:
 
     def _write_origin(self, plan: RunPlan, scenario: str, driver: str) -> None:
         anchor, add = self._anchor, self._writer.add_attachment
-        public = msgspec.structs.replace(plan, secret="", users_file="", keys_folder="")
         times_ns = anchor.wall_ns, anchor.wall_ns
         add(*times_ns, "scenario.toml", "application/toml", scenario.encode())
-        add(*times_ns, "plan.json", "application/json", public.as_json())
+        add(*times_ns, "plan.json", "application/json", plan.public.as_json())
         run = {
             "run_id": plan.run_id,
             "plant": plan.plant,

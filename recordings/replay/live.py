@@ -96,8 +96,8 @@ def live_plan(plan: RunPlan, live: Iterable[str], tcp_ports: dict[str, int], por
     """
     everybody = dict.fromkeys(plan.links.listening, port)
     everybody.update({agent: tcp_ports[agent] for agent in live if agent in everybody})
-    return msgspec.structs.replace(
-        plan,
+    return replace(
+        plan.public,
         tcp_ports=everybody,
         namespace="",
         external=(),

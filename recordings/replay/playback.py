@@ -141,6 +141,7 @@ class Playback:
     def play(self, *, loop: bool = False) -> None:
         """Play the span once, or again and again until the user ends it."""
         wake_precisely()
+        self.clock.move_to(self._position_ns)  # A wait for subscribers does not count.
         if self.clock.paused:
             self._announce()
         while not (self._quit or self.interruption):

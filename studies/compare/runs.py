@@ -55,9 +55,9 @@ def read_two_runs(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]
         lines.append(f"A and B have {lengths} cycles; the first {cycles:,} are compared.")
     first, second = series = [one.between(0, cycles) for one in series]
     if first.inverters != second.inverters:
-        raise InputError("B: expected the inverters of A, got others")
+        raise InputError(f"{paths[1]}: expected the inverters of {paths[0]}, got others")
     if (first.start_time_ns, first.cycle_s) != (second.start_time_ns, second.cycle_s):
-        raise InputError(f"B: expected {when(first)} as in A, got {when(second)}")
+        raise InputError(f"{paths[1]}: expected {when(first)} as in {paths[0]}, got {when(second)}")
     left_out = ~(first.known & second.known) | np.isin(np.arange(cycles), list(away))
     if left_out.any():
         lines.append(

@@ -54,7 +54,8 @@ class Neighbours:
 
     def _settings(self, name: str) -> SessionSettings:
         """Return how a neighbour joins: it is linked with the device alone."""
-        settings = session_settings(self._plan, name)
+        settings = session_settings(self._plan, name).devices
+        assert settings is not None  # The plan has no keys, and the device is external.
         own, _ = self._plan.links.endpoints(self._agent, self._plan.tcp_ports)
         connect = [endpoint for endpoint in settings.connect if endpoint in own]
         return replace(settings, connect=connect)

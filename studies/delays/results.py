@@ -41,6 +41,7 @@ _CAPTION: Final = (
     "bad; everything else is perfect."
 )
 _ROW_PX: Final = 240
+_GAP_PX: Final = 60
 _FRAME_PX: Final = 120
 
 
@@ -103,7 +104,7 @@ def _is_bearable(one: Outcome) -> bool:
 def trouble_table(trouble: Trouble, outcomes: Sequence[Outcome]) -> Table:
     """Return a row for each run under a trouble."""
     title, measure, unit = TROUBLES[trouble]
-    figures = shown_in("delays")
+    figures = [figure for figure in shown_in("delays") if _has_value(figure.name, outcomes)]
     columns = (
         key_column(f"{measure} [{unit}]", "value"),
         key_column("scheme"),
@@ -125,6 +126,11 @@ def trouble_table(trouble: Trouble, outcomes: Sequence[Outcome]) -> Table:
     return Table(title, columns, rows)
 
 
+def _has_value(merit: str, outcomes: Sequence[Outcome]) -> bool:
+    """Whether any run has this figure of merit: without regulation some have no value."""
+    return any(one.figures[merit] is not None for one in outcomes)
+
+
 def study_page(preparation: Preparation, outcomes: Sequence[Outcome]) -> str:
     """Return the page: the figure, and a table for each trouble."""
     title = f"{study_title(preparation)}: delay, loss and a slow central controller"
@@ -135,14 +141,15 @@ def study_page(preparation: Preparation, outcomes: Sequence[Outcome]) -> str:
 
 def _study_figure(outcomes: Sequence[Outcome]) -> ReportFigure:
     """Draw a panel for each figure of merit and each trouble, in even steps of the trouble."""
+    drawn = [merit for merit in _DRAWN if _has_value(merit, outcomes)]
     figure = make_subplots(
-        len(_DRAWN),
+        len(drawn),
         len(TROUBLES),
         shared_yaxes=True,
-        vertical_spacing=0.05,
+        vertical_spacing=_GAP_PX / (_ROW_PX * len(drawn)),
         horizontal_spacing=0.03,
     )
-    for row, merit in enumerate(_DRAWN, start=1):
+    for row, merit in enumerate(drawn, start=1):
         for column, (trouble, (_, measure, unit)) in enumerate(TROUBLES.items(), start=1):
             for colour, scheme in zip(SCHEMES, get_args(Scheme), strict=False):
                 found = column_of(outcomes, trouble, scheme)
@@ -164,8 +171,8 @@ def _study_figure(outcomes: Sequence[Outcome]) -> ReportFigure:
                 col=column,
                 tickvals=list(range(len(found))),
                 ticktext=[f"{one.value:g}" for one in found],
-                title_text=f"{measure} [{unit}]" if row == len(_DRAWN) else None,
+                title_text=f"{measure} [{unit}]" if row == len(drawn) else None,
             )
         figure.update_yaxes(row=row, col=1, title_text=FIGURES_OF_MERIT[merit].heading)
-    figure = dress(figure, _FRAME_PX + _ROW_PX * len(_DRAWN))
+    figure = dress(figure, _FRAME_PX + _ROW_PX * len(drawn))
     return ReportFigure("study", "What each trouble costs", _CAPTION, figure)

@@ -65,7 +65,10 @@ class SlowCycle(msgspec.Struct, frozen=True):
 
 
 class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
-    """A timed run; docs/timing.md describes the fields. None: it is not known."""
+    """A timed run; docs/timing.md describes the fields. None: it is not known.
+
+    `ended` is false if the recording does not tell that the plant ended the run.
+    """
 
     scenario: str
     run_id: str
@@ -75,6 +78,7 @@ class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
     cycles: int
     late_cycles: int
     wall_s: float
+    ended: bool = True
     interrupted: bool = False
     remarks: tuple[str, ...]
     external: tuple[ExternalAccount, ...] = ()
@@ -91,14 +95,14 @@ class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def passed(self) -> bool:
-        """Whether every budget was kept."""
-        return all(verdict.passed for verdict in self.verdicts)
+        """Whether every budget was kept up to the end of the run."""
+        return self.ended and all(verdict.passed for verdict in self.verdicts)
 
     @property
     def clean(self) -> bool:
         """Whether the plant kept up: at most 1 % of the cycles were late, and nothing was lost."""
         few_late = self.late_cycles <= _CLEAN_SHARE * self.cycles
-        return self.cycles > 0 and few_late and not self.lost_messages
+        return self.ended and self.cycles > 0 and few_late and not self.lost_messages
 
     def document(self) -> dict[str, object]:
         """Return the report for other programs, with the verdict on all of it."""
@@ -129,6 +133,7 @@ def report_on(
         plan, table = reader.plan, _budgets_in(reader)
         timing = run_timing(reader, by_agent=by_agent)
         folder, metadata = reader.path.parent, reader.metadata["run"]
+        ended = reader.stop_cycle is not None
     summary = summary or _summary_in(folder, plan)
     remarks: tuple[str, ...] = (_NO_SUMMARY,)
     wall_s, processes = timing.cycles * plan.cycle_wall_ns / 1e9, timing.processes
@@ -156,6 +161,7 @@ def report_on(
         late_cycles=timing.late_cycles,
         clocks=timing.clocks,
         wall_s=wall_s,
+        ended=ended,
         remarks=remarks,
         times=timing.times,
         tiers=tiers,

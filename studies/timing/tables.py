@@ -147,6 +147,11 @@ def network_lines(report: TimingReport) -> list[str]:
 def verdict_line(report: TimingReport) -> str:
     """Return the verdict on the whole run."""
     failed = len(failures(report))
+    if not report.ended:
+        return (
+            "FAIL: the run broke off or has not ended yet; in the recorded part "
+            f"{failed} of {len(report.verdicts)} budgets not kept"
+        )
     if not failed:
         return f"PASS: all {len(report.verdicts)} budgets were kept"
     return f"FAIL: {failed} of {len(report.verdicts)} budgets not kept"
@@ -202,14 +207,14 @@ def clocks_tables(clocks: Sequence[ClockOffset]) -> list[Table]:
         key_column("clock of"),
         Column("agents"),
         Column("ahead", "ms", 3),
-        Column("+-", "ms", 3),
+        Column("±", "ms", 3),
     )
     rows = tuple(
         (one.name, len(one.agents), one.ahead_us / 1e3, one.within_us / 1e3) for one in clocks
     )
     notes = (
         "ahead of the plant's clock, by the fastest messages each way;",
-        "+- is half their round trip: so far off it may be if one way is slower than the other",
+        "± is half their round trip: so far off it may be if one way is slower than the other",
     )
     return [Table("Clocks", columns, rows, notes)] if rows else []
 

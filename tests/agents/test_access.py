@@ -26,7 +26,7 @@ from agents.session import session_settings, users
 from bus_schemas.access import password, session_id
 from bus_schemas.signals import CLOCK
 from bus_schemas.tree import PLANT, RECORDER
-from bus_schemas.zenoh_bus import KeyFiles, SessionSettings
+from bus_schemas.zenoh_bus import KeyFiles, SessionSettings, open_sessions
 from launch_scripts.launcher.tcp_ports import reserved_ports
 
 BARE = plan_of({"c1/a": 100.0, "c2/b": 100.0}, secret="told to nobody")
@@ -52,11 +52,15 @@ class Team:
         self.plan = plan
         self._heard: list[tuple[str, str, bytes]] = []
         self.sessions = {
-            agent: stack.enter_context(zenoh.open(session_settings(plan, agent).config()))
+            agent: [
+                stack.enter_context(session)
+                for session in open_sessions(session_settings(plan, agent))
+            ]
             for agent in AGENTS
         }
-        for agent, session in self.sessions.items():
-            self._listen(agent, session)
+        for agent, sessions in self.sessions.items():
+            for session in sessions:
+                self._listen(agent, session)
 
     def _listen(self, agent: str, session: zenoh.Session) -> None:
         def hear(sample: zenoh.Sample) -> None:
@@ -93,8 +97,9 @@ class Team:
             if agent != without
         ):
             assert time.monotonic() < give_up_at, "the links never came up"
-            for agent, session in self.sessions.items():
-                self.say(session, agent)
+            for agent, sessions in self.sessions.items():
+                for session in sessions:
+                    self.say(session, agent)
             time.sleep(0.1)
 
     def can_forge(self, agent: str) -> Heard:
@@ -121,7 +126,7 @@ class Team:
         """Let a program speak that is none of the agents; return who hears what of it."""
         with ExitStack() as stack:
             configs = []
-            for port in self.plan.tcp_ports.values():
+            for port in (*self.plan.tcp_ports.values(), *self.plan.agent_ports.values()):
                 settings = SessionSettings(
                     self.plan.bus_namespace,
                     [],
@@ -162,8 +167,12 @@ def session_of(config: zenoh.Config) -> zenoh.Session | None:
 
 def team_of(plan: RunPlan, folder: Path) -> Iterator[Team]:
     (folder / "users").write_text(users(plan))
-    with reserved_ports(plan.links.listening) as tcp_ports, ExitStack() as stack:
-        team = Team(replace(plan, tcp_ports=tcp_ports, users_file=str(folder / "users")), stack)
+    with ExitStack() as stack:
+        tcp_ports = stack.enter_context(reserved_ports(plan.links.listening))
+        further = plan.agent_links.listening if plan.external else ()
+        agent_ports = stack.enter_context(reserved_ports(further))
+        files = {"users_file": str(folder / "users")}
+        team = Team(replace(plan, tcp_ports=tcp_ports, agent_ports=agent_ports, **files), stack)
         team.until_linked()
         yield team
 
@@ -212,7 +221,10 @@ def test_beside_a_device_a_stranger_can_say_what_the_device_may_and_is_heard_by_
     with_a_device: Team, mode: str
 ) -> None:
     everything = {(RECORDER, str(port)) for port in PORTS if port.publisher != RECORDER}
-    assert with_a_device.intrude(mode) == everything | with_a_device.can_forge(DEVICE)
+    everything |= with_a_device.can_forge(DEVICE)
+    assert with_a_device.intrude(mode) == everything
+    for agent in AGENTS:
+        assert with_a_device.intrude(mode, session_id=session_id(BARE.secret, agent)) == everything
 
 
 @pytest.mark.parametrize("mode", ["peer", "client"])

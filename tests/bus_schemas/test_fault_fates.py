@@ -291,6 +291,13 @@ def test_a_rule_for_what_comes_in_at_external_agents_alone_is_refused() -> None:
     check_rule(FaultRule(source="c1/*", delay_ms=5.0), TREE, "rule", external)
 
 
+def test_only_processes_of_this_host_are_killed_and_messages_to_other_hosts_are_delayed() -> None:
+    there = {"c1": "10.0.0.2", "c1/a": "10.0.0.2", "c1/b": "10.0.0.2"}
+    with pytest.raises(InputError, match=r"10\.0\.0\.2"):
+        check_rule(FaultRule(kill="c1/*", at=(3.0,)), TREE, "rule", (), there)
+    check_rule(FaultRule(listener="c1/a", delay_ms=5.0), TREE, "rule", (), there)
+
+
 def test_a_rule_on_what_no_agent_hears_is_accepted_and_takes_nothing_from_anybody() -> None:
     rule = FaultRule(signal="help", loss=1.0)
     check_rule(rule, TREE, "rule")

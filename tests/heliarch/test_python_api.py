@@ -7,6 +7,7 @@ import subprocess
 import sys
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import pytest
 from running import small_plant
@@ -85,11 +86,25 @@ def test_two_recordings_are_compared_with_their_first_difference(
 
 
 @pytest.mark.parametrize(
-    ("settings", "named"), [({"no.such": 1}, "no"), ({"commitment.share": "much"}, "share")]
+    ("bad", "named"),
+    [
+        ({"settings": {"no.such": 1}}, "no"),
+        ({"settings": {"commitment.share": "much"}}, "share"),
+        ({"scheme": "magic"}, "scheme"),
+        ({"actuator": "magic"}, "actuator"),
+    ],
 )
-def test_bad_input_is_an_input_error(small: str, settings: dict[str, object], named: str) -> None:
+def test_bad_input_is_an_input_error(small: str, bad: dict[str, Any], named: str) -> None:
     with pytest.raises(InputError, match=named):
-        heliarch.simulate(small, settings=settings)
+        heliarch.simulate(small, **bad)
+
+
+def test_runs_in_quick_succession_have_folders_of_their_own(
+    small: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folders = {heliarch.simulate(small, duration="1s").folder for _ in range(3)}
+    assert len(folders) == 3
 
 
 def test_what_is_not_there_is_an_attribute_error() -> None:

@@ -26,7 +26,7 @@ class Attacker:
         self.plan = plan
         self.heard: list[str] = []
         self._sessions = []
-        for port in plan.tcp_ports.values():
+        for port in (*plan.tcp_ports.values(), *plan.agent_ports.values()):
             endpoint = f"tcp/127.0.0.1:{port}"
             config = SessionSettings(plan.bus_namespace, [], [endpoint]).config()
             session = stack.enter_context(zenoh.open(config))

@@ -81,6 +81,24 @@ def test_a_standby_here_and_a_restart_there_follow_a_death_on_another_host(
     assert_none_left(other.folder)
 
 
+def test_a_process_that_freezes_on_another_host_is_killed_and_started_again_there(
+    heliarch: Start, plant: str
+) -> None:
+    words = ("--duration", "1h", "--pace", "2", "--set", "restart.frozen_s=2")
+    run = heliarch("launch", plant, *words, "--on", f"{SECOND}=c2/*")
+    other = node(heliarch, run, SECOND)
+    run.until_running()
+    other.process_of("c2").send_signal(signal.SIGSTOP)
+    run.until(shown(run, f"c2 ({SECOND}) is back in cycle"), "news of its return")
+    run.process.send_signal(signal.SIGINT)
+    run.wait()
+    assert other.wait() == 0, other.error_text()
+    said = other.output.read_text()
+    assert "c2 (process" in said
+    assert "c2/inv03 (process" not in said, "nobody else is killed"
+    assert_none_left(other.folder)
+
+
 def test_a_node_ends_when_the_plant_disappears(heliarch: Start, plant: str) -> None:
     run = heliarch("launch", plant, "--duration", "1h", "--pace", "10", "--on", f"{SECOND}=c2/*")
     other = node(heliarch, run, SECOND)

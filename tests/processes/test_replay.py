@@ -177,7 +177,9 @@ def test_a_changed_controller_is_told_by_its_first_difference_and_heard_by_subsc
 ) -> None:
     leaf, _ = some_live(plan)
     changed = tmp_path / "changed.json"
-    changed.write_bytes(msgspec.structs.replace(plan, scheme="paper").as_json())
+    # The plan of a launched run has a secret, which the live controllers do not need.
+    its_plan = msgspec.structs.replace(plan, scheme="paper", secret="s", users_file="users")
+    changed.write_bytes(its_plan.as_json())
     figures_path = tmp_path / "figures.json"
     words = ("--wait", "--live", leaf, "--plan", changed, "--json", figures_path)
     replay = heliarch("replay", recorded, *words)

@@ -79,6 +79,21 @@ def test_killed_controllers_are_started_again_and_the_run_goes_on(
     assert_equal_as_far_as_recorded(run, verified(run.folder))
 
 
+def test_a_run_ends_in_order_while_a_controller_waits_for_its_restart(
+    heliarch: Start, tmp_path: Path
+) -> None:
+    words = (*REAL_TIME, "--set", "restart.backoff_s=1000")
+    run = heliarch("launch", small_plant(tmp_path / "plant"), *words)
+    run.until_running()
+    run.process_of("c1").send_signal(signal.SIGKILL)
+    until_joined(run, "c1")
+    run.process_of("c1").send_signal(signal.SIGKILL)
+    run.until(lambda: "started again in" in run.output.read_text(), "the wait for its restart")
+    ended(run)
+    assert summary_of(run)["restarts"] == {"c1": 2}
+    assert_none_left(run.folder)
+
+
 def test_a_controller_that_dies_again_and_again_ends_the_run(
     heliarch: Start, tmp_path: Path
 ) -> None:

@@ -10,9 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.records import Message
-from recordings_by_hand import whole_run, write_run
+from recordings_by_hand import PLAN, whole_run, write_run
 
 from bus_schemas.bus import Delivery
+from bus_schemas.signals import RUN
+from bus_schemas.tree import ROOT
 from recordings import open_run
 from recordings.recover import RECOVERY_METADATA, Recovery, is_sound, recover_run
 
@@ -155,6 +157,17 @@ def test_messages_that_may_be_missing_are_counted(
     assert (recovery.lost, recovery.early_ports, recovery.early_messages) == missing
     assert recovery.ended
     assert not recovery.lossless
+
+
+@pytest.mark.parametrize("is_last", [False, True])
+def test_a_stop_that_another_program_forged_does_not_count(is_last: bool, tmp_path: Path) -> None:
+    *cycles, stop = whole_run(CYCLES)
+    forged = [(RUN.of(ROOT), PLAN.run_message("stop", cycle, 1)) for cycle in (CYCLES + 7, 7)]
+    path = tmp_path / "run.mcap"
+    write_run(path, [*cycles, *([stop, *forged] if is_last else [*forged, stop])], close=False)
+    with open_run(path) as run:
+        recovery = recover_run(run, tmp_path / "new.mcap")
+    assert (recovery.ended, recovery.early_messages, recovery.lossless) == (True, 0, True)
 
 
 def test_a_damaged_attachment_is_named_in_the_copy(recording: Recording, tmp_path: Path) -> None:

@@ -75,6 +75,7 @@ def test_a_gap_at_the_top_is_no_step(times: list[int]) -> None:
     ("old", "new", "complaint"),
     [
         (TEXT, "", "x.csv: expected"),
+        (",", ";", "x.csv: line 1: expected commas between the fields, got semicolons"),
         (",3,", ",3", "x.csv: line 3: expected 3 fields, as in line 1, got 2"),
         (",3,", ",3,4,5", "x.csv: line 3: expected 3 fields, as in line 1, got 4"),
         ("2010-04-01T20:00:01", "\n2010-04-01T20:00:01", "x.csv: line 3: expected 3 fields"),

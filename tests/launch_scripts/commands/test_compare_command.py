@@ -165,6 +165,13 @@ def test_what_are_no_two_runs_of_one_plant_is_refused(
     assert "nowhere" in refusal("compare", runs[0], "nowhere")
     assert "recorded run" in refusal("compare", small, runs[0])
     assert "oahu" in refusal("compare", runs[0], "oahu")
-    assert "B" in refusal("compare", runs[0], later)
+    renamed = tmp_path / "renamed.mcap"
+    inverters = tuple((f"{path}2", rating_kw) for path, rating_kw in PLAN.inverters)
+    of_plant = [(port, message) for port, message in whole_run(20) if not port.node]
+    write_run(renamed, of_plant, plan=msgspec.structs.replace(PLAN, inverters=inverters))
+    for second in (later, renamed):
+        line = refusal("compare", runs[0], second)
+        assert line.startswith(f"heliarch: {second}: expected ")
+        assert str(runs[0]) in line
     assert "--seeds" in refusal("compare", *runs, "--seeds", "1,2")
     assert "cycle" in refusal("compare", runs[0], other)

@@ -199,6 +199,8 @@ def cut(recording: Path) -> None:
         "simulate small.toml --set commitment.share=0.1,0.2",
         "launch small.toml --fault loss=1%",
         "inspect run --cycle 3 --nodes c1",
+        "export run",
+        "report run --report page",
         "verify run --accept --nodes c1",
         "verify run --accept --to 3",
         "replay run --start-paused",
@@ -218,6 +220,17 @@ def cut(recording: Path) -> None:
 def test_options_that_do_not_go_together_are_refused(words: str, folder: Path) -> None:
     before = sorted(folder.rglob("*"))
     refusal(*words.split())
+    assert sorted(folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    "words", ["keys small.toml --out", "export run --format csv --nodes", "simulate --data"]
+)
+def test_an_empty_value_is_refused(words: str, folder: Path) -> None:
+    before = sorted(folder.rglob("*"))
+    option = words.rpartition(" ")[2]
+    assert option in refusal(*words.split(), "")
+    assert option in refusal(*f"{words}=".split())
     assert sorted(folder.rglob("*")) == before
 
 

@@ -83,12 +83,13 @@ def test_a_run_that_was_recorded_earlier_is_timed_without_running_anything(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("lost", "interrupted", "status"), [(0, False, 0), (1, False, 1), (0, True, 130)]
+    ("lost", "interrupted", "ended", "status"),
+    [(0, False, True, 0), (1, False, True, 1), (0, True, True, 130), (0, False, False, 1)],
 )
 def test_the_exit_status_tells_kept_not_kept_and_interrupted(
-    lost: int, interrupted: bool, status: int, tmp_path: Path
+    lost: int, interrupted: bool, ended: bool, status: int, tmp_path: Path
 ) -> None:
-    folder = recorded(tmp_path, cycle(0), cycle(1))
+    folder = recorded(tmp_path, cycle(0), cycle(1), ended=ended)
     summary = replace(summary_of(folder, lost=lost), interrupted=interrupted)
     (folder / "summary.json").write_bytes(summary.as_json())
     assert heliarch("timing", folder).exit_code == status

@@ -141,3 +141,17 @@ def test_other_policies_give_up_at_once_or_never(plan: RunPlan, when: str, again
     assert [dies(run, "c2") for _ in range(3)] == [again] * 3
     assert not dies(run, "plant")
     run.end()
+
+
+def test_at_the_end_only_those_may_be_away_that_the_launcher_killed_or_has_not_started_yet(
+    run: Watched,
+) -> None:
+    assert [dies(run, "c2"), dies(run, "c2")] == [True, True]  # The second restart is to wait.
+    for name in ("c1", "c1+standby"):  # Both take over at once: the standby is killed.
+        run.restarts.hear(run[name], TookOver(7))
+    run.restarts.end()
+    assert run.started == ["c2"]
+    assert run["c2"].exited is not None
+    assert dies(run, "c2")
+    assert dies(run, "c1+standby")
+    assert not dies(run, "central")

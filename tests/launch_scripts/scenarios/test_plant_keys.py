@@ -114,6 +114,15 @@ def test_an_address_that_others_reach_needs_keys_that_are_for_it(plant: str) -> 
     assert "--secure" in refusal("launch", plant, *SHORT, "--keys", "keys/small")
 
 
+@pytest.mark.parametrize("lost", ["ca.key", "ca.pem"])
+def test_half_an_authority_is_refused(plant: str, lost: str) -> None:
+    folder = Path("keys/small")
+    (folder / lost).unlink()
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert str(folder) in refusal("keys", plant)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
 def test_a_folder_with_the_authority_of_another_plant_is_refused(
     plant: str, tmp_path: Path
 ) -> None:

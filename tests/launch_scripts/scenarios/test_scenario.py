@@ -188,7 +188,7 @@ def test_data_may_lie_in_a_folder_of_its_own(measured: Folder, tmp_path: Path) -
     data.mkdir()
     for name in ("ghi.csv", "positions.csv"):
         (measured.path / name).rename(data / name)
-    assert measured.complaint().startswith(f"{measured.path / 'ghi.csv'}: expected")
+    assert measured.complaint().startswith(f"ghi.csv: expected it beside {measured.scenario}, in")
     scenario = load_scenario(str(measured.scenario), data)
     assert prepare(scenario, RunOptions(), "by-hand").plan.cycles == 4
 
@@ -212,6 +212,23 @@ def test_shipped_scenarios_under_clouds_need_no_data(
     assert found.profile.mpp_kw.min() >= 0.0
     ratings_kw = [rating_kw for _, rating_kw in found.plan.inverters]
     assert (found.profile.mpp_kw <= ratings_kw).all()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place"),
+    [
+        ("power_kw = 100", "power_kw = 301", "commitment"),
+        ("rating_kw = 300", "rating_kw = 300_000", "plant"),
+        ("13:00:00", "01:00:00", "time"),
+    ],
+)
+def test_what_is_hardly_meant_is_run_with_a_warning(
+    folder: Folder, old: str, new: str, place: str
+) -> None:
+    assert folder.prepare().remarks == ()
+    folder.change(old, new)
+    (warning,) = folder.prepare().remarks
+    assert warning.startswith(f"warning: {place}: expected")
 
 
 # Bad scenario files -------------------------------------------------------------------------------
@@ -242,7 +259,8 @@ def test_shipped_scenarios_under_clouds_need_no_data(
         ("[[2, 1]]", "[[3, 0]]", "control.cluster_sizes[0][1]: expected whole number"),
         ("[[2, 1]]", "[[2, 1]]\nperiod_cycles = [10, 5, 1]", "control.period_cycles: expected"),
         ("[[2, 1]]", "[[2, 1]]\ndeadlines_ms = [0, 2, 3]", "control.deadlines_ms[0]: expected"),
-        ("2024-05-12T13:00:00", '"13:00"', "time.start: expected date and time, got '13:00'"),
+        ("2024-05-12T13:00:00", '"13:00"', "time.start: expected date and time"),
+        ("13:00:00", "13:00", "line 5: expected a time with seconds"),
         ("Europe/Madrid", "Europe/Madird", "time.timezone: expected an IANA name"),
         ("[time]", "[time", "expected TOML"),
         ('inverters = "plant.csv"\n', "", "plant.inverters: expected a CSV"),
@@ -254,7 +272,16 @@ def test_shipped_scenarios_under_clouds_need_no_data(
         ("[control]", "[pv]\ntilt_deg = -1.0\n[control]", "pv.tilt_deg: expected"),
         ('title = "', 'pace = 1e7\ntitle = "', "pace: expected number"),
         ('"small"', '"../x"', "name"),
-        ('[neighbours]\nhistory = "earlier-day"\n', "", "neighbours: expected table, got nothing"),
+        (
+            '[neighbours]\nhistory = "earlier-day"\n',
+            "",
+            'neighbours: expected table with history ("earlier-day", "hindsight"), got nothing',
+        ),
+        (
+            '[commitment]\nkind = "constant"\npower_kw = 100\n',
+            "",
+            'commitment: expected table with kind ("constant" or',
+        ),
     ],
 )
 def test_a_bad_scenario_is_refused_with_file_and_field(
@@ -292,7 +319,7 @@ def test_a_scenario_that_is_not_there_or_no_text_is_refused(folder: Folder) -> N
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [
-        ("plant.csv", "plants.csv", "{}/plants.csv: expected"),
+        ("plant.csv", "plants.csv", "plants.csv: expected it beside {}/scenario.toml"),
         ('"plant.csv"', '""', "{}: expected"),
         ("rating_kw = 300\n", "", "plant.csv: expected plant.rating_kw"),
     ],
@@ -324,6 +351,7 @@ def test_bad_measurements_are_refused(measured: Folder, old: str, new: str, comp
         *(("duration", text) for text in ("0", "soon", "745h", "9" * 400, "0.5", "1.25s")),
         *(("start", text) for text in ("noon", "25:00", "2024-13-01T12:00", "", "12:30Z")),
         *(("start", text) for text in ("1899-12-31", "2201-01-01", "9999-01-01")),
+        *(("end", text) for text in ("13:00", "12:59", "later")),
         ("seed", -1),
     ],
 )
@@ -331,7 +359,8 @@ def test_a_bad_option_is_refused_in_one_short_line(
     folder: Folder, option: str, value: object
 ) -> None:
     complaint = folder.complaint(**{option: value})
-    assert complaint.startswith(f"--{'from' if option == 'start' else option}: expected ")
+    name = {"start": "from", "end": "to"}.get(option, option)
+    assert complaint.startswith(f"--{name}: expected ")
     assert len(complaint) < 200
 
 
@@ -365,12 +394,16 @@ def test_a_file_beside_the_scenario_is_held_onto_its_cycles(folder: Folder) -> N
             'kind = "synthetic"\ncapacity_kw = 1\nfrom = 09:00:00\nto = 09:00:00',
             "scenario.toml: regulation.from, regulation.to",
         ),
-        ('kind = "file"\npath = "regd.csv"\ncapacity_kw = 1', "regd.csv"),
     ],
 )
 def test_a_bad_regulation_table_is_refused(folder: Folder, table: str, place: str) -> None:
     complaint = with_regulation(folder, table).complaint()
     assert complaint.startswith(f"{folder.path / place}: expected")
+
+
+def test_a_regulation_file_that_is_not_there_is_refused(folder: Folder) -> None:
+    table = 'kind = "file"\npath = "regd.csv"\ncapacity_kw = 1'
+    assert with_regulation(folder, table).complaint().startswith("regd.csv: expected")
 
 
 def test_a_signal_of_another_step_than_pjms_is_taken_and_told(folder: Folder) -> None:

@@ -75,6 +75,7 @@ def play(
     *,
     span: Span = (0, None),
     rate: float = 0.0,
+    waited_s: float = 0.0,
     paused: bool = False,
     keyboard: Keyboard = no_hands,
     interruption: Interruption | None = None,
@@ -95,6 +96,7 @@ def play(
             StatusLine(out or io.StringIO(), in_place=False),
             heard.clock.sleep,
         )
+        heard.clock.sleep(waited_s)
         playback.play(loop=loop)
         return playback
 
@@ -159,9 +161,12 @@ def due_at_a_quarter(first: int, before: int, began_ns: int) -> list[int]:
     return [began_ns + 4 * (time_ns - said_ns[0]) for time_ns in said_ns]
 
 
-def test_each_message_is_sent_when_it_is_due_and_all_is_timed(recorded: Path) -> None:
+@pytest.mark.parametrize("waited_s", [0.0, 60.0])
+def test_each_message_is_sent_when_it_is_due_and_all_is_timed(
+    recorded: Path, waited_s: float
+) -> None:
     heard = Heard()
-    played = play(recorded, heard, span=(5, 9), rate=0.25)
+    played = play(recorded, heard, span=(5, 9), rate=0.25, waited_s=waited_s)
     due_ns = due_at_a_quarter(5, 9, heard.moments_ns[0])
     assert heard.moments_ns == due_ns
     figures = played.timing.figures()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -9,7 +10,7 @@ from agents.plan import Scheme
 from bus_schemas.faults import FaultRule
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
-from studies.delays.results import survived
+from studies.delays.results import survived, trouble_table
 from studies.delays.study import (
     WARM_UP_S,
     Condition,
@@ -116,6 +117,12 @@ def test_losses_cost_the_more_the_more_there_are(prepared: Preparation) -> None:
     assert found[1].missed_percent == pytest.approx(5.0, abs=0.5)
     mileages = np.array([one.figures["mileage"] for one in found], dtype=float)
     assert np.all(np.diff(mileages) > 0.0)
+
+
+def test_figures_of_regulation_are_shown_only_where_there_is_some(perfect: Outcome) -> None:
+    without = msgspec.structs.replace(perfect, figures={**perfect.figures, "regd": None})
+    shown, left = (set(trouble_table("delay", [one]).names()) for one in (perfect, without))
+    assert shown - left == {"regd"}
 
 
 def made_up(
