@@ -74,6 +74,7 @@ def _settings(
         # zenoh-pico closes a link that is idle for 10 s.
         signs_of_life=12 if plan.external else 4,
         access=access,
+        peers=links.peers(agent),
     )
 
 

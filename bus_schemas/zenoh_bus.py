@@ -29,7 +29,7 @@ from bus_schemas.host_clock import HostClock
 from bus_schemas.keys import KeyTable
 from bus_schemas.messages import Message
 from bus_schemas.signals import DISPATCH, Occurrence, Port, Signal, Wiring
-from bus_schemas.tree import PLANT
+from bus_schemas.tree import PLANT, RECORDER
 
 ENCODING: Final = "application/msgpack"
 
@@ -110,6 +110,7 @@ class SessionSettings:
     keys: For links of TLS. None: links of TCP.
     largest_bytes: Larger messages are not received.
     signs_of_life: On a link that is idle, in each lease.
+    peers: Agents at the other ends of its links.
     devices: How the same agent joins those whom it does not ask for a password, in a second
         session. None: there is none of them.
     """
@@ -126,6 +127,7 @@ class SessionSettings:
     keys: KeyFiles | None = None
     largest_bytes: int = 1 << 20
     signs_of_life: int = 4
+    peers: tuple[str, ...] = ()
     devices: SessionSettings | None = None
 
     def config(self) -> zenoh.Config:
@@ -293,11 +295,20 @@ class ZenohBus:
         self._patience_s = patience_s
         self._inbox = Inbox()
         self._sessions = open_sessions(settings)
+        devices = set(() if settings.devices is None else settings.devices.peers)
         published, heard = wiring.published[agent], wiring.heard.get(agent, [])
         self._heard = frozenset(heard)
         many = _signals_of_many(published)
         self._put = {
-            port: self._putter(port, settings.lockstep, declared=port.signal not in many)
+            port: self._putter(
+                # What nobody hears there need not go there; the recorder hears all.
+                self._sessions[
+                    : 1 if devices.isdisjoint({RECORDER, *wiring.processes[port]}) else 2
+                ],
+                port,
+                settings.lockstep,
+                declared=port.signal not in many,
+            )
             for port in published
         }
         many = _signals_of_many(heard)
@@ -399,13 +410,15 @@ class ZenohBus:
         return _TokenWatch(self._sessions, self._keys).changes
 
     def _putter(
-        self, port: Port[Message], lockstep: bool, *, declared: bool
+        self,
+        sessions: Sequence[zenoh.Session],
+        port: Port[Message],
+        lockstep: bool,
+        *,
+        declared: bool,
     ) -> Callable[[bytes], None]:
         """Return what puts the payloads of a port on the bus."""
-        puts = [
-            self._putter_in(session, port, lockstep, declared=declared)
-            for session in self._sessions
-        ]
+        puts = [self._putter_in(session, port, lockstep, declared=declared) for session in sessions]
         if len(puts) == 1:
             return puts[0]
 

@@ -81,6 +81,7 @@ def simulate(
     request = RunRequest(scenario_file, options, None if out is None else Path(out))
     with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
         summary, folder = run(request, Console(file=nowhere), time.monotonic())
+    folder.write_summary(summary.as_json())
     return SimulatedRun(summary, folder.path)
 
 

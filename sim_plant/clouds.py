@@ -203,7 +203,7 @@ def clear_sky_index(
         Clear-sky index, above 0.
     """
     x_m, y_m = _in_the_drifting_field(time_s, east_m, north_m, settings)
-    layers = _layers(settings, seed)
+    layers = _layers(settings.cloud_size_m, settings.evolution_s, seed)
     coarse, fine = (_blended(layer, time_s, x_m, y_m) for layer in layers)
     quantile = special.ndtri(1.0 - settings.cloud_cover)
     # Beside the coarse layer there is only the fine one, which is Gaussian.
@@ -231,14 +231,14 @@ class _Layer:
 
 
 @lru_cache(maxsize=2)  # A run's own day may also be the history of its neighbours.
-def _layers(settings: CloudSettings, seed: int) -> tuple[_Layer, _Layer]:
+def _layers(cloud_size_m: float, evolution_s: float, seed: int) -> tuple[_Layer, _Layer]:
     """Draw steps 1 and 2 of the model: a coarse and a fine layer, whose variances add up to 1."""
     rng = np.random.default_rng(seed)
-    outer_m = _OUTER_SCALE * settings.cloud_size_m
+    outer_m = _OUTER_SCALE * cloud_size_m
     coarse_cell_m = max(_LEAST_COARSE_CELL_M, outer_m * _OUTER_SCALES_ACROSS / _COARSE_CELLS)
     around_m = max(_NEIGHBOURHOOD_M, 2.0 * coarse_cell_m)
     fine_cell_m = max(_LEAST_CELL_M, around_m * _NEIGHBOURHOODS_ACROSS / _FINE_CELLS)
-    fine_lifetime_s = settings.evolution_s * min(1.0, 0.5 * around_m / outer_m) ** (2.0 / 3.0)
+    fine_lifetime_s = evolution_s * min(1.0, 0.5 * around_m / outer_m) ** (2.0 / 3.0)
 
     def coarse_power(k_squared: Floats) -> Floats:
         return _power(k_squared, outer_m) * np.exp(-k_squared * around_m**2)
@@ -254,7 +254,7 @@ def _layers(settings: CloudSettings, seed: int) -> tuple[_Layer, _Layer]:
     coarse = _random_field(rng, coarse_power, _COARSE_CELLS, coarse_cell_m)
     fine = _random_field(rng, fine_power, _FINE_CELLS, fine_cell_m)
     return (
-        _Layer(*coarse, coarse_cell_m, np.sqrt(1.0 - fine_share), settings.evolution_s),
+        _Layer(*coarse, coarse_cell_m, np.sqrt(1.0 - fine_share), evolution_s),
         _Layer(*fine, fine_cell_m, np.sqrt(fine_share), fine_lifetime_s),
     )
 

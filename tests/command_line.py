@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from running import REPOSITORY
@@ -45,4 +46,20 @@ def process(*words: str | Path, cwd: Path) -> subprocess.Popen[str]:
         cwd=cwd,
         env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
         process_group=0,
+    )
+
+
+def python(
+    code: str, *words: str | Path, cwd: Path = REPOSITORY, variables: Mapping[str, str] = {}
+) -> subprocess.CompletedProcess[str]:
+    """Run Python code in a process of its own, which succeeds."""
+    paths = f"{REPOSITORY}:{REPOSITORY / 'tests'}"
+    return subprocess.run(
+        [sys.executable, "-c", code, *map(str, words)],
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": paths, **variables},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
     )

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+from memory_runs import run_in_memory
 from plans_by_hand import plan_at_noon
+from recordings_by_hand import write_messages
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.codec import encode
 from bus_schemas.faults import FaultRule
 from bus_schemas.signals import RUN
 from bus_schemas.tree import PLANT
-from launch_scripts.launcher.simulation import MemoryRun
 from recordings.read.run_file import RECORDING_NAME, further_file
-from recordings.record.writer import RunWriter
 from recordings.verify.verification import PROFILE_NAME
 from sim_plant.profile import Profile
 
@@ -70,12 +68,7 @@ def cloudy_profile(plan: RunPlan, seed: int = 1) -> Profile:
 
 def published(plan: RunPlan, profile: Profile) -> list[Delivery]:
     """All that is published in a run, in the order of a recorder."""
-    found: list[Delivery] = []
-    run = MemoryRun(plan, profile, lambda port, message: found.append((port, message)))
-    for _ in run.cycles():
-        pass
-    run.close()
-    return found
+    return run_in_memory(plan, profile)[1].messages
 
 
 def record(
@@ -97,10 +90,7 @@ def record_on(folder: Path, plan: RunPlan, messages: Iterable[Delivery], number:
 
 def _write(path: Path, plan: RunPlan, messages: Iterable[Delivery]) -> None:
     driver = "simulate" if plan.lockstep else "launch"
-    writer = RunWriter(path, plan, 'name = "oahu"\n', driver)
-    for port, message in messages:
-        writer.add(port, message, encode(message), time.monotonic_ns())
-    writer.close()
+    write_messages(path, messages, plan=plan, scenario='name = "oahu"\n', driver=driver)
 
 
 def of_publisher(messages: Iterable[Delivery], agent: str) -> list[Delivery]:

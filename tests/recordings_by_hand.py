@@ -17,6 +17,7 @@ from bus_schemas.messages import (
     Help,
     HelpGiven,
     Impp,
+    Message,
     Meter,
     Production,
     Residual,
@@ -34,9 +35,12 @@ from bus_schemas.signals import (
     RUN,
     SETPOINT,
     TELEMETRY,
+    Port,
 )
 from bus_schemas.tree import PLANT, ROOT, agent_name, parent_of
-from recordings.record.writer import RunWriter
+from recordings.read.chunks import ChunkPlace
+from recordings.read.reader import open_run
+from recordings.record.writer import ClockAnchor, RunWriter
 
 PLAN = plan_at_noon(run_id="by-hand-2", plant="field", cycles=1000, period_cycles=(2, 1))
 SCENARIO = 'name = "field"\ntitle = "Four inverters"\n'
@@ -103,6 +107,49 @@ def whole_run(cycles: int) -> Iterator[Delivery]:
     yield RUN.of(ROOT), PLAN.run_message("stop", cycles, 1)
 
 
+Logged = tuple[Port[Message], Message, int]
+"""A message as it is written: with the monotonic time at which it was recorded."""
+
+
+def write_messages(
+    path: Path,
+    deliveries: Iterable[Delivery | Logged],
+    *,
+    plan: RunPlan = PLAN,
+    scenario: str = SCENARIO,
+    driver: str = "simulate",
+    anchor: ClockAnchor | None = None,
+    messages_per_chunk: int = 200,
+    close: bool = True,
+) -> None:
+    """Write messages as they are, recorded when they were published where no other time is given.
+
+    A file that is not closed lacks its index: it ends after its last chunk.
+    """
+    writer = RunWriter(path, plan, scenario, driver, anchor)
+    for number, entry in enumerate(deliveries, start=1):
+        port, message = entry[:2]
+        logged_ns = entry[2] if len(entry) == 3 else message.publish_time_ns
+        writer.add(port, message, encode(message), logged_ns)
+        if number % messages_per_chunk == 0:
+            writer.flush()
+    if close:
+        writer.close()
+    else:
+        writer.flush()
+        writer.abandon()
+
+
+def numbered(
+    deliveries: Iterable[Delivery], is_anew: Callable[[Delivery], bool] = lambda delivery: False
+) -> Iterator[Delivery]:
+    """Number messages as their senders do; those that another process sends, from 0 again."""
+    outboxes = Outbox(), Outbox()
+    for port, message in deliveries:
+        outboxes[is_anew((port, message))].stamp(port, message, time.monotonic_ns())
+        yield port, message
+
+
 def write_run(
     path: Path,
     deliveries: Iterable[Delivery],
@@ -112,37 +159,23 @@ def write_run(
     is_kept: Callable[[Delivery], bool] = lambda delivery: True,
     close: bool = True,
 ) -> list[Delivery]:
-    """Write a recording; return what is in it.
-
-    Parameters
-    ----------
-    path
-        The file.
-    deliveries
-        What is published, in the order of the file.
-    plan
-        Of the run.
-    messages_per_chunk
-        So many messages make a chunk.
-    is_kept
-        Whether a message that was published reaches the file.
-    close
-        Whether the file gets its index; otherwise it ends after the last whole chunk.
-    """
-    outbox = Outbox()
-    writer = RunWriter(path, plan, SCENARIO, driver="simulate")
-    kept = []
-    for port, message in deliveries:
-        outbox.stamp(port, message, time.monotonic_ns())
-        if not is_kept((port, message)):
-            continue
-        writer.add(port, message, encode(message), time.monotonic_ns())
-        kept.append((port, message))
-        if len(kept) % messages_per_chunk == 0:
-            writer.flush()
-    if close:
-        writer.close()
-    else:
-        writer.flush()
-        writer.abandon()
+    """Write those of the messages that are published in a run that reach the file; return them."""
+    kept = [*filter(is_kept, numbered(deliveries))]
+    write_messages(path, kept, plan=plan, messages_per_chunk=messages_per_chunk, close=close)
     return kept
+
+
+def cut(recording: Path, to: Path | None = None, share: float = 0.5) -> None:
+    """Cut a file in the middle of its messages; by default in its place."""
+    content = recording.read_bytes()
+    (to or recording).write_bytes(content[: round(share * len(content))])
+
+
+def zero_chunk(recording: Path, number: int, to: Path | None = None) -> ChunkPlace:
+    """Zero the head of a chunk of a recording, by default in its place; return where it is."""
+    with open_run(recording) as run:
+        place = run.outline.chunks[number]
+    content = bytearray(recording.read_bytes())
+    content[place.offset : place.offset + 60] = bytes(60)
+    (to or recording).write_bytes(content)
+    return place

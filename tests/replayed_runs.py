@@ -9,14 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 from plans_by_hand import FOUR
-from recorded_runs import plan_of
+from recorded_runs import plan_of, published
+from recordings_by_hand import write_messages
 
 from agents.plan import RunPlan
-from bus_schemas.codec import encode
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
-from launch_scripts.launcher.simulation import MemoryRun
-from recordings.record.writer import RunWriter
 from sim_plant.profile import Profile
 
 STEP_NS = 100_000
@@ -47,33 +45,18 @@ def run_in_memory(plan: RunPlan = PLAN) -> list[Said]:
     generator = np.random.default_rng(7)
     mpp_kw = 60.0 + 35.0 * np.cumsum(generator.standard_normal((plan.cycles, 4)), axis=0) / 8.0
     profile = Profile(np.clip(mpp_kw, 5.0, 100.0), np.full(plan.cycles, 220.0))
-    said: list[Said] = []
-
-    def hear(port: Port[Message], message: Message) -> None:
-        moment_ns = (len(said) + 1) * STEP_NS
-        said.append(Said(port, replace(message, publish_time_ns=moment_ns), moment_ns + 1_000))
-
-    run = MemoryRun(plan, profile, hear)
-    for _ in run.cycles():
-        pass
-    run.close()
-    return said
+    return [
+        Said(port, replace(message, publish_time_ns=place * STEP_NS), place * STEP_NS + 1_000)
+        for place, (port, message) in enumerate(published(plan, profile), start=1)
+    ]
 
 
-def write(
-    folder: Path, said: Iterable[Said], plan: RunPlan = PLAN, messages_per_chunk: int = 100
-) -> Path:
+def write(folder: Path, said: Iterable[Said], plan: RunPlan = PLAN) -> Path:
     """Write a recording; return the folder of its run."""
     folder.mkdir(parents=True, exist_ok=True)
-    writer = RunWriter(folder / "run.mcap", plan, 'name = "field"\n', driver="simulate")
-    for place, (port, message, logged_ns) in enumerate(said):
-        writer.add(port, message, encode(message), logged_ns)
-        if place % messages_per_chunk == messages_per_chunk - 1:
-            writer.flush()
-    writer.close()
+    write_messages(folder / "run.mcap", said, plan=plan, messages_per_chunk=100)
     return folder
 
 
 def without(said: Iterable[Said], is_left_out: Callable[[Said], bool]) -> list[Said]:
-    """All but some."""
     return [entry for entry in said if not is_left_out(entry)]

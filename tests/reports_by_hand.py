@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from timed_recordings import PLAN, SCENARIO, TIMES_MS, cycle, recorded
+from recordings_by_hand import SCENARIO
+from timed_recordings import PLAN, TIMES_MS, cycle, recorded
 
 from agents.cycle import kind_of
 from agents.plan import RunPlan

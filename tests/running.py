@@ -109,21 +109,17 @@ class Command(ForkServerProcess):
 
     @property
     def returncode(self) -> int | None:
-        """Its exit status, if it has ended."""
         return self.exitcode
 
     def poll(self) -> int | None:
-        """Return its exit status, if it has ended."""
         return self.exitcode
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for its end; return its exit status."""
         self.join(timeout)
         assert self.exitcode is not None, "it does not end"
         return self.exitcode
 
     def send_signal(self, number: signal.Signals) -> None:
-        """Send it a signal."""
         os.kill(self.pid or 0, number)
 
 
@@ -154,7 +150,6 @@ class Heliarch:
         self.process = Command([*map(str, words)], self.output, self.errors, environment)
 
     def wait(self) -> int:
-        """Wait for the end; return the exit status."""
         return self.process.wait(timeout=170)
 
     def error_text(self) -> str:
@@ -201,13 +196,11 @@ class Heliarch:
         return [found for found in processes_of(self.folder) if found.pid != self.process.pid]
 
     def process_of(self, agent: str) -> psutil.Process:
-        """Return the process of one agent."""
         log = self.folder / "logs" / log_name(agent)
         (found,) = [process for process in self.processes() if _output_of(process.pid) == str(log)]
         return found
 
     def fork_server(self) -> psutil.Process:
-        """Return the fork server."""
         (found,) = [
             process for process in self.processes() if _output_of(process.pid) == str(self.output)
         ]

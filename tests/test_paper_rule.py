@@ -9,20 +9,11 @@ import numpy as np
 import pytest
 
 from agents.plan import RunPlan
-from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
-from recordings.read.series import RunSeries, SeriesCollector
 from sim_plant.profile import Profile
+from studies.delays.study import run_in_memory
 from studies.metrics import commitment_metrics
-
-
-def run_agents(plan: RunPlan, profile: Profile) -> RunSeries:
-    """Run a plan's agents in memory on a profile."""
-    collector = SeriesCollector(plan)
-    for _ in MemoryRun(plan, profile, collector.see).cycles():
-        pass
-    return collector.series("run")
 
 
 def test_under_a_steady_sky_the_plant_delivers_the_least_of_asked_and_possible() -> None:
@@ -31,7 +22,7 @@ def test_under_a_steady_sky_the_plant_delivers_the_least_of_asked_and_possible()
     steady_kw = np.repeat(rng.uniform(0.0, 470.0, (1, 17)), 40, axis=0)
     commitment_kw = np.linspace(400.0, 1.2 * steady_kw[0].sum(), 40)
     profile = Profile(steady_kw, commitment_kw)
-    delivered_kw = run_agents(plan, profile).delivered_kw
+    delivered_kw = run_in_memory(plan, profile)[1].delivered_kw
     # The smallest alpha is 0.05: no commitment here is small enough to be held up by it.
     least_kw = np.minimum(steady_kw.sum(axis=1), commitment_kw)
     np.testing.assert_allclose(delivered_kw, least_kw, rtol=0, atol=1e-6)
@@ -43,7 +34,7 @@ def test_a_shortfall_caused_by_control_is_the_change_of_the_sky_within_a_cycle()
     plan = prepare(scenario, RunOptions(duration="4", scheme="paper"), "one").plan
     sky_kw = np.array([400.0, 200.0, 300.0, 300.0])
     profile = Profile(np.repeat(sky_kw[:, None], 17, axis=1), np.full(4, 17 * 250.0))
-    delivered_kw = np.array(run_agents(plan, profile).delivered_kw) / 17
+    delivered_kw = np.array(run_in_memory(plan, profile)[1].delivered_kw) / 17
     by_hand_kw = [400 * 250 / 400, 200 * 250 / 400, 300 * 1.0, 300 * 250 / 300]
     np.testing.assert_allclose(delivered_kw, by_hand_kw, rtol=1e-12)
 
@@ -66,7 +57,7 @@ def hope_hour(folder: Path, share: float) -> tuple[RunPlan, Profile]:
 def test_the_hope_hour_gives_what_an_independent_calculation_gave(
     data_folder: Path, share: float, unavoidable_percent: float, control_caused_percent: float
 ) -> None:
-    run = run_agents(*hope_hour(data_folder / "hope-melpitz-1s", share))
+    _, run = run_in_memory(*hope_hour(data_folder / "hope-melpitz-1s", share))
     energy = commitment_metrics(run.desired_kw, run.possible_kw, run.delivered_kw, 1.0)
     assert energy.percent(energy.unavoidable_kwh) == pytest.approx(unavoidable_percent, abs=6e-4)
     assert energy.percent(energy.control_caused_kwh) == pytest.approx(

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from msgspec.structs import replace
 from plans_by_hand import plan_at_noon
+from recordings_by_hand import SCENARIO, write_messages
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.codec import encode
 from bus_schemas.messages import Message, Run
 from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import ROOT
-from recordings.record.writer import ClockAnchor, RunWriter
+from recordings.record.writer import ClockAnchor
 
 MS = 1_000_000
 START_NS = 5_000_000_000
@@ -28,7 +29,6 @@ PLAN = plan_at_noon(
     cycle_ns=CYCLE_MS * MS,
     cycle_wall_ns=CYCLE_MS * MS,
 )
-SCENARIO = 'name = "field"\ntitle = "Four inverters"\n'
 
 FIELDS: Mapping[str, dict[str, Any]] = {
     "telemetry": {"power_kw": 50.0, "alpha": 0.5, "limit_kw": 100.0},
@@ -135,16 +135,13 @@ def recorded(
 ) -> Path:
     """A recording of these cycles, each message logged when it was published, or `heard`."""
     anchor = ClockAnchor(0, 1_700_000_000_000_000_000)
-    writer = RunWriter(folder / "run.mcap", plan, scenario, driver, anchor)
     first = replace(plan.run_message("start", 0, START_NS), publish_time_ns=START_NS - 200 * MS)
-    run: list[Delivery] = [(RUN.of(ROOT), start or first)]
-    run += (entry for messages in cycles for entry in messages)
+    run: list[Delivery] = [(RUN.of(ROOT), start or first), *chain(*cycles)]
     if ended:
         last, at_ns = run[-1][1].cycle, max(message.publish_time_ns for _, message in run)
         stop = plan.run_message("stop", last + 1, START_NS)
         run.append((RUN.of(ROOT), replace(stop, publish_time_ns=at_ns)))
-    for port, message in run:
-        logged_ns = max(heard(message), START_NS - 200 * MS)
-        writer.add(port, message, encode(message), logged_ns)
-    writer.close()
+    logged = ((port, one, max(heard(one), START_NS - 200 * MS)) for port, one in run)
+    path = folder / "run.mcap"
+    write_messages(path, logged, plan=plan, scenario=scenario, driver=driver, anchor=anchor)
     return folder

@@ -9,7 +9,6 @@ clusters.md, only theirs are measured.
 
 from __future__ import annotations
 
-import re
 import sys
 import time
 from pathlib import Path
@@ -20,7 +19,7 @@ import clusters
 import delays
 import regulation
 import results
-from tables import DOCUMENTS, Tables
+from tables import Tables, write_table
 
 FROM_SYNTHETIC: Final[dict[str, Tables]] = {
     "results.md": results.FROM_SYNTHETIC,
@@ -44,14 +43,7 @@ def main() -> None:
         tables = FROM_SYNTHETIC.get(page, {}) | (FROM_DATA.get(page, {}) if data else {})
         for name, write in tables.items():
             start = time.monotonic()
-            lines = "\n".join(write(data or Path()))
-            text = (DOCUMENTS / page).read_text(encoding="utf-8")
-            marked = rf"(<!-- measured: {re.escape(name)} -->\n).*?(<!-- end -->)"
-            # A table has no backslash: it may stand in the replacement.
-            text, count = re.subn(marked, rf"\g<1>{lines}\n\g<2>", text, flags=re.S)
-            (DOCUMENTS / page).write_text(text, encoding="utf-8")
-            if count != 1:
-                sys.exit(f"{page}: expected one table {name}, got {count}")
+            write_table(page, name, write(data or Path()))
             print(f"{page}, {name}: {time.monotonic() - start:.0f} s", flush=True)
     print(f"{(time.monotonic() - began) / 60.0:.0f} min in all")
 

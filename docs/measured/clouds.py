@@ -86,9 +86,9 @@ class Sky:
             known |= {"drift_speed_ms": self.speed_ms, "drift_from_deg": self.from_deg}
         return CloudSettings(**known | self.by_hand)
 
-    def synthetic(self, settings: CloudSettings, seed: int) -> Array:
+    def synthetic(self, settings: CloudSettings, seed: int, start_s: float = 0.0) -> Array:
         """Draw the model's index, averaged and normalised as the measurement is."""
-        time_s = np.arange(len(self.index), dtype=np.float64) * self.step_s
+        time_s = start_s + np.arange(len(self.index), dtype=np.float64) * self.step_s
         drawn = clear_sky_index(time_s, self.east_m, self.north_m, settings, seed)
         return index_by_quantile(drawn @ self.averaging) if self.by_quantile else drawn
 

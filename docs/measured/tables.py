@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -55,3 +56,15 @@ def hope(data: Path) -> ScenarioFile:
 def plant(data: Path) -> ScenarioFile:
     """Return the scenario of the real plant."""
     return load_scenario("plant20mw", data / "plant20mw-combiners-10s")
+
+
+def write_table(page: str, name: str, lines: Iterable[str]) -> None:
+    """Write a table into its place in a document."""
+    table = "\n".join(lines)
+    text = (DOCUMENTS / page).read_text(encoding="utf-8")
+    marked = rf"(<!-- measured: {re.escape(name)} -->\n).*?(<!-- end -->)"
+    # A table has no backslash: it may stand in the replacement.
+    text, count = re.subn(marked, rf"\g<1>{table}\n\g<2>", text, flags=re.S)
+    (DOCUMENTS / page).write_text(text, encoding="utf-8")
+    if count != 1:
+        sys.exit(f"{page}: expected one table {name}, got {count}")

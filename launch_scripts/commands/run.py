@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -32,6 +33,7 @@ from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.summary_table import print_summary
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.launcher.wrong_messages import one_line_each
+from launch_scripts.scenarios.devices import check_devices
 from launch_scripts.scenarios.preparation import RunOptions
 from launch_scripts.scenarios.process_options import ProcessOptions
 from live_page.process import PageProcess
@@ -83,10 +85,11 @@ def run_and_print(
 def _print_result(
     summary: RunSummary, folder: RunFolder, files: FileOptions, console: Console
 ) -> int:
-    if files.json is not None:
-        write_json(msgspec.Raw(summary.as_json()), files.json)
+    trouble = _write_summary(summary, folder, files.json)
     print_summary(summary, console)
     say(console, f"recording: {folder.recording}")
+    if trouble:
+        return complain("; ".join(filter(None, (trouble, summary.recording_ended))), FAILED)
     if files.report is not None and summary.cycles:
         from studies.report.run_report import write_run_report  # Plotly is slow to import.
 
@@ -107,6 +110,23 @@ def _print_result(
     return INTERRUPTED if summary.interrupted else OK
 
 
+def _write_summary(summary: RunSummary, folder: RunFolder, json: str | None) -> str:
+    """Write a summary into its folder, and where `--json` says.
+
+    Return what to complain of if the disk is full: the result is to be printed all the same.
+    """
+    document = summary.as_json()
+    try:
+        folder.write_summary(document)
+        if json is not None:
+            write_json(msgspec.Raw(document), json)
+    except OSError as error:
+        if error.errno not in {errno.ENOSPC, errno.EDQUOT}:
+            raise
+        return f"{error.filename}: {error.strerror}"
+    return ""
+
+
 def run(
     request: RunRequest,
     console: Console,
@@ -114,22 +134,15 @@ def run(
     server: ForkServerProcess | None = None,
     page: PageProcess | None = None,
 ) -> tuple[RunSummary, RunFolder]:
-    """Run a plant, recorded, and write its summary; show it meanwhile.
+    """Run a plant, recorded; show it meanwhile.
 
     Without a server, which starts the processes, the run stays in this process. `began_at` is the
     monotonic time at which the user asked for it [s].
     """
     preparation, folder = prepare_run(request)
     plan, scenario = preparation.plan, preparation.scenario.scenario
-    if server is not None and plan.lockstep and plan.faults:
-        given = request.options.faults
-        where = f"--fault {given[0]}" if given else "faults of the scenario"
-        why = "a lost message is waited for without end"
-        if all(rule.stops for rule in plan.faults):
-            why = "cycles keep to no clock"
-        raise InputError(f"{where}: expected a --pace such as 1 with it, got lockstep, where {why}")
-    if server is not None and (trouble := _key_trouble(plan)):
-        raise InputError(trouble)
+    if server is not None:
+        _check_processes(plan, request.options)
     try:
         with view_for(console, plan, scenario.time.timezone) as view:
             for line in (scenario.title, *preparation.remarks):
@@ -147,8 +160,20 @@ def run(
         if plan.lockstep and (trouble := _key_trouble(plan)):  # They may have expired meanwhile.
             text += f"\n{trouble}"
         raise FailureError(text) from failure
-    folder.summary.write_bytes(summary.as_json() + b"\n")
     return summary, folder
+
+
+def _check_processes(plan: RunPlan, options: RunOptions) -> None:
+    """Refuse what a run as processes cannot have, before anything is printed."""
+    if plan.lockstep and plan.faults:
+        where = f"--fault {options.faults[0]}" if options.faults else "faults of the scenario"
+        why = "a lost message is waited for without end"
+        if all(rule.stops for rule in plan.faults):
+            why = "cycles keep to no clock"
+        raise InputError(f"{where}: expected a --pace such as 1 with it, got lockstep, where {why}")
+    check_devices(plan)
+    if trouble := _key_trouble(plan):
+        raise InputError(trouble)
 
 
 def _key_trouble(plan: RunPlan) -> str:

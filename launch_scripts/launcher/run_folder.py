@@ -18,6 +18,7 @@ from bus_schemas.errors import InputError
 from launch_scripts.scenarios.preparation import Preparation
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
 from recordings.read.run_file import RECORDING_NAME
+from recordings.read.whole_file import whole_file
 
 _NUMBERS: Final = count(1)
 """Runs of this process: a script can start several in one second."""
@@ -79,6 +80,11 @@ class RunFolder:
         (self.path / "scenario.toml").write_text(preparation.scenario.text, encoding="utf-8")
         self.write_plan(plan)
         return plan
+
+    def write_summary(self, document: bytes) -> None:
+        """Write the summary, whole or not at all."""
+        with whole_file(self.summary) as file:
+            file.write(document + b"\n")
 
     def write_plan(self, plan: RunPlan) -> None:
         """Write the plan at once. It lets a program join the run: it is for the user alone."""

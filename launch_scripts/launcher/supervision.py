@@ -45,6 +45,10 @@ _LARGEST_PACKET: Final = 1 << 18
 _MOST_PACKETS: Final = 500
 _LAST_WAIT_S: Final = 5.0
 
+_ARENAS: Final = "1"
+"""Heaps of glibc in each process. With a heap for each thread, a process grows with the links that
+end: see docs/decisions/0003-zenoh-tuning.md."""
+
 
 class Memory(NamedTuple):
     """Memory of a process [MB of 1,000,000 bytes]: resident in all, and its own.
@@ -84,6 +88,7 @@ class ForkServerProcess:
                 ),
                 stdin=subprocess.DEVNULL,
                 env={
+                    "MALLOC_ARENA_MAX": _ARENAS,
                     **os.environ,
                     "PYTHONUNBUFFERED": "1",
                     # An import must start no thread: this library would.

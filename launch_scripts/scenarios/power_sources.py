@@ -78,7 +78,10 @@ def _oahu_sky(
     scenario = scenario_file.scenario
     folder = scenario_file.data_path(table.folder) if table.folder else scenario_file.data_folder
     if not (any(folder.glob("*.txt")) or any(folder.glob("*.zip"))):
-        raise InputError(f"{folder}: expected daily files, in the folder of --data, got none")
+        raise InputError(
+            "irradiance.folder: expected daily files (YYYYMMDD.txt or YYYYMM.zip) there or in the "
+            f"folder of --data, got none in {folder}"
+        )
     positions = scenario_file.data_path(table.positions)
     most_missing = None if table.gaps == "refuse" else table.most_missing
     day = times[0].tz_convert(oahu_grid.TIMEZONE).date()

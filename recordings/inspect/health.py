@@ -17,7 +17,7 @@ from agents.plan import RunPlan
 from bus_schemas.faults import UNHEARD, FaultRule, FaultTally
 from bus_schemas.messages import Message
 from bus_schemas.signals import TELEMETRY, Port
-from bus_schemas.tree import PLANT
+from bus_schemas.tree import PLANT, RECORDER
 from recordings.read.gaps import LISTED_GAPS, RunGaps, due_step
 from recordings.read.missed_inputs import MissedInputs
 from recordings.read.reader import RecordedMessage, RunReader
@@ -89,6 +89,7 @@ class LauncherAccount(msgspec.Struct, frozen=True):
 
     run_id: str
     dropped: dict[str, int] = {}
+    restarts: dict[str, int] = {}
     skipped_cycles: int = 0
     recording_ended: str = ""
     wrong: tuple[WrongMessages, ...] = ()
@@ -254,15 +255,6 @@ class HealthWatch:
             yield Misses(agent, count, missed.old[agent], *cycles, is_external)
 
 
-def read_health(run: RunReader) -> Health:
-    """Go through a recording and say how its run fared."""
-    watch = HealthWatch(run.plan, range(run.last_cycle + 1))
-    for record in run.records():
-        watch.see(record)
-    watch.end(run.last_cycle + 1 if run.stop_cycle is None else run.stop_cycle)
-    return watch.health(run)
-
-
 def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
     """Yield the health of a run as text: what is looked at, and what was found."""
     launcher = health.launcher
@@ -289,7 +281,10 @@ def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
             yield "absent", _absence_text(absence, clock)
     if others := len(health.absences) + health.more_absences - len(named):
         yield "absent", f"and {others:,} times more"
-    if not health.absences:
+    # Messages show that an agent restarted; the recorder publishes none.
+    if recorder := launcher.restarts.get(RECORDER) if launcher else None:
+        yield "absent", f"{RECORDER} restarted {recorder:,} time{'s' if recorder > 1 else ''}"
+    elif not health.absences:
         yield "absent", "nobody restarted, died, or missed a cycle"
     yield from (("devices", text) for text in _devices_texts(health.devices))
     if health.failure:

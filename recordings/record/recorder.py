@@ -304,6 +304,8 @@ class Recorder:
                 self._contradict_stop(message.cycle)
                 return
             self._stop_cycle = message.cycle
+            if self._link.by_hand:  # No launcher will ask it to end.
+                self._end.ask()
             if PLANT in self._plan.external:
                 wait_s = _STOP_WAIT_S + 1.5e-9 * self._plan.cycle_wall_ns
                 is_early = message.cycle < self._plan.cycles

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from recordings.inspect.health import health_lines, read_health
+from recordings.inspect.health import health_lines
+from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.run_clock import RunClock
 from recordings.read.series import RunSeries
@@ -39,6 +40,6 @@ def metrics_tables(series: Sequence[RunSeries]) -> list[Table]:
 
 def health_table(run: RunReader) -> Table:
     """Go through a recording and return how its run fared, a line for each thing looked at."""
-    lines = health_lines(read_health(run), RunClock(run.plan, run.last_cycle))
+    lines = health_lines(read_overview(run).health, RunClock(run.plan, run.last_cycle))
     rows = tuple((name.capitalize(), text) for name, text in lines)
     return Table("Health of the run", (key_column("", "what"), word_column("", "found")), rows)

@@ -60,7 +60,7 @@ def measured_run(
         view.say(f"{cycles_per_s(1e9 / plan.cycle_wall_ns)} for {round(duration_s, 2):g} s")
         summary = launch(preparation, folder, view, began_at, server)
         with interruptible():  # The run is over: Ctrl-C throws nothing away any more.
-            folder.summary.write_bytes(summary.as_json() + b"\n")
+            folder.write_summary(summary.as_json())
     load = load_before, psutil.getloadavg()[0]
     try:
         return report_on(folder.path, summary, load, by_agent=by_agent)

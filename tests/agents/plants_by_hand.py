@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
+from memory_runs import Sent, run_in_memory
 from plans_by_hand import CYCLE_NS
 
 from agents.agent import Agent
@@ -23,64 +23,16 @@ from bus_schemas.signals import (
     SETPOINT,
     TELEMETRY,
     Port,
-    Signal,
 )
 from bus_schemas.tree import CENTRAL, PLANT, ROOT
-from launch_scripts.launcher.simulation import MemoryRun
 from sim_plant.profile import Profile
 
 M = TypeVar("M", bound=Message)
 
 
-@dataclass
-class Heard:
-    """All that was sent in a run, by cycle and port."""
-
-    _messages: dict[tuple[int, Port[Message]], Message] = field(default_factory=dict)
-
-    def __call__(self, port: Port[Message], message: Message) -> None:
-        assert (message.cycle, port) not in self._messages, f"{port} came twice"
-        self._messages[message.cycle, port] = message
-
-    def find(self, cycle: int, port: Port[M]) -> M | None:
-        """The message of a port in a cycle, None if there was none."""
-        message = self._messages.get((cycle, port))
-        assert message is None or isinstance(message, port.signal.type)
-        return message
-
-    def get(self, cycle: int, port: Port[M]) -> M:
-        """The message of a port in a cycle."""
-        message = self.find(cycle, port)
-        assert message is not None, f"no {port} in cycle {cycle}"
-        return message
-
-    def cycles(self) -> set[int]:
-        """The cycles in which anything was sent."""
-        return {cycle for cycle, _ in self._messages}
-
-    def cycles_of(self, port: Port[Message]) -> list[int]:
-        """The cycles in which a port's message was sent."""
-        return [cycle for cycle, sent_on in self._messages if sent_on is port]
-
-    def of(self, signal: Signal[M]) -> Iterator[tuple[str, M]]:
-        """Node and message, of all messages of a signal."""
-        for (_, port), message in self._messages.items():
-            if port.signal is signal:
-                assert isinstance(message, signal.type)
-                yield port.node, message
-
-
-def hear(plan: RunPlan, mpp_kw: Sequence[Sequence[float]], dispatch_kw: Sequence[float]) -> Heard:
+def hear(plan: RunPlan, mpp_kw: Sequence[Sequence[float]], dispatch_kw: Sequence[float]) -> Sent:
     """Run a plan in memory under what sun and operator do, and listen."""
-    return hear_profile(plan, Profile(np.array(mpp_kw), np.array(dispatch_kw)))[1]
-
-
-def hear_profile(plan: RunPlan, profile: Profile) -> tuple[MemoryRun, Heard]:
-    """Run a plan in memory under a profile, and listen."""
-    heard = Heard()
-    run = MemoryRun(plan, profile, heard)
-    assert list(run.cycles()) == list(range(plan.cycles))
-    return run, heard
+    return run_in_memory(plan, Profile(np.array(mpp_kw), np.array(dispatch_kw)))[1]
 
 
 class AtWork:
@@ -129,7 +81,6 @@ def at(sent: Mapping[Port[Message], Message], port: Port[M]) -> M:
 
 
 def head(cycle: int, source: str) -> tuple[int, int, str, tuple[str, ...]]:
-    """The first fields of a message."""
     return cycle, cycle * CYCLE_NS, source, ()
 
 
@@ -146,7 +97,6 @@ def dispatch(cycle: int, power_kw: float, plant_rating_kw: float) -> Delivery:
 
 
 def meter(cycle: int, power_kw: float) -> Delivery:
-    """What the plant fed in."""
     return METER.of(ROOT), Meter(*head(cycle, PLANT), power_kw=power_kw)
 
 

@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+from memory_runs import Sent, run_in_memory
 from plans_by_hand import REAL_TIME, plan_of
-from plants_by_hand import AtWork, Heard, dispatch, hear_profile, meter, report
-from running import small_plant
+from plants_by_hand import AtWork, dispatch, meter, report
 
 from agents.control.correction import HIGHEST_GAIN
-from agents.plan import RunPlan, Scheme
+from agents.plan import RunPlan
 from bus_schemas.messages import Setpoint
 from bus_schemas.signals import PRODUCTION, SETPOINT
 from bus_schemas.tree import ROOT
-from launch_scripts.scenarios.preparation import RunOptions, prepare
-from launch_scripts.scenarios.scenario import load_scenario
 from sim_plant.profile import Profile
 
 CYCLES = 60
 
 
-def dimmed(**changes: object) -> Heard:
+def dimmed(**changes: object) -> Sent:
     """Two inverters whose meters read 2 % too much, so that they give 2 % too little.
 
     Each has 100 kW, of which 60 kW are desired.
@@ -32,33 +29,27 @@ def dimmed(**changes: object) -> Heard:
     plan = plan_of({"a": 100.0, "b": 100.0}, cycles=CYCLES, **changes)
     error = np.full((CYCLES, 2), 0.02)
     profile = Profile(np.full((CYCLES, 2), 80.0), np.full(CYCLES, 120.0), meter_error=error)
-    return hear_profile(plan, profile)[1]
+    return run_in_memory(plan, profile)[1]
 
 
-def target_kw(heard: Heard, cycle: int) -> float:
+def target_kw(heard: Sent, cycle: int) -> float:
     """What is set in all."""
-    return sum(heard.get(cycle, SETPOINT.of(node)).power_kw for node in ("a", "b"))
+    return float(sum(heard.of(SETPOINT.of(node))[cycle].power_kw for node in ("a", "b")))
 
 
 def test_a_lasting_error_is_corrected_away() -> None:
     heard = dimmed(correction=True)
-    first, last = (heard.get(cycle, PRODUCTION.of(ROOT)).delivered_kw for cycle in (1, CYCLES - 1))
+    first, last = (heard.of(PRODUCTION.of(ROOT))[cycle].delivered_kw for cycle in (1, CYCLES - 1))
     assert first < 120.0 - 1.0
     assert last == pytest.approx(120.0, abs=0.05)
     assert target_kw(heard, CYCLES - 1) > 121.0
-
-
-def test_without_correction_it_stays() -> None:
-    heard = dimmed(correction=False)
-    assert heard.get(CYCLES - 1, PRODUCTION.of(ROOT)).delivered_kw == pytest.approx(120.0 / 1.02)
-    assert target_kw(heard, CYCLES - 1) == pytest.approx(120.0)
 
 
 def test_where_all_there_is_falls_short_nothing_is_added() -> None:
     plan = plan_of({"a": 100.0, "b": 100.0}, cycles=CYCLES, correction=True)
     # Too dark for a while; then there is more than is desired again.
     mpp_kw = np.array([[40.0 if cycle < CYCLES - 2 else 90.0] * 2 for cycle in range(CYCLES)])
-    _, heard = hear_profile(plan, Profile(mpp_kw, np.full(CYCLES, 120.0)))
+    _, heard = run_in_memory(plan, Profile(mpp_kw, np.full(CYCLES, 120.0)))
     assert target_kw(heard, CYCLES - 1) <= 120.0 + 1e-9
 
 
@@ -117,21 +108,3 @@ def cycle_with_meter(central: AtWork, cycle: int, metered_kw: float | None) -> f
     else:
         sent |= central.hear(meter(cycle, metered_kw))
     return sum(message.power_kw for message in sent.values() if isinstance(message, Setpoint))
-
-
-@pytest.mark.parametrize(
-    ("scheme", "said", "corrects"),
-    [
-        ("predictive", None, True),
-        ("paper", None, False),
-        ("predictive", "false", False),
-        ("paper", "true", True),
-    ],
-)
-def test_it_goes_with_the_scheme_unless_the_scenario_says_otherwise(
-    tmp_path: Path, scheme: Scheme, said: str | None, corrects: bool
-) -> None:
-    said_so = () if said is None else (("[control]", f"[control]\ncorrection = {said}"),)
-    scenario = load_scenario(small_plant(tmp_path, *said_so))
-    plan = prepare(scenario, RunOptions(duration="1", scheme=scheme), "any").plan
-    assert plan.correction is corrects

@@ -37,18 +37,18 @@ def set_and_noticed(*dispatches_kw: float) -> tuple[list[float], list[int]]:
     return set_kw, counts
 
 
-@pytest.mark.parametrize("power_kw", [0.0, 200.0, 400.0])
-def test_a_dispatch_from_zero_to_the_rating_is_followed_without_a_notice(power_kw: float) -> None:
-    assert set_and_noticed(power_kw) == ([max(0.75 * power_kw, FLOOR_KW)], [])
-
-
 @pytest.mark.parametrize(
-    ("power_kw", "set_kw"), [(400.0001, 300.0), (1e12, 300.0), (-0.5, FLOOR_KW), (-1e12, FLOOR_KW)]
+    ("power_kw", "set_kw", "counts"),
+    [
+        *((kw, max(0.75 * kw, FLOOR_KW), []) for kw in (0.0, 200.0, 400.0)),
+        *((kw, 300.0, [1]) for kw in (400.0001, 1e12)),
+        *((kw, FLOOR_KW, [1]) for kw in (-0.5, -1e12)),
+    ],
 )
-def test_one_that_asks_for_the_impossible_is_clamped_and_noticed(
-    power_kw: float, set_kw: float
+def test_a_dispatch_that_asks_for_the_impossible_is_clamped_and_noticed(
+    power_kw: float, set_kw: float, counts: list[int]
 ) -> None:
-    assert set_and_noticed(power_kw) == ([set_kw], [1])
+    assert set_and_noticed(power_kw) == ([set_kw], counts)
 
 
 def test_clamped_dispatches_are_counted_together() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 from plans_by_hand import plan_of
 
 from agents.agent import Agent
-from agents.cycle import KINDS, STAGES, USED_SHARE, Deadlines, Kind, kind_of, stage_place
+from agents.cycle import KINDS, STAGES, USED_SHARE, Deadlines, kind_of, stage_place
 from agents.team import controllers
 from bus_schemas.tree import CENTRAL, PLANT, ControlTree
 from sim_plant.plant import Plant
@@ -34,22 +33,6 @@ STAGES_IN_ORDER = [
     *(("c1", "solve"), ("c1/a", "actuate"), ("plant", "apply")),
 ]
 """Agent and stage, as one comes after the other on the way of a message through three tiers."""
-
-
-@pytest.mark.parametrize(
-    ("agent", "kind"),
-    [
-        ("recorder", "recorder"),
-        ("plant", "plant"),
-        ("central", "central"),
-        ("z1", "supervisor"),
-        ("z1/c1", "supervisor"),
-        ("a", "direct"),
-        ("z1/c1/d", "direct"),
-    ],
-)
-def test_the_kind_of_an_agent_follows_from_the_tree(agent: str, kind: Kind) -> None:
-    assert kind_of(agent, RAGGED) == kind
 
 
 def test_each_agent_goes_through_the_stages_of_its_kind() -> None:
@@ -111,10 +94,3 @@ def test_a_direct_controller_has_the_deadline_of_its_like_from_whatever_tier_it_
     leaves = ("a", "c1/b", "z1/c1/d", "z1/y1/x1/e")
     assert {deadlines.deadline_ns(leaf, "actuate") for leaf in leaves} == {50_000}
     assert deadlines.deadline_ns("z1/y1", "solve") == 30_000
-
-
-def test_the_stages_of_an_agent_follow_one_another() -> None:
-    for tree in (FLAT, THREE_TIERS, RAGGED):
-        for agent in team(tree):
-            places = [stage_place(agent.name, stage.name, tree) for stage in agent.stages(0)]
-            assert all(earlier < later for earlier, later in pairwise(places))

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from memory_runs import run_in_memory
 from plans_by_hand import plan_of
-from plants_by_hand import AtWork, at, dispatch, head, hear_profile, setpoint, telemetry
+from plants_by_hand import AtWork, at, dispatch, head, setpoint, telemetry
 
 from agents.agent import Turn
 from agents.plan import Actuator, Scheme
@@ -70,10 +71,10 @@ def test_where_an_inverter_states_its_available_power_nothing_is_hidden_behind_a
             actuator="limit",
             available_bias=bias,
         )
-        _, heard = hear_profile(plan, profile)
-        impp_kw = [heard.get(cycle, IMPP.of("a")).power_kw for cycle in range(5, 30)]
+        _, heard = run_in_memory(plan, profile)
+        impp_kw = [heard.of(IMPP.of("a"))[cycle].power_kw for cycle in range(5, 30)]
         furthest_kw[bias] = max(abs(kw - 90.0) for kw in impp_kw)
-        assert heard.get(29, PRODUCTION.of(ROOT)).delivered_kw == pytest.approx(60.0, abs=1.0)
+        assert heard.of(PRODUCTION.of(ROOT))[29].delivered_kw == pytest.approx(60.0, abs=1.0)
     assert furthest_kw[0.0] < 1e-6 < furthest_kw[None]
 
 

@@ -76,13 +76,6 @@ def test_before_a_setpoint_its_own_share_is_commanded_and_before_the_dispatch_no
     assert alpha_in(direct(), 0, dispatch_kw=None) is None
 
 
-def test_a_command_names_what_it_does_without() -> None:
-    work = direct()
-    work.hear(telemetry("c1/a", 0, 80.0), dispatch(0, 100.0, 200.0))
-    command = at(work.at_deadline("actuate"), COMMAND.of("c1/a"))
-    assert command.missing == ("c1/a/setpoint",)
-
-
 @pytest.mark.parametrize("absurd_kw", [*ABSURD_KW, 100.1])
 def test_an_absurd_setpoint_is_as_good_as_none(absurd_kw: float) -> None:
     work = direct()
@@ -122,10 +115,6 @@ def test_a_supervisor_goes_down_the_same_ladder() -> None:
     silent = [setpoints_in(work, cycle, dispatch_kw=None) for cycle in (5, 6, 7)]
     assert silent == [(20.0, 30.0)] * HOLD + [()]
     assert setpoints_in(work, 8, setpoint_kw=60.0) == (20.0, 40.0)
-
-
-def test_from_cycle_0_on_a_supervisor_keeps_to_its_own_share_of_the_dispatch() -> None:
-    assert setpoints_in(AtWork(CLUSTER, "c1"), 0, dispatch_kw=50.0) == (20.0, 30.0)
 
 
 def test_a_supervisor_names_what_it_does_without() -> None:
@@ -214,16 +203,6 @@ def test_without_its_residual_a_report_counts_and_the_residual_is_worked_out() -
         assert setpoints_kw(sent) == (80.0, 50.0)
 
 
-def test_a_residual_without_impp_is_silence() -> None:
-    central = central_after_one_cycle()
-    found = []
-    for cycle in (1, 2, 3):
-        residual = report("b", cycle, 50.0, 10.0)[1]
-        sent = cycle_of(central, cycle, *report("a", cycle, 80.0, 20.0), residual)
-        found.append(at(sent, IMPP.of(ROOT)).power_kw)
-    assert found == [170.0, 170.0, 140.0]
-
-
 @pytest.mark.parametrize(
     ("impp_kw", "residual_kw", "left_kw"),
     [
@@ -266,18 +245,6 @@ def test_without_telemetry_the_last_impp_holds_and_its_age_is_counted() -> None:
         (80.0, 2),
         (80.0, 3),
     ]
-
-
-@pytest.mark.parametrize(
-    ("power_kw", "alpha"),
-    [(math.nan, 0.5), (-1.0, 0.5), (105.1, 1.0), (40.0, 0.0), (40.0, math.nan), (40.0, 1.1)],
-)
-def test_absurd_telemetry_is_as_good_as_none(power_kw: float, alpha: float) -> None:
-    work = direct()
-    alpha_in(work, 0, setpoint_kw=20.0)
-    sent = work.hear(telemetry("c1/a", 1, power_kw, alpha), dispatch(1, 100.0, 200.0))
-    found = at(sent, IMPP.of("c1/a"))
-    assert (found.power_kw, found.stale_cycles) == (80.0, 1)
 
 
 def test_before_the_first_telemetry_there_is_no_power_to_count_on() -> None:

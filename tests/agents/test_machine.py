@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import resource
-import subprocess
 import sys
 import threading
 from collections.abc import Callable
 from typing import TypeVar
 
 import pytest
+from command_line import python
 
 from agents.cycle import Kind
 from agents.machine import (
@@ -46,15 +46,8 @@ def place_of(
 
 def lines_of(code: str) -> list[str]:
     """Run Python code in a process of its own; return the lines that it prints."""
-    words = [sys.executable, "-c", f"from agents.machine import *\n{code}"]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=True)
+    done = python(f"from agents.machine import *\n{code}")
     return done.stdout.splitlines()
-
-
-def test_by_default_nothing_is_taken() -> None:
-    refused, policy = place_of(MachineSettings())
-    assert refused == ()
-    assert policy == scheduling_policy()
 
 
 @linux

@@ -32,7 +32,7 @@ def helpers_of_a(cycles: int, *hours: Neighbourhood, parent: str = ROOT) -> list
     heard = hear(plan, [[10.0, 80.0, 80.0]] * cycles, [90.0] * cycles)
     found = []
     for cycle in range(cycles):
-        setpoints = {leaf: heard.get(cycle, SETPOINT.of(leaf)) for leaf in leaves}
+        setpoints = {leaf: heard.of(SETPOINT.of(leaf))[cycle] for leaf in leaves}
         lines = {leaf: setpoint.help_given for leaf, setpoint in setpoints.items()}
         (helper,) = [leaf for leaf, given in lines.items() if given]
         (line,) = lines[helper]

@@ -175,13 +175,6 @@ def test_a_message_of_a_cycle_that_is_no_turn_of_its_sender_is_dropped() -> None
     assert used(clerk.hear(both(3)[0]))[1] == ("c1/setpoint",)
 
 
-def test_lockstep_has_no_deadlines_and_the_clock_has() -> None:
-    assert AtWork(LOCKSTEP, Clerk()).loop.deadline_ns is None
-    loop = AgentLoop(Clerk(), ON_THE_CLOCK)
-    loop.begin(7, 0)
-    assert loop.deadline_ns == 7 + ON_THE_CLOCK.deadlines.deadline_ns("c1", "report")
-
-
 # Any order of events ------------------------------------------------------------------------------
 
 MAKE: dict[str, Callable[[int], Delivery]] = {
@@ -306,21 +299,12 @@ def test_whoever_wakes_late_goes_to_the_cycle_under_way() -> None:
     assert not clerk.loop.catch_up(33 * REAL_TIME + 9), "the next cycle has not begun yet"
 
 
-def test_an_agent_that_may_not_skip_does_not() -> None:
-    clerk = AtWork(ON_THE_CLOCK, Clerk(may_skip=False))
+@pytest.mark.parametrize(
+    ("run_plan", "may_skip"), [(ON_THE_CLOCK, False), (LOCKSTEP, True)], ids=["plant", "lockstep"]
+)
+def test_the_plant_does_not_skip_and_in_lockstep_nobody_does(
+    run_plan: RunPlan, may_skip: bool
+) -> None:
+    clerk = AtWork(run_plan, Clerk(may_skip=may_skip))
     assert not clerk.loop.catch_up(33 * REAL_TIME)
     assert clerk.loop.cycle == 0
-
-
-def test_in_lockstep_nobody_skips() -> None:
-    assert not AtWork(LOCKSTEP, Clerk()).loop.catch_up(33 * REAL_TIME)
-
-
-def test_a_stop_ends_the_run_before_its_cycle() -> None:
-    clerk = AtWork(LOCKSTEP, Clerk())
-    port, stop = RUN_START[0], LOCKSTEP.run_message("stop", 1, 0)
-    clerk.hear((port, stop))
-    assert not clerk.loop.finished
-    clerk.hear(*both(0))
-    assert clerk.loop.finished
-    assert clerk.hear(*both(1)) == {}

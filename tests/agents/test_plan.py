@@ -51,7 +51,6 @@ def test_a_plan_that_is_not_there_is_refused(tmp_path: Path) -> None:
 
 
 def with_field(name: str, value: object) -> Callable[[bytes], bytes]:
-    """Give a field another value."""
     return lambda data: msgspec.json.encode(json.loads(data) | {name: value})
 
 

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from memory_runs import Sent
 from plans_by_hand import plan_of
-from plants_by_hand import Heard, hear
+from plants_by_hand import hear
 
 from agents.plan import Neighbourhood, NodeNeighbourhoods, RunPlan
 from bus_schemas.signals import HELP, IMPP, RESIDUAL, SETPOINT
@@ -26,7 +27,7 @@ class Weather(NamedTuple):
     mpp_kw: list[list[float]]
     dispatch_kw: list[float]
 
-    def hear(self) -> Heard:
+    def hear(self) -> Sent:
         return hear(self.plan, self.mpp_kw, self.dispatch_kw)
 
 
@@ -107,14 +108,14 @@ def test_whenever_a_parent_acts_its_children_meet_its_newest_target_or_give_all_
     for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather)):
         target_kw[ROOT] = dispatch_kw
         for node in plan.tree.parents:
-            if node != ROOT and (own := heard.find(cycle, SETPOINT.of(node))):
+            if node != ROOT and (own := heard.of(SETPOINT.of(node)).get(cycle)):
                 target_kw[node] = own.power_kw
             children = plan.tree.children(node)
             if not plan.periods.is_turn(node, cycle):
-                assert not any(heard.find(cycle, SETPOINT.of(child)) for child in children)
+                assert not any(heard.of(SETPOINT.of(child)).get(cycle) for child in children)
                 continue
-            set_kw = [heard.get(cycle, SETPOINT.of(child)).power_kw for child in children]
-            impp_kw = [heard.get(cycle, IMPP.of(child)).power_kw for child in children]
+            set_kw = [heard.of(SETPOINT.of(child))[cycle].power_kw for child in children]
+            impp_kw = [heard.of(IMPP.of(child))[cycle].power_kw for child in children]
             all_kw = fsum(impp_kw)
             expected_kw = min(max(target_kw[node], plan.alpha_floor * all_kw), all_kw)
             assert fsum(set_kw) == pytest.approx(expected_kw, rel=0.0, abs=TOLERANCE_KW)
@@ -128,18 +129,18 @@ def test_reports_add_up_and_what_is_missing_is_called_for_up_to_the_root(weather
     heard, tree = weather.hear(), weather.plan.tree
     for cycle, dispatch_kw in enumerate(usable_dispatches_kw(weather)):
         for node in tree.nodes:
-            own, residual = heard.get(cycle, IMPP.of(node)), heard.get(cycle, RESIDUAL.of(node))
-            call = heard.find(cycle, HELP.of(node))
+            own, residual = heard.of(IMPP.of(node))[cycle], heard.of(RESIDUAL.of(node))[cycle]
+            call = heard.of(HELP.of(node)).get(cycle)
             lacks = residual.power_kw < 0.0
             assert (call.missing_kw if call else None) == (-residual.power_kw if lacks else None)
             if children := tree.children(node):
-                impps = [heard.get(cycle, IMPP.of(child)) for child in children]
-                residuals = [heard.get(cycle, RESIDUAL.of(child)) for child in children]
+                impps = [heard.of(IMPP.of(child))[cycle] for child in children]
+                residuals = [heard.of(RESIDUAL.of(child))[cycle] for child in children]
                 assert own.power_kw == approx_kw(impp.power_kw for impp in impps)
                 assert own.stale_cycles == max(impp.stale_cycles for impp in impps)
                 assert residual.power_kw == approx_kw(found.power_kw for found in residuals)
-        missing_kw = max(dispatch_kw - heard.get(cycle, IMPP.of(ROOT)).power_kw, 0.0)
-        call = heard.find(cycle, HELP.of(ROOT))
+        missing_kw = max(dispatch_kw - heard.of(IMPP.of(ROOT))[cycle].power_kw, 0.0)
+        call = heard.of(HELP.of(ROOT)).get(cycle)
         assert (call.missing_kw if call else 0.0) == approx_kw([missing_kw])
 
 

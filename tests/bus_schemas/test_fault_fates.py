@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from hashlib import blake2b
 from itertools import pairwise
-from math import nan
 from typing import Literal
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from msgspec import DecodeError, ValidationError, convert
+from msgspec import DecodeError
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
@@ -20,20 +19,17 @@ from bus_schemas.codec import decode, encode
 from bus_schemas.errors import InputError
 from bus_schemas.faults import (
     FaultRule,
-    FaultTally,
     NetworkFaults,
-    RuleActs,
     check_rule,
-    links,
 )
 from bus_schemas.messages import Impp, Run
-from bus_schemas.signals import COMMAND, DISPATCH, IMPP, RUN, SETPOINT, TELEMETRY
-from bus_schemas.tree import CENTRAL, PLANT, ROOT, ControlTree
+from bus_schemas.signals import COMMAND, IMPP, RUN
+from bus_schemas.tree import PLANT, ROOT, ControlTree
 
 TREE = ControlTree((("c1/a", 100.0), ("c1/b", 100.0), ("c2/d", 100.0), ("c2/e", 100.0)))
 SECOND_NS = 1_000_000_000
-MANY = 20_000
-"""Messages over which shares are looked at: five standard deviations are below 1.8 % of them."""
+MANY = 5_000
+"""Messages over which shares are looked at: five standard deviations are below 3.6 % of them."""
 
 
 def at_work(*rules: FaultRule, seed: int = 1) -> NetworkFaults:
@@ -115,13 +111,6 @@ def test_no_delay_is_below_zero() -> None:
     assert 0.3 < np.mean(found == 0.0) < 0.6
 
 
-def test_two_doublers_make_four_copies_each_delayed_by_the_second_in_its_own_way() -> None:
-    jitter = FaultRule(delay_ms=10.0, jitter_ms=5.0, duplicate=1.0)
-    found = fates(at_work(FaultRule(delay_ms=1.0, duplicate=1.0), jitter), 100)
-    assert {len(set(fate)) for fate in found} == {4}
-    assert all(6_000_000 <= delay_ns < 16_000_000 for fate in found for delay_ns in fate)
-
-
 def test_a_message_held_back_is_overtaken_by_a_later_one() -> None:
     faults = at_work(FaultRule(delay_ms=10.0, reorder=0.2, reorder_ms=1500.0))
     arrivals = [cycle * SECOND_NS + delay for cycle, (delay,) in enumerate(fates(faults, 1000))]
@@ -135,14 +124,6 @@ def test_nothing_arrives_in_a_silent_interval_and_all_outside_of_it() -> None:
     faults = at_work(FaultRule(silent=((3.0, 5.0), (8.0, 8.5))))
     silent = [cycle for cycle, fate in enumerate(fates(faults, 12)) if not fate]
     assert silent == [3, 4, 8]
-
-
-@pytest.mark.parametrize("pace", [0.5, 1.0, 10.0])
-def test_a_silent_interval_is_in_simulated_time_at_any_pace(pace: float) -> None:
-    rule = FaultRule(silent=((1.0, 2.0),))
-    faults = NetworkFaults((rule,), 0, TREE, SECOND_NS // 10, round(SECOND_NS / 10 / pace))
-    silent = [cycle for cycle, fate in enumerate(fates(faults, 40)) if not fate]
-    assert silent == list(range(10, 20))
 
 
 def test_arming_rounds_and_rare_events_always_pass() -> None:
@@ -181,14 +162,6 @@ def test_fates_are_the_same_whenever_and_wherever_they_are_drawn() -> None:
         loss, jitter = (int.from_bytes(digest[at : at + 8], "little") / 2**64 for at in (0, 24))
         delay_ms = 50.0 + 10.0 * (2.0 * jitter - 1.0)
         assert fate == (() if loss < 0.25 else (pytest.approx(delay_ms * 1e6, abs=1),))
-
-
-def test_links_go_from_the_publisher_of_a_cyclic_signal_to_those_who_act_on_it() -> None:
-    found = links(TREE)
-    assert (TELEMETRY.of("c1/a"), "c1/a") in found
-    assert (DISPATCH.of(ROOT), CENTRAL) in found
-    assert (SETPOINT.of("c1"), "c1") in found
-    assert not [port for port, listener in found if listener in {"recorder", port.publisher}]
 
 
 HOUR = FaultRule(delay_ms=3_600_000.0)
@@ -231,74 +204,8 @@ def test_no_delay_is_longer_than_the_longest(
         assert delay_ns <= rule.longest_ms * 1e6 + 1
 
 
-def test_a_tally_counts_what_the_faults_did() -> None:
-    tally = FaultTally()
-    for fate in ((0,), (), (5,), (0, 0), (7, 0)):
-        tally.count(fate)
-    assert tally.as_counts() == {"lost": 1, "duplicated": 2, "delayed": 2}
-    assert FaultTally().as_counts() == {}
-
-
-@pytest.mark.parametrize(
-    ("rule", "field"),
-    [
-        (FaultRule(delay_ms=1.0, jitter_ms=2.0, distribution="fixed"), "distribution: "),
-        (FaultRule(reorder=0.5), "reorder_ms: "),
-        (FaultRule(silent=((90.0, 60.0),)), "silent: "),
-        (FaultRule(source="c1/*"), ""),
-        (FaultRule(source="c9/*", loss=0.1), "source: "),
-        (FaultRule(listener="inv01", loss=0.1), "listener: "),
-        (FaultRule(listener="recorder", loss=0.1), "listener: "),
-        (FaultRule(signal="imp", loss=0.1), "signal: "),
-        (FaultRule(signal="run", loss=0.1), "signal: "),
-        (FaultRule(source="c1/a", listener="c2", loss=0.1), ""),
-        (FaultRule(source="plant", signal="impp", loss=0.1), ""),
-    ],
-)
-def test_a_rule_that_does_not_fit_the_run_is_refused(rule: FaultRule, field: str) -> None:
-    with pytest.raises(InputError, match=f"^rule: {field}expected"):
-        check_rule(rule, TREE, "rule")
-
-
-@pytest.mark.parametrize("field", ["loss", "duplicate", "reorder", "delay_ms", "jitter_ms"])
-@pytest.mark.parametrize("value", [-0.1, nan, 4e6])
-def test_shares_and_times_have_bounds(field: str, value: float) -> None:
-    with pytest.raises(ValidationError, match=field):
-        convert({field: value}, FaultRule)
-
-
-def test_each_rule_tells_to_how_many_messages_it_did_something_and_when() -> None:
-    rules = (
-        FaultRule(loss=0.5),
-        FaultRule(silent=((20.0, 30.0),)),
-        FaultRule(source="c2/d", delay_ms=1.0),
-        FaultRule(silent=((3.0, 4.0),), source="c1/a"),
-    )
-    faults = at_work(*rules)
-    fates(faults, 10)
-    lossy, late, elsewhere, silent = faults.acts
-    assert 0 < lossy.messages < 9
-    assert late == elsewhere == RuleActs()
-    assert silent == RuleActs(1, 3, 3)
-
-
-def test_a_rule_for_what_comes_in_at_external_agents_alone_is_refused() -> None:
-    external = ("c1/a", "c1/b")
-    rule = FaultRule(listener="c1/*", signal="telemetry", delay_ms=5.0)
-    with pytest.raises(InputError, match=r"^rule: expected .* \(c1/a, c1/b\)$"):
-        check_rule(rule, TREE, "rule", external)
-    check_rule(FaultRule(signal="telemetry", delay_ms=5.0), TREE, "rule", external)
-    check_rule(FaultRule(source="c1/*", delay_ms=5.0), TREE, "rule", external)
-
-
 def test_only_processes_of_this_host_are_killed_and_messages_to_other_hosts_are_delayed() -> None:
     there = {"c1": "10.0.0.2", "c1/a": "10.0.0.2", "c1/b": "10.0.0.2"}
     with pytest.raises(InputError, match=r"10\.0\.0\.2"):
         check_rule(FaultRule(kill="c1/*", at=(3.0,)), TREE, "rule", (), there)
     check_rule(FaultRule(listener="c1/a", delay_ms=5.0), TREE, "rule", (), there)
-
-
-def test_a_rule_on_what_no_agent_hears_is_accepted_and_takes_nothing_from_anybody() -> None:
-    rule = FaultRule(signal="help", loss=1.0)
-    check_rule(rule, TREE, "rule")
-    assert not any(NetworkFaults((rule,), 1, TREE, 1, 1).concern(agent) for agent in TREE.agents())

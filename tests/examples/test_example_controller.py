@@ -106,62 +106,6 @@ def test_without_a_setpoint_in_time_the_last_one_is_commanded(device: Device) ->
     assert (device.last()["alpha"], device.last()["missing"]) == (0.25, [])
 
 
-def test_without_any_setpoint_its_own_request_is_commanded(device: Device) -> None:
-    device.measure(0)
-    device.dispatch(0, power_kw=90.0)
-    assert device.wait() == (0.7 * CYCLE_S, ["command"])
-    assert (device.last()["power_kw"], device.last()["missing"]) == (45.0, [f"{NODE}/setpoint"])
-
-
-def test_an_old_setpoint_gives_way_to_its_own_request(device: Device) -> None:
-    for cycle in range(9):  # Its parent acts in every fifth cycle, and only in the first it does.
-        device.measure(cycle)
-        device.dispatch(cycle, power_kw=90.0)
-        if cycle == 0:
-            device.hear("setpoint", 0, power_kw=30.0)
-        elif cycle == 5:
-            device.wait()
-        expected_kw = 30.0 if cycle < 7 else 45.0
-        assert device.last()["power_kw"] == pytest.approx(expected_kw)
-
-
-def test_without_setpoint_and_dispatch_nothing_is_commanded(device: Device) -> None:
-    assert device.measure(0) == []
-    assert device.wait() == (0.14 * CYCLE_S, ["impp", "residual"])
-    assert device.last()["missing"] == ["dispatch"]
-    assert device.wait() == (round(0.56 * CYCLE_S, 9), [])
-    assert device.controller.seconds_left() is None
-
-
-def test_without_telemetry_the_last_estimate_holds(device: Device) -> None:
-    device.measure(1)
-    device.dispatch(1)
-    device.dispatch(2)
-    assert device.wait()[1] == ["impp", "residual", "command"]
-    (impp,) = [message for name, message in device.sent if name == "impp" and message["cycle"] == 2]
-    assert (impp["power_kw"], impp["stale_cycles"]) == (60.0, 1)
-    assert impp["missing"] == [f"{NODE}/telemetry@1"]
-
-
-def test_an_inverter_that_states_its_available_power_is_believed(device: Device) -> None:
-    device.dispatch(1)
-    device.hear("telemetry", 1, power_kw=30.0, alpha=0.5, available_kw=70.0)
-    (impp,) = [message for name, message in device.sent if name == "impp"]
-    assert impp["power_kw"] == 70.0
-
-
-@pytest.mark.parametrize(("cycle", "plan"), [(5, {"cycle_wall_ns": 0}), (-3, {})])
-def test_in_lockstep_and_in_arming_rounds_nothing_is_done_without(
-    cycle: int, plan: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    device = Device(monkeypatch, **plan)
-    assert device.measure(cycle) == []
-    assert device.controller.seconds_left() is None
-    assert device.dispatch(cycle) == ["impp", "residual"]
-    assert device.controller.seconds_left() is None
-    assert device.hear("setpoint", cycle, power_kw=30.0) == ["command"]
-
-
 def test_it_counts_the_cycles_that_it_controlled_and_no_others(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from datetime import date
 from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import python
 from running import small_plant
 
 import heliarch
@@ -112,28 +110,20 @@ def test_what_is_not_there_is_an_attribute_error() -> None:
         heliarch.nonsense  # noqa: B018
 
 
-def python(code: str, cwd: Path) -> str:
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    words = [sys.executable, "-c", code]
-    return subprocess.run(
-        words, cwd=cwd, capture_output=True, text=True, check=True, env=environment
-    ).stdout
-
-
 def test_recordings_can_be_opened_where_there_has_been_a_first_run(
     small: str, tmp_path: Path
 ) -> None:
     empty = tmp_path / "empty"
     empty.mkdir()
-    python(f"import heliarch; heliarch.simulate({small!r}, duration='5s')", empty)
+    python(f"import heliarch; heliarch.simulate({small!r}, duration='5s')", cwd=empty)
     assert [path.name for path in empty.iterdir()] == ["runs"]
     code = (
         "from pathlib import Path\nfrom heliarch import open_run\n"
         "with open_run(next(Path('runs').iterdir())) as run:\n    print(run.plan.plant)"
     )
-    assert python(code, empty) == "small\n"
+    assert python(code, cwd=empty).stdout == "small\n"
 
 
-def test_importing_it_loads_nothing_heavy(tmp_path: Path) -> None:
-    modules = python("import heliarch, sys; print(*sys.modules)", tmp_path).split()
+def test_importing_it_loads_nothing_heavy() -> None:
+    modules = python("import heliarch, sys; print(*sys.modules)").stdout.split()
     assert not {"numpy", "pandas", "zenoh"} & {name.partition(".")[0] for name in modules}

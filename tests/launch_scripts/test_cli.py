@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import get_args
 
 import pytest
+from command_line import python
 from typer.testing import CliRunner
 
 from agents.plan import Actuator, Scheme
@@ -24,21 +22,9 @@ HEAVY = {"numba", "pandas", "plotly", "pvlib", "scipy", "zenoh"}
 
 
 def help_of(*words: str) -> str:
-    """Return the help of a command."""
     found = CliRunner().invoke(app, [*words, "--help"])
     assert found.exit_code == 0
     return found.stdout
-
-
-def python(code: str, *words: str, **variables: str) -> subprocess.CompletedProcess[str]:
-    """Run Python code in a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-c", code, *words],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "PYTHONPATH": str(REPOSITORY), **variables},
-    )
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -94,4 +80,4 @@ def test_the_shell_completes_commands_and_options(typed: str, offered: set[str])
         "COMP_WORDS": typed,
         "COMP_CWORD": str(typed.count(" ")),
     }
-    assert set(python(code, **completion).stdout.split()) == offered
+    assert set(python(code, variables=completion).stdout.split()) == offered

@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import time
+from itertools import chain
 from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
-from recordings_by_hand import PLAN, SCENARIO, cycle_of_the_plant, whole_run, write_run
+from recordings_by_hand import (
+    PLAN,
+    SCENARIO,
+    cycle_of_the_plant,
+    numbered,
+    whole_run,
+    write_messages,
+    write_run,
+    zero_chunk,
+)
 
 from bus_schemas.bus import Delivery, Outbox
 from bus_schemas.codec import encode
@@ -128,14 +138,9 @@ def test_a_real_inverter_that_is_gone_for_a_while_is_named(tmp_path: Path) -> No
 
 def test_a_restart_is_told_by_numbers_that_begin_again(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    outboxes = Outbox(), Outbox()
-    writer = RunWriter(path, PLAN, SCENARIO, driver="simulate")
-    for cycle in range(10):
-        for port, message in cycle_of_the_plant(cycle):
-            again = port.publisher == "c1/a" and cycle >= 6
-            outboxes[again].stamp(port, message, time.monotonic_ns())
-            writer.add(port, message, encode(message), time.monotonic_ns())
-    writer.close()
+    run = chain.from_iterable(map(cycle_of_the_plant, range(10)))
+    anew = numbered(run, lambda pair: pair[0].publisher == "c1/a" and pair[1].cycle >= 6)
+    write_messages(path, anew)
     follower = followed(path)
     assert ("restart", 6, "c1/a") in kinds(follower)
     assert follower.restarts["c1/a"] == 1
@@ -167,11 +172,7 @@ def test_notices_are_events_that_are_counted(tmp_path: Path) -> None:
 def test_a_damaged_part_is_named_and_the_rest_is_shown(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     write_run(path, whole_run(40), messages_per_chunk=100)
-    whole = RunFollower(path)
-    chunk = whole.run.outline.chunks[2]
-    content = bytearray(path.read_bytes())
-    content[chunk.offset + chunk.length - 20] ^= 0xFF
-    path.write_bytes(content)
+    zero_chunk(path, 2)
     follower = followed(path)
     assert follower.cycles == 40
     assert "damage" in [kind for kind, _, _ in kinds(follower)]

@@ -21,7 +21,6 @@ CYCLES = 40
 
 @pytest.fixture
 def window(tmp_path: Path) -> Iterator[Browser]:
-    """A window of the browser."""
     with browser(tmp_path) as found:
         yield found
 

@@ -16,18 +16,14 @@ import command_line
 import pytest
 from command_line import done
 from misbehaving_device import FIRST_ABSURD
-from msgspec.structs import replace
 from running import Heliarch, assert_none_left, small_plant
-from test_launch import decisions, summary_of
+from test_launch import decided, decisions, summary_of
 from verifying import verified
 
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message, Production
-from bus_schemas.signals import COMMAND, IMPP, PRODUCTION, Port, Signal
-from launch_scripts.launcher.simulation import MemoryRun
+from bus_schemas.signals import COMMAND, IMPP, PRODUCTION, Signal
 from launch_scripts.launcher.summary import RunSummary
-from launch_scripts.scenarios.preparation import RunOptions, prepare
-from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.reader import RunReader
 
 pytestmark = pytest.mark.processes
@@ -52,18 +48,7 @@ def plant(tmp_path: Path) -> str:
 
 def our_decisions(plant: str) -> Decisions:
     """What Heliarch's own controllers decide in the same run, in memory."""
-    options = RunOptions(duration="25", seed=3, scheme="paper")
-    preparation = prepare(load_scenario(plant), options, "ours")
-    found: Decisions = {}
-
-    def hear(port: Port[Message], message: Message) -> None:
-        if port.signal.decided:
-            timeless = replace(message, publish_time_ns=0, ready_time_ns=0)
-            found[str(port), message.cycle] = timeless
-
-    for _ in MemoryRun(preparation.plan, preparation.profile, hear).cycles():
-        pass
-    return found
+    return decided(Path(plant).with_name("ours"), "simulate", plant, *LOCKSTEP)
 
 
 @pytest.fixture

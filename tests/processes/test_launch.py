@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,16 +12,21 @@ import command_line
 import msgspec
 import pytest
 from command_line import done
+from memory_runs import timeless
 from running import Heliarch, assert_none_left, small_plant
 from typer.testing import Result
 
+from agents.plan import load_plan
 from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS
+from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.launcher.summary import RunSummary
+from launch_scripts.launcher.tcp_ports import reserved_ports
 from recordings.read.reader import RunReader
 
 pytestmark = pytest.mark.processes
 
+PATIENCE_S = 120.0
 DECIDED = tuple(signal for signal in SIGNALS if signal.decided)
 
 
@@ -30,8 +38,7 @@ def decisions(folder: Path) -> dict[tuple[str, int], Message]:
     found: dict[tuple[str, int], Message] = {}
     with RunReader(folder) as reader:
         for port, message in reader.messages(*DECIDED):
-            timeless = msgspec.structs.replace(message, publish_time_ns=0, ready_time_ns=0)
-            found.setdefault((str(port), message.cycle), timeless)
+            found.setdefault((str(port), message.cycle), timeless(message))
     return found
 
 
@@ -144,3 +151,32 @@ def test_the_default_plant_runs_as_23_processes_of_99_messages_a_cycle_and_help(
     # Telemetry and command of 17, dispatch, meter, production; impp and residual of 21; setpoint
     # of 20.
     assert sum(counts.values()) == 10 * (2 * 17 + 3 + 2 * 21 + 20) == 10 * 99
+
+
+def test_a_run_can_be_repeated_with_every_process_started_by_hand(
+    launched: tuple[Path, Result], tmp_path: Path
+) -> None:
+    folder, _ = launched
+    for name in ("profile.npz", "scenario.toml"):
+        shutil.copy(folder / name, tmp_path)
+    plan = load_plan(folder / "plan.json")
+    programs = [["recordings"], ["sim_plant", "--patience", str(PATIENCE_S)]]
+    programs += [["agents", name] for name in plan.processes if name not in {PLANT, RECORDER}]
+    with reserved_ports(plan.links.listening) as ports:
+        plan = msgspec.structs.replace(plan, tcp_ports=ports)
+        (tmp_path / "plan.json").write_bytes(plan.as_json())
+        processes = [
+            subprocess.Popen(
+                [sys.executable, "-m", *program, "--plan", "plan.json"],
+                cwd=tmp_path,
+                stdout=subprocess.DEVNULL,
+            )
+            for program in programs
+        ]
+        try:
+            assert {process.wait(PATIENCE_S) for process in processes} == {0}
+        finally:
+            for process in processes:
+                process.kill()
+                process.wait()
+    assert decisions(tmp_path) == decisions(folder)

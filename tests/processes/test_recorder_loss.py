@@ -18,7 +18,7 @@ from verifying import findings, verified
 
 from bus_schemas.signals import PRODUCTION
 from launch_scripts.commands.recover import LOSSY, recover
-from recordings.inspect.health import read_health
+from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.record.recorder import FLUSH_S
 
@@ -59,13 +59,6 @@ def kill_recorder(run: Heliarch) -> float:
     return (killed_at_ns - last_ns) / 1e9
 
 
-def test_a_recorder_killed_at_a_random_moment_loses_nothing_that_it_had_flushed(
-    heliarch: Start, tmp_path: Path
-) -> None:
-    """It flushes every half second: `tests/recordings/test_flushes.py`."""
-    kill_recorder(heliarch("launch", small_plant(tmp_path / "plant")))
-
-
 @pytest.mark.parametrize("pace", [("--pace", "10"), ("--set", "restart.when=on-failure")])
 def test_a_recorder_is_started_again_and_all_its_files_are_one_recording(
     heliarch: Start, tmp_path: Path, pace: tuple[str, ...]
@@ -86,7 +79,7 @@ def test_a_recorder_is_started_again_and_all_its_files_are_one_recording(
     summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
     assert summary["restarts"] == {"recorder": 2}
     with RunReader(run.folder) as reader:
-        health = read_health(reader)
+        health = read_overview(reader).health
         recorded = [message.cycle for _, message in reader.messages(PRODUCTION)]
         assert reader.stop_cycle is not None
         assert reader.last_cycle == recorded[-1] == reader.stop_cycle - 1

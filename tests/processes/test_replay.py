@@ -20,14 +20,12 @@ import pytest
 import zenoh
 from command_line import done
 from mcap.reader import make_reader
+from recordings_by_hand import write_messages
 from running import Heliarch, assert_none_left, small_plant
 
 from agents.plan import RunPlan, load_plan
-from bus_schemas.codec import decode, encode
-from bus_schemas.messages import Telemetry
-from bus_schemas.signals import RUN
+from bus_schemas.signals import RUN, TELEMETRY
 from recordings.read.reader import RunReader
-from recordings.record.writer import RunWriter
 
 pytestmark = pytest.mark.processes
 
@@ -47,7 +45,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def plan(recorded: Path) -> RunPlan:
-    """The plan of that run."""
     return load_plan(recorded / "plan.json")
 
 
@@ -209,14 +206,13 @@ def test_who_waits_for_what_the_recording_lacks_is_named(
 ) -> None:
     leaf, cluster = some_live(plan)
     impatient = msgspec.structs.replace(plan, stall_timeout_s=3.0)
-    writer = RunWriter(tmp_path / "run.mcap", impatient, "", driver="simulate")
     with RunReader(recorded) as reader:
-        for record in reader.records():
-            message = decode(record.port.signal, record.payload)
-            is_lost = record.cycle == 7 and isinstance(message, Telemetry)
-            if not (is_lost and record.port.node == leaf):
-                writer.add(record.port, message, encode(message), message.publish_time_ns)
-    writer.close()
+        left = [
+            (port, message)
+            for port, message in reader.messages()
+            if not (port is TELEMETRY.of(leaf) and message.cycle == 7)
+        ]
+    write_messages(tmp_path / "run.mcap", left, plan=impatient)
     replay = heliarch("replay", tmp_path, "--live", f"{leaf},{cluster}")
     assert replay.wait() == 1
     complaint = replay.error_text()

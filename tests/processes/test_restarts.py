@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import re
 import signal
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
 from running import Heliarch, assert_none_left, small_plant
+from test_launch import summary_of
 from verifying import assert_equal_as_far_as_recorded, verified
 
 from bus_schemas.signals import SETPOINT
-from recordings.inspect.health import read_health
+from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.run_file import log_name
 from studies.timing.measures import run_timing
@@ -24,13 +23,7 @@ pytestmark = pytest.mark.processes
 Start = Callable[..., Heliarch]
 
 
-def summary_of(run: Heliarch) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((run.folder / "summary.json").read_bytes())
-    return found
-
-
 def until_joined(run: Heliarch, process: str) -> None:
-    """Wait until a process has joined the run that is under way."""
     log = run.folder / "logs" / log_name(process)
     run.until(lambda: log.exists() and "joined the run in" in log.read_text(), "its return")
 
@@ -74,7 +67,7 @@ def test_killed_controllers_are_started_again_and_the_run_goes_on(
     for parent in VICTIMS[1:]:
         until_heard_of(run, parent)
     ended(run)
-    assert summary_of(run)["restarts"] == dict.fromkeys(VICTIMS, 1)
+    assert summary_of(run.folder).restarts == dict.fromkeys(VICTIMS, 1)
     assert_none_left(run.folder)
     assert_equal_as_far_as_recorded(run, verified(run.folder))
 
@@ -90,7 +83,7 @@ def test_a_run_ends_in_order_while_a_controller_waits_for_its_restart(
     run.process_of("c1").send_signal(signal.SIGKILL)
     run.until(lambda: "started again in" in run.output.read_text(), "the wait for its restart")
     ended(run)
-    assert summary_of(run)["restarts"] == {"c1": 2}
+    assert summary_of(run.folder).restarts == {"c1": 2}
     assert_none_left(run.folder)
 
 
@@ -121,20 +114,19 @@ def test_a_standby_takes_over_from_a_killed_parent_which_then_stands_by(
         until_joined(run, process)
         until_taken_over(run, "central", number)
     ended(run)
-    summary = summary_of(run)
-    assert summary["takeovers"]["central"] >= 2
-    assert summary["restarts"] == {"central": 1, "central+standby": 1}
+    summary = summary_of(run.folder)
+    assert summary.takeovers["central"] >= 2
+    assert summary.restarts == {"central": 1, "central+standby": 1}
     assert_none_left(run.folder)
     found = verified(run.folder)
     assert_equal_as_far_as_recorded(run, found)
     with RunReader(run.folder) as reader:
-        inspected = sum(one.inputs for one in read_health(reader).misses)
+        inspected = sum(one.inputs for one in read_overview(reader).health.misses)
         timed = sum(sum(one.missing_inputs.values()) for one in run_timing(reader).processes)
-    assert summary["missing_inputs"] == inspected == timed == found.total("missing_inputs")
+    assert summary.missing_inputs == inspected == timed == found.total("missing_inputs")
 
 
 def until_taken_over(run: Heliarch, agent: str, times: int = 1) -> None:
-    """Wait until a standby has taken an agent over so many times."""
     took_over = re.compile(rf"^{agent}\S* took over", re.MULTILINE)
     run.until(lambda: len(took_over.findall(run.output.read_text())) >= times, "a takeover")
 
@@ -149,7 +141,7 @@ def test_a_thawed_parent_does_not_fight_its_standby(heliarch: Start, tmp_path: P
     log = run.folder / "logs" / "c1.log"
     run.until(lambda: "falls silent" in log.read_text(), "its silence")
     ended(run)
-    assert summary_of(run)["restarts"] == {}
+    assert summary_of(run.folder).restarts == {}
     assert_equal_as_far_as_recorded(run, verified(run.folder))
 
 
@@ -159,7 +151,7 @@ def test_a_standby_that_says_nothing_is_replaced(heliarch: Start, tmp_path: Path
     run.process_of("c1+standby").send_signal(signal.SIGSTOP)
     until_joined(run, "c1+standby")
     ended(run)
-    assert summary_of(run)["restarts"] == {"c1+standby": 1}
+    assert summary_of(run.folder).restarts == {"c1+standby": 1}
     assert_none_left(run.folder)
 
 

@@ -43,7 +43,6 @@ def use_of(process: psutil.Process) -> Use:
 
 
 def until_cycle(run: Heliarch, cycle: int) -> None:
-    """Wait until the run shows a cycle."""
     shown = re.compile(r"cycle (\d+)/")
     run.until(lambda: int(shown.findall(run.output.read_text())[-1]) >= cycle, f"cycle {cycle}")
 

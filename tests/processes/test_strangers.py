@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from attacker import attacker_of
 from command_line import done
-from msgspec.structs import replace
+from memory_runs import timeless
 from running import REPOSITORY, Heliarch, assert_none_left, small_plant
 from test_launch import summary_of
 
@@ -151,19 +151,19 @@ def assert_right(run: Heliarch, cycles: int) -> None:
 
     def hear(port: Port[Message], message: Message) -> None:
         if port.signal.decided and message.cycle < cycles:
-            right.add(timeless(port, message))
+            right.add(as_bytes(port, message))
 
     for cycle in MemoryRun(preparation.plan, preparation.profile, hear).cycles():
         if cycle == cycles:
             break
     with RunReader(run.folder) as reader:
-        recorded = {timeless(port, message) for port, message in reader.messages()}
+        recorded = {as_bytes(port, message) for port, message in reader.messages()}
     assert len(right) > 1000
     assert right <= recorded
 
 
-def timeless(port: Port[Message], message: Message) -> bytes:
-    return str(port).encode() + encode(replace(message, publish_time_ns=0, ready_time_ns=0))
+def as_bytes(port: Port[Message], message: Message) -> bytes:
+    return str(port).encode() + encode(timeless(message))
 
 
 @pytest.mark.soak

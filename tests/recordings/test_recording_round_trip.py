@@ -19,7 +19,6 @@ from bus_schemas.errors import InputError
 from bus_schemas.signals import ports
 from recordings.read.reader import RunReader
 from recordings.read.run_file import SCHEMA_VERSION, NothingRecordedError
-from recordings.record.writer import ClockAnchor
 
 Recording = tuple[Path, list[Delivery]]
 """A file, and what was written into it."""
@@ -27,7 +26,6 @@ Recording = tuple[Path, list[Delivery]]
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """A recording, and what was written into it."""
     path = tmp_path_factory.mktemp("run") / "run.mcap"
     return path, write_run(path, whole_run(2))
 
@@ -105,15 +103,6 @@ def test_a_recording_tells_where_it_comes_from(written: Recording, tmp_path: Pat
     plan_json = tmp_path / "plan.json"
     plan_json.write_bytes(attachments["plan.json"].data)
     assert load_plan(plan_json) == PLAN
-
-
-def test_an_anchor_turns_one_clock_into_the_other() -> None:
-    anchor = ClockAnchor(monotonic_ns=500, wall_ns=1_000_000)
-    assert [anchor.wall(monotonic_ns) for monotonic_ns in (500, 501, 400)] == [
-        1_000_000,
-        1_000_001,
-        999_900,
-    ]
 
 
 # No recording of a run ----------------------------------------------------------------------------

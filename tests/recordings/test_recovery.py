@@ -65,7 +65,7 @@ def test_a_file_that_lost_its_index_is_whole_again(recording: Recording, tmp_pat
     assert (recovery.closed, recovery.ended, recovery.complete_cycles) == (False, True, CYCLES)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12)
 @given(share=st.floats(0.2, 0.99))
 def test_all_up_to_the_cut_is_kept_with_times_numbers_and_origin(
     recording: Recording, tmp_path_factory: pytest.TempPathFactory, share: float
@@ -85,15 +85,6 @@ def test_all_up_to_the_cut_is_kept_with_times_numbers_and_origin(
     assert recovery.messages >= 1000 * len(whole_chunks)
     assert recovery.cut_messages == recovery.messages - 1000 * len(whole_chunks)
     assert not recovery.lossless
-
-
-def test_what_can_be_unpacked_of_a_cut_chunk_is_kept(recording: Recording, tmp_path: Path) -> None:
-    path, _ = recording
-    with open_run(path) as run:
-        first = run.outline.chunks[0]
-    # LZ4 packs 64 KiB together: the first chunk, with its schemas, is longer than that.
-    _, recovery = recovered(path.read_bytes()[: first.offset + first.length - 5], tmp_path)
-    assert 0 < recovery.messages == recovery.cut_messages < 1000
 
 
 def test_a_damaged_chunk_is_left_out_and_named(recording: Recording, tmp_path: Path) -> None:

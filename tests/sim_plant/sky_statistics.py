@@ -16,8 +16,10 @@ of the project's measured skies is from (doi:10.5194/acp-16-6365-2016).
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy import fft
 
@@ -232,3 +234,18 @@ def _standardised(series: Floats) -> Floats:
     centred = series - series.mean(axis=0)
     spread = centred.std(axis=0)
     return np.asarray(centred / np.where(spread > 0.0, spread, np.nan))
+
+
+def real_plant(data_folder: Path, hour: str) -> tuple[Floats, Floats, Floats, Floats]:
+    """Read an hour of a real plant: currents, shape (T, combiners), and where the combiners stand.
+
+    The last array averages over the combiners of each inverter.
+    """
+    folder = data_folder / "plant20mw-combiners-10s"
+    currents = pd.read_csv(folder / f"hour_{hour}.csv", index_col="t_s")
+    places = pd.read_csv(folder / "positions.csv", dtype=str).set_index("combiner")
+    places = places.loc[currents.columns]
+    east_m, north_m = places[["x_m", "y_m"]].to_numpy(dtype=np.float64).T
+    inverters = places["inverter"].to_numpy()
+    averaging = (inverters[:, None] == np.unique(inverters)).astype(np.float64)
+    return currents.to_numpy(dtype=np.float64), east_m, north_m, averaging / averaging.sum(axis=0)

@@ -12,6 +12,7 @@ from sky_statistics import (
     index_by_quantile,
     pair_correlations,
     peak_lags,
+    real_plant,
 )
 
 from sim_plant import Floats, clouds
@@ -61,15 +62,6 @@ def test_the_clear_sky_is_pvlibs_at_noon_and_dark_at_night() -> None:
     assert 1000.0 < noon < 1050.0
     assert night == 0.0
     assert not synthetic_ghi(times[1:], LAT_DEG, LON_DEG, 5.0, CloudSettings(), 1).any()
-
-
-def test_the_same_arguments_give_the_same_weather_to_the_last_bit() -> None:
-    times = instants("2010-04-01T22:00Z", 60)
-    first = synthetic_ghi(times, LAT_DEG, LON_DEG, 5.0, CloudSettings(), 7)
-    again = synthetic_ghi(times, LAT_DEG, LON_DEG, 5.0, CloudSettings(), 7)
-    other = synthetic_ghi(times, LAT_DEG, LON_DEG, 5.0, CloudSettings(), 8)
-    assert first.tobytes() == again.tobytes()
-    assert not np.allclose(first, other)
 
 
 def test_the_weather_does_not_depend_on_where_the_run_begins(noon_index: Floats) -> None:
@@ -235,15 +227,8 @@ def test_changes_and_correlations_are_those_of_measurements(hope: tuple[Floats, 
 
 @pytest.mark.parametrize("hour", ["a", "c"])
 def test_changes_are_those_of_a_real_plant(data_folder: Path, hour: str) -> None:
-    folder = data_folder / "plant20mw-combiners-10s"
-    currents = pd.read_csv(folder / f"hour_{hour}.csv", index_col="t_s")
-    places = pd.read_csv(folder / "positions.csv", dtype=str).set_index("combiner")
-    places = places.loc[currents.columns]
-    east_m, north_m = places[["x_m", "y_m"]].to_numpy(dtype=np.float64).T
-    inverters = places["inverter"].to_numpy()
-    averaging = (inverters[:, None] == np.unique(inverters)).astype(np.float64)
-    averaging /= averaging.sum(axis=0)
-    measured = index_by_quantile(currents.to_numpy(dtype=np.float64) @ averaging)
+    current, east_m, north_m, averaging = real_plant(data_folder, hour)
+    measured = index_by_quantile(current @ averaging)
     motion = cloud_motion(measured, east_m @ averaging, north_m @ averaging, 10.0)
     settings = CloudSettings(
         cloud_cover=cloud_cover(measured),

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from complaints import complaint_of
+from oahu_days import day_text
 
 from sim_plant import Floats
 from sim_plant.oahu_grid import HORIZONTAL, GridDay, latest_day_before, read_day
@@ -21,19 +22,6 @@ FIELDS = (
 POSITIONS = Path(__file__).resolve().parents[2] / "launch_scripts" / "scenarios" / "oahu.csv"
 
 Read = Callable[..., GridDay]
-
-
-def day_text(day: date, ghi_wm2: Floats, begin: str = "12:00") -> str:
-    """A file of the archive: a second to a line, -99999 where a value is missing."""
-    times = pd.date_range(f"{day} {begin}", periods=len(ghi_wm2), freq="1s")
-    stamps = zip(times.second, times.year, times.day_of_year, times.hour, times.minute, strict=True)
-    values = [
-        ",".join("-99999" if np.isnan(v) else f"{v:.4f}" for v in row) for row in ghi_wm2.tolist()
-    ]
-    return "".join(
-        f"{s},{year},{doy},{100 * hour + minute},{row}\n"
-        for (s, year, doy, hour, minute), row in zip(stamps, values, strict=True)
-    )
 
 
 def some_minutes() -> Floats:

@@ -94,25 +94,6 @@ def test_telemetry_and_meter_are_of_the_interval_that_just_ended() -> None:
     assert sent[METER.of(ROOT)].power_kw == 100.0
 
 
-def test_production_adds_up() -> None:
-    plant = PlantAtWork()
-    plant.begin()
-    made = plant.command(0.5, 1.0)[PRODUCTION.of(ROOT)]
-    assert (made.cycle, made.source, made.missing) == (0, "plant", ())
-    assert (made.desired_kw, made.possible_kw, made.delivered_kw) == (100.0, 140.0, 100.0)
-    assert made.inverter_mpp_kw == (80.0, 60.0)
-    assert made.inverter_power_kw == (40.0, 60.0)
-
-
-def test_the_last_cycle_is_followed_by_no_other() -> None:
-    plant = PlantAtWork()
-    plant.begin()
-    for _ in range(PROFILE.cycles):
-        sent = plant.command(1.0, 1.0)
-    assert list(sent) == [PRODUCTION.of(ROOT)]
-    assert plant.loop.finished
-
-
 def test_without_a_command_an_inverter_keeps_its_last_alpha() -> None:
     plant = PlantAtWork(cycle_wall_ns=CYCLE_NS)
     assert plant.begin() == {}, "in real time the plant waits for the tick"

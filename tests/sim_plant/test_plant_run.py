@@ -2,21 +2,10 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 from bus_schemas.signals import COMMAND
-from sim_plant.plant_run import longest_round_s, needed_messages
+from sim_plant.plant_run import needed_messages
 
 COMMANDS = [COMMAND.of(f"c1/inv{number:02d}") for number in range(1, 18)]
-
-
-def test_arming_rounds_become_longer_and_several_of_the_longest_fit_in_half_a_minute() -> None:
-    rounds_s = [longest_round_s(number) for number in range(1, 100)]
-    assert all(earlier <= later for earlier, later in pairwise(rounds_s))
-    longest_s = longest_round_s(1_000_000)
-    assert rounds_s[-1] == longest_s
-    tried = next(number for number in range(100) if sum(rounds_s[:number]) > 30.0)
-    assert rounds_s[:tried].count(longest_s) >= 5
 
 
 def test_an_external_agent_that_is_silent_is_named_and_nobody_else() -> None:

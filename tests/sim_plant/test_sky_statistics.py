@@ -3,17 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
-from sky_statistics import (
-    SkyShares,
-    cloud_cover,
-    cloud_motion,
-    exceedance,
-    index_by_quantile,
-    pair_correlations,
-    sky_shares,
-)
+from sky_statistics import cloud_motion, real_plant
 
 from sim_plant import Floats
 
@@ -49,43 +40,9 @@ def test_the_motion_of_a_drifting_pattern_is_found(speed_ms: float, from_deg: fl
 def test_the_motion_over_a_real_plant_is_the_one_that_its_publisher_found(
     data_folder: Path, hour: str, speed_ms: float, angle_rad: float
 ) -> None:
-    folder = data_folder / "plant20mw-combiners-10s"
-    currents = pd.read_csv(folder / f"hour_{hour}.csv", index_col="t_s")
-    places = pd.read_csv(folder / "positions.csv", dtype=str).set_index("combiner")
-    inverters = places.loc[currents.columns, "inverter"].to_numpy()
-    averaging = (inverters[:, None] == np.unique(inverters)).astype(np.float64)
-    averaging /= averaging.sum(axis=0)
-    metres = places.loc[currents.columns, ["x_m", "y_m"]].to_numpy(dtype=np.float64)
-    east_m, north_m = metres.T @ averaging
-    motion = cloud_motion(currents.to_numpy(dtype=np.float64) @ averaging, east_m, north_m, 10.0)
+    current, east_m, north_m, averaging = real_plant(data_folder, hour)
+    motion = cloud_motion(current @ averaging, east_m @ averaging, north_m @ averaging, 10.0)
     # The angle is that of the velocity, counter-clockwise from east.
     from_deg = (270.0 - np.rad2deg(angle_rad)) % 360.0
     assert motion.speed_ms == pytest.approx(speed_ms, rel=0.1)
     assert motion.from_deg == pytest.approx(from_deg, abs=5.0)
-
-
-def test_pair_correlations_are_pearsons_and_a_dead_sensor_has_none() -> None:
-    series = np.random.default_rng(2).random((50, 4))
-    series[:, 3] = 0.7
-    pairs = pair_correlations(
-        series, np.array([0.0, 3.0, 0.0, 9.0]), np.array([0.0, 4.0, 1.0, 9.0])
-    )
-    expected = np.asarray(np.corrcoef(series[:, :3].T))
-    np.testing.assert_allclose(pairs.correlation[[0, 1, 3]], expected[[0, 0, 1], [1, 2, 2]])
-    assert np.isnan(pairs.correlation[[2, 4, 5]]).all()
-    np.testing.assert_allclose(pairs.distance_m[:2], [5.0, 1.0])
-    by_class = pairs.by_distance(np.array([0.0, 2.0, 6.0, 8.0]))
-    assert by_class[0] == pytest.approx(expected[0, 2])
-    assert by_class[1] == pytest.approx(0.5 * (expected[0, 1] + expected[1, 2]))
-    assert np.isnan(by_class[2])
-
-
-def test_changes_and_kinds_of_sky_are_counted() -> None:
-    change = np.array([[0.1, -0.3], [0.2, -0.2]])
-    thresholds = np.array([0.0, 0.1, 0.2, 0.3])
-    np.testing.assert_allclose(exceedance(change, thresholds), [1.0, 0.75, 0.25, 0.0])
-    index = np.array([[0.2, 0.5], [0.89, 0.9], [1.0, 1.05], [1.3, 0.4]])
-    assert sky_shares(index) == SkyShares(cloudy=0.25, partly=0.25, clear=0.25, enhanced=0.25)
-    assert cloud_cover(index) == 0.5
-    of_each = index_by_quantile(index * [0.5, 3.0])
-    np.testing.assert_allclose(of_each, index_by_quantile(index))

@@ -6,7 +6,7 @@ import pytest
 from complaints import complaint_of
 
 from sim_plant import Floats
-from sim_plant.time_steps import conversion, on_cycles, step_ns
+from sim_plant.time_steps import conversion, on_cycles
 
 NOON = pd.Timestamp("2010-04-01T22:00:00Z")
 
@@ -49,19 +49,6 @@ def test_cycles_take_values_their_mean_or_the_line_between_them(
     np.testing.assert_allclose(found[:, 1], 2.0 * found[:, 0])
 
 
-def test_only_the_rows_of_the_cycles_are_asked_for() -> None:
-    asked = []
-
-    def series(rows: slice) -> Floats:
-        asked.append(rows)
-        return TWO[rows]
-
-    on_cycles(stamps(12, "1s"), series, stamps(2, "1s", offset_s=4.0), "data.csv")
-    (rows,) = asked
-    assert rows.start == 4
-    assert rows.stop <= 7
-
-
 @pytest.mark.parametrize(
     ("count", "cycle", "offset_s", "message"),
     [
@@ -93,7 +80,3 @@ def test_what_was_done_is_told() -> None:
     )
     (told,) = conversion(times, stamps(5, "500ms"))
     assert "every 10 s; the cycles of 0.5 s" in told
-
-
-def test_the_step_of_a_single_cycle_is_its_frequency() -> None:
-    assert step_ns(stamps(1, "250ms")) == 250_000_000

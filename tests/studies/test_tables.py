@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import io
 from math import nan
 
 import pytest
-from rich.console import Console
+from printing import printed
 
 from studies.tables import Column, Number, Table, json_rows, key_column, print_table, word_column
 
@@ -27,17 +26,14 @@ def many_columns(columns: int) -> Table:
     )
 
 
-def printed(table: Table, width: int) -> list[str]:
-    """Print a table in a terminal of a width; return its lines."""
-    text = io.StringIO()
-    print_table(Console(file=text, width=width), table)
-    return text.getvalue().splitlines()
+def lines_of(table: Table, width: int) -> list[str]:
+    return printed(lambda console: print_table(console, table), width).splitlines()
 
 
 @pytest.mark.parametrize("width", [100, 80, 50])
 @pytest.mark.parametrize("columns", [1, 7, 30])
 def test_every_cell_is_printed_beside_what_tells_its_row_apart(width: int, columns: int) -> None:
-    lines = printed(many_columns(columns), width)
+    lines = lines_of(many_columns(columns), width)
     assert max(map(len, lines)) <= width
     for n in range(columns):
         (first,) = [line for line in lines if f"{1000 + n:,}.0" in line]
@@ -50,7 +46,7 @@ def test_words_wrap_and_numbers_do_not() -> None:
     table = Table(
         "", (key_column("Name"), Column("Value"), word_column("Note")), (("a", 1.5, "word " * 60),)
     )
-    lines = printed(table, 80)
+    lines = lines_of(table, 80)
     assert max(map(len, lines)) <= 80
     assert " ".join(lines).count("word") == 60
 
@@ -72,7 +68,7 @@ def test_words_wrap_and_numbers_do_not() -> None:
 def test_cells_as_text(cell: float | str | None, text: str) -> None:
     table = Table("", (Column("Value"),), ((cell,),))
     assert table.texts() == [(text,)]
-    assert text in " ".join(printed(table, 80))
+    assert text in " ".join(lines_of(table, 80))
 
 
 def test_json_has_all_digits_and_no_nan() -> None:

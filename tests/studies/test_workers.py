@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from operator import neg
@@ -13,11 +11,10 @@ from pathlib import Path
 
 import psutil
 import pytest
+from command_line import process
 
 from bus_schemas.errors import InputError
 from studies.workers import WorkerLostError, share_over_cluster, share_work
-
-REPOSITORY = Path(__file__).parents[2]
 
 
 def die_on_three(number: int) -> int:
@@ -60,38 +57,28 @@ def test_who_stops_listening_ends_the_workers() -> None:
     assert not [child for child in psutil.Process().children() if "spawn_main" in words(child)]
 
 
-def words(process: psutil.Process) -> str:
-    return " ".join(process.cmdline())
+def words(one: psutil.Process) -> str:
+    return " ".join(one.cmdline())
 
 
 @pytest.fixture
 def comparison(tmp_path: Path) -> Iterator[psutil.Process]:
     """`heliarch compare --workers 2`, long enough to be ended by the test."""
     command = "compare oahu-day --seeds 1..50 --schemes uniform-cap --workers 2"
-    with subprocess.Popen(
-        [sys.executable, "-m", "launch_scripts", *command.split()],
-        env={**os.environ, "PYTHONPATH": str(REPOSITORY)},
-        cwd=tmp_path,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        process_group=0,
-    ) as process:
-        yield psutil.Process(process.pid)
-        process.kill()
+    with process(*command.split(), cwd=tmp_path) as started:
+        yield psutil.Process(started.pid)
+        started.kill()
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("signum", [signal.SIGTERM, signal.SIGKILL, signal.SIGINT])
-def test_no_worker_outlives_a_comparison(
-    comparison: psutil.Process, signum: signal.Signals
-) -> None:
+def test_no_worker_outlives_a_comparison_that_is_killed(comparison: psutil.Process) -> None:
     give_up_at = time.monotonic() + 60.0
     workers: list[psutil.Process] = []
     while len(workers) < 2:
         assert time.monotonic() < give_up_at, "the workers never started"
         workers = [child for child in comparison.children() if "spawn_main" in words(child)]
         time.sleep(0.05)
-    comparison.send_signal(signum)
+    comparison.kill()
     _, alive = psutil.wait_procs([*workers, comparison], timeout=30)
     assert not alive
 

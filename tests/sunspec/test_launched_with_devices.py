@@ -11,11 +11,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import command_line
 import psutil
 import pytest
+from command_line import done, refusal
 from running import REPOSITORY, Heliarch, small_plant
 
-from recordings.inspect.health import read_health
+from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from sim_plant.devices import parse_address
 from sunspec.process import read_accounts
@@ -75,13 +77,9 @@ def test_energies_are_those_of_simulated_inverters(
     )
     assert not list(real.folder.glob("device-*"))
 
-    verified = subprocess.run(
-        [sys.executable, "-m", "launch_scripts", "verify", real.folder],
-        capture_output=True, text=True, cwd=REPOSITORY, check=False,
-    )  # fmt: skip
-    assert verified.returncode == 0, verified.stdout
-    assert "plant" in verified.stdout
-    assert "devices" in verified.stdout
+    verified = done("verify", real.folder)
+    assert "plant" in verified
+    assert "devices" in verified
 
 
 def test_the_health_names_a_device_that_was_gone_for_a_while(
@@ -100,7 +98,7 @@ def test_the_health_names_a_device_that_was_gone_for_a_while(
         run.process.send_signal(signal.SIGINT)
         assert run.wait() == 130
     with RunReader(run.folder) as reader:
-        health = read_health(reader)
+        health = read_overview(reader).health
     (absence,) = [found for found in health.absences if found.agent == "device c1/inv01"]
     assert absence.back_in is not None
     assert health.devices[0].breaks
@@ -137,11 +135,15 @@ def test_a_run_names_its_gateway_that_was_killed(
 def test_inverters_that_cannot_be_served_are_refused_in_one_line(
     scenario: str, options: tuple[str, ...], named: str
 ) -> None:
-    words = [sys.executable, "-m", "launch_scripts", "inverters", scenario, *options]
-    refused = subprocess.run(words, capture_output=True, text=True, cwd=REPOSITORY, check=False)
-    assert refused.returncode == 2
+    assert named in refusal("inverters", scenario, *options)
+
+
+def launch_refusal(scenario: str, *options: str | Path) -> str:
+    """Launch a run that is refused once its devices are asked; return the one line."""
+    refused = command_line.heliarch("launch", scenario, "--duration", "1s", *options)
+    assert refused.exit_code == 2
     (line,) = refused.stderr.splitlines()
-    assert named in line
+    return line
 
 
 @pytest.mark.parametrize(
@@ -159,22 +161,18 @@ def test_inverters_that_cannot_be_served_are_refused_in_one_line(
     ],
 )
 def test_devices_that_cannot_be_are_refused_in_one_line(
-    scenario: str, options: tuple[str, ...], named: str, heliarch: Callable[..., Heliarch]
+    scenario: str, options: tuple[str, ...], named: str, tmp_path: Path
 ) -> None:
-    run = heliarch("launch", scenario, "--duration", "1s", *options)
-    assert run.wait() == 2
-    (line,) = run.error_text().splitlines()
-    assert named in line
-    assert not run.folder.exists()
+    out = tmp_path / "run"
+    assert named in launch_refusal(scenario, *options, "--out", out)
+    assert not out.exists()
 
 
 def test_a_unit_that_is_not_there_is_refused_in_one_line(
-    scenario: str, served_inverters: list[str], heliarch: Callable[..., Heliarch]
+    scenario: str, served_inverters: list[str]
 ) -> None:
     wrong = served_inverters[1].rpartition("/")[0] + "/99"
-    run = heliarch("launch", scenario, "--pace", "1", "--duration", "1s", "--device", wrong)
-    assert run.wait() == 2
-    (line,) = run.error_text().splitlines()
+    line = launch_refusal(scenario, "--pace", "1", "--device", wrong)
     for fact in ("c1/inv01", "/99", "unit"):
         assert fact in line
 

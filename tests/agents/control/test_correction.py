@@ -48,10 +48,6 @@ def test_it_never_exceeds_its_share_of_the_rating() -> None:
     assert settled(300.0, 1.0, 100.0)[-1] == 200.0 + HIGHEST_CORRECTION * RATING_KW
 
 
-def test_it_is_dropped_where_every_inverter_is_free() -> None:
-    assert corrected(50.0, 500.0, 400.0, True, RATING_KW, 1.0, 0.0) == 0.0
-
-
 @pytest.mark.parametrize(("desired_kw", "metered_kw"), [(math.nan, 1.0), (1.0, math.nan)])
-def test_a_missing_reading_leaves_it_as_it_is(desired_kw: float, metered_kw: float) -> None:
-    assert corrected(7.0, desired_kw, metered_kw, False, RATING_KW, 1.0, 0.0) == 7.0
+def test_it_stays_where_a_value_is_missing(desired_kw: float, metered_kw: float) -> None:
+    assert corrected(12.0, desired_kw, metered_kw, False, RATING_KW, 1.0, 0.0) == 12.0

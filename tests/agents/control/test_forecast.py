@@ -53,9 +53,33 @@ def readings(limit_kw: float, errors: Sequence[float], last: Estimate) -> list[E
     return found
 
 
-def test_the_first_measurement_has_no_trend_and_no_known_error() -> None:
-    found = measured(40.0)
-    assert (found.power_kw, found.stale_cycles, found.spread_kw) == (40.0, 0, 0.0)
+SIXTY = measured(60.0)
+
+
+@pytest.mark.parametrize(
+    ("found", "maximum_kw"),
+    [
+        (measured(40.0), 40.0),
+        (forecast(30.0, RATING_KW, NOTHING_KNOWN, alpha=0.6), 50.0),
+        (forecast(30.0, 40.0, forecast(40.0, 40.0, SIXTY)), 30.0),
+        (forecast(40.0, 40.0, SIXTY, available_kw=55.0), 55.0),
+        (forecast(30.0, 40.0, SIXTY, available_kw=55.0), 30.0),
+    ],
+    ids=[
+        "uncurtailed",
+        "through the fraction applied",
+        "below its limit again",
+        "stated behind a limit",
+        "below its limit, whatever is stated",
+    ],
+)
+def test_a_maximum_that_is_seen(found: Estimate, maximum_kw: float) -> None:
+    assert (found.maximum_kw, found.stale_cycles) == (maximum_kw, 0)
+
+
+def test_without_a_trend_what_is_seen_is_expected() -> None:
+    for seen in (measured(40.0), forecast(30.0, 40.0, forecast(40.0, 40.0, SIXTY))):
+        assert seen.power_kw == seen.expected_kw == seen.maximum_kw
 
 
 def test_the_last_change_is_expected_to_go_on_damped_and_the_own_error_is_taken_off_in_part() -> (
@@ -79,27 +103,16 @@ def test_small_errors_take_nothing_off() -> None:
     assert found.power_kw == found.expected_kw
 
 
-def test_the_maximum_is_read_through_the_fraction_applied() -> None:
-    assert forecast(30.0, RATING_KW, NOTHING_KNOWN, alpha=0.6).power_kw == 50.0
-
-
-def test_a_maximum_behind_a_limit_is_assumed_to_grow_from_the_last_one_seen() -> None:
-    hidden = forecast(40.0, 40.0, measured(60.0))
-    assert hidden.power_kw == pytest.approx(60.0 * (1.0 + HIDDEN_GROWTH_PER_S))
-    longer = forecast(40.0, 40.0, hidden)
-    assert longer.power_kw == pytest.approx(60.0 * (1.0 + HIDDEN_GROWTH_PER_S) ** 2)
+@pytest.mark.parametrize(("limit_kw", "from_kw"), [(40.0, 60.0), (80.0, 80.0)])
+def test_a_maximum_behind_a_limit_is_assumed_to_grow_from_what_is_sure(
+    limit_kw: float, from_kw: float
+) -> None:
+    """From the last one seen, or from the limit that is held."""
+    hidden = forecast(limit_kw, limit_kw, SIXTY)
+    assert hidden.power_kw == pytest.approx(from_kw * (1.0 + HIDDEN_GROWTH_PER_S))
+    longer = forecast(limit_kw, limit_kw, hidden)
+    assert longer.power_kw == pytest.approx(from_kw * (1.0 + HIDDEN_GROWTH_PER_S) ** 2)
     assert longer.stale_cycles == 0
-
-
-def test_a_limit_that_is_held_shows_that_there_is_at_least_as_much() -> None:
-    hidden = forecast(80.0, 80.0, measured(60.0))
-    assert hidden.power_kw == pytest.approx(80.0 * (1.0 + HIDDEN_GROWTH_PER_S))
-
-
-def test_an_inverter_that_falls_below_its_limit_shows_its_maximum_again_without_a_trend() -> None:
-    hidden = forecast(40.0, 40.0, measured(60.0))
-    shown = forecast(30.0, 40.0, hidden)
-    assert (shown.power_kw, shown.expected_kw) == (30.0, 30.0)
 
 
 @pytest.mark.parametrize(
@@ -247,16 +260,7 @@ def test_a_meter_that_reads_low_is_known_by_what_the_inverter_gives_once_it_is_f
 # Available power ----------------------------------------------------------------------------------
 
 
-def test_behind_a_limit_an_inverter_is_believed_what_it_states() -> None:
-    found = forecast(40.0, 40.0, measured(60.0), available_kw=55.0)
-    assert found.maximum_kw == 55.0
-
-
 def test_what_is_stated_behind_a_limit_has_a_trend_too() -> None:
     seen = forecast(40.0, 40.0, measured(60.0), available_kw=55.0)
     falling = forecast(40.0, 40.0, seen, available_kw=50.0)
     assert falling.power_kw < 50.0
-
-
-def test_below_its_limit_its_own_meter_shows_the_maximum_whatever_it_states() -> None:
-    assert forecast(30.0, 40.0, measured(60.0), available_kw=55.0).maximum_kw == 30.0

@@ -64,19 +64,16 @@ def test_before_the_first_measurement_nothing_is_known() -> None:
     assert estimated(math.nan, 1.0, NOTHING_KNOWN) == (0.0, 1)
 
 
-def test_a_curtailed_inverter_is_believed_what_it_states() -> None:
-    # Behind a power limit P / alpha = 30 / 0.6 need not be its maximum.
-    assert estimated(30.0, 0.6, available_kw=80.0) == (80.0, 0)
-
-
-def test_a_free_inverter_shows_its_maximum_whatever_it_states() -> None:
-    assert estimated(30.0, 1.0, available_kw=33.0) == (30.0, 0)
-
-
-@pytest.mark.parametrize("available_kw", [math.nan, -1.0, 106.0, math.inf])
-def test_an_absurd_statement_is_none(available_kw: float) -> None:
-    assert estimated(30.0, 0.6, available_kw=available_kw) == (50.0, 0)
-
-
-def test_what_is_stated_is_capped_at_the_rating_too() -> None:
-    assert estimated(30.0, 0.6, available_kw=102.0) == (100.0, 0)
+@pytest.mark.parametrize(
+    ("alpha", "available_kw", "impp_kw"),
+    [
+        (0.6, 80.0, 80.0),  # behind a power limit P / alpha need not be its maximum
+        (0.6, 102.0, RATING_KW),
+        *((0.6, absurd_kw, 50.0) for absurd_kw in (math.nan, -1.0, 106.0, math.inf)),
+        (1.0, 33.0, 30.0),  # uncurtailed it shows its maximum whatever it states
+    ],
+)
+def test_a_curtailed_inverter_is_believed_what_it_states(
+    alpha: float, available_kw: float, impp_kw: float
+) -> None:
+    assert estimated(30.0, alpha, available_kw=available_kw) == (impp_kw, 0)

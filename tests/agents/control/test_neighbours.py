@@ -1,5 +1,7 @@
 """Step 3, equation 5: virtual neighbours are asked in ascending order of correlation."""
 
+import pytest
+
 from agents.control.neighbours import help_order
 
 
@@ -18,18 +20,17 @@ def test_each_child_asks_the_least_correlated_sibling_first() -> None:
     )
 
 
-def test_a_sibling_under_opposite_clouds_comes_before_an_unrelated_one() -> None:
-    correlation = [[1.0, 0.0, -0.7], [0.0, 1.0, 0.1], [-0.7, 0.1, 1.0]]
-    assert help_order(correlation)[0] == (2, 1)
-
-
-def test_equal_correlations_keep_the_order_of_the_children() -> None:
-    assert help_order([[1.0] * 4] * 4) == ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))
-
-
-def test_nobody_is_its_own_neighbour_even_where_it_correlates_least_with_itself() -> None:
-    assert help_order([[-1.0, 1.0], [1.0, -1.0]]) == ((1,), (0,))
-
-
-def test_an_only_child_has_nobody_to_ask() -> None:
-    assert help_order([[1.0]]) == ((),)
+@pytest.mark.parametrize(
+    ("correlation", "order"),
+    [
+        ([[1.0, 0.0, -0.7], [0.0, 1.0, 0.1], [-0.7, 0.1, 1.0]], ((2, 1), (0, 2), (0, 1))),
+        ([[1.0] * 4] * 4, ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))),
+        ([[-1.0, 1.0], [1.0, -1.0]], ((1,), (0,))),
+        ([[1.0]], ((),)),
+    ],
+    ids=["opposite before unrelated", "alike: as listed", "never oneself", "an only child"],
+)
+def test_the_order_where_it_is_not_so_clear(
+    correlation: list[list[float]], order: tuple[tuple[int, ...], ...]
+) -> None:
+    assert help_order(correlation) == order

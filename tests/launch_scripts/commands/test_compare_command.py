@@ -64,19 +64,6 @@ def test_many_cases_have_a_row_each_and_a_summary_as_csv(small: str, tmp_path: P
     assert float(means[0]["mean"]) == pytest.approx(sum(rmse[:2]) / 2.0)
 
 
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        (("--scheduler", "tcp://127.0.0.1:8786"), "--scheduler"),
-        (("--seeds", "1,2", "--csv", "nowhere/summary.csv"), "--csv"),
-        (("--seeds", ""), "--seeds"),
-        (("--days", ""), "--days"),
-    ],
-)
-def test_what_it_cannot_compare_is_refused(words: tuple[str, ...], named: str, small: str) -> None:
-    assert named in refusal("compare", small, "--duration", "20", *words)
-
-
 # Two recorded runs --------------------------------------------------------------------------------
 
 

@@ -20,7 +20,7 @@ import psutil
 import pytest
 from command_line import heliarch, process, refusal
 from msgspec.structs import replace
-from recordings_by_hand import whole_run, write_run
+from recordings_by_hand import cut, whole_run, write_run
 from replayed_runs import PLAN, run_in_memory, write
 from running import small_plant
 from timed_recordings import cycle, recorded
@@ -187,17 +187,13 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert sorted(folder.rglob("*")) == before
 
 
-def cut(recording: Path) -> None:
-    content = recording.read_bytes()
-    recording.write_bytes(content[: len(content) // 2])
-
-
 @pytest.mark.parametrize(
     "words",
     [
         "simulate small.toml --to 13:00 --duration 1h",
         "simulate small.toml --set commitment.share=0.1,0.2",
         "launch small.toml --fault loss=1%",
+        "launch small.toml --device c1/inv01=modbus://127.0.0.1/1",
         "inspect run --cycle 3 --nodes c1",
         "export run",
         "report run --report page",
@@ -213,6 +209,8 @@ def cut(recording: Path) -> None:
         "timing small.toml --rate 0.1..5 --duration 5s",
         "timing small.toml --rate 5,10 --out run",
         "timing timed --seed 3",
+        "timing small.toml --rate 10 --duration 0.05",
+        "compare small.toml --seeds 1,2 --csv nowhere/summary.csv",
         "conform c9 --scenario small.toml",
         "nonsense",
     ],
@@ -263,6 +261,14 @@ def test_a_file_on_a_full_disk_is_a_failure_in_one_line(
     (line,) = result.stderr.splitlines()
     assert str(FULL) in line
     assert FULL.is_char_device()
+
+
+@full_disk
+def test_a_run_is_summed_up_also_where_the_disk_is_full(folder: Path) -> None:
+    out = folder / "full"
+    result = heliarch(*words_of("simulate", folder), f"--json={FULL}", "--out", str(out))
+    assert result.exit_code == 1
+    assert str(out / "run.mcap") in result.stdout
 
 
 def output_to(

@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from command_line import done, heliarch, refusal
-from recordings_by_hand import whole_run, write_run
+from recordings_by_hand import cut, whole_run, write_run, zero_chunk
 
 from recordings.read.reader import RunReader
 from recordings.read.run_file import RECORDING_NAME
@@ -28,15 +28,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def run(recorded: Path, tmp_path: Path) -> Path:
-    """A run of its own for a test."""
     return Path(shutil.copytree(recorded, tmp_path / "run"))
-
-
-def cut(run: Path) -> None:
-    """Cut a recording in the middle of its messages."""
-    recording = run / RECORDING_NAME
-    whole = recording.read_bytes()
-    recording.write_bytes(whole[: len(whole) * 2 // 3])
 
 
 def test_each_form_has_its_place_beside_the_recording_and_replaces_nothing(run: Path) -> None:
@@ -65,7 +57,7 @@ def test_a_part_of_the_run_may_be_exported_with_its_figures_as_json(run: Path) -
 
 @pytest.mark.parametrize("form", FORMS)
 def test_of_a_cut_recording_everything_up_to_the_cut_is_exported(run: Path, form: str) -> None:
-    cut(run)
+    cut(run / RECORDING_NAME, share=0.6)
     with RunReader(run) as reader:
         left = sum(1 for _ in reader.records())
         assert not reader.whole
@@ -80,11 +72,7 @@ def test_of_a_cut_recording_everything_up_to_the_cut_is_exported(run: Path, form
 def test_a_damaged_part_is_left_out_and_told_in_one_line(tmp_path: Path, form: str) -> None:
     recording = tmp_path / RECORDING_NAME
     whole = len(write_run(recording, whole_run(CYCLES)))
-    with RunReader(recording) as reader:
-        place = reader.outline.chunks[2]
-    content = bytearray(recording.read_bytes())
-    content[place.offset : place.offset + 60] = bytes(60)
-    recording.write_bytes(content)
+    place = zero_chunk(recording, 2)
     result = heliarch("export", recording, "--format", form, "--json", tmp_path / "figures.json")
     assert result.exit_code == 0, result.output
     (line,) = result.stderr.splitlines()

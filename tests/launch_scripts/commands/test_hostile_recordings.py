@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from struct import pack
@@ -12,11 +9,17 @@ from typing import Any
 
 import pytest
 import zstandard
-from command_line import refusal
+from command_line import python, refusal
 from mcap.opcode import Opcode
 from msgspec.structs import replace
-from recordings_by_hand import PLAN, SCENARIO, cycle_of_the_plant, whole_run, write_run
-from running import REPOSITORY
+from recordings_by_hand import (
+    PLAN,
+    SCENARIO,
+    cycle_of_the_plant,
+    whole_run,
+    write_messages,
+    write_run,
+)
 from typer.testing import CliRunner
 
 from bus_schemas.codec import encode
@@ -78,10 +81,7 @@ def test_hostile_content_is_refused_in_one_line(
 
 @pytest.mark.parametrize("command", ["inspect", "report", "timing"])
 def test_a_scenario_that_is_nested_deep_breaks_nothing(command: str, tmp_path: Path) -> None:
-    writer = RunWriter(tmp_path / "run.mcap", PLAN, "a = " + "[" * 300_000, driver="simulate")
-    for port, message in whole_run(3):
-        writer.add(port, message, encode(message), 1)
-    writer.close()
+    write_messages(tmp_path / "run.mcap", whole_run(3), scenario="a = " + "[" * 300_000)
     done = CliRunner().invoke(app, [command, str(tmp_path)])
     assert isinstance(done.exception, SystemExit | None), done.exception
     assert len(done.stderr.splitlines()) <= 1
@@ -129,11 +129,7 @@ def test_a_chunk_that_unpacks_to_gigabytes_is_left_out_and_told(
     body = pack("<QQQII4sQ", 1, 1, claimed, 0, 4, b"zstd", len(packed)) + packed
     with path.open("ab") as file:
         file.write(pack("<BQ", Opcode.CHUNK, len(body)) + body)
-    words = [sys.executable, "-c", PEAK_TOLD, "inspect", str(path)]
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    found = subprocess.run(
-        words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
-    )
+    found = python(PEAK_TOLD, "inspect", path, cwd=tmp_path)
     line, peak_kb = found.stderr.splitlines()
     assert "a part of the file is damaged" in line
     assert int(peak_kb) < 600_000, "most of it the libraries"

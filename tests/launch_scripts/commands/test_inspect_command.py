@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from command_line import done, heliarch, refusal
-from recordings_by_hand import whole_run, write_run
+from recordings_by_hand import cut, whole_run, write_run, zero_chunk
 
 from recordings import open_run
 
@@ -80,30 +80,24 @@ def test_figures_come_as_json_too(recording: Path, tmp_path: Path) -> None:
 def test_a_recording_that_was_cut_is_shown_and_recover_is_named(
     recording: Path, tmp_path: Path
 ) -> None:
-    cut = tmp_path / "run.mcap"
-    content = recording.read_bytes()
-    cut.write_bytes(content[: len(content) // 2])
-    text = done("inspect", cut)
+    short = tmp_path / "run.mcap"
+    cut(recording, short)
+    text = done("inspect", short)
     assert ["file", "cut"] in [line.split() for line in text.splitlines()]
     assert "`heliarch recover` makes a whole file of it" in " ".join(text.split())
-    assert "recover" in done("inspect", cut, "--nodes", "c1/a", "--to", "3")
+    assert "recover" in done("inspect", short, "--nodes", "c1/a", "--to", "3")
     assert "--to: expected a time of the run" in refusal(
-        "inspect", cut, "--nodes", "c1/a", "--to", "12:01:59"
+        "inspect", short, "--nodes", "c1/a", "--to", "12:01:59"
     )
 
 
 @pytest.fixture
 def damaged(recording: Path, tmp_path: Path) -> Path:
     """The recording with the head of a chunk in the middle zeroed."""
-    with open_run(recording) as run:
-        place = run.outline.chunks[4]
-        cycles = run.cycles_in(place)
-    assert cycles is not None
-    assert cycles.start < 40 < cycles.stop - 1
-    content = bytearray(recording.read_bytes())
-    content[place.offset : place.offset + 60] = bytes(60)
     path = tmp_path / "run.mcap"
-    path.write_bytes(content)
+    place = zero_chunk(recording, 4, path)
+    with open_run(recording) as run:
+        assert 40 in run.cycles_in(place)[1:-1]
     return path
 
 

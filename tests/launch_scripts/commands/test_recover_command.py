@@ -102,7 +102,7 @@ def test_of_a_recording_cut_before_its_first_message_nothing_is_recovered(
         assert "there is nothing to recover" in result.stderr
 
 
-@pytest.mark.parametrize("length", [2**64 - 1, 2**40])
+@pytest.mark.parametrize("length", [2**64 - 1, 2**40, 100, 0])
 def test_behind_a_chunk_of_a_wrong_length_nothing_is_kept(
     content: bytes, tmp_path: Path, length: int
 ) -> None:

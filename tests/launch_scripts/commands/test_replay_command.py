@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from command_line import heliarch, refusal
 from recordings_by_hand import PLAN as PLAN_BY_HAND
-from recordings_by_hand import whole_run, write_run
+from recordings_by_hand import cut, whole_run, write_run
 from replayed_runs import CYCLE_NS, PLAN, run_in_memory, write
 
 SAID = run_in_memory()
@@ -54,10 +54,8 @@ def test_as_fast_as_possible_nothing_is_due_and_the_json_has_standard_output_alo
 
 
 def test_a_recording_that_was_cut_is_replayed_up_to_the_cut(recorded: Path, tmp_path: Path) -> None:
-    content = (recorded / "run.mcap").read_bytes()
-    cut = tmp_path / "run.mcap"
-    cut.write_bytes(content[: len(content) // 2])
-    result = heliarch("replay", cut, "--pace", "max")
+    cut(recorded / "run.mcap", tmp_path / "run.mcap")
+    result = heliarch("replay", tmp_path, "--pace", "max")
     assert result.exit_code == 0, result.output
     assert "heliarch recover" in result.stdout
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 from command_line import done, heliarch, refusal
+from recordings_by_hand import cut, write_messages
 
 from agents.plan import load_plan
 from recordings.read.run_file import RECORDING_NAME
-from recordings.record.writer import RunWriter
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def run(recorded: Path, tmp_path: Path) -> Path:
-    """A run of its own for a test."""
     return Path(shutil.copytree(recorded, tmp_path / "run"))
 
 
@@ -53,9 +52,7 @@ def test_recording_and_report_may_be_named_and_an_old_report_is_replaced(
 
 
 def test_a_recording_that_was_cut_is_reported_as_far_as_it_goes(run: Path) -> None:
-    recording = run / RECORDING_NAME
-    whole = recording.read_bytes()
-    recording.write_bytes(whole[: len(whole) * 2 // 3])
+    cut(run / RECORDING_NAME)
     done("report", run)
     assert "recording is incomplete" in (run / "report.html").read_text(encoding="utf-8")
 
@@ -63,10 +60,9 @@ def test_a_recording_that_was_cut_is_reported_as_far_as_it_goes(run: Path) -> No
 def test_a_run_without_a_complete_cycle_is_refused(run: Path) -> None:
     recording = run / RECORDING_NAME
     recording.unlink()
-    scenario = (run / "scenario.toml").read_text(encoding="utf-8")
-    RunWriter(recording, load_plan(run / "plan.json"), scenario, driver="simulate").close()
+    write_messages(recording, [], plan=load_plan(run / "plan.json"))
     assert "complete cycle" in refusal("report", run)
     recording.unlink()
-    RunWriter(recording, load_plan(run / "plan.json"), "name = oahu", driver="simulate").close()
+    write_messages(recording, [], plan=load_plan(run / "plan.json"), scenario="name = oahu")
     assert "TOML" in refusal("report", run)
     assert not (run / "report.html").exists()

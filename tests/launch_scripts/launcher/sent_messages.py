@@ -1,50 +1,16 @@
-"""Runs in memory, and all that is sent in them."""
+"""Runs in memory with fault rules."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
+from memory_runs import Sent, run_in_memory
 
-from bus_schemas.bus import Delivery
 from bus_schemas.faults import FaultRule
-from bus_schemas.messages import Message, Production
-from bus_schemas.signals import Port
 from launch_scripts.launcher.simulation import RESTART_TAKES_S, MemoryRun, on_the_clock
 from launch_scripts.scenarios.fault_rules import parse_fault
 from launch_scripts.scenarios.preparation import Preparation
-
-
-class Sent:
-    """All messages that were sent in a run, in their order."""
-
-    def __init__(self) -> None:
-        self.messages: list[Delivery] = []
-
-    def __call__(self, port: Port[Message], message: Message) -> None:
-        self.messages.append((port, message))
-
-    def of(self, port: Port[Message]) -> dict[int, Any]:
-        """Each cycle's message of a port."""
-        return {message.cycle: message for sent_on, message in self.messages if sent_on is port}
-
-    @property
-    def produced(self) -> list[Production]:
-        """What the plant delivered, cycle by cycle."""
-        return [message for _, message in self.messages if isinstance(message, Production)]
-
-    @property
-    def over_kw(self) -> NDArray[np.float64]:
-        """Power beyond what was desired [kW], shape (cycles,)."""
-        return np.array([one.delivered_kw - one.desired_kw for one in self.produced])
-
-    @property
-    def power_kw(self) -> NDArray[np.float64]:
-        """Power of each inverter [kW], shape (cycles, n)."""
-        return np.array([one.inverter_power_kw for one in self.produced])
 
 
 def run_with(
@@ -56,8 +22,4 @@ def run_with(
     """Run through in memory, by a virtual clock if there are rules, also as `--fault` has them."""
     faults = tuple(parse_fault(rule) if isinstance(rule, str) else rule for rule in rules)
     plan = msgspec.structs.replace(prepared.plan, faults=faults, **changes)
-    sent = Sent()
-    run = MemoryRun(on_the_clock(plan) if faults else plan, prepared.profile, sent, restart_takes_s)
-    assert list(run.cycles()) == list(range(plan.cycles))
-    run.close()
-    return run, sent
+    return run_in_memory(on_the_clock(plan) if faults else plan, prepared.profile, restart_takes_s)

@@ -7,16 +7,15 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from sent_messages import Sent, run_with
+from memory_runs import Sent, timeless
+from sent_messages import run_with
 from typer.testing import CliRunner
 
 from bus_schemas.codec import encode
 from bus_schemas.faults import FaultRule
-from bus_schemas.messages import Message
 from bus_schemas.missing import parse_missing
 from bus_schemas.signals import (
     COMMAND,
@@ -53,10 +52,6 @@ def decisions(sent: Sent) -> list[tuple[str, bytes]]:
     return [(key, data) for _, key, data in sorted(found)]
 
 
-def timeless(message: Message) -> Message:
-    return msgspec.structs.replace(message, publish_time_ns=0, ready_time_ns=0)
-
-
 def total(run: MemoryRun, name: str) -> int:
     return sum(getattr(loop, name) for loop in run.loops.values())
 
@@ -64,8 +59,7 @@ def total(run: MemoryRun, name: str) -> int:
 # What changes nothing -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scheme", ["paper", "predictive"])
-@pytest.mark.parametrize("periods", [(1, 1, 1), (6, 2, 1)])
+@pytest.mark.parametrize(("scheme", "periods"), [("paper", (1, 1, 1)), ("predictive", (6, 2, 1))])
 def test_delays_within_the_cycle_change_nothing_but_the_time(
     valley: Preparation, scheme: str, periods: tuple[int, ...]
 ) -> None:
@@ -112,35 +106,6 @@ def test_a_run_over_a_bad_network_repeats_to_the_last_bit(
     assert one.bus.tally == other.bus.tally
 
 
-def test_a_message_that_is_lost_is_named_with_the_one_that_was_used_instead(
-    valley: Preparation,
-) -> None:
-    child = valley.plan.tree.leaves[0]
-    parent = child.rpartition("/")[0]
-    run, sent = run_with(valley, [FaultRule(source=child, signal="impp", silent=((10.0, 12.0),))])
-    missing = {cycle: m.missing for cycle, m in sent.of(IMPP.of(parent)).items() if m.missing}
-    assert missing == {10: (f"{child}/impp@9",), 11: (f"{child}/impp@9",)}
-    assert {10, 11} <= sent.of(IMPP.of(child)).keys(), "it was sent all the same"
-    assert run.loops[parent].missing_inputs == 2
-
-
-def test_a_stage_that_lacks_a_message_closes_at_its_deadline(valley: Preparation) -> None:
-    leaf = valley.plan.tree.leaves[0]
-    rule = FaultRule(listener=leaf, signal="telemetry", silent=((7.0, 8.0),))
-    run, sent = run_with(valley, [rule])
-    deadline_ns = run.plan.deadlines.deadline_ns(leaf, "estimate")
-    found = sent.of(IMPP.of(leaf))
-    assert found[7].publish_time_ns == found[7].ready_time_ns == 7 * SECOND_NS + deadline_ns
-    assert found[8].publish_time_ns == 8 * SECOND_NS
-
-
-def test_a_message_that_is_late_in_every_cycle_is_used_in_the_next(valley: Preparation) -> None:
-    leaf = valley.plan.tree.leaves[0]
-    run, sent = run_with(valley, [FaultRule(listener=leaf, signal="setpoint", delay_ms=950.0)])
-    assert run.loops[leaf].missing_inputs == CYCLES
-    assert sent.of(COMMAND.of(leaf))[9].missing == (f"{leaf}/setpoint@8",)
-
-
 @pytest.mark.parametrize("pace", [1, 10])
 def test_the_plant_ticks_on_the_clock_whatever_the_network_does(
     valley: Preparation, pace: int
@@ -156,9 +121,10 @@ def test_the_plant_ticks_on_the_clock_whatever_the_network_does(
 # Controllers that are slow, or never answer -------------------------------------------------------
 
 
-@pytest.mark.parametrize("deadlines_ms", [(), (500, 600, 700, 800)])
 @pytest.mark.parametrize("silent", ["central", "z1/c1"])
-@pytest.mark.parametrize("periods", [(1, 1, 1), (60, 10, 1)])
+@pytest.mark.parametrize(
+    ("periods", "deadlines_ms"), [((1, 1, 1), ()), ((60, 10, 1), (500, 600, 700, 800))]
+)
 def test_everybody_goes_on_without_a_controller_that_never_answers(
     valley: Preparation, silent: str, periods: tuple[int, ...], deadlines_ms: tuple[int, ...]
 ) -> None:

@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from agents.events import Exited, Standing, Status, TookOver
-from agents.plan import RestartPolicy, RunPlan
+from agents.plan import RunPlan
 from launch_scripts.launcher.restarts import Restarts
 from launch_scripts.launcher.supervision import Child
 from launch_scripts.scenarios.preparation import RunOptions, prepare
@@ -132,15 +132,6 @@ def test_each_restart_within_the_time_waits_longer_until_there_are_enough(run: W
     assert not dies(run, "c2")
     run.pass_by(60.0)
     assert dies(run, "c2")
-
-
-@pytest.mark.parametrize(("when", "again"), [("never", False), ("always", True)])
-def test_other_policies_give_up_at_once_or_never(plan: RunPlan, when: str, again: bool) -> None:
-    policy = msgspec.convert({"when": when, "most": 1}, RestartPolicy)
-    run = Watched(msgspec.structs.replace(plan, restart=policy))
-    assert [dies(run, "c2") for _ in range(3)] == [again] * 3
-    assert not dies(run, "plant")
-    run.end()
 
 
 def test_at_the_end_only_those_may_be_away_that_the_launcher_killed_or_has_not_started_yet(

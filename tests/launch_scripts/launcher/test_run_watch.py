@@ -71,12 +71,6 @@ def test_what_happens_to_a_silent_recorder_follows_from_the_restart_policy(
     assert next_step in run.told[0]
 
 
-def test_in_lockstep_it_is_waited_for_where_it_is_started_again() -> None:
-    run = Watched(replace(PLAN, restart=RestartPolicy(when="on-failure")))
-    assert run.blamed(102.1, 106.0) == []
-    assert "for 5 s, it is killed and started again" in run.told[0]
-
-
 @pytest.mark.parametrize("first_word", [7, 90])
 def test_the_plant_is_not_blamed_for_what_its_recorder_did_not_tell(first_word: int) -> None:
     run = Watched(real_time())
@@ -114,14 +108,6 @@ def test_a_launcher_that_stood_still_itself_blames_nobody_for_it(plan: RunPlan) 
     assert run.told == []
     run.watch.hear(7, 131.1)
     assert run.watch.check(131.2) is None
-
-
-def test_after_it_stood_still_it_waits_as_long_as_was_left() -> None:
-    run = Watched(PLAN)
-    assert run.blamed(101.5) == []
-    times_s = [120.0 + tenth / 10 for tenth in range(10)]
-    found = [time_s for time_s in times_s if run.watch.check(time_s)]
-    assert found[0] == pytest.approx(120.5)
 
 
 def test_a_launcher_that_is_always_slow_finds_the_silent_one_too() -> None:

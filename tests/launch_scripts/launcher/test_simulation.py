@@ -7,11 +7,9 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from memory_runs import Sent, run_in_memory, timeless
 from plans_by_hand import plan_of
-from sent_messages import Sent
 
-from agents.events import Waiting
-from agents.plan import RunPlan
 from bus_schemas.codec import encode
 from bus_schemas.signals import (
     COMMAND,
@@ -27,7 +25,7 @@ from bus_schemas.signals import (
 )
 from bus_schemas.tree import ROOT
 from launch_scripts.launcher.simulation import MemoryRun
-from launch_scripts.launcher.supervision import RunFailure, who_waits
+from launch_scripts.launcher.supervision import RunFailure
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from sim_plant.profile import Profile
@@ -47,17 +45,9 @@ def power_kw(sent: Sent, cycle: int, *ports: Port[Any]) -> list[float]:
     return [sent.of(port)[cycle].power_kw for port in ports]
 
 
-def sent_in(plan: RunPlan, profile: Profile) -> Sent:
-    sent = Sent()
-    run = MemoryRun(plan, profile, sent)
-    assert list(run.cycles()) == list(range(plan.cycles))
-    run.close()
-    return sent
-
-
 @pytest.fixture(scope="module")
 def sent() -> Sent:
-    return sent_in(PLAN, PROFILE)
+    return run_in_memory(PLAN, PROFILE)[1]
 
 
 @pytest.mark.parametrize(
@@ -140,18 +130,6 @@ def test_a_run_that_cannot_go_on_says_who_waits_for_what() -> None:
         list(MemoryRun(PLAN, profile).cycles())
 
 
-def test_an_agent_that_says_nothing_more_is_to_blame_and_not_those_who_are_ahead() -> None:
-    waiting = {
-        "plant": Waiting(7, "apply", [("a/command", "a"), ("b/command", "b")]),
-        "central": Waiting(8, "solve", [("dispatch", "plant")]),
-        "a": Waiting(8, "estimate", [("a/telemetry", "plant")]),
-    }
-    line, to_blame = who_waits(waiting)
-    assert to_blame == ["b"]
-    assert line.startswith("stalled in cycle 7: ")
-    assert line.endswith("plant waits for b/command")
-
-
 # The same in every run ----------------------------------------------------------------------------
 
 CYCLES = 40
@@ -164,13 +142,10 @@ def preparation(seed: int) -> Preparation:
 
 def wire(prepared: Preparation) -> list[tuple[str, bytes]]:
     """Key and payload of all that is said, without the times of publishing."""
-    sent = sent_in(prepared.plan, prepared.profile)
+    _, sent = run_in_memory(prepared.plan, prepared.profile)
     keys = prepared.plan.keys
     return [
-        (
-            keys.key(port),
-            encode(msgspec.structs.replace(message, publish_time_ns=0, ready_time_ns=0)),
-        )
+        (keys.key(port), encode(timeless(message)))
         for port, message in sent.messages
         if port.signal is not RUN
     ]
@@ -184,18 +159,3 @@ def test_one_seed_gives_the_same_messages_to_the_last_bit() -> None:
     # Dispatch, meter, production; telemetry and command of 17; setpoint of 20; impp and residual
     # of 21.
     assert len(without_help) == CYCLES * (3 + 2 * 17 + 20 + 2 * 21) == CYCLES * 99
-
-
-def test_a_message_goes_through_six_hops_in_a_cycle() -> None:
-    """The longest way through a cycle's messages, from sender to whoever awaits them in a stage."""
-    prepared = preparation(seed=5)
-    sent = sent_in(prepared.plan, prepared.profile)
-    tree = prepared.plan.tree
-    wiring = prepared.plan.wiring
-    hops: dict[str, int] = {}
-    for port, message in sent.messages:
-        if message.cycle == 3 and port.signal.decided and wiring.listeners[port]:
-            # It comes after all that its sender had heard by then in this cycle.
-            before = [hops.get(str(heard), 0) for heard in wiring.heard.get(message.source, ())]
-            hops[str(port)] = 1 + max(before)
-    assert max(hops.values()) == 2 + 2 * tree.height == 6

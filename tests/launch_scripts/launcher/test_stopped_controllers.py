@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from math import inf
 from pathlib import Path
 
 import numpy as np
 import pytest
+from memory_runs import Sent
 from numpy.typing import NDArray
-from sent_messages import Sent, run_with
+from sent_messages import run_with
 from typer.testing import CliRunner
 
 from agents.plan import RestartPolicy, Revert
@@ -16,7 +19,6 @@ from bus_schemas.errors import InputError
 from launch_scripts.cli import app
 from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.launcher.supervision import RunFailure
-from launch_scripts.scenarios.fault_rules import fault_rules
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings import open_run
@@ -42,6 +44,12 @@ def run_through(
     return run_with(prepared, faults or (NOTHING,), restart_takes_s, **changes)
 
 
+@pytest.fixture(scope="module")
+def healthy(oahu: Preparation) -> Callable[..., Sent]:
+    """The run without faults, by actuator or scheme."""
+    return cache(lambda **changes: run_through(oahu, **changes)[1])
+
+
 def longest_above(over_kw: NDArray[np.float64], limit_kw: float) -> int:
     """Most cycles in a row in which a limit is exceeded."""
     longest = now = 0
@@ -53,28 +61,25 @@ def longest_above(over_kw: NDArray[np.float64], limit_kw: float) -> int:
 
 @pytest.mark.parametrize("victim", ["central", "c2", "c2/inv07", "c2/*"])
 @pytest.mark.parametrize("actuator", ["fraction", "limit"])
-@pytest.mark.parametrize("restart_takes_s", [NEVER, 0.5])
 def test_without_a_controller_the_plant_hardly_delivers_too_much(
-    oahu: Preparation, victim: str, actuator: str, restart_takes_s: float
+    oahu: Preparation, healthy: Callable[..., Sent], victim: str, actuator: str
 ) -> None:
-    _, healthy = run_through(oahu, actuator=actuator)
     killed = f"kill={victim},at={KILLED_AT}s"
-    _, trace = run_through(oahu, killed, restart_takes_s=restart_takes_s, actuator=actuator)
+    _, trace = run_through(oahu, killed, restart_takes_s=NEVER, actuator=actuator)
     rating_kw = oahu.plan.tree.rating_kw("")
-    beyond_kw = trace.over_kw - np.maximum(healthy.over_kw, 0.0)
+    beyond_kw = trace.over_kw - np.maximum(healthy(actuator=actuator).over_kw, 0.0)
     assert longest_above(beyond_kw, 0.05 * rating_kw) <= 3
 
 
 @pytest.mark.parametrize("victim", ["central", "c2", "c2/inv07"])
 def test_a_killed_controller_is_replaced_and_the_plant_is_as_before(
-    oahu: Preparation, victim: str
+    oahu: Preparation, healthy: Callable[..., Sent], victim: str
 ) -> None:
-    _, healthy = run_through(oahu, scheme="paper")
     run, trace = run_through(oahu, f"kill={victim},at={KILLED_AT}s", scheme="paper")
     assert run.restarts == {victim: 1}
     successor = run.loops[victim]
     assert 0 < successor.incarnation <= KILLED_AT + 2
-    apart = np.flatnonzero((trace.power_kw != healthy.power_kw).any(axis=1))
+    apart = np.flatnonzero((trace.power_kw != healthy(scheme="paper").power_kw).any(axis=1))
     assert len(apart) == 0 or apart.max() <= successor.incarnation + 3
 
 
@@ -123,13 +128,14 @@ def test_a_policy_in_the_scenario_holds_in_simulation(tmp_path: Path) -> None:
         assert run.last_cycle == 5
 
 
-def test_a_partition_cuts_both_ways_and_ends(oahu: Preparation) -> None:
+def test_a_partition_cuts_both_ways_and_ends(
+    oahu: Preparation, healthy: Callable[..., Sent]
+) -> None:
     run, trace = run_through(oahu, f"partition=c2|central,at={KILLED_AT}s..{KILLED_AT + 20}s")
     ahead = [run.loops[name].old_inputs > 0 for name in ("c2", "central")]
     assert ahead == [True, True]
-    _, healthy = run_through(oahu)
-    rating_kw = oahu.plan.tree.rating_kw("")
-    assert longest_above(trace.over_kw - np.maximum(healthy.over_kw, 0.0), 0.05 * rating_kw) <= 3
+    beyond_kw = trace.over_kw - np.maximum(healthy(actuator="fraction").over_kw, 0.0)
+    assert longest_above(beyond_kw, 0.05 * oahu.plan.tree.rating_kw("")) <= 3
 
 
 @pytest.mark.parametrize("actuator", ["fraction", "limit"])
@@ -157,36 +163,6 @@ def test_inverters_may_be_set_to_release_or_to_a_share_of_their_rating(oahu: Pre
         np.testing.assert_array_equal(
             trace.power_kw[KILLED_AT + 10 :], expected_kw[KILLED_AT + 10 :]
         )
-
-
-def test_a_run_with_deaths_repeats_to_the_last_bit(oahu: Preparation) -> None:
-    faults = ["kill=c2,at=30s", "freeze=c1/*,at=40s..45s", "loss=2%", "kill=c2,at=60s"]
-    first, again = (run_through(oahu, *faults)[1].messages for _ in range(2))
-    assert [*map(str, first)] == [*map(str, again)]
-
-
-@pytest.mark.parametrize(
-    ("rule", "place", "expected"),
-    [
-        ("kill=plant,at=30s", "kill=plant", "expected a controller"),
-        ("kill=c9,at=30s", "kill=c9", "expected a controller"),
-        ("kill=c2", "at", "one time"),
-        ("kill=c2,at=30s..40s", "at", "one time"),
-        ("freeze=c2,at=30s", "at", "beginning and end"),
-        ("freeze=c2,at=40s..30s", "at", "beginning and end"),
-        ("kill=c2,at=30s,loss=2%", "kill", "alone"),
-        ("partition=c2,at=30s..40s", "partition", "two agents"),
-        ("partition=c1|c2,at=30s..40s", "partition", "hear each other"),
-        ("loss=2%,at=30s", "at", "beginning and end"),
-    ],
-)
-def test_a_rule_that_does_not_fit_is_refused(
-    oahu: Preparation, rule: str, place: str, expected: str
-) -> None:
-    with pytest.raises(InputError) as refused:
-        fault_rules(oahu.scenario, [rule], oahu.plan.tree)
-    assert place in str(refused.value)
-    assert expected in str(refused.value)
 
 
 def test_a_recording_with_deaths_is_repeated_and_says_who_came_back(tmp_path: Path) -> None:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import io
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from rich.console import Console
+from printing import printed
+from reports_by_hand import summary_of as summary_by_hand
 
 from agents.events import ExternalAccount
-from launch_scripts.launcher.summary import MemoryUse, MessageCount, ProcessAccount, RunSummary
+from launch_scripts.launcher.summary import MessageCount, ProcessAccount, RunSummary
 from launch_scripts.launcher.summary_table import print_summary, summary_table
 from recordings.read.series import RunSeries
 from studies.metrics import RunMetrics, run_metrics
@@ -44,25 +45,13 @@ def metrics_of(regulation: bool) -> RunMetrics:
 
 
 def summary_of(metrics: RunMetrics | None) -> RunSummary:
-    return RunSummary(
-        run_id="r",
-        scenario="oahu",
-        driver="simulate",
-        folder="runs/r",
-        sim_start="2010-04-01 12:00:00 HST",
+    return replace(
+        summary_by_hand(Path("runs/r")),
         cycles=3600,
         cycle_s=1.0,
-        wall_s=10.0,
-        startup_s=1.0,
-        arming_rounds=0,
         metrics=metrics,
         messages=(MessageCount("help", 12, 12), MessageCount("production", 3600, 3600)),
-        dropped={},
-        missing_inputs=0,
-        memory=(MemoryUse("simulation", 1, 100.0, 100.0, 90.0),),
-        hindsight_neighbours=False,
-        remarks=(),
-        interrupted=False,
+        processes=(),
     )
 
 
@@ -73,10 +62,9 @@ def rows_of(summary: RunSummary) -> dict[str, list[str]]:
 @pytest.mark.parametrize("width", [80, 100])
 def test_every_row_is_printed_whole(width: int) -> None:
     summary = summary_of(metrics_of(regulation=True))
-    text = io.StringIO()
-    print_summary(summary, Console(file=text, width=width))
-    assert max(map(len, text.getvalue().splitlines())) <= width
-    words = text.getvalue().split()
+    text = printed(lambda console: print_summary(summary, console), width)
+    assert max(map(len, text.splitlines())) <= width
+    words = text.split()
     for row in summary_table(summary).texts():
         assert all(word in words for cell in row for word in cell.split())
 

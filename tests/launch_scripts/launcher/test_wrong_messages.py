@@ -6,7 +6,6 @@ from agents.events import Complaint
 from launch_scripts.launcher.wrong_messages import one_line_each, wrong_messages
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
-from recordings.record.message_complaints import Complaints
 
 OPTIONS = RunOptions(duration="5", external=["c1/inv01"])
 PLAN = prepare(load_scenario("oahu"), OPTIONS, "wrong").plan
@@ -29,22 +28,6 @@ def test_of_recorder_and_listeners_the_larger_count_holds() -> None:
 
 def test_what_comes_late_from_processes_is_no_device_s_fault() -> None:
     assert wrong_messages(PLAN, [], [{"c1/inv04/impp": {"late": 9}}]) == ()
-
-
-def test_complaints_are_told_once_and_counted_by_key_and_cause() -> None:
-    log: list[str] = []
-    told: list[Complaint] = []
-    complaints = Complaints(log.append, told.append)
-    for cycle in range(3):
-        complaints.add("oahu/c1/inv01/impp", "absurd", f"power_kw is {cycle - 9}")
-    complaints.add("oahu/nobody/impp", "unknown", "no such node")
-    assert len(log) == 4
-    assert [(entry.key, entry.count, entry.example) for entry in complaints.all()] == [
-        ("oahu/c1/inv01/impp", 3, "power_kw is -9"),
-        ("oahu/nobody/impp", 1, "no such node"),
-    ]
-    assert len(told) == 2
-    assert complaints.set_aside == 1, "absurd ones are in the recording"
 
 
 def test_one_thing_that_a_device_does_wrong_is_one_line() -> None:

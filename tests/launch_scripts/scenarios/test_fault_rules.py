@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from complaints import complaint_of
 from own_scenarios import Folder
 
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule
-from launch_scripts.scenarios.fault_rules import parse_fault
+from bus_schemas.tree import ControlTree
+from launch_scripts.scenarios.fault_rules import fault_rules, parse_fault
 from launch_scripts.scenarios.preparation import Preparation
 from launch_scripts.scenarios.scenario import load_scenario
 
@@ -83,11 +85,51 @@ def test_a_bad_rule_of_a_scenario_is_named_with_its_place(tmp_path: Path) -> Non
         prepared(tmp_path, TABLES + "[[faults]]\nsource = 'c9'\nloss = 1\n")
 
 
-def test_a_bad_rule_of_an_option_is_named_with_its_words(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"--fault source=c9/\*,loss=1%: source: expected"):
-        prepared(tmp_path, "", faults=("source=c9/*,loss=1%",))
-
-
 def test_faults_on_help_are_said_to_change_nothing(tmp_path: Path) -> None:
     lost = prepared(tmp_path, "", faults=("signal=help,loss=100%",))
     assert [remark for remark in lost.remarks if "help" in remark]
+
+
+TREE = ControlTree((("c1/a", 1.0), ("c1/b", 1.0), ("c2/d", 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("rule", "named"),
+    [
+        ("delay=1ms,jitter=2ms,distribution=fixed", "distribution"),
+        ("reorder=50%", "reorder"),
+        ("silent=90s..60s", "silent"),
+        ("source=c1/*", ""),
+        ("source=c9/*,loss=10%", "source"),
+        ("listener=inv01,loss=10%", "listener"),
+        ("listener=recorder,loss=10%", "listener"),
+        ("signal=imp,loss=10%", "signal"),
+        ("signal=run,loss=10%", "signal"),
+        ("source=c1/a,listener=c2,loss=10%", ""),
+        ("source=plant,signal=impp,loss=10%", ""),
+        ("kill=plant,at=30s", ""),
+        ("kill=c9,at=30s", ""),
+        ("kill=c2", "at"),
+        ("kill=c2,at=30s..40s", "at"),
+        ("freeze=c2,at=30s", "at"),
+        ("freeze=c2,at=40s..30s", "at"),
+        ("kill=c2,at=30s,loss=2%", ""),
+        ("partition=c2,at=30s..40s", "partition"),
+        ("partition=c1|c2,at=30s..40s", "partition"),
+        ("loss=2%,at=30s", "at"),
+    ],
+)
+def test_a_rule_that_does_not_fit_the_run_is_refused(rule: str, named: str) -> None:
+    found = complaint_of(fault_rules, load_scenario("oahu"), [rule], TREE)
+    place, expected, _ = found.partition("expected")
+    assert expected
+    assert named in place.removeprefix(f"--fault {rule}: ")
+
+
+def test_a_rule_for_what_comes_in_at_external_agents_alone_is_refused() -> None:
+    def complaint(rule: str) -> str:
+        return complaint_of(fault_rules, load_scenario("oahu"), [rule], TREE, ("c1/a", "c1/b"))
+
+    assert "c1/a, c1/b" in complaint("listener=c1/*,signal=telemetry,delay=5ms")
+    for rule in ("signal=telemetry,delay=5ms", "source=c1/*,delay=5ms"):
+        assert fault_rules(load_scenario("oahu"), [rule], TREE, ("c1/a", "c1/b"))

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.typing import NDArray
+from oahu_days import day_text
 from own_scenarios import Folder
 
 from launch_scripts.scenarios.scenario import load_scenario
@@ -19,14 +20,7 @@ AP3 = 12
 
 
 def write_day(folder: Path, day: date, ghi_wm2: NDArray[np.float64]) -> None:
-    """Write a daily file of the Oahu grid that begins at noon."""
-    times = pd.date_range(f"{day} 12:00", periods=len(ghi_wm2), freq="1s")
-    lines = [
-        f"{time.second},{time.year},{time.day_of_year},{100 * time.hour + time.minute},"
-        + ",".join("-99999" if np.isnan(v) else f"{v:.2f}" for v in row)
-        for time, row in zip(times, ghi_wm2.tolist(), strict=True)
-    ]
-    (folder / f"{day:%Y%m%d}.txt").write_text("\n".join(lines) + "\n")
+    (folder / f"{day:%Y%m%d}.txt").write_text(day_text(day, ghi_wm2))
 
 
 def clouds(seed: int, seconds: int = 120) -> NDArray[np.float64]:
@@ -100,7 +94,9 @@ def test_a_day_shorter_than_the_run_and_a_folder_without_days_are_refused(
     oahu.change('"earlier-day"', '"hindsight"')
     assert oahu.prepare().hindsight, "that needs no earlier day"
     (tmp_path / "archive" / "20100401.txt").unlink()
-    assert oahu.complaint().startswith(f"{tmp_path / 'archive'}: expected")
+    complaint = oahu.complaint()
+    assert complaint.startswith(f"{oahu.scenario}: irradiance.folder: expected")
+    assert complaint.endswith(str(tmp_path / "archive"))
 
 
 # Currents of a real plant -------------------------------------------------------------------------
@@ -184,17 +180,3 @@ def test_currents_have_no_clear_sky_and_no_seed(plant: Folder) -> None:
     assert plant.complaint(seed=3).startswith("--seed: expected")
     plant.change('"share-of-median"', '"share-of-clear-sky"')
     assert "commitment.kind: expected" in plant.complaint()
-
-
-@pytest.mark.parametrize(("hour", "inverters"), [("a", 25), ("b", 23), ("c", 25)])
-def test_every_hour_of_the_real_plant_can_be_run(
-    tmp_path: Path, data_folder: Path, hour: str, inverters: int
-) -> None:
-    copy = Folder(
-        tmp_path, load_scenario("plant20mw").text, data_folder / "plant20mw-combiners-10s"
-    )
-    copy.change('"hour_a.csv"', f'"hour_{hour}.csv"')
-    found = copy.prepare()
-    assert found.profile.mpp_kw.shape == (360, inverters)
-    assert found.plan.tree.rating_kw("") == pytest.approx(800.0 * inverters)
-    assert len([line for line in found.remarks if "left out" in line]) == 25 - inverters

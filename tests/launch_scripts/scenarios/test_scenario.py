@@ -201,20 +201,6 @@ def test_every_shipped_scenario_loads(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "inverters", "clusters"), [("oahu", 17, 3), ("valley", 60, 12 + 3)]
-)
-def test_shipped_scenarios_under_clouds_need_no_data(
-    name: str, inverters: int, clusters: int
-) -> None:
-    found = prepare(load_scenario(name), RunOptions(duration="20s"), "by-hand")
-    assert found.profile.mpp_kw.shape == (20, inverters)
-    assert len(found.plan.tree.parents) == 1 + clusters
-    assert found.profile.mpp_kw.min() >= 0.0
-    ratings_kw = [rating_kw for _, rating_kw in found.plan.inverters]
-    assert (found.profile.mpp_kw <= ratings_kw).all()
-
-
-@pytest.mark.parametrize(
     ("old", "new", "place"),
     [
         ("power_kw = 100", "power_kw = 301", "commitment"),

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from math import inf, nan
 from pathlib import Path
 from typing import Final
 
 from recorded_runs import plan_of
+from recordings_by_hand import numbered, write_messages
 
 from bus_schemas import messages, signals
-from bus_schemas.bus import Delivery, Outbox
-from bus_schemas.codec import encode
+from bus_schemas.bus import Delivery
 from bus_schemas.messages import HelpGiven
 from bus_schemas.tree import ROOT
-from recordings.record.writer import RunWriter
 
 PLAN: Final = plan_of(
     {"c1/a": 100.0, "c1/b": 100.0, "c2/c": 100.0},
@@ -36,15 +34,11 @@ RECORDER_LAG_NS: Final = 1_234
 
 def written(path: Path) -> list[Delivery]:
     """Write the recording; return what is in it."""
-    outbox = Outbox()
-    writer = RunWriter(path, PLAN, 'title = "by hand"\n', driver="launch")
-    deliveries = []
-    for port, message in _said():
-        message.ready_time_ns = time.monotonic_ns()
-        outbox.stamp(port, message, time.monotonic_ns())
-        writer.add(port, message, encode(message), message.publish_time_ns + RECORDER_LAG_NS)
-        deliveries.append((port, message))
-    writer.close()
+    deliveries = [*numbered(_said())]
+    for _, message in deliveries:
+        message.ready_time_ns = message.publish_time_ns - 1_000
+    logged = ((port, m, m.publish_time_ns + RECORDER_LAG_NS) for port, m in deliveries)
+    write_messages(path, logged, plan=PLAN, scenario='title = "by hand"\n', driver="launch")
     return deliveries
 
 

@@ -47,7 +47,6 @@ def said(tmp_path: Path) -> list[Delivery]:
 def write_tables(
     run: Path, folder: Path, form: TableForm, plan: RunPlan = PLAN, batch_rows: int = 1000
 ) -> dict[str, int]:
-    """Write all tables of a recording; return their numbers of rows."""
     with RunReader(run) as reader:
         anchor = ClockAnchor.of(reader.metadata)
         with TableFolder(folder, plan, RECORDED, anchor, form, batch_rows) as tables:

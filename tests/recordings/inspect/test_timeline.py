@@ -59,13 +59,6 @@ def test_who_lacks_power_asks_for_help_and_is_told_who_gives_it(recording: Path)
     )
 
 
-def test_who_gives_help_is_told_for_whom(recording: Path) -> None:
-    (row,) = rows_of(recording, "c1/b", range(10, 11))
-    assert (row.help_asked_kw, row.help_from) == (None, [])
-    assert row.help_for == [HelpLine("c1/a", 20.0)]
-    assert (row.share_kw, row.setpoint_kw) == (60.0, 80.0)
-
-
 def test_a_supervisor_knows_who_is_in_need_and_what_it_moved(recording: Path) -> None:
     acting, between = rows_of(recording, "c1", range(10, 12))
     assert (acting.needy, acting.moved_kw) == (["c1/a"], 20.0)
@@ -84,10 +77,6 @@ def test_the_central_controller_has_the_operators_word_and_what_came_of_it(recor
     )
     assert (row.request_kw, row.metered_kw) == (240.0, 238.0)
     assert (row.possible_kw, row.delivered_kw, row.needy) == (280.0, 239.0, [])
-
-
-def test_every_cycle_of_the_span_is_told_once_and_in_order(recording: Path) -> None:
-    assert [row.cycle for row in rows_of(recording, "c2/d", range(5, 25))] == list(range(5, 25))
 
 
 def test_messages_out_of_the_order_of_cycles_are_told_in_it(tmp_path: Path) -> None:
@@ -114,19 +103,6 @@ def test_what_a_node_had_to_do_without_and_said_in_words_is_rows_of(tmp_path: Pa
     assert (row.missing, row.notices) == (["c1/a/telemetry"], ["no usable measurement"])
     line = " ".join(TimelineTable(PLAN.tree, "c1/a", 8, 120).row(row)[0].split())
     assert line.startswith("0 12:00:00 - 40.00 60.00 -20.00 20.00 40.00 0.8000 from b 20.00;")
-
-
-def test_inputs_that_were_not_due_are_said_in_words(tmp_path: Path) -> None:
-    def behind(pair: Delivery) -> Delivery:
-        port, message = pair
-        if port.signal is IMPP and port.node == "c1/a":
-            message = replace(message, missing=("dispatch@1", "c1/a/telemetry"))
-        return port, message
-
-    path = written(tmp_path, [behind(pair) for pair in cycle_of_the_plant(3)])
-    (row,) = rows_of(path, "c1/a", range(3, 4))
-    text = " ".join(" ".join(TimelineTable(PLAN.tree, "c1/a", 8).row(row)).split())
-    assert "without c1/a/telemetry; used dispatch of cycle 1" in text
 
 
 # As text ------------------------------------------------------------------------------------------

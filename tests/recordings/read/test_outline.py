@@ -64,20 +64,6 @@ def test_a_damaged_index_is_not_believed(content: bytes) -> None:
 
 
 @settings(max_examples=60, deadline=None)
-@given(share=st.floats(0.0, 1.0, exclude_max=True))
-def test_a_file_cut_anywhere_has_the_chunks_before_the_cut(content: bytes, share: float) -> None:
-    whole = outline_of(content)
-    end = max(int(share * len(content)), len(MAGIC))
-    outline = outline_of(content[:end])
-    assert not outline.closed or end > whole.readable_end - 20
-    assert outline.readable_end <= end
-    sound = [place for place in outline.chunks if not place.cut]
-    assert sound == whole.chunks[: len(sound)]
-    ends = [place.offset + 9 + place.length for place in whole.chunks]
-    assert len(sound) == sum(chunk_end <= end for chunk_end in ends)
-
-
-@settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_a_torn_file_never_breaks_the_reading(content: bytes, data: st.DataObject) -> None:
     torn = bytearray(content)
@@ -98,28 +84,6 @@ def test_zeros_behind_a_cut_are_no_records(content: bytes) -> None:
     outline = outline_of(content[:end] + bytes(5000))
     assert (outline.chunks, outline.readable_end) == (whole.chunks[:2], end)
     assert not outline.closed
-
-
-@pytest.mark.parametrize("length", [2**64 - 1, 2**40, 100, 0])
-def test_without_an_index_a_wrong_length_ends_the_reading(content: bytes, length: int) -> None:
-    whole, torn = outline_of(content), cut(content)
-    offset = whole.chunks[2].offset
-    torn[offset + 1 : offset + 9] = length.to_bytes(8, "little")
-    outline = outline_of(bytes(torn))
-    assert outline.chunks[:2] == whole.chunks[:2]
-    assert [place.offset for place in outline.chunks[2:] if place.cut] == [offset]
-    assert outline.readable_end <= offset
-    assert not outline.closed
-
-
-@pytest.mark.parametrize("by_index", [True, False])
-def test_an_attachment_with_a_wrong_checksum_is_named(content: bytes, by_index: bool) -> None:
-    torn = bytearray(content) if by_index else cut(content)
-    torn[content.index(b"Four inverters")] ^= 1
-    outline = outline_of(bytes(torn))
-    assert outline.indexed == by_index
-    assert outline.damaged_attachments == ["scenario.toml"]
-    assert outline_of(content).damaged_attachments == []
 
 
 def test_schemas_and_channels_follow_from_the_plan(content: bytes) -> None:

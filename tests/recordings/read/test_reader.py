@@ -9,10 +9,9 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recordings_by_hand import PLAN, cycle_of_the_plant, whole_run, write_run
+from recordings_by_hand import PLAN, cycle_of_the_plant, whole_run, write_run, zero_chunk
 
 from bus_schemas.bus import Delivery
-from bus_schemas.codec import encode
 from bus_schemas.errors import InputError
 from bus_schemas.signals import PRODUCTION, RUN, SIGNALS, TELEMETRY
 from bus_schemas.tree import ROOT
@@ -62,19 +61,6 @@ def test_signals_nodes_and_cycles_choose_from_all_messages(
             and (not nodes or port.node in paths)
             and start <= message.cycle <= end
         ]
-
-
-def test_raw_records_are_the_messages(recording: Recording, run: RunReader) -> None:
-    records = list(run.records())
-    assert [(record.port, record.payload) for record in records] == [
-        (port, encode(message)) for port, message in recording[1]
-    ]
-    assert [(record.cycle, record.sequence) for record in records] == [
-        (message.cycle, message.sequence) for _, message in recording[1]
-    ]
-    some = list(run.records(run.ports("impp"), range(7, 9)))
-    assert [record for record in records if record in some] == some
-    assert {record.cycle for record in some} == {7, 8}
 
 
 def test_one_minute_is_found_without_the_rest(
@@ -189,13 +175,8 @@ def test_what_the_run_does_not_have_is_refused_with_what_it_has(
 @pytest.fixture
 def damaged(recording: Recording, tmp_path: Path) -> tuple[Path, ChunkPlace]:
     """A recording with one chunk zeroed, and that chunk."""
-    path, _ = recording
-    with open_run(path) as run:
-        place = run.outline.chunks[20]
-    content = bytearray(path.read_bytes())
-    content[place.offset : place.offset + 60] = bytes(60)
-    (tmp_path / "run.mcap").write_bytes(content)
-    return tmp_path / "run.mcap", place
+    path = tmp_path / "run.mcap"
+    return path, zero_chunk(recording[0], 20, path)
 
 
 def test_a_damaged_chunk_is_refused_where_it_is_read_or_skipped_and_named(

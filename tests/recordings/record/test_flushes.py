@@ -45,7 +45,10 @@ def test_it_flushes_every_half_second(bursts_s: float, tmp_path: Path) -> None:
             flushed_s.append((clock.now_ns - began_ns) / 1e9)
             super().flush()
 
-    tap, link = Mock(drain=drain, presence=list), Mock(expected_messages=lambda: None)
+    tap, link = (
+        Mock(drain=drain, presence=list),
+        Mock(expected_messages=lambda: None, by_hand=False),
+    )
     writer = NotedWriter(tmp_path / "run.mcap", PLAN, SCENARIO, "launch")
     time = Mock(monotonic=lambda: clock.now_ns / 1e9, monotonic_ns=clock, sleep=clock.sleep)
     with patch("recordings.record.recorder.time", time):

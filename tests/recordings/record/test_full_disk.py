@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import resource
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-
-TESTS = Path(__file__).parents[2]
+from command_line import python
 
 _PROGRAM = """
 import resource, sys, time
@@ -38,14 +35,7 @@ print(writer.trouble)
 
 def run_with_space_for(path: Path, most: int) -> tuple[list[str], str]:
     """Write 200 cycles in a process whose files cannot grow beyond a size."""
-    done = subprocess.run(
-        [sys.executable, "-c", _PROGRAM, str(path), str(most)],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
-        env={"PYTHONPATH": f"{TESTS}:{TESTS.parent}"},
-    )
+    done = python(_PROGRAM, path, str(most))
     figures, trouble = done.stdout.splitlines()
     return figures.split(), trouble
 

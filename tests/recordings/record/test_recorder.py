@@ -53,7 +53,7 @@ def recorded(said: Sequence[Spoken], folder: Path) -> tuple[list[Message], Recor
             yield waiting.pop(0)
 
     tap = Mock(drain=drain, presence=list)
-    link = Mock(expected_messages=lambda: None)
+    link = Mock(expected_messages=lambda: None, by_hand=False)
     writer = RunWriter(folder / "run.mcap", IN_LOCKSTEP, 'name = "oahu"\n', "launch")
     end = RecordingEnd()
     end.ask()

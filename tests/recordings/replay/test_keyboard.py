@@ -70,10 +70,3 @@ def test_the_terminal_is_restored(terminal: tuple[int, int], error: type[BaseExc
     with pytest.raises(error):
         use_it_and_fail()
     assert termios.tcgetattr(seen) == before
-
-
-def test_without_a_terminal_no_key_comes(monkeypatch: pytest.MonkeyPatch) -> None:
-    with open(os.devnull, encoding="utf-8") as nothing:  # noqa: PTH123 - os.devnull is text
-        monkeypatch.setattr("sys.stdin", nothing)
-        with keyboard() as wait:
-            assert wait(0.001) == []

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 from replayed_runs import Said, run_in_memory, without, write
 
 from bus_schemas.codec import encode
-from bus_schemas.signals import COMMAND, IMPP, RUN
+from bus_schemas.signals import RUN
 from recordings.read.reader import RunReader
 from recordings.replay.publish_order import complete_cycles, in_publish_order
 
@@ -19,12 +18,6 @@ SAID = run_in_memory()
 def payloads(said: list[Said]) -> list[bytes]:
     """What was on the wire."""
     return [encode(message) for _, message, _ in said]
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording of 40 cycles."""
-    return write(tmp_path_factory.mktemp("recorded") / "run", SAID)
 
 
 def test_what_was_recorded_in_batches_comes_as_it_was_published(tmp_path: Path) -> None:
@@ -37,25 +30,6 @@ def test_what_was_recorded_in_batches_comes_as_it_was_published(tmp_path: Path) 
     assert payloads(mixed) != payloads(SAID)
     with RunReader(write(tmp_path / "run", mixed)) as reader:
         assert [record.payload for record in in_publish_order(reader)] == payloads(SAID)
-
-
-@pytest.mark.parametrize(
-    ("first", "before"), [(0, 1), (7, 8), (13, None), (0, 40), (38, 200), (0, None)]
-)
-def test_a_span_is_what_the_whole_has_of_it(whole: Path, first: int, before: int | None) -> None:
-    wanted = [entry for entry in SAID if first <= entry.message.cycle < (before or len(SAID))]
-    with RunReader(whole) as reader:
-        found = [record.payload for record in in_publish_order(reader, None, first, before)]
-    assert found == payloads(wanted)
-    assert found
-
-
-def test_some_ports_are_what_the_whole_has_of_them(whole: Path) -> None:
-    wanted = {IMPP.of("c1/a"), COMMAND.of("c2/d")}
-    with RunReader(whole) as reader:
-        found = [record.payload for record in in_publish_order(reader, wanted)]
-    assert found == payloads(without(SAID, lambda entry: entry.port not in wanted))
-    assert len(found) == 80
 
 
 def test_of_a_run_that_broke_off_the_last_cycles_do_not_count_as_complete(tmp_path: Path) -> None:

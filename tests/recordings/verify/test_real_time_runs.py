@@ -17,6 +17,7 @@ from recorded_runs import (
     record,
     record_on,
 )
+from verifying import findings
 
 from agents.plan import RunPlan, Scheme
 from bus_schemas.bus import Delivery
@@ -38,13 +39,9 @@ def verified(
     return verify(record(folder, plan, found, profile), (), Comparison())
 
 
-def findings(found: Verification) -> dict[str, object]:
-    """The first difference of each agent that has one."""
-    return {name: entry.first for name, entry in found.agents.items() if entry.first}
-
-
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("rule", [FaultRule(loss=0.1), LATE, replace(LATE, loss=0.2)])
+@pytest.mark.parametrize(
+    ("seed", "rule"), [(0, FaultRule(loss=0.1)), (1, LATE), (2, replace(LATE, loss=0.2))]
+)
 @pytest.mark.parametrize(
     ("ratings_kw", "period_cycles", "scheme"),
     [
@@ -139,7 +136,7 @@ def test_a_message_that_came_after_the_successor_s_is_compared_all_the_same(
 # The recorder was away ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
     "plan",
     [

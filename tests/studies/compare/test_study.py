@@ -12,7 +12,7 @@ from launch_scripts.scenarios.scenario import load_scenario
 from studies.arrays.schemes import ReferenceGroups
 from studies.compare.cases import Case, cases
 from studies.compare.study import CaseResult, Comparison, run_case
-from studies.compare.tables import cases_tables, json_rows
+from studies.compare.tables import cases_tables
 from studies.workers import share_work
 
 COMPARISON = Comparison(("paper", "predictive", "grouping"), ReferenceGroups((1, 5), 3))
@@ -70,9 +70,3 @@ def test_a_case_that_does_not_fit_is_named() -> None:
 def test_very_many_cases_are_summarised_alone(alone: list[CaseResult]) -> None:
     (table,) = cases_tables(["rmse"], alone * 20)
     assert [row[0] for row in table.rows] == SCHEMES
-
-
-def test_json_has_a_row_for_each_case_and_scheme(alone: list[CaseResult]) -> None:
-    rows = json_rows(alone)
-    assert [(row["case"], row["scheme"]) for row in rows[:5]] == [("seed=1", s) for s in SCHEMES]
-    assert {row["actuator"] for row in rows} == {"fraction"}

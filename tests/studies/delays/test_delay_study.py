@@ -46,11 +46,6 @@ def perfect(prepared: Preparation) -> Outcome:
     return outcome(prepared, PERFECT)
 
 
-def test_every_trouble_comes_with_each_scheme() -> None:
-    found = conditions(1.0, 3600.0)
-    assert len(found) == len(set(found)) == (9 + 7 + 6) * 2
-
-
 @pytest.mark.parametrize(
     ("cycle_s", "counted_s", "periods_s"),
     [

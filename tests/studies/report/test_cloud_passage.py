@@ -68,30 +68,6 @@ def test_a_drop_that_stays_above_the_request_is_no_need() -> None:
     assert find_cloud_passage(plant(a=shade(25.0), b=rising())) is None
 
 
-def test_one_who_has_headroom_only_after_the_drop_does_not_count() -> None:
-    late = np.where(np.arange(CYCLES) < SHADE_BEGINS + 95, 45.0, 80.0)
-    assert find_cloud_passage(plant(a=shade(60.0), b=late)) is None
-
-
-def test_of_a_cluster_only_the_least_correlated_pair_is_looked_at() -> None:
-    run = cloudy_run(cycles=CYCLES, inverters=("c1/a", "c1/b", "c1/c"))
-    like_a = shade(60.0)
-    against_a = 160.0 - shade(60.0)
-    power_kw = np.column_stack([like_a, rising(), against_a])
-    found = find_cloud_passage(
-        replace(run, mpp_kw=power_kw, impp_kw=power_kw, residual_kw=power_kw - REQUEST_KW)
-    )
-    assert found is not None
-    assert (found.shaded, found.helping) == (0, 2)
-    assert found.correlation == pytest.approx(-1.0)
-
-
-def test_cycles_longer_than_the_drop_are_looked_at_one_by_one() -> None:
-    found = find_cloud_passage(cloudy_run(cycles=30, cycle_s=90.0))
-    assert found is not None
-    assert len(found.cycles) == 2
-
-
 def test_an_hour_in_which_nothing_varies_has_no_correlation_to_show() -> None:
     run = cloudy_run(cycles=7200)
     mpp_kw = run.mpp_kw.copy()

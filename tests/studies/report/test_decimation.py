@@ -43,14 +43,6 @@ def test_a_bucket_without_any_value_breaks_the_line() -> None:
     assert np.isnan(kept).sum() == 1
 
 
-def test_the_least_of_each_bucket_of_several_series() -> None:
-    values = np.array([[5.0, 1.0], [4.0, 2.0], [9.0, 0.0], [8.0, -1.0], [7.0, 3.0]])
-    cells, rows = least_per_bucket(values, buckets=3)
-    assert rows == 2
-    # The last bucket has one row only.
-    assert cells.tolist() == [[4.0, 1.0], [8.0, -1.0], [7.0, 3.0]]
-
-
 @pytest.mark.parametrize("cycles", [1, 899, 900, 901, 54_000])
 def test_a_heat_map_has_at_most_the_columns_asked_for_and_covers_all_cycles(cycles: int) -> None:
     cells, rows = least_per_bucket(np.arange(float(cycles))[:, None], buckets=900)

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from synthetic_runs import cloudy_run
 
 from recordings.read.series import RunSeries
 from studies.report.inverter_figures import energy_beside_share
 from studies.report.plant_figures import farthest_from_asked, folded_distribution
-from studies.report.style import clock_ms, diverging_scale, scheme_line
+from studies.report.style import clock_ms
 
 HOUR_MS = 3_600_000.0
 
@@ -23,13 +22,6 @@ def test_the_distribution_is_folded_at_zero() -> None:
     error_kw, share = folded_distribution(np.array([-3.0, -1.0, -1.0, 0.0, 2.0]))
     np.testing.assert_array_equal(error_kw, [-3.0, -1.0, np.nan, 2.0])
     np.testing.assert_allclose(share, [1 / 5, 3 / 5, np.nan, 1 / 5])
-
-
-def test_of_many_errors_the_rarest_are_all_kept() -> None:
-    error_kw, share = folded_distribution(-np.arange(1.0, 54_001.0), points=600)
-    assert len(error_kw) <= 601
-    assert error_kw[:10].tolist() == [-54_000.0 + rank for rank in range(10)]
-    np.testing.assert_allclose(share[:-1], (54_001.0 + error_kw[:-1]) / 54_000.0)
 
 
 # Regulation ---------------------------------------------------------------------------------------
@@ -90,23 +82,3 @@ def test_the_clock_does_not_go_back_where_summer_time_ends() -> None:
     )
     assert run.times[0].utcoffset() != run.times[-1].utcoffset()
     assert np.diff(clock_ms(run)).tolist() == [HOUR_MS] * 3
-
-
-@pytest.mark.parametrize(
-    ("least", "greatest"),
-    [(-1.0, 1.0), (-70.0, 230.0), (-0.1, 0.7), (-1e4, 1e-9), (0.0, 5.0), (-5.0, 0.0), (0.0, 0.0)],
-)
-def test_zero_has_the_middle_colour_whatever_the_ends_are(least: float, greatest: float) -> None:
-    scale = diverging_scale(least, greatest)
-    places = [place for place, _ in scale]
-    assert places == sorted(places)
-    assert (places[0], places[-1]) == (0.0, 1.0)
-    span = greatest - least
-    white = "rgb(247,247,247)"
-    at_zero = [place for place, colour in scale if colour == white]
-    assert at_zero[0] == pytest.approx(-least / span if span else 0.0)
-
-
-def test_ten_schemes_have_ten_lines() -> None:
-    lines = [scheme_line(position) for position in range(10)]
-    assert len({(line["color"], line["dash"]) for line in lines}) == 10

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
-from test_timing_tables import printed, row
+from test_timing_tables import row, text_of
 from timed_recordings import MS, PLAN, TIMES_MS, cycle, recorded
 
 from agents.plan import RunPlan
@@ -76,5 +76,5 @@ def test_a_hop_between_hosts_is_judged_by_the_scenario_alone(tmp_path: Path) -> 
     assert judged["setpoint"]
     # The only command that the plant waited for came from the other host.
     assert judged.keys().isdisjoint({"command", "command *"})
-    figures = [float(figure) for figure in row(printed(report), HOST)]
+    figures = [float(figure) for figure in row(text_of(report), HOST)]
     assert figures == pytest.approx([3, -19.95, 20.25])

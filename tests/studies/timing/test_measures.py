@@ -17,7 +17,6 @@ from studies.timing.measures import (
     ProcessTiming,
     RunTiming,
     run_timing,
-    tier_of,
     tier_timings,
     with_accounts,
 )
@@ -62,28 +61,6 @@ def test_each_measure_goes_from_where_to_where_it_is_defined(tmp_path: Path) -> 
     # The dispatch is the oldest input of all stages but the plant's.
     assert row(found, "age", "supervisor solve") == (4, 10.9, 11.0)
     assert row(found, "age", "plant apply") == (2, 0.6, 0.6)
-
-
-def test_rows_come_in_the_order_of_measures_and_of_a_cycle(tmp_path: Path) -> None:
-    found = timed(tmp_path, cycle(0), cycle(1))
-    decided = [row.of for row in found.times if row.measure == "decision"]
-    assert decided == [
-        "plant sense",
-        "direct estimate",
-        "supervisor report",
-        "central solve",
-        "supervisor solve",
-        "direct actuate",
-        "plant apply",
-    ]
-    assert list(dict.fromkeys(row.measure for row in found.times)) == [
-        "loop",
-        "decision",
-        "hop",
-        "lateness",
-        "jitter",
-        "age",
-    ]
 
 
 def test_jitter_is_measured_from_cycle_to_cycle_also_over_one_that_is_not_there(
@@ -235,19 +212,6 @@ def test_a_start_that_is_far_from_its_message_is_not_believed(tmp_path: Path) ->
     with RunReader(recorded(tmp_path, cycle(0), start=far)) as reader:
         found = run_timing(reader)
     assert row(found, "loop", "all commands") == (1, 13.6, 13.6)
-
-
-def test_supervisors_of_several_tiers_are_told_apart() -> None:
-    deep = replace(PLAN, inverters=(("z1/c1/a", 1.0), ("z1/c2/b", 1.0)), period_cycles=(1, 1, 1))
-    agents = ("plant", "central", "z1", "z1/c1", "z1/c1/a")
-    assert [tier_of(agent, deep.tree) for agent in agents] == [
-        "plant",
-        "central",
-        "supervisor 1",
-        "supervisor 2",
-        "direct",
-    ]
-    assert tier_of("c1", PLAN.tree) == "supervisor"
 
 
 def test_counts_and_resources_are_added_up_by_tier() -> None:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import io
 import json
+from functools import partial
 
 import msgspec
 import pytest
 from msgspec.structs import replace
+from printing import printed
 from reports_by_hand import missed, reported
-from rich.console import Console
 from timed_recordings import cycle
 
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.supervision import RunFailure
 from studies.timing.report import TimingReport
-from studies.timing.sweep import Rates, Sweep, conclusion, parse_rates, print_sweep, rate_row, sweep
+from studies.timing.sweep import Rates, conclusion, parse_rates, print_sweep, rate_row, sweep
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_a_run_that_fails_costs_no_other(reports: Reports) -> None:
     died = RunFailure("c1 has died\nits log says so")
     found = sweep(Rates(listed_hz=(5.0, 10.0, 20.0)), Machine(*reports, 1e9, at_10=died).run)
     assert [row.failed for row in found.rows] == ["", "c1 has died", ""]
-    text = printed(found)
+    text = printed(partial(print_sweep, found))
     assert "10 cycles/s failed: c1 has died" in text
 
 
@@ -167,16 +167,9 @@ def test_of_a_rate_that_is_not_clean_the_tier_is_named(reports: Reports) -> None
     assert "not recorded: 2" in late.trouble
 
 
-def printed(found: Sweep, width: int = 100) -> str:
-    console = Console(file=io.StringIO(), width=width)
-    print_sweep(found, console)
-    assert isinstance(console.file, io.StringIO)
-    return console.file.getvalue()
-
-
 def test_a_sweep_shows_its_rates_and_the_machine(reports: Reports) -> None:
     found = sweep(Rates(listed_hz=(5.0, 10.0)), Machine(*reports, 5.0).run)
-    text = printed(found)
+    text = printed(partial(print_sweep, found))
     assert "load average 0.50 before, 0.75 after" in text
     assert "highest clean rate: 5 cycles/s" in text
     assert all(figure in text for figure in ("200.00", "13.600"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import re
@@ -11,8 +10,8 @@ from pathlib import Path
 import msgspec
 import pytest
 from msgspec.structs import replace
+from printing import printed
 from reports_by_hand import missed, reported, summary_of
-from rich.console import Console
 from timed_recordings import PLAN, cycle, recorded
 
 from agents.events import ExternalAccount
@@ -22,11 +21,8 @@ from studies.timing.report import TimingReport, report_on
 from studies.timing.tables import print_report
 
 
-def printed(found: TimingReport, *, processes: bool = False) -> str:
-    console = Console(file=io.StringIO(), width=100)
-    print_report(found, console, processes=processes)
-    assert isinstance(console.file, io.StringIO)
-    return console.file.getvalue()
+def text_of(found: TimingReport, *, processes: bool = False) -> str:
+    return printed(lambda console: print_report(found, console, processes=processes))
 
 
 def row(text: str, name: str) -> list[str]:
@@ -35,7 +31,7 @@ def row(text: str, name: str) -> list[str]:
 
 
 def test_each_row_has_its_figures_its_budget_and_its_verdict(tmp_path: Path) -> None:
-    text = printed(reported(tmp_path, budgets="hop_p99_ms = { residual = 0.45 }").report)
+    text = text_of(reported(tmp_path, budgets="hop_p99_ms = { residual = 0.45 }").report)
     count, *times_ms, limit_ms, verdict = row(text, "residual")
     assert (count, limit_ms, verdict) == ("6", "0.450", "FAIL")
     assert [float(time) for time in times_ms] == pytest.approx([0.3, 0.4, 0.5, 0.5, 0.5], rel=0.01)
@@ -44,8 +40,8 @@ def test_each_row_has_its_figures_its_budget_and_its_verdict(tmp_path: Path) -> 
 
 def test_the_verdict_names_each_budget_that_was_not_kept(tmp_path: Path) -> None:
     good, late = (
-        printed(reported(tmp_path / "good").report),
-        printed(reported(tmp_path / "late", cycle(0), missed(1), lost=1).report),
+        text_of(reported(tmp_path / "good").report),
+        text_of(reported(tmp_path / "late", cycle(0), missed(1), lost=1).report),
     )
     assert good.splitlines()[-1].startswith("PASS")
     assert "not kept: missed deadlines 1 (at most 0)" in late
@@ -56,7 +52,7 @@ def test_the_verdict_names_each_budget_that_was_not_kept(tmp_path: Path) -> None
 
 def test_without_a_summary_what_only_the_launcher_knew_is_not_zero(tmp_path: Path) -> None:
     report = report_on(recorded(tmp_path, cycle(0), cycle(1))).report
-    text = printed(report)
+    text = text_of(report)
     assert row(text, "direct").count("-") == 4
     assert "summary.json" in text
     document = json.loads(msgspec.json.encode(report.document()))
@@ -104,15 +100,15 @@ def test_the_host_tells_what_was_asked_for_and_not_refused(
     host = report.host
     assert (host.scheduling, host.memory_locked) == (scheduling, locked)
     assert (host.cpus, host.load_before) == (os.cpu_count(), None)
-    text = printed(replace(report, host=replace(host, load_before=1e6)))
+    text = text_of(replace(report, host=replace(host, load_before=1e6)))
     assert ("memory locked" in text) == locked
     assert "busy before the run" in text
 
 
 def test_each_process_is_shown_if_asked_for(tmp_path: Path) -> None:
     report = reported(tmp_path, cycle(0), missed(1), by_agent=True).report
-    assert "c2/d (direct)" not in printed(report)
-    text = printed(report, processes=True)
+    assert "c2/d (direct)" not in text_of(report)
+    text = text_of(report, processes=True)
     assert "plant (plant)" in text
     assert "missed apply 1" in text
     assert row(text, "hop c1/a/telemetry")[0] == "2"
@@ -122,7 +118,7 @@ def test_an_external_device_and_its_wrong_messages_are_reported(tmp_path: Path) 
     device = ExternalAccount("c2/d", {"command": 2}, lost=1, expected=6, answered=5)
     wrong = WrongMessages("c2/d/command", "not msgpack", 3, "b'x'")
     report = reported(tmp_path, plan=replace(PLAN, external=("c2/d",))).report
-    text = printed(replace(report, external=(device,), wrong=(wrong,), faults={"lost": 4}))
+    text = text_of(replace(report, external=(device,), wrong=(wrong,), faults={"lost": 4}))
     assert "external c2/d: answered 5 times of 6" in text
     assert "wrong c2/d/command, 3 times: not msgpack: b'x'" in text
     assert "4 lost" in text

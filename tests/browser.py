@@ -61,7 +61,6 @@ class Browser:
         return str(found)
 
     def press(self, key: str) -> None:
-        """Press a key in the page."""
         event = f"new KeyboardEvent('keydown', {{key: {json.dumps(key)}, bubbles: true}})"
         self.run(f"document.body.dispatchEvent({event})")
 
@@ -89,7 +88,6 @@ class Browser:
             path.write_bytes(base64.b64decode(json.load(answer)["value"]))
 
     def close(self) -> None:
-        """Close the window."""
         request = urllib.request.Request(f"{self._driver}/{self._session}", method="DELETE")
         with suppress(OSError):
             urllib.request.urlopen(request, timeout=20).close()

@@ -11,7 +11,6 @@ from recordings.verify.verification import Verification, verify
 
 
 def verified(folder: Path) -> Verification:
-    """Verify what a run has recorded."""
     return verify(folder, (), Comparison())
 
 

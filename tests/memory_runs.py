@@ -1,0 +1,64 @@
+"""Runs in memory, and all that is sent in them."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.plan import RunPlan
+from bus_schemas.bus import Delivery
+from bus_schemas.messages import Message, Production
+from bus_schemas.signals import Port
+from launch_scripts.launcher.simulation import RESTART_TAKES_S, MemoryRun
+from sim_plant.profile import Profile
+
+
+def timeless(message: Message) -> Message:
+    """Return a message without the times at which it was decided and sent."""
+    return msgspec.structs.replace(message, publish_time_ns=0, ready_time_ns=0)
+
+
+class Sent:
+    """All messages that were sent in a run, in their order."""
+
+    def __init__(self) -> None:
+        self.messages: list[Delivery] = []
+        self._of: defaultdict[Port[Message], dict[int, Any]] = defaultdict(dict)
+
+    def __call__(self, port: Port[Message], message: Message) -> None:
+        self.messages.append((port, message))
+        self._of[port][message.cycle] = message
+
+    def of(self, port: Port[Message]) -> dict[int, Any]:
+        """Each cycle's message of a port."""
+        return self._of[port]
+
+    @property
+    def produced(self) -> list[Production]:
+        """What the plant delivered, cycle by cycle."""
+        return [message for _, message in self.messages if isinstance(message, Production)]
+
+    @property
+    def over_kw(self) -> NDArray[np.float64]:
+        """Power beyond what was desired [kW], shape (cycles,)."""
+        return np.array([one.delivered_kw - one.desired_kw for one in self.produced])
+
+    @property
+    def power_kw(self) -> NDArray[np.float64]:
+        """Power of each inverter [kW], shape (cycles, n)."""
+        return np.array([one.inverter_power_kw for one in self.produced])
+
+
+def run_in_memory(
+    plan: RunPlan, profile: Profile, restart_takes_s: float = RESTART_TAKES_S
+) -> tuple[MemoryRun, Sent]:
+    """Run a plan through under a profile, and hear all that is sent."""
+    sent = Sent()
+    run = MemoryRun(plan, profile, sent, restart_takes_s)
+    assert list(run.cycles()) == list(range(plan.cycles))
+    run.close()
+    return run, sent
