@@ -26,6 +26,7 @@ from recordings.read.reader import RunReader
 pytestmark = pytest.mark.processes
 
 PATIENCE_S = 120.0
+PROCESS = "launch_scripts.launcher.process"
 DECIDED = tuple(signal for signal in SIGNALS if signal.decided)
 
 
