@@ -14,6 +14,7 @@ from bus_schemas.tree import CENTRAL, PLANT, ControlTree, some_of
 from studies.report import style
 from studies.report.decimation import extremes
 from studies.report.page import html_page
+from studies.report.tables import devices_tables
 from studies.timing import tables
 from studies.timing.budgets import Verdict
 from studies.timing.cycle_waits import CycleWaits, Wait
@@ -28,7 +29,6 @@ from studies.timing.sweep import (
     sweep_table,
     trouble_lines,
 )
-from sunspec.tables import devices_tables
 
 PAGE_NAME: Final = "timing.html"
 
