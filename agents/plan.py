@@ -21,10 +21,12 @@ from agents.cycle import Deadlines
 from agents.machine import MachineSettings
 from agents.periods import Periods
 from bus_schemas.errors import InputError
-from bus_schemas.faults import FaultRule, NetworkFaults, check_rule
+from bus_schemas.fault_checks import check_rule
+from bus_schemas.faults import FaultRule
 from bus_schemas.keys import KeyTable
 from bus_schemas.links import Links, explicit_links
 from bus_schemas.messages import PROTOCOL, Message, Run
+from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import Occurrence, Port, Wiring
 from bus_schemas.tree import PLANT, ControlTree, depth, parent_of, some_of, standby_of
 
