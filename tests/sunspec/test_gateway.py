@@ -18,7 +18,8 @@ pytest.importorskip("sunspec2")
 
 from plans_by_hand import plan_of
 
-from agents.plan import Revert, RunPlan
+from agents.plan import RunPlan
+from agents.settings import Revert
 from bus_schemas.messages import Command
 from sim_plant.devices import Devices, Reading, parse_address
 from studies.report.tables import devices_tables
