@@ -17,7 +17,7 @@ from rich.console import Console
 from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
 from launch_scripts.commands.run import run
-from launch_scripts.launcher.request import RunRequest
+from launch_scripts.launcher.run_request import RunRequest
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.scenarios.preparation import RunOptions
 from launch_scripts.scenarios.scenario import ScenarioFile, load_scenario

@@ -19,8 +19,8 @@ from studies.timing import tables
 from studies.timing.budgets import Verdict
 from studies.timing.cycle_waits import CycleWaits, Wait
 from studies.timing.durations import Times, curve_ms
-from studies.timing.measures import LOOP, WHOLE_LOOP
 from studies.timing.report import Reported, TimingReport
+from studies.timing.run_timing import LOOP, WHOLE_LOOP
 from studies.timing.sweep import (
     RateRow,
     Sweep,

@@ -23,8 +23,8 @@ from studies.tables import (
 from studies.timing.budgets import Verdict
 from studies.timing.clocks import ACROSS, ClockOffset
 from studies.timing.durations import Distribution
-from studies.timing.measures import ProcessTiming, TierTiming, count_of
 from studies.timing.report import Host, TimingReport
+from studies.timing.run_timing import ProcessTiming, TierTiming, count_of
 
 MEANINGS: Final = {
     "loop": "from the plant's scheduled tick to its last command; each command: to its publishing",
