@@ -16,8 +16,8 @@ from agents.control.curtailment import curtailment_level
 from agents.control.forecast import forecast_impp
 from agents.control.impp import NOTHING_KNOWN, Estimate, estimate_impp
 from agents.control.request import residual_kw
+from agents.dispatch import own_request_kw
 from agents.plan import RunPlan
-from agents.request import own_request_kw
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Command, Help, Impp, Residual, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, HELP, IMPP, RESIDUAL, SETPOINT, TELEMETRY

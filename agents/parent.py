@@ -20,8 +20,8 @@ from agents.control.allocation import allocate, total
 from agents.control.correction import corrected
 from agents.control.neighbours import HelpOrder, help_order
 from agents.control.request import residual_kw
+from agents.dispatch import own_request_kw, usable_kw
 from agents.plan import RunPlan
-from agents.request import own_request_kw, usable_kw
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import (
     Dispatch,

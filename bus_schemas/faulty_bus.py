@@ -12,8 +12,8 @@ from itertools import count
 from typing import Final
 
 from bus_schemas.bus import Arrival
-from bus_schemas.faults import FaultTally, NetworkFaults
 from bus_schemas.messages import Message
+from bus_schemas.network_faults import FaultTally, NetworkFaults
 from bus_schemas.signals import Occurrence, Port
 from bus_schemas.zenoh_bus import ZenohBus
 

@@ -13,8 +13,8 @@ from heapq import heappop, heappush
 from itertools import count
 
 from bus_schemas.bus import Arrival, Outbox
-from bus_schemas.faults import UNHARMED, FaultTally, NetworkFaults
 from bus_schemas.messages import Message
+from bus_schemas.network_faults import UNHARMED, FaultTally, NetworkFaults
 from bus_schemas.signals import Port, Wiring
 from bus_schemas.tree import agent_of
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.agent import Stage, Turn
-from agents.plan import InverterSettings, RunPlan
+from agents.plan import RunPlan
+from agents.settings import InverterSettings
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Dispatch, Meter, Production, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY

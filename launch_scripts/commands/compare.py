@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final, cast, get_args
 
 import typer
 
-from agents.plan import Actuator
+from agents.settings import Actuator
 from bus_schemas.errors import InputError
 from launch_scripts.commands.options import (
     ResultOptions,

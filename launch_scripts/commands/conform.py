@@ -67,7 +67,7 @@ def conform(
     --base-port PORT: Listen on this port and those after it, with the plant's name as namespace.
     --out DIR: Folder of the recorded tests; default runs/NAME-TIME.
     """
-    from launch_scripts.launcher.request import RunRequest, prepare_run
+    from launch_scripts.launcher.run_request import RunRequest, prepare_run
     from launch_scripts.scenarios.preparation import RunOptions
     from launch_scripts.scenarios.scenario import load_scenario
     from studies.conformance import conform as of_controller

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
-from agents.plan import Actuator, Scheme
+from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
 
 if TYPE_CHECKING:

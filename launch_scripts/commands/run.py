@@ -26,8 +26,8 @@ from launch_scripts.commands.options import (
 from launch_scripts.commands.output import say, write_json
 from launch_scripts.launcher.launch import launch
 from launch_scripts.launcher.live_view import view_for
-from launch_scripts.launcher.request import RunRequest, prepare_run
 from launch_scripts.launcher.run_folder import RunFolder
+from launch_scripts.launcher.run_request import RunRequest, prepare_run
 from launch_scripts.launcher.simulation import simulate
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.summary_table import print_summary

@@ -26,7 +26,7 @@ from studies.tables import console_for
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from launch_scripts.launcher.request import RunRequest
+    from launch_scripts.launcher.run_request import RunRequest
     from live_page.process import PageProcess
     from studies.timing.report import Reported, TimingReport
     from studies.timing.sweep import Rates

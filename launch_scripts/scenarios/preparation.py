@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from agents.control.correlation import HourlyMatrices, hourly_covariance
 from agents.periods import Periods
-from agents.plan import Actuator, Revert, RunPlan, Scheme, check_plan, check_size
+from agents.plan import RunPlan, check_plan, check_size
+from agents.settings import Actuator, Revert, Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.times import FIRST_YEAR, LAST_YEAR, parse_duration_s, read_time
 from bus_schemas.tree import ROOT, ControlTree, agent_name, depth

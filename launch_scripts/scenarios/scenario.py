@@ -12,15 +12,7 @@ from zoneinfo import ZoneInfo, available_timezones
 import msgspec
 from msgspec import Meta
 
-from agents.plan import (
-    Actuator,
-    Delay,
-    InverterSettings,
-    Ramp,
-    RestartPolicy,
-    Revert,
-    Scheme,
-)
+from agents.settings import Actuator, Delay, InverterSettings, Ramp, RestartPolicy, Revert, Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule
 from bus_schemas.times import LONGEST_S

@@ -9,7 +9,7 @@ from typing import Final
 
 import msgspec
 
-from agents.request import own_request_kw
+from agents.dispatch import own_request_kw
 from bus_schemas import messages
 from bus_schemas.messages import Dispatch, Help, Message, Notice, Setpoint
 from bus_schemas.missing import in_words

@@ -17,7 +17,8 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from agents.plan import RestartPolicy, RunPlan
+from agents.plan import RunPlan
+from agents.settings import RestartPolicy
 from bus_schemas.faults import FaultRule
 from bus_schemas.tree import agent_name
 from launch_scripts.launcher.simulation import RESTART_TAKES_S

@@ -11,7 +11,8 @@ import pandas as pd
 from msgspec.structs import replace
 
 from agents.control.clusters import ClusterSearch, search_clusters
-from agents.plan import RunPlan, Scheme
+from agents.plan import RunPlan
+from agents.settings import Scheme
 from bus_schemas.errors import InputError
 from launch_scripts.scenarios.scenario import ControlTable
 from studies.clusters.worth import (

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from agents.control.clusters import within_cluster_correlation
 from agents.control.correlation import hourly_correlation, hourly_covariance
-from agents.plan import Neighbourhood, NodeNeighbourhoods, RunPlan, Scheme
+from agents.plan import Neighbourhood, NodeNeighbourhoods, RunPlan
+from agents.settings import Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree
 from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods

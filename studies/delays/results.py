@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 from rich.console import Console
 
-from agents.plan import Scheme
+from agents.settings import Scheme
 from launch_scripts.scenarios.preparation import Preparation
 from studies.compare.study import remarks_of
 from studies.delays.study import VALUES, WARM_UP_S, Outcome, Trouble, counted_s

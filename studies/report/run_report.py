@@ -35,9 +35,8 @@ from studies.report.plant_figures import (
     tracking_error,
 )
 from studies.report.style import ReportFigure
-from studies.report.tables import health_table, metrics_tables
+from studies.report.tables import devices_tables, health_table, metrics_tables
 from sunspec.process import read_accounts
-from sunspec.tables import devices_tables
 
 REPORT_NAME: Final = "report.html"
 

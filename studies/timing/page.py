@@ -14,12 +14,13 @@ from bus_schemas.tree import CENTRAL, PLANT, ControlTree, some_of
 from studies.report import style
 from studies.report.decimation import extremes
 from studies.report.page import html_page
+from studies.report.tables import devices_tables
 from studies.timing import tables
 from studies.timing.budgets import Verdict
 from studies.timing.cycle_waits import CycleWaits, Wait
 from studies.timing.durations import Times, curve_ms
-from studies.timing.measures import LOOP, WHOLE_LOOP
 from studies.timing.report import Reported, TimingReport
+from studies.timing.run_timing import LOOP, WHOLE_LOOP
 from studies.timing.sweep import (
     RateRow,
     Sweep,
@@ -28,7 +29,6 @@ from studies.timing.sweep import (
     sweep_table,
     trouble_lines,
 )
-from sunspec.tables import devices_tables
 
 PAGE_NAME: Final = "timing.html"
 

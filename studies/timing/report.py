@@ -20,7 +20,7 @@ from recordings.read.reader import RunReader
 from studies.timing.budgets import Verdict, judge
 from studies.timing.clocks import ClockOffset
 from studies.timing.durations import Times
-from studies.timing.measures import (
+from studies.timing.run_timing import (
     ProcessTiming,
     RunTiming,
     TierTiming,

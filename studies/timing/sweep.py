@@ -12,8 +12,8 @@ from rich.console import Console
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.supervision import RunFailure
 from studies.tables import Cell, Column, Table, key_column, print_lines, print_table, word_column
-from studies.timing.measures import LOOP, WHOLE_LOOP, total
 from studies.timing.report import Host, TimingReport
+from studies.timing.run_timing import LOOP, WHOLE_LOOP, total
 from studies.timing.tables import cycles_per_s, host_lines, how_often
 
 HIGHEST_HZ: Final = 1000.0

@@ -10,7 +10,7 @@ import pytest
 from command_line import python
 from typer.testing import CliRunner
 
-from agents.plan import Actuator, Scheme
+from agents.settings import Actuator, Scheme
 from launch_scripts.cli import COMMANDS, app
 from launch_scripts.scenarios.scenario import shipped_scenarios
 from studies.arrays.schemes import SCHEMES
