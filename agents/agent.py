@@ -24,16 +24,10 @@ S = TypeVar("S")
 class Stage:
     """One step of an agent in a cycle.
 
-    Attributes
-    ----------
-    name
-        What the agent does in it, see `agents.cycle.STAGES`.
-    awaits
-        Ports of which it needs the message of this cycle.
-    uses
-        Ports of which it also uses the newest message.
-    timed
-        In real time the stage closes at its deadline and never before: the clock drives it.
+    name: What the agent does in it, see `agents.cycle.STAGES`.
+    awaits: Ports of which it needs the message of this cycle.
+    uses: Ports of which it also uses the newest message.
+    timed: In real time the stage closes at its deadline and never before: the clock drives it.
     """
 
     name: str
@@ -45,17 +39,10 @@ class Stage:
 class Turn(msgspec.Struct, frozen=True, gc=False):
     """All that an agent sees when a stage closes.
 
-    Attributes
-    ----------
-    stage
-        Name of the stage.
-    cycle, sim_time_ns
-        Number of the cycle and simulated time of its beginning.
-    stamp
-        The first fields of every message that the agent makes now.
-    inputs
-        The newest message of each port that the stage awaits or uses; None if it is silent: there
-        was none, or it is too old.
+    cycle, sim_time_ns: Number of the cycle and simulated time of its beginning.
+    stamp: The first fields of every message that the agent makes now.
+    inputs: The newest message of each port that the stage awaits or uses; None if it is silent:
+        there was none, or it is too old.
     """
 
     stage: str
@@ -73,10 +60,7 @@ class Turn(msgspec.Struct, frozen=True, gc=False):
 class Agent(Protocol[S]):
     """One member of the team, as a value.
 
-    Attributes
-    ----------
-    may_skip
-        Whether it may skip cycles that are over. The plant may not: its clouds move on.
+    may_skip: Whether it may skip cycles that are over. The plant may not: its clouds move on.
     """
 
     may_skip: bool

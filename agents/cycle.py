@@ -74,14 +74,8 @@ class Deadlines:
     to the central controller's solve then share the time before its deadline, and the plant waits
     for commands until halfway between the last deadline and its next tick.
 
-    Parameters
-    ----------
-    tree
-        The control tree.
-    cycle_ns
-        Length of a cycle on the wall clock.
-    tiers_ns
-        Deadline of each tier's last message, the central controller's first and the direct
+    cycle_ns: Length of a cycle on the wall clock.
+    tiers_ns: Deadline of each tier's last message, the central controller's first and the direct
         controllers' last. Empty: each place has the same share.
     """
 

@@ -16,8 +16,8 @@ from agents.control.curtailment import curtailment_level
 from agents.control.forecast import forecast_impp
 from agents.control.impp import NOTHING_KNOWN, Estimate, estimate_impp
 from agents.control.request import residual_kw
+from agents.dispatch import own_request_kw
 from agents.plan import RunPlan
-from agents.request import own_request_kw
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Command, Help, Impp, Residual, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, HELP, IMPP, RESIDUAL, SETPOINT, TELEMETRY
@@ -34,15 +34,7 @@ class DirectState(msgspec.Struct, frozen=True, gc=False):
 
 
 class DirectController:
-    """Estimates its inverter's maximum power, says what it lacks, turns a setpoint into alpha.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    node
-        Path of the inverter in the control tree.
-    """
+    """Estimates its inverter's maximum power, says what it lacks, turns a setpoint into alpha."""
 
     may_skip = True
 
@@ -67,7 +59,6 @@ class DirectController:
         self._alone = (estimate, Stage("actuate", (), (self._setpoint, self._dispatch)))
 
     def initial_state(self) -> DirectState:
-        """Nothing measured."""
         return DirectState(NOTHING_KNOWN, _NEVER)
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
@@ -75,7 +66,6 @@ class DirectController:
         return self._with_parent if self._periods.is_turn(self._parent, cycle) else self._alone
 
     def step(self, state: DirectState, turn: Turn) -> tuple[DirectState, list[Delivery]]:
-        """Close a stage."""
         if turn.stage == "estimate":
             return self._estimate(state, turn)
         return state, self._actuate(state, turn)

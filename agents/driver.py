@@ -18,17 +18,7 @@ from bus_schemas.signals import DISPATCH, RUN, Port
 
 
 class Driver:
-    """Some agents of a run, on one bus.
-
-    Parameters
-    ----------
-    loops
-        The agents.
-    bus
-        Brings them messages and takes theirs.
-    now_ns
-        The run's clock.
-    """
+    """Some agents of a run, on one bus."""
 
     def __init__(
         self, loops: Iterable[AgentLoop[Any]], bus: Bus, now_ns: Callable[[], int]
@@ -55,7 +45,6 @@ class Driver:
 
     @property
     def finished(self) -> bool:
-        """Whether the run has ended for all agents."""
         return all(loop.finished for loop in self.loops.values())
 
     def run(self) -> Iterator[Sequence[Arrival]]:
@@ -68,10 +57,7 @@ class Driver:
     def turn(self, longest_ns: int | None = None) -> Sequence[Arrival]:
         """Wait for messages or the next deadline, and act on them. Returns the messages.
 
-        Parameters
-        ----------
-        longest_ns
-            Time of the run's clock up to which to wait at most.
+        longest_ns: Time of the run's clock up to which to wait at most.
         """
         until_ns = self._next_deadline_ns()
         if until_ns is None or (longest_ns is not None and longest_ns < until_ns):
@@ -110,7 +96,6 @@ class Driver:
             bus.publish(port, message, now_ns())
 
     def _next_deadline_ns(self) -> int | None:
-        """Return the next deadline of an open stage."""
         while self._deadlines:
             deadline_ns, _, name = self._deadlines[0]
             loop = self.loops.get(name)

@@ -64,18 +64,11 @@ class TookOver(Event, frozen=True):
 class Finished(Event, frozen=True):
     """The agent has come to the end of the run.
 
-    Attributes
-    ----------
-    published
-        Messages of the run that it published, by signal.
-    dropped
-        Messages that it did not use, by port and cause.
-    skipped_cycles
-        Cycles that were over before the agent came to them.
-    faults
-        What an imperfect network did to messages on their way to it.
-    dismissed
-        Whether SIGTERM ended it before the run was over.
+    published: Messages of the run that it published, by signal.
+    dropped: Messages that it did not use, by port and cause.
+    skipped_cycles: Cycles that were over before the agent came to them.
+    faults: What an imperfect network did to messages on their way to it.
+    dismissed: Whether SIGTERM ended it before the run was over.
     """
 
     published: dict[str, int]
@@ -97,7 +90,6 @@ class Exited(Event, frozen=True):
     status: int
     cpu_s: float
     voluntary_switches: int
-    involuntary_switches: int
 
 
 class Presence(Event, frozen=True):
@@ -120,16 +112,10 @@ class Over(Event, frozen=True):
 class Complaint(Event, frozen=True):
     """What was wrong with messages on a key, seen by the recorder.
 
-    Attributes
-    ----------
-    key
-        The key on the bus, without the run's namespace.
-    cause
-        In what way they were wrong.
-    count
-        How many of them were.
-    example
-        What is to be said of the first one.
+    key: The key on the bus, without the run's namespace.
+    cause: In what way they were wrong.
+    count: How many of them were.
+    example: What is to be said of the first one.
     """
 
     key: str
@@ -141,18 +127,11 @@ class Complaint(Event, frozen=True):
 class ExternalAccount(msgspec.Struct, frozen=True):
     """What the recorder heard of an external agent, which gives no account of itself.
 
-    Attributes
-    ----------
-    recorded
-        Its messages in the recording, by signal.
-    lost
-        Its messages that their sequence numbers show to be missing.
-    expected
-        How many messages it should have sent on the keys on which one comes in each cycle.
-    answered
-        How many of them came.
-    outages
-        Cycles in which it went away and came back; None: it did not.
+    recorded: Its messages in the recording, by signal.
+    lost: Its messages that their sequence numbers show to be missing.
+    expected: How many messages it should have sent on the keys on which one comes in each cycle.
+    answered: How many of them came.
+    outages: Cycles in which it went away and came back; None: it did not.
     """
 
     agent: str
@@ -166,23 +145,15 @@ class ExternalAccount(msgspec.Struct, frozen=True):
 class Recorded(Event, frozen=True):
     """The recorder has closed its file.
 
-    Attributes
-    ----------
-    recorded
-        Messages in the file, by signal.
-    foreign
-        Payloads on the run's keys that are no messages of the run.
-    cycles
-        How many cycles the plant completed.
-    ended_early
-        Why the file does not go up to the end of the run; empty if it does.
-    external
-        An account of each external agent. Their messages are among the others in `recorded`.
-    complaints
-        What was wrong with messages that are none of the run, with those of external agents, and
-        with those that contradict others of their key.
-    extra
-        Messages of `recorded` that came second on keys of the launcher's own processes, by signal.
+    recorded: Messages in the file, by signal.
+    foreign: Payloads on the run's keys that are no messages of the run.
+    cycles: How many cycles the plant completed.
+    ended_early: Why the file does not go up to the end of the run; empty if it does.
+    external: An account of each external agent. Their messages are among the others in `recorded`.
+    complaints: What was wrong with messages that are none of the run, with those of external
+        agents, and with those that contradict others of their key.
+    extra: Messages of `recorded` that came second on keys of the launcher's own processes, by
+        signal.
     """
 
     recorded: dict[str, int]

@@ -26,19 +26,10 @@ _decoder = msgspec.json.Decoder(AnyEvent)
 class LauncherLink:
     """A process's end of the link.
 
-    Parameters
-    ----------
-    agent
-        Name of the agent in the process.
-    events
-        Socket that keeps packets apart, shared with the other processes of the run.
-    expected
-        Pipe on which the launcher tells the recorder how many messages to expect.
+    events: Socket that keeps packets apart, shared with the other processes of the run.
+    expected: Pipe on which the launcher tells the recorder how many messages to expect.
 
-    Attributes
-    ----------
-    dismissed
-        Whether the launcher wants the agent to end: by SIGTERM, see `heed_sigterm`.
+    dismissed: Whether the launcher wants the agent to end: by SIGTERM, see `heed_sigterm`.
     """
 
     def __init__(
@@ -62,7 +53,6 @@ class LauncherLink:
         self.dismissed = True
 
     def tell(self, event: Event) -> None:
-        """Send an event."""
         data = msgspec.json.encode(event)
         if self._events is None:
             sys.stdout.buffer.write(data + b"\n")

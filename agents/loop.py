@@ -67,16 +67,8 @@ _COUNT_IN_ARMING: Final[frozenset[Cause]] = frozenset({"foreign", "absurd"})
 class _Input:
     """One input of an agent: its newest message, and those of cycles to come.
 
-    Attributes
-    ----------
-    heard
-        Newest cycle of which something came, whatever it was.
-    newest
-        Newest message that can be used.
-    ahead
-        Messages of later cycles: a child may run ahead of a parent that acts rarely.
-    incarnation
-        Of the publisher.
+    heard: Newest cycle of which something came, whatever it was.
+    ahead: Messages of later cycles: a child may run ahead of a parent that acts rarely.
     """
 
     __slots__ = ("ahead", "bounds", "heard", "incarnation", "newest", "period", "port")
@@ -105,39 +97,19 @@ class AgentLoop(Generic[S]):
     Arming rounds are cycles below 0. Each begins from the initial state and leaves no trace. The
     dispatch of a round takes a controller into it, and the plant's `run` into cycle 0.
 
-    Parameters
-    ----------
-    agent
-        The agent.
-    plan
-        Of the run.
-    on_drop
-        Called with a line of text for each message that is not used.
+    on_drop: Called with a line of text for each message that is not used.
 
-    Attributes
-    ----------
-    cycle
-        The cycle that it is in.
-    end_cycle
-        The first cycle that does not take place.
-    waiting
-        Ports of which the open stage still awaits a message.
-    deadline_ns
-        When the open stage closes at the latest, on the run's clock. None: it waits.
-    dropped
-        Messages that were not used, by port and cause.
-    missing_inputs
-        Awaited inputs that a deadline found missing.
-    old_inputs
-        Inputs that a stage used and that were older than they should have been.
-    skipped_cycles
-        Cycles that were over before the agent was through them.
-    incarnation
-        The cycle in which it joined the run, or took over: 0, unless its process replaces another.
-    name
-        Of its process: the agent's, or that of its standby.
-    silent
-        Whether it publishes nothing: its agent's other process does.
+    end_cycle: The first cycle that does not take place.
+    waiting: Ports of which the open stage still awaits a message.
+    deadline_ns: When the open stage closes at the latest, on the run's clock. None: it waits.
+    dropped: Messages that were not used, by port and cause.
+    missing_inputs: Awaited inputs that a deadline found missing.
+    old_inputs: Inputs that a stage used and that were older than they should have been.
+    skipped_cycles: Cycles that were over before the agent was through them.
+    incarnation: The cycle in which it joined the run, or took over: 0, unless its process replaces
+        another.
+    name: Of its process: the agent's, or that of its standby.
+    silent: Whether it publishes nothing: its agent's other process does.
     """
 
     def __init__(
@@ -181,7 +153,6 @@ class AgentLoop(Generic[S]):
 
     @property
     def stage(self) -> str:
-        """Name of the open stage, empty if none is open."""
         return self._stages[self._place].name if self._place < len(self._stages) else ""
 
     @property
@@ -191,7 +162,6 @@ class AgentLoop(Generic[S]):
 
     @property
     def finished(self) -> bool:
-        """Whether the run has ended for this agent."""
         return self.cycle >= self.end_cycle
 
     @property
@@ -405,7 +375,6 @@ class AgentLoop(Generic[S]):
         return round(self._waits * self._plan.deadlines.slice_ns(self.agent.name, stage.name))
 
     def _deadline_after_ns(self, stage: str) -> int:
-        """Deadline of a stage after the beginning of its cycle."""
         after_ns = self._deadlines_ns.get(stage)
         if after_ns is None:
             after_ns = self._plan.deadlines.deadline_ns(self.agent.name, stage)

@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import msgspec
 
@@ -41,18 +41,12 @@ _POLICIES: Final = {
 class MachineSettings(msgspec.Struct, frozen=True):
     """What the processes of a run may take of the machine. By default nothing special.
 
-    Attributes
-    ----------
-    cpus
-        Processors that all processes run on. Empty: any.
-    cpus_of
-        Processors of the processes of one kind, instead of those.
-    priority
-        In real time: the plant and the controllers run under SCHED_FIFO with this priority, 1 to
-        99, so that nothing of the normal policy takes the processor from them. 0: they do not.
-    lock_memory
-        In real time: whether the memory of plant and controllers is never paged out. It takes
-        CAP_IPC_LOCK or no limit on locked memory.
+    cpus: Processors that all processes run on. Empty: any.
+    cpus_of: Processors of the processes of one kind, instead of those.
+    priority: In real time: the plant and the controllers run under SCHED_FIFO with this priority, 1
+        to 99, so that nothing of the normal policy takes the processor from them. 0: they do not.
+    lock_memory: In real time: whether the memory of plant and controllers is never paged out. It
+        takes CAP_IPC_LOCK or no limit on locked memory.
     """
 
     cpus: tuple[int, ...] = ()
@@ -186,36 +180,6 @@ def _has_capability(number: int) -> bool:
     status = Path("/proc/self/status").read_text(encoding="utf-8")
     found = re.search(r"^CapEff:\s*([0-9a-f]+)$", status, re.MULTILINE)
     return found is not None and bool(int(found[1], 16) >> number & 1)
-
-
-class ResourcesUsed(NamedTuple):
-    """What a process has taken so far, with all its threads."""
-
-    cpu_s: float
-    switches_voluntary: int
-    switches_involuntary: int
-    resident_mb: float
-
-
-def resources_used() -> ResourcesUsed:
-    """Return what this process has taken so far. `resident_mb` is the most it ever had."""
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    return ResourcesUsed(
-        usage.ru_utime + usage.ru_stime,
-        usage.ru_nvcsw,
-        usage.ru_nivcsw,
-        _most_resident_bytes(usage.ru_maxrss) / 1e6,
-    )
-
-
-def _most_resident_bytes(maxrss: int) -> int:
-    # On Linux what getrusage knows goes back to before the program was started: to its parent.
-    try:
-        status = Path("/proc/self/status").read_text(encoding="ascii")
-    except OSError:
-        return maxrss * (1 if sys.platform == "darwin" else 1024)
-    found = re.search(r"^VmHWM:\s*(\d+) kB", status, re.MULTILINE)
-    return int(found[1]) * 1024 if found else maxrss * 1024
 
 
 def scheduling_policy() -> str:

@@ -20,8 +20,8 @@ from agents.control.allocation import allocate, total
 from agents.control.correction import corrected
 from agents.control.neighbours import HelpOrder, help_order
 from agents.control.request import residual_kw
+from agents.dispatch import own_request_kw, usable_kw
 from agents.plan import RunPlan
-from agents.request import own_request_kw, usable_kw
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import (
     Dispatch,
@@ -41,14 +41,11 @@ from bus_schemas.tree import ROOT, agent_name, parent_of
 class Report(NamedTuple):
     """What a parent knows of a child.
 
-    Attributes
-    ----------
-    impp_kw, residual_kw
-        Its IMPP and residual [kW]; of a silent child its own request, and nothing beyond it.
-    stale_cycles
-        How old its measurements are.
-    is_old, is_silent
-        Whether the report is of an earlier cycle, and whether it is too old to count.
+    impp_kw, residual_kw: Its IMPP and residual [kW]; of a silent child its own request, and nothing
+        beyond it.
+    stale_cycles: How old its measurements are.
+    is_old, is_silent: Whether the report is of an earlier cycle, and whether it is too old to
+        count.
     """
 
     impp_kw: float
@@ -68,15 +65,7 @@ class _Child:
 
 
 class Children:
-    """A parent's children: what they report, and how a target is divided among them.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    node
-        Path of the parent.
-    """
+    """A parent's children: what they report, and how a target is divided among them."""
 
     def __init__(self, plan: RunPlan, node: str) -> None:
         tree = plan.tree
@@ -175,15 +164,7 @@ class Children:
 
 
 class Supervisor:
-    """Balances need and headroom within its cluster, and asks its parent for the rest.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    node
-        Path of the cluster.
-    """
+    """Balances need and headroom within its cluster, and asks its parent for the rest."""
 
     may_skip = True
 
@@ -211,7 +192,6 @@ class Supervisor:
         return self._with_parent if parent_acts else self._alone
 
     def step(self, state: None, turn: Turn) -> tuple[None, list[Delivery]]:
-        """Close a stage."""
         reports = self._children.reports(turn)
         if turn.stage == "report":
             return None, self._children.report_up(turn, reports)
@@ -226,18 +206,11 @@ class Supervisor:
 class CentralState(msgspec.Struct, frozen=True, gc=False):
     """What the central controller remembers.
 
-    Attributes
-    ----------
-    correction_kw
-        What it adds to its target because the meter read less than was wanted.
-    wanted_kw
-        The dispatch of its last turn.
-    metered_kw, readings
-        Sum of the meter's readings since then, and their number.
-    meter_cycle
-        Cycle of the newest reading. That of cycle 0 is of the time before the run.
-    clamped
-        How many dispatches it clamped.
+    correction_kw: What it adds to its target because the meter read less than was wanted.
+    wanted_kw: The dispatch of its last turn.
+    metered_kw, readings: Sum of the meter's readings since then, and their number.
+    meter_cycle: Cycle of the newest reading. That of cycle 0 is of the time before the run.
+    clamped: How many dispatches it clamped.
     """
 
     correction_kw: float = 0.0
@@ -249,13 +222,7 @@ class CentralState(msgspec.Struct, frozen=True, gc=False):
 
 
 class CentralController:
-    """Takes the operator's dispatch and moves power between clusters to meet it.
-
-    Parameters
-    ----------
-    plan
-        Of the run.
-    """
+    """Takes the operator's dispatch and moves power between clusters to meet it."""
 
     may_skip = True
 
@@ -272,7 +239,6 @@ class CentralController:
         self._stages = (Stage("solve", inputs),)
 
     def initial_state(self) -> CentralState:
-        """Nothing corrected."""
         return CentralState()
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:

@@ -15,16 +15,8 @@ class Periods:
     A parent gives requests and setpoints in its turns only. Between them the tiers below go on
     rebalancing against its last target. Everybody reports upwards in every cycle.
 
-    Parameters
-    ----------
-    cycles
-        Period of each tier that has children, the central controller's first. Each must be a
+    cycles: Period of each tier that has children, the central controller's first. Each must be a
         multiple of the next.
-
-    Raises
-    ------
-    InputError
-        A period below 1, or one that is no multiple of the next tier's.
     """
 
     cycles: tuple[int, ...]
@@ -43,10 +35,6 @@ class Periods:
     def is_turn(self, parent: str, cycle: int) -> bool:
         """Whether a parent acts in a cycle. In arming rounds (below 0) everybody does."""
         return cycle < 0 or cycle % self.cycles[depth(parent)] == 0
-
-    def last_turn(self, parent: str, cycle: int) -> int:
-        """Return the last cycle up to this one in which a parent acts."""
-        return cycle - cycle % self.cycles[depth(parent)]
 
     def rests_between(self, parent: str) -> bool:
         """Whether a parent's children act between its turns."""

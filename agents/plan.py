@@ -6,34 +6,28 @@ reading one takes.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Final, Literal, TypeAlias
+from typing import Final, Literal
 
 import msgspec
-from msgspec import Meta
 from msgspec.structs import asdict, replace
 
 from agents.control.forecast import HIDDEN_ALPHA_MIN
 from agents.cycle import Deadlines
 from agents.machine import MachineSettings
 from agents.periods import Periods
+from agents.settings import Actuator, InverterSettings, RestartPolicy, Revert, Scheme
 from bus_schemas.errors import InputError
-from bus_schemas.faults import FaultRule, NetworkFaults, check_rule
+from bus_schemas.fault_checks import check_rule
+from bus_schemas.faults import FaultRule
 from bus_schemas.keys import KeyTable
 from bus_schemas.links import Links, explicit_links
 from bus_schemas.messages import PROTOCOL, Message, Run
+from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import Occurrence, Port, Wiring
 from bus_schemas.tree import PLANT, ControlTree, depth, parent_of, some_of, standby_of
-
-Scheme: TypeAlias = Literal["paper", "predictive"]
-"""`paper`: the IMPP is the last cycle's (eq. 1). `predictive`: it is a forecast of this cycle's."""
-
-Actuator: TypeAlias = Literal["fraction", "limit"]
-"""`fraction`: P = alpha x MPP, as in the paper. `limit`: P = min(limit, MPP), as real inverters."""
-
 
 LONGEST_CYCLE_NS: Final = 3_600_000_000_000
 MOST_CYCLES: Final = 10_000_000
@@ -47,12 +41,8 @@ START_WITHIN_NS: Final = 10_000_000_000
 class Neighbourhood(msgspec.Struct, frozen=True):
     """The order of help among a parent's children from a time on.
 
-    Attributes
-    ----------
-    from_time_ns
-        Simulated time from which it holds.
-    correlation
-        Pearson correlation between the children's power, shape (n, n).
+    from_time_ns: Simulated time from which it holds.
+    correlation: Pearson correlation between the children's power, shape (n, n).
     """
 
     from_time_ns: int
@@ -66,169 +56,60 @@ class NodeNeighbourhoods(msgspec.Struct, frozen=True):
     hours: tuple[Neighbourhood, ...]
 
 
-class RestartPolicy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the launcher does when a controller's process ends before the run does."""
-
-    when: Annotated[
-        Literal["never", "on-failure", "always"] | None,
-        Meta(
-            description="`never`: the run ends. `on-failure`: the process is restarted. `always`: "
-            "the same, without a limit. Default: `on-failure` in real time, `never` in lockstep."
-        ),
-    ] = None
-    most: Annotated[
-        int, Meta(ge=1, le=1000, description="Largest number of restarts of one process ...")
-    ] = 5
-    within_s: Annotated[
-        float, Meta(gt=0.0, le=1e6, description="... within this time; one more ends the run [s].")
-    ] = 60.0
-    backoff_s: Annotated[
-        float,
-        Meta(
-            ge=0.0,
-            le=1e6,
-            description="Wait before the second restart within that time, doubled each time [s].",
-        ),
-    ] = 0.5
-    frozen_s: Annotated[
-        float,
-        Meta(
-            gt=0.0,
-            le=1e6,
-            description="A process that reports nothing for this time is killed [s].",
-        ),
-    ] = 5.0
-
-    def wait_s(self, earlier_s: Iterable[float], now_s: float) -> float | None:
-        """Return how long to wait before one more restart of a process; None: there is none.
-
-        `earlier_s` are the times at which it was started again.
-        """
-        recent = sum(now_s - at_s < self.within_s for at_s in earlier_s)
-        if self.when == "never" or (recent >= self.most and self.when != "always"):
-            return None
-        return min(self.backoff_s * 2.0 ** (recent - 1), self.within_s) if recent else 0.0
-
-
-Ramp: TypeAlias = Annotated[float, Meta(gt=0.0, le=1e6)]
-Delay: TypeAlias = Annotated[float, Meta(ge=0.0, le=600.0)]
-
-
-class Revert(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What an inverter does without new commands (SunSpec models 123 and 704)."""
-
-    after_s: Annotated[
-        float, Meta(gt=0.0, le=86_400.0, description="Time after the last command [s].")
-    ] = 60.0
-    to: Annotated[
-        Literal["request", "release"] | Annotated[float, Meta(ge=0.0, le=1.0)],
-        Meta(
-            description="`request`: its own share of the last dispatch that its controller heard. "
-            "`release`: no limit. A number: this share of its rating."
-        ),
-    ] = "request"
-
-
-class InverterSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How some inverters follow commands. Fields that are not given are as for all others."""
-
-    nodes: Annotated[str, Meta(description="Which: `c1/inv07`, or a pattern such as `c1/*`.")] = "*"
-    revert: Annotated[
-        Revert | None, Meta(description="What these inverters do without new commands.")
-    ] = None
-    ramp_percent_per_s: Annotated[
-        Ramp | None, Meta(description="Largest change of power, in % of the rating per second.")
-    ] = None
-    delay_s: Annotated[Delay | None, Meta(description="Time until a command takes effect [s].")] = (
-        None
-    )
-
-
 class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
     """What the agents of a run share.
 
-    Attributes
-    ----------
-    run_id
-        Name of the run, and its namespace on the bus.
-    plant
-        Name of the plant: the first part of every key.
-    inverters
-        Path and AC rating [kW] of each inverter.
-    start_time_ns, cycle_ns, cycles
-        Simulated time of cycle 0 [ns since 1970-01-01 UTC], length and number of the cycles.
-    timezone
-        Local time of the plant, an IANA name.
-    regulation_capacity_kw
-        Power that a regulation signal of +1 stands for; 0 if the plant offers none.
-    cycle_wall_ns
-        Length of a cycle on the wall clock; 0 is lockstep, without deadlines.
-    period_cycles
-        Period of each tier that has children, the central controller's first.
-    scheme
-        How the direct controllers estimate the maximum: as in the paper, or ahead of it.
-    actuator
-        What an inverter does with its command.
-    alpha_min
-        Lowest curtailment level that is commanded.
-    hold_cycles
-        An input that is older than this is silent.
-    correction
-        Whether the central controller corrects its target by the plant's meter.
-    available_bias
-        Relative error of the available power that the inverters state; None if they state none.
-    stall_timeout_s
-        In lockstep: how long an agent waits before it says for what.
-    neighbourhoods
-        Order of help among each parent's children.
-    ramp_limit_percent_per_min
-        Ramp limit that the run is measured by, in % of the plant's rating per minute.
-    tcp_ports
-        Port on 127.0.0.1 of each agent that listens. Empty in memory.
-    faults, faults_seed
-        In what ways the network is imperfect, and the seed of what is drawn for it.
-    external
-        Agents that the launcher does not start but waits for: the user's own devices.
-    namespace
-        Prefix of the run's keys on the bus. Empty: the `run_id`, so that two runs never meet.
-    tier_deadlines_ns
-        In real time: when, after the beginning of a cycle, the last message of each tier must be
-        out at the latest; the central controller's first, the direct controllers' last. Empty: each
-        stage has the same share of the cycle.
-    machine
-        What the processes may take of the machine.
-    seed
-        Seed of the synthetic clouds; None where the irradiance is measured.
-    restart
-        What happens when a controller's process ends before the run does.
-    revert
-        What an inverter does without new commands; None: it obeys the last one forever.
-    secret, users_file
-        What ids and passwords of the agents' sessions are made from, and the file of passwords:
-        without keys, a program with one of them may publish as any agent. Empty: any program may.
-    agent_ports
-        Without keys, beside devices: the ports where the other agents link with each other.
-        Devices, which have no password, connect to `tcp_ports`.
-    keys_folder
-        Folder of the agents' certificates; empty: the links are not encrypted.
-    address
-        Where the agents listen.
-    addresses
-        Where the agents are that run on other hosts.
-    devices
-        Real inverters, each with its address: `modbus://host:port/unit`.
-    ramp_percent_per_s, delay_s
-        How fast an inverter follows a command, in % of its rating per second (None: at once), and
-        after what time it begins to.
-    settings
-        Settings for some inverters; for each field, the last entry that matches an inverter counts.
-    standby
-        Parents that have a standby: none in lockstep, where nothing has a deadline.
-    positions_m
-        Where each inverter stands: metres east and north of a point that is the same for all of
-        them. Empty: not known.
-    protocol
-        Version of what travels between the agents.
+    run_id: Name of the run, and its namespace on the bus.
+    plant: Name of the plant: the first part of every key.
+    inverters: Path and AC rating [kW] of each inverter.
+    start_time_ns, cycle_ns, cycles: Simulated time of cycle 0 [ns since 1970-01-01 UTC], length and
+        number of the cycles.
+    timezone: Local time of the plant, an IANA name.
+    regulation_capacity_kw: Power that a regulation signal of +1 stands for; 0 if the plant offers
+        none.
+    cycle_wall_ns: Length of a cycle on the wall clock; 0 is lockstep, without deadlines.
+    period_cycles: Period of each tier that has children, the central controller's first.
+    scheme: How the direct controllers estimate the maximum: as in the paper, or ahead of it.
+    actuator: What an inverter does with its command.
+    alpha_min: Lowest curtailment level that is commanded.
+    hold_cycles: An input that is older than this is silent.
+    correction: Whether the central controller corrects its target by the plant's meter.
+    available_bias: Relative error of the available power that the inverters state; None if they
+        state none.
+    stall_timeout_s: In lockstep: how long an agent waits before it says for what.
+    neighbourhoods: Order of help among each parent's children.
+    ramp_limit_percent_per_min: Ramp limit that the run is measured by, in % of the plant's rating
+        per minute.
+    tcp_ports: Port on 127.0.0.1 of each agent that listens. Empty in memory.
+    faults, faults_seed: In what ways the network is imperfect, and the seed of what is drawn for
+        it.
+    external: Agents that the launcher does not start but waits for: the user's own devices.
+    namespace: Prefix of the run's keys on the bus. Empty: the `run_id`, so that two runs never
+        meet.
+    tier_deadlines_ns: In real time: when, after the beginning of a cycle, the last message of each
+        tier must be out at the latest; the central controller's first, the direct controllers'
+        last. Empty: each stage has the same share of the cycle.
+    machine: What the processes may take of the machine.
+    seed: Seed of the synthetic clouds; None where the irradiance is measured.
+    restart: What happens when a controller's process ends before the run does.
+    revert: What an inverter does without new commands; None: it obeys the last one forever.
+    secret, users_file: What ids and passwords of the agents' sessions are made from, and the file
+        of passwords: without keys, a program with one of them may publish as any agent. Empty: any
+        program may.
+    agent_ports: Without keys, beside devices: the ports where the other agents link with each
+        other. Devices, which have no password, connect to `tcp_ports`.
+    keys_folder: Folder of the agents' certificates; empty: the links are not encrypted.
+    address: Where the agents listen.
+    addresses: Where the agents are that run on other hosts.
+    devices: Real inverters, each with its address: `modbus://host:port/unit`.
+    ramp_percent_per_s, delay_s: How fast an inverter follows a command, in % of its rating per
+        second (None: at once), and after what time it begins to.
+    settings: Settings for some inverters; for each field, the last entry that matches an inverter
+        counts.
+    standby: Parents that have a standby: none in lockstep, where nothing has a deadline.
+    positions_m: Where each inverter stands: metres east and north of a point that is the same for
+        all of them. Empty: not known.
+    protocol: Version of what travels between the agents.
     """
 
     run_id: str
@@ -276,22 +157,18 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @cached_property
     def tree(self) -> ControlTree:
-        """The control tree."""
         return ControlTree(self.inverters)
 
     @cached_property
     def keys(self) -> KeyTable:
-        """The keys of the run."""
         return KeyTable(self.plant, self.tree)
 
     @cached_property
     def wiring(self) -> Wiring:
-        """Who publishes and hears what."""
         return Wiring(self.tree, self.standbys)
 
     @cached_property
     def links(self) -> Links:
-        """The TCP links between the agents."""
         return explicit_links(self.tree, self.standbys)
 
     @cached_property
@@ -317,7 +194,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @property
     def standbys(self) -> tuple[str, ...]:
-        """Agents that have a standby."""
         return () if self.lockstep else self.standby
 
     @property
@@ -362,16 +238,13 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     @cached_property
     def periods(self) -> Periods:
-        """The periods of the tiers."""
         return Periods(self.period_cycles)
 
     @cached_property
     def deadlines(self) -> Deadlines:
-        """The deadlines of the stages, in real time."""
         return Deadlines(self.tree, self.cycle_wall_ns, self.tier_deadlines_ns)
 
     def settings_of(self, leaf: str) -> InverterSettings:
-        """Return how an inverter takes commands."""
         found = InverterSettings(
             revert=self.revert, ramp_percent_per_s=self.ramp_percent_per_s, delay_s=self.delay_s
         )
@@ -423,18 +296,11 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
         return next((entry.hours for entry in self.neighbourhoods if entry.node == node), ())
 
     def as_json(self) -> bytes:
-        """Return the plan as JSON."""
         return msgspec.json.format(msgspec.json.encode(self), indent=1)
 
 
 def load_plan(path: Path) -> RunPlan:
-    """Read a plan.
-
-    Raises
-    ------
-    InputError
-        There is no such file, or it is no plan.
-    """
+    """Read a plan."""
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=RunPlan)
     except FileNotFoundError:
@@ -462,13 +328,7 @@ def check_size(cycles: int, inverters: int, where: str) -> None:
 
 
 def check_plan(plan: RunPlan) -> None:
-    """Check what the types of the fields do not tell.
-
-    Raises
-    ------
-    InputError
-        A plan that no scenario leads to.
-    """
+    """Check what the types of the fields do not tell."""
     check_size(plan.cycles, len(plan.tree.leaves), "cycles")
     if not 0 < plan.cycle_ns <= LONGEST_CYCLE_NS:
         raise InputError(

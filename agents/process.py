@@ -133,16 +133,7 @@ def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
 class AgentProcess:
     """An agent's place in a run: its loop and driver on the bus, and its link to the launcher.
 
-    Parameters
-    ----------
-    plan
-        Of the run.
-    agent
-        The agent.
-    link
-        To the launcher.
-    name
-        Of the process, where it is a standby.
+    name: Of the process, where it is a standby.
     """
 
     def __init__(

@@ -15,7 +15,7 @@ from typing import get_args
 
 from msgspec.structs import replace
 
-from agents.plan import Scheme
+from agents.settings import Scheme
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from studies.arrays.closed_loop import is_corrected

@@ -32,13 +32,9 @@ def access_rules(
 ) -> dict[str, object]:
     """Return an agent's rules as Zenoh's configuration wants them: what is not allowed is refused.
 
-    Parameters
-    ----------
-    agent, namespace, keys, wiring, links
-        The agent, and who says what to whom in its run.
-    subjects
-        By agent, how the others recognise it. An entry for the empty name stands for anybody: of
-        them the recorder hears all, so that it can name who says what they may not.
+    agent, namespace, keys, wiring, links: The agent, and who says what to whom in its run.
+    subjects: By agent, how the others recognise it. An entry for the empty name stands for anybody:
+        of them the recorder hears all, so that it can name who says what they may not.
     """
     rules: list[dict[str, object]] = []
     policies: list[dict[str, object]] = []

@@ -23,10 +23,8 @@ _decoders: dict[type[Message], msgspec.msgpack.Decoder[Message]] = {
 def decode(signal: Signal[M], payload: bytes) -> M:
     """Return the message that a payload of a signal holds.
 
-    Raises
-    ------
-    msgspec.DecodeError
-        The payload is no msgpack, or not of the signal's type, or too large.
+    Raises msgspec.DecodeError: The payload is no msgpack, or not of the signal's type, or too
+        large.
     """
     if len(payload) > LARGEST_PAYLOAD:
         raise msgspec.DecodeError(f"{len(payload)} bytes are more than {LARGEST_PAYLOAD}")

@@ -12,8 +12,8 @@ from itertools import count
 from typing import Final
 
 from bus_schemas.bus import Arrival
-from bus_schemas.faults import FaultTally, NetworkFaults
 from bus_schemas.messages import Message
+from bus_schemas.network_faults import FaultTally, NetworkFaults
 from bus_schemas.signals import Occurrence, Port
 from bus_schemas.zenoh_bus import ZenohBus
 
@@ -24,21 +24,8 @@ _MOST_UNDER_WAY: Final = 100_000
 class FaultyBus:
     """One agent's place on the bus, at the end of imperfect links.
 
-    Parameters
-    ----------
-    bus
-        Its place on the real bus.
-    agent
-        Its name.
-    faults
-        Of the network.
-
-    Attributes
-    ----------
-    tally
-        What the faults did to messages.
-    flooded
-        Messages that found no room, by port.
+    tally: What the faults did to messages.
+    flooded: Messages that found no room, by port.
     """
 
     def __init__(self, bus: ZenohBus, agent: str, faults: NetworkFaults) -> None:

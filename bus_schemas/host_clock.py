@@ -40,5 +40,4 @@ class HostClock:
         return host_ns - self._ahead_ns - (host_ns - self._set_ns) // _DRIFT
 
     def now_ns(self) -> int:
-        """Return what the other clock shows."""
         return self.at(time.monotonic_ns())

@@ -20,7 +20,6 @@ class KeyTable:
 
     @property
     def ports(self) -> tuple[Port[Message], ...]:
-        """All ports of the plant."""
         return tuple(self._port_of.values())
 
     def key(self, port: Port[Message]) -> str:

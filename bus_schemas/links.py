@@ -18,12 +18,9 @@ from bus_schemas.tree import RECORDER, ControlTree, standby_of
 class Links:
     """The TCP links of a run.
 
-    Attributes
-    ----------
-    pairs
-        (listening agent, connecting agent), each pair of agents that talk once. The one nearer to
-        the top of the list of agents listens, so that few ports are needed and no inverter
-        needs one.
+    pairs: (listening agent, connecting agent), each pair of agents that talk once. The one nearer
+        to the top of the list of agents listens, so that few ports are needed and no inverter needs
+        one.
     """
 
     pairs: tuple[tuple[str, str], ...]

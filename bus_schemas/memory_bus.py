@@ -13,8 +13,8 @@ from heapq import heappop, heappush
 from itertools import count
 
 from bus_schemas.bus import Arrival, Outbox
-from bus_schemas.faults import UNHARMED, FaultTally, NetworkFaults
 from bus_schemas.messages import Message
+from bus_schemas.network_faults import UNHARMED, FaultTally, NetworkFaults
 from bus_schemas.signals import Port, Wiring
 from bus_schemas.tree import agent_of
 
@@ -26,7 +26,6 @@ class VirtualClock:
         self.now_ns = 0
 
     def __call__(self) -> int:
-        """Return its time [ns]."""
         return self.now_ns
 
 
@@ -35,16 +34,9 @@ class MemoryBus:
 
     There is one queue, so the order of all that happens is the same in every run.
 
-    Parameters
-    ----------
-    wiring
-        Of the run.
-    on_publish
-        Called with every message that is published, as a recorder would hear it.
-    clock
-        Set to the time of each arrival. None: lockstep, where nothing waits for a time.
-    faults
-        Of the network; they need a clock.
+    on_publish: Called with every message that is published, as a recorder would hear it.
+    clock: Set to the time of each arrival. None: lockstep, where nothing waits for a time.
+    faults: Of the network; they need a clock.
     """
 
     def __init__(

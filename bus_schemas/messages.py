@@ -55,31 +55,21 @@ class Message(msgspec.Struct, forbid_unknown_fields=True, gc=False):
     The driver fills in the last four fields as the message goes out. Nobody changes a message
     after that.
 
-    Attributes
-    ----------
-    cycle
-        The control cycle that the message belongs to. Negative in arming rounds.
-    sim_time_ns
-        Simulated time at the beginning of the cycle, nanoseconds since 1970-01-01 UTC.
-    source
-        Name of the agent that decided it: `plant`, `central`, `recorder` or a node's path. At most
-        200 characters.
-    missing
-        The inputs of the decision that were older than they should have been, so that a recording
-        tells which messages an output used. `KEY@CYCLE`: the newest usable message was of that
-        earlier cycle. `KEY`: there was none, or it was too old to count. At most 4,096 entries
+    cycle: The control cycle that the message belongs to. Negative in arming rounds.
+    sim_time_ns: Simulated time at the beginning of the cycle, nanoseconds since 1970-01-01 UTC.
+    source: Name of the agent that decided it: `plant`, `central`, `recorder` or a node's path. At
+        most 200 characters.
+    missing: The inputs of the decision that were older than they should have been, so that a
+        recording tells which messages an output used. `KEY@CYCLE`: the newest usable message was of
+        that earlier cycle. `KEY`: there was none, or it was too old to count. At most 4,096 entries
         of up to 256 characters.
-    ready_time_ns
-        Monotonic clock of the sending host when the decision could be made: its last awaited input
-        had come, or its deadline had passed.
-    publish_time_ns
-        Monotonic clock of the sending host when the message went out.
-    sequence
-        Number of the message on its key, from 0 in cycle 0 on; 0 in arming rounds. An agent that
-        joined a run later counts from 0 again.
-    incarnation
-        The cycle in which the agent's process joined the run: 0, or a later one for a process that
-        replaced another. Listeners refuse what comes from a predecessor after that.
+    ready_time_ns: Monotonic clock of the sending host when the decision could be made: its last
+        awaited input had come, or its deadline had passed.
+    publish_time_ns: Monotonic clock of the sending host when the message went out.
+    sequence: Number of the message on its key, from 0 in cycle 0 on; 0 in arming rounds. An agent
+        that joined a run later counts from 0 again.
+    incarnation: The cycle in which the agent's process joined the run: 0, or a later one for a
+        process that replaced another. Listeners refuse what comes from a predecessor after that.
     """
 
     cycle: Cycle

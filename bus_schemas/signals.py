@@ -68,22 +68,14 @@ _CYCLIC: Final = frozenset({Occurrence.CYCLE, Occurrence.TURN, Occurrence.NEED})
 class Signal(Generic[M_co]):
     """One row of the table.
 
-    Attributes
-    ----------
-    name
-        Last part of its key.
-    type
-        Message type; the payload is that type as a msgpack map.
-    about, publisher, listeners, occurrence
-        See the enumerations.
-    logged
-        Whether the recorder keeps it.
-    decided
-        Whether an agent decides it, so that the same inputs give it again. Otherwise its process
-        publishes it.
-    hop_p99_ms
-        Timing budget on one host: from publishing to arrival at a listener, 99 of 100 messages
-        [ms]. None: no budget, since no stage waits for it last.
+    name: Last part of its key.
+    type: Message type; the payload is that type as a msgpack map.
+    about, publisher, listeners, occurrence: See the enumerations.
+    logged: Whether the recorder keeps it.
+    decided: Whether an agent decides it, so that the same inputs give it again. Otherwise its
+        process publishes it.
+    hop_p99_ms: Timing budget on one host: from publishing to arrival at a listener, 99 of 100
+        messages [ms]. None: no budget, since no stage waits for it last.
     """
 
     name: str
@@ -103,7 +95,6 @@ class Signal(Generic[M_co]):
         return self.occurrence in _CYCLIC
 
     def of(self, node: str) -> Port[M_co]:
-        """Return the port of this signal about a node."""
         port = self._ports.get(node)
         if port is None:
             (publisher,) = _agents(self.publisher, node)
@@ -111,7 +102,6 @@ class Signal(Generic[M_co]):
         return port
 
     def nodes(self, tree: ControlTree) -> tuple[str, ...]:
-        """Return the nodes of a tree that this signal is about."""
         match self.about:
             case About.LEAVES:
                 return tree.leaves
@@ -199,17 +189,10 @@ def ports(tree: ControlTree) -> tuple[Port[Message], ...]:
 class Wiring:
     """Who publishes and who hears what in a run, worked out once from the table.
 
-    Attributes
-    ----------
-    listeners
-        Agents that hear each port.
-    published, heard
-        Ports of each agent.
-    signs
-        Of an agent with a standby: its last port in each cycle, and in each of its turns. Its two
-        processes hear them from each other.
-    processes
-        Processes that hear each port: agents, and standbys of agents.
+    listeners: Agents that hear each port.
+    signs: Of an agent with a standby: its last port in each cycle, and in each of its turns. Its
+        two processes hear them from each other.
+    processes: Processes that hear each port: agents, and standbys of agents.
     """
 
     def __init__(self, tree: ControlTree, standbys: Collection[str] = ()) -> None:

@@ -35,13 +35,7 @@ def duration_s(text: str) -> float | None:
 
 
 def parse_duration_s(text: str, where: str) -> float:
-    """Return the length of a run [s]: a duration with units, or seconds without.
-
-    Raises
-    ------
-    InputError
-        It is not one, not above zero, or longer than `LONGEST_S`.
-    """
+    """Return the length of a run [s]: a duration with units, or seconds without."""
     found_s = float(text) if re.fullmatch(_NUMBER, text) else duration_s(text)
     if found_s is None or not 0.0 < found_s <= LONGEST_S:
         raise InputError(
@@ -61,13 +55,7 @@ def read_time(text: str) -> time | datetime | None:
 
 
 def split_range(text: str, where: str) -> tuple[str, str]:
-    """Return the two ends of a range `A..B`.
-
-    Raises
-    ------
-    InputError
-        An end is missing.
-    """
+    """Return the two ends of a range `A..B`."""
     begin, _, end = (part.strip() for part in text.partition(".."))
     if not begin or not end:
         raise InputError(f"{where}: expected a range A..B, got {text[:40]}")

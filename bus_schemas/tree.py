@@ -63,16 +63,7 @@ class ControlTree:
 
     Nothing here knows how many tiers there are: `c2/inv07` has two above it, `z1/c2/inv07` three.
 
-    Parameters
-    ----------
-    inverters
-        Path and AC rating [kW] of each inverter, in the plant's order.
-
-    Raises
-    ------
-    InputError
-        A name that is reserved, malformed or used twice, a rating that is not above zero, or a
-        path that is an inverter and a cluster at once.
+    inverters: Path and AC rating [kW] of each inverter, in the plant's order.
     """
 
     inverters: tuple[tuple[str, float], ...]
@@ -149,7 +140,6 @@ class ControlTree:
         return self._children_of.get(path, ())
 
     def is_leaf(self, path: str) -> bool:
-        """Whether the node is an inverter."""
         return path not in self._children_of
 
     def rating_kw(self, path: str) -> float:
@@ -185,10 +175,7 @@ def depth(path: str) -> int:
 def parent_of(path: str) -> str:
     """Path of a node's parent. The root has none.
 
-    Raises
-    ------
-    ValueError
-        For the root.
+    Raises ValueError: For the root.
     """
     if path == ROOT:
         raise ValueError("the central controller has no parent")
@@ -203,13 +190,7 @@ def some_of(names: Sequence[str], most: int = _MOST_NAMED) -> str:
 
 
 def check_name(name: str, where: str) -> None:
-    """Refuse a node name that could not stand in a key.
-
-    Raises
-    ------
-    InputError
-        With `where` as the place of the name.
-    """
+    """Refuse a node name that could not stand in a key."""
     if not _NAME.fullmatch(name):
         raise InputError(f"{where}: name: expected letters, digits, '_' and '-', got {name!r}")
     if name in RESERVED_NAMES:

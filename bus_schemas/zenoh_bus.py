@@ -29,7 +29,7 @@ from bus_schemas.host_clock import HostClock
 from bus_schemas.keys import KeyTable
 from bus_schemas.messages import Message
 from bus_schemas.signals import DISPATCH, Occurrence, Port, Signal, Wiring
-from bus_schemas.tree import PLANT
+from bus_schemas.tree import PLANT, RECORDER
 
 ENCODING: Final = "application/msgpack"
 
@@ -99,34 +99,20 @@ class KeyFiles:
 class SessionSettings:
     """How an agent's session joins the others.
 
-    Attributes
-    ----------
-    namespace
-        Prefix of every key of the run.
-    listen, connect
-        Endpoints, for instance `tcp/127.0.0.1:7447`.
-    lockstep
-        In lockstep nothing may be lost: a publisher waits for a listener who falls behind. In real
-        time a message that cannot go out within 20 ms is dropped instead.
-    session_id
-        Zenoh's id of the session. Empty: any.
-    user, password
-        By which those whom the session connects to know it. Empty: by none.
-    users_file
-        Users and passwords of those who may connect to it. Empty: everybody may.
-    access
-        What the others may do, see `bus_schemas.access`. None: everything.
-    keys
-        For links of TLS. None: links of TCP.
-    largest_bytes
-        Larger messages are not received.
-    signs_of_life
-        On a link that is idle, in each lease.
-    peers
-        Agents at the other ends of its links.
-    devices
-        How the same agent joins those whom it does not ask for a password, in a second session.
-        None: there is none of them.
+    namespace: Prefix of every key of the run.
+    listen, connect: Endpoints, for instance `tcp/127.0.0.1:7447`.
+    lockstep: In lockstep nothing may be lost: a publisher waits for a listener who falls behind. In
+        real time a message that cannot go out within 20 ms is dropped instead.
+    session_id: Zenoh's id of the session. Empty: any.
+    user, password: By which those whom the session connects to know it. Empty: by none.
+    users_file: Users and passwords of those who may connect to it. Empty: everybody may.
+    access: What the others may do, see `bus_schemas.access`. None: everything.
+    keys: For links of TLS. None: links of TCP.
+    largest_bytes: Larger messages are not received.
+    signs_of_life: On a link that is idle, in each lease.
+    peers: Agents at the other ends of its links.
+    devices: How the same agent joins those whom it does not ask for a password, in a second
+        session. None: there is none of them.
     """
 
     namespace: str
@@ -145,7 +131,6 @@ class SessionSettings:
     devices: SessionSettings | None = None
 
     def config(self) -> zenoh.Config:
-        """Return these settings as Zenoh wants them."""
         config = zenoh.Config()
         settings: dict[str, object] = {
             "mode": "peer",
@@ -226,10 +211,7 @@ class Inbox:
 
     An agent that needs seventeen messages to go on is woken once, not seventeen times.
 
-    Attributes
-    ----------
-    flooded
-        Messages that found no room, by port.
+    flooded: Messages that found no room, by port.
     """
 
     def __init__(self) -> None:
@@ -289,20 +271,9 @@ class Inbox:
 class ZenohBus:
     """One agent's place on the bus.
 
-    Parameters
-    ----------
-    agent
-        Name of the agent.
-    keys, wiring
-        Of the run.
-    settings
-        Of the session.
-    patience_s
-        How long to wait for a message where the agent waits for no time of its own.
-    process
-        Name of the process, where it is another one than the agent's.
-    clock
-        Of the plant, where that is on another host.
+    patience_s: How long to wait for a message where the agent waits for no time of its own.
+    process: Name of the process, where it is another one than the agent's.
+    clock: Of the plant, where that is on another host.
     """
 
     def __init__(
@@ -330,8 +301,10 @@ class ZenohBus:
         many = _signals_of_many(published)
         self._put = {
             port: self._putter(
-                # What no device hears need not go there.
-                self._sessions[: 1 if devices.isdisjoint(wiring.processes[port]) else 2],
+                # What nobody hears there need not go there; the recorder hears all.
+                self._sessions[
+                    : 1 if devices.isdisjoint({RECORDER, *wiring.processes[port]}) else 2
+                ],
                 port,
                 settings.lockstep,
                 declared=port.signal not in many,
@@ -572,7 +545,6 @@ class ZenohTap:
         _close(self._sessions)
 
     def publish(self, port: Port[Message], message: Message) -> None:
-        """Send a message."""
         self.outbox.stamp(port, message, time.monotonic_ns())
         for session in self._sessions:
             session.put(self._keys.key(port), encode(message), encoding=ENCODING)

@@ -14,10 +14,10 @@ from typing import NamedTuple, get_args
 import pandas as pd
 from rich.console import Console
 
-from agents.plan import Actuator, Scheme
+from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
 from launch_scripts.commands.run import run
-from launch_scripts.launcher.request import RunRequest
+from launch_scripts.launcher.run_request import RunRequest
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.scenarios.preparation import RunOptions
 from launch_scripts.scenarios.scenario import ScenarioFile, load_scenario

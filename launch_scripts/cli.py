@@ -2,43 +2,21 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from importlib.metadata import version
-from types import ModuleType
 from typing import Annotated, Final
 
 import typer
 
-from launch_scripts.commands import (
-    campaign,
-    clusters,
-    compare,
-    conform,
-    delays,
-    doctor,
-    export,
-    inspect,
-    inverters,
-    keys,
-    launch,
-    node,
-    recover,
-    replay,
-    report,
-    scenarios,
-    simulate,
-    timing,
-    verify,
-    view,
-)
 from launch_scripts.commands.boundary import BAD_INPUT, Command, CommandLine
-from launch_scripts.commands.options import with_groups
+from launch_scripts.commands.options import with_options
 
-COMMANDS: Final[dict[str, tuple[ModuleType, ...]]] = {
-    "Run": (launch, node, simulate, timing, conform, inverters, scenarios),
-    "Look": (view, report, inspect, verify, replay),
-    "Compare": (compare, clusters, delays, campaign),
-    "Files": (export, recover),
-    "Set up": (doctor, keys),
+COMMANDS: Final = {
+    "Run": ("launch", "node", "simulate", "timing", "conform", "inverters", "scenarios"),
+    "Look": ("view", "report", "inspect", "verify", "replay"),
+    "Compare": ("compare", "clusters", "delays", "campaign"),
+    "Files": ("export", "recover"),
+    "Set up": ("doctor", "keys"),
 }
 """The commands under the headings of `heliarch --help`."""
 
@@ -66,17 +44,13 @@ def heliarch(
 
 app = typer.Typer(name="heliarch", cls=CommandLine, pretty_exceptions_enable=False)
 app.callback(invoke_without_command=True)(heliarch)
-for _heading, _modules in COMMANDS.items():
-    for _module in _modules:
-        _name = _module.__name__.rpartition(".")[2]
-        app.command(
-            _name,
-            cls=Command,
-            rich_help_panel=_heading,
-            epilog=f"Example: {_module.EXAMPLE}",
-        )(with_groups(getattr(_module, _name)))
+for _heading, _names in COMMANDS.items():
+    for _name in _names:
+        _module = import_module(f"launch_scripts.commands.{_name}")
+        _epilog = f"Example: {_module.EXAMPLE}"
+        _command = app.command(_name, cls=Command, rich_help_panel=_heading, epilog=_epilog)
+        _command(with_options(getattr(_module, _name)))
 
 
 def main() -> None:
-    """Run the command line."""
     app()

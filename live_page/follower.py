@@ -98,12 +98,10 @@ class RunFollower:
         return self._next_chunk() is None
 
     def close(self) -> None:
-        """Close the file."""
         self.run.close()
 
     @property
     def state(self) -> State:
-        """Where the run stands."""
         if self._failed:
             return "failed"
         if self.run.outline.closed or self._stop_cycle is not None:

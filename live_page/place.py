@@ -23,11 +23,9 @@ class Place:
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
         return self.address_of("")
 
     def address_of(self, path: str) -> str:
-        """Return the address of a document of the page."""
         host, port = self.socket.getsockname()[:2]
         if ipaddress.ip_address(host).is_unspecified:
             host = socket.gethostname()

@@ -38,7 +38,6 @@ class RunList:
         return dict(zip((name.replace("/", "~") for name in names), found, strict=True))
 
     def path(self, name: str) -> Path:
-        """Return the folder of a run."""
         found = self.recordings().get(name)
         if found is None:
             raise InputError(f"{name}: no run of that name in {self._folder}")

@@ -79,7 +79,6 @@ class RunView:
         self._slow_cycles = 0
 
     def close(self) -> None:
-        """Close the recording."""
         if self._states is not None:
             self._states.follower.close()
 

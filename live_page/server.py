@@ -105,7 +105,6 @@ class PageServer:
         await self._server.serve(sockets=[self._place.socket])
 
     def end(self) -> None:
-        """Let the server end."""
         self._server.should_exit = True
 
     def _app(self) -> ASGIApp:

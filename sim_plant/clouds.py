@@ -104,32 +104,28 @@ Turbidity = Annotated[float, Meta(ge=1.0, le=10.0)]
 
 
 class CloudSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The sky. The defaults are broken clouds in the trade wind of Oahu."""
+    """The sky. The defaults are broken clouds in the trade wind of Oahu.
 
-    cloud_cover: Annotated[
-        Cover, Meta(description="Share of the sky under clouds, on average over hours.")
-    ] = 0.45
-    drift_speed_ms: Annotated[Speed, Meta(description="Speed of the clouds [m/s].")] = 10.0
-    drift_from_deg: Annotated[
-        Bearing, Meta(description="Where the clouds come from, clockwise from north [degree].")
-    ] = 65.0
-    cloud_size_m: Annotated[Size, Meta(description="Size of a typical cloud [m].")] = 800.0
-    cloud_softness: Annotated[
-        Softness,
-        Meta(description="How gradually light falls inwards: 0.6 cumulus, 1.2 torn clouds."),
-    ] = 1.0
-    thick_cloud_index: Annotated[
-        LowIndex, Meta(description="Clear-sky index under the thickest cloud.")
-    ] = 0.4
-    edge_enhancement: Annotated[
-        HighIndex, Meta(description="Highest clear-sky index, between clouds; 1: no enhancement.")
-    ] = 1.2
-    evolution_s: Annotated[
-        Evolution, Meta(description="Time after which groups of clouds have changed entirely [s].")
-    ] = 2100.0
-    linke_turbidity: Annotated[Turbidity, Meta(description="Linke turbidity of the clear sky.")] = (
-        3.0
-    )
+    cloud_cover: Share of the sky under clouds, on average over hours.
+    drift_speed_ms: Speed of the clouds [m/s].
+    drift_from_deg: Where the clouds come from, clockwise from north [degree].
+    cloud_size_m: Size of a typical cloud [m].
+    cloud_softness: How gradually light falls inwards: 0.6 cumulus, 1.2 torn clouds.
+    thick_cloud_index: Clear-sky index under the thickest cloud.
+    edge_enhancement: Highest clear-sky index, between clouds; 1: no enhancement.
+    evolution_s: Time after which groups of clouds have changed entirely [s].
+    linke_turbidity: Linke turbidity of the clear sky.
+    """
+
+    cloud_cover: Cover = 0.45
+    drift_speed_ms: Speed = 10.0
+    drift_from_deg: Bearing = 65.0
+    cloud_size_m: Size = 800.0
+    cloud_softness: Softness = 1.0
+    thick_cloud_index: LowIndex = 0.4
+    edge_enhancement: HighIndex = 1.2
+    evolution_s: Evolution = 2100.0
+    linke_turbidity: Turbidity = 3.0
 
 
 def clear_sky_ghi(

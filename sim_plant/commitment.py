@@ -27,9 +27,12 @@ class _Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="
 
 
 class ConstantCommitment(_Rule, frozen=True, tag="constant"):
-    """The same power at every time step."""
+    """The same power at every time step.
 
-    power_kw: Annotated[Power, Meta(description="The committed power [kW].")]
+    power_kw: The committed power [kW].
+    """
+
+    power_kw: Power
 
 
 class ShareOfMedian(_Rule, frozen=True, tag="share-of-median"):
@@ -37,15 +40,20 @@ class ShareOfMedian(_Rule, frozen=True, tag="share-of-median"):
 
     This is hindsight: the median is known only after the run. It serves to compare control
     schemes at a like difficulty on different days, not as a bid that a plant could have made.
+
+    share: Share of the median.
     """
 
-    share: Annotated[Share, Meta(description="Share of the median.")]
+    share: Share
 
 
 class ShareOfClearSky(_Rule, frozen=True, tag="share-of-clear-sky"):
-    """A share of the power that the plant would have under a clear sky, known in advance."""
+    """A share of the power that the plant would have under a clear sky, known in advance.
 
-    share: Annotated[Share, Meta(description="Share of the clear-sky power.")]
+    share: Share of the clear-sky power.
+    """
+
+    share: Share
 
 
 class BelowPossible(_Rule, frozen=True, tag="below-possible"):
@@ -60,20 +68,22 @@ class BelowPossible(_Rule, frozen=True, tag="below-possible"):
 
     This is hindsight: a centred mean knows what the clouds are going to do. It is not a bid that
     a plant could have made.
+
+    share: Share of the mean possible power around each moment.
+    window_s: Length of the window of that mean [s].
     """
 
-    share: Annotated[
-        Share, Meta(description="Share of the mean possible power around each moment.")
-    ]
-    window_s: Annotated[Window, Meta(description="Length of the window of that mean [s].")]
+    share: Share
+    window_s: Window
 
 
 class ScheduledCommitment(_Rule, frozen=True, tag="file"):
-    """A schedule in a file."""
+    """A schedule in a file.
 
-    path: Annotated[
-        str, Meta(description="CSV: ISO 8601 time stamps first, `commitment_kw` from then on [kW].")
-    ]
+    path: CSV: ISO 8601 time stamps first, `commitment_kw` from then on [kW].
+    """
+
+    path: str
 
 
 CommitmentSettings: TypeAlias = (

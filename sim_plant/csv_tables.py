@@ -29,7 +29,6 @@ class CsvTable:
     fields: pd.DataFrame
 
     def text(self, column: str) -> pd.Series:
-        """Return the text of a column."""
         return self.fields[self.header.index(column)]
 
     def names(self, column: str) -> tuple[str, ...]:
@@ -37,7 +36,6 @@ class CsvTable:
         return tuple(self.text(column).str.strip())
 
     def picked(self, rows: Sequence[int]) -> CsvTable:
-        """Return some of the rows."""
         return CsvTable(self.name, self.header, self.fields.iloc[list(rows)])
 
     def error(self, row: int, column: str, expected: str) -> InputError:
@@ -55,7 +53,6 @@ class CsvTable:
             )
 
     def check_no_column_twice(self) -> None:
-        """Refuse a header that names a column twice."""
         for name in self.header[1:]:
             if self.header[1:].count(name) > 1:
                 raise InputError(
@@ -117,7 +114,6 @@ class CsvTable:
 
 
 def read_csv(path: Path) -> CsvTable:
-    """Read a CSV file with a header line."""
     try:
         # A spreadsheet may have put a byte order mark first.
         text = path.read_text(encoding="utf-8-sig")

@@ -112,7 +112,6 @@ def check_ghi(source: str, ghi_wm2: Floats, columns: Sequence[str], first_line: 
 
 
 def check_stations_once(stations: Sequence[str]) -> None:
-    """Refuse a choice of stations that names one twice."""
     for name in stations:
         if stations.count(name) > 1:
             raise InputError(f"stations: expected each station once, got '{name}' twice")

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.agent import Stage, Turn
-from agents.plan import InverterSettings, RunPlan
+from agents.plan import RunPlan
+from agents.settings import InverterSettings
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Dispatch, Meter, Production, Telemetry
 from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY
@@ -97,11 +98,9 @@ class Plant:
         )
 
     def stages(self, cycle: int) -> tuple[Stage, ...]:
-        """Return the stages, the same in each cycle."""
         return self._stages
 
     def step(self, state: PlantState, turn: Turn) -> tuple[PlantState, list[Delivery]]:
-        """Close a stage."""
         if self._devices is not None:
             state = self._read(state, self._devices)
         if turn.stage == "sense":

@@ -39,16 +39,13 @@ class Profile:
 
     @property
     def cycles(self) -> int:
-        """Number of cycles."""
         return len(self.mpp_kw)
 
     def save(self, path: Path) -> None:
-        """Write the profile as a compressed numpy archive."""
         np.savez_compressed(path, **{one.name: getattr(self, one.name) for one in fields(self)})
 
 
 def load_profile(path: Path) -> Profile:
-    """Read a profile."""
     expected = f"{path}: expected the profile.npz of a run, got"
     try:
         with np.load(path) as archive:

@@ -41,29 +41,25 @@ class PvSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     Defaults are pvlib's. It has none for `gamma_pdc_per_c`: -0.0035 is the "premium" crystalline
     module of PVWatts version 5 (doi:10.2172/1158421).
+
+    tilt_deg: Tilt of the modules [degree]; at 0 POA irradiance is the GHI.
+    azimuth_deg: Where the modules face, clockwise from north [degree].
+    dc_ac_ratio: DC rating of an array over the AC rating of its inverter.
+    temp_air_c: Air temperature [degree Celsius].
+    wind_speed_ms: Wind speed at 10 m [m/s].
+    gamma_pdc_per_c: Temperature coefficient of DC power [1/degree Celsius].
+    inverter_efficiency: Nominal efficiency of the inverter.
+    albedo: Reflectance of the ground; without effect at tilt 0.
     """
 
-    tilt_deg: Annotated[
-        Tilt, Meta(description="Tilt of the modules [degree]; at 0 POA irradiance is the GHI.")
-    ] = 0.0
-    azimuth_deg: Annotated[
-        Azimuth, Meta(description="Where the modules face, clockwise from north [degree].")
-    ] = 180.0
-    dc_ac_ratio: Annotated[
-        DcAcRatio, Meta(description="DC rating of an array over the AC rating of its inverter.")
-    ] = 1.0
-    temp_air_c: Annotated[Celsius, Meta(description="Air temperature [degree Celsius].")] = 20.0
-    wind_speed_ms: Annotated[WindSpeed, Meta(description="Wind speed at 10 m [m/s].")] = 0.0
-    gamma_pdc_per_c: Annotated[
-        PowerCoefficient,
-        Meta(description="Temperature coefficient of DC power [1/degree Celsius]."),
-    ] = -0.0035
-    inverter_efficiency: Annotated[
-        Efficiency, Meta(description="Nominal efficiency of the inverter.")
-    ] = 0.96
-    albedo: Annotated[
-        Albedo, Meta(description="Reflectance of the ground; without effect at tilt 0.")
-    ] = 0.25
+    tilt_deg: Tilt = 0.0
+    azimuth_deg: Azimuth = 180.0
+    dc_ac_ratio: DcAcRatio = 1.0
+    temp_air_c: Celsius = 20.0
+    wind_speed_ms: WindSpeed = 0.0
+    gamma_pdc_per_c: PowerCoefficient = -0.0035
+    inverter_efficiency: Efficiency = 0.96
+    albedo: Albedo = 0.25
 
 
 def ac_power_kw(

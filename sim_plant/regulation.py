@@ -35,34 +35,36 @@ _DAY_NS: Final = 86_400 * _NS
 class _Offer(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind"
 ):
-    """What the plant offers, and when."""
+    """What the plant offers, and when.
 
-    capacity_kw: Annotated[
-        Capacity, Meta(description="Power that a signal of +1 asks for, on top of the rest [kW].")
-    ]
-    offered_from: Annotated[
-        time | None, Meta(description="Local time from which it is offered. Default: midnight.")
-    ] = msgspec.field(default=None, name="from")
-    offered_to: Annotated[
-        time | None, Meta(description="Local time of its end; if before `from`, on the next day.")
-    ] = msgspec.field(default=None, name="to")
+    capacity_kw: Power that a signal of +1 asks for, on top of the rest [kW].
+    offered_from: Local time from which it is offered. Default: midnight.
+    offered_to: Local time of its end; if before `from`, on the next day.
+    """
+
+    capacity_kw: Capacity
+    offered_from: time | None = msgspec.field(default=None, name="from")
+    offered_to: time | None = msgspec.field(default=None, name="to")
 
 
 class RegulationFile(_Offer, frozen=True, tag="file"):
-    """A signal from a CSV of two columns with a header."""
+    """A signal from a CSV of two columns with a header.
 
-    path: Annotated[
-        str, Meta(description="CSV: second of the signal's clock, signal from -1 to 1 (+: raise).")
-    ]
-    signal_midnight_s: Annotated[
-        Second, Meta(description="Second of the signal at local midnight of the run's first day.")
-    ] = 0.0
+    path: CSV: second of the signal's clock, signal from -1 to 1 (+: raise).
+    signal_midnight_s: Second of the signal at local midnight of the run's first day.
+    """
+
+    path: str
+    signal_midnight_s: Second = 0.0
 
 
 class SyntheticRegulation(_Offer, frozen=True, tag="synthetic"):
-    """A synthetic signal that moves like PJM's RegD."""
+    """A synthetic signal that moves like PJM's RegD.
 
-    seed: Annotated[Seed, Meta(description="Seed of the signal.")] = 0
+    seed: Seed of the signal.
+    """
+
+    seed: Seed = 0
 
 
 RegulationSettings = RegulationFile | SyntheticRegulation

@@ -64,7 +64,6 @@ class CloudySky(PlantUnderSky):
         return
 
     def possible_kw(self, times: pd.DatetimeIndex) -> Floats:
-        """Return the AC power of each inverter at its maximum, shape (T, n)."""
         return self._drawn_kw(times, self.seed)
 
     def earlier_day_kw(self, times: pd.DatetimeIndex) -> Floats:
@@ -72,7 +71,6 @@ class CloudySky(PlantUnderSky):
         return self._drawn_kw(times, self.history_seed + _ANOTHER_DAY)
 
     def clear_sky_kw(self, times: pd.DatetimeIndex) -> Floats:
-        """Return the AC power of the whole plant under a cloudless sky, shape (T,)."""
         return self.cloudless_kw(times, self.clouds.linke_turbidity)
 
     def remarks(self, times: pd.DatetimeIndex) -> tuple[str, ...]:
@@ -126,7 +124,6 @@ class MeasuredSky(PlantUnderSky):
         return self.earlier.possible_kw(times - self.earlier_by)
 
     def clear_sky_kw(self, times: pd.DatetimeIndex) -> Floats:
-        """Return the AC power of the whole plant under a cloudless sky, shape (T,)."""
         return self.cloudless_kw(times, _CLEAN_AIR_TURBIDITY)
 
     def remarks(self, times: pd.DatetimeIndex) -> tuple[str, ...]:
@@ -146,7 +143,6 @@ class MeasuredPlant:
     repairs: tuple[str, ...]
 
     def possible_kw(self, times: pd.DatetimeIndex) -> Floats:
-        """Return the AC power of each inverter at its maximum, shape (T, n)."""
         return on_cycles(self.measured_times, lambda rows: self.power_kw[rows], times, self.source)
 
     def earlier_day_kw(self, times: pd.DatetimeIndex) -> Floats:

@@ -95,5 +95,4 @@ def _on_lines(times: pd.DatetimeIndex, values: Floats, cycles: pd.DatetimeIndex)
 
 
 def utc_text(time: pd.Timestamp) -> str:
-    """Return a time as ISO 8601 in UTC."""
     return time.tz_convert("UTC").isoformat().replace("+00:00", "Z")

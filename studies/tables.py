@@ -83,11 +83,9 @@ class Table:
     notes: tuple[str, ...] = ()
 
     def names(self) -> list[str]:
-        """Return the names of the columns in JSON."""
         return [column.name or column.title for column in self.columns]
 
     def texts(self) -> list[tuple[str, ...]]:
-        """Return all cells as text."""
         return [
             tuple(cell_text(*pair) for pair in zip(row, self.columns, strict=True))
             for row in self.rows
@@ -111,7 +109,6 @@ class Table:
         ]
 
     def _groups(self, width: int) -> list[list[int]]:
-        """Return the places of the columns of each part."""
         widths = [least + _GAP for least in self.widths()]
         keys = [at for at, column in enumerate(self.columns) if column.key]
         groups: list[list[int]] = [[]]

@@ -35,10 +35,7 @@ def share_work(
     picklable. Workers never outlive this process, however it ends: they ignore the signals that
     end it, this process kills them on its way out, and the kernel does where it cannot.
 
-    Raises
-    ------
-    WorkerLostError
-        A worker was killed.
+    Raises WorkerLostError: A worker was killed.
     """
     if workers == 1 or len(items) <= 1:
         yield from enumerate(map(function, items))
@@ -113,12 +110,7 @@ def share_over_cluster(
 
     They must have Heliarch installed and see the data under the same paths.
 
-    Raises
-    ------
-    InputError
-        Dask is not installed, or the scheduler cannot be reached.
-    WorkerLostError
-        The cluster gave up.
+    Raises WorkerLostError: The cluster gave up.
     """
     try:
         distributed: Any = import_module("distributed")

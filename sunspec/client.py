@@ -54,19 +54,11 @@ class DeviceRefusedError(DeviceError):
 class SunSpecInverter:
     """An inverter that is read and limited. Nothing is written to it before `limit` is called.
 
-    Parameters
-    ----------
-    address
-        `modbus://host:port/unit`.
-    needs_revert
-        Whether it must be able to revert by itself.
+    address: `modbus://host:port/unit`.
+    needs_revert: Whether it must be able to revert by itself.
 
-    Attributes
-    ----------
-    rating_kw
-        What its limits are a share of.
-    state
-        The name of its state: `MPPT`, `THROTTLED`, `FAULT`; empty if it states none.
+    rating_kw: What its limits are a share of.
+    state: The name of its state: `MPPT`, `THROTTLED`, `FAULT`; empty if it states none.
     """
 
     def __init__(self, address: str, *, needs_revert: bool = True) -> None:
@@ -80,10 +72,7 @@ class SunSpecInverter:
     def connect(self) -> None:
         """Connect and find out which models the inverter has.
 
-        Raises
-        ------
-        DeviceError
-            Nobody listens, there is no such unit, or it lacks a model or a point.
+        Raises DeviceError: Nobody listens, there is no such unit, or it lacks a model or a point.
         """
         with self._errors():
             self._device.connect()
@@ -115,10 +104,7 @@ class SunSpecInverter:
     def read(self) -> Reading:
         """Read power, available power and limit.
 
-        Raises
-        ------
-        DeviceError
-            It does not answer.
+        Raises DeviceError: It does not answer.
         """
         with self._errors():
             self._measured.read()
@@ -140,19 +126,11 @@ class SunSpecInverter:
     def limit(self, kw: float, revert_s: float, revert_kw: float | None) -> None:
         """Limit the power, for the revert time.
 
-        Parameters
-        ----------
-        kw
-            The limit.
-        revert_s
-            After this time without another limit the inverter goes to `revert_kw`; 0: never.
-        revert_kw
-            The limit from then on; None: it releases its power. Model 123 always releases it.
+        revert_s: After this time without another limit the inverter goes to `revert_kw`; 0: never.
+        revert_kw: The limit from then on; None: it releases its power. Model 123 always releases
+            it.
 
-        Raises
-        ------
-        DeviceError
-            It does not answer, or refuses.
+        Raises DeviceError: It does not answer, or refuses.
         """
         model, points = self._limited, self._limited.points
         with self._errors():

@@ -40,17 +40,9 @@ Limit: TypeAlias = tuple[float, float | None]
 class Gateway:
     """The real inverters of a run, connected.
 
-    Parameters
-    ----------
-    plan
-        Of the run.
-    tell
-        Takes events for the launcher, in any thread.
+    tell: Takes events for the launcher, in any thread.
 
-    Raises
-    ------
-    DeviceError
-        One of them does not answer, or lacks what is needed.
+    Raises DeviceError: One of them does not answer, or lacks what is needed.
     """
 
     def __init__(self, plan: RunPlan, tell: Callable[[Event], None]) -> None:
@@ -123,7 +115,6 @@ class _Link:
         self._state = self._inverter.state
 
     def begin(self, pipes: Pipes) -> None:
-        """Start the thread."""
         self._pipes = pipes
         assert self._reading is not None
         pipes.hand_reading(self.place, self._reading)
@@ -136,7 +127,6 @@ class _Link:
         self._wake.set()
 
     def stop(self) -> None:
-        """Ask the thread to end."""
         self._over.set()
         self._wake.set()
 
@@ -145,7 +135,6 @@ class _Link:
         self._thread.join(_RETRY_S)
 
     def account(self) -> DeviceAccount:
-        """Return what was measured so far."""
         reads, writes = map(_latency, self._took.values())
         gone_at = self._gone_at
         gone_s = None if gone_at is None else time.monotonic() - gone_at

@@ -38,23 +38,12 @@ class LimitSettings(msgspec.Struct, frozen=True):
 class LimitedInverter:
     """An inverter that is asked what it does now.
 
-    Parameters
-    ----------
-    rating_kw
-        Its rating.
-    sun_kw
-        What the sun allows at a time.
-    delay_s
-        Time from a limit until the inverter begins to follow it.
-    ramp_percent_per_s
-        How fast it follows; infinite: at once.
+    sun_kw: What the sun allows at a time.
+    delay_s: Time from a limit until the inverter begins to follow it.
+    ramp_percent_per_s: How fast it follows; infinite: at once.
 
-    Attributes
-    ----------
-    settings
-        What it was told last.
-    energy_kwh
-        Delivered up to the last `advance`.
+    settings: What it was told last.
+    energy_kwh: Delivered up to the last `advance`.
     """
 
     def __init__(
@@ -93,11 +82,9 @@ class LimitedInverter:
         return self._revert_at - at if self._revert_at < inf else 0.0
 
     def power_kw(self, at: float) -> float:
-        """Return the power at a time that it has advanced to."""
         return min(self.possible_kw(at), self._limit(at) / 100.0 * self.rating_kw)
 
     def advance(self, until: float) -> None:
-        """Let time pass up to a moment."""
         while True:
             pending_at = self._pending[0][0] if self._pending else inf
             event_at = min(pending_at, self._revert_at)

@@ -95,13 +95,7 @@ def log_in(folder: Path) -> Path:
 
 
 class GatewayProcess(SideProcess):
-    """The gateway's process, as its launcher sees it. It ends with the context.
-
-    Raises
-    ------
-    InputError
-        An inverter does not answer, or lacks what is needed.
-    """
+    """The gateway's process, as its launcher sees it. It ends with the context."""
 
     def __init__(self, plan: RunPlan) -> None:
         super().__init__("sunspec", stdout=subprocess.PIPE)
@@ -127,10 +121,7 @@ class GatewayProcess(SideProcess):
     def look(self, say: Callable[[str], None]) -> None:
         """Pass on what the gateway says.
 
-        Raises
-        ------
-        FailureError
-            It has ended.
+        Raises FailureError: It has ended.
         """
         for event in self._events():
             if isinstance(event, News):

@@ -62,16 +62,8 @@ _NO_REVERT: Final = {"revert_enabled": False, "revert_percent": 100.0}
 class Registers:
     """The registers of one Modbus unit.
 
-    Parameters
-    ----------
-    unit
-        Its number.
-    models
-        Numbers of its models, the common model 1 first.
-    now
-        The time [s].
-    points
-        Gives the points of a model at a time, scale factors first.
+    models: Numbers of its models, the common model 1 first.
+    points: Gives the points of a model at a time, scale factors first.
     """
 
     def __init__(
@@ -130,16 +122,9 @@ class Registers:
 class InverterRegisters(Registers):
     """The registers of a simulated inverter.
 
-    Parameters
-    ----------
-    unit, models, now
-        As for `Registers`.
-    inverter, name
-        The inverter, and its path in the control tree.
-    on_limit
-        Called when it is told a limit.
-    missing
-        Points that it has not.
+    inverter, name: The inverter, and its path in the control tree.
+    on_limit: Called when it is told a limit.
+    missing: Points that it has not.
     """
 
     def __init__(

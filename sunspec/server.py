@@ -31,14 +31,8 @@ logging.getLogger("pymodbus").setLevel(logging.ERROR)  # Its warnings are said i
 class Sky:
     """The true maxima of a plant's inverters as time passes, one row after another.
 
-    Parameters
-    ----------
-    mpp_kw
-        Maximum power of each inverter in each cycle, shape (cycles, n).
-    cycle_s
-        Length of a cycle.
-    began_at
-        When the first cycle begins [s]; None: the sky stands still until `begin`.
+    mpp_kw: Maximum power of each inverter in each cycle, shape (cycles, n).
+    began_at: When the first cycle begins [s]; None: the sky stands still until `begin`.
     """
 
     def __init__(self, mpp_kw: NDArray[np.float64], cycle_s: float, began_at: float | None) -> None:
@@ -66,20 +60,10 @@ class Sky:
 class ServedPlant:
     """What is served, and where.
 
-    Attributes
-    ----------
-    inverters
-        The inverters, by path.
-    sky
-        Begins with the first limit, if it has not begun.
-    now
-        The time [s].
-    host, port
-        Where to listen. Port 0: any that is free.
-    a_port_each
-        Whether each inverter has a port of its own, in place of a unit of its own.
-    models, missing
-        Which models they have, and points in them that they have not.
+    sky: Begins with the first limit, if it has not begun.
+    host, port: Where to listen. Port 0: any that is free.
+    a_port_each: Whether each inverter has a port of its own, in place of a unit of its own.
+    models, missing: Which models they have, and points in them that they have not.
     """
 
     inverters: Mapping[str, LimitedInverter]
@@ -92,13 +76,7 @@ class ServedPlant:
     missing: Collection[str] = ()
 
     def units(self) -> dict[str, Registers]:
-        """Return the inverters by path, and the `meter`.
-
-        Raises
-        ------
-        InputError
-            There are more than can be told apart at one port.
-        """
+        """Return the inverters by path, and the `meter`."""
         if not self.a_port_each and len(self.inverters) >= _MOST_UNITS:
             raise InputError(
                 f"inverters: expected up to {_MOST_UNITS - 1} at one port, got "
@@ -119,13 +97,7 @@ class ServedPlant:
 
 @contextmanager
 def served(plant: ServedPlant) -> Iterator[dict[str, str]]:
-    """Serve a plant as long as the context lasts, in a thread; gives the addresses by name.
-
-    Raises
-    ------
-    InputError
-        The ports cannot be had.
-    """
+    """Serve a plant as long as the context lasts, in a thread; gives the addresses by name."""
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, name="Modbus", daemon=True)
     thread.start()

@@ -43,7 +43,6 @@ class CommandLine(TyperGroup):
     """The command line. Its commands return their exit status, or None for success."""
 
     def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401 - Typer's type is private
-        """Return the options, with plain types in the help."""
         return _with_plain_types(super().get_params(ctx), ctx)
 
     def main(self, *args: Any, **options: Any) -> NoReturn:
@@ -59,7 +58,6 @@ class Command(TyperCommand):
     """One command, whose `--report` may be followed by a file."""
 
     def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401 - Typer's type is private
-        """Return arguments and options, with plain types in the help."""
         return _with_plain_types(super().get_params(ctx), ctx)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:  # noqa: ANN401 - Typer's type is private

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Final
 
 import typer
 
@@ -19,8 +19,8 @@ from launch_scripts.commands.options import (
     WorkersOption,
     changed_scenario,
 )
-from launch_scripts.commands.output import say, shared, write_files
-from studies.tables import console_for, print_table
+from launch_scripts.commands.output import say, shared, written
+from studies.tables import print_table
 
 if TYPE_CHECKING:
     from launch_scripts.scenarios.preparation import Preparation
@@ -34,21 +34,12 @@ _LISTED: Final = 10
 def campaign(
     scenario: ScenarioArgument = "oahu",
     *,
-    seeds: Annotated[
-        str, typer.Option(help="Seeds of the faults, such as 1..1000.", metavar="SEEDS")
-    ] = "1..100",
+    seeds: str = "1..100",
     start: StartOption = None,
-    duration: Annotated[
-        str, typer.Option(help="Length of each run: 150s, 10m.", metavar="TIME")
-    ] = "150s",
+    duration: str = "150s",
     settings: SettingsOption = None,
     workers: WorkersOption = 1,
-    curves: Annotated[
-        bool,
-        typer.Option(
-            "--curves", help="Instead, measure what failures cost, by rate and repair time."
-        ),
-    ] = False,
+    curves: bool = False,
     files: ResultOptions,
 ) -> None:
     """Kill, freeze, cut off and disturb controllers at random, and check that the plant stays safe.
@@ -57,6 +48,10 @@ def campaign(
     a command is printed that repeats the run with the shortest list of faults
     that still breaks it. Exit status 1: an invariant was broken. --report
     writes campaign.html by default.
+
+    --seeds SEEDS: Seeds of the faults, such as 1..1000.
+    --duration TIME: Length of each run: 150s, 10m.
+    --curves: Instead, measure what failures cost, by rate and repair time.
     """
     from launch_scripts.scenarios.preparation import RunOptions, prepare
     from studies.campaign import study, tables
@@ -80,17 +75,16 @@ def campaign(
 
         return campaign_page(preparation, found, outcomes)
 
-    written = write_files(outcomes, files.json, page, files.report, PAGE)
-    console = console_for(files.json)
-    print_table(console, tables.campaign_table(preparation, outcomes))
     broken = [outcome for outcome in outcomes if outcome.violations]
-    for outcome in broken[:_LISTED]:
-        first = outcome.violations[0]
-        say(console, f"seed {outcome.seed}: {first.invariant}, cycle {first.cycle}: {first.text}")
-        say(console, f"  {_command(scenario, start, duration, settings or (), outcome)}")
-    if len(broken) > _LISTED:
-        say(console, f"and {len(broken) - _LISTED:,} other seeds; --json lists all of them")
-    say(console, *written)
+    with written(outcomes, files, page, PAGE) as console:
+        print_table(console, tables.campaign_table(preparation, outcomes))
+        for outcome in broken[:_LISTED]:
+            first = outcome.violations[0]
+            where = f"{first.invariant}, cycle {first.cycle}"
+            say(console, f"seed {outcome.seed}: {where}: {first.text}")
+            say(console, f"  {_command(scenario, start, duration, settings or (), outcome)}")
+        if len(broken) > _LISTED:
+            say(console, f"and {len(broken) - _LISTED:,} other seeds; --json lists all of them")
     if broken:
         raise typer.Exit(1)
 
@@ -102,7 +96,6 @@ def _measure_curves(
     workers: int,
     files: ResultOptions,
 ) -> None:
-    """Measure what failures cost; print the tables and write the page."""
     from studies.campaign import curves
 
     points = shared(partial(curves.run_under, campaign), curves.conditions(seeds), workers, "runs")
@@ -117,11 +110,9 @@ def _measure_curves(
 
         return html_page(f"What failures cost: {title}", [], [curve_figure(points), *tables])
 
-    written = write_files(points, files.json, page, files.report, PAGE)
-    console = console_for(files.json)
-    for table in tables:
-        print_table(console, table)
-    say(console, *written)
+    with written(points, files, page, PAGE) as console:
+        for table in tables:
+            print_table(console, table)
 
 
 def _command(

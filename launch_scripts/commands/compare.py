@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Final, cast, get_args
 
 import typer
 
-from agents.plan import Actuator
+from agents.settings import Actuator
 from bus_schemas.errors import InputError
 from launch_scripts.commands.options import (
     ResultOptions,
@@ -18,7 +18,7 @@ from launch_scripts.commands.options import (
     file_in_folder,
     refuse_others,
 )
-from launch_scripts.commands.output import counted, say, shared, write_json
+from launch_scripts.commands.output import counted, say, shared, write_json, written
 from studies.tables import Table, console_for, print_table
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from studies.compare.study import CaseResult, Comparison
 
 EXAMPLE: Final = "heliarch compare oahu --set commitment.share=0.3,0.45 --seeds 1..10"
+PAGE: Final = Path("compare.html")
 
 
 def compare(
@@ -47,62 +48,15 @@ def compare(
     ] = None,
     *,
     span: TimeOptions,
-    days: Annotated[
-        str | None,
-        typer.Option(help="Dates, such as 2010-04-01..2010-04-30.", metavar="DATES"),
-    ] = None,
-    seeds: Annotated[
-        str | None, typer.Option(help="Seeds of synthetic clouds, such as 1..5,9.", metavar="SEEDS")
-    ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            help="A field of the scenario and its values; each combination is a case.",
-            metavar="FIELD=VALUES",
-        ),
-    ] = None,
-    schemes: Annotated[
-        str | None,
-        typer.Option(
-            help="Control schemes, with commas: uncontrolled, uniform-cap, grouping, paper, "
-            "predictive, physical-limit. Default all.",
-            metavar="NAMES",
-        ),
-    ] = None,
-    actuator: Annotated[
-        str | None,
-        typer.Option(
-            help="Actuators that each scheme is run with: fraction,limit. Default that of the "
-            "scenario.",
-            metavar="NAMES",
-        ),
-    ] = None,
-    reference: Annotated[
-        str | None,
-        typer.Option(
-            help="Reference groups of grouping control: sizes (1,4,8), or inverters (inv01,inv07).",
-            metavar="GROUPS",
-        ),
-    ] = None,
-    show: Annotated[
-        str,
-        typer.Option(
-            help="Figures of merit to show for many cases, with commas: desired-energy, "
-            "possible-energy, delivered-energy, satisfied, shortfall-energy, unavoidable-energy, "
-            "control-caused-energy, over-delivered-energy, shortfall, unavoidable, "
-            "control-caused, over-delivered, rmse, mae, mileage-total, mileage, "
-            "mileage-per-minute, headroom, mean-headroom, ancillary-potential, rise, fall, "
-            "ramp, ramp-limit, above-ramp-limit, capacity, offered, signal-mileage, "
-            "regd-strict, regd, regd-feasible-strict, regd-feasible, accuracy, delay, precision, "
-            "score, score-unclipped.",
-            metavar="FIGURES",
-        ),
-    ] = "control-caused,over-delivered",
+    days: str | None = None,
+    seeds: str | None = None,
+    settings: list[str] | None = None,
+    schemes: str | None = None,
+    actuator: str | None = None,
+    reference: str | None = None,
+    show: str = "control-caused,over-delivered",
     workers: WorkersOption = 1,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Dask scheduler that shares the cases.", metavar="ADDRESS")
-    ] = None,
+    scheduler: str | None = None,
     files: ResultOptions,
     csv: Annotated[
         str | None,
@@ -117,12 +71,30 @@ def compare(
     """Put control schemes side by side: the paper's tables, for one day or many. Or two runs.
 
     Of a single case and of two runs --report writes a page, compare.html by default.
+
+    --days DATES: Dates, such as 2010-04-01..2010-04-30.
+    --seeds SEEDS: Seeds of synthetic clouds, such as 1..5,9.
+    --set FIELD=VALUES (settings): A field of the scenario and its values; each combination is a
+        case.
+    --schemes NAMES: Control schemes, with commas: uncontrolled, uniform-cap, grouping, paper,
+        predictive, physical-limit. Default all.
+    --actuator NAMES: Actuators that each scheme is run with: fraction,limit. Default that of the
+        scenario.
+    --reference GROUPS: Reference groups of grouping control: sizes (1,4,8), or inverters
+        (inv01,inv07).
+    --show FIGURES: Figures of merit to show for many cases, with commas: desired-energy,
+        possible-energy, delivered-energy, satisfied, shortfall-energy, unavoidable-energy,
+        control-caused-energy, over-delivered-energy, shortfall, unavoidable, control-caused,
+        over-delivered, rmse, mae, mileage-total, mileage, mileage-per-minute, headroom,
+        mean-headroom, ancillary-potential, rise, fall, ramp, ramp-limit, above-ramp-limit,
+        capacity, offered, signal-mileage, regd-strict, regd, regd-feasible-strict, regd-feasible,
+        accuracy, delay, precision, score, score-unclipped.
+    --scheduler ADDRESS: Dask scheduler that shares the cases.
     """
-    page = None if files.report is None else Path(files.report or "compare.html")
     if other is not None:
         allowed = ("scenario", "other", "report", "json")
         refuse_others(context, allowed, "expected a scenario to go with it, got two runs")
-        _two_runs((Path(scenario), other), page, files.json)
+        _two_runs((Path(scenario), other), files)
         return
     if _is_run(Path(scenario)):
         raise InputError(f"{scenario}: expected a second run to compare it with, or a scenario")
@@ -143,7 +115,7 @@ def compare(
     )
     if scheduler is not None and len(found) == 1:
         raise InputError("--scheduler: expected cases to share (--seeds, --days, --set), got one")
-    if page is not None and len(found) > 1:
+    if files.report is not None and len(found) > 1:
         raise InputError(f"--report: expected one case, got {len(found):,}; see --csv and --json")
     actuators = _names("--actuator", actuator, get_args(Actuator)) if actuator else ()
     comparison = Comparison(
@@ -152,7 +124,7 @@ def compare(
         cast(tuple[Actuator, ...], actuators),
     )
     if len(found) == 1:
-        _one(found[0], comparison, page, files.json, csv)
+        _one(found[0], comparison, files, csv)
     else:
         results = _many(found, comparison, workers, scheduler)
         _tell_many(results, shown, files.json, csv)
@@ -184,17 +156,11 @@ def _groups(text: str | None) -> ReferenceGroups:
     return ReferenceGroups(members=names)
 
 
-def _one(
-    case: Case,
-    comparison: Comparison,
-    page: Path | None,
-    json: str | None,
-    csv: str | None,
-) -> None:
+def _one(case: Case, comparison: Comparison, files: ResultOptions, csv: str | None) -> None:
     """Run one case and print the paper's tables; write a page and files of it if asked for."""
     from launch_scripts.scenarios.preparation import prepare
     from studies.compare.study import CaseResult, remarks_of, results_of
-    from studies.compare.tables import case_tables
+    from studies.compare.tables import case_tables, json_rows
 
     preparation = prepare(case.scenario, case.options, "compare")
     remarks = remarks_of(preparation)
@@ -205,24 +171,28 @@ def _one(
         f"{plan.plant} from {preparation.local_start()}, {plan.cycles:,} cycles of "
         f"{plan.cycle_ns / 1e9:g} s"
     )
-    _write_figures([CaseResult(case.label, "", schemes, 0.0, 0.0, remarks)], json, csv)
+    results = [CaseResult(case.label, "", schemes, 0.0, 0.0, remarks)]
     tables = case_tables(title, schemes)
-    if page is not None:
+
+    def page() -> str:
         from studies.compare.page import frontier
-        from studies.report.run_report import write_report
+        from studies.report.run_report import report_page
         from studies.report.tables import metrics_tables
 
         notes = [f"Scenario: {preparation.scenario.scenario.title}.", *remarks]
         series = [one for _, one in found]
         merits = metrics_tables(series)
-        write_report(page, title, series, [*tables, frontier(schemes), *merits], notes)
-    _print(console_for(json), remarks, tables, page)
+        return report_page(title, series, [*tables, frontier(schemes), *merits], notes)
+
+    _write_summary(results, csv)
+    with written(json_rows(results), files, page, PAGE) as console:
+        _print(console, remarks, tables)
 
 
-def _two_runs(paths: tuple[Path, Path], page: Path | None, json: str | None) -> None:
+def _two_runs(paths: tuple[Path, Path], files: ResultOptions) -> None:
     """Print two recordings side by side; write a page and JSON of them if asked for."""
     from studies.compare.runs import read_two_runs, two_runs_tables
-    from studies.report.run_report import write_report
+    from studies.report.run_report import report_page
     from studies.tables import json_rows
 
     for path in paths:
@@ -235,21 +205,17 @@ def _two_runs(paths: tuple[Path, Path], page: Path | None, json: str | None) -> 
     tables = two_runs_tables(*series)
     figures, differences = map(json_rows, tables)
     runs = [str(path) for path in paths]
-    write_json({"runs": runs, "figures": figures, "differences": differences}, json)
-    if page is not None:
-        title = f"{paths[0].name} and {paths[1].name}"
-        write_report(page, title, series, tables, lines[1:], lead=lines[0])
-    _print(console_for(json), lines, tables, page)
+    document = {"runs": runs, "figures": figures, "differences": differences}
+    title = f"{paths[0].name} and {paths[1].name}"
+    page = partial(report_page, title, series, tables, lines[1:], lead=lines[0])
+    with written(document, files, page, PAGE) as console:
+        _print(console, lines, tables)
 
 
-def _print(
-    console: Console, lines: Sequence[str], tables: Sequence[Table], page: Path | None
-) -> None:
+def _print(console: Console, lines: Sequence[str], tables: Sequence[Table]) -> None:
     say(console, *lines)
     for table in tables:
         print_table(console, table)
-    if page is not None:
-        say(console, f"report: {page}")
 
 
 def _many(
@@ -270,13 +236,14 @@ def _tell_many(
     results: Sequence[CaseResult], shown: Sequence[str], json: str | None, csv: str | None
 ) -> None:
     """Print the cases and their summary; write files of them if asked for."""
-    from studies.compare.tables import cases_tables
+    from studies.compare.tables import cases_tables, json_rows
 
     # The files first: whoever reads the table may leave before its end.
-    _write_figures(results, json, csv)
+    write_json(json_rows(results), json)
+    _write_summary(results, csv)
     console = console_for(json)
     remarks = dict.fromkeys(line for result in results for line in result.remarks)
-    _print(console, list(remarks), cases_tables(shown, results), None)
+    _print(console, list(remarks), cases_tables(shown, results))
     prepare_s = sum(result.prepare_s for result in results)
     run_s = sum(result.run_s for result in results)
     say(
@@ -286,11 +253,8 @@ def _tell_many(
     )
 
 
-def _write_figures(results: Sequence[CaseResult], json: str | None, csv: str | None) -> None:
-    """Write all cases as JSON and their summary as CSV, where they are asked for."""
-    from studies.compare.tables import json_rows
-
-    write_json(json_rows(results), json)
+def _write_summary(results: Sequence[CaseResult], csv: str | None) -> None:
+    """Write the summary of the cases as CSV, where it is asked for."""
     if csv is not None:
         from pandas import DataFrame
 

@@ -38,50 +38,15 @@ def conform(
         ),
     ],
     *,
-    scenario: Annotated[
-        str, typer.Option(help="The plant around it, as for launch.", metavar="SCENARIO")
-    ] = "oahu",
-    command: Annotated[
-        str | None,
-        typer.Option(
-            help="Command that starts the device; {plan} becomes the path of the plan, {node} the "
-            "agent. Without it, start the device yourself for each plan that is printed; restarts "
-            "are then not tested.",
-            metavar="COMMAND",
-        ),
-    ] = None,
-    pace: Annotated[
-        str,
-        typer.Option(
-            help="Simulated seconds per second in real time; max: only lockstep.", metavar="PACE"
-        ),
-    ] = "1",
+    scenario: str = "oahu",
+    command: str | None = None,
+    pace: str = "1",
     scheme: SchemeOption = "paper",
-    seed: Annotated[
-        int | None,
-        typer.Option(help="Seed of the clouds, of random inputs and of random faults."),
-    ] = None,
-    tolerance: Annotated[
-        float,
-        typer.Option(help="Largest difference between numbers that count as equal.", metavar="X"),
-    ] = 0.0,
-    wait_s: Annotated[
-        float,
-        typer.Option(
-            "--external-timeout", help="How long to wait for the device.", metavar="SECONDS"
-        ),
-    ] = 60.0,
-    base_port: Annotated[
-        int | None,
-        typer.Option(
-            help="Listen on this port and those after it, with the plant's name as namespace.",
-            metavar="PORT",
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder of the recorded tests; default runs/NAME-TIME.", metavar="DIR"),
-    ] = None,
+    seed: int | None = None,
+    tolerance: float = 0.0,
+    wait_s: float = 60.0,
+    base_port: int | None = None,
+    out: Path | None = None,
     json: JsonOption = None,
 ) -> int:
     """Test your own device against each requirement of the wire document.
@@ -90,8 +55,19 @@ def conform(
     wrong messages, random inputs, inputs that are late or missing, random
     faults, links that close, a restart. Compares each answer with that of
     Heliarch's own agent. Exit status 1: a requirement is not met.
+
+    --scenario SCENARIO: The plant around it, as for launch.
+    --command COMMAND: Command that starts the device; {plan} becomes the path of the plan, {node}
+        the agent. Without it, start the device yourself for each plan that is printed; restarts are
+        then not tested.
+    --pace PACE: Simulated seconds per second in real time; max: only lockstep.
+    --seed: Seed of the clouds, of random inputs and of random faults.
+    --tolerance X: Largest difference between numbers that count as equal.
+    --external-timeout SECONDS (wait_s): How long to wait for the device.
+    --base-port PORT: Listen on this port and those after it, with the plant's name as namespace.
+    --out DIR: Folder of the recorded tests; default runs/NAME-TIME.
     """
-    from launch_scripts.launcher.request import RunRequest, prepare_run
+    from launch_scripts.launcher.run_request import RunRequest, prepare_run
     from launch_scripts.scenarios.preparation import RunOptions
     from launch_scripts.scenarios.scenario import load_scenario
     from studies.conformance import conform as of_controller
@@ -107,7 +83,7 @@ def conform(
         pace=pace,
         seed=seed,
         scheme=scheme,
-        external=(agent,),
+        external=[agent],
         external_timeout_s=wait_s,
         base_port=base_port,
         faults=[of_plant.FROZEN] if agent == PLANT else None,

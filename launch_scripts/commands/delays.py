@@ -17,8 +17,7 @@ from launch_scripts.commands.options import (
     WorkersOption,
     changed_scenario,
 )
-from launch_scripts.commands.output import say, shared, write_files
-from studies.tables import console_for
+from launch_scripts.commands.output import shared, written
 
 if TYPE_CHECKING:
     from launch_scripts.scenarios.preparation import Preparation, RunOptions
@@ -83,10 +82,8 @@ def delays(
         "outcomes": outcomes,
     }
     page = partial(study_page, preparation, outcomes)
-    written = write_files(document, files.json, page, files.report, PAGE)
-    console = console_for(files.json)
-    print_study(preparation, outcomes, console)
-    say(console, *written)
+    with written(document, files, page, PAGE) as console:
+        print_study(preparation, outcomes, console)
 
 
 def _prepared(scenario: ScenarioFile, options: RunOptions) -> Preparation:

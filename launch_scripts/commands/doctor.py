@@ -14,9 +14,7 @@ from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from textwrap import wrap
-from typing import Annotated, Final, Literal, NamedTuple, TypeAlias
-
-import typer
+from typing import Final, Literal, NamedTuple, TypeAlias
 
 from bus_schemas.errors import InputError
 from launch_scripts.commands.boundary import FAILED, OK
@@ -61,14 +59,14 @@ def _judged(
 
 
 def doctor(
-    out: Annotated[
-        Path, typer.Option(help="Folder in which runs will be recorded.", metavar="DIR")
-    ] = Path(),
+    out: Path = Path(),
     json: JsonOption = None,
 ) -> int:
     """Check whether a run will work on this machine, what will slow it down, and what to do.
 
     Exit status 1: something is wrong, and a run would not work.
+
+    --out DIR: Folder in which runs will be recorded.
     """
     from rich.text import Text
 

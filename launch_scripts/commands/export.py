@@ -38,22 +38,16 @@ def export(
     end: LastOption = None,
     nodes: NodesOption = None,
     signals: SignalsOption = None,
-    clock: Annotated[
-        Literal["wall", "sim"] | None,
-        typer.Option(
-            help="Times that a viewer of json-mcap shows: wall, as recorded (the default), or "
-            "sim, those of the plant."
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="The new file, or folder of tables; default beside the recording.", metavar="PATH"
-        ),
-    ] = None,
+    clock: Literal["wall", "sim"] | None = None,
+    out: Path | None = None,
     json: JsonOption = None,
 ) -> int:
-    """Make a file for viewers, or tidy tables, from a recording."""
+    """Make a file for viewers, or tidy tables, from a recording.
+
+    --clock: Times that a viewer of json-mcap shows: wall, as recorded (the default), or sim, those
+        of the plant.
+    --out PATH: The new file, or folder of tables; default beside the recording.
+    """
     from bus_schemas.signals import SIGNALS
     from recordings.export.exporting import default_path
     from recordings.export.exporting import export as export_run

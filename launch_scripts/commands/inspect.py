@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Final
 
-import typer
 from rich.text import Text
 
 from bus_schemas.errors import InputError
@@ -27,28 +26,19 @@ EXAMPLE: Final = "heliarch inspect RUN --nodes c2/inv07 --from 13:49:00 --to 13:
 
 def inspect(
     run: RunArgument,
-    nodes: Annotated[
-        str | None,
-        typer.Option(
-            "--nodes",
-            help="Show these nodes cycle by cycle: c2/inv07,c1/*,central (c1/*: c1 and all below).",
-            metavar="NODES",
-        ),
-    ] = None,
+    nodes: str | None = None,
     start: FirstOption = None,
     end: LastOption = None,
-    cycle: Annotated[
-        str | None,
-        typer.Option(
-            help="Show the whole plant in this cycle; same forms as --from.", metavar="TIME"
-        ),
-    ] = None,
+    cycle: str | None = None,
     json: JsonOption = None,
 ) -> int:
     """Show what a recording holds, nodes cycle by cycle, or the whole plant in one cycle.
 
     Without --nodes and --cycle: scenario, duration, versions, messages and
     rate of each signal, the health of the run, and what is missing.
+
+    --nodes NODES: Show these nodes cycle by cycle: c2/inv07,c1/*,central (c1/*: c1 and all below).
+    --cycle TIME: Show the whole plant in this cycle; same forms as --from.
     """
     from recordings.read.reader import RunReader
     from recordings.read.selection import find_nodes

@@ -26,12 +26,7 @@ EXAMPLE: Final = "heliarch inverters oahu --port 5020 --set plant.delay_s=1"
 def inverters(
     scenario: ScenarioArgument = "oahu",
     *,
-    address: Annotated[
-        str,
-        typer.Option(
-            help="Address at which to listen; 0.0.0.0 is for other hosts too.", metavar="ADDRESS"
-        ),
-    ] = "127.0.0.1",
+    address: str = "127.0.0.1",
     port: Annotated[
         int | None,
         typer.Option(
@@ -46,10 +41,7 @@ def inverters(
             help="Instead, a port for each inverter, from this port on; all are unit 1.",
         ),
     ] = None,
-    wait: Annotated[
-        bool,
-        typer.Option("--wait", help="Let the clouds stand still until the first limit is written."),
-    ] = False,
+    wait: bool = False,
     span: TimeOptions,
     seed: SeedOption = None,
     settings: SettingsOption = None,
@@ -60,6 +52,9 @@ def inverters(
     They are SunSpec inverters under the clouds of the scenario: another plant
     controller can read and limit them. The last unit is the meter at the
     plant's connection. Ends with the scenario, or with Ctrl-C.
+
+    --address ADDRESS: Address at which to listen; 0.0.0.0 is for other hosts too.
+    --wait: Let the clouds stand still until the first limit is written.
     """
     if port is not None and base_port is not None:
         raise InputError("--port: expected no --base-port with it")

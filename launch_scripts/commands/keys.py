@@ -17,20 +17,11 @@ EXAMPLE: Final = "heliarch keys oahu && heliarch launch oahu --secure --duration
 
 def keys(
     scenario: ScenarioArgument = "oahu",
-    out: Annotated[
-        Path | None, typer.Option(help="Folder of the keys; default keys/PLANT.", metavar="DIR")
-    ] = None,
+    out: Path | None = None,
     days: Annotated[
         float, typer.Option(max=3650.0, help="Days for which the certificates are valid.")
     ] = 365.0,
-    address: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="An address at which agents listen, besides 127.0.0.1. May be given "
-            "several times.",
-            metavar="ADDRESS",
-        ),
-    ] = None,
+    address: list[str] | None = None,
     data: DataOption = None,
     json: JsonOption = None,
 ) -> None:
@@ -39,6 +30,10 @@ def keys(
     Run it again to renew the certificates, also while a run is on; the private
     keys stay the same. Give a device only its own certificate, its own key and
     ca.pem. Keep ca.key secret: it can sign certificates.
+
+    --out DIR: Folder of the keys; default keys/PLANT.
+    --address ADDRESS: An address at which agents listen, besides 127.0.0.1. May be given several
+        times.
     """
     from launch_scripts.scenarios.plant_keys import make_keys
     from launch_scripts.scenarios.preparation import RunOptions, prepare

@@ -8,10 +8,10 @@ from launch_scripts.commands.options import (
     FileOptions,
     PageOptions,
     PlantOptions,
-    ProcessOptions,
     ScenarioArgument,
     SpanOptions,
 )
+from launch_scripts.scenarios.process_options import ProcessOptions
 
 EXAMPLE: Final = "heliarch launch oahu --from 12:30 --duration 15m --pace 1"
 

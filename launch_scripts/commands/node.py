@@ -27,25 +27,18 @@ def node(
             help="This host's address, as in launch --on.", metavar="ADDRESS", show_default=False
         ),
     ],
-    keys: Annotated[
-        Path | None,
-        typer.Option(help="Folder of the keys; default keys/PLANT.", metavar="DIR"),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder of the logs; default runs/PLANT-TIME.", metavar="DIR"),
-    ] = None,
-    systemd: Annotated[
-        bool,
-        typer.Option(
-            "--systemd", help="Only print a systemd unit that runs this command again and again."
-        ),
-    ] = False,
+    keys: Path | None = None,
+    out: Path | None = None,
+    systemd: bool = False,
 ) -> None:
     """Run the controllers that `launch --on` puts on this host.
 
     Waits for the plant, takes part in the run, and ends with it. Exit
     status 1: a controller ended before the run, or the plant disappeared.
+
+    --keys DIR: Folder of the keys; default keys/PLANT.
+    --out DIR: Folder of the logs; default runs/PLANT-TIME.
+    --systemd: Only print a systemd unit that runs this command again and again.
     """
     from agents.plan import load_plan
     from launch_scripts.launcher.node import run_share, share_of, systemd_unit

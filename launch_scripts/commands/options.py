@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 
-from agents.plan import Actuator, Scheme
+from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
 
 if TYPE_CHECKING:
@@ -156,133 +157,41 @@ class TimeOptions:
 
 @dataclass(frozen=True, slots=True)
 class SpanOptions(TimeOptions):
-    """Which part of a scenario is run, and how fast."""
+    """Which part of a scenario is run, and how fast.
 
-    pace: Annotated[
-        str | None,
-        typer.Option(
-            help="Simulated seconds per second: 1 is real time, max is lockstep.", metavar="PACE"
-        ),
-    ] = None
+    --pace PACE: Simulated seconds per second: 1 is real time, max is lockstep.
+    """
+
+    pace: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class PlantOptions:
-    """What is different from the scenario."""
+    """What is different from the scenario.
+
+    --actuator: Whether a command is a fraction of the maximum or a power limit.
+    --fault RULE (faults): Make links imperfect: source=c1/*,delay=50ms,loss=2% (fields: source,
+        listener, signal, delay, jitter, distribution, loss, duplicate, reorder, reorder-by,
+        silent=60s..90s, at=60s..90s). Or cut links, freeze or kill controllers:
+        partition=c1|c2,at=5s..9s, freeze=c2,at=5s..9s, kill=c2,at=5s. May be given several times.
+    """
 
     seed: SeedOption = None
     scheme: SchemeOption = None
-    actuator: Annotated[
-        Actuator | None,
-        typer.Option(help="Whether a command is a fraction of the maximum or a power limit."),
-    ] = None
+    actuator: Actuator | None = None
     settings: SettingsOption = None
-    faults: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--fault",
-            # In a terminal of 80 columns, longer unbroken text would be cut.
-            help="Make links imperfect: source=c1/*,delay=50ms,loss=2% (fields: source, listener, "
-            "signal, delay, jitter, distribution, loss, duplicate, reorder, reorder-by, "
-            "silent=60s..90s, at=60s..90s). Or cut links, freeze or kill controllers: "
-            "partition=c1|c2,at=5s..9s, freeze=c2,at=5s..9s, kill=c2,at=5s. "
-            "May be given several times.",
-            metavar="RULE",
-        ),
-    ] = None
-
-
-@dataclass(frozen=True, slots=True)
-class ProcessOptions:
-    """External agents, real inverters, keys, and how the processes use the machine."""
-
-    external: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Do not start this agent; wait for your own device: c2/inv07, c2, central or "
-            "plant. May be given several times.",
-            metavar="AGENT",
-        ),
-    ] = None
-    devices: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--device",
-            help="Use a real inverter, over Modbus TCP: c2/inv07=modbus://10.0.0.7/1. May be "
-            "given several times.",
-            metavar="NODE=ADDRESS",
-        ),
-    ] = None
-    external_timeout_s: Annotated[
-        float,
-        typer.Option(
-            "--external-timeout",
-            help="How long to wait for external agents and other hosts. Once all are there, they "
-            "have 30 s to answer the arming rounds.",
-            metavar="SECONDS",
-        ),
-    ] = 60.0
-    base_port: Annotated[
-        int | None,
-        typer.Option(
-            help="Listen on this port and those after it, with the plant's name as namespace, so "
-            "that a device is configured once.",
-            metavar="PORT",
-        ),
-    ] = None
-    secure: Annotated[
-        bool | None,
-        typer.Option(
-            "--secure",
-            help="Encrypt every link, and admit agents only by the certificates of "
-            "`heliarch keys`.",
-        ),
-    ] = None
-    keys: Annotated[
-        Path | None,
-        typer.Option(help="Folder of the keys; default keys/PLANT.", metavar="DIR"),
-    ] = None
-    address: Annotated[
-        str,
-        typer.Option(
-            help="Address at which the agents listen, for devices and controllers on other hosts; "
-            "needs --secure.",
-            metavar="ADDRESS",
-        ),
-    ] = "127.0.0.1"
-    on: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Leave these controllers to `heliarch node` on the host with this address: "
-            "10.0.0.2=c2/*,c3/inv12. May be given several times.",
-            metavar="ADDRESS=AGENTS",
-        ),
-    ] = None
-    cpus: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Run the processes on these processors: 0-1, or plant=0 for one kind (recorder, "
-            "plant, central, supervisor, direct). May be given several times.",
-            metavar="CPUS",
-        ),
-    ] = None
-    priority: Annotated[
-        int | None,
-        typer.Option(
-            help="In real time: run plant and controllers under SCHED_FIFO with this priority, 1 "
-            "to 99, if the machine permits it.",
-            metavar="PRIORITY",
-        ),
-    ] = None
+    # In a terminal of 80 columns, longer unbroken text in its description would be cut.
+    faults: list[str] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class PageOptions:
-    """The page that shows a run."""
+    """The page that shows a run.
 
-    page: Annotated[
-        bool, typer.Option("--page", help="Show the run in a browser, while it goes on.")
-    ] = False
+    --page: Show the run in a browser, while it goes on.
+    """
+
+    page: bool = False
     page_port: PagePortOption = None
     page_address: PageAddressOption = None
 
@@ -298,12 +207,12 @@ class ResultOptions:
 
 @dataclass(frozen=True, slots=True)
 class FileOptions(ResultOptions):
-    """The same of a run, which has a folder."""
+    """The same of a run, which has a folder.
 
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder of the run; default runs/NAME-TIME.", metavar="DIR"),
-    ] = None
+    --out DIR: Folder of the run; default runs/NAME-TIME.
+    """
+
+    out: Path | None = None
 
 
 def refuse_others(context: typer.Context, allowed: Collection[str], why: str) -> None:
@@ -325,8 +234,13 @@ def changed_scenario(
     return with_settings(load_scenario(scenario, data), settings or ())
 
 
-def with_groups(command: Callable[..., int | None]) -> Callable[..., int | None]:
-    """Return a command that takes each field of its dataclass parameters as an option."""
+def with_options(command: Callable[..., int | None]) -> Callable[..., int | None]:
+    """Return a command as typer takes it, whose options docstrings describe.
+
+    `--option METAVAR (parameter): help` describes a parameter of the command, or a field of a
+    dataclass that it takes; the name is left out where it is that of the option. Each field of such
+    a dataclass is an option of its own.
+    """
     taken = inspect.signature(command, eval_str=True).parameters.values()
     groups: dict[str, Any] = {
         taker.name: taker.annotation for taker in taken if is_dataclass(taker.annotation)
@@ -337,12 +251,34 @@ def with_groups(command: Callable[..., int | None]) -> Callable[..., int | None]
             given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
         return command(**given)
 
+    expanded.__doc__, described = _described(command)
     options: list[inspect.Parameter] = []
     for taker in taken:
-        group = groups.get(taker.name)
-        options += inspect.signature(group, eval_str=True).parameters.values() if group else [taker]
-    keyword = [option.replace(kind=inspect.Parameter.KEYWORD_ONLY) for option in options]
+        if group := groups.get(taker.name):
+            options += inspect.signature(group, eval_str=True).parameters.values()
+            for owner in group.__mro__[:-1]:
+                described |= _described(owner)[1]
+        else:
+            options.append(taker)
+    keyword = []
+    for option in options:
+        kind, described_as = option.annotation, described.pop(option.name, None)
+        kind = kind if described_as is None else Annotated[kind, described_as]
+        keyword.append(option.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=kind))
+    assert not described, f"{command.__name__} takes no {', '.join(described)}"
     expanded.__signature__ = inspect.Signature(keyword)  # type: ignore[attr-defined]
     expanded.__annotations__ = {option.name: option.annotation for option in keyword}
-    expanded.__doc__ = command.__doc__
     return expanded
+
+
+def _described(owner: Callable[..., object]) -> tuple[str, dict[str, Any]]:
+    """Take the options out of a docstring; return the rest, and them by parameter."""
+    text, *entries = re.split(r"\n(?=--[\w-]+.*: )", inspect.getdoc(owner) or "")
+    found = {}
+    for entry in entries:
+        head, _, words = entry.partition(": ")
+        option, *rest = head.split()
+        named = {word[:1] == "(": word.strip("()") for word in rest}
+        name = named.get(True, option[2:].replace("-", "_"))
+        found[name] = typer.Option(option, help=" ".join(words.split()), metavar=named.get(False))
+    return text.rstrip(), found

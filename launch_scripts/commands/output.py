@@ -19,6 +19,8 @@ from rich.progress import (
 )
 
 from bus_schemas.printable import printable
+from launch_scripts.commands.options import ResultOptions
+from studies.tables import console_for
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -72,20 +74,23 @@ def _progress(description: str, *columns: MofNCompleteColumn) -> Progress:
     )
 
 
-def write_files(
-    document: object, json: str | None, page: Callable[[], str], report: str | None, default: Path
-) -> list[str]:
-    """Write a result as JSON and as a page, where they are wanted; return what to say of it.
+@contextmanager
+def written(
+    document: object, files: ResultOptions, page: Callable[[], str], default: Path
+) -> Iterator[Console]:
+    """Write a result as JSON and as a page, where they are wanted; give the console to print it on.
 
-    Call it before anything is printed: whoever reads the tables may leave before their end.
+    The files come first: whoever reads the tables may leave before their end.
     """
-    write_json(document, json)
-    if report is None:
-        return []
-    path = Path(report) if report else default
-    path.parent.mkdir(parents=True, exist_ok=True)
-    _write(page().encode(), path)
-    return [f"report: {path}"]
+    write_json(document, files.json)
+    path = Path(files.report or default)
+    if files.report is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _write(page().encode(), path)
+    console = console_for(files.json)
+    yield console
+    if files.report is not None:
+        say(console, f"report: {path}")
 
 
 def write_json(content: object, destination: str | None) -> None:

@@ -6,9 +6,7 @@ import textwrap
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
-
-import typer
+from typing import TYPE_CHECKING, Final
 
 from launch_scripts.commands.boundary import FAILED, OK, complain
 from launch_scripts.commands.options import JsonOption, RunArgument
@@ -28,18 +26,15 @@ _SUFFIX: Final = ".recovered.mcap"
 
 def recover(
     run: RunArgument,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="The new file; default run.recovered.mcap beside the recording.", metavar="FILE"
-        ),
-    ] = None,
+    out: Path | None = None,
     json: JsonOption = None,
 ) -> int:
     """Repair a recording that a crash or a full disk cut short.
 
     Exit status: 0 if nothing is missing, 3 if something is or may be,
     1 if there is nothing to recover.
+
+    --out FILE: The new file; default run.recovered.mcap beside the recording.
     """
     from recordings.read.reader import RunReader
     from recordings.read.run_file import NothingRecordedError

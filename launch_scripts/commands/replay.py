@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Final, Literal
 
 import typer
 
@@ -32,42 +32,17 @@ def replay(
     run: RunArgument,
     start: FirstOption = None,
     end: LastOption = None,
-    pace: Annotated[
-        str, typer.Option(help="Recorded seconds per second, or max.", metavar="PACE")
-    ] = "1",
-    clock: Annotated[
-        Literal["sim", "wall"] | None,
-        typer.Option(
-            help="sim: each cycle when it begins in simulated time (default after lockstep); wall: "
-            "each message when it was published (default after real time)."
-        ),
-    ] = None,
-    start_paused: Annotated[
-        bool, typer.Option("--start-paused", help="Wait for the space bar.")
-    ] = False,
-    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    pace: str = "1",
+    clock: Literal["sim", "wall"] | None = None,
+    start_paused: bool = False,
+    loop: bool = False,
     nodes: NodesOption = None,
     signals: SignalsOption = None,
-    exclude: Annotated[
-        str | None,
-        typer.Option(help="All signals but these; clock is allowed too.", metavar="NAMES"),
-    ] = None,
-    wait: Annotated[bool, typer.Option("--wait", help="Begin when somebody subscribes.")] = False,
-    listen: Annotated[
-        str | None,
-        typer.Option(
-            help="Where subscribers connect: tcp/127.0.0.1:7447; default a free port.",
-            metavar="ENDPOINT",
-        ),
-    ] = None,
-    live: Annotated[
-        str | None,
-        typer.Option(help="Controllers to run live and to compare: c1/inv01,c2.", metavar="NODES"),
-    ] = None,
-    plan: Annotated[
-        Path | None,
-        typer.Option(help="Plan of the live controllers; default the run's.", metavar="FILE"),
-    ] = None,
+    exclude: str | None = None,
+    wait: bool = False,
+    listen: str | None = None,
+    live: str | None = None,
+    plan: Path | None = None,
     json: JsonOption = None,
 ) -> int:
     """Put a recording back onto the bus, or let some agents of it run live.
@@ -75,6 +50,17 @@ def replay(
     In a terminal: space pauses and goes on, s steps one cycle, + and - change
     the pace, arrows seek (left and right 10 s, up and down 1 min of simulated
     time), q ends.
+
+    --pace PACE: Recorded seconds per second, or max.
+    --clock: sim: each cycle when it begins in simulated time (default after lockstep); wall: each
+        message when it was published (default after real time).
+    --start-paused: Wait for the space bar.
+    --loop: Begin again at the end.
+    --exclude NAMES: All signals but these; clock is allowed too.
+    --wait: Begin when somebody subscribes.
+    --listen ENDPOINT: Where subscribers connect: tcp/127.0.0.1:7447; default a free port.
+    --live NODES: Controllers to run live and to compare: c1/inv01,c2.
+    --plan FILE: Plan of the live controllers; default the run's.
     """
     from launch_scripts.scenarios.real_time import parse_pace
     from recordings.read.reader import RunReader

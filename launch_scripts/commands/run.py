@@ -20,15 +20,14 @@ from launch_scripts.commands.options import (
     FileOptions,
     PageOptions,
     PlantOptions,
-    ProcessOptions,
     SpanOptions,
     changed_scenario,
 )
 from launch_scripts.commands.output import say, write_json
 from launch_scripts.launcher.launch import launch
 from launch_scripts.launcher.live_view import view_for
-from launch_scripts.launcher.request import RunRequest, prepare_run
 from launch_scripts.launcher.run_folder import RunFolder
+from launch_scripts.launcher.run_request import RunRequest, prepare_run
 from launch_scripts.launcher.simulation import simulate
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.summary_table import print_summary
@@ -36,6 +35,7 @@ from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.launcher.wrong_messages import one_line_each
 from launch_scripts.scenarios.devices import check_devices
 from launch_scripts.scenarios.preparation import RunOptions
+from launch_scripts.scenarios.process_options import ProcessOptions
 from live_page.process import PageProcess
 from studies.tables import console_for
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
@@ -15,17 +16,17 @@ from launch_scripts.commands.options import (
     FileOptions,
     PageOptions,
     PlantOptions,
-    ProcessOptions,
     StartOption,
     refuse_others,
 )
-from launch_scripts.commands.output import say, write_files
+from launch_scripts.commands.output import say, written
+from launch_scripts.scenarios.process_options import ProcessOptions
 from studies.tables import console_for
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from launch_scripts.launcher.request import RunRequest
+    from launch_scripts.launcher.run_request import RunRequest
     from live_page.process import PageProcess
     from studies.timing.report import Reported, TimingReport
     from studies.timing.sweep import Rates
@@ -47,29 +48,13 @@ def timing(
         ),
     ] = "oahu",
     *,
-    rate: Annotated[
-        str | None,
-        typer.Option(
-            help="Cycles a second: 20; several: 5,10,20; a range such as 1..200, or auto: find the "
-            "highest rate that the plant keeps up with. Default 1.",
-            metavar="RATES",
-        ),
-    ] = None,
+    rate: str | None = None,
     start: StartOption = None,
     end: EndOption = None,
-    duration: Annotated[
-        str | None,
-        typer.Option(
-            help="Length of the run, simulated and real, in place of --to: seconds, or 90s, 10m; "
-            "default 60s, 15s for each of several rates.",
-            metavar="TIME",
-        ),
-    ] = None,
+    duration: str | None = None,
     plant: PlantOptions,
     machine: ProcessOptions,
-    processes: Annotated[
-        bool, typer.Option("--processes", help="Show each process as well as the tiers.")
-    ] = False,
+    processes: bool = False,
     page: PageOptions,
     files: FileOptions,
 ) -> int:
@@ -80,6 +65,12 @@ def timing(
 
     Exit status 1: a budget was not kept, or the run failed. A scenario states its own budgets in
     its table timing.budgets; see docs/timing.md.
+
+    --rate RATES: Cycles a second: 20; several: 5,10,20; a range such as 1..200, or auto: find the
+        highest rate that the plant keeps up with. Default 1.
+    --duration TIME: Length of the run, simulated and real, in place of --to: seconds, or 90s, 10m;
+        default 60s, 15s for each of several rates.
+    --processes: Show each process as well as the tiers.
     """
     from launch_scripts.commands.run import page_beside, run_request
     from studies.timing.measured_run import measured_run, prepare_at, run_length_s
@@ -91,7 +82,7 @@ def timing(
         allowed = ("scenario", "processes", "report", "json")
         why = f"expected only --processes, --report or --json with {path}, which was run already"
         refuse_others(context, allowed, why)
-        return _print_one(report_on(path, by_agent=processes), path, files, console, processes)
+        return _print_one(report_on(path, by_agent=processes), path, files, processes=processes)
     rates = parse_rates(_RATE if rate is None else rate)
     request = run_request(scenario, files, plant, machine, start=start, end=end, duration=duration)
     with page_beside(page, console) as shown:
@@ -103,13 +94,10 @@ def timing(
         if shown is not None:
             say(console, f"page: {shown.show(folder.path)}")
         reported = measured_run(preparation, folder, console, by_agent=processes)
-        return _print_one(reported, folder.path, files, console, processes)
+        return _print_one(reported, folder.path, files, processes=processes)
 
 
-def _print_one(
-    reported: Reported, run: Path, files: FileOptions, console: Console, processes: bool
-) -> int:
-    """Print and write the result of a run."""
+def _print_one(reported: Reported, run: Path, files: FileOptions, *, processes: bool) -> int:
     from recordings.read.run_file import RECORDING_NAME
     from studies.timing.page import PAGE_NAME, run_page
     from studies.timing.tables import print_report
@@ -117,9 +105,9 @@ def _print_one(
     report = reported.report
     recording = run / RECORDING_NAME if run.is_dir() else run
     page, default = partial(run_page, reported), recording.with_name(PAGE_NAME)
-    written = write_files(report.document(), files.json, page, files.report, default)
-    print_report(report, console, processes=processes)
-    say(console, f"recording: {recording}", *written)
+    with written(report.document(), files, page, default) as console:
+        print_report(report, console, processes=processes)
+        say(console, f"recording: {recording}")
     if report.interrupted:
         return INTERRUPTED
     return OK if report.passed else FAILED
@@ -160,12 +148,11 @@ def _time_several(
         return reports[-1]
 
     found = sweep(rates, timed)
-    report = files.report if reports else None
-    written = write_files(
-        found, files.json, lambda: sweep_page(found, reports[-1]), report, folder / PAGE_NAME
-    )
-    print_sweep(found, console)
-    say(console, f"recordings: {folder}", *written)
+    if not reports:
+        files = replace(files, report=None)
+    with written(found, files, lambda: sweep_page(found, reports[-1]), folder / PAGE_NAME) as out:
+        print_sweep(found, out)
+        say(out, f"recordings: {folder}")
     if found.interrupted:
         return INTERRUPTED
     return FAILED if found.highest_clean_hz is None else OK

@@ -36,17 +36,9 @@ def verify(
     nodes: NodesOption = None,
     start: FirstOption = None,
     end: LastOption = None,
-    tolerance: Annotated[
-        float, typer.Option(help="Largest difference of two equal floats.", metavar="X")
-    ] = 0.0,
-    ignored: Annotated[
-        str | None,
-        typer.Option("--ignore", help="Fields that may differ, with commas.", metavar="FIELDS"),
-    ] = None,
-    accept: Annotated[
-        bool,
-        typer.Option("--accept", help="Replace the recording by what the agents do now."),
-    ] = False,
+    tolerance: float = 0.0,
+    ignored: str | None = None,
+    accept: bool = False,
     json: JsonOption = None,
 ) -> int:
     """Run the agents of a recording again on the inputs that they used, and compare the outputs.
@@ -54,6 +46,10 @@ def verify(
     Exit status 1: outputs differ. The first difference of each agent is shown
     with its inputs. Agents run from cycle 0 on; --from and --to say which
     cycles are compared.
+
+    --tolerance X: Largest difference of two equal floats.
+    --ignore FIELDS (ignored): Fields that may differ, with commas.
+    --accept: Replace the recording by what the agents do now.
     """
     from recordings.verify.report import json_ready
 

@@ -24,20 +24,17 @@ from typing import Final, NoReturn
 
 import msgspec
 
-from agents.cycle import kind_of
 from agents.events import Event, Exited, Failed, Started
 from agents.launcher_link import LauncherLink, server_packet
 from agents.loop import AgentLoop
 from agents.plan import RunPlan, load_plan
-from agents.process import die_with_parent, run_controller
+from agents.process import die_with_parent
 from agents.session import session_settings
 from agents.team import controller
 from bus_schemas.tree import RECORDER, agent_name
 from launch_scripts.launcher.fork_requests import Expect, Request, Signal, Start
+from launch_scripts.launcher.process import run_process
 from recordings.read.run_file import log_name
-from recordings.record.recorder import run_recorder
-from sim_plant.plant_run import run_plant
-from sim_plant.profile import load_profile
 
 _LARGEST: Final = 1 << 20
 _LAST_WAIT_S: Final = 5.0
@@ -135,7 +132,8 @@ class ForkServer:
             self._set_up(agent, Path(request.logs) / log_name(agent))
             link = LauncherLink(agent, self._control, expected)
             link.heed_sigterm()
-            status = _run(agent, plan, link, request)
+            folder, patience_s = Path(request.plan).parent, request.patience_s
+            status = run_process(agent, plan, link, folder, patience_s, rejoins=request.again)
         except BaseException:
             logging.exception("%s gives up", agent)
         finally:
@@ -167,29 +165,13 @@ class ForkServer:
             pid, status, usage = os.wait4(-1, os.WNOHANG)
             if pid == 0:
                 return
-            exited = Exited(
-                os.waitstatus_to_exitcode(status),
-                usage.ru_utime + usage.ru_stime,
-                usage.ru_nvcsw,
-                usage.ru_nivcsw,
-            )
+            cpu_s = usage.ru_utime + usage.ru_stime
+            exited = Exited(os.waitstatus_to_exitcode(status), cpu_s, usage.ru_nvcsw)
             self._tell(self._pids.pop(pid), exited)
 
     def _tell(self, agent: str, event: Event) -> None:
         with suppress(BrokenPipeError, ConnectionResetError):
             self._control.send(server_packet(agent, msgspec.json.encode(event)))
-
-
-def _run(agent: str, plan: RunPlan, link: LauncherLink, request: Start) -> int:
-    folder = Path(request.plan).parent
-    match kind_of(agent, plan.tree):
-        case "recorder":
-            return run_recorder(plan, folder, link)
-        case "plant":
-            profile = load_profile(folder / "profile.npz")
-            return run_plant(plan, profile, link, request.patience_s, folder)
-        case _:
-            return run_controller(plan, agent, link, rejoins=request.again)
 
 
 def main() -> None:

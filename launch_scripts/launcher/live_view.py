@@ -62,7 +62,6 @@ class StatusLine:
         return time.monotonic() >= self._next_at or (now and self._in_place)
 
     def show(self, text: str) -> None:
-        """Show a line, if it is a new one."""
         self._next_at = time.monotonic() + (_IN_PLACE_S if self._in_place else _PLAIN_S)
         if text != self._shown:
             self._stream.write(f"\r\x1b[K{text}" if self._in_place else f"{text}\n")
@@ -86,11 +85,9 @@ class PlainLines(View):
         self._line = StatusLine(console.file, in_place=False)
 
     def local_time(self, status: Status) -> str:
-        """Return the local time of day."""
         return f"{datetime.fromtimestamp(status.sim_time_ns / 1e9, self._zone):%H:%M:%S}"
 
     def say(self, text: str) -> None:
-        """Print a line."""
         self._console.print(printable(text), highlight=False, soft_wrap=True, markup=False)
 
     def show(self, status: Status) -> None:
@@ -129,7 +126,6 @@ class LivePanel(PlainLines):
         self._live.stop()
 
     def show(self, status: Status) -> None:
-        """Draw the panel anew."""
         if status.cycle < 0:
             return
         self._progress.update(self._task, completed=status.cycle + 1)

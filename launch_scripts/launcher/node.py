@@ -42,13 +42,7 @@ WantedBy=multi-user.target
 
 
 def share_of(plan: RunPlan, host: str) -> tuple[str, ...]:
-    """Return the agents that a plan has for a host.
-
-    Raises
-    ------
-    InputError
-        It has none.
-    """
+    """Return the agents that a plan has for a host."""
     agents = tuple(agent for agent in plan.elsewhere if plan.addresses.get(agent) == host)
     if not agents:
         hosts = ", ".join(dict.fromkeys(plan.addresses.values()))
@@ -66,10 +60,7 @@ def run_share(
 ) -> None:
     """Start agents of a plan and see them through its run.
 
-    Raises
-    ------
-    RunFailure
-        One of them ended before the run, and the policy does not start it again.
+    Raises RunFailure: One of them ended before the run, and the policy does not start it again.
     """
     folder.make()
     folder.write_plan(plan)

@@ -32,22 +32,18 @@ class RunFolder:
 
     @property
     def plan(self) -> Path:
-        """What the processes agree on."""
         return self.path / "plan.json"
 
     @property
     def logs(self) -> Path:
-        """Folder of the processes' logs."""
         return self.path / "logs"
 
     @property
     def recording(self) -> Path:
-        """The MCAP file."""
         return self.path / RECORDING_NAME
 
     @property
     def summary(self) -> Path:
-        """The summary as JSON."""
         return self.path / SUMMARY_NAME
 
     @property
@@ -56,7 +52,6 @@ class RunFolder:
         return self.path / FAILURE_NAME
 
     def make(self) -> None:
-        """Make the folder, with that of the logs."""
         try:
             self.logs.mkdir(parents=True)
         except OSError as error:

@@ -68,7 +68,6 @@ class RunWatch:
         self._is_silent = False
 
     def recorder_silent_s(self, now_s: float) -> float:
-        """Return how long the recorder has said nothing [s]."""
         self._leave_out_own_pause(now_s)
         return now_s - self._heard_at
 

@@ -170,7 +170,6 @@ class MemoryRun:
             yield wait_s + self._restart_takes_s, incident._replace(what="start")
 
     def _loop(self, name: str) -> AgentLoop[Any]:
-        """Return the loop of a process of this name."""
         return AgentLoop(controller(self.plan, agent_of(name)), self.plan, process=name)
 
     def _process_of(self, incident: Incident) -> str:
@@ -201,7 +200,6 @@ class MemoryRun:
 
     @property
     def restarts(self) -> dict[str, int]:
-        """How often each controller was started again."""
         return {name: len(times_s) for name, times_s in self._restarted_s.items()}
 
     def stop(self) -> None:

@@ -51,22 +51,14 @@ class MemoryUse(msgspec.Struct, frozen=True):
 class ProcessAccount(msgspec.Struct, frozen=True):
     """What one process of a run over processes said at its end, and what it took.
 
-    Attributes
-    ----------
-    agent, kind
-        Its name, and `recorder`, `plant`, `central`, `supervisor` or `direct`.
-    dropped
-        Messages that it could not use, by cause.
-    resident_mb
-        Most memory that was seen resident [MB].
-    missing_inputs, old_inputs
-        Inputs that its agent missed at deadlines, and older ones that it used in place of them.
-    skipped_cycles
-        Cycles that were over before it came to them.
-    cpu_s
-        Processor time from cycle 0 to its end [s].
-    voluntary_switches
-        How often it waited for something, over its whole life.
+    agent, kind: Its name, and `recorder`, `plant`, `central`, `supervisor` or `direct`.
+    dropped: Messages that it could not use, by cause.
+    resident_mb: Most memory that was seen resident [MB].
+    missing_inputs, old_inputs: Inputs that its agent missed at deadlines, and older ones that it
+        used in place of them.
+    skipped_cycles: Cycles that were over before it came to them.
+    cpu_s: Processor time from cycle 0 to its end [s].
+    voluntary_switches: How often it waited for something, over its whole life.
     """
 
     agent: str
@@ -247,7 +239,6 @@ def memory_use(samples: Mapping[str, list[Memory]]) -> tuple[MemoryUse, ...]:
 
 
 def merge_counts(counts: list[dict[str, int]]) -> dict[str, int]:
-    """Add up counts by name."""
     total: Counter[str] = Counter()
     for count in counts:
         total.update(count)

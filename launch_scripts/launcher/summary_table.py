@@ -16,9 +16,8 @@ from launch_scripts.launcher.wrong_messages import one_line_each
 from recordings.read.reader import RunReader
 from studies.metrics import RunMetrics
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT, shown_in
-from studies.report.tables import health_table
+from studies.report.tables import devices_tables, health_table
 from studies.tables import Cell, Column, Number, Table, key_column, print_table, word_column
-from sunspec.tables import devices_tables
 
 Row: TypeAlias = tuple[str, Cell, str, str]
 """Name, value, unit and note."""
@@ -48,7 +47,6 @@ def print_summary(summary: RunSummary, console: Console) -> None:
 
 
 def summary_table(summary: RunSummary) -> Table:
-    """Return the table."""
     hindsight = "Clusters and neighbours were chosen from the run's own data: hindsight."
     return Table(
         f"{summary.scenario} from {summary.sim_start}, {summary.driver}",

@@ -61,7 +61,6 @@ class Memory(NamedTuple):
 
 
 def memory_of(pid: int) -> Memory:
-    """Return the memory of a process."""
     info = psutil.Process(pid).memory_full_info()
     return Memory(info.rss / 1e6, info.uss / 1e6)
 
@@ -107,15 +106,12 @@ class ForkServerProcess:
 
     @property
     def pid(self) -> int:
-        """Its process id."""
         return self._process.pid
 
     def has_ended(self) -> bool:
-        """Whether it has ended, for whatever reason."""
         return self._process.poll() is not None
 
     def ask(self, request: Request) -> None:
-        """Send a request."""
         self._was_asked = True
         with suppress(BrokenPipeError, ConnectionResetError):
             self.control.send(msgspec.json.encode(request))
@@ -154,7 +150,6 @@ class Child:
         self.finished = self.waiting = self.failed = self.exited = self.recorded = None
 
     def note(self, event: AnyEvent) -> None:
-        """Keep what it says of itself."""
         match event:
             case Started():
                 self.pid = event.pid
@@ -182,7 +177,6 @@ class Child:
         return float(times.user + times.system)
 
     def is_stopped(self) -> bool:
-        """Whether a signal has stopped it."""
         try:
             return bool(psutil.Process(self.pid).status() == psutil.STATUS_STOPPED)
         except psutil.Error:

@@ -21,37 +21,38 @@ HopSignal: TypeAlias = Annotated[
 
 
 class BudgetTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Upper limits. What the table leaves out keeps its default."""
+    """Upper limits. What the table leaves out keeps its default.
 
-    loop_p99_ms: Annotated[
-        Limit | None,
-        Meta(description="From the plant's tick to its last command. Default: half the cycle."),
-    ] = None
-    loop_max_ms: Annotated[Limit | None, Meta(description="The same, in the slowest cycle.")] = None
-    decision_p99_ms: Annotated[
-        dict[Tier, Limit],
-        Meta(description="By tier. Default: each stage's slice, and the paper's upper bounds."),
-    ] = {}
-    lateness_p99_ms: Annotated[
-        dict[Tier, Limit],
-        Meta(description="By tier. Default: for the plant's tick 2 % of the cycle, at least 1 ms."),
-    ] = {}
-    jitter_p99_ms: Annotated[dict[Tier, Limit], Meta(description="By tier, for each stage.")] = {}
-    age_p99_ms: Annotated[dict[Tier, Limit], Meta(description="By tier, for each stage.")] = {}
-    hop_p99_ms: Annotated[
-        dict[HopSignal, Limit], Meta(description="By signal. Default: 10 ms.")
-    ] = {}
-    missed_deadlines: Annotated[Count, Meta(description="In the whole run, of all tiers.")] = 0
-    overruns: Annotated[Count, Meta(description="In the whole run, of all tiers.")] = 0
-    skipped_cycles: Annotated[Count, Meta(description="In the whole run, of all tiers.")] = 0
-    lost_messages: Annotated[Count, Meta(description="In the whole run, of all tiers.")] = 0
-    dropped_messages: Annotated[
-        Count | None, Meta(description="In the whole run. Default: any number.")
-    ] = None
-    cpu_percent: Annotated[
-        dict[AnyKind, Amount], Meta(description="By kind; of one core, per process. Default: 80.")
-    ] = {}
-    resident_mb: Annotated[dict[AnyKind, Amount], Meta(description="By kind, per process.")] = {}
+    loop_p99_ms: From the plant's tick to its last command. Default: half the cycle.
+    loop_max_ms: The same, in the slowest cycle.
+    decision_p99_ms: By tier. Default: each stage's slice, and the paper's upper bounds.
+    lateness_p99_ms: By tier. Default: for the plant's tick 2 % of the cycle, at least 1 ms.
+    jitter_p99_ms: By tier, for each stage.
+    age_p99_ms: By tier, for each stage.
+    hop_p99_ms: By signal. Default: 10 ms.
+    missed_deadlines: In the whole run, of all tiers.
+    overruns: In the whole run, of all tiers.
+    skipped_cycles: In the whole run, of all tiers.
+    lost_messages: In the whole run, of all tiers.
+    dropped_messages: In the whole run. Default: any number.
+    cpu_percent: By kind; of one core, per process. Default: 80.
+    resident_mb: By kind, per process.
+    """
+
+    loop_p99_ms: Limit | None = None
+    loop_max_ms: Limit | None = None
+    decision_p99_ms: dict[Tier, Limit] = {}
+    lateness_p99_ms: dict[Tier, Limit] = {}
+    jitter_p99_ms: dict[Tier, Limit] = {}
+    age_p99_ms: dict[Tier, Limit] = {}
+    hop_p99_ms: dict[HopSignal, Limit] = {}
+    missed_deadlines: Count = 0
+    overruns: Count = 0
+    skipped_cycles: Count = 0
+    lost_messages: Count = 0
+    dropped_messages: Count | None = None
+    cpu_percent: dict[AnyKind, Amount] = {}
+    resident_mb: dict[AnyKind, Amount] = {}
 
 
 class TimingTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
-from typing import Annotated
 
 import msgspec
-from msgspec import Meta
 
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
@@ -16,10 +14,14 @@ from sim_plant.devices import parse_address
 
 
 class DeviceTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A real inverter."""
+    """A real inverter.
 
-    node: Annotated[str, Meta(description="Path of the inverter: `c2/inv07`.")]
-    address: Annotated[str, Meta(description="`modbus://host:port/unit`, with SunSpec models.")]
+    node: Path of the inverter: `c2/inv07`.
+    address: `modbus://host:port/unit`, with SunSpec models.
+    """
+
+    node: str
+    address: str
 
 
 def devices(

@@ -71,14 +71,7 @@ def members(kind: inspect.Type) -> tuple[inspect.Type, ...]:
     return () if isinstance(kind, inspect.NoneType) else (kind,)
 
 
-def description(kind: inspect.Type) -> str:
-    """Return what the annotation of a field says of it."""
-    schema = kind.extra_json_schema if isinstance(kind, inspect.Metadata) else None
-    return str((schema or {}).get("description", ""))
-
-
 def takes(types: Iterable[inspect.Type]) -> str:
-    """Say in words what a field of one of these types takes."""
     return " or ".join(dict.fromkeys(_takes(one) for one in types))
 
 

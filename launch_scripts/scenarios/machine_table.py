@@ -16,18 +16,16 @@ from bus_schemas.errors import InputError
 
 
 class MachineTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What the processes of a run may take of the machine."""
+    """What the processes of a run may take of the machine.
 
-    cpus: Annotated[
-        tuple[str, ...],
-        Meta(description='Processors of all processes, `"0-1"`, or of one kind, `"plant=0"`.'),
-    ] = ()
-    priority: Annotated[
-        int, Meta(ge=0, le=HIGHEST_PRIORITY, description="SCHED_FIFO priority; 0: normal policy.")
-    ] = 0
-    lock_memory: Annotated[
-        bool, Meta(description="Whether the memory of plant and controllers is never paged out.")
-    ] = False
+    cpus: Processors of all processes, `"0-1"`, or of one kind, `"plant=0"`.
+    priority: SCHED_FIFO priority; 0: normal policy.
+    lock_memory: Whether the memory of plant and controllers is never paged out.
+    """
+
+    cpus: tuple[str, ...] = ()
+    priority: Annotated[int, Meta(ge=0, le=HIGHEST_PRIORITY)] = 0
+    lock_memory: bool = False
 
 
 def machine_settings(

@@ -56,11 +56,6 @@ def make_keys(
 
     Private keys by the authority there stay: a process that starts in between finds a pair that
     matches, and a device needs nothing but its new certificate.
-
-    Raises
-    ------
-    InputError
-        The folder has the authority of another plant or half of one, or an address is none.
     """
     hosts = [_address("--address", address) for address in (LOOPBACK, *addresses)]
     try:
@@ -89,13 +84,7 @@ def make_keys(
 
 
 def check_keys(plan: RunPlan, agents: Sequence[str] = ()) -> None:
-    """Refuse keys with which Zenoh would not open the links of a run; `agents`: those here.
-
-    Raises
-    ------
-    InputError
-        Names the first file that is wrong.
-    """
+    """Refuse keys with which Zenoh would not open the links of a run; `agents`: those here."""
     folder = Path(plan.keys_folder)
     if not (folder / "ca.pem").exists():
         raise InputError(

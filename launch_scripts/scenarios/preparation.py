@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from agents.control.correlation import HourlyMatrices, hourly_covariance
 from agents.periods import Periods
-from agents.plan import Actuator, Revert, RunPlan, Scheme, check_plan, check_size
+from agents.plan import RunPlan, check_plan, check_size
+from agents.settings import Actuator, Revert, Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.times import FIRST_YEAR, LAST_YEAR, parse_duration_s, read_time
 from bus_schemas.tree import ROOT, ControlTree, agent_name, depth
@@ -28,6 +29,7 @@ from launch_scripts.scenarios.fault_rules import fault_remarks, fault_rules
 from launch_scripts.scenarios.fields import field_names
 from launch_scripts.scenarios.machine_table import machine_settings
 from launch_scripts.scenarios.power_sources import power_source
+from launch_scripts.scenarios.process_options import ProcessOptions
 from launch_scripts.scenarios.real_time import cycle_wall_ns, parse_pace, tier_deadlines_ns
 from launch_scripts.scenarios.scenario import (
     LARGEST_SEED,
@@ -50,7 +52,7 @@ _LARGEST_INVERTER_KW: Final = 10_000.0
 
 
 @dataclass(frozen=True, slots=True)
-class RunOptions:
+class RunOptions(ProcessOptions):
     """What the user may change about a scenario, as the options of `heliarch launch` say.
 
     None and an empty list leave it as it is.
@@ -64,16 +66,6 @@ class RunOptions:
     scheme: Scheme | None = None
     actuator: Actuator | None = None
     faults: Sequence[str] | None = None
-    external: Sequence[str] | None = None
-    external_timeout_s: float = 60.0
-    base_port: int | None = None
-    secure: bool | None = None
-    keys: Path | None = None
-    address: str = "127.0.0.1"
-    on: Sequence[str] | None = None
-    cpus: Sequence[str] | None = None
-    priority: int | None = None
-    devices: Sequence[str] | None = None
     cycle_s: float | None = None
 
 
@@ -124,7 +116,6 @@ class _Day:
 
 
 def prepare(scenario_file: ScenarioFile, options: RunOptions, run_id: str) -> Preparation:
-    """Work out a run."""
     if options.seed is not None and not 0 <= options.seed <= LARGEST_SEED:
         raise InputError(f"--seed: expected 0 to {LARGEST_SEED}, got {options.seed}")
     scenario = scenario_file.scenario

@@ -12,15 +12,7 @@ from zoneinfo import ZoneInfo, available_timezones
 import msgspec
 from msgspec import Meta
 
-from agents.plan import (
-    Actuator,
-    Delay,
-    InverterSettings,
-    Ramp,
-    RestartPolicy,
-    Revert,
-    Scheme,
-)
+from agents.settings import Actuator, Delay, InverterSettings, Ramp, RestartPolicy, Revert, Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.faults import FaultRule
 from bus_schemas.times import LONGEST_S
@@ -65,199 +57,180 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class TimeTable(_Table, frozen=True):
-    """When the run takes place."""
+    """When the run takes place.
 
-    start: Annotated[datetime, Meta(description="Local time of the first cycle.")]
-    timezone: Annotated[str, Meta(description="IANA name, for instance `Pacific/Honolulu`.")]
-    duration_s: Annotated[Duration, Meta(description="Length of the run [s].")]
-    cycle_s: Annotated[Cycle, Meta(description="Length of one cycle [s].")] = 1.0
+    start: Local time of the first cycle.
+    timezone: IANA name, for instance `Pacific/Honolulu`.
+    duration_s: Length of the run [s].
+    cycle_s: Length of one cycle [s].
+    """
+
+    start: datetime
+    timezone: str
+    duration_s: Duration
+    cycle_s: Cycle = 1.0
 
 
 class PlantTable(_Table, frozen=True):
-    """The inverters."""
+    """The inverters.
 
-    inverters: Annotated[
-        str | None,
-        Meta(description="CSV: `inverter, lat, lon[, rating_kw]`. Only for `clouds`."),
-    ] = None
-    rating_kw: Annotated[
-        Rating | None,
-        Meta(description="AC rating of the plant, split equally where the CSV has no ratings."),
-    ] = None
-    altitude_m: Annotated[Altitude, Meta(description="Height above the sea [m].")] = 0.0
-    actuator: Annotated[
-        Actuator, Meta(description="A command is a `fraction` of the maximum, or a power `limit`.")
-    ] = "fraction"
-    meter_noise: Annotated[
-        MeterNoise, Meta(description="Standard deviation of the power meters, as a share.")
-    ] = 0.0
-    available_bias: Annotated[
-        Bias | None, Meta(description="Relative error of `available_kw`. Default: none is stated.")
-    ] = None
-    revert: Annotated[
-        Revert | None, Meta(description="What an inverter does without new commands.")
-    ] = Revert()
-    ramp_percent_per_s: Annotated[
-        Ramp | None,
-        Meta(description="Largest change of an inverter's power, in % of its rating per second."),
-    ] = None
-    delay_s: Annotated[Delay, Meta(description="Time until a command takes effect [s].")] = 0.0
-    settings: Annotated[
-        tuple[InverterSettings, ...], Meta(description="Settings for some of the inverters.")
-    ] = ()
-    meter_seed: Annotated[Seed, Meta(description="Seed of the meter noise.")] = 0
-    ramp_limit_percent_per_min: Annotated[
-        RampLimit | None,
-        Meta(description="Ramp limit in % of the rating per minute: judged, not enforced."),
-    ] = None
+    inverters: CSV: `inverter, lat, lon[, rating_kw]`. Only for `clouds`.
+    rating_kw: AC rating of the plant, split equally where the CSV has no ratings.
+    altitude_m: Height above the sea [m].
+    actuator: A command is a `fraction` of the maximum, or a power `limit`.
+    meter_noise: Standard deviation of the power meters, as a share.
+    available_bias: Relative error of `available_kw`. Default: none is stated.
+    revert: What an inverter does without new commands.
+    ramp_percent_per_s: Largest change of an inverter's power, in % of its rating per second.
+    delay_s: Time until a command takes effect [s].
+    settings: Settings for some of the inverters.
+    meter_seed: Seed of the meter noise.
+    ramp_limit_percent_per_min: Ramp limit in % of the rating per minute: judged, not enforced.
+    """
+
+    inverters: str | None = None
+    rating_kw: Rating | None = None
+    altitude_m: Altitude = 0.0
+    actuator: Actuator = "fraction"
+    meter_noise: MeterNoise = 0.0
+    available_bias: Bias | None = None
+    revert: Revert | None = Revert()
+    ramp_percent_per_s: Ramp | None = None
+    delay_s: Delay = 0.0
+    settings: tuple[InverterSettings, ...] = ()
+    meter_seed: Seed = 0
+    ramp_limit_percent_per_min: RampLimit | None = None
 
 
 class CloudIrradiance(_Table, frozen=True, tag="clouds", tag_field="kind"):
-    """Synthetic irradiance: a cloud field that drifts over the plant."""
+    """Synthetic irradiance: a cloud field that drifts over the plant.
 
-    seed: Annotated[Seed, Meta(description="Seed of the cloud field; `--seed` replaces it.")] = 0
-    clouds: Annotated[CloudSettings, Meta(description="The sky: see below.")] = CloudSettings()
+    seed: Seed of the cloud field; `--seed` replaces it.
+    clouds: The sky: see below.
+    """
+
+    seed: Seed = 0
+    clouds: CloudSettings = CloudSettings()
 
 
 class MeasuredIrradiance(_Table, frozen=True, tag="measured", tag_field="kind"):
-    """Measured irradiance: a CSV of GHI with one column for each station, and their positions."""
+    """Measured irradiance: a CSV of GHI with one column for each station, and their positions.
 
-    ghi: Annotated[
-        str, Meta(description="CSV: time stamps, then one column of GHI [W/m^2] for each station.")
-    ]
-    positions: Annotated[str, Meta(description="CSV with the columns `station, lat, lon`.")]
-    stations: Annotated[
-        tuple[str, ...] | None, Meta(description="Stations to use. Default: all listed ones.")
-    ] = None
+    ghi: CSV: time stamps, then one column of GHI [W/m^2] for each station.
+    positions: CSV with the columns `station, lat, lon`.
+    stations: Stations to use. Default: all listed ones.
+    """
+
+    ghi: str
+    positions: str
+    stations: tuple[str, ...] | None = None
 
 
 class OahuGridIrradiance(_Table, frozen=True, tag="oahu-grid", tag_field="kind"):
-    """Measured irradiance: daily files of the NREL Oahu Solar Measurement Grid, as published."""
+    """Measured irradiance: daily files of the NREL Oahu Solar Measurement Grid, as published.
 
-    positions: Annotated[str, Meta(description="CSV with the columns `station, lat, lon`.")]
-    folder: Annotated[
-        str | None, Meta(description="Folder of YYYYMMDD.txt or YYYYMM.zip. Default: `--data`.")
-    ] = None
-    stations: Annotated[
-        tuple[str, ...] | None, Meta(description="Default: all 17 horizontal sensors.")
-    ] = None
-    gaps: Annotated[
-        Literal["neighbours", "refuse"],
-        Meta(description="Fill missing values from neighbours, or refuse them."),
-    ] = "neighbours"
-    most_missing: Annotated[
-        MissingShare,
-        Meta(description="Leave a sensor out if a larger share of its day is missing."),
-    ] = 0.1
+    positions: CSV with the columns `station, lat, lon`.
+    folder: Folder of YYYYMMDD.txt or YYYYMM.zip. Default: `--data`.
+    stations: Default: all 17 horizontal sensors.
+    gaps: Fill missing values from neighbours, or refuse them.
+    most_missing: Leave a sensor out if a larger share of its day is missing.
+    """
+
+    positions: str
+    folder: str | None = None
+    stations: tuple[str, ...] | None = None
+    gaps: Literal["neighbours", "refuse"] = "neighbours"
+    most_missing: MissingShare = 0.1
 
 
 class DcCurrents(_Table, frozen=True, tag="dc-current", tag_field="kind"):
-    """Power from the measured DC currents of a real plant's combiners, without irradiance."""
+    """Power from the measured DC currents of a real plant's combiners, without irradiance.
 
-    currents: Annotated[
-        str, Meta(description="CSV: `t_s` (0 at `time.start`), then one column for each combiner.")
-    ]
-    positions: Annotated[
-        str, Meta(description="CSV with the columns `combiner, inverter, x_m, y_m`.")
-    ]
-    full_power_current: Annotated[
-        Current, Meta(description="Current of an inverter at its rating, in the unit of the file.")
-    ] = 100.0
-    gaps: Annotated[
-        Literal["leave-out", "refuse"],
-        Meta(description="Leave an inverter without current out, or refuse missing currents."),
-    ] = "leave-out"
+    currents: CSV: `t_s` (0 at `time.start`), then one column for each combiner.
+    positions: CSV with the columns `combiner, inverter, x_m, y_m`.
+    full_power_current: Current of an inverter at its rating, in the unit of the file.
+    gaps: Leave an inverter without current out, or refuse missing currents.
+    """
+
+    currents: str
+    positions: str
+    full_power_current: Current = 100.0
+    gaps: Literal["leave-out", "refuse"] = "leave-out"
 
 
 Irradiance: TypeAlias = CloudIrradiance | MeasuredIrradiance | OahuGridIrradiance | DcCurrents
 
 
 class ControlTable(_Table, frozen=True):
-    """The control tree and the rules of its controllers."""
+    """The control tree and the rules of its controllers.
 
-    cluster_sizes: Annotated[
-        tuple[tuple[Positive, ...], ...] | None,
-        Meta(description="Sizes of the clusters of each tier, the lowest tier first."),
-    ] = None
-    cluster_count: Annotated[
-        tuple[Positive, ...] | None,
-        Meta(description="Number of clusters of each tier, instead of their sizes."),
-    ] = None
-    scheme: Annotated[Scheme, Meta(description="How an inverter's maximum power is estimated.")] = (
-        "predictive"
-    )
-    clusters: Annotated[
-        Literal["correlation", "geographic", "listed", "random", "most-alike"],
-        Meta(description="How the members of a cluster are chosen."),
-    ] = "correlation"
-    clusters_seed: Annotated[Seed, Meta(description="Seed of `random` clusters.")] = 0
-    period_cycles: Annotated[
-        tuple[Positive, ...] | None,
-        Meta(description="Cycles from turn to turn of each tier, the central controller's first."),
-    ] = None
-    alpha_min: Annotated[AlphaMin, Meta(description="Lowest curtailment level.")] = 0.05
-    hold_cycles: Annotated[
-        NotNegative, Meta(description="An input that is older than this is silent [cycles].")
-    ] = 10
-    stall_timeout_s: Annotated[
-        Patience, Meta(description="In lockstep: how long a cycle may stall [s].")
-    ] = 3.0
-    correction: Annotated[
-        bool | None,
-        Meta(description="Correct the central target by the plant's meter. Default: by `scheme`."),
-    ] = None
-    deadlines_ms: Annotated[
-        tuple[Deadline, ...] | None,
-        Meta(description="In real time: deadline of each tier in the cycle [ms], central first."),
-    ] = None
+    cluster_sizes: Sizes of the clusters of each tier, the lowest tier first.
+    cluster_count: Number of clusters of each tier, instead of their sizes.
+    scheme: How an inverter's maximum power is estimated.
+    clusters: How the members of a cluster are chosen.
+    clusters_seed: Seed of `random` clusters.
+    period_cycles: Cycles from turn to turn of each tier, the central controller's first.
+    alpha_min: Lowest curtailment level.
+    hold_cycles: An input that is older than this is silent [cycles].
+    stall_timeout_s: In lockstep: how long a cycle may stall [s].
+    correction: Correct the central target by the plant's meter. Default: by `scheme`.
+    deadlines_ms: In real time: deadline of each tier in the cycle [ms], central first.
+    """
+
+    cluster_sizes: tuple[tuple[Positive, ...], ...] | None = None
+    cluster_count: tuple[Positive, ...] | None = None
+    scheme: Scheme = "predictive"
+    clusters: Literal["correlation", "geographic", "listed", "random", "most-alike"] = "correlation"
+    clusters_seed: Seed = 0
+    period_cycles: tuple[Positive, ...] | None = None
+    alpha_min: AlphaMin = 0.05
+    hold_cycles: NotNegative = 10
+    stall_timeout_s: Patience = 3.0
+    correction: bool | None = None
+    deadlines_ms: tuple[Deadline, ...] | None = None
 
 
 class NeighboursTable(_Table, frozen=True):
-    """Where the correlation between inverters comes from."""
+    """Where the correlation between inverters comes from.
 
-    history: Annotated[
-        Literal["earlier-day", "hindsight"],
-        Meta(description="An earlier day, as a plant knows it, or the run's own irradiance."),
-    ]
+    history: An earlier day, as a plant knows it, or the run's own irradiance.
+    """
+
+    history: Literal["earlier-day", "hindsight"]
 
 
 class Scenario(_Table, frozen=True):
-    """A run, as its file describes it."""
+    """A run, as its file describes it.
 
-    name: Annotated[str, Meta(description="First part of every key on the bus.")]
-    title: Annotated[str, Meta(description="Description: the heading of tables and reports.")]
+    name: First part of every key on the bus.
+    title: Description: the heading of tables and reports.
+    regulation: Default: no regulation is offered.
+    pace: Simulated seconds per second; 1 is real time, `max` is lockstep.
+    faults: Faults of links and processes; `--fault` adds to them.
+    faults_seed: Seed of what is drawn for faults.
+    restart: What happens if a process ends before the run.
+    secure: Whether `launch` encrypts every link, as with `--secure`.
+    devices: Real inverters; `--device` adds to them.
+    standby: Parents that have a standby, in real time.
+    """
+
+    name: str
+    title: str
     time: TimeTable
     plant: PlantTable
     irradiance: Irradiance
     control: ControlTable
     neighbours: NeighboursTable
     commitment: CommitmentSettings
-    regulation: Annotated[
-        RegulationSettings | None, Meta(description="Default: no regulation is offered.")
-    ] = None
+    regulation: RegulationSettings | None = None
     pv: PvSettings = PvSettings()
-    pace: Annotated[
-        Pace | Literal["max"],
-        Meta(description="Simulated seconds per second; 1 is real time, `max` is lockstep."),
-    ] = "max"
-    faults: Annotated[
-        tuple[FaultRule, ...],
-        Meta(description="Faults of links and processes; `--fault` adds to them."),
-    ] = ()
-    faults_seed: Annotated[Seed, Meta(description="Seed of what is drawn for faults.")] = 0
-    restart: Annotated[
-        RestartPolicy, Meta(description="What happens if a process ends before the run.")
-    ] = RestartPolicy()
-    secure: Annotated[
-        bool, Meta(description="Whether `launch` encrypts every link, as with `--secure`.")
-    ] = False
-    devices: Annotated[
-        tuple[DeviceTable, ...], Meta(description="Real inverters; `--device` adds to them.")
-    ] = ()
-    standby: Annotated[
-        tuple[Literal["central", "supervisors"], ...],
-        Meta(description="Parents that have a standby, in real time."),
-    ] = ()
+    pace: Pace | Literal["max"] = "max"
+    faults: tuple[FaultRule, ...] = ()
+    faults_seed: Seed = 0
+    restart: RestartPolicy = RestartPolicy()
+    secure: bool = False
+    devices: tuple[DeviceTable, ...] = ()
+    standby: tuple[Literal["central", "supervisors"], ...] = ()
     machine: MachineTable = MachineTable()
     timing: TimingTable = TimingTable()
 
@@ -294,7 +267,6 @@ _SHIPPED: Final = Path(str(files("launch_scripts.scenarios")))
 
 
 def shipped_scenarios() -> tuple[str, ...]:
-    """Names of the scenarios that come with Heliarch."""
     return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
 
 

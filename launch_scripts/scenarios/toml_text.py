@@ -29,7 +29,6 @@ def _key(name: str) -> str:
 
 
 def toml_value(value: object) -> str:
-    """Return one value as TOML."""
     if isinstance(value, Mapping):
         return (
             "{"

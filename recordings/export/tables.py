@@ -192,13 +192,11 @@ class TableFile:
             )
 
     def add(self, rows: Iterable[Row]) -> None:
-        """Write some rows."""
         self._waiting.extend(rows)
         if len(self._waiting) >= self._batch_rows:
             self.flush()
 
     def flush(self) -> None:
-        """Write the rows that wait."""
         if not self._waiting:
             return
         columns = zip(*self._waiting, strict=True)
@@ -214,7 +212,6 @@ class TableFile:
         self._waiting = []
 
     def close(self) -> None:
-        """Close the file."""
         self._writer.close()
 
 
@@ -256,7 +253,6 @@ class TableFolder:
         }
 
     def add(self, record: RecordedMessage, message: Message) -> None:
-        """Write the rows of a message."""
         for table in self._tables[record.port.signal]:
             self.files[table.name].add(table.rows(record, message))
 

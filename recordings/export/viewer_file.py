@@ -52,7 +52,6 @@ class ViewerFile:
         return self._encoder.left_out
 
     def add(self, record: RecordedMessage, message: Message) -> None:
-        """Write one message."""
         self._writer.add_message(
             channel_id=self._channel(record.port),
             log_time=message.sim_time_ns if self._sim else record.log_time_ns,

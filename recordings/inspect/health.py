@@ -14,8 +14,9 @@ from typing import Final
 import msgspec
 
 from agents.plan import RunPlan
-from bus_schemas.faults import UNHEARD, FaultRule, FaultTally
+from bus_schemas.faults import UNHEARD, FaultRule
 from bus_schemas.messages import Message
+from bus_schemas.network_faults import FaultTally
 from bus_schemas.signals import TELEMETRY, Port
 from bus_schemas.tree import PLANT, RECORDER
 from recordings.read.gaps import LISTED_GAPS, RunGaps, due_step
@@ -152,7 +153,6 @@ class HealthWatch:
         self._missed = MissedInputs(plan)
 
     def see(self, record: RecordedMessage) -> None:
-        """Take in a message."""
         port, cycle = record.port, record.cycle
         sequence = self.gaps.ports[port].sequence
         restarts, lost = sequence.restarts, sequence.lost

@@ -9,7 +9,7 @@ from typing import Final
 
 import msgspec
 
-from agents.request import own_request_kw
+from agents.dispatch import own_request_kw
 from bus_schemas import messages
 from bus_schemas.messages import Dispatch, Help, Message, Notice, Setpoint
 from bus_schemas.missing import in_words
@@ -193,7 +193,6 @@ class Column:
     form: str = ".2f"
 
     def text(self, node: NodeCycle) -> str:
-        """Return the cell of a node."""
         value = getattr(node, self.field)
         return ("-" if value is None else format(value, self.form)).rjust(self.width)
 

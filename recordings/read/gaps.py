@@ -114,7 +114,6 @@ class RunGaps:
         self.more_gaps = 0
 
     def see(self, port: Port[Message], cycle: int, sequence: int, incarnation: int = 0) -> None:
-        """Take in a message."""
         gap = self.ports[port].see(cycle, sequence, incarnation)
         if gap:
             self._note(port, gap)

@@ -22,14 +22,9 @@ _NOTHING_MISSED = b"missing\x90"
 class MissedInputs:
     """Counts the missed inputs of each agent, each once in a stage.
 
-    Attributes
-    ----------
-    missing
-        Inputs that a stage awaited and that had not come at its deadline, by agent and key.
-    old
-        Older messages that were used in place of those that were due.
-    cycles
-        The first and the last cycle with either.
+    missing: Inputs that a stage awaited and that had not come at its deadline, by agent and key.
+    old: Older messages that were used in place of those that were due.
+    cycles: The first and the last cycle with either.
     """
 
     def __init__(self, plan: RunPlan) -> None:
@@ -48,7 +43,6 @@ class MissedInputs:
         self._counted: dict[tuple[str, str], int] = {}
 
     def see(self, record: RecordedMessage) -> None:
-        """Take in a message."""
         if _NOTHING_MISSED not in record.payload:
             self.count(record.port, record.message())
 

@@ -90,7 +90,6 @@ class JoinedFile:
         return self._files[-1].fileno()
 
     def close(self) -> None:
-        """Close all files."""
         for file in self._files:
             file.close()
 

@@ -169,15 +169,10 @@ class RunReader:
     ) -> Iterator[Delivery]:
         """Yield messages with their ports, in the order in which they were recorded.
 
-        Parameters
-        ----------
-        signals
-            Which, or their names; none given: all.
-        nodes
-            About which nodes, see `find_nodes`; none given: about all.
-        start, end
-            The first and the last cycle: local time (`13:49:00`), time since the start (`90s`) or
-            number. Cycles outside of them are not read.
+        signals: Which, or their names; none given: all.
+        nodes: About which nodes, see `find_nodes`; none given: about all.
+        start, end: The first and the last cycle: local time (`13:49:00`), time since the start
+            (`90s`) or number. Cycles outside of them are not read.
         """
         ports = self.ports(*signals, nodes=nodes)
         if start is None and end is None:
@@ -323,7 +318,6 @@ class RunReader:
         return self._position / max(self.outline.size, 1)
 
     def close(self) -> None:
-        """Close the file."""
         self.file.close()
 
     def __enter__(self) -> RunReader:
@@ -392,7 +386,6 @@ class RunReader:
 
     @cached_property
     def _every(self) -> dict[int, Port[Message]]:
-        """Every port by its channel."""
         return self._channels_of(self.ports())
 
     @cached_property

@@ -31,7 +31,6 @@ SCHEMA_VERSION: Final = "3"
 
 
 def log_name(agent: str) -> str:
-    """Return the name of an agent's log file, in the folder `logs` of its run."""
     return f"{agent.replace('/', '.')}.log"
 
 

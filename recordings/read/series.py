@@ -35,26 +35,20 @@ class RunSeries:
 
     A row stands for the cycle of its number. What no message says is NaN.
 
-    Attributes
-    ----------
-    label
-        What to call it in a table or a legend, for instance the control scheme.
-    inverters, rating_kw
-        Paths of the inverters in the control tree (`c2/inv07`), and their AC ratings, shape (n,).
-    timezone
-        Local time of the plant, an IANA name.
-    start_time_ns
-        Simulated time of the first cycle, ns since 1970-01-01 UTC.
-    commitment_kw, regulation_kw
-        What the operator wanted in each cycle, shape (T,): the power promised, and the regulation
-        on top of it (0 throughout if there is none).
-    regulation_capacity_kw
-        Power that a regulation signal of +1 stands for; 0 if there is no regulation.
-    mpp_kw, power_kw, impp_kw, residual_kw, alpha
-        Of each inverter, shape (T, n): true maximum power, power that it delivered, IMPP, IMPP less
-        request, and the curtailment level in [0, 1] that it applied.
-    ramp_limit_percent_per_min
-        Ramp limit in % of the plant's rating per minute, if a grid code sets one.
+    label: What to call it in a table or a legend, for instance the control scheme.
+    inverters, rating_kw: Paths of the inverters in the control tree (`c2/inv07`), and their AC
+        ratings, shape (n,).
+    timezone: Local time of the plant, an IANA name.
+    start_time_ns: Simulated time of the first cycle, ns since 1970-01-01 UTC.
+    commitment_kw, regulation_kw: What the operator wanted in each cycle, shape (T,): the power
+        promised, and the regulation on top of it (0 throughout if there is none).
+    regulation_capacity_kw: Power that a regulation signal of +1 stands for; 0 if there is no
+        regulation.
+    mpp_kw, power_kw, impp_kw, residual_kw, alpha: Of each inverter, shape (T, n): true maximum
+        power, power that it delivered, IMPP, IMPP less request, and the curtailment level in [0, 1]
+        that it applied.
+    ramp_limit_percent_per_min: Ramp limit in % of the plant's rating per minute, if a grid code
+        sets one.
     """
 
     label: str
@@ -75,7 +69,6 @@ class RunSeries:
 
     @property
     def cycles(self) -> int:
-        """Number of cycles, T."""
         return len(self.mpp_kw)
 
     @property
@@ -215,7 +208,6 @@ class SeriesCollector:
 
 
 def read_series(path: Path) -> RunSeries:
-    """Read a recording as a series."""
     return _read(path, DISPATCH, IMPP, RESIDUAL, COMMAND, PRODUCTION)
 
 

@@ -37,7 +37,6 @@ class Complaints:
         self._examples: dict[tuple[str, str], str] = {}
 
     def add(self, key: str, cause: str, example: str) -> None:
-        """Complain of a message on a key."""
         key, example = printable(key[:_LONGEST]), printable(example[:_LONGEST])
         self._log(f"{key}: {example}")
         place = (key, cause)

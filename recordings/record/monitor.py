@@ -16,7 +16,6 @@ class RunMonitor:
         self._needy: dict[str, int] = {}
 
     def see(self, port: Port[Message], message: Message) -> None:
-        """Take in a message."""
         if isinstance(message, Production):
             self.cycles += 1
             self._last = message

@@ -289,7 +289,6 @@ class Recorder:
         return not absurd
 
     def _follow(self, port: Port[Message], message: Message) -> None:
-        """Follow where the run stands."""
         if isinstance(message, Run):
             self._heed_run(message)
         elif port.signal is DISPATCH:

@@ -126,7 +126,6 @@ class RunWriter:
         self._unless_ended(self._writer.flush)
 
     def close(self) -> None:
-        """Write the index and close the file."""
         self._unless_ended(self._writer.finish)
         self._unless_ended(self._file.close)
         if self.trouble:

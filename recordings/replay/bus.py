@@ -118,7 +118,6 @@ def await_subscriber(bus: ReplayBus, interruption: Interruption, out: TextIO) ->
 
 
 def say(out: TextIO, text: str) -> None:
-    """Print a line at once."""
     out.write(f"{text}\n")
     out.flush()
 

@@ -114,7 +114,6 @@ class TimingErrors:
         self._histogram = HdrHistogram(1, _LONGEST_NS, 3)
 
     def add(self, late_ns: int) -> None:
-        """Count one message."""
         self._histogram.record_value(min(max(late_ns, 1), _LONGEST_NS))
 
     def figures(self) -> TimingFigures | None:

@@ -323,7 +323,6 @@ class LiveReplay:
             self._receive(sent - self._received, _LOOK_S)
 
     def _publish_run(self, state: Literal["start", "stop"], cycle: int, start_ns: int) -> None:
-        """Publish that the run begins or is over."""
         message = self.plan.run_message(state, cycle, start_ns)
         message.publish_time_ns = time.monotonic_ns()
         message.sequence = int(state == "stop")

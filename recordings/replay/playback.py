@@ -139,7 +139,6 @@ class Playback:
         self._seek(self.first_cycle)
 
     def play(self, *, loop: bool = False) -> None:
-        """Play the span once, or again and again until the user ends it."""
         wake_precisely()
         self.clock.move_to(self._position_ns)  # A wait for subscribers does not count.
         if self.clock.paused:
@@ -197,7 +196,6 @@ class Playback:
             self.timing.add(late_ns)
 
     def _announce(self) -> None:
-        """Publish where the replay stands."""
         if self._next is not None:
             clock = self.clock
             self.bus.announce(self._next.cycle, rate=clock.rate, paused=clock.paused)

@@ -21,7 +21,8 @@ from agents.control.curtailment import curtailment_level
 from agents.control.forecast import HIDDEN_ALPHA_MIN, forecast_impp
 from agents.control.impp import NOTHING_KNOWN, Estimate, estimate_impp
 from agents.control.request import request_kw, residual_kw, usable_dispatch_kw
-from agents.plan import Actuator, RunPlan, Scheme
+from agents.plan import RunPlan
+from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
 from sim_plant.profile import Profile
 from studies.arrays.compiled import compiled

@@ -18,25 +18,15 @@ class ControlArrays(NamedTuple):
 
     Nodes are numbered from the root down, so that the children of a parent follow each other.
 
-    Attributes
-    ----------
-    rating_kw
-        AC rating of each node, shape (N,).
-    inverters
-        Node number of each inverter, in the plant's order, shape (n,).
-    parents
-        Node number of each parent, the root first and each before its children, shape (P,).
-    first, end
-        Node number of each parent's first child, and the number after its last, shape (P,).
-    period
-        Every how many cycles each parent acts, shape (P,).
-    rests
-        Whether the children of each parent act between its turns, shape (P,).
-    order
-        For each hour, parent and child the places of its siblings in the order of help, shape
+    rating_kw: AC rating of each node, shape (N,).
+    inverters: Node number of each inverter, in the plant's order, shape (n,).
+    parents: Node number of each parent, the root first and each before its children, shape (P,).
+    first, end: Node number of each parent's first child, and the number after its last, shape (P,).
+    period: Every how many cycles each parent acts, shape (P,).
+    rests: Whether the children of each parent act between its turns, shape (P,).
+    order: For each hour, parent and child the places of its siblings in the order of help, shape
         (H, P, C, C - 1); -1 where there is none.
-    hour
-        Row in `order` that holds in each cycle, shape (cycles,).
+    hour: Row in `order` that holds in each cycle, shape (cycles,).
     """
 
     rating_kw: NDArray[np.float64]
@@ -51,7 +41,6 @@ class ControlArrays(NamedTuple):
 
 
 def control_arrays(plan: RunPlan, cycles: int) -> ControlArrays:
-    """Return a plan's control tree with its nodes numbered, for so many cycles."""
     tree = plan.tree
     number = {ROOT: 0}
     parents: list[str] = []

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.control.grouping import grouping_levels, grouping_limits_kw
-from agents.plan import Actuator, RunPlan, Scheme
+from agents.plan import RunPlan
+from agents.settings import Actuator, Scheme
 from bus_schemas.errors import InputError
 from recordings.read.series import RunSeries
 from sim_plant.profile import Profile

@@ -17,7 +17,8 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from agents.plan import RestartPolicy, RunPlan
+from agents.plan import RunPlan
+from agents.settings import RestartPolicy
 from bus_schemas.faults import FaultRule
 from bus_schemas.tree import agent_name
 from launch_scripts.launcher.simulation import RESTART_TAKES_S
@@ -41,11 +42,8 @@ MEASURES: Final = {"over_percent": "Over-delivered", "short_percent": "Shortfall
 class Point(msgspec.Struct, frozen=True, kw_only=True):
     """What the failures of one seed cost a plant with some protection.
 
-    Attributes
-    ----------
-    over_percent, short_percent
-        Energy beyond what was desired, or what the plant gives without failures, and below both,
-        in % of the desired energy.
+    over_percent, short_percent: Energy beyond what was desired, or what the plant gives without
+        failures, and below both, in % of the desired energy.
     """
 
     protection: Protection
@@ -138,5 +136,4 @@ def means(
 
 
 def repair_text(repair_s: float) -> str:
-    """Say how long a controller is away."""
     return "never" if repair_s == inf else f"{repair_s:g} s"

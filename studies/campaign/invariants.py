@@ -58,7 +58,6 @@ class Trace:
     ended: str = ""
 
     def __call__(self, port: Port[Message], message: Message) -> None:
-        """Take in a message as it is published."""
         if message.cycle < 0:
             return
         match message:
@@ -77,12 +76,10 @@ class Trace:
 
     @property
     def delivered_kw(self) -> NDArray[np.float64]:
-        """Power of the plant [kW], shape (cycles,)."""
         return np.array([one.delivered_kw for one in self.produced])
 
     @property
     def desired_kw(self) -> NDArray[np.float64]:
-        """Power that is wanted of it [kW], shape (cycles,)."""
         return np.array([one.desired_kw for one in self.produced])
 
 
@@ -95,16 +92,9 @@ def violations(
 ) -> Iterator[Violation]:
     """Yield each invariant that does not hold, with the first cycle in which it does not.
 
-    Parameters
-    ----------
-    plan
-        Of the run.
-    trace, healthy_kw
-        The run, and the power of the same one without faults, shape (cycles,) [kW].
-    last_fault_s
-        Simulated time since cycle 0 at which the last fault has ended [s].
-    longest_s
-        How long power may be out of bounds at a time [s]: what the faults of the run allow.
+    trace, healthy_kw: The run, and the power of the same one without faults, shape (cycles,) [kW].
+    last_fault_s: Simulated time since cycle 0 at which the last fault has ended [s].
+    longest_s: How long power may be out of bounds at a time [s]: what the faults of the run allow.
     """
     if trace.ended:
         yield Violation("end", len(trace.produced), trace.ended)

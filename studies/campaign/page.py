@@ -21,16 +21,8 @@ from studies.campaign.curves import (
 )
 from studies.campaign.study import Campaign, Outcome, rerun
 from studies.campaign.tables import campaign_table
+from studies.report import style
 from studies.report.page import html_page
-from studies.report.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    SCHEMES,
-    VERMILLION,
-    ReportFigure,
-    dress,
-)
 
 _DRAWN: Final = 3
 _HEIGHT_PX: Final = 320
@@ -55,12 +47,12 @@ def campaign_page(preparation: Preparation, campaign: Campaign, outcomes: Sequen
     return html_page(f"Campaign: {table.title}", paragraphs, [table, *figures], verdict=verdict)
 
 
-def curve_figure(points: Sequence[Point]) -> ReportFigure:
+def curve_figure(points: Sequence[Point]) -> style.ReportFigure:
     """Draw each measure against the failure rate, in a panel for each repair time."""
     figure = make_subplots(2, len(REPAIRS_S), shared_yaxes=True, shared_xaxes=True)
     for row, (measure, name) in enumerate(MEASURES.items(), start=1):
         for column, repair_s in enumerate(REPAIRS_S, start=1):
-            for colour, protection in zip(SCHEMES, get_args(Protection), strict=False):
+            for colour, protection in zip(style.SCHEMES, get_args(Protection), strict=False):
                 line = go.Scatter(
                     x=RATES_PER_H,
                     y=means(points, measure, protection, repair_s),
@@ -82,19 +74,19 @@ def curve_figure(points: Sequence[Point]) -> ReportFigure:
         "message for "
         "ever; without revert an inverter obeys its last command for ever."
     )
-    figure = dress(figure, 2 * _PANEL_PX)
-    return ReportFigure("curves", "What failures cost", caption, figure)
+    figure = style.dress(figure, 2 * _PANEL_PX)
+    return style.ReportFigure("curves", "What failures cost", caption, figure)
 
 
-def _seed_figure(campaign: Campaign, outcome: Outcome) -> ReportFigure:
+def _seed_figure(campaign: Campaign, outcome: Outcome) -> style.ReportFigure:
     """Draw the power of a seed beside what was desired and the run without faults."""
     trace = rerun(campaign, outcome)
     cycle_s = campaign.plan.cycle_ns / 1e9
     time_s = np.arange(len(trace.produced)) * cycle_s
     lines = (
-        ("desired", trace.desired_kw, BLACK, "dot"),
-        ("without faults", campaign.healthy_kw[: len(time_s)], GREY, "solid"),
-        ("with faults", trace.delivered_kw, BLUE, "solid"),
+        ("desired", trace.desired_kw, style.BLACK, "dot"),
+        ("without faults", campaign.healthy_kw[: len(time_s)], style.GREY, "solid"),
+        ("with faults", trace.delivered_kw, style.BLUE, "solid"),
     )
     figure = go.Figure(
         [
@@ -103,11 +95,13 @@ def _seed_figure(campaign: Campaign, outcome: Outcome) -> ReportFigure:
         ]
     )
     for rule in outcome.fault_rules:
-        figure.add_vrect(rule.at[0], rule.at[-1], fillcolor=VERMILLION, opacity=0.12, line_width=1)
+        figure.add_vrect(
+            rule.at[0], rule.at[-1], fillcolor=style.VERMILLION, opacity=0.12, line_width=1
+        )
     figure.update_xaxes(title_text="time since the first cycle [s]")
     figure.update_yaxes(title_text="power [kW]")
     costs = ", ".join(f"{name} {cost(outcome):,.2f} kWh" for name, cost in _COSTS.items())
     broken = "".join(f"{one.invariant}: {one.text}. " for one in outcome.violations)
     caption = f"{broken}Faults: {' and '.join(outcome.rules)}; {costs}."
-    figure = dress(figure, _HEIGHT_PX)
-    return ReportFigure(f"seed-{outcome.seed}", f"Seed {outcome.seed}", caption, figure)
+    figure = style.dress(figure, _HEIGHT_PX)
+    return style.ReportFigure(f"seed-{outcome.seed}", f"Seed {outcome.seed}", caption, figure)

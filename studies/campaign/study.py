@@ -38,16 +38,11 @@ _SETTLED_S: Final = 10.0
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     """The result of one seed.
 
-    Attributes
-    ----------
-    rules
-        Its faults, as `--fault` reads them.
-    violations
-        Invariants that did not hold. The faults are then the shortest list that breaks the first.
-    over_kwh, under_kwh
-        Energy beyond and below what the plant delivers without faults.
-    over_kw, under_kw
-        The most of it in a cycle.
+    rules: Its faults, as `--fault` reads them.
+    violations: Invariants that did not hold. The faults are then the shortest list that breaks the
+        first.
+    over_kwh, under_kwh: Energy beyond and below what the plant delivers without faults.
+    over_kw, under_kw: The most of it in a cycle.
     """
 
     seed: int
@@ -60,7 +55,6 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def fault_rules(self) -> tuple[FaultRule, ...]:
-        """Its faults."""
         return tuple(map(parse_fault, self.rules))
 
 
@@ -68,12 +62,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 class Campaign:
     """A plant and its run without faults.
 
-    Attributes
-    ----------
-    plan, profile
-        The run.
-    healthy_kw
-        Its power, shape (cycles,).
+    healthy_kw: Its power, shape (cycles,).
     """
 
     plan: RunPlan
@@ -82,7 +71,6 @@ class Campaign:
 
 
 def campaign(preparation: Preparation) -> Campaign:
-    """Return the campaign on a prepared run."""
     plan = on_the_clock(preparation.plan)
     healthy = trace_of(plan, preparation.profile, ())
     return Campaign(plan, preparation.profile, healthy.delivered_kw)
@@ -159,7 +147,6 @@ def _settles_s(plan: RunPlan) -> float:
 
 
 def random_rules(plan: RunPlan, seed: int) -> tuple[FaultRule, ...]:
-    """Draw the faults of a seed."""
     draw = random.Random(seed)
     length_s = plan.cycles * plan.cycle_ns / 1e9
     last_s = length_s - _settles_s(plan) - FIRST_S
@@ -234,12 +221,7 @@ def trace_of(
 ) -> Trace:
     """Return the messages of a run under some faults.
 
-    Parameters
-    ----------
-    plan, profile, rules
-        The run, and its faults.
-    restart_takes_s
-        How long a killed controller is away [s]; infinite: it never comes back.
+    restart_takes_s: How long a killed controller is away [s]; infinite: it never comes back.
     """
     trace = Trace()
     # A run without faults goes by the same clock: a rule of no length says so.

@@ -54,7 +54,6 @@ def clusters_table(study: ClusterStudy) -> Table:
 
 
 def _figures(worth: ClustersWorth) -> tuple[float | None, ...]:
-    """Return the figures of a row of the table."""
     return (
         worth.past_correlation,
         worth.run_correlation,
@@ -106,11 +105,10 @@ def study_lines(study: ClusterStudy) -> list[str]:
     ]
 
 
-def study_json(study: ClusterStudy) -> dict[str, object]:
-    """Return all figures of the study for other programs."""
+def study_json(study: ClusterStudy, remarks: Sequence[str]) -> dict[str, object]:
     return {
         "title": study.title,
-        "remarks": study.remarks,
+        "remarks": remarks,
         "ways": [
             {
                 "clusters": name,
@@ -143,9 +141,8 @@ def _json_row(periods_s: Sequence[float], worth: ClustersWorth) -> dict[str, obj
     }
 
 
-def study_page(study: ClusterStudy) -> str:
-    """Return the page: what was run, the figure, the table, and how clusters were found."""
-    paragraphs = [f"{study.title}.", *study.remarks, *study_lines(study)]
+def study_page(study: ClusterStudy, remarks: Sequence[str]) -> str:
+    paragraphs = [f"{study.title}.", *remarks, *study_lines(study)]
     return html_page(
         "Virtual neighbours and other clusters",
         paragraphs,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final, TypeAlias
@@ -11,7 +11,8 @@ import pandas as pd
 from msgspec.structs import replace
 
 from agents.control.clusters import ClusterSearch, search_clusters
-from agents.plan import RunPlan, Scheme
+from agents.plan import RunPlan
+from agents.settings import Scheme
 from bus_schemas.errors import InputError
 from launch_scripts.scenarios.scenario import ControlTable
 from studies.clusters.worth import (
@@ -22,15 +23,13 @@ from studies.clusters.worth import (
     past_of,
     worth_of,
 )
-from studies.workers import share_work
 
 _PAPER_PERIODS_S: Final = (1.0, 10.0, 60.0)
 """How often the central controller acts: always, and as slow as the paper's two upper tiers."""
 
 _LONGEST_PERIOD: Final = 1e6
 
-Done: TypeAlias = tuple[int, ClustersWorth]
-"""Place and result of one way to choose clusters."""
+Worths: TypeAlias = Sequence[ClustersWorth]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,44 +45,35 @@ class ClusterStudy:
     ways: dict[str, list[ClustersWorth]]
     orders: dict[str, ClustersWorth]
     search: ClusterSearch
-    remarks: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class ClusterQuestion:
-    """What is studied: how inverters are arranged, the scheme, and the central periods [cycles]."""
-
-    arrange: Arrange
-    control: ControlTable
-    inverters: int
-    scheme: Scheme
-    periods: tuple[int, ...]
-    seeds: int
 
 
 def study_clusters(
-    question: ClusterQuestion,
-    remarks: tuple[str, ...],
-    workers: int,
-    watch: Callable[[Generator[Done], int], Iterator[Done]],
+    arrange: Arrange,
+    control: ControlTable,
+    inverters: int,
+    scheme: Scheme,
+    periods: tuple[int, ...],
+    seeds: int,
+    run_each: Callable[[Callable[[ControlTable], ClustersWorth], Sequence[ControlTable]], Worths],
 ) -> ClusterStudy:
-    """Run all ways to choose clusters; `watch` passes their results on, to show progress."""
-    scheme, periods, control = question.scheme, question.periods, question.control
-    past = past_of(question.arrange, control, question.inverters)
-    run = question.arrange(replace(control, clusters="correlation"))
+    """Run all ways to choose clusters.
+
+    periods: Every how many cycles the central controller acts, one after the other.
+    seeds: How many random choices.
+    run_each: Applies a function to each of some items.
+    """
+    past = past_of(arrange, control, inverters)
+    run = arrange(replace(control, clusters="correlation"))
     orders = {
         name: worth_of(other, past, scheme, periods) for name, other in in_other_orders(run).items()
     }
     virtual = orders["least alike first"]
-    seeds = range(1, question.seeds + 1)
     tables = [
         replace(control, clusters="geographic"),
-        *(replace(control, clusters="random", clusters_seed=seed) for seed in seeds),
         replace(control, clusters="most-alike"),
+        *(replace(control, clusters="random", clusters_seed=seed + 1) for seed in range(seeds)),
     ]
-    done = share_work(partial(_worth, question, past), tables, workers)
-    found = dict(watch(done, len(tables)))
-    geographic, *random, alike = (found[place] for place in range(len(tables)))
+    geographic, alike, *random = run_each(partial(_worth, arrange, past, scheme, periods), tables)
     ways = {"virtual": [virtual], "geographic": [geographic], "random": random}
     ways["most alike"] = [alike]
     plan = run.plan
@@ -98,12 +88,13 @@ def study_clusters(
         ways=ways,
         orders=orders,
         search=search_clusters(past.correlation, [len(cluster) for cluster in virtual.clusters]),
-        remarks=remarks,
     )
 
 
-def _worth(question: ClusterQuestion, past: Past, control: ControlTable) -> ClustersWorth:
-    return worth_of(question.arrange(control), past, question.scheme, question.periods)
+def _worth(
+    arrange: Arrange, past: Past, scheme: Scheme, periods: tuple[int, ...], control: ControlTable
+) -> ClustersWorth:
+    return worth_of(arrange(control), past, scheme, periods)
 
 
 def central_periods(text: str | None, plan: RunPlan) -> tuple[int, ...]:

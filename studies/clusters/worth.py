@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from agents.control.clusters import within_cluster_correlation
 from agents.control.correlation import hourly_correlation, hourly_covariance
-from agents.plan import Neighbourhood, NodeNeighbourhoods, RunPlan, Scheme
+from agents.plan import Neighbourhood, NodeNeighbourhoods, RunPlan
+from agents.settings import Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree
 from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
@@ -85,12 +86,8 @@ class ClustersWorth:
     shortfalls: tuple[Shortfall, ...]
 
 
-def by_scenario(scenario: ScenarioFile, options: RunOptions) -> Arrange:
+def by_scenario(scenario: ScenarioFile, options: RunOptions, control: ControlTable) -> Arrangement:
     """Arrange a scenario's run as any other command does: clusters from the scenario's past."""
-    return partial(_by_scenario, scenario, options)
-
-
-def _by_scenario(scenario: ScenarioFile, options: RunOptions, control: ControlTable) -> Arrangement:
     changed = replace(scenario.scenario, control=control)
     prepared = prepare(replace(scenario, scenario=changed), options, "clusters")
     return Arrangement(prepared.plan, prepared.profile)

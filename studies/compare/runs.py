@@ -35,13 +35,7 @@ _GIVEN: Final = ("commitment_kw", "regulation_kw", "mpp_kw")
 
 
 def read_two_runs(paths: tuple[Path, Path]) -> tuple[list[RunSeries], list[str]]:
-    """Read two recordings as A and B, the cycles that both have, and a line about each.
-
-    Raises
-    ------
-    InputError
-        One is no recording, or they differ in their inverters, cycles or beginning.
-    """
+    """Read two recordings as A and B, the cycles that both have, and a line about each."""
     series, lines = [], []
     away: set[int] = set()
     for label, path in zip("AB", paths, strict=True):

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from agents.plan import Actuator
+from agents.settings import Actuator
 from bus_schemas.errors import InputError
 from launch_scripts.scenarios.preparation import Preparation, prepare
 from recordings.read.series import RunSeries

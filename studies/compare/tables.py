@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from agents.plan import Actuator
+from agents.settings import Actuator
 from studies.compare.study import CaseResult, SchemeResult
 from studies.metrics.figures_of_merit import (
     FIGURES_OF_MERIT,

@@ -56,7 +56,6 @@ class Device:
         return f"its program has ended with status {self._process.returncode}, see {self._log}"
 
     def kill(self) -> None:
-        """End it at once."""
         if self._process is not None:
             self._process.kill()
             self._process.wait()

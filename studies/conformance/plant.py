@@ -59,7 +59,6 @@ def try_plant(
 
 
 def _look(summary: RunSummary, folder: RunFolder, findings: Findings) -> None:
-    """Note what a run shows of its plant."""
     for name in ("arming", "cycles", "head", "bounds", "links", "stop"):
         findings.try_(name)
     (account,) = summary.external

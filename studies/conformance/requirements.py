@@ -68,7 +68,6 @@ class Findings:
         return not self._failures and not self._doubts
 
     def table(self, agent: str) -> Table:
-        """Return a row for each requirement."""
         columns = (
             key_column("requirement"),
             word_column("result"),

@@ -51,7 +51,6 @@ class Reference:
         self.loop: AgentLoop[Any] = AgentLoop(controller(plan, agent), plan)
 
     def begin_ns(self, cycle: int) -> int:
-        """Return when a cycle begins."""
         return max(cycle, 0) * self._plan.cycle_wall_ns
 
     def hear(self, port: Port[Message], payload: bytes, cycle: int) -> None:

@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 from rich.console import Console
 
-from agents.plan import Scheme
+from agents.settings import Scheme
 from launch_scripts.scenarios.preparation import Preparation
 from studies.compare.study import remarks_of
 from studies.delays.study import VALUES, WARM_UP_S, Outcome, Trouble, counted_s
@@ -54,7 +54,6 @@ def print_study(preparation: Preparation, outcomes: Sequence[Outcome], console: 
 
 
 def study_title(preparation: Preparation) -> str:
-    """Return what was studied."""
     plan = preparation.plan
     length = f"{plan.cycles:,} cycles of {plan.cycle_ns / 1e9:g} s"
     return f"{plan.plant} from {preparation.local_start()}, {length}"
@@ -102,7 +101,6 @@ def _is_bearable(one: Outcome) -> bool:
 
 
 def trouble_table(trouble: Trouble, outcomes: Sequence[Outcome]) -> Table:
-    """Return a row for each run under a trouble."""
     title, measure, unit = TROUBLES[trouble]
     figures = [figure for figure in shown_in("delays") if _has_value(figure.name, outcomes)]
     columns = (
@@ -132,7 +130,6 @@ def _has_value(merit: str, outcomes: Sequence[Outcome]) -> bool:
 
 
 def study_page(preparation: Preparation, outcomes: Sequence[Outcome]) -> str:
-    """Return the page: the figure, and a table for each trouble."""
     title = f"{study_title(preparation)}: delay, loss and a slow central controller"
     notes = [*study_notes(preparation), *survived(outcomes)]
     tables = [trouble_table(trouble, outcomes) for trouble in VALUES]

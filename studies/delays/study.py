@@ -13,7 +13,8 @@ from typing import Final, Literal, TypeAlias, get_args
 import msgspec
 from msgspec.structs import replace
 
-from agents.plan import RunPlan, Scheme
+from agents.plan import RunPlan
+from agents.settings import Scheme
 from agents.team import controllers
 from bus_schemas.faults import FaultRule
 from launch_scripts.launcher.simulation import MemoryRun, on_the_clock

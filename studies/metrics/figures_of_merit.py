@@ -37,12 +37,10 @@ class FigureOfMerit:
 
     @property
     def heading(self) -> str:
-        """Title and unit in one line."""
         return f"{self.title} [{self.unit}]" if self.unit else self.title
 
     @property
     def column(self) -> Column:
-        """A column of a table for it."""
         return Column(self.title, self.unit, self.decimals, name=self.name)
 
     def read(self, metrics: RunMetrics) -> float | None:
@@ -123,7 +121,6 @@ def shown_in(
 
 
 def figures_json(metrics: RunMetrics) -> dict[str, float | None]:
-    """Return all figures of merit of a run by name."""
     return {name: figure.read(metrics) for name, figure in FIGURES_OF_MERIT.items()}
 
 

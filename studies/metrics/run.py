@@ -107,10 +107,7 @@ def run_metrics(series: RunSeries) -> RunMetrics:
     Cycles whose dispatch or production is missing do not count. A ramp that begins or ends in one
     is left out, and so is a window of PJM's score that holds one.
 
-    Raises
-    ------
-    ValueError
-        The run has no cycle with both.
+    Raises ValueError: The run has no cycle with both.
     """
     known = series.known
     if not known.any():

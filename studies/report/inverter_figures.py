@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from recordings.read.series import RunSeries
+from studies.report import style
 from studies.report.cloud_passage import (
     clusters,
     correlation_by_hour,
@@ -21,26 +22,6 @@ from studies.report.cloud_passage import (
     inverters_by_cluster,
 )
 from studies.report.decimation import COLUMNS, least_per_bucket
-from studies.report.style import (
-    BLACK,
-    BLUE,
-    ORANGE,
-    SUPPORT,
-    ReportFigure,
-    clock_ms,
-    clock_range_ms,
-    clock_text,
-    colour_bar,
-    diverging_scale,
-    dress,
-    label_time_axis,
-    list_names,
-    name_px,
-    plain,
-    share_axis,
-    thinning_note,
-    time_line,
-)
 
 _LEAST_MAP_PX: Final = 160
 _TITLE_PX: Final = 44
@@ -52,10 +33,10 @@ _SMALLEST_MATRIX_PX: Final = 178
 _NAME_PX: Final = 14
 
 
-def residuals(series: RunSeries) -> ReportFigure:
+def residuals(series: RunSeries) -> style.ReportFigure:
     """Draw the residual of every inverter as a heat map, and that of the worst as a line."""
     count = len(series.inverters)
-    map_px = max(count * name_px(count), _LEAST_MAP_PX)
+    map_px = max(count * style.name_px(count), _LEAST_MAP_PX)
     figure = make_subplots(
         rows=2,
         cols=1,
@@ -71,29 +52,29 @@ def residuals(series: RunSeries) -> ReportFigure:
     greatest_kw = max(0.0, float(np.nanquantile(cells_kw, 0.995)))
     figure.add_heatmap(
         z=cells_kw.T.astype(np.float32),
-        x0=clock_ms(series)[0] + cell_ms / 2.0,
+        x0=style.clock_ms(series)[0] + cell_ms / 2.0,
         dx=cell_ms,
-        y=[plain(series.inverters[position]) for position in order],
-        colorscale=diverging_scale(least_kw, greatest_kw),
+        y=[style.plain(series.inverters[position]) for position in order],
+        colorscale=style.diverging_scale(least_kw, greatest_kw),
         zmin=least_kw,
         zmax=greatest_kw,
-        colorbar=colour_bar("kW", map_px),
+        colorbar=style.colour_bar("kW", map_px),
         hovertemplate="%{y}: %{z:,.1f} kW<extra></extra>",
         row=1,
         col=1,
     )
     worst_kw = np.fmin.reduce(series.residual_kw, axis=1)
-    line = time_line(series, worst_kw, name="worst", line={"color": BLUE, "width": 1.2})
+    line = style.time_line(series, worst_kw, name="worst", line={"color": style.BLUE, "width": 1.2})
     figure.add_trace(line, row=2, col=1)
-    dress(figure, map_px + 230, legend=False)
-    list_names(figure, count, row=1, col=1)
+    style.dress(figure, map_px + 230, legend=False)
+    style.list_names(figure, count, row=1, col=1)
     figure.update_yaxes(title_text="worst [kW]", row=2, col=1)
-    figure.add_hline(y=0.0, line={"color": BLACK, "width": 1}, row=2, col=1)
-    label_time_axis(figure, series, rows=2)
+    figure.add_hline(y=0.0, line={"color": style.BLACK, "width": 1}, row=2, col=1)
+    style.label_time_axis(figure, series, rows=2)
     figure.update_layout(hovermode="closest")
     needy = 100.0 * np.mean(worst_kw[np.isfinite(worst_kw)] < 0.0)
     cells = " Each cell shows the least residual of the cycles that it covers."
-    return ReportFigure(
+    return style.ReportFigure(
         "residuals",
         "Residuals of the inverters",
         "Residual of each inverter, IMPP less request [kW]. Red: it cannot meet its request and "
@@ -101,22 +82,24 @@ def residuals(series: RunSeries) -> ReportFigure:
         "is the least residual of all inverters [kW]. "
         f"At least one inverter needed help in {needy:.1f} % of the cycles."
         + (cells if series.cycles > COLUMNS else "")
-        + thinning_note(series.cycles),
+        + style.thinning_note(series.cycles),
         figure,
     )
 
 
-def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
+def help_energy(series: Sequence[RunSeries]) -> style.ReportFigure:
     """Draw the energy that each inverter gave above its share, and by which it fell short of it.
 
     Each run has a panel; the panels share both axes.
     """
     order = inverters_by_cluster(series[0])
-    names = [plain(series[0].inverters[position]) for position in order]
+    names = [style.plain(series[0].inverters[position]) for position in order]
     several = len(series) > 1
     # Titles beside each other, in lines that fit.
     width = max(10, 72 // len(series))
-    titles = [map(plain, textwrap.wrap(one.label, width) if several else ()) for one in series]
+    titles = [
+        map(style.plain, textwrap.wrap(one.label, width) if several else ()) for one in series
+    ]
     figure = make_subplots(
         rows=1,
         cols=len(series),
@@ -127,8 +110,8 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
     for column, one in enumerate(series, start=1):
         given_kwh, lacking_kwh = energy_beside_share(one)
         for name, energy_kwh, colour in (
-            ("above its share", given_kwh, BLUE),
-            ("below its share", -lacking_kwh, SUPPORT),
+            ("above its share", given_kwh, style.BLUE),
+            ("below its share", -lacking_kwh, style.SUPPORT),
         ):
             figure.add_bar(
                 y=names,
@@ -142,18 +125,18 @@ def help_energy(series: Sequence[RunSeries]) -> ReportFigure:
                 row=1,
                 col=column,
             )
-    plot_px = max(len(names) * name_px(len(names)), _LEAST_MAP_PX)
-    dress(figure, plot_px + 140)
+    plot_px = max(len(names) * style.name_px(len(names)), _LEAST_MAP_PX)
+    style.dress(figure, plot_px + 140)
     figure.update_layout(
         barmode="relative",
         bargap=0.25,
         legend_y=1.0 + (_TITLE_PX / plot_px if several else 0.0),
         margin_t=90 if several else 46,
     )
-    list_names(figure, len(names))
+    style.list_names(figure, len(names))
     figure.update_xaxes(title_text="energy [kWh]", zeroline=True)
-    share_axis(figure, "x")
-    return ReportFigure(
+    style.share_axis(figure, "x")
+    return style.ReportFigure(
         "help-energy",
         "Energy above and below the share, inverter by inverter",
         "Energy [kWh] that each inverter delivered above its share of the desired power (to the "
@@ -185,16 +168,19 @@ def energy_beside_share(series: RunSeries) -> tuple[NDArray[np.float64], NDArray
     return np.asarray(given_kwh), np.asarray(lacking_kwh)
 
 
-def virtual_neighbours(series: RunSeries) -> ReportFigure | None:
+def virtual_neighbours(series: RunSeries) -> style.ReportFigure | None:
     """Draw IMPP and returned alpha of two virtual neighbours around a cloud passage, if any."""
     passage = find_cloud_passage(series)
     if passage is None:
         return None
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.07)
-    for inverter, colour in ((passage.shaded, ORANGE), (passage.helping, BLUE)):
-        look = {"name": plain(series.inverters[inverter]), "line": {"color": colour, "width": 2}}
-        impp = time_line(series, series.impp_kw[:, inverter], passage.cycles, **look)
-        alpha = time_line(
+    for inverter, colour in ((passage.shaded, style.ORANGE), (passage.helping, style.BLUE)):
+        look = {
+            "name": style.plain(series.inverters[inverter]),
+            "line": {"color": colour, "width": 2},
+        }
+        impp = style.time_line(series, series.impp_kw[:, inverter], passage.cycles, **look)
+        alpha = style.time_line(
             series, series.alpha[:, inverter], passage.cycles, showlegend=False, **look
         )
         alpha.hovertemplate = "%{y:.3f}"
@@ -205,29 +191,30 @@ def virtual_neighbours(series: RunSeries) -> ReportFigure | None:
     same = series.rating_kw[pair[0]] == series.rating_kw[pair[1]]
     request_kw = series.impp_kw - series.residual_kw
     for inverter, dash in zip(pair[:1] if same else pair, ("dash", "dot"), strict=False):
-        name = "request" if same else plain(f"request of {series.inverters[inverter]}")
-        look = {"name": name, "line": {"color": BLACK, "width": 1.2, "dash": dash}}
-        request = time_line(series, request_kw[:, inverter], passage.cycles, **look)
+        name = "request" if same else style.plain(f"request of {series.inverters[inverter]}")
+        look = {"name": name, "line": {"color": style.BLACK, "width": 1.2, "dash": dash}}
+        request = style.time_line(series, request_kw[:, inverter], passage.cycles, **look)
         figure.add_trace(request, row=1, col=1)
-    dress(figure, 520)
+    style.dress(figure, 520)
     figure.update_yaxes(title_text="IMPP [kW]", rangemode="tozero", row=1, col=1)
     figure.update_yaxes(title_text="alpha, power / IMPP", range=[0.0, 1.05], row=2, col=1)
-    label_time_axis(figure, series, rows=2)
-    figure.update_xaxes(range=clock_range_ms(series, passage.cycles))
+    style.label_time_axis(figure, series, rows=2)
+    figure.update_xaxes(range=style.clock_range_ms(series, passage.cycles))
     shaded, helping = series.inverters[passage.shaded], series.inverters[passage.helping]
-    return ReportFigure(
+    moment = style.clock_text(series, passage.bottom)
+    return style.ReportFigure(
         "neighbours",
         "Two virtual neighbours under a cloud",
         f"Above: IMPP, the estimated maximum power of two inverters, and their request [kW]. "
         f"Below: their curtailment level alpha (no unit). The IMPP of {shaded} falls by "
-        f"{passage.drop_kw:,.0f} kW within a minute, until {clock_text(series, passage.bottom)}, "
+        f"{passage.drop_kw:,.0f} kW within a minute, until {moment}, "
         f"while {helping} has headroom. The figure shows the largest such drop among the least "
         f"correlated pairs of each cluster and hour; this pair has {passage.correlation:+.2f}.",
         figure,
     )
 
 
-def correlation_matrices(series: RunSeries) -> ReportFigure | None:
+def correlation_matrices(series: RunSeries) -> style.ReportFigure | None:
     """Draw the correlation matrix of the inverters' maximum power in each local hour.
 
     None where no inverter's power varied in any hour.
@@ -236,7 +223,7 @@ def correlation_matrices(series: RunSeries) -> ReportFigure | None:
     if not matrices.hours:
         return None
     order = inverters_by_cluster(series)
-    names = [plain(series.inverters[position]) for position in order]
+    names = [style.plain(series.inverters[position]) for position in order]
     across = min(_ACROSS, len(matrices.hours))
     rows = -(-len(matrices.hours) // across)
     matrix_px = _MATRIX_PX.get(across, _SMALLEST_MATRIX_PX)
@@ -260,7 +247,7 @@ def correlation_matrices(series: RunSeries) -> ReportFigure | None:
             col=column,
         )
         _mark_clusters(figure, series, row, column, matrix_px)
-    dress(figure, height_px + 60, legend=False)
+    style.dress(figure, height_px + 60, legend=False)
     # All matrices are squares without ticks, at the top of their place, below their titles.
     figure.update_xaxes(showticklabels=False, ticks="", showgrid=False, constrain="domain")
     figure.update_yaxes(ticks="", showgrid=False, autorange="reversed")
@@ -270,13 +257,13 @@ def correlation_matrices(series: RunSeries) -> ReportFigure | None:
     figure.update_layout(
         margin={"b": 20, "t": 40},
         coloraxis={
-            "colorscale": diverging_scale(-1.0, 1.0),
+            "colorscale": style.diverging_scale(-1.0, 1.0),
             "cmin": -1.0,
             "cmax": 1.0,
-            "colorbar": colour_bar("", matrix_px - 30),
+            "colorbar": style.colour_bar("", matrix_px - 30),
         },
     )
-    return ReportFigure(
+    return style.ReportFigure(
         "correlation",
         "Correlation of the inverters, hour by hour",
         "Pearson correlation of the true maximum power of every two inverters in each local hour "
@@ -313,7 +300,7 @@ def _mark_clusters(
         figure.add_hline(y=end - 0.5, line=line, row=row, col=column)
     figure.update_yaxes(
         tickvals=[end - (size + 1) / 2.0 for end, size in zip(ends, sizes, strict=True)][::step],
-        ticktext=[plain(cluster or "plant") for cluster in clusters(series)][::step],
+        ticktext=[style.plain(cluster or "plant") for cluster in clusters(series)][::step],
         tickfont_size=11,
         showticklabels=column == 1,
         row=row,

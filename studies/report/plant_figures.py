@@ -13,63 +13,50 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from recordings.read.series import RunSeries
-from studies.report.style import (
-    BLACK,
-    GREY,
-    SAND,
-    SUPPORT,
-    ReportFigure,
-    clock_range_ms,
-    clock_text,
-    dress,
-    faint,
-    label_time_axis,
-    plain,
-    scheme_line,
-    share_axis,
-    thinning_note,
-    time_line,
-)
+from studies.report import style
 
 _PANEL_PX = 230
-_DASHED = {"color": BLACK, "width": 1.2, "dash": "dash"}
+_DASHED = {"color": style.BLACK, "width": 1.2, "dash": "dash"}
 _CLOSE_LOOK_S = 600.0
 
 # An error this small is rounding, not control: the allocation is exact to the same power.
 _ROUNDING_KW = 1e-6
 
 
-def possible_power(series: Sequence[RunSeries]) -> ReportFigure:
+def possible_power(series: Sequence[RunSeries]) -> style.ReportFigure:
     """Draw possible power against commitment, desired and delivered power."""
     first = series[0]
-    sand, grey = {"color": SAND, "width": 1}, {"color": GREY, "width": 1}
-    area = {"fill": "tozeroy", "fillcolor": faint(SAND, 0.5), "line": sand}
-    lines = [time_line(first, first.possible_kw, name="possible", **area)]
+    sand, grey = {"color": style.SAND, "width": 1}, {"color": style.GREY, "width": 1}
+    area = {"fill": "tozeroy", "fillcolor": style.faint(style.SAND, 0.5), "line": sand}
+    lines = [style.time_line(first, first.possible_kw, name="possible", **area)]
     if _asks_regulation(first):
         name = "desired, with regulation"
-        lines.append(time_line(first, first.desired_kw, name=name, line=grey))
+        lines.append(style.time_line(first, first.desired_kw, name=name, line=grey))
     lines += [
-        time_line(
-            one, one.delivered_kw, name=_of("delivered", one, series), line=scheme_line(position)
+        style.time_line(
+            one,
+            one.delivered_kw,
+            name=_of("delivered", one, series),
+            line=style.scheme_line(position),
         )
         for position, one in enumerate(series)
     ]
-    lines.append(time_line(first, first.commitment_kw, name="commitment", line=_DASHED))
-    figure = dress(go.Figure(lines), 420)
+    lines.append(style.time_line(first, first.commitment_kw, name="commitment", line=_DASHED))
+    figure = style.dress(go.Figure(lines), 420)
     figure.update_yaxes(title_text="plant power [kW]", rangemode="tozero")
-    label_time_axis(figure, first)
+    style.label_time_axis(figure, first)
     short = 100.0 * np.mean((first.possible_kw < first.desired_kw)[first.known])
-    return ReportFigure(
+    return style.ReportFigure(
         "possible-power",
         "Possible, committed and delivered power",
         "Power of the plant [kW]. The shaded area is what all inverters could have given at their "
         "maximum power points; the dashed line is the commitment. Possible power was below desired "
-        f"power in {short:.1f} % of the cycles." + thinning_note(first.cycles),
+        f"power in {short:.1f} % of the cycles." + style.thinning_note(first.cycles),
         figure,
     )
 
 
-def delivered_and_support(series: Sequence[RunSeries]) -> ReportFigure:
+def delivered_and_support(series: Sequence[RunSeries]) -> style.ReportFigure:
     """Draw delivered power and the support it needed; each run has a panel with the same axes."""
     count = len(series)
     figure = make_subplots(
@@ -77,13 +64,16 @@ def delivered_and_support(series: Sequence[RunSeries]) -> ReportFigure:
         cols=1,
         shared_xaxes=True,
         vertical_spacing=0.18 / count,
-        subplot_titles=[plain(one.label) if count > 1 else "" for one in series],
+        subplot_titles=[style.plain(one.label) if count > 1 else "" for one in series],
     )
     for position, one in enumerate(series):
         # One entry in the legend is enough for what all panels have.
         of_all = {"showlegend": position == 0}
-        red = {"fillcolor": faint(SUPPORT), "line": {"color": SUPPORT, "width": 1}}
-        support = time_line(
+        red = {
+            "fillcolor": style.faint(style.SUPPORT),
+            "line": {"color": style.SUPPORT, "width": 1},
+        }
+        support = style.time_line(
             one,
             one.support_kw,
             name="support needed",
@@ -92,41 +82,41 @@ def delivered_and_support(series: Sequence[RunSeries]) -> ReportFigure:
             **red,
             **of_all,
         )
-        name, line = _of("delivered", one, series), scheme_line(position)
-        delivered = time_line(one, one.delivered_kw, name=name, line=line)
+        name, line = _of("delivered", one, series), style.scheme_line(position)
+        delivered = style.time_line(one, one.delivered_kw, name=name, line=line)
         desired = {"name": "desired", "legendgroup": "desired", "line": _DASHED, **of_all}
-        for trace in (support, delivered, time_line(one, one.desired_kw, **desired)):
+        for trace in (support, delivered, style.time_line(one, one.desired_kw, **desired)):
             figure.add_trace(trace, row=position + 1, col=1)
-    dress(figure, 110 + _PANEL_PX * count)
+    style.dress(figure, 110 + _PANEL_PX * count)
     # A range that holds delivered and desired power of all runs, and zero.
     curves = [curve for one in series for curve in (one.delivered_kw, one.desired_kw)]
     least_kw = min(0.0, *(float(np.nanmin(curve)) for curve in curves))
     greatest_kw = max(float(np.nanmax(curve)) for curve in curves)
     range_kw = [least_kw, greatest_kw + 0.05 * (greatest_kw - least_kw)]
     figure.update_yaxes(title_text="power [kW]", range=range_kw)
-    share_axis(figure, "y")
+    style.share_axis(figure, "y")
     if count > 1:  # The legend stands above the title of the first panel.
         figure.update_layout(legend_y=1.0 + 24.0 / (_PANEL_PX * count), margin_t=70)
-    label_time_axis(figure, series[0], rows=count)
+    style.label_time_axis(figure, series[0], rows=count)
     needed = "; ".join(
         f"{one.label} {np.nansum(one.support_kw) * one.cycle_s / 3600.0:,.1f} kWh" for one in series
     )
-    return ReportFigure(
+    return style.ReportFigure(
         "support",
         "Delivered power and the support it needed",
         "Delivered and desired power of the plant [kW], and the support power that others had to "
         f"give, max(0, desired - delivered) [kW]. Energy of the support: {needed}."
-        + thinning_note(series[0].cycles),
+        + style.thinning_note(series[0].cycles),
         figure,
     )
 
 
 def _of(what: str, one: RunSeries, series: Sequence[RunSeries]) -> str:
     """Name a line of one run in the legend."""
-    return what if len(series) == 1 else plain(f"{what}, {one.label}")
+    return what if len(series) == 1 else style.plain(f"{what}, {one.label}")
 
 
-def tracking_error(series: Sequence[RunSeries]) -> ReportFigure:
+def tracking_error(series: Sequence[RunSeries]) -> style.ReportFigure:
     """Draw how often the delivered power was how far from the desired power."""
     figure = go.Figure()
     exact = []
@@ -138,16 +128,16 @@ def tracking_error(series: Sequence[RunSeries]) -> ReportFigure:
             x=error_kw,
             y=100.0 * share,
             mode="lines",
-            name=plain(one.label),
+            name=style.plain(one.label),
             showlegend=True,
             connectgaps=False,
-            line=scheme_line(position),
+            line=style.scheme_line(position),
             hovertemplate="%{x:,.1f} kW or farther: %{y:.3g} %",
         )
-    dress(figure, 380)
+    style.dress(figure, 380)
     figure.update_xaxes(title_text="delivered less desired power [kW]", zeroline=True)
     figure.update_yaxes(title_text="share of cycles [%]", type="log", dtick=1)
-    return ReportFigure(
+    return style.ReportFigure(
         "tracking-error",
         "Distribution of the tracking error",
         "Share of the cycles [%, logarithmic] in which the plant delivered too little (left of "
@@ -187,7 +177,7 @@ def _tail(
     return kept, (count - np.searchsorted(ascending, kept)) / len(error_kw)
 
 
-def regulation(series: Sequence[RunSeries]) -> ReportFigure | None:
+def regulation(series: Sequence[RunSeries]) -> style.ReportFigure | None:
     """Draw regulation asked and given, in the whole run and in its worst ten minutes, if any."""
     first = series[0]
     if not _asks_regulation(first):
@@ -200,18 +190,20 @@ def regulation(series: Sequence[RunSeries]) -> ReportFigure | None:
         rows=2,
         cols=1,
         vertical_spacing=0.16,
-        subplot_titles=["whole run", f"from {clock_text(first, worst.start)}"],
+        subplot_titles=["whole run", f"from {style.clock_text(first, worst.start)}"],
     )
     for row, cycles in enumerate((range(first.cycles), worst), start=1):
         for place, one in following.items():
             given_kw, name = one.delivered_kw - one.commitment_kw, _of("given", one, series)
             look = {"name": name, "legendgroup": name, "showlegend": row == 1}
             figure.add_trace(
-                time_line(one, given_kw, cycles, line=scheme_line(place), **look), row, 1
+                style.time_line(one, given_kw, cycles, line=style.scheme_line(place), **look),
+                row,
+                1,
             )
         look = {"name": "asked", "legendgroup": "asked", "showlegend": row == 1, "line": _DASHED}
-        figure.add_trace(time_line(first, first.regulation_kw, cycles, **look), row, 1)
-    dress(figure, 580)
+        figure.add_trace(style.time_line(first, first.regulation_kw, cycles, **look), row, 1)
+    style.dress(figure, 580)
     figure.update_layout(legend_y=1.05, margin_t=70)
     capacity_kw = first.regulation_capacity_kw
     # A plant that lacks power falls far below: the signal would be a thin line above that.
@@ -221,9 +213,9 @@ def regulation(series: Sequence[RunSeries]) -> ReportFigure | None:
         automargin=True,
         range=[-3.0 * capacity_kw, 2.0 * capacity_kw],
     )
-    label_time_axis(figure, first, rows=2)
-    figure.update_xaxes(range=clock_range_ms(first, worst), row=2, col=1)
-    return ReportFigure(
+    style.label_time_axis(figure, first, rows=2)
+    figure.update_xaxes(range=style.clock_range_ms(first, worst), row=2, col=1)
+    return style.ReportFigure(
         "regulation",
         "Regulation asked and given",
         "Regulation that the signal asked for, and the regulation given: delivered power less the "
@@ -231,7 +223,7 @@ def regulation(series: Sequence[RunSeries]) -> ReportFigure | None:
         f"{len(worst) * first.cycle_s / 60.0:.3g} minutes with the largest mean distance between "
         "the two; cycles in which the plant could not have given the regulation do not count. The "
         "axis ends at three times the capacity below the commitment and twice above it."
-        + thinning_note(first.cycles),
+        + style.thinning_note(first.cycles),
         figure,
     )
 

@@ -35,9 +35,8 @@ from studies.report.plant_figures import (
     tracking_error,
 )
 from studies.report.style import ReportFigure
-from studies.report.tables import health_table, metrics_tables
+from studies.report.tables import devices_tables, health_table, metrics_tables
 from sunspec.process import read_accounts
-from sunspec.tables import devices_tables
 
 REPORT_NAME: Final = "report.html"
 
@@ -66,7 +65,9 @@ def write_run_report(run: Path, out: Path | None = None) -> Path:
             tables = [health_table(reader), *metrics_tables([series]), *devices]
     with console.status("drawing"):
         title = f"{plan.plant}: run {plan.run_id}"
-        write_report(path, title, [series], tables, notes, lead=run_line(plan))
+        page = report_page(title, [series], tables, notes, lead=run_line(plan))
+    with whole_file(path) as file:
+        file.write(page.encode())
     return path
 
 
@@ -89,16 +90,15 @@ def _notes(reader: RunReader) -> list[str]:
     return notes
 
 
-def write_report(
-    path: Path,
+def report_page(
     title: str,
     series: Sequence[RunSeries],
     content: Sequence[Content] = (),
     notes: Sequence[str] = (),
     *,
     lead: str = "",
-) -> None:
-    """Write a report as one HTML file, which opens without a network.
+) -> str:
+    """Return a report as HTML, which opens without a network.
 
     It shows one run, or several of the same plant in the same cycles, each with a label of its own.
     `lead`, the notes, and tables and figures of `content` come before the figures of the runs.
@@ -107,9 +107,7 @@ def write_report(
     there = {figure.anchor for figure in figures}
     absent = " ".join(reason for anchor, reason in _WHY_ABSENT.items() if anchor not in there)
     text = [lead or _plant_line(series), *_cycle_lines(series), *notes, absent]
-    page = html_page(title, list(filter(None, text)), [*content, *figures])
-    with whole_file(path) as file:
-        file.write(page.encode())
+    return html_page(title, list(filter(None, text)), [*content, *figures])
 
 
 def run_line(plan: RunPlan) -> str:

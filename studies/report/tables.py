@@ -1,8 +1,8 @@
-"""The tables of a report: how a run fared, and figures of merit, the runs side by side."""
+"""The tables of a report: how a run and its devices fared, and figures of merit of runs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from recordings.inspect.health import health_lines
@@ -12,7 +12,8 @@ from recordings.read.run_clock import RunClock
 from recordings.read.series import RunSeries
 from studies.metrics import run_metrics
 from studies.metrics.figures_of_merit import runs_as_columns, shown_in
-from studies.tables import Table, key_column, word_column
+from studies.tables import Column, Table, key_column, word_column
+from sunspec.process import DeviceAccount
 
 _COMMITMENT_NOTE: Final = (
     "Unavoidable is the shortfall that no controller could have prevented: less power was possible "
@@ -43,3 +44,34 @@ def health_table(run: RunReader) -> Table:
     lines = health_lines(read_overview(run).health, RunClock(run.plan, run.last_cycle))
     rows = tuple((name.capitalize(), text) for name, text in lines)
     return Table("Health of the run", (key_column("", "what"), word_column("", "found")), rows)
+
+
+def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:
+    """Return the table of how fast a run's real inverters answered; none where it had none."""
+    columns = (
+        key_column("device"),
+        *(
+            Column(f"{what}{figure}", unit, decimals)
+            for what in ("reads", "writes")
+            for figure, unit, decimals in (("", "", 0), (" p50", "ms", 1), (" p99", "ms", 1))
+        ),
+        Column("late"),
+        Column("refused"),
+        Column("breaks"),
+        Column("gone for", "s", 1),
+    )
+    rows = tuple(
+        (
+            device.node,
+            *(device.reads.count, device.reads.p50_ms, device.reads.p99_ms),
+            *(device.writes.count, device.writes.p50_ms, device.writes.p99_ms),
+            *(device.late, device.refused, device.breaks, device.gone_s),
+        )
+        for device in devices
+    )
+    notes = (
+        "how long it takes over Modbus to read all that is needed, and to write a limit",
+        "late: readings that came after the end of their cycle",
+        "gone for: since the link broke, of a device that was not back at the end of the run",
+    )
+    return [Table("Devices", columns, rows, notes)] if rows else []

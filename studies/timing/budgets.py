@@ -20,7 +20,7 @@ from bus_schemas.tree import CENTRAL, PLANT, RECORDER
 from launch_scripts.scenarios.budget_table import BudgetTable
 from studies.timing.clocks import ACROSS
 from studies.timing.durations import Times
-from studies.timing.measures import LOOP, WHOLE_LOOP, TierTiming, tier_of, total
+from studies.timing.run_timing import LOOP, WHOLE_LOOP, TierTiming, tier_of, total
 
 _PAPER_MS: Final = {"direct": 1_000.0, "supervisor": 10_000.0, CENTRAL: 60_000.0}
 

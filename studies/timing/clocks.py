@@ -25,16 +25,11 @@ ACROSS = " *"
 class ClockOffset(msgspec.Struct, frozen=True):
     """The clock of another host, or of a device.
 
-    Attributes
-    ----------
-    name
-        Address of the host, or name of the device.
-    agents
-        Who has that clock.
-    ahead_us
-        How far it is ahead of the launcher's; where `heliarch node` sets it, this is what is left.
-    within_us
-        How far off this may be: half the fastest round trip.
+    name: Address of the host, or name of the device.
+    agents: Who has that clock.
+    ahead_us: How far it is ahead of the launcher's; where `heliarch node` sets it, this is what is
+        left.
+    within_us: How far off this may be: half the fastest round trip.
     """
 
     name: str

@@ -47,7 +47,6 @@ class Wait(NamedTuple):
 
     @property
     def length_ns(self) -> int:
-        """How long it took [ns]."""
         return self.ended_ns - self.began_ns
 
     def in_words(self) -> str:
@@ -69,7 +68,6 @@ class CycleWaits(NamedTuple):
 
     @property
     def slowest(self) -> Wait:
-        """The longest wait of the chain."""
         return max(self.chain, key=lambda wait: wait.length_ns)
 
     def in_words(self) -> str:

@@ -11,28 +11,16 @@ from typing import Final
 import plotly.graph_objects as go
 
 from bus_schemas.tree import CENTRAL, PLANT, ControlTree, some_of
+from studies.report import style
 from studies.report.decimation import extremes
 from studies.report.page import html_page
-from studies.report.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    SCHEMES,
-    VERMILLION,
-    ReportFigure,
-    curve,
-    dress,
-    faint,
-    plain,
-    scheme_line,
-    thinning_note,
-)
+from studies.report.tables import devices_tables
 from studies.timing import tables
 from studies.timing.budgets import Verdict
 from studies.timing.cycle_waits import CycleWaits, Wait
 from studies.timing.durations import Times, curve_ms
-from studies.timing.measures import LOOP, WHOLE_LOOP
 from studies.timing.report import Reported, TimingReport
+from studies.timing.run_timing import LOOP, WHOLE_LOOP
 from studies.timing.sweep import (
     RateRow,
     Sweep,
@@ -41,7 +29,6 @@ from studies.timing.sweep import (
     sweep_table,
     trouble_lines,
 )
-from sunspec.tables import devices_tables
 
 PAGE_NAME: Final = "timing.html"
 
@@ -120,7 +107,7 @@ def sweep_page(found: Sweep, last: TimingReport) -> str:
     )
 
 
-def waits_figure(anchor: str, cycle: CycleWaits, tree: ControlTree) -> ReportFigure:
+def waits_figure(anchor: str, cycle: CycleWaits, tree: ControlTree) -> style.ReportFigure:
     """Draw who waited for whom in a cycle: a row for each agent, in the order of the tree."""
     rows = [PLANT, CENTRAL, *sorted(path for path in tree.nodes if path)]
     chain = {(wait.agent, wait.stage) for wait in cycle.chain}
@@ -131,17 +118,17 @@ def waits_figure(anchor: str, cycle: CycleWaits, tree: ControlTree) -> ReportFig
     for earlier, later in pairwise(cycle.chain):
         times_ms += [earlier.ended_ns / 1e6, earlier.ended_ns / 1e6, None]
         agents += [earlier.agent, later.agent, None]
-    messages = curve(
-        times_ms, agents, "messages of the chain", VERMILLION, 1, "dot", hoverinfo="skip"
+    messages = style.curve(
+        times_ms, agents, "messages of the chain", style.VERMILLION, 1, "dot", hoverinfo="skip"
     )
     figure = go.Figure(
         [
-            _bars(others, "others", faint(BLUE, 0.35)),
-            _bars(cycle.chain, "chain that set the length of the cycle", VERMILLION),
+            _bars(others, "others", style.faint(style.BLUE, 0.35)),
+            _bars(cycle.chain, "chain that set the length of the cycle", style.VERMILLION),
             messages,
         ]
     )
-    dress(figure, _FRAME_PX + _ROW_PX * len(rows))
+    style.dress(figure, _FRAME_PX + _ROW_PX * len(rows))
     figure.update_layout(barmode="overlay", bargap=0.25)
     figure.update_yaxes(
         categoryorder="array",
@@ -153,7 +140,7 @@ def waits_figure(anchor: str, cycle: CycleWaits, tree: ControlTree) -> ReportFig
         dtick=1,
     )
     figure.update_xaxes(title_text="time after the plant's scheduled tick [ms]", rangemode="tozero")
-    return ReportFigure(
+    return style.ReportFigure(
         anchor,
         f"Who waited for whom in cycle {cycle.cycle:,}",
         f"A bar begins when the last input that an agent waited for was published and ends with "
@@ -183,32 +170,31 @@ def _hover(wait: Wait) -> str:
         f"from {wait.cause or 'the clock'} at {wait.began_ns / 1e6:.2f} ms",
         f"to {wait.message} at {wait.ended_ns / 1e6:.2f} ms",
     ]
-    return "<br>".join(map(plain, lines))
+    return "<br>".join(map(style.plain, lines))
 
 
-def loop_figure(reported: Reported) -> ReportFigure:
-    """Draw the loop time of every cycle over the run, with its budgets."""
+def loop_figure(reported: Reported) -> style.ReportFigure:
     timing, report = reported.timing, reported.report
     times_ms = timing.loop_ns / 1e6
     rows = extremes(times_ms)
     seconds = (timing.loop_cycles[rows] / report.rate_hz).tolist()
-    line = curve(seconds, times_ms[rows].tolist(), "loop time", BLUE, 1.2)
+    line = style.curve(seconds, times_ms[rows].tolist(), "loop time", style.BLUE, 1.2)
     line.hovertemplate = "%{x:,.1f} s: %{y:.2f} ms"
     ends = [seconds[0], seconds[-1]]
     figure = go.Figure([line, *_budgets(report.verdicts, [(LOOP, WHOLE_LOOP)], ends)])
-    dress(figure, _CURVES_PX)
+    style.dress(figure, _CURVES_PX)
     figure.update_xaxes(title_text="time since cycle 0 [s]")
     figure.update_yaxes(type="log", title_text="loop time [ms]", **_round_ticks())
     caption = (
         "From the plant's scheduled tick to its last command, cycle by cycle. Black: budgets."
-        + thinning_note(report.cycles)
+        + style.thinning_note(report.cycles)
     )
-    return ReportFigure("loop", "Loop time over time", caption, figure)
+    return style.ReportFigure("loop", "Loop time over time", caption, figure)
 
 
 def percentile_figure(
     anchor: str, heading: str, rows: Sequence[Times], verdicts: Sequence[Verdict]
-) -> ReportFigure:
+) -> style.ReportFigure:
     """Draw durations against their percentiles on axes that show the rare long ones."""
     several = len({row.measure for row in rows}) > 1
     least, lines = 1.0, []
@@ -219,16 +205,16 @@ def percentile_figure(
             go.Scatter(
                 x=[1.0 / share for share in shares],
                 y=values_ms,
-                name=plain(f"{row.measure} {row.of}" if several else row.of),
+                name=style.plain(f"{row.measure} {row.of}" if several else row.of),
                 mode="lines",
-                line={**scheme_line(place), "width": 1.8, "shape": "hv"},
+                line={**style.scheme_line(place), "width": 1.8, "shape": "hv"},
                 customdata=[100.0 * (1.0 - share) for share in shares],
                 hovertemplate="%{customdata:.4g} %: %{y:.3f} ms",
             )
         )
     judged = [(row.measure, row.of) for row in rows]
     figure = go.Figure([*lines, *_budgets(verdicts, judged, [1.0, 100.0])])
-    dress(figure, _CURVES_PX)
+    style.dress(figure, _CURVES_PX)
     figure.update_layout(margin_t=46 + 22 * (len(figure.data) // 4))
     figure.update_xaxes(
         type="log",
@@ -243,7 +229,7 @@ def percentile_figure(
         "Each step to the right leaves a tenth of the durations: at 99 % one in a hundred is "
         "longer. Black: budgets of the 99th percentile; a curve must cross 99 % below its own."
     )
-    return ReportFigure(anchor, heading, caption, figure)
+    return style.ReportFigure(anchor, heading, caption, figure)
 
 
 def _budgets(
@@ -257,27 +243,27 @@ def _budgets(
     lines = []
     for place, (limit_ms, names) in enumerate(sorted(found.items())):
         name, dash = f"budget {limit_ms:g} ms", ("dash", "dot", "solid")[place % 3]
-        line = curve(ends, [limit_ms, limit_ms], name, BLACK, 1.3, dash)
-        line.hovertemplate = f"{name}: {plain(some_of(names, 3))}<extra></extra>"
+        line = style.curve(ends, [limit_ms, limit_ms], name, style.BLACK, 1.3, dash)
+        line.hovertemplate = f"{name}: {style.plain(some_of(names, 3))}<extra></extra>"
         lines.append(line)
     return lines
 
 
-def rate_figure(rows: Sequence[RateRow]) -> ReportFigure:
+def rate_figure(rows: Sequence[RateRow]) -> style.ReportFigure:
     """Draw loop times against the rate, with the length of a cycle."""
     rates_hz = [row.rate_hz for row in rows]
     symbols = ["circle" if row.clean else "x" for row in rows]
     lines = []
-    for colour, name in zip(SCHEMES, ("p50", "p99", "max"), strict=False):
+    for colour, name in zip(style.SCHEMES, ("p50", "p99", "max"), strict=False):
         values_ms = [getattr(row, f"loop_{name}_us") / 1e3 for row in rows]
-        line = curve(rates_hz, values_ms, f"loop {name}", colour, 1.8)
+        line = style.curve(rates_hz, values_ms, f"loop {name}", colour, 1.8)
         line.update(mode="lines+markers", marker={"symbol": symbols, "size": 9})
         line.hovertemplate = "%{x:g} cycles/s: %{y:.2f} ms"
         lines.append(line)
     cycles_ms = [1e3 / rate_hz for rate_hz in rates_hz]
-    length = curve(rates_hz, cycles_ms, "length of a cycle", GREY, 1.5, "dash")
+    length = style.curve(rates_hz, cycles_ms, "length of a cycle", style.GREY, 1.5, "dash")
     length.hovertemplate = "%{y:.2f} ms"
-    figure = dress(go.Figure([*lines, length]), _CURVES_PX)
+    figure = style.dress(go.Figure([*lines, length]), _CURVES_PX)
     names = [f"{rate_hz:g}" for rate_hz in rates_hz]
     figure.update_xaxes(type="log", title_text="rate [cycles/s]", tickvals=rates_hz, ticktext=names)
     figure.update_yaxes(type="log", title_text="time [ms]", **_round_ticks())
@@ -285,7 +271,7 @@ def rate_figure(rows: Sequence[RateRow]) -> ReportFigure:
         "Time from the plant's scheduled tick to its last command. Circle: a clean rate, at most "
         "1 % of the cycles late and nothing lost. Cross: the plant did not keep up."
     )
-    return ReportFigure("rates", "Loop time against rate", caption, figure)
+    return style.ReportFigure("rates", "Loop time against rate", caption, figure)
 
 
 def _round_ticks() -> dict[str, object]:

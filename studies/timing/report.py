@@ -20,7 +20,7 @@ from recordings.read.reader import RunReader
 from studies.timing.budgets import Verdict, judge
 from studies.timing.clocks import ClockOffset
 from studies.timing.durations import Times
-from studies.timing.measures import (
+from studies.timing.run_timing import (
     ProcessTiming,
     RunTiming,
     TierTiming,
@@ -105,7 +105,6 @@ class TimingReport(msgspec.Struct, frozen=True, kw_only=True):
         return self.ended and self.cycles > 0 and few_late and not self.lost_messages
 
     def document(self) -> dict[str, object]:
-        """Return the report for other programs, with the verdict on all of it."""
         return {"passed": self.passed, "clean": self.clean, **msgspec.structs.asdict(self)}
 
 

@@ -71,24 +71,17 @@ class MessageTimes:
 class StageTimes:
     """One stage of one agent over T cycles. Its times are valid in cycles in which it closed.
 
-    Attributes
-    ----------
-    inputs, outputs
-        The A ports that it awaits or uses, and those on which it publishes.
-    timed
-        Whether the clock alone closes it.
-    closed, ready_ns, first_ns, last_ns, last
-        Whether it published anything, when it could close, when its first and its last message
-        went out, and which that was, a place in `outputs`. Shape (T,).
-    awaited, without, lacking
-        Which inputs it awaits, and which of these had not come when it closed, shape (T, A); and
-        whether any had not come, shape (T,).
-    input_ns, oldest_ns
-        When this cycle's message of each input went out, shape (T, A), 0 for none; when the oldest
-        message that it used did, shape (T,), `NEVER` for none.
-    completed_ns, cause
-        When the last awaited input that came in time went out, 0 for none; and which it is, a place
-        in `inputs`. Shape (T,).
+    inputs, outputs: The A ports that it awaits or uses, and those on which it publishes.
+    timed: Whether the clock alone closes it.
+    closed, ready_ns, first_ns, last_ns, last: Whether it published anything, when it could close,
+        when its first and its last message went out, and which that was, a place in `outputs`.
+        Shape (T,).
+    awaited, without, lacking: Which inputs it awaits, and which of these had not come when it
+        closed, shape (T, A); and whether any had not come, shape (T,).
+    input_ns, oldest_ns: When this cycle's message of each input went out, shape (T, A), 0 for none;
+        when the oldest message that it used did, shape (T,), `NEVER` for none.
+    completed_ns, cause: When the last awaited input that came in time went out, 0 for none; and
+        which it is, a place in `inputs`. Shape (T,).
     """
 
     def __init__(
@@ -148,7 +141,6 @@ class StageTimes:
 
 
 def read_message_times(reader: RunReader) -> MessageTimes:
-    """Read the times of a run's messages."""
     plan, start_ns = reader.plan, _start_ns(reader)
     ports = [port for port in plan.keys.ports if port.signal.is_cyclic and port.signal.logged]
     columns = {port: column for column, port in enumerate(ports)}

@@ -12,8 +12,8 @@ from rich.console import Console
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.supervision import RunFailure
 from studies.tables import Cell, Column, Table, key_column, print_lines, print_table, word_column
-from studies.timing.measures import LOOP, WHOLE_LOOP, total
 from studies.timing.report import Host, TimingReport
+from studies.timing.run_timing import LOOP, WHOLE_LOOP, total
 from studies.timing.tables import cycles_per_s, host_lines, how_often
 
 HIGHEST_HZ: Final = 1000.0
@@ -170,7 +170,6 @@ def _search(search_hz: tuple[float, float], rows: dict[float, RateRow]) -> Itera
 
 
 def rate_row(report: TimingReport) -> RateRow:
-    """Return the row of a run."""
     rows = {(row.measure, row.of): row.times for row in report.times}
     loop = rows.get((LOOP, WHOLE_LOOP))
     return RateRow(
@@ -214,7 +213,6 @@ def print_sweep(found: Sweep, console: Console) -> None:
 
 
 def sweep_table(found: Sweep) -> Table:
-    """Return a row for each rate."""
     columns = (
         key_column("rate"),
         Column("cycles"),

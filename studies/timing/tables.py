@@ -9,6 +9,7 @@ from typing import Final
 from rich.console import Console
 
 from launch_scripts.launcher.wrong_messages import one_line_each
+from studies.report.tables import devices_tables
 from studies.tables import (
     Cell,
     Column,
@@ -22,9 +23,8 @@ from studies.tables import (
 from studies.timing.budgets import Verdict
 from studies.timing.clocks import ACROSS, ClockOffset
 from studies.timing.durations import Distribution
-from studies.timing.measures import ProcessTiming, TierTiming, count_of
 from studies.timing.report import Host, TimingReport
-from sunspec.tables import devices_tables
+from studies.timing.run_timing import ProcessTiming, TierTiming, count_of
 
 MEANINGS: Final = {
     "loop": "from the plant's scheduled tick to its last command; each command: to its publishing",
@@ -220,12 +220,10 @@ def clocks_tables(clocks: Sequence[ClockOffset]) -> list[Table]:
 
 
 def counts_table(tiers: Sequence[TierTiming]) -> Table:
-    """Return counts and resources of each tier."""
     return Table("Counts", _TIER_COLUMNS, attributes(tiers, _TIER_COLUMNS), (_TIER_NOTE,))
 
 
 def processes_table(processes: Iterable[ProcessTiming]) -> Table:
-    """Return counts and resources of each process."""
     columns = (
         key_column("process"),
         word_column("tier"),

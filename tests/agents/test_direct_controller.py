@@ -11,7 +11,7 @@ from plans_by_hand import plan_of
 from plants_by_hand import AtWork, at, dispatch, head, setpoint, telemetry
 
 from agents.agent import Turn
-from agents.plan import Actuator, Scheme
+from agents.settings import Actuator, Scheme
 from agents.team import controller
 from bus_schemas.bounds import bounds_of, is_within
 from bus_schemas.messages import Message, Telemetry

@@ -16,7 +16,6 @@ from agents.cycle import Kind
 from agents.machine import (
     MachineSettings,
     refusals,
-    resources_used,
     scheduling_policy,
     stand_back,
     take_machine,
@@ -173,10 +172,3 @@ def test_trying_what_is_refused_leaves_this_process_as_it_is() -> None:
     cpu = min(os.sched_getaffinity(0))
     refusals(MachineSettings(cpus=(cpu,), priority=7), lockstep=False)
     assert scheduling_policy() == before
-
-
-def test_memory_is_that_of_this_process_not_of_the_one_that_started_it() -> None:
-    hoard = bytearray(b"x" * 300_000_000)
-    (resident_mb,) = lines_of("print(resources_used().resident_mb)")
-    assert resources_used().resident_mb > len(hoard) / 1e6
-    assert 5.0 < float(resident_mb) < 150.0

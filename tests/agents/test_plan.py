@@ -11,8 +11,8 @@ import pytest
 from complaints import complaint_of
 from plans_by_hand import plan_of
 
-from agents.__main__ import main
 from agents.plan import Neighbourhood, NodeNeighbourhoods, load_plan
+from launch_scripts.launcher.process import main
 
 HOURS = (
     Neighbourhood(0, ((1.0, 0.1), (0.1, 1.0))),
@@ -76,10 +76,10 @@ def test_a_plan_that_cannot_be_used_is_refused_and_says_where(
     assert named in found
 
 
-@pytest.mark.parametrize("node", ["c1/z", "plant", "recorder", "c9", ""])
-def test_an_agent_started_by_hand_must_be_a_controller_of_the_run(
+@pytest.mark.parametrize("node", ["c1/z", "c9", ""])
+def test_a_process_started_by_hand_must_be_one_of_the_run(
     path: Path, node: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("sys.argv", ["agents", node, "--plan", str(path)])
+    monkeypatch.setattr("sys.argv", ["process", node, "--plan", str(path)])
     assert main() == 2
     assert node in capsys.readouterr().err

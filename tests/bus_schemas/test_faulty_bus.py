@@ -7,9 +7,10 @@ from collections import Counter
 from typing import Any, cast
 
 from bus_schemas.bus import Arrival, Outbox
-from bus_schemas.faults import FaultRule, NetworkFaults
+from bus_schemas.faults import FaultRule
 from bus_schemas.faulty_bus import FaultyBus
 from bus_schemas.messages import Telemetry
+from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import TELEMETRY
 from bus_schemas.tree import PLANT, ControlTree
 

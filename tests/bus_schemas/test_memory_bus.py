@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from bus_schemas.bus import Delivery, Outbox
-from bus_schemas.faults import FaultRule, NetworkFaults
+from bus_schemas.faults import FaultRule
 from bus_schemas.memory_bus import MemoryBus, VirtualClock
 from bus_schemas.messages import Message, Production, Ready, Residual, Setpoint
+from bus_schemas.network_faults import NetworkFaults
 from bus_schemas.signals import PRODUCTION, READY, RESIDUAL, SETPOINT, Port, Wiring
 from bus_schemas.tree import ROOT, ControlTree
 

@@ -10,14 +10,14 @@ import pytest
 from command_line import python
 from typer.testing import CliRunner
 
-from agents.plan import Actuator, Scheme
+from agents.settings import Actuator, Scheme
 from launch_scripts.cli import COMMANDS, app
 from launch_scripts.scenarios.scenario import shipped_scenarios
 from studies.arrays.schemes import SCHEMES
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
 
 REPOSITORY = Path(__file__).parents[2]
-NAMES = [module.__name__.rpartition(".")[2] for some in COMMANDS.values() for module in some]
+NAMES = [name for names in COMMANDS.values() for name in names]
 HEAVY = {"numba", "pandas", "plotly", "pvlib", "scipy", "zenoh"}
 
 

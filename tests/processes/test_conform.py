@@ -26,7 +26,7 @@ REPOSITORY = Path(__file__).parents[2]
 EXAMPLES = REPOSITORY / "examples"
 WRONG = Path(__file__).with_name("wrong_device.py")
 NODE = "c1/inv01"
-OWN = f"{sys.executable} -m agents {{node}} --plan {{plan}}"
+OWN = f"{sys.executable} -m launch_scripts.launcher.process {{node}} --plan {{plan}}"
 CONTROLLER = f"{sys.executable} {EXAMPLES / 'direct_controller.py'} --plan {{plan}} --node {{node}}"
 
 

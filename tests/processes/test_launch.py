@@ -19,7 +19,6 @@ from typer.testing import Result
 from agents.plan import load_plan
 from bus_schemas.messages import Message
 from bus_schemas.signals import SIGNALS
-from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.tcp_ports import reserved_ports
 from recordings.read.reader import RunReader
@@ -27,6 +26,7 @@ from recordings.read.reader import RunReader
 pytestmark = pytest.mark.processes
 
 PATIENCE_S = 120.0
+PROCESS = "launch_scripts.launcher.process"
 DECIDED = tuple(signal for signal in SIGNALS if signal.decided)
 
 
@@ -160,18 +160,23 @@ def test_a_run_can_be_repeated_with_every_process_started_by_hand(
     for name in ("profile.npz", "scenario.toml"):
         shutil.copy(folder / name, tmp_path)
     plan = load_plan(folder / "plan.json")
-    programs = [["recordings"], ["sim_plant", "--patience", str(PATIENCE_S)]]
-    programs += [["agents", name] for name in plan.processes if name not in {PLANT, RECORDER}]
     with reserved_ports(plan.links.listening) as ports:
         plan = msgspec.structs.replace(plan, tcp_ports=ports)
         (tmp_path / "plan.json").write_bytes(plan.as_json())
         processes = [
             subprocess.Popen(
-                [sys.executable, "-m", *program, "--plan", "plan.json"],
+                [
+                    sys.executable,
+                    "-m",
+                    "launch_scripts.launcher.process",
+                    agent,
+                    "--plan",
+                    "plan.json",
+                ],
                 cwd=tmp_path,
                 stdout=subprocess.DEVNULL,
             )
-            for program in programs
+            for agent in plan.processes
         ]
         try:
             assert {process.wait(PATIENCE_S) for process in processes} == {0}

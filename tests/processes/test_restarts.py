@@ -16,7 +16,7 @@ from bus_schemas.signals import SETPOINT
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.run_file import log_name
-from studies.timing.measures import run_timing
+from studies.timing.run_timing import run_timing
 
 pytestmark = pytest.mark.processes
 

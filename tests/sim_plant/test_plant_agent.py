@@ -11,7 +11,7 @@ import pytest
 from plans_by_hand import CYCLE_NS, plan_of
 
 from agents.loop import AgentLoop
-from agents.plan import InverterSettings, Revert
+from agents.settings import InverterSettings, Revert
 from bus_schemas.messages import Command, Message, Production
 from bus_schemas.signals import COMMAND, DISPATCH, METER, PRODUCTION, TELEMETRY, Port
 from bus_schemas.tree import ROOT

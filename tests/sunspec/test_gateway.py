@@ -18,15 +18,16 @@ pytest.importorskip("sunspec2")
 
 from plans_by_hand import plan_of
 
-from agents.plan import Revert, RunPlan
+from agents.plan import RunPlan
+from agents.settings import Revert
 from bus_schemas.messages import Command
 from sim_plant.devices import Devices, Reading, parse_address
+from studies.report.tables import devices_tables
 from sunspec.client import DeviceError
 from sunspec.gateway import Gateway
 from sunspec.limited_inverter import LimitedInverter, LimitSettings
 from sunspec.process import Connected, Event, News, read_accounts
 from sunspec.server import ServedPlant, Sky, served
-from sunspec.tables import devices_tables
 
 PLAN = plan_of({"c1/a": 100.0}, actuator="limit", cycle_ns=50_000_000, cycle_wall_ns=50_000_000)
 

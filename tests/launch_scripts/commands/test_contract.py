@@ -28,7 +28,7 @@ from typer.testing import CliRunner
 
 from launch_scripts.cli import COMMANDS, app
 
-NAMES: Final = [module.__name__.rpartition(".")[2] for some in COMMANDS.values() for module in some]
+NAMES: Final = [name for names in COMMANDS.values() for name in names]
 FULL: Final = Path("/dev/full")
 
 QUICK: Final = {

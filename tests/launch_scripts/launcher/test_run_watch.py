@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from agents.plan import RestartPolicy, RunPlan
+from agents.plan import RunPlan
+from agents.settings import RestartPolicy
 from bus_schemas.tree import PLANT, RECORDER
 from launch_scripts.launcher.run_watch import RunWatch
 from launch_scripts.scenarios.preparation import RunOptions, prepare

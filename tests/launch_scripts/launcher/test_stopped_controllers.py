@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sent_messages import run_with
 from typer.testing import CliRunner
 
-from agents.plan import RestartPolicy, Revert
+from agents.settings import RestartPolicy, Revert
 from bus_schemas.errors import InputError
 from launch_scripts.cli import app
 from launch_scripts.launcher.simulation import MemoryRun

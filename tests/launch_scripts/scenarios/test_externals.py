@@ -28,7 +28,7 @@ NODE = "c1/inv01"
 def planned(
     *agents: str, pace: float | Literal["max"] = "max", base_port: int | None = None
 ) -> RunPlan:
-    options = RunOptions(duration="10", pace=pace, external=agents, base_port=base_port)
+    options = RunOptions(duration="10", pace=pace, external=list(agents), base_port=base_port)
     return prepare(load_scenario("oahu"), options, "run-1").plan
 
 
@@ -93,7 +93,7 @@ def test_a_place_that_cannot_be_is_refused(on: tuple[str, ...], secure: bool, na
 
 
 def test_what_stops_processes_of_another_host_is_refused() -> None:
-    options = RunOptions(pace=1.0, on=(f"{SECOND}=c1",), faults=("kill=c1,at=2s",))
+    options = RunOptions(pace=1.0, on=[f"{SECOND}=c1"], faults=("kill=c1,at=2s",))
     found = complaint_of(prepare, load_scenario("oahu"), options, "run-1")
     assert "kill=c1,at=2s: expected controllers" in found
 

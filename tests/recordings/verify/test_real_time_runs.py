@@ -19,7 +19,8 @@ from recorded_runs import (
 )
 from verifying import findings
 
-from agents.plan import RunPlan, Scheme
+from agents.plan import RunPlan
+from agents.settings import Scheme
 from bus_schemas.bus import Delivery
 from bus_schemas.faults import FaultRule
 from bus_schemas.missing import parse_missing

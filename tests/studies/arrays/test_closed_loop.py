@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents.plan import Actuator, Scheme
+from agents.settings import Actuator, Scheme
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.series import RunSeries

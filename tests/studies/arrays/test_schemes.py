@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from recorded_runs import plan_of
 
-from agents.plan import Actuator
+from agents.settings import Actuator
 from sim_plant.profile import Profile
 from studies.arrays.schemes import ReferenceGroups, run_scheme
 

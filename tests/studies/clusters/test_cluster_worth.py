@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import msgspec
 import numpy as np
@@ -43,7 +44,7 @@ def oahu(scenario: ScenarioFile) -> Preparation:
 
 @pytest.fixture(scope="module")
 def arrange(scenario: ScenarioFile) -> Arrange:
-    return by_scenario(scenario, RunOptions())
+    return partial(by_scenario, scenario, RunOptions())
 
 
 @pytest.fixture(scope="module")

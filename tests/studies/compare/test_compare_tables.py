@@ -7,7 +7,7 @@ from typing import get_args
 
 import pytest
 
-from agents.plan import Actuator
+from agents.settings import Actuator
 from studies.compare.page import frontier
 from studies.compare.study import CaseResult, SchemeResult
 from studies.compare.tables import Summary, case_tables, cases_tables, summaries

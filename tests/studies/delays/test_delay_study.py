@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from agents.plan import Scheme
+from agents.settings import Scheme
 from bus_schemas.faults import FaultRule
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario

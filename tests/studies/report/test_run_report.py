@@ -16,7 +16,7 @@ from synthetic_runs import TEN_O_CLOCK_HST_NS, cloudy_run, without_estimates
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.series import RunSeries
-from studies.report.run_report import run_line, write_report
+from studies.report.run_report import report_page, run_line
 from studies.report.tables import metrics_tables
 from studies.tables import Column, Table, key_column
 
@@ -31,7 +31,7 @@ ALL_FIGURES = [
 def report(folder: Path, *series: RunSeries, notes: Sequence[str] = ()) -> Page:
     """The report of some runs, written and read again."""
     path = folder / "report.html"
-    write_report(path, "A run", series, metrics_tables(series), notes)
+    path.write_text(report_page("A run", series, metrics_tables(series), notes))
     return read_page(path.read_text(encoding="utf-8"))
 
 
@@ -148,7 +148,8 @@ def test_labels_are_text_and_never_markup(tmp_path: Path) -> None:
     run = cloudy_run(NASTY)
     path = tmp_path / "report.html"
     table = Table(NASTY, (key_column(NASTY), Column(NASTY, NASTY)), ((NASTY, NASTY),), (NASTY,))
-    write_report(path, NASTY, [run, without_estimates(run, "other")], [table], [NASTY])
+    runs = [run, without_estimates(run, "other")]
+    path.write_text(report_page(NASTY, runs, [table], [NASTY]))
     page = read_page(path.read_text(encoding="utf-8"))
     assert "b" not in {element.tag for element in page.elements}
     assert page.texts("h1") == page.texts("td") == [NASTY]

@@ -12,8 +12,8 @@ from timed_recordings import MS, PLAN, TIMES_MS, cycle, recorded
 from agents.plan import RunPlan
 from bus_schemas.messages import Message
 from recordings.read.reader import RunReader
-from studies.timing.measures import RunTiming, run_timing
 from studies.timing.report import report_on
+from studies.timing.run_timing import RunTiming, run_timing
 
 HOST = "10.0.0.2"
 AWAY = ("c2", "c2/c", "c2/d")

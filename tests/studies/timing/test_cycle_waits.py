@@ -11,7 +11,7 @@ from timed_recordings import MS, PLAN, TIMES_MS, cycle, recorded, without
 from bus_schemas.bus import Delivery
 from recordings.read.reader import RunReader
 from studies.timing.cycle_waits import CycleWaits
-from studies.timing.measures import SLOWEST, run_timing
+from studies.timing.run_timing import SLOWEST, run_timing
 
 
 def slowest(folder: Path, *cycles: Iterable[Delivery]) -> tuple[CycleWaits, ...]:

@@ -1,6 +1,6 @@
 """Fills what documents show of the code: tables and byte examples, between two comments.
 
-    .venv/bin/python -m launch_scripts.documents
+    .venv/bin/python docs/derived.py
 
 rewrites `docs/scenarios.md`, `docs/own-device.md` and `docs/wire.md`. The prose is written there by
 hand; a test compares the parts between `<!-- table: NAME -->` and `<!-- end -->` with the code.
@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
+from inspect import cleandoc
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -28,7 +29,7 @@ from bus_schemas.codec import encode
 from bus_schemas.messages import Dispatch, Message, Telemetry
 from bus_schemas.signals import DISPATCH, HELP, RESIDUAL, SETPOINT, SIGNALS, TELEMETRY, Port
 from bus_schemas.tree import CENTRAL, PLANT, ROOT
-from launch_scripts.scenarios.fields import description, members, takes
+from launch_scripts.scenarios.fields import members, takes
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import Scenario, load_scenario
 from sim_plant.plant import Plant
@@ -101,6 +102,8 @@ def scenario_tables() -> dict[str, inspect.StructType]:
 
 
 def _scenario_table(name: str) -> Iterator[str]:
+    struct = scenario_tables()[name]
+    described = descriptions(struct.cls)
     return _rows(
         ("field", "what it takes", "default", "what it is"),
         (
@@ -108,11 +111,18 @@ def _scenario_table(name: str) -> Iterator[str]:
                 f"`{field.encode_name}`",
                 takes(members(field.type)),
                 _default(field),
-                description(field.type) or "A table: see below.",
+                described.get(field.name, "A table: see below."),
             )
-            for field in scenario_tables()[name].fields
+            for field in struct.fields
         ),
     )
+
+
+def descriptions(struct: type[Any]) -> dict[str, str]:
+    """Return what the docstrings of a struct say of its fields, each `name: text`."""
+    text = "\n".join(cleandoc(owner.__doc__ or "") for owner in struct.__mro__)
+    found = re.findall(r"^(\w+): (.*(?:\n    .*)*)", text, re.MULTILINE)
+    return {name: " ".join(words.split()) for name, words in found}
 
 
 def _default(field: inspect.Field) -> str:

@@ -13,7 +13,7 @@ from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
 from launch_scripts.launcher.summary import ProcessAccount
 from recordings.read.reader import RunReader
-from studies.timing.measures import (
+from studies.timing.run_timing import (
     ProcessTiming,
     RunTiming,
     run_timing,

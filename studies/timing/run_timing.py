@@ -101,7 +101,6 @@ class RunTiming(NamedTuple):
 
     @property
     def cycles(self) -> int:
-        """How many cycles the plant ended."""
         return len(self.loop_cycles)
 
 
@@ -313,7 +312,6 @@ def with_accounts(
 
 
 def tier_timings(processes: Iterable[ProcessTiming]) -> tuple[TierTiming, ...]:
-    """Add up the processes of each tier."""
     members: dict[str, list[ProcessTiming]] = {}
     for process in processes:
         members.setdefault(process.tier, []).append(process)

@@ -1,0 +1,142 @@
+"""Whether a rule of faults fits the run: its fields, the ends of its links, what it stops."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from fnmatch import fnmatchcase
+
+from bus_schemas.errors import InputError
+from bus_schemas.faults import UNHEARD, FaultRule, links, stopped_by
+from bus_schemas.signals import SIGNALS
+from bus_schemas.tree import RECORDER, ControlTree, agent_name, some_of
+
+
+def check_rule(
+    rule: FaultRule,
+    tree: ControlTree,
+    where: str,
+    external: Collection[str] = (),
+    addresses: Mapping[str, str] = {},
+) -> None:
+    """Refuse a rule that does not fit the run.
+
+    where: What the user calls it.
+    external: Agents whose programs are not Heliarch's: nothing can be done to what comes in there.
+    addresses: Where the agents are that run on other hosts: their processes cannot be stopped from
+        here.
+    """
+    _check_fields(rule, where)
+    if rule.partition is not None and rule.partition.count("|") != 1:
+        raise InputError(
+            f"{where}: partition: expected two agents such as c1|central, got {rule.partition}"
+        )
+    if rule.stops is not None:
+        _check_stopped(rule, tree, where, external, addresses)
+        return
+    _check_ends(rule, tree, where)
+    heard_by = [listener for port, listener in links(tree) if rule.acts_on(port, listener)]
+    if heard_by and all(listener in external for listener in heard_by):
+        raise InputError(
+            f"{where}: expected a listener that Heliarch runs, where faults act, got external "
+            f"agents alone ({', '.join(dict.fromkeys(heard_by))})"
+        )
+
+
+def _check_fields(rule: FaultRule, where: str) -> None:
+    """Check what the bounds of the fields do not say."""
+    if rule.distribution == "fixed" and rule.jitter_ms:
+        raise InputError(
+            f"{where}: distribution: expected uniform or normal with jitter, got fixed"
+        )
+    if rule.reorder and not rule.held_back_ms:
+        raise InputError(f"{where}: reorder_ms: expected a time above 0 with reorder, got none")
+    for begin_s, end_s in rule.silent:
+        if begin_s >= end_s:
+            raise InputError(
+                f"{where}: silent: expected an end after the beginning, got {begin_s:g} s to "
+                f"{end_s:g} s"
+            )
+    doing = [name for name in ("partition", "kill", "freeze") if getattr(rule, name) is not None]
+    if not (rule.acts_outside_silence or rule.silent or doing):
+        raise InputError(
+            f"{where}: expected a delay, jitter, loss, duplicate, reorder, silent, partition, kill "
+            "or freeze, got none"
+        )
+    if len(doing) > 1 or (doing and not _does_only(rule, doing[0])):
+        raise InputError(f"{where}: expected {doing[0]} and at alone in a rule, got more")
+    wanted = {1} if rule.kill is not None else {2} if rule.freeze is not None else {0, 2}
+    if len(rule.at) not in wanted or list(rule.at) != sorted(set(rule.at)):
+        form = "one time such as 30s" if wanted == {1} else "beginning and end such as 30s..45s"
+        got = "..".join(f"{time_s:g}s" for time_s in rule.at) or "none"
+        raise InputError(f"{where}: at: expected {form}, got {got}")
+
+
+def _does_only(rule: FaultRule, name: str) -> bool:
+    return FaultRule(**{name: getattr(rule, name), "at": rule.at}) == rule
+
+
+def _check_stopped(
+    rule: FaultRule,
+    tree: ControlTree,
+    where: str,
+    external: Collection[str],
+    addresses: Mapping[str, str],
+) -> None:
+    names = [agent_name(node) for node in tree.nodes]
+    found = stopped_by(rule, tree)
+    if not found:
+        raise InputError(
+            f"{where}: expected a controller ({some_of(names)}), or a pattern such as c1/*, got "
+            f"{rule.stops!r}"
+        )
+    foreign = [name for name in found if name in external]
+    if foreign:
+        raise InputError(
+            f"{where}: expected controllers that Heliarch runs, got the external {foreign[0]}"
+        )
+    away = [name for name in found if name in addresses]
+    if away:
+        raise InputError(
+            f"{where}: expected controllers on this host, got {away[0]} on {addresses[away[0]]}"
+        )
+
+
+def _check_ends(rule: FaultRule, tree: ControlTree, where: str) -> None:
+    agents = [agent for agent in tree.agents() if agent != RECORDER]
+    ends = [("source", rule.source), ("listener", rule.listener)]
+    if rule.partition is not None:
+        ends = [("partition", end) for end in rule.partition.split("|")]
+    for end, pattern in ends:
+        if pattern == RECORDER:
+            raise InputError(
+                f"{where}: {end}: expected an agent that acts ({some_of(agents)}), got recorder, "
+                "which hears everything"
+            )
+        if not any(fnmatchcase(agent, pattern) for agent in agents):
+            raise InputError(
+                f"{where}: {end}: expected {some_of(agents)}, or a pattern such as c1/*, got "
+                f"{pattern!r}"
+            )
+    if rule.signal in UNHEARD:
+        return
+    found = links(tree)
+    names = dict.fromkeys(port.signal.name for port, _ in found)
+    if rule.signal in {row.name for row in SIGNALS if row.is_cyclic} - names.keys():
+        return  # No agent acts on it, so that losing it costs nothing.
+    if rule.signal is not None and rule.signal not in names:
+        kind = "not cyclic" if rule.signal in {row.name for row in SIGNALS} else "not known"
+        raise InputError(
+            f"{where}: signal: expected {', '.join(names)}, got {rule.signal!r}, which is {kind}"
+        )
+    if not any(rule.acts_on(port, listener) for port, listener in found):
+        instead = dict.fromkeys(
+            f"{port.signal.name} to {listener}"
+            for port, listener in found
+            if fnmatchcase(port.publisher, rule.source)
+        )
+        raise InputError(
+            f"{where}: expected one of {some_of(list(instead))}, got {rule.signal or 'anything'} "
+            f"from {rule.source} to {rule.listener}, which is never sent"
+            if rule.partition is None
+            else f"{where}: partition: expected agents that hear each other, got {rule.partition}"
+        )

@@ -1,0 +1,42 @@
+"""What the command line says of the processes of a run: whose they are, where, and how they run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProcessOptions:
+    """External agents, real inverters, keys, and how the processes use the machine.
+
+    --external AGENT: Do not start this agent; wait for your own device: c2/inv07, c2, central or
+        plant. May be given several times.
+    --device NODE=ADDRESS (devices): Use a real inverter, over Modbus TCP:
+        c2/inv07=modbus://10.0.0.7/1. May be given several times.
+    --external-timeout SECONDS (external_timeout_s): How long to wait for external agents and other
+        hosts. Once all are there, they have 30 s to answer the arming rounds.
+    --base-port PORT: Listen on this port and those after it, with the plant's name as namespace, so
+        that a device is configured once.
+    --secure: Encrypt every link, and admit agents only by the certificates of `heliarch keys`.
+    --keys DIR: Folder of the keys; default keys/PLANT.
+    --address ADDRESS: Address at which the agents listen, for devices and controllers on other
+        hosts; needs --secure.
+    --on ADDRESS=AGENTS: Leave these controllers to `heliarch node` on the host with this address:
+        10.0.0.2=c2/*,c3/inv12. May be given several times.
+    --cpus CPUS: Run the processes on these processors: 0-1, or plant=0 for one kind (recorder,
+        plant, central, supervisor, direct). May be given several times.
+    --priority PRIORITY: In real time: run plant and controllers under SCHED_FIFO with this
+        priority, 1 to 99, if the machine permits it.
+    """
+
+    external: list[str] | None = None
+    devices: list[str] | None = None
+    external_timeout_s: float = 60.0
+    base_port: int | None = None
+    secure: bool | None = None
+    keys: Path | None = None
+    address: str = "127.0.0.1"
+    on: list[str] | None = None
+    cpus: list[str] | None = None
+    priority: int | None = None
