@@ -17,6 +17,7 @@ from typing import Final
 import clouds
 import clusters
 import delays
+import fit_clouds
 import regulation
 import results
 from tables import Tables, write_table
@@ -29,7 +30,7 @@ FROM_SYNTHETIC: Final[dict[str, Tables]] = {
 FROM_DATA: Final[dict[str, Tables]] = {
     "results.md": results.FROM_DATA,
     "clusters.md": clusters.FROM_DATA,
-    "clouds.md": clouds.TABLES,
+    "clouds.md": clouds.TABLES | fit_clouds.TABLES,
     "metrics.md": regulation.TABLES,
 }
 

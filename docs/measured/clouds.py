@@ -40,6 +40,7 @@ Array = NDArray[np.float64]
 SKIES_DRAWN = 12
 MOST_SEEDS = 300
 COVER_TOLERANCE = 0.1
+HOPE_MINUTES, HOPE_BLIND = "0915_0955", "0955_1015"
 EVOLUTION_S = (1200.0, 1700.0, 2100.0)
 MEASURED, SYNTHETIC = "#b2182b", "#2166ac"
 CLASSES_M = np.array([0.0, 50.0, 100.0, 150.0, 200.0, 300.0, 400.0, 500.0, 700.0, 1000.0, 1500.0])
@@ -112,8 +113,18 @@ def measured_skies(folder: Path) -> Iterator[Sky]:
         yield _plant(folder / "plant20mw-combiners-10s", hour)
 
 
-def _hope(folder: Path) -> Sky:
-    read = read_measured_ghi(folder / "ghi_20130908_0915_0955.csv", folder / "positions.csv")
+def blind_skies(folder: Path) -> Iterator[Sky]:
+    """Read what nobody saw while the model was made; nothing where files are missing."""
+    hope, plant = folder / "hope-melpitz-1s", folder / "plant20mw-combiners-10s"
+    if (hope / f"ghi_20130908_{HOPE_BLIND}.csv").exists():
+        yield replace(_hope(hope, HOPE_BLIND), name="HOPE, next 20 min")
+    for hour in "de":
+        if (plant / f"hour_{hour}.csv").exists():
+            yield _plant(plant, hour)
+
+
+def _hope(folder: Path, minutes: str = HOPE_MINUTES) -> Sky:
+    read = read_measured_ghi(folder / f"ghi_20130908_{minutes}.csv", folder / "positions.csv")
     places = pd.read_csv(folder / "positions.csv", dtype={"station": str}).set_index("station")
     places = places.loc[list(read.sensors)]
     east_m, north_m = places["x_m"].to_numpy(float), places["y_m"].to_numpy(float)
@@ -320,8 +331,11 @@ def numbers(sky: Sky, index: Array) -> dict[str, float]:
     return found
 
 
+Comparison = tuple[Sky, dict[str, float], list[dict[str, float]], int]
+
+
 @cache
-def compared(folder: Path) -> dict[str, tuple[Sky, dict[str, float], list[dict[str, float]], int]]:
+def compared(folder: Path) -> dict[str, Comparison]:
     """Return each sky with its figures, those of the model's skies, and the seeds looked at.
 
     Their pictures are drawn on the way.
@@ -348,16 +362,31 @@ def of_model(sky: Sky, drawn: list[Array]) -> list[dict[str, float]]:
     return [numbers(sky, index) for index in drawn]
 
 
-def side_by_side(folder: Path) -> Lines:
-    """Write measured skies beside the model's, with their median and middle 80 %."""
+def skies_seen(folder: Path) -> Lines:
+    """Write the skies that were seen while the model was made, beside those of the model."""
     names = ("HOPE", "plant, hour a", "plant, hour b", "plant, hour c")
-    found = [compared(folder)[name] for name in names]
+    yield from side_by_side([compared(folder)[name] for name in names])
+
+
+def skies_unseen(folder: Path) -> Lines:
+    """Write the skies that were not."""
+    found = []
+    for sky in blind_skies(folder):
+        drawn, seeds = sky.alike()
+        found.append((sky, numbers(sky, sky.index), of_model(sky, drawn), seeds))
+    if found:
+        yield from side_by_side(found)
+
+
+def side_by_side(found: list[Comparison]) -> Lines:
+    """Write measured skies beside the model's, with their median and middle 80 %."""
+    names = [sky.name for sky, *_ in found]
     yield from header(["measured / synthetic (10 % to 90 %)", *names])
     settings = [sky.settings() for sky, *_ in found]
     covers = (f"{one.cloud_cover:.2f}, {one.drift_speed_ms:.1f} m/s" for one in settings)
     yield row(["cover, speed", *covers])
     yield row(["skies, of so many seeds", *(f"{len(rows)} of {n}" for _, _, rows, n in found)])
-    for figure in found[0][1] | found[1][1]:
+    for figure in found[0][1] | found[-1][1]:
         cells = []
         for _, real, rows, _ in found:
             if figure not in real:
@@ -418,7 +447,7 @@ def distance(sky: Sky) -> float:
 def beyond_the_atmosphere(folder: Path) -> Lines:
     """Write how much of HOPE's irradiance is above what the sun sends, and which stations jump."""
     hope = folder / "hope-melpitz-1s"
-    read = read_measured_ghi(hope / "ghi_20130908_0915_0955.csv", hope / "positions.csv")
+    read = read_measured_ghi(hope / f"ghi_20130908_{HOPE_MINUTES}.csv", hope / "positions.csv")
     sun = get_solarposition(read.times, read.lat_deg.mean(), read.lon_deg.mean(), altitude=86.0)
     height = np.sin(np.deg2rad(sun["elevation"].to_numpy()))
     limit_wm2 = get_extra_radiation(read.times).to_numpy() * height
@@ -439,7 +468,8 @@ def beyond_the_atmosphere(folder: Path) -> Lines:
 
 TABLES: Final[Tables] = {
     "beyond the atmosphere": beyond_the_atmosphere,
-    "skies": side_by_side,
+    "skies": skies_seen,
+    "blind skies": skies_unseen,
     "another kind": another_kind,
     "evolution": evolution,
 }
