@@ -152,6 +152,6 @@ def _process_rows(summary: RunSummary) -> Iterator[Row]:
         per_cycle = Number(1e3 * sum(cpu_s) / summary.cycles, 2)
         yield "Processor time per cycle", per_cycle, "ms", "all processes"
     for use in summary.memory:
-        own = f"resident in each, {use.own_median_mb:.1f} MB its own"
-        median = Number(use.resident_median_mb, 1)
-        yield f"Memory of {use.processes} {use.kind}", median, "MB", own
+        each = f" in each of {use.processes}" if use.processes > 1 else ""
+        note = f"resident{each}, {use.own_median_mb:.1f} MB its own"
+        yield f"Memory, {use.kind}", Number(use.resident_median_mb, 1), "MB", note
