@@ -51,7 +51,7 @@ from launch_scripts.launcher.supervision import (
 from launch_scripts.launcher.tcp_ports import reserved_ports
 from launch_scripts.launcher.wrong_messages import wrong_messages
 from launch_scripts.scenarios.devices import check_devices
-from launch_scripts.scenarios.externals import ExternalWatch
+from launch_scripts.scenarios.externals import ExternalWatch, listening
 from launch_scripts.scenarios.preparation import Preparation
 from sunspec.process import GatewayProcess
 
@@ -358,9 +358,7 @@ def launch(
     Start-up counts from `began_at`, the monotonic time at which the user asked for the run [s].
     """
     plan, base_port = preparation.plan, preparation.options.base_port
-    agents, further = plan.links.listening, plan.agent_links.listening
-    if plan.keys_folder or not plan.external:
-        further = ()
+    agents, further = listening(plan)
     further_port = None if base_port is None else base_port + len(agents)
     check_devices(plan)
     with (

@@ -21,6 +21,9 @@ from launch_scripts.launcher.restarts import Restarts
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.supervision import Children, ForkServerProcess
 
+_SILENT_S: Final = 2.0 * STANDING_S
+"""An agent that has not said for so long that it is there says nothing."""
+
 _UNIT: Final = """\
 [Unit]
 Description=Heliarch: agents of {plan.plant} on {host}
@@ -85,16 +88,13 @@ def run_share(
                         say(f"all are ready for the plant at {place}")
             restarts.look(0.0)
             if not plan.lockstep:
-                silent_since = time.monotonic() - 2.0 * STANDING_S
-                restarts.note_silence(
-                    [
-                        child.agent
-                        for child in children
-                        if child.ready
-                        and not child.finished
-                        and heard_at[child.agent] < silent_since
-                    ]
-                )
+                silent_since = time.monotonic() - _SILENT_S
+                silent = [
+                    child.agent
+                    for child in children
+                    if child.ready and not child.finished and heard_at[child.agent] < silent_since
+                ]
+                restarts.note_silence(silent, _SILENT_S)
 
 
 def systemd_unit(plan: RunPlan, path: Path, host: str) -> str:

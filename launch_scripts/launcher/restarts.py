@@ -139,12 +139,12 @@ class Restarts:
             case TookOver():
                 self._note_takeover(child.agent, event.cycle)
             case Status() if self._began_at is not None:
-                self.note_silence(event.silent)
+                self.note_silence(event.silent, self._pause_s)
 
-    def note_silence(self, silent: Sequence[str]) -> None:
+    def note_silence(self, silent: Sequence[str], for_s: float) -> None:
         """Count how long each controller has said nothing; name it, and kill it after a while.
 
-        To be called again and again with those that say nothing now.
+        To be called again and again with those that have said nothing for so long [s].
         """
         now = self._now_s()
         step_s, self._status_at = min(now - self._status_at, _LONGEST_STEP_S), now
@@ -157,7 +157,7 @@ class Restarts:
             before_s = self._silent_s.get(name, 0.0)
             self._silent_s[name] = before_s + step_s
             # One that stands by says so every now and then.
-            pause_s = self._pause_s if speaks else -2.0 * STANDING_S
+            pause_s = for_s if speaks else -2.0 * STANDING_S
             if speaks and 0.0 < before_s <= _LONGEST_STEP_S < before_s + step_s:
                 self._say(f"{name} (process {child.pid}) says nothing")
             if self._allowed and before_s and before_s + step_s + pause_s >= self._policy.frozen_s:

@@ -37,7 +37,7 @@ def reserved_ports(
                         f"{error.strerror}"
                     ) from None
                 raise InputError(
-                    f"--base-port {base_port}: expected free ports, got port {wanted} of {agent}: "
+                    f"--base-port: expected free ports, got port {wanted} of {agent}: "
                     f"{error.strerror}"
                 ) from None
             ports[agent] = holder.getsockname()[1]

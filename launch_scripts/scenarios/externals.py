@@ -15,7 +15,6 @@ from typing import Final
 from agents.events import Complaint, Presence, Status
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
-from bus_schemas.links import explicit_links
 from bus_schemas.signals import ports
 from bus_schemas.tree import PLANT, RECORDER, ControlTree
 from recordings.read.selection import find_agents
@@ -25,7 +24,7 @@ _PORTS: Final = range(1024, 65_536)
 
 
 def check_externals(
-    external: Sequence[str], timeout_s: float, base_port: int | None, tree: ControlTree
+    external: Sequence[str], timeout_s: float, tree: ControlTree
 ) -> tuple[str, ...]:
     """Check the options about external agents; return the agents in the order of the tree."""
     team = tuple(agent for agent in tree.agents() if agent != RECORDER)
@@ -45,15 +44,23 @@ def check_externals(
             f"--external-timeout: expected seconds above 0, up to {_LONGEST_WAIT_S:g}, got "
             f"{timeout_s:g}"
         )
-    if base_port is not None:
-        # Beside devices the other agents have ports of their own.
-        last = base_port + len(explicit_links(tree).listening) * (2 if external else 1) - 1
-        if base_port not in _PORTS or last not in _PORTS:
-            raise InputError(
-                f"--base-port: expected ports from {_PORTS[0]} to {_PORTS[-1]}, got "
-                f"{base_port} to {last}"
-            )
     return tuple(agent for agent in team if agent in external)
+
+
+def listening(plan: RunPlan) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the agents that need a port, and those that need a second one, beside devices."""
+    has_second = plan.external and not plan.keys_folder
+    return plan.links.listening, plan.agent_links.listening if has_second else ()
+
+
+def check_base_port(base_port: int, plan: RunPlan) -> None:
+    """Refuse ports that there are not, or that only the system may use."""
+    last = base_port + sum(map(len, listening(plan))) - 1
+    if base_port not in _PORTS or last not in _PORTS:
+        raise InputError(
+            f"--base-port: expected ports from {_PORTS[0]} to {_PORTS[-1]}, got "
+            f"{base_port} to {last}"
+        )
 
 
 def addresses_of(

@@ -24,7 +24,7 @@ from bus_schemas.times import FIRST_YEAR, LAST_YEAR, parse_duration_s, read_time
 from bus_schemas.tree import ROOT, ControlTree, agent_name, depth
 from launch_scripts.scenarios.clustering import control_tree, in_order, neighbourhoods
 from launch_scripts.scenarios.devices import devices
-from launch_scripts.scenarios.externals import addresses_of, check_externals
+from launch_scripts.scenarios.externals import addresses_of, check_base_port, check_externals
 from launch_scripts.scenarios.fault_rules import fault_remarks, fault_rules
 from launch_scripts.scenarios.fields import field_names
 from launch_scripts.scenarios.machine_table import machine_settings
@@ -210,9 +210,7 @@ def _plan(
     periods = _periods(scenario, day.tree)
     wall_ns = cycle_wall_ns(scenario.time.cycle_s, pace, "--pace" if options.pace else "pace")
     deadlines_ns = tier_deadlines_ns(control.deadlines_ms, day.tree, wall_ns)
-    external = check_externals(
-        options.external or (), options.external_timeout_s, options.base_port, day.tree
-    )
+    external = check_externals(options.external or (), options.external_timeout_s, day.tree)
     keys_folder = _keys_folder(scenario, options)
     addresses = addresses_of(
         options.on or (), day.tree, external, options.address, secure=bool(keys_folder)
@@ -270,6 +268,8 @@ def _plan(
         standby=_standby(scenario.standby, day.tree, external),
     )
     check_plan(plan)
+    if options.base_port is not None:
+        check_base_port(options.base_port, plan)
     return plan
 
 

@@ -87,6 +87,19 @@ def test_a_controller_that_says_nothing_is_named_and_killed_after_a_while(run: W
     assert run.killed == ["c2"]
 
 
+def test_a_node_gives_an_agent_the_same_time_however_long_the_cycles_are(plan: RunPlan) -> None:
+    watched = Watched(msgspec.structs.replace(plan, cycle_wall_ns=60_000_000_000))
+    for _ in range(8):
+        watched.now_s += 0.25
+        watched.restarts.note_silence(["c2"], 2.0)
+    assert watched.killed == []
+    for _ in range(8):
+        watched.now_s += 0.25
+        watched.restarts.note_silence(["c2"], 2.0)
+    watched.end()
+    assert watched.killed == ["c2"]
+
+
 def test_one_that_is_heard_in_between_is_not(run: Watched) -> None:
     for _ in range(2):
         run.pass_by(2.5, "c2")

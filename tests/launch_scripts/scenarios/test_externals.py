@@ -17,7 +17,12 @@ from bus_schemas.errors import InputError
 from bus_schemas.links import explicit_links
 from launch_scripts.launcher.run_folder import RunFolder
 from launch_scripts.launcher.tcp_ports import reserved_ports
-from launch_scripts.scenarios.externals import ExternalWatch, addresses_of, check_externals
+from launch_scripts.scenarios.externals import (
+    ExternalWatch,
+    addresses_of,
+    check_base_port,
+    check_externals,
+)
 from launch_scripts.scenarios.preparation import RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 
@@ -52,23 +57,33 @@ def test_the_plan_names_them_in_the_order_of_the_tree() -> None:
 
 
 @pytest.mark.parametrize(
-    ("agents", "timeout_s", "base_port", "complaint"),
+    ("agents", "timeout_s", "complaint"),
     [
-        (("recorder",), 60.0, None, "--external: expected"),
-        (("c1/inv1",), 60.0, None, "--external: expected"),
-        (("",), 60.0, None, "--external: expected"),
-        ((NODE,), 0.0, None, "--external-timeout: expected"),
-        ((NODE,), float("nan"), None, "--external-timeout: expected"),
-        ((NODE,), 1e9, None, "--external-timeout: expected"),
-        ((NODE,), 60.0, 80, "--base-port: expected"),
-        ((NODE,), 60.0, 65_534, "--base-port: expected"),
+        (("recorder",), 60.0, "--external: expected"),
+        (("c1/inv1",), 60.0, "--external: expected"),
+        (("",), 60.0, "--external: expected"),
+        ((NODE,), 0.0, "--external-timeout: expected"),
+        ((NODE,), float("nan"), "--external-timeout: expected"),
+        ((NODE,), 1e9, "--external-timeout: expected"),
     ],
 )
 def test_bad_options_are_refused_in_one_line(
-    agents: tuple[str, ...], timeout_s: float, base_port: int | None, complaint: str
+    agents: tuple[str, ...], timeout_s: float, complaint: str
 ) -> None:
-    found = complaint_of(check_externals, agents, timeout_s, base_port, planned().tree)
+    found = complaint_of(check_externals, agents, timeout_s, planned().tree)
     assert found.startswith(complaint)
+
+
+@pytest.mark.parametrize(
+    ("base_port", "agents", "standby"),
+    [(80, (), ()), (65_531, (), ()), (65_530, (), ("c1",)), (65_530, (NODE,), ())],
+)
+def test_ports_that_there_are_not_are_refused(
+    base_port: int, agents: tuple[str, ...], standby: tuple[str, ...]
+) -> None:
+    plan = replace(planned(*agents, pace=1.0), standby=standby)
+    assert complaint_of(check_base_port, base_port, plan).startswith("--base-port: expected")
+    check_base_port(65_535 - 11, plan)
 
 
 SECOND = "127.0.0.2"
@@ -105,7 +120,7 @@ def test_ports_begin_with_the_base_port_and_must_be_free() -> None:
         assert found == {"recorder": first}
     with socket.create_server(("127.0.0.1", 0)) as server:
         taken = server.getsockname()[1]
-        complaint = f"--base-port {taken}: expected free ports"
+        complaint = f"--base-port: expected .* port {taken} of recorder"
         with pytest.raises(InputError, match=complaint), reserved_ports(("recorder",), taken):
             pass
 
