@@ -20,8 +20,8 @@ class RestartPolicy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     when: `never`: the run ends. `on-failure`: the process is restarted. `always`: the same, without
         a limit. Default: `on-failure` in real time, `never` in lockstep.
-    most: Largest number of restarts of one process ...
-    within_s: ... within this time; one more ends the run [s].
+    most: Largest number of restarts of one process within `within_s`; one more ends the run.
+    within_s: Time in which the restarts of a process are counted [s].
     backoff_s: Wait before the second restart within that time, doubled each time [s].
     frozen_s: A process that reports nothing for this time is killed [s].
     """

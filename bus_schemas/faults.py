@@ -52,7 +52,7 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     signal: Name of a cyclic signal. Default: any.
     delay_ms: Delay of each message [ms].
     jitter_ms: Spread of the delay [ms]; it is never below 0.
-    distribution: Of the delay; `jitter_ms` is its range (±) or standard deviation.
+    distribution: How delays are spread; `jitter_ms` is the range (±) or standard deviation.
     loss: Share of the messages that do not arrive.
     duplicate: Share that arrives twice; the copy has its own delay and loss.
     reorder: Share that is held back, so that later messages overtake it.

@@ -110,7 +110,7 @@ class CloudSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     drift_speed_ms: Speed of the clouds [m/s].
     drift_from_deg: Where the clouds come from, clockwise from north [degree].
     cloud_size_m: Size of a typical cloud [m].
-    cloud_softness: How gradually light falls inwards: 0.6 cumulus, 1.2 torn clouds.
+    cloud_softness: How gradually clouds darken inwards: 0.6 cumulus, 1.2 torn clouds.
     thick_cloud_index: Clear-sky index under the thickest cloud.
     edge_enhancement: Highest clear-sky index, between clouds; 1: no enhancement.
     evolution_s: Time after which groups of clouds have changed entirely [s].

@@ -46,7 +46,7 @@ def clusters(
 
     --periods SECONDS: How often the central controller acts, seconds; default 1,10,60 as the cycle
         allows.
-    --learn TIME: Choose clusters from a first part of the run, of this length; run the rest.
+    --learn TIME: Choose clusters from the first part of the run, this long; run the rest.
     """
     from bus_schemas.times import parse_duration_s
     from launch_scripts.scenarios.preparation import RunOptions, prepare

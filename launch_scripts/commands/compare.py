@@ -68,9 +68,9 @@ def compare(
         ),
     ] = None,
 ) -> None:
-    """Put control schemes side by side: the paper's tables, for one day or many. Or two runs.
+    """Compare control schemes under the same sky, for one day or many; or two recorded runs.
 
-    Of a single case and of two runs --report writes a page, compare.html by default.
+    For a single case or two runs, --report writes a page, compare.html by default.
 
     --days DATES: Dates, such as 2010-04-01..2010-04-30.
     --seeds SEEDS: Seeds of synthetic clouds, such as 1..5,9.

@@ -38,7 +38,7 @@ def node(
 
     --keys DIR: Folder of the keys; default keys/PLANT.
     --out DIR: Folder of the logs; default runs/PLANT-TIME.
-    --systemd: Only print a systemd unit that runs this command again and again.
+    --systemd: Only print a systemd unit that starts this command again whenever it ends.
     """
     from agents.plan import load_plan
     from launch_scripts.launcher.node import run_share, share_of, systemd_unit

@@ -167,9 +167,9 @@ def _check_processes(plan: RunPlan, options: RunOptions) -> None:
     """Refuse what a run as processes cannot have, before anything is printed."""
     if plan.lockstep and plan.faults:
         where = f"--fault {options.faults[0]}" if options.faults else "faults of the scenario"
-        why = "a lost message is waited for without end"
+        why = "an agent would wait forever for a lost message"
         if all(rule.stops for rule in plan.faults):
-            why = "cycles keep to no clock"
+            why = "cycles follow no clock"
         raise InputError(f"{where}: expected a --pace such as 1 with it, got lockstep, where {why}")
     check_devices(plan)
     if trouble := _key_trouble(plan):

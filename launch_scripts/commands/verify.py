@@ -47,7 +47,7 @@ def verify(
     with its inputs. Agents run from cycle 0 on; --from and --to say which
     cycles are compared.
 
-    --tolerance X: Largest difference of two equal floats.
+    --tolerance X: Largest difference between numbers that count as equal.
     --ignore FIELDS (ignored): Fields that may differ, with commas.
     --accept: Replace the recording by what the agents do now.
     """

@@ -38,7 +38,7 @@ def view(
         ),
     ] = None,
 ) -> int:
-    """Show a run in a browser: play, pause and scrub it, also while it is being recorded.
+    """Show a run in a browser, with play, pause and seek, also while it is being recorded.
 
     For a folder of runs, lists the runs with their figures. Ends with Ctrl-C.
     """

@@ -78,7 +78,7 @@ class PlantTable(_Table, frozen=True):
     rating_kw: AC rating of the plant, split equally where the CSV has no ratings.
     altitude_m: Height above the sea [m].
     actuator: A command is a `fraction` of the maximum, or a power `limit`.
-    meter_noise: Standard deviation of the power meters, as a share.
+    meter_noise: Standard deviation of a power meter's error, as a share of the reading.
     available_bias: Relative error of `available_kw`. Default: none is stated.
     revert: What an inverter does without new commands.
     ramp_percent_per_s: Largest change of an inverter's power, in % of its rating per second.

@@ -344,7 +344,7 @@ def _absence_text(absence: Absence, clock: RunClock) -> str:
         return f"{text}; {gone}"
     if absence.by_standby:
         return f"{text}, then its standby took over"
-    return f"{text}, then back{', numbered from 0 again' if absence.restarted else ''}"
+    return f"{text}, then back{', with sequence numbers from 0 again' if absence.restarted else ''}"
 
 
 def _devices_texts(devices: tuple[DeviceAccount, ...]) -> Iterator[str]:

@@ -186,10 +186,13 @@ def overview_lines(overview: Overview, clock: RunClock, width: int) -> Iterator[
         yield "cycles without a message that was due"
     for gap in overview.gaps[:_SHOWN_GAPS]:
         begin, end = clock.text(gap.first_cycle), clock.text(gap.last_cycle)
-        yield (
-            f"{gap.port}: {gap.cycles:,} from {gap.first_cycle:,} to {gap.last_cycle:,} "
-            f"({begin} to {end})"
-        )
+        if gap.first_cycle == gap.last_cycle:
+            yield f"{gap.port}: cycle {gap.first_cycle:,} ({begin})"
+        else:
+            yield (
+                f"{gap.port}: {gap.cycles:,} from cycle {gap.first_cycle:,} to {gap.last_cycle:,} "
+                f"({begin} to {end})"
+            )
     rest = len(overview.gaps) - _SHOWN_GAPS + overview.more_gaps
     if rest > 0:
         yield f"and {rest:,} more gaps (--json has the first 100)"

@@ -173,7 +173,10 @@ def test_a_recording_with_deaths_is_repeated_and_says_who_came_back(tmp_path: Pa
     verified = CliRunner().invoke(app, ["verify", str(run)])
     assert verified.exit_code == 0, verified.output
     inspected = " ".join(CliRunner().invoke(app, ["inspect", str(run)]).output.split())
-    assert "c2: nothing in cycle 5 (12:00:05), then back, numbered from 0 again" in inspected
+    assert (
+        "c2: nothing in cycle 5 (12:00:05), then back, with sequence numbers from 0 again"
+        in inspected
+    )
     assert "never acted: the run was over" in inspected
 
 
