@@ -110,8 +110,14 @@ def hope_cells(data: Path) -> Lines:
 
 
 def hour_cells(letter: str) -> Callable[[Path], Lines]:
-    """Return what writes the estimators on an hour of the real plant."""
-    return lambda data: cells(plant(data), {"irradiance.currents": [f"hour_{letter}.csv"]})
+    """Return what writes the estimators on an hour of the real plant, if its file is there."""
+    currents = f"hour_{letter}.csv"
+
+    def write(data: Path) -> Lines:
+        if (data / "plant20mw-combiners-10s" / currents).exists():
+            yield from cells(plant(data), {"irradiance.currents": [currents]})
+
+    return write
 
 
 def hours(data: Path) -> Lines:
@@ -216,7 +222,7 @@ FROM_SYNTHETIC: Final[Tables] = {
 FROM_DATA: Final[Tables] = {
     "HOPE": hope_schemes,
     "HOPE, estimators": hope_cells,
-    **{f"hour {letter}, estimators": hour_cells(letter) for letter in "abc"},
+    **{f"hour {letter}, estimators": hour_cells(letter) for letter in "abcde"},
     "floor": floor,
     "hours": hours,
 }
