@@ -173,7 +173,7 @@ class _Link:
 
 @dataclass(slots=True)
 class _Draw:
-    """What one rule does to one copy of a message."""
+    """The effect of one rule on one copy of a message."""
 
     lost: bool
     duplicated: bool
