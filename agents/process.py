@@ -40,6 +40,9 @@ STANDING_S: Final = 1.0
 """How often a process that nobody hears where it was started says that it is there."""
 
 _LOOK_S: Final = 0.02
+_STOP_LOOK_S: Final = 0.5
+"""How often a controller looks after its last cycle whether something else than the plant's stop,
+which wakes it, ends it. If 1,000 looked often, they would starve those that are not there yet."""
 
 _PLANT_PATIENCE_S: Final = 2.0
 """How long an agent on another host goes on after the plant has disappeared."""
@@ -120,7 +123,7 @@ def _is_over(process: AgentProcess, link: LauncherLink) -> bool:
     while loop.finished and not link.dismissed:
         if loop.stop_heard and loop.end_cycle == plan.cycles:
             return True
-        process.driver.turn(longest_ns=process.driver.now_ns() + round(_LOOK_S * 1e9))
+        process.driver.turn(longest_ns=process.driver.now_ns() + round(_STOP_LOOK_S * 1e9))
         process.tell_standing()
         if process.plant_is_gone():
             return True
