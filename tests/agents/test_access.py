@@ -223,7 +223,7 @@ def test_beside_a_device_a_stranger_can_say_what_the_device_may_and_is_heard_by_
     everything = {(RECORDER, str(port)) for port in PORTS if port.publisher != RECORDER}
     everything |= with_a_device.can_forge(DEVICE)
     assert with_a_device.intrude(mode) == everything
-    for agent in AGENTS:
+    for agent in (PLANT, "c1", DEVICE):
         assert with_a_device.intrude(mode, session_id=session_id(BARE.secret, agent)) == everything
 
 

@@ -44,11 +44,6 @@ def test_each_agent_goes_through_the_stages_of_its_kind() -> None:
     assert set(found) == set(KINDS) - {"recorder"}
 
 
-def test_a_cycle_of_three_tiers_has_six_hops() -> None:
-    places = [stage_place(agent, stage, THREE_TIERS) for agent, stage in STAGES_IN_ORDER]
-    assert places == [0, 1, 2, 3, 4, 5, 6]
-
-
 @pytest.mark.parametrize("tree", [FLAT, THREE_TIERS, RAGGED])
 @pytest.mark.parametrize("by_tier", [False, True])
 def test_whoever_hears_waits_longer_than_whoever_sends(tree: ControlTree, by_tier: bool) -> None:

@@ -153,6 +153,9 @@ def test_the_last_report_of_a_silent_child_holds_and_then_its_own_request_counts
     sent = [without_b(central, cycle) for cycle in (1, 2, 3, 4)]
     assert [at(found, IMPP.of(ROOT)).power_kw for found in sent] == [170.0, 170.0, 140.0, 140.0]
     assert [at(found, IMPP.of(ROOT)).stale_cycles for found in sent][:2] == [1, 2]
+    # It has no headroom any more, and needs no help.
+    assert [at(found, RESIDUAL.of(ROOT)).power_kw for found in sent] == [50.0, 50.0, 20.0, 20.0]
+    assert not any(HELP.of(ROOT) in found for found in sent)
 
 
 def test_a_child_that_stays_silent_is_neither_given_less_than_its_request_nor_asked_for_more() -> (
@@ -163,13 +166,6 @@ def test_a_child_that_stays_silent_is_neither_given_less_than_its_request_nor_as
     sent = [without_b(central, cycle) for cycle in (2, 3, 4)]
     # While its last report counts, b gives 20 kW and a the rest; then b serves its own request.
     assert [setpoints_kw(found) for found in sent] == [(80.0, 20.0), (80.0, 20.0), (60.0, 60.0)]
-
-
-def test_a_silent_child_neither_has_headroom_nor_needs_help() -> None:
-    central = central_after_one_cycle()
-    sent = [without_b(central, cycle) for cycle in (1, 2, 3)]
-    assert [at(found, RESIDUAL.of(ROOT)).power_kw for found in sent] == [50.0, 50.0, 20.0]
-    assert not any(HELP.of(ROOT) in found for found in sent)
 
 
 def test_the_request_of_a_silent_child_is_by_its_rating() -> None:
@@ -240,11 +236,7 @@ def test_without_telemetry_the_last_impp_holds_and_its_age_is_counted() -> None:
         work.hear(dispatch(cycle, 100.0, 200.0))
         found.append(at(work.at_deadline("estimate"), IMPP.of("c1/a")))
         work.hear(setpoint("c1/a", cycle, 20.0))
-    assert [(sent.power_kw, sent.stale_cycles) for sent in found] == [
-        (80.0, 1),
-        (80.0, 2),
-        (80.0, 3),
-    ]
+    assert [(sent.power_kw, sent.stale_cycles) for sent in found] == [(80.0, n) for n in (1, 2, 3)]
 
 
 def test_before_the_first_telemetry_there_is_no_power_to_count_on() -> None:

@@ -96,21 +96,6 @@ def test_two_slow_tiers_leave_the_inverters_their_last_setpoints() -> None:
     assert [found.of(SETPOINT.of("c1/a"))[cycle].power_kw for cycle in (0, 2, 4)] == [50, 50, 30]
 
 
-@pytest.mark.parametrize(
-    ("periods", "parent", "turns"),
-    [
-        ((1, 1), "", [0, 1, 2, 3, 4, 5, 6]),
-        ((6, 2, 1), "", [0, 6]),
-        ((6, 2, 1), "z1", [0, 2, 4, 6]),
-        ((6, 2, 1), "z1/c1", [0, 1, 2, 3, 4, 5, 6]),
-    ],
-)
-def test_a_parents_turns_follow_from_its_tier(
-    periods: tuple[int, ...], parent: str, turns: list[int]
-) -> None:
-    assert [cycle for cycle in range(7) if Periods(periods).is_turn(parent, cycle)] == turns
-
-
 def test_in_arming_rounds_everybody_acts() -> None:
     assert all(Periods((10, 5)).is_turn("", cycle) for cycle in range(-20, 0))
 

@@ -115,23 +115,16 @@ def test_a_maximum_behind_a_limit_is_assumed_to_grow_from_what_is_sure(
     assert longer.stale_cycles == 0
 
 
-@pytest.mark.parametrize(
-    ("power_kw", "alpha"),
-    [(math.nan, math.nan), (math.nan, 1.0), (-1.0, 1.0), (106.0, 1.0), (5.0, 0.0)],
-)
-def test_a_missing_or_absurd_measurement_keeps_the_last_forecast(
-    power_kw: float, alpha: float
-) -> None:
+def test_a_missing_or_absurd_measurement_keeps_the_last_forecast_and_then_there_is_no_trend() -> (
+    None
+):
     last = measured(40.0, 50.0)
-    once = forecast(power_kw, RATING_KW, last, alpha=alpha)
+    once = forecast(math.nan, RATING_KW, last)
+    twice = forecast(106.0, RATING_KW, once)
     assert (once.power_kw, once.stale_cycles) == (last.power_kw, 1)
-    assert forecast(power_kw, RATING_KW, once, alpha=alpha).stale_cycles == 2
-    assert forecast(45.0, RATING_KW, once).stale_cycles == 0
-
-
-def test_after_a_gap_there_is_no_trend() -> None:
-    gap = forecast(math.nan, RATING_KW, measured(40.0, 50.0))
-    assert forecast(70.0, RATING_KW, gap).expected_kw == 70.0
+    assert (twice.power_kw, twice.stale_cycles) == (last.power_kw, 2)
+    seen = forecast(70.0, RATING_KW, twice)
+    assert (seen.expected_kw, seen.stale_cycles) == (70.0, 0)
 
 
 @given(
