@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections import Counter
 from hashlib import blake2b
 from itertools import pairwise
@@ -46,8 +47,8 @@ def fates(faults: NetworkFaults, cycles: int = MANY) -> list[tuple[int, ...]]:
     return [faults.fates(port, "c1", impp(cycle)) for cycle in range(cycles)]
 
 
-def delays_ms(faults: NetworkFaults, cycles: int = MANY) -> NDArray[np.float64]:
-    return np.array([delay for fate in fates(faults, cycles) for delay in fate]) / 1e6
+def delays_ms(rule: FaultRule) -> NDArray[np.float64]:
+    return np.array([delay for fate in fates(at_work(rule)) for delay in fate]) / 1e6
 
 
 @pytest.mark.parametrize("cycle", [1 - 2**31, 10**18 - 1])
@@ -94,19 +95,15 @@ def test_delays_of_several_rules_add_up() -> None:
     assert command == (20_000_000,)
 
 
-def test_normal_delays_have_their_mean_and_spread() -> None:
-    rule = FaultRule(delay_ms=100.0, jitter_ms=10.0, distribution="normal")
-    found = delays_ms(at_work(rule))
+def test_normal_delays_have_their_mean_and_spread_and_none_is_below_zero() -> None:
+    found = delays_ms(FaultRule(delay_ms=100.0, jitter_ms=10.0, distribution="normal"))
     assert found.mean() == pytest.approx(100.0, abs=5 * 10.0 / np.sqrt(MANY))
     assert found.std() == pytest.approx(10.0, rel=0.03)
     within = np.mean(np.abs(found - 100.0) < 10.0)
     assert within == pytest.approx(0.6827, abs=5 * np.sqrt(0.25 / MANY))
-
-
-def test_no_delay_is_below_zero() -> None:
-    found = delays_ms(at_work(FaultRule(delay_ms=1.0, jitter_ms=10.0, distribution="normal")))
-    assert found.min() == 0.0
-    assert 0.3 < np.mean(found == 0.0) < 0.6
+    near_zero = delays_ms(FaultRule(delay_ms=1.0, jitter_ms=10.0, distribution="normal"))
+    assert near_zero.min() == 0.0
+    assert 0.3 < np.mean(near_zero == 0.0) < 0.6
 
 
 def test_a_message_held_back_is_overtaken_by_a_later_one() -> None:
@@ -132,29 +129,12 @@ def test_arming_rounds_and_rare_events_always_pass() -> None:
     assert faults.fates(RUN.of(ROOT), "c1", start) == (0,)
 
 
-@given(
-    seed=st.integers(0, 2**32),
-    order=st.permutations(range(30)),
-    jitter_ms=st.floats(0.0, 1000.0),
-    loss=st.floats(0.0, 1.0),
-    duplicate=st.floats(0.0, 1.0),
-)
-def test_the_fate_of_a_message_does_not_depend_on_what_was_asked_before(
-    seed: int, order: list[int], jitter_ms: float, loss: float, duplicate: float
-) -> None:
-    rule = FaultRule(delay_ms=5.0, jitter_ms=jitter_ms, loss=loss, duplicate=duplicate)
-    one, other = (at_work(rule, seed=seed) for _ in range(2))
-    port = IMPP.of("c1/a")
-    in_order = [one.fates(port, "c1", impp(cycle)) for cycle in range(30)]
-    shuffled = {cycle: other.fates(port, "c1", impp(cycle)) for cycle in order}
-    assert in_order == [shuffled[cycle] for cycle in range(30)]
-
-
 def test_fates_are_the_same_whenever_and_wherever_they_are_drawn() -> None:
-    rule = FaultRule(delay_ms=50.0, jitter_ms=10.0, loss=0.25)
+    faults = at_work(FaultRule(delay_ms=50.0, jitter_ms=10.0, loss=0.25))
     # Of the hash of "seed rule link cycle copy" the first word decides on the loss, the fourth on
     # the jitter. It must be so for ever: recordings are compared with runs of other versions.
-    for cycle, fate in enumerate(fates(at_work(rule), 20)):
+    for cycle in random.Random(1).sample(range(40), 40):
+        fate = faults.fates(IMPP.of("c1/a"), "c1", impp(cycle))
         head = b"1 0 c1/a/impp c1"
         digest = blake2b(head + cycle.to_bytes(8, "little") + bytes(8)).digest()
         loss, jitter = (int.from_bytes(digest[at : at + 8], "little") / 2**64 for at in (0, 24))

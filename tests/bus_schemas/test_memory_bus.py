@@ -5,9 +5,9 @@ from __future__ import annotations
 from bus_schemas.bus import Delivery, Outbox
 from bus_schemas.faults import FaultRule
 from bus_schemas.memory_bus import MemoryBus, VirtualClock
-from bus_schemas.messages import Message, Production, Ready, Residual, Setpoint
+from bus_schemas.messages import Message, Notice, Ready, Residual, Setpoint
 from bus_schemas.network_faults import NetworkFaults
-from bus_schemas.signals import PRODUCTION, READY, RESIDUAL, SETPOINT, Port, Wiring
+from bus_schemas.signals import NOTICE, READY, RESIDUAL, SETPOINT, Port, Wiring
 from bus_schemas.tree import ROOT, ControlTree
 
 TREE = ControlTree((("c1/a", 1.0), ("c1/b", 1.0)))
@@ -52,41 +52,23 @@ def test_messages_arrive_in_the_order_they_were_sent_whoever_gets_them() -> None
 def test_a_recorder_hears_the_very_messages_also_those_that_nobody_acts_on() -> None:
     heard: list[tuple[Port[Message], Message]] = []
     bus = MemoryBus(WIRING, lambda port, message: heard.append((port, message)))
-    production = Production(
-        0,
-        0,
-        "plant",
-        (),
-        desired_kw=1.0,
-        possible_kw=1.0,
-        delivered_kw=1.0,
-        inverter_mpp_kw=(1.0,),
-        inverter_power_kw=(1.0,),
-    )
-    publish(bus, (PRODUCTION.of(ROOT), production), residual("c1/a", 3))
+    notice = Notice(0, 0, "c1", (), text="", count=1)
+    publish(bus, (NOTICE.of("c1"), notice), residual("c1/a", 3))
     (arrival,) = bus.receive(None)
-    assert [str(port) for port, _ in heard] == ["production", "c1/a/residual"]
+    assert [str(port) for port, _ in heard] == ["c1/notice", "c1/a/residual"]
     assert arrival.message is heard[1][1]
 
 
-def test_messages_are_numbered_on_each_key_and_stamped_with_the_time() -> None:
+def test_messages_are_stamped_and_those_of_the_run_numbered_and_counted() -> None:
     outbox = Outbox()
-    deliveries = [residual("c1/a", 0), residual("c1/a", 1), residual("c1/b", 1)]
+    said = [("c1/a", -8), ("c1/a", -7), ("c1/a", 0), ("c1/a", 1), ("c1/b", 1)]
+    deliveries = [residual(*entry) for entry in said]
     for time_ns, delivery in enumerate(deliveries, start=100):
         outbox.stamp(*delivery, time_ns)
-    stamps = [(message.sequence, message.publish_time_ns) for _, message in deliveries]
-    assert stamps == [(0, 100), (1, 101), (0, 102)]
-
-
-def test_arming_rounds_are_stamped_but_not_numbered_and_not_counted() -> None:
-    outbox = Outbox()
-    deliveries = [residual("c1/a", cycle) for cycle in (-8, -7, 0, 1)]
-    for delivery in deliveries:
-        outbox.stamp(*delivery, 7)
-    assert [message.sequence for _, message in deliveries] == [0, 0, 0, 1]
-    assert {message.publish_time_ns for _, message in deliveries} == {7}
+    stamps = [(message.publish_time_ns, message.sequence) for _, message in deliveries]
+    assert stamps == [(100, 0), (101, 0), (102, 0), (103, 1), (104, 0)]
     outbox.stamp(READY.of(ROOT), Ready(0, 0, "recorder", ()), 7)  # It is not logged.
-    assert outbox.published == {"residual": 2}
+    assert outbox.published == {"residual": 3}
 
 
 # By a virtual clock -------------------------------------------------------------------------------

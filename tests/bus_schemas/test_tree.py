@@ -18,48 +18,34 @@ from bus_schemas.tree import (
 )
 
 TREE = ControlTree(
-    (("c2/inv03", 100.0), ("c1/inv01", 250.0), ("inv09", 30.0), ("z1/c1/inv02", 70.0))
+    (("c2/a", 100.0), ("c1/a", 250.0), ("e", 30.0), ("z1/c1/d", 70.0), ("c1/b", 20.0))
 )
 
 
-def test_inverters_keep_the_order_of_the_plant() -> None:
-    assert TREE.leaves == ("c2/inv03", "c1/inv01", "inv09", "z1/c1/inv02")
-
-
-def test_parents_come_before_their_descendants() -> None:
+def test_inverters_keep_the_order_of_the_plant_and_parents_come_before_their_descendants() -> None:
+    assert TREE.leaves == ("c2/a", "c1/a", "e", "z1/c1/d", "c1/b")
     assert TREE.parents == (ROOT, "c1", "c2", "z1", "z1/c1")
     assert TREE.nodes == TREE.parents + TREE.leaves
-
-
-def test_children_are_one_tier_below() -> None:
-    assert TREE.children(ROOT) == ("c2", "c1", "inv09", "z1")
-    assert TREE.children("z1") == ("z1/c1",)
-    assert TREE.children("z1/c1") == ("z1/c1/inv02",)
-    assert TREE.children("inv09") == ()
-
-
-def test_a_cluster_is_rated_as_its_inverters_together() -> None:
-    tree = ControlTree((("c1/a", 100.0), ("c1/b", 50.0), ("c2/a", 25.0)))
-    assert [tree.rating_kw(node) for node in ("c1/a", "c1", "c2", ROOT)] == [100, 150, 25, 175]
-
-
-def test_leaves_below_are_places_in_the_plants_order() -> None:
-    tree = ControlTree((("c1/a", 1.0), ("c10/a", 1.0), ("c1/b", 1.0)))
-    assert tree.leaves_below("c1") == (0, 2)
-    assert tree.leaves_below("c10") == (1,)
-    assert tree.leaves_below("c1/b") == (2,)
-    assert tree.leaves_below(ROOT) == (0, 1, 2)
-
-
-def test_the_height_is_that_of_the_deepest_branch() -> None:
-    assert TREE.height == 3
-    assert ControlTree((("inv01", 1.0),)).height == 1
-
-
-def test_everybody_has_a_name_on_the_bus() -> None:
-    tree = ControlTree((("c1/a", 1.0), ("c2/a", 1.0)))
-    assert tree.agents() == ("recorder", "plant", "central", "c1", "c2", "c1/a", "c2/a")
+    assert TREE.agents() == ("recorder", "plant", "central", *TREE.nodes[1:])
     assert (agent_name(ROOT), agent_name("c1")) == ("central", "c1")
+    assert TREE.height == 3
+
+
+@pytest.mark.parametrize(
+    ("node", "children", "rating_kw", "places"),
+    [
+        (ROOT, ("c2", "c1", "e", "z1"), 470.0, (0, 1, 2, 3, 4)),
+        ("c1", ("c1/a", "c1/b"), 270.0, (1, 4)),
+        ("z1", ("z1/c1",), 70.0, (3,)),
+        ("e", (), 30.0, (2,)),
+    ],
+)
+def test_a_node_has_the_children_of_the_next_tier_and_the_rating_of_all_its_inverters(
+    node: str, children: tuple[str, ...], rating_kw: float, places: tuple[int, ...]
+) -> None:
+    assert TREE.children(node) == children
+    assert TREE.rating_kw(node) == rating_kw
+    assert TREE.leaves_below(node) == places, "in the order of the plant"
 
 
 @pytest.mark.parametrize(
