@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recordings_by_hand import PLAN, cycle_of_the_plant, whole_run, write_run, zero_chunk
+from recordings_by_hand import PLAN, cut, cycle_of_the_plant, whole_run, write_run, zero_chunk
 
 from bus_schemas.bus import Delivery
 from bus_schemas.errors import InputError
@@ -110,26 +110,20 @@ def test_messages_that_come_late_are_found_by_their_cycle(tmp_path: Path) -> Non
             assert [message.cycle for _, message in found] == [cycle]
 
 
-def test_a_cut_recording_is_read_up_to_the_cut(recording: Recording, tmp_path: Path) -> None:
+@pytest.mark.parametrize("share", [0.2, 0.77])
+def test_a_cut_recording_is_read_up_to_the_cut(
+    recording: Recording, tmp_path: Path, share: float
+) -> None:
     path, written = recording
-    content = path.read_bytes()
-    cut = tmp_path / "run.mcap"
-    for share in (0.2, 0.5, 0.77, 0.9):
-        cut.write_bytes(content[: int(share * len(content))])
-        with open_run(cut) as run:
-            found = list(run.messages())
-            assert not run.whole
-            assert found == written[: len(found)]
-            assert len(found) > 0.5 * share * len(written)
-            last = found[-1][1].cycle
-            assert list(run.messages(start=last)) == [
-                pair for pair in found if pair[1].cycle == last
-            ]
-            assert list(run.messages(TELEMETRY, start=last - 5, end=last - 3)) == [
-                pair
-                for pair in found
-                if pair[0].signal is TELEMETRY and -5 <= pair[1].cycle - last <= -3
-            ]
+    cut(path, tmp_path / "run.mcap", share)
+    with open_run(tmp_path) as run:
+        found = list(run.messages())
+        assert not run.whole
+        assert found == written[: len(found)]
+        assert len(found) > 0.5 * share * len(written)
+        last = found[-1][1].cycle
+        ends = [pair for pair in found if pair[1].cycle == last]
+        assert list(run.messages(start=last)) == ends
 
 
 def test_a_frame_has_a_row_for_each_message_and_local_time(run: RunReader) -> None:
@@ -172,17 +166,11 @@ def test_what_the_run_does_not_have_is_refused_with_what_it_has(
     assert "\n" not in str(caught.value)
 
 
-@pytest.fixture
-def damaged(recording: Recording, tmp_path: Path) -> tuple[Path, ChunkPlace]:
-    """A recording with one chunk zeroed, and that chunk."""
-    path = tmp_path / "run.mcap"
-    return path, zero_chunk(recording[0], 20, path)
-
-
 def test_a_damaged_chunk_is_refused_where_it_is_read_or_skipped_and_named(
-    recording: Recording, damaged: tuple[Path, ChunkPlace]
+    recording: Recording, tmp_path: Path
 ) -> None:
-    path, place = damaged
+    path = tmp_path / "run.mcap"
+    place = zero_chunk(recording[0], 20, path)
     with open_run(recording[0]) as run:
         lost = [pair for pair in recording[1] if pair[1].cycle in run.cycles_in(place)]
     with RunReader(path, skip_damaged=True) as run:

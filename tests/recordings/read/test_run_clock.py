@@ -6,8 +6,6 @@ from datetime import datetime
 from zoneinfo import ZoneInfo
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from msgspec.structs import replace
 from recordings_by_hand import PLAN
 
@@ -39,20 +37,13 @@ def test_a_moment_is_the_cycle_that_it_lies_in(moment: str | int, cycle: int) ->
     assert CLOCK.cycle(moment, "--from") == cycle
 
 
-@given(cycle=st.integers(0, 999))
-def test_the_text_of_a_cycle_names_it(cycle: int) -> None:
-    assert CLOCK.cycle(CLOCK.text(cycle), "--from") == cycle
-    assert CLOCK.cycle(CLOCK.local(cycle).isoformat(), "--from") == cycle
-
-
-def test_short_cycles_are_told_with_their_fraction() -> None:
-    clock = RunClock(replace(PLAN, cycle_ns=100_000_000), last_cycle=99)
-    assert [clock.text(cycle) for cycle in (0, 1, 25)] == [
-        "12:00:00.000",
-        "12:00:00.100",
-        "12:00:02.500",
-    ]
-    assert clock.cycle("12:00:02.5", "--from") == clock.cycle("2.5s", "--from") == 25
+def test_the_text_of_a_cycle_names_it() -> None:
+    for cycle in (0, 59, 999):
+        assert CLOCK.cycle(CLOCK.text(cycle), "--from") == cycle
+        assert CLOCK.cycle(CLOCK.local(cycle).isoformat(), "--from") == cycle
+    short = RunClock(replace(PLAN, cycle_ns=100_000_000), last_cycle=99)
+    assert [short.text(cycle) for cycle in (0, 1)] == ["12:00:00.000", "12:00:00.100"]
+    assert short.cycle("12:00:02.5", "--from") == short.cycle("2.5s", "--from") == 25
 
 
 def test_a_time_of_day_after_midnight_is_of_the_next_day() -> None:
@@ -115,7 +106,7 @@ def test_an_hour_that_comes_twice_is_told_apart_by_its_offset() -> None:
     clock = a_night_in_new_york("2010-11-07")
     assert clock.local(120).isoformat() == "2010-11-07T01:30:00-04:00"
     assert clock.local(240).isoformat() == "2010-11-07T01:30:00-05:00"
-    assert clock.cycle("2010-11-07T01:30:00-05:00", "--from") == 240
+    assert clock.cycle("2010-11-07 1:30:00-05:00", "--from") == 240
     with pytest.raises(InputError) as caught:
         clock.cycle("01:30", "--from")
     for instant in ("2010-11-07T01:30:00-04:00", "2010-11-07T01:30:00-05:00"):

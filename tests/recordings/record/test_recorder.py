@@ -33,9 +33,9 @@ SAID = published(IN_LOCKSTEP, PREPARED.profile)
 Spoken = tuple[Port[Message], Message | bytes]
 
 
-def impp(cycle: int, power_kw: float = 1.0, sequence: int = 0, node: str = DEVICE) -> Impp:
+def impp(cycle: int, sequence: int = 0) -> Impp:
     return Impp(
-        cycle, 0, node, (), publish_time_ns=5, sequence=sequence, power_kw=power_kw, stale_cycles=0
+        cycle, 0, DEVICE, (), publish_time_ns=5, sequence=sequence, power_kw=1.0, stale_cycles=0
     )
 
 
@@ -78,40 +78,30 @@ def test_a_device_that_answers_ahead_is_recorded_and_named(tmp_path: Path) -> No
 @pytest.mark.parametrize("node", [DEVICE, "c1/inv01"])
 def test_a_payload_that_is_nested_very_deep_is_set_aside(node: str, tmp_path: Path) -> None:
     payload = b"\x82\xa5cycle\x01\xa4more" + b"\x91" * 300_000 + b"\xc0"
-    said = list(SAID)
-    kept, account = recorded([*said, (IMPP.of(node), payload)], tmp_path)
+    kept, account = recorded([*SAID, (IMPP.of(node), payload)], tmp_path)
     assert len(kept) == CYCLES
     assert "undecodable" in {entry.cause for entry in account.complaints}
 
 
-def of_a_run(answers: list[tuple[int, int]], folder: Path) -> Recorded:
-    """The recorder's account of a run in which a device gives these IMPPs: cycle and number."""
-    said = list(SAID)
-    spoken = [entry for entry in said if entry[0] is not PORT]
+@pytest.mark.parametrize(
+    ("answers", "lost"),
+    [
+        ([(cycle, 10 * cycle + n) for cycle in range(CYCLES) for n in range(10) if n != 7], CYCLES),
+        ([(0, 0), (1, 1), (2, 2), (500, 3), (10**12, 0), (3, 4), (4, 5), (5, 6)], 0),
+    ],
+    ids=["one of ten lost", "far off"],
+)
+def test_what_a_device_lost_is_told_from_the_numbers_of_all_that_came(
+    answers: list[tuple[int, int]], lost: int, tmp_path: Path
+) -> None:
+    spoken = [entry for entry in SAID if entry[0] is not PORT]
     place = 0
     for cycle, sequence in answers:
         while cycle < CYCLES and spoken[place][1].cycle < cycle:
             place += 1
         place += 1
         spoken.insert(place, (PORT, impp(cycle, sequence=sequence)))
-    return recorded(spoken, folder)[1]
-
-
-@pytest.mark.parametrize(
-    ("answers", "lost"),
-    [
-        ([(cycle, 10 * cycle + n) for cycle in range(CYCLES) for n in range(10)], 0),
-        ([(cycle, 10 * cycle + n) for cycle in range(CYCLES) for n in range(10) if n != 7], CYCLES),
-        ([(0, 0), (1, 1), (1, 1), (2, 2), (2, 0), (3, 3), (4, 4), (5, 5), (6, 6), (7, 7)], 0),
-        ([(0, 0), (1, 1), (2, 2), (3, 3), (4, 0), (5, 1), (6, 3), (7, 4)], 1),
-        ([(0, 0), (1, 1), (2, 2), (500, 3), (10**12, 0), (3, 4), (4, 5), (5, 6)], 0),
-    ],
-    ids=["ten at a time", "one of ten lost", "copies", "begun anew", "far off"],
-)
-def test_what_a_device_lost_is_told_from_the_numbers_of_all_that_came(
-    answers: list[tuple[int, int]], lost: int, tmp_path: Path
-) -> None:
-    (device,) = of_a_run(answers, tmp_path).external
+    (device,) = recorded(spoken, tmp_path)[1].external
     assert device.lost == lost
 
 

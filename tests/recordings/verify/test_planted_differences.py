@@ -126,7 +126,7 @@ def test_a_message_that_is_not_sent_any_more_is_found(verified: Verify) -> None:
 
 def test_of_a_message_recorded_twice_the_first_one_counts(verified: Verify) -> None:
     place = place_of(SETPOINT.of("c1/a"), 6)
-    found = verified([*PUBLISHED[: place + 1], PUBLISHED[place], *PUBLISHED[place + 1 :]])
+    found = verified([*PUBLISHED[:place], PUBLISHED[place], *PUBLISHED[place:]])
     assert first_of(found, "c1").kind == "recorded twice"
     assert found.differences == 1
 
@@ -219,8 +219,13 @@ def test_a_value_that_cannot_be_sent_is_a_finding(
     assert found.differences == 1
 
 
-@pytest.mark.parametrize("method", ["__init__", "initial_state", "stages", "step"])
-@pytest.mark.parametrize("error", [RuntimeError, SystemExit])
+@pytest.mark.parametrize(
+    ("method", "error"),
+    [
+        *(("__init__", RuntimeError), ("initial_state", SystemExit)),
+        *(("stages", RuntimeError), ("step", SystemExit)),
+    ],
+)
 def test_an_agent_that_fails_anywhere_is_a_finding_and_the_others_go_on(
     method: str, error: type[BaseException], verified: Verify, monkeypatch: pytest.MonkeyPatch
 ) -> None:
