@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 from msgspec.structs import replace
 from plans_by_hand import plan_at_noon
-from recordings_by_hand import SCENARIO, write_messages
+from recordings_by_hand import SCENARIO, cycle_of_the_plant, write_messages
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
 from bus_schemas.messages import Message, Run
-from bus_schemas.signals import RUN, Port
+from bus_schemas.signals import RUN
 from bus_schemas.tree import ROOT
 from recordings.record.writer import ClockAnchor
 
@@ -29,29 +28,6 @@ PLAN = plan_at_noon(
     cycle_ns=CYCLE_MS * MS,
     cycle_wall_ns=CYCLE_MS * MS,
 )
-
-FIELDS: Mapping[str, dict[str, Any]] = {
-    "telemetry": {"power_kw": 50.0, "alpha": 0.5, "limit_kw": 100.0},
-    "dispatch": {
-        "power_kw": 240.0,
-        "plant_rating_kw": 400.0,
-        "commitment_kw": 240.0,
-        "regulation_kw": 0.0,
-    },
-    "meter": {"power_kw": 240.0},
-    "impp": {"power_kw": 75.0, "stale_cycles": 0},
-    "residual": {"power_kw": 15.0},
-    "help": {"missing_kw": 15.0},
-    "setpoint": {"power_kw": 60.0, "share_kw": 60.0, "help_given": ()},
-    "command": {"alpha": 0.8, "power_kw": 60.0},
-    "production": {
-        "desired_kw": 240.0,
-        "possible_kw": 280.0,
-        "delivered_kw": 240.0,
-        "inverter_mpp_kw": (70.0, 70.0, 70.0, 70.0),
-        "inverter_power_kw": (60.0, 60.0, 60.0, 60.0),
-    },
-}
 
 TIMES_MS = {
     # When the stage could close, and when the message went out.
@@ -90,7 +66,8 @@ TIMES_MS = {
 }
 """A cycle of 14 ms in which `c2/c` is slow to estimate: everybody waits for it but c1."""
 
-PORTS = {str(port): port for port in PLAN.keys.ports}
+PLAIN = {str(port): (port, message) for port, message in cycle_of_the_plant(0)}
+"""A message of each port."""
 
 Times = Mapping[str, tuple[float, float]]
 
@@ -104,18 +81,19 @@ def cycle(
     """The messages of a cycle, in the order of their times; what has none is not said."""
     tick_ns = START_NS + number * CYCLE_MS * MS
     for key, (ready_ms, publish_ms) in sorted(times_ms.items(), key=lambda entry: entry[1][1]):
-        port: Port[Any] = PORTS[key]
-        message = port.signal.type(
-            number,
-            plan.sim_time_ns(number),
-            port.publisher,
-            missing.get(key, ()),
-            round(tick_ns + ready_ms * MS),
-            round(tick_ns + publish_ms * MS),
-            number,
-            **FIELDS[port.signal.name],
+        port, message = PLAIN[key]
+        yield (
+            port,
+            replace(
+                message,
+                cycle=number,
+                sim_time_ns=plan.sim_time_ns(number),
+                missing=missing.get(key, ()),
+                ready_time_ns=round(tick_ns + ready_ms * MS),
+                publish_time_ns=round(tick_ns + publish_ms * MS),
+                sequence=number,
+            ),
         )
-        yield port, message
 
 
 def without(*keys: str) -> dict[str, tuple[float, float]]:

@@ -52,14 +52,10 @@ def test_every_controller_hears_when_the_run_begins_and_ends() -> None:
 
 
 @pytest.mark.parametrize("tree", TREES)
-def test_every_port_has_one_publisher_that_the_run_or_a_replay_has(tree: ControlTree) -> None:
+def test_every_port_has_a_publisher_of_the_run_and_a_key_of_its_own(tree: ControlTree) -> None:
     publishers = {port: port.publisher for port in ports(tree)}
     assert publishers.pop(CLOCK.of(ROOT)) == "replayer"
     assert set(publishers.values()) <= set(tree.agents())
-
-
-@pytest.mark.parametrize("tree", TREES)
-def test_keys_name_one_port_each_and_lead_back_to_it(tree: ControlTree) -> None:
     keys = KeyTable("oahu", tree)
     assert keys.ports == ports(tree)
     assert all(keys.port(keys.key(port)) is port for port in ports(tree))

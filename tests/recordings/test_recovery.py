@@ -87,21 +87,24 @@ def test_all_up_to_the_cut_is_kept_with_times_numbers_and_origin(
     assert not recovery.lossless
 
 
-def test_a_damaged_chunk_is_left_out_and_named(recording: Recording, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("number", "cut_bytes"), [(2, 0), (0, 13)])
+def test_a_damaged_chunk_is_left_out_and_named(
+    recording: Recording, tmp_path: Path, number: int, cut_bytes: int
+) -> None:
     path, written = recording
     with open_run(path) as run:
         assert is_sound(run)
-        place = run.outline.chunks[2]
+        place, end = run.outline.chunks[number], run.outline.readable_end
     content = bytearray(path.read_bytes())
     content[place.offset + 400] ^= 0xFF
-    out, recovery = recovered(bytes(content), tmp_path)
+    out, recovery = recovered(bytes(content[: end - cut_bytes if cut_bytes else None]), tmp_path)
     with open_run(tmp_path / "run.mcap") as run:
         assert not is_sound(run)
     assert [damaged.offset for damaged in recovery.damaged] == [place.offset]
     assert not recovery.lossless
     with open_run(out) as run:
         assert is_sound(run)
-        assert list(run.messages()) == written[:2000] + written[3000:]
+        assert list(run.messages()) == written[: 1000 * number] + written[1000 * (number + 1) :]
 
 
 def test_a_recovered_file_says_that_it_is_one(recording: Recording, tmp_path: Path) -> None:
@@ -115,18 +118,6 @@ def test_a_recovered_file_says_that_it_is_one(recording: Recording, tmp_path: Pa
             "cut_bytes": str(recovery.cut_bytes),
             "damaged_chunks": "0",
         }
-
-
-def test_without_its_first_chunk_all_others_are_kept(recording: Recording, tmp_path: Path) -> None:
-    path, written = recording
-    with open_run(path) as run:
-        first, end = run.outline.chunks[0], run.outline.readable_end
-    content = bytearray(path.read_bytes()[: end - 13])
-    content[first.offset + 500] ^= 0xFF
-    out, recovery = recovered(bytes(content), tmp_path)
-    assert [damaged.offset for damaged in recovery.damaged] == [first.offset]
-    with open_run(out) as run:
-        assert list(run.messages()) == written[1000:]
 
 
 @pytest.mark.parametrize(

@@ -5,32 +5,21 @@ import pytest
 from agents.control.neighbours import help_order
 
 
-def test_each_child_asks_the_least_correlated_sibling_first() -> None:
-    correlation = [
-        [1.0, 0.9, 0.2, 0.5],
-        [0.9, 1.0, 0.4, 0.3],
-        [0.2, 0.4, 1.0, 0.8],
-        [0.5, 0.3, 0.8, 1.0],
-    ]
-    assert help_order(correlation) == (
-        (2, 3, 1),  # 0.2 < 0.5 < 0.9
-        (3, 2, 0),  # 0.3 < 0.4 < 0.9
-        (0, 1, 3),  # 0.2 < 0.4 < 0.8
-        (1, 0, 2),  # 0.3 < 0.5 < 0.8
-    )
-
-
 @pytest.mark.parametrize(
     ("correlation", "order"),
     [
+        (
+            [[1.0, 0.9, 0.2, 0.5], [0.9, 1.0, 0.4, 0.3], [0.2, 0.4, 1.0, 0.8], [0.5, 0.3, 0.8, 1]],
+            ((2, 3, 1), (3, 2, 0), (0, 1, 3), (1, 0, 2)),
+        ),
         ([[1.0, 0.0, -0.7], [0.0, 1.0, 0.1], [-0.7, 0.1, 1.0]], ((2, 1), (0, 2), (0, 1))),
         ([[1.0] * 4] * 4, ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))),
         ([[-1.0, 1.0], [1.0, -1.0]], ((1,), (0,))),
         ([[1.0]], ((),)),
     ],
-    ids=["opposite before unrelated", "alike: as listed", "never oneself", "an only child"],
+    ids=["plain", "opposite before unrelated", "alike: as listed", "never oneself", "only child"],
 )
-def test_the_order_where_it_is_not_so_clear(
+def test_each_child_asks_the_least_correlated_sibling_first(
     correlation: list[list[float]], order: tuple[tuple[int, ...], ...]
 ) -> None:
     assert help_order(correlation) == order

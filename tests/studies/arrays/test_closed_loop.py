@@ -109,11 +109,10 @@ def test_so_they_do_where_something_is_odd(
     assert_equal(odd(oahu), scheme)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.02])
-def test_so_they_do_over_a_whole_hour_behind_limits(share: float) -> None:
+def test_so_they_do_over_a_whole_hour_behind_limits() -> None:
     # Where an inverter is held or let free by a hair's breadth, a rounding error would show.
     hour = prepare(load_scenario("oahu"), RunOptions(actuator="limit"), "loop")
-    assert_equal(with_meter_error(hour, share), "predictive")
+    assert_equal(hour, "predictive")
 
 
 @pytest.mark.parametrize("actuator", get_args(Actuator))
@@ -139,33 +138,6 @@ def test_no_scheme_delivers_more_of_what_is_asked_than_the_physical_limit(
     other = series_of(oahu, name)
     assert (other.support_kw >= limit.support_kw - 1e-9).all()
     assert (other.power_kw <= other.mpp_kw + 1e-9).all()
-
-
-def test_near_a_dispatch_of_zero_the_floor_of_some_is_no_over_delivery(oahu: Preparation) -> None:
-    # A bright inverter's floor is above its share, a dim one's below: together they can meet it.
-    mpp_kw = np.repeat(np.linspace(20.0, 470.0, 17)[None], 20, axis=0)
-    desired_kw = np.full(20, 1.2 * 0.05 * mpp_kw[0].sum())
-    none = np.zeros(20)
-    dim = with_profile(
-        oahu,
-        mpp_kw=mpp_kw,
-        commitment_kw=desired_kw,
-        regulation_kw=none,
-        meter_error=0.0 * mpp_kw,
-    )
-    delivered_kw = series_of(dim, "paper").delivered_kw
-    np.testing.assert_allclose(delivered_kw[1:], desired_kw[1:], rtol=1e-9)
-
-
-def test_a_request_follows_the_dispatch_between_the_parents_turns(valley: Preparation) -> None:
-    regulation_kw = np.linspace(0.0, 5000.0, valley.profile.cycles)
-    changed = with_profile(valley, regulation_kw=regulation_kw)
-    changed = with_plan(changed, period_cycles=(60, 10, 1))
-    series = series_of(changed, "predictive")
-    shares = series.rating_kw / series.rating_kw.sum()
-    np.testing.assert_allclose(
-        series.impp_kw - series.residual_kw, series.desired_kw[:, None] * shares, atol=1e-9
-    )
 
 
 @pytest.mark.parametrize("period_cycles", [(1, 1), (10, 1)])
@@ -200,14 +172,6 @@ def test_so_they_do_with_available_power_stated(oahu: Preparation, actuator: Act
         np.testing.assert_array_equal(loop(*inputs[:-1], stated_kw), found)
 
 
-def test_other_constants_count_whatever_else_is_compiled(oahu: Preparation) -> None:
-    plan, profile = oahu.plan, oahu.profile
-    plain = run_loop(plan, profile, "predictive", "fraction")
-    daring = run_loop(plan, profile, "predictive", "fraction", {"MARGIN": 0.0})
-    assert (daring.impp_kw >= plain.impp_kw - 1e-9).mean() > 0.99
-    assert (daring.impp_kw > plain.impp_kw).any()
-
-
 def test_meters_that_read_a_little_low_do_not_set_all_inverters_free_again_and_again() -> None:
     hour = prepare(load_scenario("oahu"), RunOptions(actuator="limit", duration="20m"), "loop")
     low = replace(hour.profile, meter_error=np.full_like(hour.profile.mpp_kw, -0.01))
@@ -218,5 +182,7 @@ def test_meters_that_read_a_little_low_do_not_set_all_inverters_free_again_and_a
         above_kw = np.maximum(found.power_kw.sum(axis=1) - desired_kw, 0.0)
         return float(100.0 * above_kw.sum() / desired_kw.sum())
 
-    assert over_delivered_percent({}) < 0.5
+    usual = over_delivered_percent({})
+    assert usual < 0.5
     assert over_delivered_percent({"LOW_READING": 0.0}) > 10.0
+    assert over_delivered_percent({}) == usual, "other constants count for their own run alone"

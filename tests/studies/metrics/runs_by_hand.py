@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from recordings.read.series import RunSeries
 
 RATING_KW = 1000.0
-
-CYCLES_OF_15_HOURS = 54_000
 
 NOON = "2010-04-01T12:00:00"
 
@@ -58,26 +54,4 @@ def sine_of_an_hour(response: float = 1.0) -> RunSeries:
         400.0 + response * signal_kw,
         regulation_kw=signal_kw,
         capacity_kw=200.0,
-    )
-
-
-def long_run() -> RunSeries:
-    """Return 15 hours of 17 inverters, as long as the paper's, that follow a signal all the time.
-
-    Each inverter gives 80 % of its maximum, drawn anew in each cycle, whatever is desired.
-    """
-    generator = np.random.default_rng(0)
-    signal = np.sin(np.arange(CYCLES_OF_15_HOURS) / 30.0 + 0.1)
-    run = run_of(
-        np.full(CYCLES_OF_15_HOURS, 3000.0),
-        possible_kw=0.0,
-        delivered_kw=0.0,
-        regulation_kw=800.0 * signal,
-        capacity_kw=800.0,
-        start="2010-04-01T05:00:00",
-    )
-    mpp_kw = generator.uniform(0.0, 470.0, (CYCLES_OF_15_HOURS, 17))
-    names = tuple(f"c1/inv{number:02}" for number in range(1, 18))
-    return replace(
-        run, inverters=names, rating_kw=np.full(17, 470.0), mpp_kw=mpp_kw, power_kw=0.8 * mpp_kw
     )

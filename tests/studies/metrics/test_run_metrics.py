@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from runs_by_hand import CYCLES_OF_15_HOURS, RATING_KW, long_run, run_of, sine_of_an_hour
+from runs_by_hand import RATING_KW, run_of, sine_of_an_hour
 
 from recordings.read.series import RunSeries
 from studies.metrics import CommitmentMetrics, RunMetrics, commitment_metrics, run_metrics
@@ -119,19 +119,6 @@ def test_where_nothing_was_desired_no_share_of_it_is_defined() -> None:
 def test_metrics_can_be_written_as_json_and_read_back() -> None:
     found = run_metrics(replace(sine_of_an_hour(), ramp_limit_percent_per_min=10.0))
     assert msgspec.json.decode(msgspec.json.encode(found), type=RunMetrics) == found
-
-
-def test_fifteen_hours_of_regulation_are_scored_hour_by_hour() -> None:
-    found = run_metrics(long_run())
-    assert found.regulation is not None
-    assert found.regulation.performance is not None
-    hours = found.regulation.performance.hours
-    assert [hour.begins[11:13] for hour in hours] == [f"{hour:02}" for hour in range(5, 20)]
-    assert {hour.windows for hour in hours} == {12}
-    assert found.regulation.requests[0].requests == CYCLES_OF_15_HOURS // 2
-    # A response that is noise has nothing to do with the signal.
-    assert found.regulation.performance.precision == 0.0
-    assert not found.regulation.performance.passed
 
 
 def without(run: RunSeries, cycles: slice, *fields: str) -> RunSeries:

@@ -12,7 +12,7 @@ import pytest
 from msgspec.structs import replace
 from printing import printed
 from reports_by_hand import missed, reported, summary_of
-from timed_recordings import PLAN, cycle, recorded
+from timed_recordings import PLAN, cycle, recorded, without
 
 from agents.events import ExternalAccount
 from agents.machine import MachineSettings
@@ -50,8 +50,30 @@ def test_the_verdict_names_each_budget_that_was_not_kept(tmp_path: Path) -> None
     assert row(late, "overruns") == ["0", "0", "PASS"]
 
 
+def test_counts_and_resources_are_added_up_by_tier(tmp_path: Path) -> None:
+    missing = {
+        "c1/a/help": ("c1/a/telemetry", "dispatch"),
+        "c1/a/command": ("dispatch@0",),
+        "c2/c/residual": ("c2/c/telemetry",),
+    }
+    silent = without("c2/d/impp", "c2/d/residual", "c2/d/command")
+    cycles = cycle(0), cycle(1, missing=missing), cycle(2, silent)
+    report = reported(tmp_path, *cycles, dropped=2).report
+    tiers = {tier.tier: tier for tier in report.tiers}
+    direct, recorder = tiers["direct"], tiers["recorder"]
+    assert (direct.processes, direct.missed_deadlines, direct.skipped_cycles) == (4, 2, 1)
+    assert (direct.missing_inputs, direct.old_inputs, direct.dropped) == (3, 1, 8)
+    # Each process took 1 s of 10 s, and 40 MB.
+    assert (direct.cpu_percent, direct.cpu_highest_percent) == pytest.approx((40.0, 10.0))
+    assert (direct.resident_mb, recorder.resident_mb) == (40.0, 40.0)
+    assert (recorder.processes, recorder.missed_deadlines) == (1, 0)
+
+
 def test_without_a_summary_what_only_the_launcher_knew_is_not_zero(tmp_path: Path) -> None:
     report = report_on(recorded(tmp_path, cycle(0), cycle(1))).report
+    assert report.passed
+    lines = {verdict.line for verdict in report.verdicts}
+    assert not lines & {"messages not recorded", "dropped messages", "CPU of a direct"}
     text = text_of(report)
     assert row(text, "direct").count("-") == 4
     assert "summary.json" in text
