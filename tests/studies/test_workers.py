@@ -30,11 +30,6 @@ def refuse_three(number: int) -> int:
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_each_result_comes_with_the_place_of_its_item(workers: int) -> None:
-    assert dict(share_work(neg, range(5), workers)) == {place: -place for place in range(5)}
-
-
-@pytest.mark.parametrize("workers", [1, 2])
 def test_an_error_of_the_work_arrives_as_it_is(workers: int) -> None:
     with pytest.raises(InputError, match="expected no 3"):
         list(share_work(refuse_three, range(6), workers))

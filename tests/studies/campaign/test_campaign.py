@@ -48,8 +48,8 @@ def broken_by(oahu: Preparation, fault: str, restart_takes_s: float) -> set[str]
 
 def test_seeds_hold_and_repeat(oahu: Preparation) -> None:
     found = campaign(oahu)
-    outcomes = [run_seed(found, seed) for seed in range(1, 21)]
-    assert [outcome.violations for outcome in outcomes] == [()] * 20
+    outcomes = [run_seed(found, seed) for seed in range(1, 13)]
+    assert [outcome.violations for outcome in outcomes] == [()] * 12
     assert any(outcome.under_kwh > 0.0 for outcome in outcomes)
     assert run_seed(found, 7) == outcomes[6]
 
@@ -146,7 +146,7 @@ def test_a_planted_mistake_is_found(
 def test_a_failing_seed_is_shrunk_and_printed_as_a_command(monkeypatch: Patch) -> None:
     nobody_joins_later(monkeypatch)
     result = CliRunner().invoke(
-        app, ["campaign", "oahu", "--seeds", "1..4", "--set", "commitment.share=0.75"]
+        app, ["campaign", "oahu", "--seeds", "1..2", "--set", "commitment.share=0.75"]
     )
     assert result.exit_code == 1
     commands = [line for line in result.output.splitlines() if "heliarch simulate oahu" in line]
@@ -155,7 +155,7 @@ def test_a_failing_seed_is_shrunk_and_printed_as_a_command(monkeypatch: Patch) -
 
 
 def test_a_policy_that_ends_the_run_is_named() -> None:
-    words = ["campaign", "oahu", "--seeds", "1..4", "--set", "restart.when=never"]
+    words = ["campaign", "oahu", "--seeds", "1..2", "--set", "restart.when=never"]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 1
     assert ": end, cycle" in result.output
@@ -179,10 +179,10 @@ def test_failures_are_the_same_for_every_protection_and_cost_more_without(
 
 def test_a_page_draws_the_worst_seeds(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
-    words = ["campaign", "oahu", "--seeds", "1..5", "--report", str(page)]
+    words = ["campaign", "oahu", "--seeds", "1..3", "--report", str(page)]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
     text = page.read_text(encoding="utf-8")
-    assert "0 of 5 seeds broke an invariant" in text
-    assert 3 <= len(re.findall(r'id="seed-\d-plot-data"', text)) <= 5
+    assert "0 of 3 seeds broke an invariant" in text
+    assert len(re.findall(r'id="seed-\d-plot-data"', text)) == 3
     assert re.search(r"Faults: .*(kill|freeze|partition|loss)=", text)

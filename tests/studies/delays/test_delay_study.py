@@ -83,15 +83,6 @@ def test_a_perfect_network_gives_what_lockstep_gives_without_the_beginning(
     assert (perfect.missed_percent, perfect.old_inputs, perfect.lost) == (0.0, 0, 0)
 
 
-def test_a_delay_that_the_deadlines_have_room_for_costs_nothing(
-    prepared: Preparation, perfect: Outcome
-) -> None:
-    # A cycle has 6 slices of 150 ms, one for each hop.
-    within = outcome(prepared, Condition("delay", 0.1, "predictive"))
-    assert within.figures == perfect.figures
-    assert within.missed_percent == 0.0
-
-
 @pytest.mark.parametrize(
     ("trouble", "values", "scheme"),
     [("delay", (0.0, 0.5, 2.0, 5.0), "predictive"), ("period", (1.0, 60.0), "paper")],

