@@ -135,18 +135,9 @@ def test_csv_has_local_times(tmp_path: Path, changes: dict[str, Any], first: str
     assert lines[2].startswith(f'"{first}",1,"central",')
 
 
-def test_a_production_of_another_plant_is_refused() -> None:
-    production = Production(
-        7,
-        0,
-        "plant",
-        (),
-        desired_kw=1.0,
-        possible_kw=1.0,
-        delivered_kw=1.0,
-        inverter_mpp_kw=(1.0,),
-        inverter_power_kw=(1.0, 2.0),
-    )
-    record = RecordedMessage(PRODUCTION.of(ROOT), 7, 0, 0, 0, b"")
-    with pytest.raises(InputError, match="production of cycle 7: expected 3 inverters"):
+def test_a_production_of_another_plant_is_refused(said: list[Delivery]) -> None:
+    production = next(m for _, m in said if isinstance(m, Production) and m.cycle == 3)
+    production.inverter_mpp_kw = (1.0,)
+    record = RecordedMessage(PRODUCTION.of(ROOT), 3, 0, 0, 0, b"")
+    with pytest.raises(InputError, match="production of cycle 3: expected 4 inverters"):
         list(inverters_table(PLAN).rows(record, production))

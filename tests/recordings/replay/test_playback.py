@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TextIO
 
+import numpy as np
 import pytest
 from clock_by_hand import ClockByHand
 from replayed_runs import CYCLE_NS, PLAN, Said, run_in_memory, write
@@ -65,8 +66,15 @@ def no_hands(seconds: float) -> list[Key]:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording of 40 cycles."""
-    return write(tmp_path_factory.mktemp("player") / "run", SAID)
+    """A recording of 40 cycles, written in batches, not as it was published."""
+    places = np.arange(len(SAID))
+    order = np.argsort(places + np.random.default_rng(1).uniform(0.0, 40.0, len(SAID)))
+    last_ns = SAID[-1].logged_ns
+    mixed = [
+        SAID[place]._replace(logged_ns=last_ns + rank * 1_000) for rank, place in enumerate(order)
+    ]
+    assert mixed[0].port is not SAID[0].port
+    return write(tmp_path_factory.mktemp("player") / "run", mixed)
 
 
 def play(

@@ -87,15 +87,23 @@ def test_the_curves_are_those_of_the_run(tmp_path: Path) -> None:
     assert axis["title"]["text"] == "local time (HST)"
 
 
-def test_a_dip_of_one_cycle_is_in_the_data_of_the_figures(tmp_path: Path) -> None:
-    run = cloudy_run(cycles=20_000)
-    power_kw = run.power_kw.copy()
-    power_kw[12_345] = 0.5
-    delivered = report(tmp_path, replace(run, power_kw=power_kw)).trace("support", "delivered")
-    drawn_kw, clock_ms = numbers(delivered["y"]), numbers(delivered["x"])
-    assert drawn_kw.min() == pytest.approx(2.5)
-    assert clock_ms[drawn_kw.argmin()] == TEN_O_CLOCK_LOCAL_MS + 12_345_000
+def test_a_line_of_a_few_points_keeps_peaks_dips_ends_and_gaps(tmp_path: Path) -> None:
+    run = cloudy_run(cycles=20_003)
+    power_kw, residual_kw = run.power_kw.copy(), run.residual_kw.copy()
+    power_kw[12_345], power_kw[7_654], residual_kw[20_002, 0] = 0.5, 400.0, -500.0
+    power_kw[15_000:15_100] = np.nan
+    page = report(tmp_path, replace(run, power_kw=power_kw, residual_kw=residual_kw))
+    delivered = page.trace("support", "delivered")
+    drawn_kw = numbers(delivered["y"])
+    cycles = (numbers(delivered["x"]) - TEN_O_CLOCK_LOCAL_MS) / 1000.0
+    assert (drawn_kw[cycles == 12_345], drawn_kw[cycles == 7_654]) == pytest.approx((2.5, 2000.0))
+    assert (cycles[0], cycles[-1]) == (0, 20_002)
+    assert np.isnan(drawn_kw[(cycles >= 15_000) & (cycles < 15_100)]).any()
     assert len(drawn_kw) <= 3002
+    cells = next(t for t in page.figure("residuals")["data"] if "z" in t)
+    drawn = numbers(cells["z"])
+    assert drawn.shape[1] <= 900
+    assert drawn[0].min() == pytest.approx(-500.0)
 
 
 def test_the_heat_map_has_a_row_for_each_inverter_cluster_by_cluster(tmp_path: Path) -> None:
