@@ -54,14 +54,10 @@ def complaint(path: Path, times: pd.DatetimeIndex | None = None, toml: str = "")
     return complaint_of(asked_kw, path, cycles("2010-04-01", 1) if times is None else times, toml)
 
 
-def test_a_value_is_held_until_the_next(path: Path) -> None:
-    write(path)
-    assert asked_kw(path, cycles("2010-04-01", 10)) == HELD_KW.tolist()
-
-
 @pytest.mark.parametrize(
     ("cycle_s", "expected"),
     [
+        (1.0, np.repeat(VALUES, 2)),
         (0.5, np.repeat(VALUES, 4)),
         (2.0, VALUES),
         (3.0, [0.0, 0.5, 1.0]),  # in force at 0, 3 and 6 s

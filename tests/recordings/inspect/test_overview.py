@@ -94,13 +94,6 @@ def test_a_silent_agent_leaves_a_gap_in_cycles_and_none_in_numbers(look: Look) -
     assert sum(count.lost for count in overview.signals) == 0
 
 
-def test_an_agent_that_falls_silent_for_good_is_missed_up_to_the_end(look: Look) -> None:
-    overview = look(is_published=lambda pair: pair[1].source != "c1" or pair[1].cycle < 50)
-    gaps = {gap.port: (gap.first_cycle, gap.last_cycle) for gap in overview.gaps}
-    assert gaps["c1/impp"] == (50, END)
-    assert gaps["c1/a/setpoint"] == (50, END)
-
-
 def test_a_part_is_counted_by_itself(look: Look) -> None:
     overview = look(cycles=range(11, 21))
     assert count_of(overview, "impp").messages == 70

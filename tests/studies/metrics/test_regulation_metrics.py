@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import ArrayLike
-from runs_by_hand import NOON, RATING_KW, run_of
+from runs_by_hand import NOON, run_of
 
 from studies.metrics.regulation import (
     RegulationMetrics,
     RequestsFulfilled,
     offered_cycles,
     regulation_metrics,
-    requests_fulfilled,
 )
 
 CAPACITY_KW = 200.0
@@ -130,20 +127,3 @@ def test_a_zero_of_less_than_a_minute_between_requests_is_a_request(
     regulation_kw = np.array(["-0+".index(sign) - 1.0 for sign in regulation])
     found = offered_cycles(regulation_kw, cycle_s=1.0)
     assert "".join("1" if cycle else "0" for cycle in found) == offered
-
-
-TOLERANCE = st.floats(0.0, 5.0)
-
-
-@given(st.lists(st.floats(-100.0, 100.0), min_size=1, max_size=40), TOLERANCE, TOLERANCE)
-def test_a_wider_tolerance_fulfils_no_fewer_requests(
-    deviation: list[float], one: float, other: float
-) -> None:
-    request = np.arange(len(deviation), dtype=np.int64) // 2
-    able = np.ones(len(deviation), dtype=bool)
-    tolerances = sorted((one, other))
-    narrow, wide = requests_fulfilled(np.array(deviation), request, able, RATING_KW, tolerances)
-    assert narrow.fulfilled <= wide.fulfilled
-    for found in (narrow, wide):
-        assert found.fulfilled + found.short + found.over == found.requests
-        assert found.requests == (len(deviation) + 1) // 2

@@ -7,16 +7,11 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from runs_by_hand import RATING_KW, run_of, sine_of_an_hour
 
 from recordings.read.series import RunSeries
 from studies.metrics import CommitmentMetrics, RunMetrics, commitment_metrics, run_metrics
 from studies.metrics.run import RampMetrics, ramp_metrics
-
-POWER = st.floats(0.0, 1000.0)
-CYCLES = st.lists(st.tuples(POWER, POWER, st.floats(0.0, 1.0)), min_size=1, max_size=30)
 
 
 def test_a_run_of_four_half_hours_by_hand() -> None:
@@ -156,23 +151,3 @@ def test_a_run_without_a_known_cycle_is_refused(fields: tuple[str, ...]) -> None
     run = without(run_of([1.0], [1.0], [1.0]), slice(None), *fields) if fields else run_of([], 1, 1)
     with pytest.raises(ValueError, match="expected a cycle with dispatch and production, got none"):
         run_metrics(run)
-
-
-@settings(max_examples=50)
-@given(CYCLES, st.sampled_from([1.0, 7.0, 60.0, 600.0]))
-def test_energies_balance_in_every_run(
-    cycles: list[tuple[float, float, float]], cycle_s: float
-) -> None:
-    commitment_kw, possible_kw, alpha = np.array(cycles).T
-    run = run_of(commitment_kw, possible_kw, alpha * possible_kw, cycle_s=cycle_s)
-    found = run_metrics(run)
-    energy = found.commitment
-    assert energy.desired_kwh - energy.delivered_kwh == pytest.approx(
-        energy.unsatisfied_kwh - energy.over_delivered_kwh, abs=1e-6
-    )
-    assert energy.possible_kwh - energy.delivered_kwh == pytest.approx(
-        found.headroom.headroom_kwh, abs=1e-6
-    )
-    missed_kwh = found.tracking.mae_kw * run.cycles * cycle_s / 3600.0
-    assert missed_kwh == pytest.approx(energy.unsatisfied_kwh + energy.over_delivered_kwh, abs=1e-6)
-    assert found.tracking.mae_kw <= found.tracking.rmse_kw * (1.0 + 1e-12) + 1e-9
