@@ -151,6 +151,10 @@ class SessionSettings:
             # By default 1,000 and 100: plant and recorder are linked with everybody.
             "transport/unicast/max_sessions": MOST_LINKS,
             "transport/unicast/accept_pending": MOST_LINKS,
+            # By default 10 s. Plant and recorder open 1,000 links one after the other; one that
+            # was given up half open would look whole to the other end, and carry nothing.
+            "transport/unicast/accept_timeout": LEASE_MS,
+            "transport/unicast/open_timeout": LEASE_MS,
             "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 20000,
             # A plant of 1,000 inverters puts 200 kB at once on its link to the recorder.
             "transport/link/tx/queue/size/data": 16,
