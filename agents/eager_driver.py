@@ -1,12 +1,9 @@
-"""Drives one controller on the bus's own thread: an answer goes out from where its cause came in.
+"""Drives one controller on Zenoh's own thread: an answer goes out from where its cause came in.
 
 The thread that receives a stage's last message closes the stage and publishes what it decides. No
-other thread is woken for it, which is a fifth of the processor time of a cycle. The agent's own
-thread sleeps until the next deadline.
-
-The plant is not driven so: in lockstep it waits for a recorder that falls behind, and Zenoh's only
-thread, on which it would wait, is the one that must send what the recorder lacks. It sends the
-recorder more than any controller does, so it waits first, and then no controller ever has to.
+other thread is woken for it, which saves a fifth of the processor time of a cycle. The agent's own
+thread sleeps until the next deadline. The plant needs its own thread: it waits in `put` for a
+recorder that falls behind.
 """
 
 from __future__ import annotations

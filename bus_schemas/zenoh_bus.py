@@ -1,7 +1,7 @@
 """The bus between processes: one Zenoh session for each agent, over TCP on the loopback address.
 
 No multicast, no gossip: the endpoints are given. Zenoh calls us on its own thread, and the callback
-only appends to a queue that the agent's loop empties. See docs/decisions for what was measured.
+appends to a queue. See docs/decisions for what was measured.
 """
 
 from __future__ import annotations
@@ -35,9 +35,10 @@ ENCODING: Final = "application/msgpack"
 
 ZENOH_RUNTIME: Final = (
     "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app), "
-    "app: (worker_threads: 1))"
+    "app: (worker_threads: 2))"
 )
-"""One worker thread for all of Zenoh's work: see docs/decisions/0003-zenoh-tuning.md."""
+"""Two worker threads for all of Zenoh's work, so that one goes on sending while a controller that
+acts on the other one waits for room: see docs/decisions/0003-zenoh-tuning.md."""
 
 MOST_LINKS: Final = 10_000
 """Sessions that one agent may be linked with."""
@@ -163,6 +164,11 @@ class SessionSettings:
             "transport/link/rx/max_message_size": self.largest_bytes,
             "transport/link/protocols": ["tcp" if self.keys is None else "tls"],
         }
+        if self.lockstep:
+            # By default a listener who stands still for 5 s is cut off, and lacks what is sent.
+            settings["transport/link/tx/queue/congestion_control/block/wait_before_close"] = (
+                LEASE_MS * 1000
+            )
         if self.session_id:
             settings["id"] = self.session_id
         if self.user:
