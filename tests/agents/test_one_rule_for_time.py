@@ -142,11 +142,16 @@ def test_a_message_too_far_ahead_is_dropped_and_counted() -> None:
 
 @pytest.mark.parametrize("power_kw", [math.nan, math.inf, -1.0, 100.1])
 def test_an_absurd_number_is_not_used_and_keeps_nobody_waiting(power_kw: float) -> None:
-    clerk = AtWork(LOCKSTEP, Clerk())
-    clerk.hear(*both(0))
-    found = used(clerk.hear(both(1)[0], impp("c1/b", 1, power_kw)))
-    assert found == ("c1/a/impp@1 c1/b/impp@0", ("c1/b/impp@0",))
-    assert clerk.loop.dropped == {("c1/b/impp", "absurd"): 1}
+    clerk = AtWork(LOCKSTEP, Clerk(uses=(SET,)))
+    clerk.hear(setpoint("c1", 0, 1.0), *both(0))
+    clerk.hear(setpoint("c1", TURN, 2.0 * power_kw))
+    for cycle in range(1, TURN):
+        clerk.hear(*both(cycle))
+    a, _ = both(TURN)
+    text, missing = used(clerk.hear(a, impp("c1/b", TURN, power_kw)))
+    assert text == f"c1/a/impp@{TURN} c1/b/impp@{TURN - 1} c1/setpoint@0"
+    assert missing == (f"c1/b/impp@{TURN - 1}", "c1/setpoint@0")
+    assert clerk.loop.dropped == {("c1/b/impp", "absurd"): 1, ("c1/setpoint", "absurd"): 1}
     assert clerk.loop.missing_inputs == 0, "no deadline found it missing"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import msgspec
@@ -70,10 +69,6 @@ def powers_kw(sent: Sent) -> tuple[float, ...]:
     return made.inverter_power_kw
 
 
-def test_before_cycle_0_the_inverters_stand_uncurtailed_under_the_first_sample() -> None:
-    assert measured(PlantAtWork().begin(), 0) == [(80.0, 1.0), (60.0, 1.0)]
-
-
 def test_a_cycle_begins_with_the_operators_wish_and_the_rating_that_it_is_shared_by() -> None:
     profile = Profile(np.full((1, 2), 80.0), np.array([100.0]), np.array([-20.0]), 50.0)
     found = PlantAtWork(profile).begin()[DISPATCH.of(ROOT)]
@@ -106,16 +101,6 @@ def test_without_a_command_an_inverter_keeps_its_last_alpha() -> None:
     assert powers_kw(sent) == (25.0, 20.0)
     assert sent[PRODUCTION.of(ROOT)].missing == ("c1/b/command@0",)
     assert measured(plant.at_deadline(), 2) == [(25.0, 0.25), (20.0, 0.5)]
-
-
-@pytest.mark.parametrize("alpha", [math.nan, math.inf, -math.inf, -0.5, 0.0, 1.001])
-def test_an_absurd_alpha_is_not_applied(alpha: float) -> None:
-    plant = PlantAtWork()
-    plant.begin()
-    plant.command(0.5, 0.5)
-    sent = plant.command(alpha, 1.0)
-    assert powers_kw(sent) == (50.0, 40.0)
-    assert measured(sent, 2) == [(50.0, 0.5), (40.0, 1.0)]
 
 
 def test_an_arming_round_stands_under_the_first_sample_and_moves_nothing() -> None:
