@@ -6,7 +6,7 @@ import pytest
 from complaints import complaint_of
 
 from sim_plant import Floats
-from sim_plant.time_steps import conversion, on_cycles
+from sim_plant.time_steps import on_cycles
 
 NOON = pd.Timestamp("2010-04-01T22:00:00Z")
 
@@ -70,13 +70,3 @@ def test_measurements_too_short_are_refused(
 def test_a_longer_cycle_that_is_no_multiple_is_refused(step: str, cycle: str, found: str) -> None:
     complaint = complaint_of(brought, TWO, step, stamps(2, cycle))
     assert complaint.endswith(f"{step[0]} s, or shorter, got {found} s")
-
-
-def test_what_was_done_is_told() -> None:
-    times = stamps(100, "10s")
-    assert conversion(times, stamps(5, "10s")) == ()
-    assert conversion(times, stamps(5, "60s")) == (
-        "a cycle of 60 s is the mean of 6 measured values",
-    )
-    (told,) = conversion(times, stamps(5, "500ms"))
-    assert "every 10 s; the cycles of 0.5 s" in told
