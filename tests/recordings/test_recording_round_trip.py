@@ -67,27 +67,16 @@ def test_channels_are_the_ports_of_the_run_with_their_schemas(written: Recording
     with written[0].open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    found = {
-        channel.topic: (channel.message_encoding, channel.metadata, channel.schema_id)
-        for channel in summary.channels.values()
-    }
-    schemas = {
-        number: (schema.name, schema.encoding, json.loads(schema.data))
-        for number, schema in summary.schemas.items()
-    }
-    assert {topic: (*entry[:2], schemas[entry[2]]) for topic, entry in found.items()} == {
-        f"field/{port}": (
-            "msgpack",
-            {"signal": port.signal.name, "node": port.node},
-            (
-                port.signal.type.__name__,
-                "jsonschema",
-                json.loads(json.dumps(json_schema(port.signal))),
-            ),
-        )
-        for port in ports(PLAN.tree)
-        if port.signal.logged
-    }
+    channels = {channel.topic: channel for channel in summary.channels.values()}
+    logged = [port for port in ports(PLAN.tree) if port.signal.logged]
+    assert channels.keys() == {f"field/{port}" for port in logged}
+    for port in logged:
+        channel = channels[f"field/{port}"]
+        schema = summary.schemas[channel.schema_id]
+        assert channel.metadata == {"signal": port.signal.name, "node": port.node}
+        assert (channel.message_encoding, schema.encoding) == ("msgpack", "jsonschema")
+        assert schema.name == port.signal.type.__name__
+        assert json.loads(schema.data) == json.loads(json.dumps(json_schema(port.signal)))
 
 
 def test_a_recording_tells_where_it_comes_from(written: Recording, tmp_path: Path) -> None:

@@ -26,9 +26,7 @@ def line_of_sensors(ghi_wm2: Floats, north_m: list[float]) -> Irradiance:
     )
 
 
-def test_weights_are_the_inverse_squares_of_the_distances_and_the_sensors_own_level_is_kept() -> (
-    None
-):
+def test_weights_are_inverse_squares_of_distances_and_the_sensors_own_level_is_kept() -> None:
     # B is 100 m away and C 200 m: weights 4 and 1. A reads a tenth less whenever all are there.
     given = line_of_sensors(
         np.array([[90.0, 100.0, 100.0], [NAN, 500.0, 1000.0], [270.0, 300.0, 300.0]]),

@@ -115,9 +115,7 @@ def test_a_maximum_behind_a_limit_is_assumed_to_grow_from_what_is_sure(
     assert longer.stale_cycles == 0
 
 
-def test_a_missing_or_absurd_measurement_keeps_the_last_forecast_and_then_there_is_no_trend() -> (
-    None
-):
+def test_a_missing_or_absurd_measurement_keeps_the_last_forecast_and_ends_the_trend() -> None:
     last = measured(40.0, 50.0)
     once = forecast(math.nan, RATING_KW, last)
     twice = forecast(106.0, RATING_KW, once)

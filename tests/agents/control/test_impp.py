@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from agents.control.impp import NOTHING_KNOWN, Estimate, estimate_impp
+from agents.control.impp import Estimate, estimate_impp
 
 RATING_KW = 100.0
 LAST = Estimate(power_kw=72.0, stale_cycles=2)
@@ -50,18 +50,6 @@ def test_a_missing_or_absurd_measurement_keeps_the_last_estimate_and_ages_it(
     power_kw: float, alpha: float
 ) -> None:
     assert estimated(power_kw, alpha) == (72.0, 3)
-
-
-def test_a_good_measurement_after_bad_ones_is_fresh_again() -> None:
-    estimate = estimate_impp(50.0, 0.5, math.nan, RATING_KW, NOTHING_KNOWN)
-    for age in (1, 2, 3):
-        estimate = estimate_impp(math.nan, 0.5, math.nan, RATING_KW, estimate)
-        assert estimate[:2] == (100.0, age)
-    assert estimated(10.0, 0.5, estimate) == (20.0, 0)
-
-
-def test_before_the_first_measurement_nothing_is_known() -> None:
-    assert estimated(math.nan, 1.0, NOTHING_KNOWN) == (0.0, 1)
 
 
 @pytest.mark.parametrize(
