@@ -232,9 +232,7 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
     def faults_at_work(self) -> NetworkFaults:
         """Return the faults of the network, with nothing done yet."""
-        return NetworkFaults(
-            self.faults, self.faults_seed, self.tree, self.cycle_ns, self.cycle_wall_ns
-        )
+        return NetworkFaults(self.faults, self.faults_seed, self.tree, self.cycle_ns)
 
     @cached_property
     def periods(self) -> Periods:
@@ -303,8 +301,6 @@ def load_plan(path: Path) -> RunPlan:
     """Read a plan."""
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=RunPlan)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file, expected the plan.json of a run") from None
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}, expected the plan.json of a run") from None
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
