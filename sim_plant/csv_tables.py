@@ -59,6 +59,10 @@ class CsvTable:
                     f"{self.name}: line 1: expected column '{name}' once, got it twice"
                 )
 
+    def check_length(self) -> None:
+        if len(self.fields) < 2:
+            raise InputError(f"{self.name}: expected at least 2 rows, got {len(self.fields)}")
+
     def numbers(
         self,
         columns: Sequence[str],
@@ -88,7 +92,7 @@ class CsvTable:
 
         They are ISO 8601 with `Z` or an offset: a guess of the zone would move the sun.
         """
-        self._check_length()
+        self.check_length()
         stamps = self.text(column)
         well_formed = stamps.str.fullmatch(_TIME_PATTERN)
         times = pd.to_datetime(
@@ -102,15 +106,11 @@ class CsvTable:
 
     def seconds_ns(self, column: str) -> NDArray[np.int64]:
         """Return a column of two or more seconds that keep one step, in ns."""
-        self._check_length()
+        self.check_length()
         second = self.numbers((column,), "a number of seconds", -1e9, 1e9)[:, 0]
         time_ns: NDArray[np.int64] = np.rint(second * 1e9).astype(np.int64)
         check_steady(time_ns, lambda row, expected: self.error(row, column, expected))
         return time_ns
-
-    def _check_length(self) -> None:
-        if len(self.fields) < 2:
-            raise InputError(f"{self.name}: expected at least 2 rows, got {len(self.fields)}")
 
 
 def read_csv(path: Path) -> CsvTable:

@@ -20,6 +20,7 @@ are removed from each of 17 stations in turn. The filled values have a median RM
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -67,10 +68,7 @@ def fill_from_neighbours(
             f" filled from {_listed(names)} times {level:.3f}"
         )
     report += _draw_lines(filled, nobody)
-    complete = Irradiance(
-        irradiance.times, filled, irradiance.sensors, irradiance.lat_deg, irradiance.lon_deg
-    )
-    return complete, tuple(report)
+    return replace(irradiance, ghi_wm2=filled), tuple(report)
 
 
 def _weighted_mean(ghi_wm2: Floats, distance_m: Floats) -> tuple[Floats, NDArray[np.bool_]]:

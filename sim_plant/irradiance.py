@@ -63,7 +63,7 @@ def read_measured_ghi(
     wanted = _wanted_columns(table, stations)
     lat_deg, lon_deg = read_positions(positions_csv, wanted)
     ghi_wm2 = table.numbers(wanted, "a number in W/m2")
-    check_ghi(ghi_csv.name, ghi_wm2, [f"column '{name}'" for name in wanted], first_line=2)
+    check_ghi(ghi_csv.name, ghi_wm2, wanted, first_line=2)
     stamp = table.header[0]
     times = table.times(stamp)
     check_steady(times.asi8, lambda row, expected: table.error(row, stamp, expected))
@@ -92,16 +92,13 @@ def read_positions(path: Path, stations: Sequence[str]) -> tuple[Floats, Floats]
 
 
 def check_ghi(source: str, ghi_wm2: Floats, columns: Sequence[str], first_line: int) -> None:
-    """Refuse values that are no global horizontal irradiance in W/m^2; NaN stands for a gap.
-
-    `columns` says what to call each column in an error.
-    """
+    """Refuse values that are no global horizontal irradiance in W/m^2; NaN stands for a gap."""
     bad = np.argwhere((ghi_wm2 < GHI_MIN_WM2) | (ghi_wm2 > GHI_MAX_WM2))
     if bad.size:
         row, column = bad[0]
         raise InputError(
-            f"{source}: line {row + first_line}, {columns[column]}: expected {GHI_MIN_WM2:g} to "
-            f"{GHI_MAX_WM2:g} W/m2, got '{ghi_wm2[row, column]:g}'"
+            f"{source}: line {row + first_line}, column '{columns[column]}': expected "
+            f"{GHI_MIN_WM2:g} to {GHI_MAX_WM2:g} W/m2, got '{ghi_wm2[row, column]:g}'"
         )
     largest = float(np.nanmax(ghi_wm2, initial=GHI_MIN_WM2))
     if 0.0 < largest < _KILOWATT_BELOW:
