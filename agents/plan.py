@@ -298,7 +298,6 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 
 
 def load_plan(path: Path) -> RunPlan:
-    """Read a plan."""
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=RunPlan)
     except OSError as error:

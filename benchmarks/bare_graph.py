@@ -259,14 +259,12 @@ def live(network: Network, name: str, role: Callable[[zenoh.Session], Work], par
 
 
 def hear(child: Connection, process: BaseProcess, limit_s: float) -> Any:
-    """Return what a process says next."""
     if child not in wait([child, process.sentinel], limit_s):
         raise RuntimeError(f"{process.name} failed or hangs")
     return child.recv()
 
 
 def run(graph: Graph, cycles: int) -> dict[str, object]:
-    """Run the graph; return its figures."""
     os.environ["ZENOH_RUNTIME"] = RUNTIME
     network = Network(graph)
     roles = {each.name: partial(player, each, cycles) for each in graph.processes}

@@ -89,7 +89,6 @@ def describe(scenario: str, folder: Path) -> Path:
 
 
 def bare(graph: Path, cycles: int) -> Bare:
-    """Run the bare graph with its recorder."""
     watched = run(
         [sys.executable, str(HERE / "bare_graph.py"), str(graph), "--cycles", str(cycles)]
     )
@@ -141,7 +140,6 @@ def rows_of(rounds: Sequence[Round]) -> Iterator[tuple[str, ...]]:
 
 
 def main() -> int:
-    """Measure, print, write. Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenario", default="oahu")
     parser.add_argument("--rounds", type=int, default=3)

@@ -79,7 +79,6 @@ class Recorded(NamedTuple):
 
 
 def main() -> None:
-    """Run every fault; print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--real", action="store_true")
     parser.add_argument("--standby", action="store_true")

@@ -45,7 +45,6 @@ class Links:
         return listens, [f"{host_of(top)}:{tcp_ports[top]}" for top in tops]
 
     def peers(self, agent: str) -> tuple[str, ...]:
-        """Agents that an agent is linked with."""
         linked = [pair for pair in self.pairs if agent in pair]
         return tuple(below if top == agent else top for top, below in linked)
 

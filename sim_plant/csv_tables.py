@@ -39,7 +39,6 @@ class CsvTable:
         return CsvTable(self.name, self.header, self.fields.iloc[list(rows)])
 
     def error(self, row: int, column: str, expected: str) -> InputError:
-        """Say what was expected in a field and what is there."""
         text = self.text(column)
         place = f"{self.name}: line {int(text.index[row]) + 1}, column '{column}'"
         return InputError(f"{place}: expected {expected}, got '{text.iloc[row]}'")

@@ -98,7 +98,6 @@ def read_day(
 
 
 def latest_day_before(folder: Path, day: date) -> date:
-    """Return the latest day before another of which there is a file."""
     names = [path.name for path in folder.glob("*.txt")]
     for month in folder.glob("*.zip"):
         if re.fullmatch(r"\d{6}", month.stem) and month.stem <= f"{day:%Y%m}":
@@ -130,7 +129,6 @@ def _wanted(stations: Sequence[str] | None) -> tuple[str, ...]:
 
 
 def _find(folder: Path, day: date) -> tuple[str, bytes]:
-    """Name and content of a day's file."""
     plain = folder / f"{day:%Y%m%d}.txt"
     month = folder / f"{day:%Y%m}.zip"
     if plain.is_file():

@@ -56,7 +56,6 @@ def inverter_name(station: str) -> str:
 
 
 def equal_ratings_kw(plant_rating_kw: float | None, inverters: int, where: str) -> Floats:
-    """Split a plant's rating equally [kW], shape (inverters,)."""
     if plant_rating_kw is None:
         raise InputError(f"{where}: expected plant.rating_kw or a column rating_kw, got neither")
     return np.full(inverters, plant_rating_kw / inverters)

@@ -33,7 +33,6 @@ class PlantUnderSky:
     pv: PvSettings
 
     def power_kw(self, ghi_wm2: Floats, times: pd.DatetimeIndex) -> Floats:
-        """Return the AC power of each inverter, shape (T, n)."""
         sites = self.sites
         return ac_power_kw(ghi_wm2, times, sites.lat_deg, sites.lon_deg, sites.rating_kw, self.pv)
 
