@@ -337,14 +337,14 @@ def check_plan(plan: RunPlan) -> None:
                 f"plant.settings[{number}].nodes: expected inverters "
                 f"({some_of(plan.tree.leaves)}) or a pattern such as c1/*, got {entry.nodes!r}"
             )
-    tiers = 1 + max(depth(parent) for parent in plan.tree.parents)
-    if len(plan.periods.cycles) != tiers:
+    height, periods = plan.tree.height, len(plan.periods.cycles)
+    if periods != height:
         raise InputError(
-            f"period_cycles has {len(plan.period_cycles)} entries, expected one for each of "
-            f"the {tiers} tiers that have children"
+            f"period_cycles: expected an entry for each of the {height} tiers that have children, "
+            f"got {periods}"
         )
-    if len(plan.tier_deadlines_ns) not in {0, plan.tree.height + 1}:
+    if len(plan.tier_deadlines_ns) not in {0, height + 1}:
         raise InputError(
-            f"tier_deadlines_ns has {len(plan.tier_deadlines_ns)} entries, expected one for "
-            f"each of the {plan.tree.height + 1} tiers, or none"
+            f"tier_deadlines_ns: expected an entry for each of the {height + 1} tiers, or none, "
+            f"got {len(plan.tier_deadlines_ns)}"
         )
