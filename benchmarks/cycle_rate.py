@@ -95,48 +95,41 @@ def bare(graph: Path, cycles: int) -> Bare:
     return msgspec.json.decode(watched.output.splitlines()[-1], type=Bare)
 
 
-# What is printed --------------------------------------------------------------------------------
+FIGURES: Final = (
+    ("cycles_per_s", "cycles/s", 0, "recorded"),
+    ("processor_ms", "processor time", 1, "ms a cycle"),
+    ("switches_per_message", "switches", 1, "per message"),
+    ("startup_s", "start-up", 2, "s: command to cycle 0; bare graph: fork to all linked"),
+    ("own_mb", "direct controller", 1, "MB, its own"),
+    ("resident_mb", "direct controller", 1, "MB, resident"),
+)
+"""Field of a run, what it is called, its decimals, a note."""
 
 
 def rows_of(rounds: Sequence[Round]) -> Iterator[tuple[str, ...]]:
     """Yield the rows of the table: name, least, median and most of all rounds, note."""
-    bares = [each.bare for each in rounds]
-    launches = {"launch": [each.launched for each in rounds]}
+    launches = [each.launched for each in rounds]
     others = [each.other for each in rounds if each.other is not None]
-    if others:
-        launches["the other checkout"] = others
+    bares = [each.bare for each in rounds]
+    runs: dict[str, Sequence[Launch | Bare]] = {
+        "launch": launches,
+        "the other checkout": others,
+        "bare graph": bares,
+    }
 
     def row(name: str, values: Iterable[float], digits: int, note: str) -> tuple[str, ...]:
         known = [value for value in values if not isnan(value)] or [nan]
         figures = min(known), statistics.median(known), max(known)
         return name, *(f"{value:,.{digits}f}" for value in figures), note
 
-    def each_launch(field: str, what: str, digits: int, note: str) -> Iterator[tuple[str, ...]]:
-        for name, found in launches.items():
-            yield row(f"{name}, {what}", (getattr(each, field) for each in found), digits, note)
-
-    messages = bares[0].messages
-    yield from each_launch("cycles_per_s", "cycles/s", 0, "recorded")
-    yield row("bare graph, cycles/s", (each.cycles_per_s for each in bares), 0, "recorded")
-    beside: dict[str, Sequence[Bare | Launch]] = {
-        "bare graph": bares,
-        "the other checkout": others,
-    }
-    for name, against in beside.items():
-        if against:
-            pairs = zip(launches["launch"], against, strict=True)
-            ratios = (one.cycles_per_s / other.cycles_per_s for one, other in pairs)
-            yield row(f"launch / {name}", ratios, 2, "round by round")
-    yield from each_launch("processor_ms", "processor time", 1, "ms a cycle")
-    yield row("bare graph, processor time", (each.processor_ms for each in bares), 1, "ms a cycle")
-    switches = (each.switches_per_message for each in bares)
-    yield row("bare graph, switches", switches, 1, f"per message, {messages} a cycle")
-    yield from each_launch("startup_s", "start-up", 2, "s, command to cycle 0")
-    yield row(
-        "bare graph, start-up", (each.startup_s for each in bares), 2, "s, fork to all linked"
-    )
-    yield from each_launch("own_mb", "direct controller", 1, "MB, its own")
-    yield from each_launch("resident_mb", "direct controller", 1, "MB, resident")
+    for name, against in (("bare graph", bares), ("the other checkout", others)):
+        pairs = zip(launches, against, strict=False)
+        if ratios := [one.cycles_per_s / other.cycles_per_s for one, other in pairs]:
+            yield row(f"launch / {name}, cycles/s", ratios, 2, "round by round")
+    for field, what, digits, note in FIGURES:
+        for name, found in runs.items():
+            if values := [getattr(each, field) for each in found if hasattr(each, field)]:
+                yield row(f"{name}, {what}", values, digits, note)
 
 
 def main() -> int:

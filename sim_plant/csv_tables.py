@@ -35,6 +35,20 @@ class CsvTable:
         """Return the names in a column, without spaces around them."""
         return tuple(self.text(column).str.strip())
 
+    def unique_names(self, column: str) -> tuple[str, ...]:
+        """Return the names in a column, none of which may come twice."""
+        names = self.names(column)
+        repeated = pd.Index(names).duplicated()
+        if repeated.any():
+            raise self.error(int(repeated.argmax()), column, "a name that no other line has")
+        return names
+
+    def coordinates(self) -> tuple[Floats, Floats]:
+        """Return the columns `lat` and `lon` [degree]."""
+        lat_deg = self.numbers(("lat",), "degrees from -90 to 90", -90.0, 90.0)
+        lon_deg = self.numbers(("lon",), "degrees from -180 to 180", -180.0, 180.0)
+        return lat_deg[:, 0], lon_deg[:, 0]
+
     def picked(self, rows: Sequence[int]) -> CsvTable:
         return CsvTable(self.name, self.header, self.fields.iloc[list(rows)])
 

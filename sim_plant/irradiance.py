@@ -18,8 +18,6 @@ GHI_MAX_WM2 = 2000.0
 # Even a dull day exceeds this many W/m^2, and no sensor on Earth reaches as many kW/m^2.
 _KILOWATT_BELOW = 2.0
 
-_POSITION_LIMITS = {"lat": 90.0, "lon": 180.0}
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Irradiance:
@@ -76,19 +74,14 @@ def read_positions(path: Path, stations: Sequence[str]) -> tuple[Floats, Floats]
     Other columns and stations are left alone.
     """
     table = read_csv(path)
-    table.check_header(("station", *_POSITION_LIMITS))
+    table.check_header(("station", "lat", "lon"))
     names = table.names("station")
     for name in stations:
         if names.count(name) != 1:
             raise InputError(
                 f"{path.name}: expected one line for station '{name}', got {names.count(name)}"
             )
-    chosen = table.picked([names.index(name) for name in stations])
-    lat_deg, lon_deg = (
-        chosen.numbers((column,), f"degrees from -{limit:g} to {limit:g}", -limit, limit)[:, 0]
-        for column, limit in _POSITION_LIMITS.items()
-    )
-    return lat_deg, lon_deg
+    return table.picked([names.index(name) for name in stations]).coordinates()
 
 
 def check_ghi(source: str, ghi_wm2: Floats, columns: Sequence[str], first_line: int) -> None:
