@@ -24,6 +24,7 @@ from math import isnan, nan
 from pathlib import Path
 from typing import Final
 
+import bare_graph
 import msgspec
 from harness import OURS, Failure, Launch, launch, print_table, rounds_of, run, write_figures
 
@@ -33,27 +34,14 @@ from recordings import open_run
 from sim_plant.plant import Plant
 from sim_plant.profile import load_profile
 
-HERE: Final = Path(__file__).parent
 SAMPLE_CYCLES: Final = 60
-
-
-class Bare(msgspec.Struct, frozen=True):
-    """What one run of the bare graph came to; the names are those of its document."""
-
-    cycles_per_s: float
-    startup_s: float
-    processor_ms: float
-    switches_per_message: float
-    messages: int
-    processes: int
-    lost: int
 
 
 class Round(msgspec.Struct, frozen=True):
     """One launch, that of another checkout, and the bare graph, one after the other."""
 
     launched: Launch
-    bare: Bare
+    bare: bare_graph.Figures
     other: Launch | None = None
 
 
@@ -61,38 +49,36 @@ def describe(scenario: str, folder: Path) -> Path:
     """Record some cycles; write one of them as the bare graph reads it (see `bare_graph.Graph`)."""
     launch(OURS, scenario, SAMPLE_CYCLES, keep=folder / "run")
     middle = range(SAMPLE_CYCLES // 2, SAMPLE_CYCLES // 2 + 1)
-    puts: dict[tuple[str, str], list[dict[str, object]]] = defaultdict(list)
+    puts: dict[tuple[str, str], list[bare_graph.Put]] = defaultdict(list)
     with open_run(folder / "run") as recording:
         plan = recording.plan
         for record in recording.records(cycles=middle):
             stage = record.port.publisher, stage_of(record.port, plan.tree)
-            puts[stage].append({"key": str(record.port), "payload": record.payload})
-    said = {put["key"] for of_stage in puts.values() for put in of_stage}
+            puts[stage].append(bare_graph.Put(str(record.port), record.payload))
+    said = {put.key for of_stage in puts.values() for put in of_stage}
     agents = Plant(plan, load_profile(folder / "run" / "profile.npz")), *controllers(plan)
     processes = [
-        {
-            "name": agent.name,
-            "hears": [str(port) for port in plan.wiring.heard[agent.name] if str(port) in said],
-            "stages": [
-                {
-                    "awaits": [str(port) for port in stage.awaits if str(port) in said],
-                    "puts": puts[agent.name, stage.name],
-                }
+        bare_graph.Process(
+            agent.name,
+            [str(port) for port in plan.wiring.heard[agent.name] if str(port) in said],
+            [
+                bare_graph.Stage(
+                    [str(port) for port in stage.awaits if str(port) in said],
+                    puts[agent.name, stage.name],
+                )
                 for stage in agent.stages(middle.start)
             ],
-        }
+        )
         for agent in agents
     ]
     path = folder / "graph.json"
-    path.write_bytes(msgspec.json.encode({"processes": processes}))
+    path.write_bytes(msgspec.json.encode(bare_graph.Graph(processes)))
     return path
 
 
-def bare(graph: Path, cycles: int) -> Bare:
-    watched = run(
-        [sys.executable, str(HERE / "bare_graph.py"), str(graph), "--cycles", str(cycles)]
-    )
-    return msgspec.json.decode(watched.output.splitlines()[-1], type=Bare)
+def bare(graph: Path, cycles: int) -> bare_graph.Figures:
+    watched = run([sys.executable, bare_graph.__file__, str(graph), "--cycles", str(cycles)])
+    return msgspec.json.decode(watched.output.splitlines()[-1], type=bare_graph.Figures)
 
 
 FIGURES: Final = (
@@ -111,7 +97,7 @@ def rows_of(rounds: Sequence[Round]) -> Iterator[tuple[str, ...]]:
     launches = [each.launched for each in rounds]
     others = [each.other for each in rounds if each.other is not None]
     bares = [each.bare for each in rounds]
-    runs: dict[str, Sequence[Launch | Bare]] = {
+    runs: dict[str, Sequence[Launch | bare_graph.Figures]] = {
         "launch": launches,
         "the other checkout": others,
         "bare graph": bares,
@@ -122,8 +108,8 @@ def rows_of(rounds: Sequence[Round]) -> Iterator[tuple[str, ...]]:
         figures = min(known), statistics.median(known), max(known)
         return name, *(f"{value:,.{digits}f}" for value in figures), note
 
-    for name, against in (("bare graph", bares), ("the other checkout", others)):
-        pairs = zip(launches, against, strict=False)
+    for name in ("bare graph", "the other checkout"):
+        pairs = zip(launches, runs[name], strict=False)  # There may be no other checkout.
         if ratios := [one.cycles_per_s / other.cycles_per_s for one, other in pairs]:
             yield row(f"launch / {name}, cycles/s", ratios, 2, "round by round")
     for field, what, digits, note in FIGURES:

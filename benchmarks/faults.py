@@ -32,9 +32,11 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 import heliarch
-from bus_schemas.messages import Production, Run
+from bus_schemas.messages import Run
 from bus_schemas.missing import parse_missing
 from recordings import open_run
+from recordings.read.run_file import RECORDING_NAME
+from recordings.read.series import read_plant_series
 from studies.tables import Cell, Column, Table, key_column, print_table
 
 AT_S: Final = 30.7
@@ -129,7 +131,6 @@ def main() -> None:
 
 def recorded(folder: Path) -> Recorded:
     """Read what the figures rest on from a recording."""
-    produced: list[Production] = []
     sent: set[tuple[str, int]] = set()
     lacking = []
     start_ns = 0
@@ -141,17 +142,16 @@ def recorded(folder: Path) -> Recorded:
                 continue
             if run.plan.period(port) and port.signal.name not in {"help", "notice", "takeover"}:
                 sent.add((str(port), message.cycle))
-            if isinstance(message, Production):
-                produced.append(message)
             time_s = (message.publish_time_ns - start_ns) / 1e9
             for entry in message.missing:
                 publisher = publisher_of[parse_missing(entry).key]
                 lacking.append((time_s, message.cycle, publisher, port.publisher))
         rating_kw = run.plan.tree.rating_kw("")
+    series = read_plant_series(folder / RECORDING_NAME)
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     return Recorded(
-        np.array([one.delivered_kw for one in produced]),
-        np.array([one.desired_kw for one in produced]),
+        series.delivered_kw,
+        series.desired_kw,
         sent,
         lacking,
         rating_kw,

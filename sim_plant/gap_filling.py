@@ -24,6 +24,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from bus_schemas.errors import InputError
@@ -67,7 +68,12 @@ def fill_from_neighbours(
             f"{irradiance.sensors[sensor]}: {int(gaps.sum()):,} of {len(gaps):,} values missing,"
             f" filled from {_listed(names)} times {level:.3f}"
         )
-    report += _draw_lines(filled, nobody)
+    if nobody.any():
+        filled = pd.DataFrame(filled).interpolate().to_numpy()
+        report.append(
+            f"all sensors: {int(nobody.sum()):,} of {len(nobody):,} values missing at the same"
+            " time, interpolated from the values before and after"
+        )
     return replace(irradiance, ghi_wm2=filled), tuple(report)
 
 
@@ -89,19 +95,6 @@ def _level(own_wm2: Floats, mean_wm2: Floats) -> float:
     both = ~np.isnan(own_wm2) & ~np.isnan(mean_wm2)
     of_neighbours = float(mean_wm2[both].sum())
     return float(own_wm2[both].sum()) / of_neighbours if of_neighbours > 0.0 else 1.0
-
-
-def _draw_lines(filled: Floats, nobody: NDArray[np.bool_]) -> list[str]:
-    """Interpolate in time, in place, where no sensor has a value."""
-    if not nobody.any():
-        return []
-    row = np.arange(len(nobody))
-    for column in filled.T:
-        column[nobody] = np.interp(row[nobody], row[~nobody], column[~nobody])
-    return [
-        f"all sensors: {int(nobody.sum()):,} of {len(nobody):,} values missing at the same time,"
-        " interpolated from the values before and after"
-    ]
 
 
 def _check_silences(nobody: NDArray[np.bool_], source: str, first_line: int) -> None:
