@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -122,8 +122,19 @@ class CsvTable:
         self.check_length()
         second = self.numbers((column,), "a number of seconds", -1e9, 1e9)[:, 0]
         time_ns: NDArray[np.int64] = np.rint(second * 1e9).astype(np.int64)
-        check_steady(time_ns, lambda row, expected: self.error(row, column, expected))
+        self.check_steady(column, time_ns)
         return time_ns
+
+    def check_steady(self, column: str, time_ns: NDArray[np.int64]) -> None:
+        """Refuse times, of which a column speaks, that do not keep one step above zero."""
+        step_ns = np.diff(time_ns)
+        # The median, so that one gap at the top of the file is not taken for its step.
+        usual_ns = float(np.median(step_ns))
+        bad = np.flatnonzero((step_ns <= 0) | (step_ns != usual_ns))
+        if bad.size:
+            step = f"{usual_ns / 1e9:g} s" if usual_ns > 0.0 else "one step above 0 s"
+            row = int(bad[0]) + 1
+            raise self.error(row, column, f"a time {step} after that of the line before")
 
 
 def read_csv(path: Path) -> CsvTable:
@@ -156,19 +167,3 @@ def text_fields(text: str, name: str) -> pd.DataFrame:
                 f"{name}: line {line}: expected {len(rows[0])} fields, as in line 1, got {len(row)}"
             )
     return pd.DataFrame(rows)
-
-
-def check_steady(
-    time_ns: NDArray[np.int64], error: Callable[[int, str], InputError], first_line: int = 2
-) -> None:
-    """Refuse time stamps that do not keep one step above zero.
-
-    `error` makes the error of a row from what was expected there.
-    """
-    step_ns = np.diff(time_ns)
-    # The median, so that one gap at the top of the file is not taken for its step.
-    usual_ns = float(np.median(step_ns))
-    bad = np.flatnonzero((step_ns <= 0) | (step_ns != usual_ns))
-    if bad.size:
-        step = f"{usual_ns / 1e9:g} s" if usual_ns > 0.0 else "one step above 0 s"
-        raise error(int(bad[0]) + 1, f"a time {step} after that of line {first_line + bad[0]}")

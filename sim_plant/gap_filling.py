@@ -39,18 +39,16 @@ _LONGEST_LINE: Final = 60
 _SAME_PLACE_M: Final = 1.0
 
 
-def fill_from_neighbours(
-    irradiance: Irradiance, source: str, first_line: int
-) -> tuple[Irradiance, tuple[str, ...]]:
+def fill_from_neighbours(irradiance: Irradiance, source: str) -> tuple[Irradiance, tuple[str, ...]]:
     """Fill what is missing (NaN), and say of each sensor what was filled.
 
-    `source` and `first_line` are what the irradiance was read from, for the error that all sensors
-    are silent for too long, or at the beginning or end.
+    `source` is what the irradiance was read from, for the error that all sensors are silent
+    for too long, or at the beginning or end.
     """
     ghi_wm2 = irradiance.ghi_wm2
     missing = np.isnan(ghi_wm2)
     nobody = np.asarray(missing.all(axis=1), dtype=np.bool_)
-    _check_silences(nobody, source, first_line)
+    _check_silences(nobody, source)
     east_m, north_m = east_north_m(irradiance.lat_deg, irradiance.lon_deg)
     distance_m = np.hypot(east_m[:, None] - east_m, north_m[:, None] - north_m)
     distance_m = np.maximum(distance_m, _SAME_PLACE_M)
@@ -97,12 +95,12 @@ def _level(own_wm2: Floats, mean_wm2: Floats) -> float:
     return float(own_wm2[both].sum()) / of_neighbours if of_neighbours > 0.0 else 1.0
 
 
-def _check_silences(nobody: NDArray[np.bool_], source: str, first_line: int) -> None:
+def _check_silences(nobody: NDArray[np.bool_], source: str) -> None:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], nobody, [False]]).astype(np.int8)))
     for first, after in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         if after - first > _LONGEST_LINE or first == 0 or after == len(nobody):
             raise InputError(
-                f"{source}: lines {first + first_line} to {after - 1 + first_line}: expected at "
+                f"{source}: lines {first + 1} to {after}: expected at "
                 f"most {_LONGEST_LINE} lines without any value, between lines with values"
             )
 

@@ -10,7 +10,7 @@ import pandas as pd
 from bus_schemas.errors import InputError
 from bus_schemas.tree import some_of
 from sim_plant import Floats
-from sim_plant.csv_tables import CsvTable, check_steady, read_csv
+from sim_plant.csv_tables import CsvTable, read_csv
 
 GHI_MIN_WM2 = -10.0
 GHI_MAX_WM2 = 2000.0
@@ -61,10 +61,10 @@ def read_measured_ghi(
     wanted = _wanted_columns(table, stations)
     lat_deg, lon_deg = read_positions(positions_csv, wanted)
     ghi_wm2 = table.numbers(wanted, "a number in W/m2")
-    check_ghi(ghi_csv.name, ghi_wm2, wanted, first_line=2)
+    check_ghi(table, wanted, ghi_wm2)
     stamp = table.header[0]
     times = table.times(stamp)
-    check_steady(times.asi8, lambda row, expected: table.error(row, stamp, expected))
+    table.check_steady(stamp, times.asi8)
     return Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg)
 
 
@@ -84,20 +84,18 @@ def read_positions(path: Path, stations: Sequence[str]) -> tuple[Floats, Floats]
     return table.picked([names.index(name) for name in stations]).coordinates()
 
 
-def check_ghi(source: str, ghi_wm2: Floats, columns: Sequence[str], first_line: int) -> None:
+def check_ghi(table: CsvTable, columns: Sequence[str], ghi_wm2: Floats) -> None:
     """Refuse values that are no global horizontal irradiance in W/m^2; NaN stands for a gap."""
     bad = np.argwhere((ghi_wm2 < GHI_MIN_WM2) | (ghi_wm2 > GHI_MAX_WM2))
     if bad.size:
         row, column = bad[0]
-        raise InputError(
-            f"{source}: line {row + first_line}, column '{columns[column]}': expected "
-            f"{GHI_MIN_WM2:g} to {GHI_MAX_WM2:g} W/m2, got '{ghi_wm2[row, column]:g}'"
-        )
+        expected = f"{GHI_MIN_WM2:g} to {GHI_MAX_WM2:g} W/m2"
+        raise table.error(int(row), columns[column], expected)
     largest = float(np.nanmax(ghi_wm2, initial=GHI_MIN_WM2))
     if 0.0 < largest < _KILOWATT_BELOW:
         raise InputError(
-            f"{source}: expected W/m2, with a maximum of at least {_KILOWATT_BELOW:g}, got at most "
-            f"{largest:g}, which seems to be in kW/m2"
+            f"{table.name}: expected W/m2, with a maximum of at least {_KILOWATT_BELOW:g}, got at "
+            f"most {largest:g}, which seems to be in kW/m2"
         )
 
 

@@ -27,7 +27,7 @@ import numpy as np
 import pandas as pd
 
 from bus_schemas.errors import InputError
-from sim_plant.csv_tables import CsvTable, check_steady, text_fields
+from sim_plant.csv_tables import CsvTable, text_fields
 from sim_plant.gap_filling import fill_from_neighbours
 from sim_plant.irradiance import Irradiance, check_ghi, check_stations_once, read_positions
 
@@ -80,19 +80,17 @@ def read_day(
     times = _times(table, day)
     ghi_wm2 = table.numbers(wanted, f"a number, {MISSING:g} where it is missing")
     ghi_wm2[ghi_wm2 == MISSING] = np.nan
-    check_ghi(source, ghi_wm2, wanted, first_line=1)
+    check_ghi(table, wanted, ghi_wm2)
     found = Irradiance(times, np.maximum(ghi_wm2, 0.0), wanted, lat_deg, lon_deg)
     if most_missing is None:
         missing = np.argwhere(np.isnan(ghi_wm2))
         if missing.size:
             row, column = missing[0]
-            raise InputError(
-                f"{source}: line {row + 1}, column '{wanted[column]}': expected no missing value, "
-                f"as irradiance.gaps is 'refuse', got '{MISSING:g}', one of {len(missing):,}"
-            )
+            expected = "no missing value, as irradiance.gaps is 'refuse'"
+            raise table.error(int(row), wanted[column], expected)
         return GridDay(found, source, ())
     used, left_out = _without_silent(found, source, most_missing)
-    complete, filled = fill_from_neighbours(used, source, first_line=1)
+    complete, filled = fill_from_neighbours(used, source)
     name = source.rpartition("/")[2]
     return GridDay(complete, source, tuple(f"{name}: {line}" for line in (*left_out, *filled)))
 
@@ -177,14 +175,7 @@ def _times(table: CsvTable, day: date) -> pd.DatetimeIndex:
     second_of_day = hour * 3600.0 + minute * 60.0 + second
     midnight = pd.Timestamp(day).tz_localize(TIMEZONE).tz_convert("UTC")
     times = pd.DatetimeIndex(midnight + pd.to_timedelta(second_of_day, unit="s")).as_unit("ns")
-    check_steady(
-        times.asi8,
-        lambda row, expected: InputError(
-            f"{table.name}: line {row + 1}: expected {expected}, got "
-            f"{hour[row]:02g}:{minute[row]:02g}:{second[row]:02g}"
-        ),
-        first_line=1,
-    )
+    table.check_steady("second", times.asi8)
     return times
 
 

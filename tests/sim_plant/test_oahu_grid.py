@@ -139,8 +139,8 @@ GOOD += "2,2010,91,1200" + ",700" * 19 + "\n3,2010,91,1200" + ",800" * 19 + "\n"
         ("2,2010,91", "2,2010,92", "line 3: expected second, year, day of year, hour and minute"),
         ("2,2010,91,1200", "2,2010,91,1260", "line 3: expected second, year"),
         ("2,2010,91,1200", "60,2010,91,1200", "line 3: expected second, year"),
-        ("2,2010,91,1200", "1,2010,91,1200", "line 3: expected a time 1 s after"),
-        ("3,2010,91,1200", "9,2010,91,1200", "line 4: expected a time 1 s after"),
+        ("2,2010,91,1200", "1,2010,91,1200", "line 3, column 'second': expected a time 1 s after"),
+        ("3,2010,91,1200", "9,2010,91,1200", "line 4, column 'second': expected a time 1 s after"),
     ],
 )
 def test_one_wrong_field_is_located(read: Read, old: str, new: str, place: str) -> None:
