@@ -144,12 +144,9 @@ class ControlTree:
 
     def leaves_below(self, path: str) -> tuple[int, ...]:
         """Positions, in the plant's order, of the inverters at or below a node."""
-        if path == ROOT:
-            return tuple(range(len(self.leaves)))
+        below = f"{path}/" if path else ""
         return tuple(
-            index
-            for index, leaf in enumerate(self.leaves)
-            if leaf == path or leaf.startswith(path + "/")
+            index for index, leaf in enumerate(self.leaves) if f"{leaf}/".startswith(below)
         )
 
     def agents(self) -> tuple[str, ...]:

@@ -58,7 +58,9 @@ def read_measured_ghi(
                 f"{ghi_csv.name}: line 1: expected a column for each station of "
                 f"{positions_csv.name}, or irradiance.stations, got none for {some_of(missing)}"
             )
-    wanted = _wanted_columns(table, stations)
+    table.check_no_column_twice()
+    wanted = table.header[1:] if stations is None else tuple(stations)
+    check_stations(wanted, table.header[1:], f"{table.name}: line 1: stations")
     lat_deg, lon_deg = read_positions(positions_csv, wanted)
     ghi_wm2 = table.numbers(wanted, "a number in W/m2")
     check_ghi(table, wanted, ghi_wm2)
@@ -99,23 +101,12 @@ def check_ghi(table: CsvTable, columns: Sequence[str], ghi_wm2: Floats) -> None:
         )
 
 
-def check_stations_once(stations: Sequence[str]) -> None:
+def check_stations(stations: Sequence[str], known: Sequence[str], where: str) -> None:
+    """Refuse stations that are not known or come twice, and none at all."""
+    if not stations:
+        raise InputError(f"{where}: expected at least one, got none")
     for name in stations:
+        if name not in known:
+            raise InputError(f"{where}: expected {some_of(known)}, got '{name}'")
         if stations.count(name) > 1:
-            raise InputError(f"stations: expected each station once, got '{name}' twice")
-
-
-def _wanted_columns(table: CsvTable, stations: Sequence[str] | None) -> tuple[str, ...]:
-    columns = table.header[1:]
-    wanted = columns if stations is None else tuple(stations)
-    if not wanted:
-        raise InputError(f"{table.name}: line 1: expected at least one column of GHI, got none")
-    table.check_no_column_twice()
-    for name in wanted:
-        if name not in columns:
-            raise InputError(
-                f"{table.name}: line 1: expected a column for station '{name}', got "
-                f"{some_of(columns)}"
-            )
-    check_stations_once(wanted)
-    return wanted
+            raise InputError(f"{where}: expected each station once, got '{name}' twice")

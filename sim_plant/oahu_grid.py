@@ -29,7 +29,7 @@ import pandas as pd
 from bus_schemas.errors import InputError
 from sim_plant.csv_tables import CsvTable, text_fields
 from sim_plant.gap_filling import fill_from_neighbours
-from sim_plant.irradiance import Irradiance, check_ghi, check_stations_once, read_positions
+from sim_plant.irradiance import Irradiance, check_ghi, check_stations, read_positions
 
 MISSING: Final = -99999.0
 
@@ -73,7 +73,8 @@ def read_day(
     of the day than `most_missing` is missing is left out; what is missing of the others is filled
     from their neighbours among the sensors that are used.
     """
-    wanted = _wanted(stations)
+    wanted = HORIZONTAL if stations is None else tuple(stations)
+    check_stations(wanted, HORIZONTAL, "stations")
     lat_deg, lon_deg = read_positions(positions_csv, wanted)
     source, content = _find(folder, day)
     table = _table(source, content)
@@ -110,20 +111,6 @@ def latest_day_before(folder: Path, day: date) -> date:
             "neighbours.history = 'earlier-day' takes the past, got none"
         )
     return earlier.max().date()
-
-
-def _wanted(stations: Sequence[str] | None) -> tuple[str, ...]:
-    wanted = HORIZONTAL if stations is None else tuple(stations)
-    for name in wanted:
-        if name not in HORIZONTAL:
-            what = "is tilted" if name in _TILTED else "is not in the daily files"
-            raise InputError(
-                f"stations: expected {', '.join(HORIZONTAL)}, got '{name}', which {what}"
-            )
-    if not wanted:
-        raise InputError(f"stations: expected {', '.join(HORIZONTAL)}, got none")
-    check_stations_once(wanted)
-    return wanted
 
 
 def _find(folder: Path, day: date) -> tuple[str, bytes]:
