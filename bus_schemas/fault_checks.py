@@ -31,14 +31,8 @@ def check_rule(
         )
     if rule.stops is not None:
         _check_stopped(rule, tree, where, external, addresses)
-        return
-    _check_ends(rule, tree, where)
-    heard_by = [listener for port, listener in links(tree) if rule.acts_on(port, listener)]
-    if heard_by and all(listener in external for listener in heard_by):
-        raise InputError(
-            f"{where}: expected a listener that Heliarch runs, where faults act, got external "
-            f"agents alone ({', '.join(dict.fromkeys(heard_by))})"
-        )
+    else:
+        _check_links(rule, tree, where, external)
 
 
 def _check_fields(rule: FaultRule, where: str) -> None:
@@ -99,32 +93,38 @@ def _check_stopped(
             )
 
 
-def _check_ends(rule: FaultRule, tree: ControlTree, where: str) -> None:
+def _check_links(rule: FaultRule, tree: ControlTree, where: str, external: Collection[str]) -> None:
     agents = [agent for agent in tree.agents() if agent != RECORDER]
-    ends = [("source", rule.source), ("listener", rule.listener)]
-    if rule.partition is not None:
-        ends = [("partition", end) for end in rule.partition.split("|")]
-    for end, pattern in ends:
+    fields = ("source", "listener") if rule.partition is None else ("partition", "partition")
+    for field, pattern in zip(fields, rule.ends[0], strict=True):
         if not any(fnmatchcase(agent, pattern) for agent in agents):
             raise InputError(
-                f"{where}: {end}: expected {some_of(agents)}, or a pattern such as c1/*, got "
+                f"{where}: {field}: expected {some_of(agents)}, or a pattern such as c1/*, got "
                 f"{pattern!r}"
             )
     if rule.signal in UNHEARD:
         return  # No agent acts on it, so that losing it costs nothing.
-    found = links(tree)
-    names = dict.fromkeys(port.signal.name for port, _ in found)
+    every = links(tree)
+    names = dict.fromkeys(port.signal.name for port, _ in every)
     if rule.signal is not None and rule.signal not in names:
         raise InputError(f"{where}: signal: expected {', '.join(names)}, got {rule.signal!r}")
-    if not any(rule.acts_on(port, listener) for port, listener in found):
+    heard_by = dict.fromkeys(listener for port, listener in every if rule.acts_on(port, listener))
+    if not heard_by and rule.partition is not None:
+        raise InputError(
+            f"{where}: partition: expected agents that hear each other, got {rule.partition}"
+        )
+    if not heard_by:
         instead = dict.fromkeys(
             f"{port.signal.name} to {listener}"
-            for port, listener in found
+            for port, listener in every
             if fnmatchcase(port.publisher, rule.source)
         )
         raise InputError(
             f"{where}: expected one of {some_of(list(instead))}, got {rule.signal or 'anything'} "
             f"from {rule.source} to {rule.listener}, which is never sent"
-            if rule.partition is None
-            else f"{where}: partition: expected agents that hear each other, got {rule.partition}"
+        )
+    if heard_by.keys() <= set(external):
+        raise InputError(
+            f"{where}: expected a listener that Heliarch runs, where faults act, got external "
+            f"agents alone ({', '.join(heard_by)})"
         )

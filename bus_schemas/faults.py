@@ -123,19 +123,21 @@ class FaultRule(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         """The controllers, or a pattern of them, that the rule kills or freezes."""
         return self.kill or self.freeze
 
+    @property
+    def ends(self) -> tuple[tuple[str, str], ...]:
+        """Publisher and listener, or patterns of them, of the links that the rule is about."""
+        if self.partition is None:
+            return ((self.source, self.listener),)
+        one, other = self.partition.split("|")
+        return (one, other), (other, one)
+
     def acts_on(self, port: Port[Message], listener: str) -> bool:
         """Whether this link of a port is one of the rule's."""
         if self.stops is not None or not port.signal.is_cyclic:
             return False
-        if self.signal not in {None, port.signal.name}:
-            return False
-        ends = [(self.source, self.listener)]
-        if self.partition is not None:
-            one, other = self.partition.split("|")
-            ends = [(one, other), (other, one)]
-        return any(
-            fnmatchcase(port.publisher, source) and fnmatchcase(listener, end)
-            for source, end in ends
+        return self.signal in {None, port.signal.name} and any(
+            fnmatchcase(port.publisher, source) and fnmatchcase(listener, heard_by)
+            for source, heard_by in self.ends
         )
 
 
