@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import Final, TypeAlias
+from typing import ClassVar, Final, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -56,11 +56,7 @@ class CloudySky(PlantUnderSky):
     clouds: CloudSettings
     seed: int
     history_seed: int
-
-    @property
-    def measured_times(self) -> None:
-        """Any time can be asked for."""
-        return
+    measured_times: ClassVar[None] = None  # Any time can be asked for.
 
     def possible_kw(self, times: pd.DatetimeIndex) -> Floats:
         return self._drawn_kw(times, self.seed)

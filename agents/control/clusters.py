@@ -17,6 +17,9 @@ Clusters = tuple[tuple[int, ...], ...]
 # Gains below this are rounding: without it two equal partitions could be swapped for ever.
 _LEAST_GAIN = 1e-12
 
+_STARTS = 20
+"""Random starts of a search, of which the best result is kept."""
+
 
 @dataclass(frozen=True, slots=True)
 class ClusterSearch:
@@ -48,9 +51,7 @@ def choose_clusters(correlation: NDArray[np.float64], sizes: Sequence[int]) -> C
     return search_clusters(correlation, sizes).clusters
 
 
-def search_clusters(
-    correlation: NDArray[np.float64], sizes: Sequence[int], restarts: int = 20
-) -> ClusterSearch:
+def search_clusters(correlation: NDArray[np.float64], sizes: Sequence[int]) -> ClusterSearch:
     """Partition the inverters so that the correlation inside the clusters is least.
 
     The same arguments give the same clusters.
@@ -62,8 +63,6 @@ def search_clusters(
         not used.
     sizes : sequence of int
         How many inverters each cluster takes; the sum must be N.
-    restarts : int, default 20
-        Number of random starts, of which the best result is kept.
     """
     cost = np.array(correlation, dtype=np.float64)
     np.fill_diagonal(cost, 0.0)
@@ -71,7 +70,7 @@ def search_clusters(
     start = np.repeat(np.arange(len(sizes)), sizes)
     best, best_cost = start, np.inf
     costs = []
-    for _ in range(restarts):
+    for _ in range(_STARTS):
         label = _descend(cost, rng.permutation(start), len(sizes))
         label_cost = float(cost[label[:, None] == label[None, :]].sum())
         costs.append(label_cost)
