@@ -300,16 +300,15 @@ class RunPlan(msgspec.Struct, frozen=True, dict=True, kw_only=True):
 def load_plan(path: Path) -> RunPlan:
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=RunPlan)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}, expected the plan.json of a run") from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {error}, expected the plan.json of a run") from None
-    if plan.protocol != PROTOCOL:
-        raise InputError(f"{path}: protocol: expected {PROTOCOL}, got {plan.protocol}")
-    try:
+        if plan.protocol != PROTOCOL:
+            raise InputError(f"protocol: expected {PROTOCOL}, got {plan.protocol}")
         check_plan(plan)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    except OSError as error:
+        raise InputError(
+            f"{path}: expected the plan.json of a run, got: {error.strerror}"
+        ) from None
+    except (InputError, msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: expected the plan.json of a run, got: {error}") from None
     return plan
 
 
