@@ -60,16 +60,10 @@ STARTS: Final = ("12:00", "12:10", "12:20", "12:30", "12:40", "12:50")
 class Recorded(NamedTuple):
     """What the figures rest on.
 
-    Attributes
-    ----------
-    power_kw, desired_kw
-        Of the plant, shape (cycles,).
-    sent
-        Key and cycle of each message that comes in every cycle.
-    lacking
-        Inputs that messages go without: time after cycle 0 [s], cycle, publisher, who lacks it.
-    rating_kw, lost
-        Of the plant; messages that were lost on their way.
+    power_kw, desired_kw: Of the plant, shape (cycles,).
+    sent: Key and cycle of each message that comes in every cycle.
+    lacking: Inputs that messages go without: time after cycle 0 [s], cycle, publisher, who lacks it.
+    rating_kw, lost: Of the plant; messages that were lost on their way.
     """
 
     power_kw: NDArray[np.float64]

@@ -181,10 +181,8 @@ def clear_sky_index(
         Seconds since any epoch, in any order.
     east_m, north_m : numpy.ndarray, shape (N,)
         Places, from any origin [m].
-    settings : CloudSettings
-        The sky; its turbidity does not matter here.
-    seed : int
-        Seed of the cloud field, at least 0.
+    settings, seed
+        As in `synthetic_ghi`; the turbidity does not matter here.
 
     Returns
     -------
