@@ -62,7 +62,7 @@ class Recorded(NamedTuple):
 
     power_kw, desired_kw: Of the plant, shape (cycles,).
     sent: Key and cycle of each message that comes in every cycle.
-    lacking: Inputs that messages go without: time after cycle 0 [s], cycle, publisher, who lacks it.
+    lacking: Inputs that messages go without: time [s], cycle, publisher, who lacks it.
     rating_kw, lost: Of the plant; messages that were lost on their way.
     """
 
