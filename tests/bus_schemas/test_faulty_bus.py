@@ -25,7 +25,7 @@ RULES = (
 )
 """Cycles are seconds here: nothing of the cycles 10 to 19 arrives."""
 
-FAULTS = NetworkFaults(RULES, 1, TREE, 1_000 * MS, 1_000 * MS)
+FAULTS = NetworkFaults(RULES, 1, TREE, 1_000 * MS)
 
 
 def telemetry(cycle: int) -> Telemetry:
@@ -77,7 +77,7 @@ def test_a_doubled_message_arrives_twice() -> None:
 
 
 def test_a_flood_that_is_under_way_is_bounded_and_counted() -> None:
-    hour = NetworkFaults((FaultRule(delay_ms=3_600_000.0),), 1, TREE, 1_000 * MS, 1_000 * MS)
+    hour = NetworkFaults((FaultRule(delay_ms=3_600_000.0),), 1, TREE, 1_000 * MS)
     bus = faulty_bus(*[Arrival("a", PORT, telemetry(1), 0)] * 150_000, faults=hour)
     assert bus.receive(0) == []
     assert bus.flooded == Counter({"a/telemetry": 50_000})

@@ -76,9 +76,7 @@ def test_messages_are_stamped_and_those_of_the_run_numbered_and_counted() -> Non
 
 def faulty(*rules: FaultRule) -> tuple[MemoryBus, VirtualClock]:
     clock = VirtualClock()
-    return MemoryBus(
-        WIRING, None, clock, NetworkFaults(rules, 1, TREE, 1_000 * MS, 1_000 * MS)
-    ), clock
+    return MemoryBus(WIRING, None, clock, NetworkFaults(rules, 1, TREE, 1_000 * MS)), clock
 
 
 def test_the_clock_jumps_to_the_next_arrival_or_to_the_end_of_the_wait() -> None:

@@ -51,7 +51,7 @@ def test_a_node_has_the_children_of_the_next_tier_and_the_rating_of_all_its_inve
 @pytest.mark.parametrize(
     ("inverters", "named"),
     [
-        ((), "none"),
+        ((), "inverters"),
         ((("c1/a", 1.0), ("c1/a", 1.0)), "c1/a"),
         ((("c1", 1.0), ("c1/a", 1.0)), "c1"),
         *(((("c1/a", kw),), "node c1/a: rating_kw") for kw in (0.0, -5.0, math.nan, math.inf)),

@@ -66,20 +66,19 @@ def test_every_inverter_is_in_one_cluster_of_the_size_asked_for(
 
 def test_a_search_tells_what_each_of_its_starts_came_to() -> None:
     correlation = random_correlation(25, 3)
-    search = search_clusters(correlation, (5, 5, 5, 5, 5), restarts=30)
+    search = search_clusters(correlation, (5, 5, 5, 5, 5))
     best = within_cluster_correlation(correlation, search.clusters)
-    assert search.clusters == choose_clusters(correlation, (5, 5, 5, 5, 5), restarts=30)
-    assert len(search.correlation_of_starts) == 30
+    assert len(search.correlation_of_starts) > 1
     assert min(search.correlation_of_starts) == pytest.approx(best, abs=1e-12)
     reached = [value for value in search.correlation_of_starts if value < best + 1e-9]
     assert search.starts_at_best == len(reached)
-    assert 1 <= search.starts_at_best < 30
+    assert 1 <= search.starts_at_best < len(search.correlation_of_starts)
 
 
 def test_a_start_that_comes_to_the_same_clusters_counts_as_the_best() -> None:
-    search = search_clusters(np.ones((6, 6)), (3, 3), restarts=7)
-    assert search.correlation_of_starts == pytest.approx([1.0] * 7)
-    assert search.starts_at_best == 7
+    search = search_clusters(np.ones((6, 6)), (3, 3))
+    assert search.correlation_of_starts == pytest.approx([1.0] * len(search.correlation_of_starts))
+    assert search.starts_at_best == len(search.correlation_of_starts)
 
 
 def test_clusters_of_one_inverter_have_no_correlation_within() -> None:
