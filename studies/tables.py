@@ -10,6 +10,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
+from operator import attrgetter
 from typing import Final, Literal, NamedTuple, TypeAlias
 
 from rich import box
@@ -66,11 +67,10 @@ def word_column(title: str, name: str = "") -> Column:
     return Column(title, align="left", name=name)
 
 
-def attributes(things: Iterable[object], columns: Sequence[Column]) -> tuple[tuple[Cell, ...], ...]:
-    """Return a row for each thing: its attributes by the names of the columns."""
-    return tuple(
-        tuple(getattr(thing, column.name or column.title) for column in columns) for thing in things
-    )
+def attributes(things: Iterable[object], columns: Sequence[Column]) -> list[tuple[Cell, ...]]:
+    """Return a row for each thing: its attributes by the names of the columns, such as `a.b`."""
+    getters = [attrgetter(column.name or column.title) for column in columns]
+    return [tuple(getter(thing) for getter in getters) for thing in things]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +78,9 @@ class Table:
     """A table: its title, its columns, one row for each thing, and notes on how to read it."""
 
     title: str
-    columns: tuple[Column, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-    notes: tuple[str, ...] = ()
+    columns: Sequence[Column]
+    rows: Sequence[Sequence[Cell]]
+    notes: Sequence[str] = ()
 
     def names(self) -> list[str]:
         return [column.name or column.title for column in self.columns]
@@ -102,8 +102,8 @@ class Table:
         return [
             replace(
                 self,
-                columns=tuple(self.columns[at] for at in group),
-                rows=tuple(tuple(row[at] for at in group) for row in self.rows),
+                columns=[self.columns[at] for at in group],
+                rows=[[row[at] for at in group] for row in self.rows],
             )
             for group in groups
         ]

@@ -68,10 +68,8 @@ def clusters(
             f"Clusters and neighbours were chosen from the first {learn_s:g} s; the rest was run.",
         )
     study = study_clusters(
+        preparation,
         arrange,
-        changed.scenario.control,
-        len(preparation.plan.inverters),
-        preparation.plan.scheme,
         central_periods(periods, preparation.plan),
         random,
         partial(shared, workers=workers, description="clusters"),

@@ -166,11 +166,7 @@ def _one(case: Case, comparison: Comparison, files: ResultOptions, csv: str | No
     remarks = remarks_of(preparation)
     found = list(results_of(preparation, comparison))
     schemes = tuple(result for result, _ in found)
-    plan = preparation.plan
-    title = (
-        f"{plan.plant} from {preparation.local_start()}, {plan.cycles:,} cycles of "
-        f"{plan.cycle_ns / 1e9:g} s"
-    )
+    title = preparation.title()
     results = [CaseResult(case.label, "", schemes, 0.0, 0.0, remarks)]
     tables = case_tables(title, schemes)
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, TypeAlias
+from typing import Final
 
-import pandas as pd
 from msgspec.structs import replace
 
 from agents.control.clusters import ClusterSearch, search_clusters
 from agents.plan import RunPlan
 from agents.settings import Scheme
 from bus_schemas.errors import InputError
+from launch_scripts.scenarios.preparation import Preparation
 from launch_scripts.scenarios.scenario import ControlTable
 from studies.clusters.worth import (
     Arrange,
@@ -29,8 +29,6 @@ _PAPER_PERIODS_S: Final = (1.0, 10.0, 60.0)
 
 _LONGEST_PERIOD: Final = 1e6
 
-Worths: TypeAlias = Sequence[ClustersWorth]
-
 
 @dataclass(frozen=True, slots=True)
 class ClusterStudy:
@@ -41,20 +39,25 @@ class ClusterStudy:
     """
 
     title: str
-    periods_s: tuple[float, ...]
     ways: dict[str, list[ClustersWorth]]
     orders: dict[str, ClustersWorth]
     search: ClusterSearch
 
+    @property
+    def periods_s(self) -> list[float]:
+        """How often the central controller acts, in one run after the other."""
+        (virtual,) = self.ways["virtual"]
+        return [shortfall.central_period_s for shortfall in virtual.shortfalls]
+
 
 def study_clusters(
+    preparation: Preparation,
     arrange: Arrange,
-    control: ControlTable,
-    inverters: int,
-    scheme: Scheme,
     periods: tuple[int, ...],
     seeds: int,
-    run_each: Callable[[Callable[[ControlTable], ClustersWorth], Sequence[ControlTable]], Worths],
+    run_each: Callable[
+        [Callable[[ControlTable], ClustersWorth], Sequence[ControlTable]], list[ClustersWorth]
+    ],
 ) -> ClusterStudy:
     """Run all ways to choose clusters.
 
@@ -62,7 +65,8 @@ def study_clusters(
     seeds: How many random choices.
     run_each: Applies a function to each of some items.
     """
-    past = past_of(arrange, control, inverters)
+    control, scheme = preparation.scenario.scenario.control, preparation.plan.scheme
+    past = past_of(arrange, control, len(preparation.plan.inverters))
     run = arrange(replace(control, clusters="correlation"))
     orders = {
         name: worth_of(other, past, scheme, periods) for name, other in in_other_orders(run).items()
@@ -74,20 +78,17 @@ def study_clusters(
         *(replace(control, clusters="random", clusters_seed=seed + 1) for seed in range(seeds)),
     ]
     geographic, alike, *random = run_each(partial(_worth, arrange, past, scheme, periods), tables)
-    ways = {"virtual": [virtual], "geographic": [geographic], "random": random}
-    ways["most alike"] = [alike]
-    plan = run.plan
-    start = pd.Timestamp(plan.start_time_ns, tz="UTC").tz_convert(plan.timezone)
-    title = (
-        f"{plan.plant} from {start:%Y-%m-%d %H:%M:%S %Z}, {plan.cycles:,} cycles of "
-        f"{plan.cycle_ns / 1e9:g} s, scheme {scheme}, actuator {plan.actuator}"
-    )
+    ways = {
+        "virtual": [virtual],
+        "geographic": [geographic],
+        "random": random,
+        "most alike": [alike],
+    }
     return ClusterStudy(
-        title=title,
-        periods_s=tuple(period * plan.cycle_ns / 1e9 for period in periods),
+        title=f"{run.title()}, scheme {scheme}, actuator {run.plan.actuator}",
         ways=ways,
         orders=orders,
-        search=search_clusters(past.correlation, [len(cluster) for cluster in virtual.clusters]),
+        search=search_clusters(past.correlation, [len(cluster) for cluster in virtual.members]),
     )
 
 

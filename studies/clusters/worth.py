@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from agents.control.clusters import within_cluster_correlation
 from agents.control.correlation import hourly_correlation, hourly_covariance
-from agents.plan import Neighbourhood, NodeNeighbourhoods, RunPlan
+from agents.plan import Neighbourhood, NodeNeighbourhoods
 from agents.settings import Scheme
 from bus_schemas.errors import InputError
 from bus_schemas.tree import ControlTree
@@ -30,15 +31,7 @@ from studies.metrics import commitment_metrics
 from studies.metrics.help import HelpMetrics, help_metrics
 from studies.report.cloud_passage import clusters, hours_from_first_midnight
 
-
-class Arrangement(NamedTuple):
-    """A run with its inverters in clusters, ready for any scheme."""
-
-    plan: RunPlan
-    profile: Profile
-
-
-Arrange: TypeAlias = Callable[[ControlTable], Arrangement]
+Arrange: TypeAlias = Callable[[ControlTable], Preparation]
 """Puts the inverters of one day into the clusters that a control table asks for."""
 
 
@@ -63,6 +56,7 @@ class Shortfall:
     gone. The predictive scheme tops the clusters up.
     """
 
+    central_period_s: float
     period_cycles: int
     unavoidable_percent: float
     control_caused_percent: float
@@ -79,18 +73,17 @@ class ClustersWorth:
     an entry for each of those periods.
     """
 
-    clusters: tuple[tuple[str, ...], ...]
+    members: tuple[tuple[str, ...], ...]
     past_correlation: float
     run_correlation: float
     help: HelpMetrics
     shortfalls: tuple[Shortfall, ...]
 
 
-def by_scenario(scenario: ScenarioFile, options: RunOptions, control: ControlTable) -> Arrangement:
+def by_scenario(scenario: ScenarioFile, options: RunOptions, control: ControlTable) -> Preparation:
     """Arrange a scenario's run as any other command does: clusters from the scenario's past."""
     changed = replace(scenario.scenario, control=control)
-    prepared = prepare(replace(scenario, scenario=changed), options, "clusters")
-    return Arrangement(prepared.plan, prepared.profile)
+    return prepare(replace(scenario, scenario=changed), options, "clusters")
 
 
 def by_first_part(preparation: Preparation, learn_s: float) -> Arrange:
@@ -109,12 +102,13 @@ def by_first_part(preparation: Preparation, learn_s: float) -> Arrange:
         )
     first = pd.DatetimeIndex([pd.Timestamp(plan.start_time_ns, tz="UTC")])
     sites = power_source(preparation.scenario, None, first).sites
-    return partial(_by_first_part, plan, preparation.profile, sites, learned)
+    return partial(_by_first_part, preparation, sites, learned)
 
 
 def _by_first_part(
-    plan: RunPlan, profile: Profile, sites: Sites, learned: int, control: ControlTable
-) -> Arrangement:
+    preparation: Preparation, sites: Sites, learned: int, control: ControlTable
+) -> Preparation:
+    plan, profile = preparation.plan, preparation.profile
     listed = [_leaf_names(plan.tree).index(name) for name in sites.names]
     past = hourly_covariance(profile.mpp_kw[:learned, listed], np.zeros(learned, dtype=np.int64))
     begins_ns = plan.sim_time_ns(learned)
@@ -128,16 +122,14 @@ def _by_first_part(
         cycles=plan.cycles - learned,
     )
     columns = [listed[place] for place in order]
-    return Arrangement(
-        rest,
-        Profile(
-            np.ascontiguousarray(profile.mpp_kw[learned:, columns]),
-            profile.commitment_kw[learned:],
-            profile.regulation_kw[learned:],
-            profile.regulation_capacity_kw,
-            np.ascontiguousarray(profile.meter_error[learned:, columns]),
-        ),
+    of_rest = Profile(
+        np.ascontiguousarray(profile.mpp_kw[learned:, columns]),
+        profile.commitment_kw[learned:],
+        profile.regulation_kw[learned:],
+        profile.regulation_capacity_kw,
+        np.ascontiguousarray(profile.meter_error[learned:, columns]),
     )
+    return dataclasses.replace(preparation, plan=rest, profile=of_rest)
 
 
 def past_of(arrange: Arrange, control: ControlTable, inverters: int) -> Past:
@@ -160,10 +152,10 @@ def past_of(arrange: Arrange, control: ControlTable, inverters: int) -> Past:
 
 
 def worth_of(
-    arrangement: Arrangement, past: Past, scheme: Scheme, periods: Sequence[int]
+    preparation: Preparation, past: Past, scheme: Scheme, periods: Sequence[int]
 ) -> ClustersWorth:
-    """Run an arrangement, once for each period of the central controller [cycles]."""
-    plan, profile = arrangement
+    """Run a plant, once for each period of the central controller [cycles]."""
+    plan, profile = preparation.plan, preparation.profile
     runs = []
     for period in periods:
         paced = replace(plan, period_cycles=(period, *plan.period_cycles[1:]))
@@ -173,17 +165,20 @@ def worth_of(
     in_past = [[past.inverters.index(names[leaf]) for leaf in cluster] for cluster in shared]
     in_run = hourly_correlation(runs[0].mpp_kw, hours_from_first_midnight(runs[0])).values
     return ClustersWorth(
-        clusters=tuple(tuple(names[leaf] for leaf in cluster) for cluster in shared),
+        members=tuple(tuple(names[leaf] for leaf in cluster) for cluster in shared),
         past_correlation=within_cluster_correlation(past.correlation, in_past),
         run_correlation=within_cluster_correlation(in_run.mean(axis=0), shared),
         help=help_metrics(runs[0].residual_kw, runs[0].inverters),
-        shortfalls=tuple(map(_shortfall, runs, periods)),
+        shortfalls=tuple(
+            _shortfall(run, period, period * plan.cycle_ns / 1e9)
+            for run, period in zip(runs, periods, strict=True)
+        ),
     )
 
 
-def in_other_orders(arrangement: Arrangement) -> dict[str, Arrangement]:
+def in_other_orders(preparation: Preparation) -> dict[str, Preparation]:
     """Return the same clusters with other orders in which an inverter in need asks for help."""
-    plan, profile = arrangement
+    plan = preparation.plan
 
     def turned(hood: Neighbourhood) -> Neighbourhood:
         # With the opposite correlation those most alike are asked first.
@@ -194,14 +189,15 @@ def in_other_orders(arrangement: Arrangement) -> dict[str, Arrangement]:
         NodeNeighbourhoods(entry.node, tuple(map(turned, entry.hours)))
         for entry in plan.neighbourhoods
     )
-    return {
-        "least alike first": arrangement,
-        "as listed": Arrangement(replace(plan, neighbourhoods=()), profile),
-        "most alike first": Arrangement(replace(plan, neighbourhoods=reversed_order), profile),
+    orders = {
+        "least alike first": plan,
+        "as listed": replace(plan, neighbourhoods=()),
+        "most alike first": replace(plan, neighbourhoods=reversed_order),
     }
+    return {name: dataclasses.replace(preparation, plan=own) for name, own in orders.items()}
 
 
-def _shortfall(run: RunSeries, period: int) -> Shortfall:
+def _shortfall(run: RunSeries, period: int, period_s: float) -> Shortfall:
     turn = np.arange(run.cycles) // period * period
     lacking = run.residual_kw.sum(axis=1)[turn] < 0.0
     desired_kw, possible_kw, delivered_kw = run.desired_kw, run.possible_kw, run.delivered_kw
@@ -213,6 +209,7 @@ def _shortfall(run: RunSeries, period: int) -> Shortfall:
         raise InputError("commitment: expected more than 0 kW at some time, got none")
     in_percent = 100.0 / energy.desired_kwh
     return Shortfall(
+        period_s,
         period,
         in_percent * energy.unavoidable_kwh,
         in_percent * energy.control_caused_kwh,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 import plotly.graph_objects as go
@@ -119,6 +119,22 @@ def curve(
     return go.Scatter(x=x, y=y, name=name, mode="lines", line=line, **look)
 
 
+def marked_line(
+    x: Sequence[float], y: Sequence[float | None], name: str, colour: str, **look: object
+) -> go.Scatter:
+    """Return a line with a mark at each point; all of one name come and go with the legend."""
+    return go.Scatter(
+        x=x,
+        y=y,
+        name=name,
+        legendgroup=name,
+        mode="lines+markers",
+        line={"color": colour, "width": 1.6},
+        marker={"color": colour, "size": 5},
+        **look,
+    )
+
+
 def clock_ms(series: RunSeries) -> NDArray[np.float64]:
     """Return the wall clock at the beginning of each cycle, as Plotly's axes count it.
 
@@ -140,19 +156,26 @@ def clock_text(series: RunSeries, cycle: int) -> str:
 def time_line(
     series: RunSeries,
     values: NDArray[np.float64],
+    name: str,
+    line: dict[str, object],
     cycles: range | None = None,
     /,
     **look: object,
 ) -> go.Scatter:
-    """Return a line of one value a cycle, in all cycles or some, thinned out for a screen."""
+    """Return a line of one value a cycle, in all cycles or some, thinned out for a screen.
+
+    All lines of one name come and go with the legend.
+    """
     shown = cycles or range(series.cycles)
     rows = shown.start + extremes(values[shown.start : shown.stop])
     return go.Scatter(
         x=clock_ms(series)[rows],
         y=values[rows].astype(np.float32),
+        name=plain(name),
+        legendgroup=name,
+        line=line,
         mode="lines",
-        hovertemplate="%{y:,.1f}",
-        **look,
+        **{"hovertemplate": "%{y:,.1f}", **look},
     )
 
 
@@ -214,14 +237,6 @@ def name_px(count: int) -> int:
     if count > _MOST_NAMES:
         return max(1, 1800 // count)
     return _ROOMY_PX if count <= _FEW_NAMES else _TIGHT_PX
-
-
-def share_axis(figure: go.Figure, letter: Literal["x", "y"]) -> None:
-    """Make the panels of a figure keep the same range, also when one is zoomed."""
-    for axis in figure.select_xaxes() if letter == "x" else figure.select_yaxes():
-        # The first axis must not match itself.
-        if axis.plotly_name != f"{letter}axis":
-            axis.matches = letter
 
 
 def label_time_axis(figure: go.Figure, series: RunSeries, rows: int = 1) -> None:
