@@ -133,6 +133,11 @@ class Table:
         return widths
 
 
+def counted(number: int, noun: str) -> str:
+    """Return `1 cycle`, `2 cycles`."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
 def cell_text(cell: Cell, column: Column) -> str:
     """Return a cell as it stands in a terminal and in a page."""
     if isinstance(cell, str):
@@ -171,9 +176,9 @@ def json_rows(table: Table) -> list[dict[str, str | float | bool | None]]:
 def console_for(json: str | None) -> Console:
     """Return the console for tables; standard error if the JSON goes to standard output."""
     console = Console(stderr=json == "-")
-    if console.is_terminal or "COLUMNS" in os.environ:
-        return console
-    return Console(stderr=json == "-", width=WIDTH)
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = WIDTH
+    return console
 
 
 def _json_cell(cell: Cell) -> str | float | bool | None:

@@ -171,7 +171,7 @@ def _one(case: Case, comparison: Comparison, files: ResultOptions, csv: str | No
     tables = case_tables(title, schemes)
 
     def page() -> str:
-        from studies.compare.page import frontier
+        from studies.compare.frontier import frontier
         from studies.report.run_report import report_page
         from studies.report.tables import metrics_tables
 

@@ -24,7 +24,7 @@ from studies.clusters.worth import (
     worth_of,
 )
 
-_PAPER_PERIODS_S: Final = (1.0, 10.0, 60.0)
+_PAPER_PERIODS_S: Final = "1,10,60"
 """How often the central controller acts: always, and as slow as the paper's two upper tiers."""
 
 _LONGEST_PERIOD: Final = 1e6
@@ -99,23 +99,24 @@ def _worth(
 
 
 def central_periods(text: str | None, plan: RunPlan) -> tuple[int, ...]:
-    """Read periods of the central controller in seconds; return them in cycles."""
+    """Read periods of the central controller in seconds; return them in cycles.
+
+    By default those of the paper that are whole numbers of cycles.
+    """
     cycle_s = plan.cycle_ns / 1e9
-    if text is None:
-        found = [_in_cycles(period_s, cycle_s) for period_s in _PAPER_PERIODS_S]
-        return tuple(filter(None, found)) or (1,)
     periods = []
-    for word in text.split(","):
-        periods.append(_in_cycles(word, cycle_s))
-        if not periods[-1]:
+    for word in (_PAPER_PERIODS_S if text is None else text).split(","):
+        if cycles := _in_cycles(word, cycle_s):
+            periods.append(cycles)
+        elif text is not None:
             raise InputError(
                 f"--periods: expected multiples of the cycle, {cycle_s:g} s, such as 10,60, "
                 f"got {word}"
             )
-    return tuple(periods)
+    return tuple(periods) or (1,)
 
 
-def _in_cycles(period: str | float, cycle_s: float) -> int:
+def _in_cycles(period: str, cycle_s: float) -> int:
     """Return a period in cycles; 0 if it is no whole number of them."""
     try:
         cycles = float(period) / cycle_s

@@ -16,11 +16,13 @@ from recordings.read.series import RunSeries
 from studies.report import style
 
 _PANEL_PX = 230
-_DASHED: dict[str, object] = {"color": style.BLACK, "width": 1.2, "dash": "dash"}
+_DASHED = {"color": style.BLACK, "width": 1.2, "dash": "dash"}
 _CLOSE_LOOK_S = 600.0
 
 # An error this small is rounding, not control: the allocation is exact to the same power.
 _ROUNDING_KW = 1e-6
+
+_POINTS = 600
 
 
 def possible_power(series: Sequence[RunSeries]) -> style.ReportFigure:
@@ -108,23 +110,15 @@ def _of(what: str, one: RunSeries, series: Sequence[RunSeries]) -> str:
 
 def tracking_error(series: Sequence[RunSeries]) -> style.ReportFigure:
     """Draw how often the delivered power was how far from the desired power."""
-    figure = go.Figure()
-    exact = []
+    exact, lines = [], []
     for position, one in enumerate(series):
         missed_kw = (one.delivered_kw - one.desired_kw)[one.known]
         exact.append(f"{one.label} {100.0 * np.mean(np.abs(missed_kw) <= _ROUNDING_KW):.1f} %")
         error_kw, share = folded_distribution(missed_kw)
-        figure.add_scatter(
-            x=error_kw,
-            y=100.0 * share,
-            mode="lines",
-            name=style.plain(one.label),
-            showlegend=True,
-            connectgaps=False,
-            line=style.scheme_line(position),
-            hovertemplate="%{x:,.1f} kW or farther: %{y:.3g} %",
-        )
-    style.dress(figure, 380)
+        line = style.curve(error_kw, 100.0 * share, one.label, style.scheme_line(position))
+        line.update(showlegend=True, hovertemplate="%{x:,.1f} kW or farther: %{y:.3g} %")
+        lines.append(line)
+    figure = style.dress(go.Figure(lines), 380)
     figure.update_xaxes(title_text="delivered less desired power [kW]", zeroline=True)
     figure.update_yaxes(title_text="share of cycles [%]", type="log", dtick=1)
     return style.ReportFigure(
@@ -138,31 +132,29 @@ def tracking_error(series: Sequence[RunSeries]) -> style.ReportFigure:
 
 
 def folded_distribution(
-    error_kw: NDArray[np.float64], points: int = 600
+    error_kw: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the cumulative distribution of an error, folded at zero.
 
     For each error, ascending, the share that lies at least as far from zero on the same side. One
-    NaN parts the two sides, which have at most so many points each, closest together in the tails.
+    NaN parts the two sides, which have at most 600 points each, closest together in the tails.
     Errors that are but rounding (up to 1e-6 kW) belong to neither.
     """
-    low_kw, low_share = _tail(-error_kw, points)
-    high_kw, high_share = _tail(error_kw, points)
+    low_kw, low_share = _tail(-error_kw)
+    high_kw, high_share = _tail(error_kw)
     return (
         np.concatenate([-low_kw, [np.nan], high_kw[::-1]]),
         np.concatenate([low_share, [np.nan], high_share[::-1]]),
     )
 
 
-def _tail(
-    error_kw: NDArray[np.float64], points: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _tail(error_kw: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return errors above zero, descending, and the share of all that is at least as large."""
     ascending = np.sort(error_kw[error_kw > _ROUNDING_KW])
     count = len(ascending)
     if count == 0:
         return ascending, ascending
-    ranks = np.unique(np.geomspace(1, count, points).astype(int))
+    ranks = np.unique(np.geomspace(1, count, _POINTS).astype(int))
     kept = np.unique(ascending[count - ranks])[::-1]
     return kept, (count - np.searchsorted(ascending, kept)) / len(error_kw)
 

@@ -7,7 +7,7 @@ apart ("Color Universal Design", 2008, https://jfly.uni-koeln.de/color/).
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -106,33 +106,22 @@ def plain(text: str) -> str:
 
 
 def curve(
-    x: Sequence[object],
-    y: Sequence[object],
-    name: str,
-    colour: str,
-    width: float = 1.5,
-    dash: str = "solid",
-    **look: object,
+    x: object, y: object, name: str, line: Mapping[str, object], **look: object
 ) -> go.Scatter:
-    """Return a line; `look` are further properties of a Plotly scatter trace."""
-    line = {"color": colour, "width": width, "dash": dash}
-    return go.Scatter(x=x, y=y, name=name, mode="lines", line=line, **look)
+    """Return a line; `look` are further properties of a Plotly scatter trace.
+
+    All lines of one name come and go with the legend.
+    """
+    own = {"mode": "lines", "name": plain(name), "legendgroup": name, "line": line}
+    return go.Scatter(x=x, y=y, **{**own, **look})
 
 
 def marked_line(
     x: Sequence[float], y: Sequence[float | None], name: str, colour: str, **look: object
 ) -> go.Scatter:
-    """Return a line with a mark at each point; all of one name come and go with the legend."""
-    return go.Scatter(
-        x=x,
-        y=y,
-        name=name,
-        legendgroup=name,
-        mode="lines+markers",
-        line={"color": colour, "width": 1.6},
-        marker={"color": colour, "size": 5},
-        **look,
-    )
+    """Return a line with a mark at each point."""
+    line, marker = {"color": colour, "width": 1.6}, {"color": colour, "size": 5}
+    return curve(x, y, name, line, mode="lines+markers", marker=marker, **look)
 
 
 def clock_ms(series: RunSeries) -> NDArray[np.float64]:
@@ -157,26 +146,16 @@ def time_line(
     series: RunSeries,
     values: NDArray[np.float64],
     name: str,
-    line: dict[str, object],
+    line: Mapping[str, object],
     cycles: range | None = None,
     /,
     **look: object,
 ) -> go.Scatter:
-    """Return a line of one value a cycle, in all cycles or some, thinned out for a screen.
-
-    All lines of one name come and go with the legend.
-    """
+    """Return a line of one value a cycle, in all cycles or some, thinned out for a screen."""
     shown = cycles or range(series.cycles)
     rows = shown.start + extremes(values[shown.start : shown.stop])
-    return go.Scatter(
-        x=clock_ms(series)[rows],
-        y=values[rows].astype(np.float32),
-        name=plain(name),
-        legendgroup=name,
-        line=line,
-        mode="lines",
-        **{"hovertemplate": "%{y:,.1f}", **look},
-    )
+    times_ms, kw = clock_ms(series)[rows], values[rows].astype(np.float32)
+    return curve(times_ms, kw, name, line, **{"hovertemplate": "%{y:,.1f}", **look})
 
 
 def thinning_note(cycles: int) -> str:
