@@ -29,7 +29,6 @@ from studies.arrays.compiled import compiled
 from studies.arrays.control_arrays import ControlArrays, control_arrays
 
 Floats: TypeAlias = NDArray[np.float64]
-LoopArrays: TypeAlias = tuple[Floats, Floats, Floats, Floats]
 
 
 class Settings(NamedTuple):
@@ -82,13 +81,13 @@ def run_loop(
     `constants` has other values of constants in `agents.control`, by name.
     """
     loop = _compiled_loop(tuple(sorted((constants or {}).items())))
-    return LoopResult(*loop(*loop_inputs(plan, profile, scheme, actuator)))
+    return loop(*loop_inputs(plan, profile, scheme, actuator))
 
 
 @cache
 def _compiled_loop(
     constants: tuple[tuple[str, float], ...],
-) -> Callable[[ControlArrays, Settings, Floats, Floats, Floats, Floats], LoopArrays]:
+) -> Callable[[ControlArrays, Settings, Floats, Floats, Floats, Floats], LoopResult]:
     return compiled(closed_loop, dict(constants))
 
 
@@ -141,8 +140,7 @@ def closed_loop(
     dispatch_kw: Floats,
     meter_error: Floats,
     available_kw: Floats,
-) -> LoopArrays:
-    """Return power, IMPP, residual and alpha of each inverter in each cycle."""
+) -> LoopResult:
     cycles, inverters = mpp_kw.shape
     power_kw = np.empty((cycles, inverters))
     impp_kw = np.empty((cycles, inverters))
@@ -190,7 +188,7 @@ def closed_loop(
                 limit_kw[i] = tree.rating_kw[node] if is_free else share * node_impp_kw[node]
                 share = 1.0
             power_kw[cycle, i] = last_kw[i] = min(share * mpp_kw[cycle, i], limit_kw[i])
-    return power_kw, impp_kw, residuals_kw, alpha
+    return LoopResult(power_kw, impp_kw, residuals_kw, alpha)
 
 
 def estimate(

@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 import plotly.graph_objects as go
 
-from studies.clusters.study import ClusterStudy
-from studies.clusters.worth import ClustersWorth
+from studies.clusters.study import ClusterStudy, ClustersWorth
 from studies.report.page import html_page
 from studies.report.style import BLACK, SCHEMES, ReportFigure, dress
 from studies.tables import Cell, Column, Table, key_column, word_column

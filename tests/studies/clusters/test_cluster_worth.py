@@ -16,7 +16,7 @@ from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepar
 from launch_scripts.scenarios.scenario import ControlTable, ScenarioFile
 from launch_scripts.scenarios.scenario import load_scenario as load
 from sim_plant.profile import Profile
-from studies.clusters.worth import (
+from studies.clusters.study import (
     Arrange,
     Past,
     by_first_part,
