@@ -35,7 +35,7 @@ _LAST_VALUES_HOLD: Final = 10**9
 """Cycles. Without the ladder a node obeys the last message that it heard, however old that is."""
 
 
-class Point(msgspec.Struct, frozen=True, kw_only=True):
+class Point(msgspec.Struct, frozen=True):
     """What the failures of one seed cost a plant with some protection.
 
     over_percent, short_percent: Energy beyond what was desired, or what the plant gives without
@@ -74,10 +74,7 @@ def run_under(campaign: Campaign, condition: Condition) -> Point:
     over_kw = trace.delivered_kw - np.maximum(desired_kw, healthy_kw)
     short_kw = np.minimum(desired_kw, healthy_kw) - trace.delivered_kw
     return Point(
-        protection=protection,
-        rate_per_h=rate_per_h,
-        repair_s=repair_s,
-        seed=seed,
+        *condition,
         over_percent=float(100.0 * np.maximum(over_kw, 0.0).sum() / desired_kw.sum()),
         short_percent=float(100.0 * np.maximum(short_kw, 0.0).sum() / desired_kw.sum()),
     )

@@ -198,11 +198,11 @@ def summaries(
             actuators = actuators_of(cases)
             for place, entry in enumerate(entries):
                 beside = baselines.get(entry.actuator, names.index(baseline))
-                own = _known(values[:, place])
-                less = _known(values[:, place] - values[:, beside])
-                if not len(own):
+                own = values[:, place]
+                less = own - values[:, beside]
+                if np.isnan(own).all():
                     continue
-                low, median, high = np.quantile(own, list(QUANTILES.values())).tolist()
+                low, median, high = np.nanquantile(own, list(QUANTILES.values())).tolist()
                 found.append(
                     Summary(
                         figure.name,
@@ -210,7 +210,7 @@ def summaries(
                         settings,
                         entry.scheme,
                         actuators[place],
-                        len(own),
+                        int(np.isfinite(own).sum()),
                         *_mean_and_error(own),
                         low,
                         median,
@@ -234,13 +234,10 @@ def actuators_of(cases: Sequence[CaseResult]) -> list[Actuator | None]:
     return [found[0] if len(set(found)) == 1 else None for found in of_schemes]
 
 
-def _known(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    return values[~np.isnan(values)]
-
-
 def _mean_and_error(values: NDArray[np.float64]) -> tuple[float | None, float | None]:
-    count = len(values)
-    mean = float(values.mean()) if count else None
+    known = values[~np.isnan(values)]
+    count = len(known)
+    mean = float(known.mean()) if count else None
     if count < 2:
         return mean, None
-    return mean, float(stdtrit(count - 1, _UPPER) * values.std(ddof=1) / sqrt(count))
+    return mean, float(stdtrit(count - 1, _UPPER) * known.std(ddof=1) / sqrt(count))

@@ -110,9 +110,11 @@ def curve(
 ) -> go.Scatter:
     """Return a line; `look` are further properties of a Plotly scatter trace.
 
-    All lines of one name come and go with the legend.
+    Where that says `showlegend`, one entry in the legend stands for the lines of several panels.
     """
-    own = {"mode": "lines", "name": plain(name), "legendgroup": name, "line": line}
+    own: dict[str, object] = {"mode": "lines", "name": plain(name), "line": line}
+    if "showlegend" in look:
+        own["legendgroup"] = name
     return go.Scatter(x=x, y=y, **{**own, **look})
 
 
