@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 import plotly.graph_objects as go
 
+from studies.compare.results import AXES
 from studies.compare.study import SchemeResult
-from studies.compare.tables import AXES
 from studies.metrics.figures_of_merit import FIGURES_OF_MERIT
 from studies.report.style import BLUE, GREY, VERMILLION, ReportFigure, curve, dress, plain
 
