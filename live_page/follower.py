@@ -18,7 +18,6 @@ from typing import Final, Literal, TypeAlias
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from bus_schemas.codec import decode
 from bus_schemas.messages import Dispatch, Message, Notice, Production, Run
@@ -45,8 +44,6 @@ MOST_CHUNKS: Final = 20
 _LATEST_S: Final = 1.0
 """So late a message may come in real time and still be found. In lockstep it may come among those
 of the next cycle."""
-
-_POWERS: Final = ("commitment", "regulation", "possible", "delivered")
 
 
 class RunFollower:
@@ -79,7 +76,20 @@ class RunFollower:
         }
         self._heard = dict.fromkeys(self._names, -1)
         self._silent: set[Port[Message]] = set()
-        self._power_kw = {name: np.full(self.plan.cycles, np.nan) for name in _POWERS}
+        # One column stands for all inverters: figures of merit need no more.
+        shape = (self.plan.cycles, 1)
+        unknown = np.full(shape, np.nan)
+        self._series = RunSeries.of(
+            self.plan,
+            self.plan.run_id,
+            commitment_kw=np.full(self.plan.cycles, np.nan),
+            regulation_kw=np.full(self.plan.cycles, np.nan),
+            mpp_kw=np.full(shape, np.nan),
+            power_kw=np.full(shape, np.nan),
+            impp_kw=unknown,
+            residual_kw=unknown,
+            alpha=unknown,
+        )
         for rule in self.plan.faults:
             self.events.add("fault", 0, "network", f"fault rule: {rule}")
 
@@ -127,56 +137,29 @@ class RunFollower:
 
     def powers(self, cycles: range, points: int) -> dict[str, list[float]]:
         """Return the plant's powers [kW] of some cycles, thinned out to about so many points."""
-        part = slice(max(cycles.start, 0), min(cycles.stop, self.cycles))
-        desired, possible, delivered = (
-            self._desired_kw[part],
-            *(self._power_kw[name][part] for name in ("possible", "delivered")),
-        )
+        begin, end = max(cycles.start, 0), min(cycles.stop, self.cycles)
+        part = self._series.between(begin, end)
+        desired, possible, delivered = part.desired_kw, part.possible_kw, part.delivered_kw
         rows = np.arange(len(desired))
         if len(rows) > points:
             buckets = max(points // 6, 1)
             kept = [extremes(values, buckets) for values in (desired, possible, delivered)]
             rows = np.unique(np.concatenate(kept))
         unavoidable = np.maximum(desired - possible, 0.0)
-        shortfall = np.maximum(desired - delivered, 0.0)
         columns = {
-            "cycle": rows + part.start,
+            "cycle": rows + begin,
             "desired": desired[rows],
             "possible": possible[rows],
             "delivered": delivered[rows],
             "unavoidable": unavoidable[rows],
-            "control_caused": np.maximum(shortfall - unavoidable, 0.0)[rows],
+            "control_caused": np.maximum(part.support_kw - unavoidable, 0.0)[rows],
         }
         return {name: values.round(2).tolist() for name, values in columns.items()}
 
     def metrics(self) -> RunMetrics | None:
         """Return the figures of merit so far; None before the first cycle."""
-        part = slice(0, self.cycles)
-        powers = {name: values[part] for name, values in self._power_kw.items()}
-        unknown = np.full((self.cycles, 1), np.nan)
-        plan = self.plan
-        series = RunSeries(
-            label=plan.run_id,
-            inverters=("plant",),
-            rating_kw=np.array([plan.tree.rating_kw("")]),
-            timezone=plan.timezone,
-            start_time_ns=plan.start_time_ns,
-            cycle_s=plan.cycle_ns / 1e9,
-            commitment_kw=powers["commitment"],
-            regulation_kw=powers["regulation"],
-            regulation_capacity_kw=plan.regulation_capacity_kw,
-            mpp_kw=powers["possible"][:, None],
-            power_kw=powers["delivered"][:, None],
-            impp_kw=unknown,
-            residual_kw=unknown,
-            alpha=unknown,
-            ramp_limit_percent_per_min=plan.ramp_limit_percent_per_min,
-        )
+        series = self._series.between(0, self.cycles)
         return run_metrics(series) if series.known.any() else None
-
-    @property
-    def _desired_kw(self) -> NDArray[np.float64]:
-        return np.asarray(self._power_kw["commitment"] + self._power_kw["regulation"])
 
     def _next_chunk(self) -> ChunkPlace | None:
         """Return the next chunk that is there as a whole."""
@@ -221,11 +204,11 @@ class RunFollower:
                 if self._stop_cycle is not None and self._stop_cycle <= cycle:
                     self._note_false_stop(self._stop_cycle)
                     self._stop_cycle = None
-                self._power_kw["commitment"][cycle] = message.commitment_kw
-                self._power_kw["regulation"][cycle] = message.regulation_kw
+                self._series.commitment_kw[cycle] = message.commitment_kw
+                self._series.regulation_kw[cycle] = message.regulation_kw
             case Production() if 0 <= cycle < self.plan.cycles:
-                self._power_kw["possible"][cycle] = message.possible_kw
-                self._power_kw["delivered"][cycle] = message.delivered_kw
+                self._series.mpp_kw[cycle] = message.possible_kw
+                self._series.power_kw[cycle] = message.delivered_kw
                 self.cycles = max(self.cycles, cycle + 1)
             case Notice():
                 self.events.add("notice", cycle, message.source, message.text)
