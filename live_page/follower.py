@@ -27,7 +27,7 @@ from live_page.event_log import EventLog
 from recordings.inspect.health import FAILURE_NAME
 from recordings.read.chunks import ChunkPlace, DamagedChunkError, messages_in, unpack_chunk
 from recordings.read.outline import walk_on
-from recordings.read.reader import RunReader, cycle_of
+from recordings.read.reader import RunReader, head_of
 from recordings.read.series import RunSeries
 from studies.metrics import RunMetrics, run_metrics
 from studies.report.decimation import extremes
@@ -182,16 +182,16 @@ class RunFollower:
         for channel, sequence, _, _, payload in messages_in(records, self.ports):
             port = self.ports[channel]
             if sequence != self._next_sequence.get(channel, 0):
-                self._note_jump(channel, port, sequence, cycle_of(payload))
+                self._note_jump(channel, port, sequence, head_of(payload).cycle)
             self._next_sequence[channel] = sequence + 1
             with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
                 if port in self._names:
-                    self._hear(port, cycle_of(payload))
+                    self._hear(port, head_of(payload).cycle)
                 elif port.signal in _FOLLOWED:
                     self._see(port, payload)
             begin, end = begin or payload, payload
         if begin:
-            first, last = sorted((cycle_of(begin), cycle_of(end)))
+            first, last = sorted((head_of(begin).cycle, head_of(end).cycle))
         self._firsts.append(max(first, self._firsts[-1] if self._firsts else 0))
         self._lasts.append(last)
         self._note_silence()

@@ -16,7 +16,7 @@ from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, TELEM
 from bus_schemas.tree import PLANT, ROOT, agent_name, depth
 from live_page.follower import MOST_CHUNKS, RunFollower
 from recordings.read.chunks import ChunkPlace, DamagedChunkError, messages_in, unpack_chunk
-from recordings.read.reader import cycle_of
+from recordings.read.reader import head_of
 
 Column: TypeAlias = list[float | None]
 Messages: TypeAlias = dict[Port[Message], Message]
@@ -230,7 +230,7 @@ class NodeStates:
         for channel, _, _, _, payload in messages_in(records, ports):
             port = ports[channel]
             if port.signal is not RUN:
-                found.setdefault(cycle_of(payload), []).append((port, payload))
+                found.setdefault(head_of(payload).cycle, []).append((port, payload))
         return found
 
 

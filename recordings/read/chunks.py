@@ -73,7 +73,7 @@ def chunk_at(file: BinaryIO, offset: int, length: int, size: int) -> ChunkPlace:
     cut = offset + RECORD_HEAD.size + length > size
     if not cut:
         # Nothing verifies a record's length but the length of what is packed in the chunk.
-        file.seek(name_length, 1)
+        file.seek(offset + RECORD_HEAD.size + _CHUNK_HEAD.size + name_length)
         (packed_length,) = _LENGTH.unpack(file.read(_LENGTH.size))
         cut = length != _CHUNK_HEAD.size + name_length + _LENGTH.size + packed_length
     return ChunkPlace(offset, length, first_ns, last_ns, cut)

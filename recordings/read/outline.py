@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
-from os import SEEK_CUR, SEEK_END
+from os import SEEK_END
 from struct import Struct
 from typing import BinaryIO, Final, NamedTuple, TypeVar
 
@@ -42,7 +42,7 @@ R = TypeVar("R", bound=records.McapRecord)
 
 
 class NoMcapError(ValueError):
-    """The file is no MCAP file at all; says what it is instead."""
+    """The file is no MCAP file at all; says how it begins instead."""
 
 
 class _Place(NamedTuple):
@@ -74,8 +74,6 @@ class JoinedFile:
 
     def seek(self, offset: int, whence: int = 0) -> int:
         """Go to a byte; from there on no more is read than the rest of its file."""
-        if whence == SEEK_CUR:
-            return self._file.seek(offset, SEEK_CUR)
         last = len(self._files) - 1
         number = last if whence == SEEK_END else bisect_right(self._begins, offset) - 1
         self._file, begin = self._files[number], self._begins[number]
@@ -96,7 +94,7 @@ class JoinedFile:
 
 @dataclass
 class Outline:
-    """What a file consists of, in its order; schemas and channels by their id.
+    """What a file consists of, in its order; metadata by name, schemas and channels by their id.
 
     It is `closed` if its writer came to the end of the messages. Otherwise it was cut, is damaged
     at `readable_end`, behind the last readable record of the data section, or is still being
@@ -111,7 +109,7 @@ class Outline:
     readable_end: int = len(MAGIC)
     header: records.Header | None = None
     attachments: list[records.Attachment] = field(default_factory=list)
-    metadata: list[records.Metadata] = field(default_factory=list)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     schemas: dict[int, records.Schema] = field(default_factory=dict)
     channels: dict[int, records.Channel] = field(default_factory=dict)
     chunks: list[ChunkPlace] = field(default_factory=list)
@@ -136,12 +134,12 @@ class Outline:
 
 
 def read_outline(file: BinaryIO) -> Outline:
-    """Find out what an MCAP file consists of."""
+    """Find out what an MCAP file consists of. An empty one was cut before its first byte."""
     size = file.seek(0, SEEK_END)
     file.seek(0)
     magic = file.read(len(MAGIC))
-    if magic != MAGIC:
-        raise NoMcapError(f"it begins with {magic!r}" if magic else "it is empty")
+    if not MAGIC.startswith(magic):
+        raise NoMcapError(f"it begins with {magic!r}")
     try:
         outline = _by_index(file, size)
     except BROKEN:
@@ -230,7 +228,8 @@ def _take(outline: Outline, file: BinaryIO, place: _Place) -> None:
         case Opcode.ATTACHMENT:
             _take_attachment(outline, place.offset, _body(file, place, outline.size))
         case Opcode.METADATA:
-            outline.metadata.append(_parse(records.Metadata.read, _body(file, place, outline.size)))
+            found = _parse(records.Metadata.read, _body(file, place, outline.size))
+            outline.metadata[found.name] = found.metadata
 
 
 def _take_attachment(outline: Outline, offset: int, body: bytes) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Collection, Container, Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Final, NamedTuple, cast
@@ -13,7 +14,7 @@ import msgspec
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import decode
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Message
+from bus_schemas.messages import Message, Run
 from bus_schemas.signals import RUN, SIGNALS, Port, Signal
 from bus_schemas.tree import ROOT, agent_name
 from recordings.read.chunks import (
@@ -27,7 +28,6 @@ from recordings.read.outline import JoinedFile, NoMcapError, Outline, read_outli
 from recordings.read.run_clock import RunClock
 from recordings.read.run_file import (
     RECORDING_NAME,
-    NothingRecordedError,
     declare,
     further_file,
     read_origin,
@@ -60,11 +60,6 @@ class Head(msgspec.Struct, gc=False):
 
 
 _head = msgspec.msgpack.Decoder(Head).decode
-
-
-def cycle_of(payload: bytes) -> int:
-    """Return the cycle of a payload without decoding the rest; DecodeError if it has none."""
-    return head_of(payload).cycle
 
 
 def head_of(payload: bytes) -> Head:
@@ -109,8 +104,8 @@ class RunReader:
 
     Where the recorder was started again, `run-2.mcap` and further files are taken as one with it.
 
-    It is `whole` if each file was closed in order and has its index. Of a file that is damaged,
-    `damage` says which chunks were skipped so far, by their first byte, and why.
+    It is `whole` if each file was closed in order and has its index. `damage` are the first bytes
+    of the damaged chunks that were skipped so far.
 
     Memory is bounded by the largest chunk, and some 300 bytes for each chunk of the file.
     """
@@ -123,17 +118,15 @@ class RunReader:
             raise InputError(
                 f"{self.path}: no such file, expected a run's folder or its {RECORDING_NAME}"
             ) from None
-        except OSError as error:
-            raise InputError(f"{self.path}: {error.strerror}, expected an MCAP file") from None
         self.file = cast("BinaryIO", JoinedFile(first))
         self.files = 1
-        self.damage: dict[int, str] = {}
+        self.damage: set[int] = set()
         self._skip_damaged = skip_damaged
         self._position = 0
         self._first_cycles: dict[ChunkPlace, int | None] = {}
         try:
-            self.outline = self._read_outline()
-            self.metadata = {entry.name: entry.metadata for entry in self.outline.metadata}
+            self.outline = _outline_of(self.path, first)
+            self.metadata = self.outline.metadata
             self.scenario, self.plan = read_origin(self.outline, self.path)
             self.join()
             if self.outline.chunks and not self.outline.channels:
@@ -148,12 +141,8 @@ class RunReader:
         files = self.files
         while (path := further_file(self.path, self.files + 1)).exists():
             file = path.open("rb")
-            try:
-                outline = read_outline(file)
-            except NoMcapError:  # It has just been opened.
-                outline = Outline(0)
-            run_ids = [one.metadata.get("run_id") for one in outline.metadata if one.name == "run"]
-            if run_ids != [self.plan.run_id]:
+            outline = _outline_of(path, file)
+            if outline.metadata.get("run", {}).get("run_id") != self.plan.run_id:
                 file.close()
                 break
             self.outline.go_on(outline, cast("JoinedFile", self.file).add(file))
@@ -269,16 +258,13 @@ class RunReader:
     @cached_property
     def stop_cycle(self) -> int | None:
         """The cycle before which the plant ended the run; None: the recording does not tell."""
-        last = max(self.last_cycle, 0)
-        records = self.records([RUN.of(ROOT)], range(last, _MOST_CYCLES))
-        runs = (decode(RUN, record.payload) for record in records)
-        return end_of_run([run.cycle for run in runs if run.state == "stop"], self.last_cycle)
+        runs = self.on([RUN.of(ROOT)], range(max(self.last_cycle, 0), _MOST_CYCLES))
+        stops = [run.cycle for _, run in runs if isinstance(run, Run) and run.state == "stop"]
+        return end_of_run(stops, self.last_cycle)
 
     def cycles_in(self, place: ChunkPlace) -> range:
         """Return the cycles that a chunk has messages of; empty if none can be read."""
-        cycles = [
-            self._head_of(raw).cycle for raw in messages_in(self._try_unpack(place), self._every)
-        ]
+        cycles = [self._head_of(raw).cycle for raw in self._readable(place)]
         return range(min(cycles), max(cycles) + 1) if cycles else range(0)
 
     def damage_text(self) -> str:
@@ -364,15 +350,15 @@ class RunReader:
     def _first_cycle(self, place: ChunkPlace) -> int | None:
         """Return the cycle of a chunk's first message; None: nothing can be read of it."""
         if place not in self._first_cycles:
-            raw = next(messages_in(self._try_unpack(place), self._every), None)
+            raw = next(self._readable(place), None)
             self._first_cycles[place] = None if raw is None else self._head_of(raw).cycle
         return self._first_cycles[place]
 
-    def _try_unpack(self, place: ChunkPlace) -> bytes:
-        try:
-            return unpack_chunk(self.file, place)
-        except DamagedChunkError:
-            return b""  # An error only for whoever reads its messages.
+    def _readable(self, place: ChunkPlace) -> Iterator[RawMessage]:
+        """Return all messages of a chunk, to search in; a damaged one has none."""
+        with suppress(DamagedChunkError):
+            return messages_in(unpack_chunk(self.file, place), self._every)
+        return iter(())
 
     def _head_of(self, raw: RawMessage) -> Head:
         try:
@@ -403,7 +389,7 @@ class RunReader:
             records = unpack_chunk(self.file, place)
         except DamagedChunkError as error:
             if self._skip_damaged:
-                self.damage[place.offset] = str(error)
+                self.damage.add(place.offset)
                 return iter(())
             raise InputError(
                 f"{self.path}: chunk at byte {place.offset:,}: {error}; `heliarch recover` keeps "
@@ -411,15 +397,12 @@ class RunReader:
             ) from None
         return messages_in(records, channels)
 
-    def _read_outline(self) -> Outline:
-        try:
-            return read_outline(self.file)
-        except NoMcapError as error:
-            if not self.path.stat().st_size:
-                raise NothingRecordedError(f"{self.path}: it is empty") from None
-            raise InputError(f"{self.path}: not an MCAP file, {error}") from None
-        except OSError as error:
-            raise InputError(f"{self.path}: {error.strerror}, expected an MCAP file") from None
+
+def _outline_of(path: Path, file: BinaryIO) -> Outline:
+    try:
+        return read_outline(file)
+    except NoMcapError as error:
+        raise InputError(f"{path}: not an MCAP file, {error}") from None
 
 
 def end_of_run(stops: Collection[int], last_cycle: int) -> int | None:
