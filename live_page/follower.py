@@ -25,7 +25,7 @@ from bus_schemas.signals import DISPATCH, IMPP, NOTICE, PRODUCTION, RUN, TELEMET
 from bus_schemas.tree import PLANT, RECORDER, agent_name
 from live_page.event_log import EventLog
 from recordings.inspect.health import FAILURE_NAME
-from recordings.read.chunks import ChunkPlace, DamagedChunkError, messages_in, unpack_chunk
+from recordings.read.chunks import ChunkPlace
 from recordings.read.outline import walk_on
 from recordings.read.reader import RunReader, head_of
 from recordings.read.series import RunSeries
@@ -50,8 +50,7 @@ class RunFollower:
     """A recording, as far as it has been read.
 
     `cycles` are those that the plant has completed, `restarts` says how often each agent began
-    again. `start_time_ns` is that of the run on its own clock, None until it is recorded. `ports`
-    are by the number of their channel.
+    again. `start_time_ns` is that of the run on its own clock, None until it is recorded.
     """
 
     def __init__(self, path: Path) -> None:
@@ -67,7 +66,6 @@ class RunFollower:
         self._disorder = ceil(_LATEST_S / wall_s) if wall_s else 1
         self._firsts: list[int] = []
         self._lasts: list[int] = []
-        self.ports: dict[int, Port[Message]] = {}
         self._next_sequence: dict[int, int] = {}
         # Each node states its IMPP in each cycle; a real inverter that is gone has no telemetry.
         self._names: dict[Port[Message], str] = {
@@ -168,19 +166,11 @@ class RunFollower:
         return chunks[number] if number < len(chunks) and not chunks[number].cut else None
 
     def _read(self, place: ChunkPlace) -> None:
-        if not self.ports:
-            topics = {number: entry.topic for number, entry in self.run.outline.channels.items()}
-            found = {number: self.plan.keys.port(topic) for number, topic in topics.items()}
-            self.ports = {number: port for number, port in found.items() if port is not None}
+        ports = self.run.channels
         first = last = max(self.cycles - 1, 0)
-        try:
-            records = unpack_chunk(self.run.file, place)
-        except DamagedChunkError as error:
-            records = b""
-            self.events.add("damage", self.cycles, RECORDER, f"a part of the file: {error}")
         begin = end = b""
-        for channel, sequence, _, _, payload in messages_in(records, self.ports):
-            port = self.ports[channel]
+        for channel, sequence, _, _, payload in self.run.messages_of(place, ports):
+            port = ports[channel]
             if sequence != self._next_sequence.get(channel, 0):
                 self._note_jump(channel, port, sequence, head_of(payload).cycle)
             self._next_sequence[channel] = sequence + 1
@@ -190,6 +180,8 @@ class RunFollower:
                 elif port.signal in _FOLLOWED:
                     self._see(port, payload)
             begin, end = begin or payload, payload
+        if place.offset in self.run.damage:
+            self.events.add("damage", self.cycles, RECORDER, "a part of the file is damaged")
         if begin:
             first, last = sorted((head_of(begin).cycle, head_of(end).cycle))
         self._firsts.append(max(first, self._firsts[-1] if self._firsts else 0))

@@ -15,7 +15,7 @@ from bus_schemas.missing import parse_missing
 from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, TELEMETRY, Port
 from bus_schemas.tree import PLANT, ROOT, agent_name, depth
 from live_page.follower import MOST_CHUNKS, RunFollower
-from recordings.read.chunks import ChunkPlace, DamagedChunkError, messages_in, unpack_chunk
+from recordings.read.chunks import ChunkPlace
 from recordings.read.reader import head_of
 
 Column: TypeAlias = list[float | None]
@@ -222,13 +222,9 @@ class NodeStates:
     def _parse(self, place: ChunkPlace) -> dict[int, list[tuple[Port[Message], bytes]]]:
         """Return the messages in a chunk by their cycle."""
         found: dict[int, list[tuple[Port[Message], bytes]]] = {}
-        ports = self.follower.ports
-        try:
-            records = unpack_chunk(self.follower.run.file, place)
-        except DamagedChunkError:
-            return found
-        for channel, _, _, _, payload in messages_in(records, ports):
-            port = ports[channel]
+        run = self.follower.run
+        for channel, _, _, _, payload in run.messages_of(place, run.channels):
+            port = run.channels[channel]
             if port.signal is not RUN:
                 found.setdefault(head_of(payload).cycle, []).append((port, payload))
         return found

@@ -95,8 +95,14 @@ class RunView:
                 return None
         return self._states
 
+    def _begun(self) -> NodeStates:
+        states = self.open()
+        if states is None:
+            raise InputError(f"{self.path}: the run has not begun")
+        return states
+
     def plan(self) -> dict[str, Any] | None:
-        """Return what stays the same throughout the run."""
+        """Return what stays the same throughout the run; None while it has not begun."""
         states = self.open()
         if states is None:
             return None
@@ -127,22 +133,19 @@ class RunView:
             "timezone": plan.timezone,
         }
 
-    def layout(self) -> dict[str, object] | None:
+    def layout(self) -> dict[str, object]:
         """Return a layout of the run for Foxglove and Lichtblick."""
-        states = self.open()
-        return None if states is None else viewer_layout(states.follower.plan)
+        return viewer_layout(self._begun().follower.plan)
 
     def window(self, cycles: range, points: int) -> dict[str, Any]:
         """Return the plant's powers over some cycles."""
-        states = self.open()
-        points = min(points, _MOST_POINTS)
-        return {} if states is None else states.follower.powers(cycles, points)
+        return self._begun().follower.powers(cycles, min(points, _MOST_POINTS))
 
     async def node(self, node: str, cycles: range) -> dict[str, list[float | None]]:
         """Return the powers of a node over some cycles, at most so many that it takes a second."""
-        states = self.open()
-        nodes = states.follower.plan.tree.nodes if states is not None else ()
-        if states is None or node not in nodes:
+        states = self._begun()
+        nodes = states.follower.plan.tree.nodes
+        if node not in nodes:
             raise InputError(f"{node}: the run has no such node")
         cycles = range(max(cycles.start, 0), min(cycles.stop, states.follower.cycles))
         most = max(_NODE_MESSAGES // (8 * len(nodes)), 20)

@@ -11,7 +11,6 @@ import secrets
 from collections import OrderedDict
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -47,14 +46,6 @@ _HEADERS: Final = {
 _COOKIE: Final = "heliarch-page"
 
 
-@dataclass
-class Audience:
-    """The browsers that look on, and when the last one left."""
-
-    streams: int = 0
-    left_at: float = float("-inf")
-
-
 class EventStream(StreamingResponse):
     """Server-sent events. A browser that takes none of them for a while is let go."""
 
@@ -79,10 +70,14 @@ class _Server(uvicorn.Server):
 
 
 class PageServer:
-    """The server of one run, or of the `several` runs in a folder."""
+    """The server of one run, or of the `several` runs in a folder.
+
+    `streams` counts the browsers that look on; `left_at` is when the last one left.
+    """
 
     def __init__(self, path: Path, place: Place, *, several: bool) -> None:
-        self.audience = Audience()
+        self.streams = 0
+        self.left_at = float("-inf")
         self._place = place
         self._list = RunList(path) if several else None
         self._path = path
@@ -166,7 +161,7 @@ class PageServer:
 
     async def _stream(self, request: Request) -> Response:
         """Follow the newest cycle, or play from the cycle `from` at a `speed`."""
-        if self.audience.streams >= _MOST_STREAMS:
+        if self.streams >= _MOST_STREAMS:
             return PlainTextResponse("too many browsers look on", 503)
         begin = _number(request, "from", -1.0)
         speed = min(max(_number(request, "speed", 0.0), 0.0), _FASTEST)
@@ -174,15 +169,15 @@ class PageServer:
         return EventStream(self._events(updates))
 
     async def _events(self, updates: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
-        self.audience.streams += 1
+        self.streams += 1
         try:
             async for update in updates:
                 yield b"data: " + update + b"\n\n"
                 if self._server.should_exit:
                     return
         finally:
-            self.audience.streams -= 1
-            self.audience.left_at = asyncio.get_running_loop().time()
+            self.streams -= 1
+            self.left_at = asyncio.get_running_loop().time()
 
 
 class _Guard:

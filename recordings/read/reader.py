@@ -239,6 +239,11 @@ class RunReader:
         return pd.DataFrame(columns, index=index)
 
     @cached_property
+    def channels(self) -> dict[int, Port[Message]]:
+        """All ports by the numbers of their channels, which are known from the first chunk on."""
+        return self._channels_of(self.ports())
+
+    @cached_property
     def clock(self) -> RunClock:
         """Turns local time and time since the start into cycles of this run."""
         return RunClock(self.plan, self.last_cycle)
@@ -250,7 +255,7 @@ class RunReader:
         ports = {port for port in self.ports() if port.signal.name != "run"}
         port_of = self._channels_of(ports)
         for place in reversed(self.outline.chunks):
-            cycles = [self._head_of(raw).cycle for raw in self._messages_of(place, port_of)]
+            cycles = [self._head_of(raw).cycle for raw in self.messages_of(place, port_of)]
             if cycles:
                 return max(cycles)
         return -1
@@ -261,6 +266,21 @@ class RunReader:
         runs = self.on([RUN.of(ROOT)], range(max(self.last_cycle, 0), _MOST_CYCLES))
         stops = [run.cycle for _, run in runs if isinstance(run, Run) and run.state == "stop"]
         return end_of_run(stops, self.last_cycle)
+
+    def messages_of(self, place: ChunkPlace, channels: Container[int]) -> Iterator[RawMessage]:
+        """Return the messages of some channels in a chunk, none if it is damaged and skipped."""
+        self._position = place.offset
+        try:
+            records = unpack_chunk(self.file, place)
+        except DamagedChunkError as error:
+            if self._skip_damaged:
+                self.damage.add(place.offset)
+                return iter(())
+            raise InputError(
+                f"{self.path}: chunk at byte {place.offset:,}: {error}; `heliarch recover` keeps "
+                "what is sound"
+            ) from None
+        return messages_in(records, channels)
 
     def cycles_in(self, place: ChunkPlace) -> range:
         """Return the cycles that a chunk has messages of; empty if none can be read."""
@@ -331,7 +351,7 @@ class RunReader:
                 first = self._first_cycle(place)
                 if first is not None and first >= cycles.stop + self._slack:
                     return
-            yield from self._messages_of(place, channels)
+            yield from self.messages_of(place, channels)
 
     def _search(self, cycle: int) -> int:
         """Return the number of a chunk before which there is no message of a cycle.
@@ -357,7 +377,7 @@ class RunReader:
     def _readable(self, place: ChunkPlace) -> Iterator[RawMessage]:
         """Return all messages of a chunk, to search in; a damaged one has none."""
         with suppress(DamagedChunkError):
-            return messages_in(unpack_chunk(self.file, place), self._every)
+            return messages_in(unpack_chunk(self.file, place), self.channels)
         return iter(())
 
     def _head_of(self, raw: RawMessage) -> Head:
@@ -371,10 +391,6 @@ class RunReader:
             ) from None
 
     @cached_property
-    def _every(self) -> dict[int, Port[Message]]:
-        return self._channels_of(self.ports())
-
-    @cached_property
     def _slack(self) -> int:
         """How many cycles behind the newest one a message can be in the file."""
         if self.metadata["run"].get("driver") == "simulate":
@@ -382,20 +398,6 @@ class RunReader:
         if self.plan.lockstep:
             return _FURTHEST_CYCLES
         return max(round(_LATEST_S * 1e9 / self.plan.cycle_wall_ns), self.plan.periods.longest) + 1
-
-    def _messages_of(self, place: ChunkPlace, channels: Container[int]) -> Iterator[RawMessage]:
-        self._position = place.offset
-        try:
-            records = unpack_chunk(self.file, place)
-        except DamagedChunkError as error:
-            if self._skip_damaged:
-                self.damage.add(place.offset)
-                return iter(())
-            raise InputError(
-                f"{self.path}: chunk at byte {place.offset:,}: {error}; `heliarch recover` keeps "
-                "what is sound"
-            ) from None
-        return messages_in(records, channels)
 
 
 def _outline_of(path: Path, file: BinaryIO) -> Outline:

@@ -130,6 +130,6 @@ def test_a_browser_that_stalls_or_vanishes_does_not_hold_up_others(run: Path) ->
         for one in stalled:
             one.close()
         give_up_at = time.monotonic() + 20.0
-        while page.server.audience.streams:
+        while page.server.streams:
             assert time.monotonic() < give_up_at
             time.sleep(0.05)
