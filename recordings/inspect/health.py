@@ -154,14 +154,14 @@ class HealthWatch:
 
     def see(self, record: RecordedMessage) -> None:
         port, cycle = record.port, record.cycle
-        sequence = self.gaps.ports[port].sequence
-        restarts, lost = sequence.restarts, sequence.lost
+        found = self.gaps.ports[port]
+        restarts, lost = found.restarts, found.lost
         self.gaps.see(port, cycle, record.sequence, record.incarnation)
         agent = port.publisher
         if agent in self._last_cycle:
-            if sequence.lost > lost:  # It was there: its messages are not.
+            if found.lost > lost:  # It was there: its messages are not.
                 self._last_cycle[agent] = max(self._last_cycle[agent], cycle - 1)
-            joined = self._newly_joined(record, numbered_anew=sequence.restarts > restarts)
+            joined = self._newly_joined(record, numbered_anew=found.restarts > restarts)
             self._see_agent(agent, cycle, joined)
         if port in self._devices:
             self._see_agent(self._devices[port], cycle, None)
@@ -179,8 +179,8 @@ class HealthWatch:
 
     def health(self, run: RunReader) -> Health:
         """Return how the run fared, with what lies beside its recording."""
-        sequences = {str(port): found.sequence for port, found in self.gaps.ports.items()}
-        lost = Counter({port: found.lost for port, found in sequences.items() if found.lost})
+        ports = self.gaps.ports
+        lost = Counter({str(port): found.lost for port, found in ports.items() if found.lost})
         return Health(
             fault_acts=tuple(
                 self._stop_act(rule, run)
@@ -190,7 +190,7 @@ class HealthWatch:
             ),
             faults=self._tally.as_counts(),
             lost=dict(lost.most_common()),
-            repeated=sum(found.repeated for found in sequences.values()),
+            repeated=sum(found.repeated for found in ports.values()),
             misses=tuple(sorted(self._misses(), key=lambda one: one.inputs, reverse=True)),
             absences=tuple(self._absences),
             ended=run.stop_cycle is not None,

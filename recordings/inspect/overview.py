@@ -145,8 +145,8 @@ def _count(signal: Signal[Message], gaps: RunGaps, cycles: int, wall_s: float) -
         messages=messages,
         per_cycle=messages / cycles if cycles else 0.0,
         per_s=messages / wall_s if wall_s else 0.0,
-        lost=sum(found.sequence.lost for found in own),
-        repeated=sum(found.sequence.repeated for found in own),
+        lost=sum(found.lost for found in own),
+        repeated=sum(found.repeated for found in own),
         missing_cycles=sum(found.missing for found in own),
     )
 
