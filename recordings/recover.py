@@ -121,8 +121,6 @@ class _Copy:
         self._gaps = RunGaps(run.plan)
         self._writer = Writer(file, compression=CompressionType.LZ4)
         self._channel_of = _begin(self._writer, outline)
-        port_at = run.plan.keys.port
-        self._port_of = {n: port_at(channel.topic) for n, channel in outline.channels.items()}
 
     def add_chunk(self, place: ChunkPlace) -> None:
         """Copy the messages of a chunk; note it if it cannot be read."""
@@ -164,7 +162,7 @@ class _Copy:
 
     def _add(self, raw: RawMessage, head: Head) -> None:
         channel, sequence, log_time_ns, publish_time_ns, payload = raw
-        cycle, port, found = head.cycle, self._port_of[channel], self.found
+        cycle, port, found = head.cycle, self._run.channels.get(channel), self.found
         if port is not None and port.signal is RUN:
             message = decode(RUN, payload)
             if message.state == "stop":

@@ -7,7 +7,7 @@ from collections.abc import Collection, Container, Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Final, NamedTuple, cast
+from typing import TYPE_CHECKING, Annotated, BinaryIO, Final, NamedTuple, cast
 
 import msgspec
 
@@ -136,9 +136,8 @@ class RunReader:
             raise
         self.whole = self.outline.indexed
 
-    def join(self) -> bool:
-        """Take in the files of recorders that were started again; return whether there was one."""
-        files = self.files
+    def join(self) -> None:
+        """Take in the files of recorders that were started again."""
         while (path := further_file(self.path, self.files + 1)).exists():
             file = path.open("rb")
             outline = _outline_of(path, file)
@@ -147,7 +146,6 @@ class RunReader:
                 break
             self.outline.go_on(outline, cast("JoinedFile", self.file).add(file))
             self.files += 1
-        return self.files > files
 
     def messages(
         self,
@@ -226,22 +224,20 @@ class RunReader:
 
         (found,) = find_signals([signal])
         own = [name for name in found.type.__struct_fields__ if name not in _HEAD_FIELDS]
-        times: list[int] = []
-        columns: dict[str, list[Any]] = {name: [] for name in ("cycle", "node", *own)}
-        for port, message in self.messages(found, nodes=nodes, start=start, end=end):
-            times.append(message.sim_time_ns)
-            columns["cycle"].append(message.cycle)
-            columns["node"].append(agent_name(port.node))
-            for name in own:
-                columns[name].append(getattr(message, name))
-        utc = pd.to_datetime(pd.Series(times, dtype="int64"), unit="ns", utc=True)
-        index = pd.DatetimeIndex(utc, name="time").tz_convert(self.plan.timezone)
-        return pd.DataFrame(columns, index=index)
+        rows = [
+            (m.sim_time_ns, m.cycle, agent_name(port.node), *(getattr(m, name) for name in own))
+            for port, m in self.messages(found, nodes=nodes, start=start, end=end)
+        ]
+        frame = pd.DataFrame(rows, columns=["time", "cycle", "node", *own]).set_index("time")
+        utc = pd.to_datetime(frame.index, unit="ns", utc=True)
+        return frame.set_index(utc.tz_convert(self.plan.timezone))
 
     @cached_property
     def channels(self) -> dict[int, Port[Message]]:
-        """All ports by the numbers of their channels, which are known from the first chunk on."""
-        return self._channels_of(self.ports())
+        """Ports by the numbers of their channels, which are known from the first chunk on."""
+        port_at = self.plan.keys.port
+        found = {number: port_at(entry.topic) for number, entry in self.outline.channels.items()}
+        return {number: port for number, port in found.items() if port is not None}
 
     @cached_property
     def clock(self) -> RunClock:
@@ -333,13 +329,7 @@ class RunReader:
         self.close()
 
     def _channels_of(self, ports: Collection[Port[Message]]) -> dict[int, Port[Message]]:
-        """Return the ports by the numbers of their channels."""
-        found = {}
-        for number, channel in self.outline.channels.items():
-            port = self.plan.keys.port(channel.topic)
-            if port is not None and port in ports:
-                found[number] = port
-        return found
+        return {number: port for number, port in self.channels.items() if port in ports}
 
     def _raw(
         self, channels: Mapping[int, Port[Message]], cycles: range | None
