@@ -83,13 +83,13 @@ def _width(console: Console) -> int:
 def _show_nodes(
     run: RunReader, nodes: Sequence[str], cycles: range, json: str | None, console: Console
 ) -> None:
-    from recordings.inspect.timeline import TimelineTable, timeline
+    from recordings.inspect.timeline import node_table, timeline
 
     with json_rows(json) as write:
         for node in nodes:
             if len(nodes) > 1:
                 _print_lines(console, [agent_name(node)], "bold")
-            table = TimelineTable(run.plan.tree, node, len(run.clock.text(0)), _width(console))
+            table = node_table(run.plan.tree, node, len(run.clock.text(0)), _width(console))
             _print_lines(console, table.heading(), "bold")
             for rows in timeline(run, [node], cycles):
                 for row in rows:
