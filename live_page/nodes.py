@@ -9,8 +9,9 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import msgspec
 
 from agents.cycle import kind_of, stage_of, stage_place
+from agents.dispatch import own_request_kw
 from bus_schemas.codec import decode
-from bus_schemas.messages import Message, Production, Setpoint
+from bus_schemas.messages import Dispatch, Impp, Message, Production, Setpoint
 from bus_schemas.missing import parse_missing
 from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, TELEMETRY, Port
 from bus_schemas.tree import PLANT, ROOT, agent_name, depth
@@ -82,20 +83,18 @@ class NodeStates:
 
     def _powers(self, found: Messages, nodes: Collection[str]) -> dict[str, Column]:
         """Return the powers of nodes [kW]; what no message says is None."""
-        dispatch = found.get(DISPATCH.of(ROOT))
-        made = found.get(PRODUCTION.of(ROOT))
+        dispatch, made = found.get(DISPATCH.of(ROOT)), found.get(PRODUCTION.of(ROOT))
+        assert dispatch is None or isinstance(dispatch, Dispatch)
         columns: dict[str, Column] = {name: [] for name in _POWERS}
-        rating_kw = _value(dispatch, "plant_rating_kw") or self._tree.rating_kw(ROOT)
-        share = _value(dispatch, "power_kw", 0.0) / rating_kw
         for node in nodes:
-            setpoint = found.get(SETPOINT.of(node)) if node != ROOT else None
-            given = _value(setpoint, "power_kw"), _value(setpoint, "share_kw")
+            impp = found.get(IMPP.of(node))
+            setpoint = found.get(SETPOINT.of(node)) if node != ROOT else dispatch
             below = self._below[self._place[node]]
             row = (
-                _value(found.get(IMPP.of(node)), "power_kw"),
-                None if dispatch is None else share * self._tree.rating_kw(node),
-                _value(dispatch, "power_kw") if node == ROOT else given[0],
-                None if given[0] is None or given[1] is None else given[0] - given[1],
+                impp.power_kw if isinstance(impp, Impp) else None,
+                own_request_kw(dispatch, self._tree.rating_kw(node)),
+                setpoint.power_kw if isinstance(setpoint, Setpoint | Dispatch) else None,
+                setpoint.power_kw - setpoint.share_kw if isinstance(setpoint, Setpoint) else None,
                 _total(made, "inverter_power_kw", below),
                 _total(made, "inverter_mpp_kw", below),
             )
@@ -239,10 +238,6 @@ def _of_cycle(
     parsed: Iterable[dict[int, list[tuple[Port[Message], bytes]]]], cycle: int
 ) -> Iterable[tuple[Port[Message], bytes]]:
     return (entry for chunk in parsed for entry in chunk.get(cycle, ()))
-
-
-def _value(message: Message | None, field: str, default: Any = None) -> Any:  # noqa: ANN401
-    return default if message is None else getattr(message, field)
 
 
 def _total(made: Message | None, field: str, below: tuple[int, ...]) -> float | None:
