@@ -179,7 +179,11 @@ class HealthWatch:
 
     def health(self, run: RunReader) -> Health:
         """Return how the run fared, with what lies beside its recording."""
-        ports = self.gaps.ports
+        ports, missed, external = self.gaps.ports, self._missed, self._plan.external
+        misses = [
+            Misses(agent, missed.missing[agent].total(), missed.old[agent], *at, agent in external)
+            for agent, at in missed.cycles.items()
+        ]
         lost = Counter({str(port): found.lost for port, found in ports.items() if found.lost})
         return Health(
             fault_acts=tuple(
@@ -191,7 +195,7 @@ class HealthWatch:
             faults=self._tally.as_counts(),
             lost=dict(lost.most_common()),
             repeated=sum(found.repeated for found in ports.values()),
-            misses=tuple(sorted(self._misses(), key=lambda one: one.inputs, reverse=True)),
+            misses=tuple(sorted(misses, key=lambda one: one.inputs, reverse=True)),
             absences=tuple(self._absences),
             ended=run.stop_cycle is not None,
             failure=_failure(run.path.parent),
@@ -247,13 +251,6 @@ class HealthWatch:
         if len(self._absences) > LISTED_GAPS:
             self._absences.remove(min(self._absences, key=lambda one: one.weight))
             self._more_absences += 1
-
-    def _misses(self) -> Iterator[Misses]:
-        missed = self._missed
-        for agent, cycles in missed.cycles.items():
-            is_external = agent in self._plan.external
-            count = missed.missing[agent].total()
-            yield Misses(agent, count, missed.old[agent], *cycles, is_external)
 
 
 def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:
