@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Collection, Container, Iterable, Iterator, Mapping
+from collections.abc import Collection, Container, Iterator, Mapping
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
@@ -285,10 +285,9 @@ class RunReader:
 
     def damage_text(self) -> str:
         """Say what is missing: the damaged chunks that were skipped, and damaged attachments."""
-        chunks = self.outline.chunks
         parts = [
-            f"chunk at byte {place.offset:,}, {self._missing_text(chunks[:n], chunks[n + 1 :])}"
-            for n, place in enumerate(chunks)
+            f"chunk at byte {place.offset:,}, {self._missing_text(number)}"
+            for number, place in enumerate(self.outline.chunks)
             if place.offset in self.damage
         ]
         if len(parts) > _NAMED:
@@ -297,17 +296,15 @@ class RunReader:
         what = f"a part of the file is damaged ({'; '.join(parts)}): see heliarch recover"
         return f"{self.path}: {what}" if parts else ""
 
-    def _missing_text(self, before: list[ChunkPlace], behind: list[ChunkPlace]) -> str:
-        """Say of which cycles messages are missing between some chunks and others."""
-        last, first = self._nearest(reversed(before)), self._nearest(behind)
-        begin = last.stop - 1 if last else 0
-        if not first:
+    def _missing_text(self, number: int) -> str:
+        """Say of which cycles messages are missing, between the chunks around a damaged one."""
+        chunks = self.outline.chunks
+        before = next(filter(None, map(self.cycles_in, reversed(chunks[:number]))), range(1))
+        behind = next(filter(None, map(self.cycles_in, chunks[number + 1 :])), None)
+        begin = before.stop - 1
+        if behind is None:
             return f"messages from cycle {begin:,} on are missing"
-        return f"cycles {begin:,} to {max(begin, first.start):,} missing"
-
-    def _nearest(self, places: Iterable[ChunkPlace]) -> range:
-        """Return the cycles of the first readable chunk."""
-        return next(filter(None, map(self.cycles_in, places)), range(0))
+        return f"cycles {begin:,} to {max(begin, behind.start):,} missing"
 
     @property
     def file_number(self) -> int:

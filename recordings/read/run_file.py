@@ -88,8 +88,6 @@ def read_origin(outline: Outline, path: Path) -> tuple[str, RunPlan]:
         scenario = attachments["scenario.toml"].decode(errors="replace")
         plan = msgspec.json.decode(attachments["plan.json"], type=RunPlan)
     except KeyError as error:
-        if outline.cut_early and not damaged:
-            raise NothingRecordedError(f"{path}: cut before the plan of its run") from None
         note = f"; damaged are {', '.join(damaged)}" if damaged else ""
         raise InputError(f"{path}: recording without its attachment {error}{note}") from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
