@@ -96,7 +96,7 @@ class RunFollower:
         outline = self.run.outline
         if not outline.closed and self._next_chunk() is None:
             self.run.join()
-            walk_on(outline, self.run.file)
+            walk_on(outline, self.run.files[-1])
         until = time.monotonic() + budget_s
         while (place := self._next_chunk()) is not None:
             self._read(place)
@@ -117,7 +117,7 @@ class RunFollower:
         if not self.cycles:
             return "waiting"
         longest_s = max(_SILENT_S, 3.0 * self.plan.cycle_wall_ns / 1e9)
-        age_s = time.time() - os.fstat(self.run.file.fileno()).st_mtime
+        age_s = time.time() - os.fstat(self.run.files[-1].fileno()).st_mtime
         return "silent" if age_s > longest_s else "running"
 
     @property
@@ -180,7 +180,7 @@ class RunFollower:
                 elif port.signal in _FOLLOWED:
                     self._see(port, payload)
             begin, end = begin or payload, payload
-        if place.offset in self.run.damage:
+        if place in self.run.damage:
             self.events.add("damage", self.cycles, RECORDER, "a part of the file is damaged")
         if begin:
             first, last = sorted((head_of(begin).cycle, head_of(end).cycle))

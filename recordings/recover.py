@@ -16,7 +16,6 @@ from recordings.read.chunks import (
     DamagedChunkError,
     RawMessage,
     messages_in,
-    unpack_chunk,
 )
 from recordings.read.gaps import RunGaps
 from recordings.read.outline import Outline
@@ -79,10 +78,10 @@ def is_sound(run: RunReader, follow: _Follow = lambda share: None) -> bool:
     """
     if not run.whole or run.outline.damaged_attachments:
         return False
-    for place in run.outline.chunks:
-        follow(place.offset / run.outline.size)
+    for number, place in enumerate(run.outline.chunks):
+        follow(number / len(run.outline.chunks))
         try:
-            unpack_chunk(run.file, place)
+            run.unpack(place)
         except DamagedChunkError:
             return False
     return True
@@ -96,8 +95,8 @@ def recover_run(run: RunReader, out: Path, follow: _Follow = lambda share: None)
     """
     with new_path(out) as beside, beside.open("xb") as file:
         copy = _Copy(run, out, file)
-        for place in run.outline.chunks:
-            follow(place.offset / run.outline.size)
+        for number, place in enumerate(run.outline.chunks):
+            follow(number / len(run.outline.chunks))
             copy.add_chunk(place)
         copy.finish()
         return copy.found
@@ -125,7 +124,7 @@ class _Copy:
     def add_chunk(self, place: ChunkPlace) -> None:
         """Copy the messages of a chunk; note it if it cannot be read."""
         try:
-            records = unpack_chunk(self._run.file, place)
+            records = self._run.unpack(place)
             for raw in messages_in(records, self._channel_of):
                 head = head_of(raw[4])
                 if place.cut and head.cycle > self._run.plan.cycles:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Callable, Iterator
 from typing import Final
@@ -102,8 +103,8 @@ def read_overview(
         title=_title(run),
         driver=origin.get("driver", ""),
         whole=run.whole,
-        files=run.files,
-        size_mb=run.outline.size / 1e6,
+        files=len(run.files),
+        size_mb=sum(os.fstat(file.fileno()).st_size for file in run.files) / 1e6,
         chunks=len(run.outline.chunks),
         start=run.clock.local(wanted.start).isoformat(),
         end=run.clock.local(max(wanted.stop - 1, wanted.start)).isoformat(),

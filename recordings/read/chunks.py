@@ -56,7 +56,8 @@ class DamagedChunkError(ValueError):
 class ChunkPlace(NamedTuple):
     """Where a chunk's record begins, the length of its body, and its first and last log time.
 
-    It is cut if the file ends before it does, or if its length is damaged.
+    It is cut if the file ends before it does, or if its length is damaged. `file` is which of a
+    recording's files it is in, from 0 on.
     """
 
     offset: int
@@ -64,6 +65,7 @@ class ChunkPlace(NamedTuple):
     first_ns: int
     last_ns: int
     cut: bool = False
+    file: int = 0
 
 
 def chunk_at(file: BinaryIO, offset: int, length: int, size: int) -> ChunkPlace:

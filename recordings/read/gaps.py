@@ -132,7 +132,7 @@ def recorder_absences(run: RunReader) -> Iterator[tuple[str, range]]:
 
     The first and the last of them may be recorded in part, or as a whole.
     """
-    if run.files == 1:
+    if len(run.files) == 1:
         return
     newest: dict[Port[Message], int] = {}
     seen_in: dict[Port[Message], int] = {}

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from collections.abc import Collection, Container, Iterator, Mapping
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, BinaryIO, Final, NamedTuple, cast
+from typing import TYPE_CHECKING, Annotated, BinaryIO, Final, NamedTuple
 
 import msgspec
 
@@ -24,7 +24,7 @@ from recordings.read.chunks import (
     messages_in,
     unpack_chunk,
 )
-from recordings.read.outline import JoinedFile, NoMcapError, Outline, read_outline
+from recordings.read.outline import NoMcapError, Outline, read_outline
 from recordings.read.run_clock import RunClock
 from recordings.read.run_file import (
     RECORDING_NAME,
@@ -104,8 +104,9 @@ class RunReader:
 
     Where the recorder was started again, `run-2.mcap` and further files are taken as one with it.
 
-    It is `whole` if each file was closed in order and has its index. `damage` are the first bytes
-    of the damaged chunks that were skipped so far.
+    It is `whole` if each file was closed in order and has its index. `damage` are the damaged
+    chunks that were skipped so far, `read_share` is how far the reading has come, 0 to 1, and
+    `file_number` in which of the `files`.
 
     Memory is bounded by the largest chunk, and some 300 bytes for each chunk of the file.
     """
@@ -113,39 +114,38 @@ class RunReader:
     def __init__(self, path: Path, *, skip_damaged: bool = False) -> None:
         self.path = path / RECORDING_NAME if path.is_dir() else path
         try:
-            first = self.path.open("rb")
+            self.files = [self.path.open("rb")]
         except FileNotFoundError:
             raise InputError(
                 f"{self.path}: no such file, expected a run's folder or its {RECORDING_NAME}"
             ) from None
-        self.file = cast("BinaryIO", JoinedFile(first))
-        self.files = 1
-        self.damage: set[int] = set()
+        self.damage: set[ChunkPlace] = set()
+        self.file_number = 0
+        self.read_share = 0.0
         self._skip_damaged = skip_damaged
-        self._position = 0
         self._first_cycles: dict[ChunkPlace, int | None] = {}
         try:
-            self.outline = _outline_of(self.path, first)
+            self.outline = _outline_of(self.path, self.files[0])
             self.metadata = self.outline.metadata
             self.scenario, self.plan = read_origin(self.outline, self.path)
             self.join()
             if self.outline.chunks and not self.outline.channels:
                 declare(self.outline, self.plan)  # The first chunk had them, and is damaged.
         except BaseException:
-            self.file.close()
+            self.close()
             raise
         self.whole = self.outline.indexed
 
     def join(self) -> None:
         """Take in the files of recorders that were started again."""
-        while (path := further_file(self.path, self.files + 1)).exists():
+        while (path := further_file(self.path, len(self.files) + 1)).exists():
             file = path.open("rb")
             outline = _outline_of(path, file)
             if outline.metadata.get("run", {}).get("run_id") != self.plan.run_id:
                 file.close()
                 break
-            self.outline.go_on(outline, cast("JoinedFile", self.file).add(file))
-            self.files += 1
+            self.outline.go_on(outline)
+            self.files.append(file)
 
     def messages(
         self,
@@ -263,14 +263,18 @@ class RunReader:
         stops = [run.cycle for _, run in runs if isinstance(run, Run) and run.state == "stop"]
         return end_of_run(stops, self.last_cycle)
 
+    def unpack(self, place: ChunkPlace) -> bytes:
+        """Return the records in a chunk; DamagedChunkError if it is damaged."""
+        return unpack_chunk(self.files[place.file], place)
+
     def messages_of(self, place: ChunkPlace, channels: Container[int]) -> Iterator[RawMessage]:
         """Return the messages of some channels in a chunk, none if it is damaged and skipped."""
-        self._position = place.offset
+        self.file_number = place.file
         try:
-            records = unpack_chunk(self.file, place)
+            records = self.unpack(place)
         except DamagedChunkError as error:
             if self._skip_damaged:
-                self.damage.add(place.offset)
+                self.damage.add(place)
                 return iter(())
             raise InputError(
                 f"{self.path}: chunk at byte {place.offset:,}: {error}; `heliarch recover` keeps "
@@ -288,7 +292,7 @@ class RunReader:
         parts = [
             f"chunk at byte {place.offset:,}, {self._missing_text(number)}"
             for number, place in enumerate(self.outline.chunks)
-            if place.offset in self.damage
+            if place in self.damage
         ]
         if len(parts) > _NAMED:
             parts[_NAMED:] = [f"and {len(parts) - _NAMED:,} more chunks"]
@@ -306,18 +310,9 @@ class RunReader:
             return f"messages from cycle {begin:,} on are missing"
         return f"cycles {begin:,} to {max(begin, behind.start):,} missing"
 
-    @property
-    def file_number(self) -> int:
-        """Which of its files the reading has come to, from 0 on."""
-        return bisect_right(self.outline.further_files, self._position)
-
-    @property
-    def read_share(self) -> float:
-        """How far into the file the reading has come, 0 to 1."""
-        return self._position / max(self.outline.size, 1)
-
     def close(self) -> None:
-        self.file.close()
+        for file in self.files:
+            file.close()
 
     def __enter__(self) -> RunReader:
         return self
@@ -333,7 +328,8 @@ class RunReader:
     ) -> Iterator[RawMessage]:
         """Yield the messages of the chunks that can hold some cycles."""
         begin = 0 if cycles is None else self._search(cycles.start)
-        for place in self.outline.chunks[begin:]:
+        for number, place in enumerate(self.outline.chunks[begin:], start=begin):
+            self.read_share = number / len(self.outline.chunks)
             if cycles is not None:
                 first = self._first_cycle(place)
                 if first is not None and first >= cycles.stop + self._slack:
@@ -364,7 +360,7 @@ class RunReader:
     def _readable(self, place: ChunkPlace) -> Iterator[RawMessage]:
         """Return all messages of a chunk, to search in; a damaged one has none."""
         with suppress(DamagedChunkError):
-            return messages_in(unpack_chunk(self.file, place), self.channels)
+            return messages_in(self.unpack(place), self.channels)
         return iter(())
 
     def _head_of(self, raw: RawMessage) -> Head:
