@@ -76,7 +76,6 @@ class RunFollower:
         self._silent: set[Port[Message]] = set()
         # One column stands for all inverters: figures of merit need no more.
         shape = (self.plan.cycles, 1)
-        unknown = np.full(shape, np.nan)
         self._series = RunSeries.of(
             self.plan,
             self.plan.run_id,
@@ -84,9 +83,6 @@ class RunFollower:
             regulation_kw=np.full(self.plan.cycles, np.nan),
             mpp_kw=np.full(shape, np.nan),
             power_kw=np.full(shape, np.nan),
-            impp_kw=unknown,
-            residual_kw=unknown,
-            alpha=unknown,
         )
         for rule in self.plan.faults:
             self.events.add("fault", 0, "network", f"fault rule: {rule}")

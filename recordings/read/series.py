@@ -70,8 +70,12 @@ class RunSeries:
 
     @classmethod
     def of(cls, plan: RunPlan, label: str, **values: NDArray[np.float64]) -> RunSeries:
-        """Return the series of a plan's run; `values` are the fields with a row for each cycle."""
+        """Return the series of a plan's run; `values` are the fields with a row for each cycle.
+
+        Those of inverters that are not given are unknown.
+        """
         leaves = plan.tree.leaves
+        unknown = dict.fromkeys(_OF_INVERTERS, np.full_like(values["mpp_kw"], nan))
         return cls(
             label=label,
             inverters=leaves,
@@ -81,7 +85,7 @@ class RunSeries:
             cycle_s=plan.cycle_ns / 1e9,
             regulation_capacity_kw=plan.regulation_capacity_kw,
             ramp_limit_percent_per_min=plan.ramp_limit_percent_per_min,
-            **values,
+            **(unknown | values),
         )
 
     @property
