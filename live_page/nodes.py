@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from contextlib import suppress
 from functools import lru_cache
+from itertools import chain
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import msgspec
@@ -68,16 +70,13 @@ class NodeStates:
     def _frame(self, cycle: int) -> dict[str, Any]:
         """Return the state of all nodes in a cycle, a list for each quantity."""
         found, newest = self._messages_at(cycle, None)
+        devices = [node for node, _ in self._plan.devices]
         return {
             "cycle": cycle,
             "nodes": self._powers(found, self._tree.nodes),
             "help": self._help(found),
             "agents": self._agents(cycle, found, newest),
-            "unread": [
-                self._place[node]
-                for node, _ in self._plan.devices
-                if TELEMETRY.of(node) not in found
-            ],
+            "unread": [self._place[node] for node in devices if TELEMETRY.of(node) not in found],
             "timing": self._timing(cycle, found),
         }
 
@@ -203,7 +202,7 @@ class NodeStates:
         payloads: dict[Port[Message], bytes] = {}
         newest: dict[str, int] = {}
         for back in range(max(longest, _FURTHEST_BACK if ports is None else 1)):
-            for port, payload in _of_cycle(parsed, cycle - back):
+            for port, payload in chain.from_iterable(one.get(cycle - back, ()) for one in parsed):
                 newest.setdefault(port.publisher, cycle - back)
                 wanted = back == 0 or (port.signal is SETPOINT and back < longest)
                 if wanted and (ports is None or port in ports):
@@ -212,10 +211,8 @@ class NodeStates:
                 break
         found: Messages = {}
         for port, payload in payloads.items():
-            try:
+            with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
                 found[port] = decode(port.signal, payload)
-            except msgspec.DecodeError:  # A device of the user's may send anything: as if missing.
-                continue
         return found, newest
 
     def _parse(self, place: ChunkPlace) -> dict[int, list[tuple[Port[Message], bytes]]]:
@@ -232,12 +229,6 @@ class NodeStates:
 _POWERS: Final = ("impp", "request", "setpoint", "help", "power", "mpp")
 """Powers of a node. `help` is what it gives beyond its share of its parent's target, and negative
 where it gets some. The central controller's setpoint is the dispatch."""
-
-
-def _of_cycle(
-    parsed: Iterable[dict[int, list[tuple[Port[Message], bytes]]]], cycle: int
-) -> Iterable[tuple[Port[Message], bytes]]:
-    return (entry for chunk in parsed for entry in chunk.get(cycle, ()))
 
 
 def _total(made: Message | None, field: str, below: tuple[int, ...]) -> float | None:
