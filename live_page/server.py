@@ -27,7 +27,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from bus_schemas.errors import InputError
 from live_page.place import Place
-from live_page.run_list import RunList
+from live_page.run_list import recordings_in, run_list
 from live_page.run_view import RunView
 
 _STATIC: Final = Path(__file__).with_name("static")
@@ -79,8 +79,8 @@ class PageServer:
         self.streams = 0
         self.left_at = float("-inf")
         self._place = place
-        self._list = RunList(path) if several else None
         self._path = path
+        self._several = several
         self._views: OrderedDict[str, RunView] = OrderedDict()
         self._server = _Server(
             uvicorn.Config(
@@ -112,7 +112,7 @@ class PageServer:
             Route("/stream", self._stream),
         ]
         routes: list[BaseRoute] = [Mount("/static", StaticFiles(directory=_STATIC))]
-        if self._list is None:
+        if not self._several:
             routes += of_run
         else:
             routes += [
@@ -132,7 +132,9 @@ class PageServer:
         """Return the run that a request is about. Of several runs a few stay open."""
         name = request.path_params.get("run", "")
         if name not in self._views:
-            path = self._path if self._list is None else self._list.path(name)
+            path = recordings_in(self._path).get(name) if self._several else self._path
+            if path is None:
+                raise InputError(f"{name}: no run of that name in {self._path}")
             self._views[name] = RunView(path)
         self._views.move_to_end(name)
         for other, view in list(self._views.items())[:-_OPEN_RUNS]:
@@ -142,8 +144,7 @@ class PageServer:
         return self._views[name]
 
     async def _runs(self, request: Request) -> Response:
-        assert self._list is not None
-        return _json(self._list.rows())
+        return _json(run_list(self._path))
 
     async def _plan(self, request: Request) -> Response:
         return _json(self._view(request).plan())

@@ -63,13 +63,13 @@ def view(
 
 def _holds_several(path: Path) -> bool:
     """Tell a folder of runs from a run, which may not have begun yet."""
-    from live_page.run_list import RunList
+    from live_page.run_list import recordings_in
     from recordings.read.reader import RunReader
     from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
 
     recording, begun = path / RECORDING_NAME, (path / "plan.json").exists()
     if path.is_dir() and not recording.exists() and not begun:
-        if not RunList(path).recordings():
+        if not recordings_in(path):
             raise InputError(f"{path}: expected a run or a folder with runs, got neither")
         return True
     if recording.exists() or not begun:
