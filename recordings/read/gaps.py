@@ -103,17 +103,17 @@ class RunGaps:
         self.more_gaps = 0
 
     def see(self, port: Port[Message], cycle: int, sequence: int, incarnation: int = 0) -> None:
-        gap = self.ports[port].see(cycle, sequence, incarnation)
-        if gap:
+        if gap := self.ports[port].see(cycle, sequence, incarnation):
             self._note(port, gap)
 
     def end(self, cycle: int) -> dict[Port[Message], range]:
         """Note what was due before the cycle that the run ended with; return it by port."""
-        missing = {port: found.end(cycle) for port, found in self.ports.items()}
-        for port, gap in missing.items():
-            if gap:
+        missing = {}
+        for port, found in self.ports.items():
+            if gap := found.end(cycle):
                 self._note(port, gap)
-        return {port: gap for port, gap in missing.items() if gap}
+                missing[port] = gap
+        return missing
 
     @property
     def lost(self) -> int:
