@@ -120,8 +120,8 @@ class TableFile:
                 path, self._schema, compression="zstd", use_dictionary=texts
             )
 
-    def add(self, *rows: Row) -> None:
-        self._waiting.extend(rows)
+    def add(self, row: Row) -> None:
+        self._waiting.append(row)
         if len(self._waiting) >= self._batch_rows:
             self.flush()
 
@@ -202,19 +202,14 @@ class TableFolder:
         logged_ns = record.log_time_ns + self._monotonic_less_wall_ns
         files[signal].add((*when, node, *self._cells[signal](message), logged_ns))
         if isinstance(message, Setpoint):
-            files["help_given"].add(
-                *(
-                    (*when, node, agent_name(line.needy), line.power_kw, sequence)
-                    for line in message.help_given
-                )
-            )
+            for line in message.help_given:
+                needy = agent_name(line.needy)
+                files["help_given"].add((*when, node, needy, line.power_kw, sequence))
         elif isinstance(message, Production):
-            files["production_inverters"].add(
-                *((*when, *powers, sequence) for powers in self._powers(message))
-            )
-        files["missing_inputs"].add(
-            *((*when, node, signal, sequence, *parse_missing(entry)) for entry in message.missing)
-        )
+            for powers in self._powers(message):
+                files["production_inverters"].add((*when, *powers, sequence))
+        for entry in message.missing:
+            files["missing_inputs"].add((*when, node, signal, sequence, *parse_missing(entry)))
 
     def _powers(self, message: Production) -> Iterator[tuple[str, float, float]]:
         """Return what each inverter could produce and did."""
