@@ -73,6 +73,12 @@ def attributes(things: Iterable[object], columns: Sequence[Column]) -> list[tupl
     return [tuple(getter(thing) for getter in getters) for thing in things]
 
 
+def texts_table(title: str, lines: Iterable[tuple[str, str]]) -> Table:
+    """Return a table of names and texts."""
+    rows = tuple((name.capitalize(), text) for name, text in lines)
+    return Table(title, (key_column("", "what"), word_column("", "found")), rows)
+
+
 @dataclass(frozen=True, slots=True)
 class Table:
     """A table: its title, its columns, one row for each thing, and notes on how to read it."""

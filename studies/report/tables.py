@@ -8,11 +8,10 @@ from typing import Final
 from recordings.inspect.health import health_lines
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
-from recordings.read.run_clock import RunClock
 from recordings.read.series import RunSeries
 from studies.metrics import run_metrics
 from studies.metrics.figures_of_merit import runs_as_columns, shown_in
-from studies.tables import Column, Table, attributes, key_column, word_column
+from studies.tables import Column, Table, attributes, key_column, texts_table
 from sunspec.process import DeviceAccount
 
 _COMMITMENT_NOTE: Final = (
@@ -41,9 +40,7 @@ def metrics_tables(series: Sequence[RunSeries]) -> list[Table]:
 
 def health_table(run: RunReader) -> Table:
     """Go through a recording and return how its run fared, a line for each thing looked at."""
-    lines = health_lines(read_overview(run).health, RunClock(run.plan, run.last_cycle))
-    rows = tuple((name.capitalize(), text) for name, text in lines)
-    return Table("Health of the run", (key_column("", "what"), word_column("", "found")), rows)
+    return texts_table("Health of the run", health_lines(read_overview(run).health, run.clock))
 
 
 def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:
