@@ -187,11 +187,11 @@ class Playback:
             # The message that ends the run names the cycle after the last one.
             self.cycles += record.cycle <= self.reader.last_cycle
             self._announce()
-        self.bus.put(record.port, record.payload)
-        self.messages += 1
+        was_sent = self.bus.put(record.port, record.payload)
+        self.messages += was_sent
         if self.clock.paused:
             self.clock.move_to(self._position_ns)
-        elif self.clock.rate:
+        elif self.clock.rate and was_sent:
             late_ns = self.clock.now_ns() - self.clock.due_ns(self._position_ns)
             self.timing.add(late_ns)
 
@@ -251,11 +251,7 @@ class Playback:
         if cycle >= 0:
             rate = f"pace {self.clock.rate:g}" if self.clock.rate else "as fast as possible"
             paused = " paused" if self.clock.paused else ""
-            self.line.show(f"{cycle_text(self.reader, cycle)}, {rate}{paused}")
-
-
-def cycle_text(reader: RunReader, cycle: int, last_cycle: int | None = None) -> str:
-    """Say where a replay stands; the message that ends a run names the cycle after the last."""
-    last_cycle = reader.last_cycle if last_cycle is None else last_cycle
-    cycle = min(cycle, last_cycle)
-    return f"{reader.clock.text(cycle)} cycle {cycle} of 0 to {last_cycle}"
+            last = self.reader.last_cycle  # The message that ends a run names the cycle after it.
+            cycle = min(cycle, last)
+            place = f"{self.reader.clock.text(cycle)} cycle {cycle} of 0 to {last}"
+            self.line.show(f"{place}, {rate}{paused}")
