@@ -24,7 +24,7 @@ from recordings.read.reader import RunReader
 from recordings.read.run_clock import RunClock
 from recordings.read.selection import find_nodes
 from recordings.replay.bus import await_subscriber, replay_bus, say, selected_ports
-from recordings.replay.clock import PlaybackClock, TimingFigures
+from recordings.replay.clock import PlaybackClock
 from recordings.replay.keyboard import no_keyboard
 from recordings.replay.live import LiveBus, live_plan
 from recordings.replay.playback import Playback
@@ -39,21 +39,6 @@ _SHARED: Final = (
 """Fields in which the plan of the live controllers must be that of the recorded run."""
 
 
-class LiveFigures(msgspec.Struct, frozen=True):
-    """The result of a live replay; `agents` as `heliarch verify --json` has them."""
-
-    run_id: str
-    recording: str
-    live: list[str]
-    cycles: int
-    wall_s: float
-    compared: int
-    differing: dict[str, int]
-    agents: list[dict[str, Any]]
-    timing_error: TimingFigures | None
-    interrupted: bool
-
-
 def replay_live(
     reader: RunReader,
     out: TextIO,
@@ -63,8 +48,8 @@ def replay_live(
     end: str | None,
     wait: bool,
     listen: str | None,
-) -> LiveFigures:
-    """Replay with live controllers, and print in what they differ.
+) -> dict[str, Any]:
+    """Replay with live controllers, and print in what they differ; return the figures for JSON.
 
     The arguments are the options of `heliarch replay`.
     """
@@ -107,32 +92,33 @@ def replay_live(
             playback.play()
             bus.finish()
     wall_s = time.monotonic() - began_at
-    findings = bus.comparison.findings
-    figures = LiveFigures(
-        plan.run_id,
-        str(reader.path),
-        list(live),
-        bus.cycles,
-        wall_s,
-        sum(found.compared for found in findings.values()),
-        {name: found.differences.total() for name, found in findings.items() if found.first},
-        json_ready(finding_data(findings)),
-        playback.timing.figures(),
-        bool(interruption),
-    )
+    findings, timing = bus.comparison.findings, playback.timing.figures()
+    compared = sum(found.compared for found in findings.values())
+    differing = {name: one.differences.total() for name, one in findings.items() if one.first}
     say(
         out,
-        f"compared {figures.compared:,} messages of {len(live)} live controllers over "
-        f"{figures.cycles:,} cycles in {wall_s:.1f} s",
+        f"compared {compared:,} messages of {len(live)} live controllers over "
+        f"{bus.cycles:,} cycles in {wall_s:.1f} s",
     )
-    if figures.timing_error is not None:
-        say(out, figures.timing_error.text())
+    if timing is not None:
+        say(out, timing.text())
     lines = finding_lines(findings, RunClock(plan, bus.cycles - 1))
     for text in wrapped(lines, shutil.get_terminal_size((100, 0)).columns):
         say(out, text)
-    counts = [f"{agent} {count:,}" for agent, count in figures.differing.items()]
+    counts = [f"{agent} {count:,}" for agent, count in differing.items()]
     say(out, f"differences: {', '.join(counts) or 'none'}")
-    return figures
+    return {
+        "run_id": plan.run_id,
+        "recording": str(reader.path),
+        "live": live,
+        "cycles": bus.cycles,
+        "wall_s": wall_s,
+        "compared": compared,
+        "differing": differing,
+        "agents": json_ready(finding_data(findings)),
+        "timing_error": timing,
+        "interrupted": bool(interruption),
+    }
 
 
 @contextmanager

@@ -6,9 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
-from typing import Final, Literal, TextIO
-
-import msgspec
+from typing import Any, Final, TextIO
 
 from agents.machine import wake_precisely
 from bus_schemas.messages import Message
@@ -17,14 +15,7 @@ from launch_scripts.launcher.interruption import Interruption, interruptible
 from launch_scripts.launcher.live_view import StatusLine
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus, await_subscriber, replay_bus, say
-from recordings.replay.clock import (
-    CLOCKS,
-    ClockKind,
-    PlaybackClock,
-    Positions,
-    TimingErrors,
-    TimingFigures,
-)
+from recordings.replay.clock import CLOCKS, ClockKind, PlaybackClock, Positions, TimingErrors
 from recordings.replay.keyboard import KEYS_IN_WORDS, Key, Keyboard, has_keyboard, keyboard
 from recordings.replay.publish_order import in_publish_order
 
@@ -36,20 +27,6 @@ _SLOWEST: Final = 1.0 / 1024.0
 
 _SEEK_S: Final = {Key.BACK: -10.0, Key.FORWARD: 10.0, Key.FAR_BACK: -60.0, Key.FAR_FORWARD: 60.0}
 """How far a key seeks, in simulated time."""
-
-
-class ReplayFigures(msgspec.Struct, frozen=True):
-    """The result of a replay."""
-
-    run_id: str
-    recording: str
-    messages: int
-    cycles: int
-    wall_s: float
-    pace: float | Literal["max"]
-    clock: ClockKind
-    timing_error: TimingFigures | None
-    interrupted: bool
 
 
 def replay_recording(
@@ -65,8 +42,10 @@ def replay_recording(
     loop: bool,
     wait: bool,
     listen: str | None,
-) -> ReplayFigures:
-    """Replay a recording, and print the result; the arguments are the options of the command.
+) -> dict[str, Any]:
+    """Replay a recording; print the result, and return it for JSON.
+
+    The arguments are the options of the command.
 
     `rate` is in seconds of the clock per second; 0: as fast as possible.
     """
@@ -97,17 +76,17 @@ def replay_recording(
     say(out, f"replayed {messages:,} messages of {cycles:,} cycles in {wall_s:.1f} s")
     if timing is not None:
         say(out, timing.text())
-    return ReplayFigures(
-        reader.plan.run_id,
-        str(reader.path),
-        messages,
-        cycles,
-        wall_s,
-        rate or "max",
-        kind,
-        timing,
-        bool(interruption),
-    )
+    return {
+        "run_id": reader.plan.run_id,
+        "recording": str(reader.path),
+        "messages": messages,
+        "cycles": cycles,
+        "wall_s": wall_s,
+        "pace": rate or "max",
+        "clock": kind,
+        "timing_error": timing,
+        "interrupted": bool(interruption),
+    }
 
 
 @dataclass(eq=False)
