@@ -365,12 +365,11 @@ def _cycles() -> list[list[tuple[Port[Message], Message]]]:
     """Return what a direct controller hears and says in each cycle of the test vector."""
     plan = replace(_example().plan, scheme="paper", hold_cycles=2, revert=None, cycles=len(_VECTOR))
     ours = Reference(plan, INVERTER)
-    ours.loop.begin(0, 0)
     found = []
     for cycle, of_inputs in enumerate(_VECTOR):
         one = list(_heard(plan, cycle, of_inputs))
         for port, message in one:
-            ours.hear(port, encode(message), cycle)
+            ours.hear(port, encode(message))
         for stage in ("estimate", "actuate"):
             for port, message in ours.close(stage, cycle):
                 message.ready_time_ns = message.publish_time_ns = 0

@@ -75,30 +75,30 @@ class Conformance:
             own_plan = folder.fill(dataclasses.replace(self._preparation, plan=its_plan), tcp_ports)
             for line in ExternalWatch(own_plan, folder.plan, wait_s, 0.0).directions():
                 self._say(line)
-            trial = Trial(own_plan, self._agent, self._inputs, self.findings, self._comparison)
-            with self._around(trial, folder, wait_s):
+            with self._trial(own_plan, folder, "arming") as trial:
                 situation(trial, seed)
                 if not own_plan.lockstep:
                     if self._device.can_restart:
                         self._restart(trial, folder)
                     trial.stop()
             if own_plan.lockstep:
-                self._close_links(trial, folder, wait_s)
+                self._close_links(own_plan, folder)
         self._device.end()
 
     @contextmanager
-    def _around(
-        self, trial: Trial, folder: RunFolder, wait_s: float, of: str = "arming"
-    ) -> Iterator[None]:
-        with Neighbours(trial.plan, self._agent) as neighbours:
+    def _trial(self, plan: RunPlan, folder: RunFolder, of: str) -> Iterator[Trial]:
+        """Begin a run; `of` is the requirement that its beginning shows."""
+        findings, comparison = self.findings, self._comparison
+        with Neighbours(plan, self._agent) as neighbours:
             self._device.start(folder.plan)
-            trial.begin(neighbours, self._device, wait_s, of)
-            yield
+            trial = Trial(plan, self._agent, self._inputs, neighbours, findings, comparison)
+            trial.begin(self._device, self._preparation.options.external_timeout_s, of)
+            yield trial
 
-    def _close_links(self, trial: Trial, folder: RunFolder, wait_s: float) -> None:
+    def _close_links(self, plan: RunPlan, folder: RunFolder) -> None:
         """Run once more, now that the links have closed."""
         try:
-            with self._around(trial, folder, wait_s, "links closed"):
+            with self._trial(plan, folder, "links closed") as trial:
                 for _ in range(situations.UNDISTURBED):
                     trial.play("links closed")
                 trial.stop()

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from itertools import count
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, Literal, NoReturn, TypeAlias
 
 import msgspec
 
@@ -22,11 +23,11 @@ from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import PLANT, RECORDER, ROOT, some_of
 from recordings.record.plausibility import absurdity
 from recordings.verify.comparison import Comparison
+from sim_plant.plant_run import FIRST_ROUND
 from studies.conformance.device import Device
 from studies.conformance.neighbours import Heard, Neighbours
 from studies.conformance.requirements import Findings
 
-FIRST_ROUND: Final = -999_999
 _ROUND_S: Final = 1.0
 _ARMING_S: Final = 10.0
 _PATIENCE_S: Final = 5.0
@@ -44,34 +45,24 @@ Edit: TypeAlias = Mapping[Port[Message], Sequence[bytes]]
 
 
 class Reference:
-    """Our own agent, with the same inputs. Its clock counts from the beginning of cycle 0."""
+    """Our own agent, with the same inputs: from a cycle of the run on, or in an arming round."""
 
-    def __init__(self, plan: RunPlan, agent: str) -> None:
-        self._plan = plan
+    def __init__(self, plan: RunPlan, agent: str, cycle: int = 0) -> None:
         self.loop: AgentLoop[Any] = AgentLoop(controller(plan, agent), plan)
+        if cycle < 0:
+            self.loop.enter(cycle, 0)
+        else:
+            self.loop.begin(0, 0, cycle)
 
-    def begin_ns(self, cycle: int) -> int:
-        return max(cycle, 0) * self._plan.cycle_wall_ns
-
-    def hear(self, port: Port[Message], payload: bytes, cycle: int) -> None:
+    def hear(self, port: Port[Message], payload: bytes) -> None:
         """Take in a payload, if it is a message."""
-        try:
-            message = decode(port.signal, payload)
-        except msgspec.DecodeError:
-            return
-        self.loop.hear(port, message, self.begin_ns(cycle))
+        with suppress(msgspec.DecodeError):
+            self.loop.hear(port, decode(port.signal, payload), 0)
 
     def close(self, stage: str, cycle: int) -> list[Delivery]:
-        """Close a stage: now if it has what it awaits, else at its deadline."""
-        loop = self.loop
-        if loop.cycle != cycle or loop.stage != stage:
-            return []
-        at_ns = self.begin_ns(cycle) if loop.deadline_ns is None else loop.deadline_ns
-        if loop.waiting and loop.deadline_ns is None:
-            raise FailureError(
-                f"cycle {cycle}: {loop.needs} were not sent, and there is no deadline"
-            )
-        return loop.close_stage(at_ns)
+        """Close a stage with what it has, as at its deadline."""
+        is_there = (self.loop.cycle, self.loop.stage) == (cycle, stage)
+        return self.loop.close_stage(0) if is_there else []
 
 
 class Trial:
@@ -85,50 +76,40 @@ class Trial:
         plan: RunPlan,
         agent: str,
         inputs: Inputs,
+        neighbours: Neighbours,
         findings: Findings,
         comparison: Comparison,
     ) -> None:
         self.plan, self.agent, self.findings = plan, agent, findings
         self.cycle = 0
+        self.start_ns = 0
         self.incarnations: dict[str, int] = {}
-        self._inputs, self._comparison = inputs, comparison
-        self._ours = controller(plan, agent)
+        self.reference = Reference(plan, agent)
+        self._inputs, self._bus, self._comparison = inputs, neighbours, comparison
         self._published = [port for port in plan.wiring.published[agent] if port.signal.is_cyclic]
-        self._run = RUN.of(ROOT)
-
-    # The beginning and the end --------------------------------------------------------------------
-
-    def begin(
-        self, neighbours: Neighbours, device: Device, wait_s: float, of: str = "arming"
-    ) -> None:
-        """Wait for the device, arm it, and start the run; `of` is the requirement that it shows."""
-        self._bus = neighbours
         self._outputs: dict[tuple[Port[Message], int], Message] = {}
         self._arrived: Counter[tuple[str, Port[Message], int]] = Counter()
         self._sequence: Counter[Port[Message]] = Counter()
         self._incarnation: int | None = 0
         self._unanswered: list[str] = []
-        self._await(neighbours, device, wait_s)
+
+    # The beginning and the end --------------------------------------------------------------------
+
+    def begin(self, device: Device, wait_s: float, of: str) -> None:
+        """Wait for the device, arm it, and start the run; `of` is the requirement that it shows."""
+        self._await(device, wait_s)
         self.findings.try_(of)
         give_up_at = time.monotonic() + _ARMING_S
-        for number in count(FIRST_ROUND):
-            self.reference = Reference(self.plan, self.agent)
-            self.reference.loop.enter(number, 0)
+        for number in count(FIRST_ROUND + 1):
+            self.reference = Reference(self.plan, self.agent, number)
             if self._play(number, {}, of):
                 break
             if time.monotonic() > give_up_at:
-                text = f"in arming rounds nothing came on {some_of(self._unanswered)}"
-                self.findings.fail(of, text)
-                raise FailureError(f"{self.agent}: {text}")
+                self._give_up(of, f"in arming rounds nothing came on {some_of(self._unanswered)}")
         self.reference = Reference(self.plan, self.agent)
         self.findings.doubt = ""
         self.start_ns = time.monotonic_ns() + 200_000_000
-        start = self.plan.run_message("start", 0, self.start_ns)
-        self.reference.loop.begin(0, 0)
-        self.cycle = 0
-        self._sequence.clear()
-        if self._run in self.plan.wiring.heard[self.agent]:
-            self._bus.put(self._run, encode(start))
+        self._say("start")
 
     def stop(self) -> None:
         """Say that the run is over; nothing may come after that."""
@@ -137,23 +118,29 @@ class Trial:
         quiet_s = min(_QUIET_S, 0.2 * self.plan.cycle_wall_ns / 1e9 or _QUIET_S)
         while (heard := self._bus.next(quiet_s)) is not None:
             self._take(heard)
-        stop = self.plan.run_message("stop", self.cycle, self.start_ns)
-        self._bus.put(self._run, encode(stop))
+        self._say("stop")
         while (heard := self._bus.next(_QUIET_S)) is not None:
             self.findings.fail("stop", f"{heard.key} was published after the run had stopped")
 
-    def _await(self, neighbours: Neighbours, device: Device, wait_s: float) -> None:
+    def _say(self, state: Literal["start", "stop"]) -> None:
+        """Say that the run begins, or that the next cycle does not take place."""
+        run = self.plan.run_message(state, self.cycle, self.start_ns)
+        self._bus.put(RUN.of(ROOT), encode(run))
+
+    def _await(self, device: Device, wait_s: float) -> None:
         """Wait until each neighbour sees the device's token."""
         self.findings.try_("token")
         give_up_at = time.monotonic() + wait_s
-        while absent := neighbours.absent:
-            text = device.end_text
-            if not text and time.monotonic() > give_up_at:
-                text = f"{some_of(absent)} saw no liveliness token in {wait_s:g} s"
-            if text:
-                self.findings.fail("token", text)
-                raise FailureError(f"{self.agent}: {text}")
+        while absent := self._bus.absent:
+            if device.end_text:
+                self._give_up("token", device.end_text)
+            if time.monotonic() > give_up_at:
+                self._give_up("token", f"{some_of(absent)} saw no liveliness token in {wait_s:g} s")
             time.sleep(0.02)
+
+    def _give_up(self, requirement: str, text: str) -> NoReturn:
+        self.findings.fail(requirement, text)
+        raise FailureError(f"{self.agent}: {text}")
 
     # Cycles ---------------------------------------------------------------------------------------
 
@@ -167,8 +154,7 @@ class Trial:
             self._incarnation = None
             self._sequence.clear()
         cycle = self.cycle
-        self.reference = Reference(self.plan, self.agent)
-        self.reference.loop.begin(0, self.reference.begin_ns(cycle), cycle)
+        self.reference = Reference(self.plan, self.agent, cycle)
         edit: Edit = dict.fromkeys(self.ports(), ()) if self._bus.absent else {}
         self.play("restart", edit, is_there=False)
         limit_ns = self._limit_ns(cycle)
@@ -198,12 +184,10 @@ class Trial:
             # The trial ends if the device has gone, or has been silent for some cycles.
             last = max((of for _, of in self._outputs), default=-1)
             if self._bus.absent or cycle - last >= _SILENT_CYCLES:
-                text = f"cycle {cycle}: {'it has gone' if self._bus.absent else 'it is silent'}"
-                self.findings.fail(requirement, text)
-                raise FailureError(f"{self.agent}: {text}")
+                why = "it has gone" if self._bus.absent else "it is silent"
+                self._give_up(requirement, f"cycle {cycle}: {why}")
         for port, payloads in (late or {}).items():
-            for payload in payloads:
-                self._send(port, payload)
+            self._send(port, payloads)
         self.cycle += 1
 
     def message(self, port: Port[Message], **changes: object) -> Message:
@@ -246,15 +230,14 @@ class Trial:
         limit_ns = self._limit_ns(cycle)
         expected: dict[Port[Message], Message] = {}
         sent: set[Port[Message]] = set()
-        stages = self._ours.stages(cycle)
+        stages = self.reference.loop.agent.stages(cycle)
         self._unanswered = []
         for stage, (by_ns, until_ns) in zip(stages, self._times_ns(stages, cycle), strict=True):
             for port in (*stage.awaits, *stage.uses):
                 if port in inputs and port not in sent:
                     sent.add(port)
                     whole = (encode(self._retimed(inputs[port], cycle, {})),)
-                    for payload in edit.get(port, whole):
-                        self._send(port, payload, cycle)
+                    self._send(port, edit.get(port, whole))
             is_late = self._in_real_time(cycle) and time.monotonic_ns() > by_ns
             if is_there and is_late and not self.findings.doubt:
                 self.findings.doubt = (
@@ -289,9 +272,10 @@ class Trial:
             from_ns = until_ns
         return times
 
-    def _send(self, port: Port[Message], payload: bytes, cycle: int | None = None) -> None:
-        self._bus.put(port, payload)
-        self.reference.hear(port, payload, self.cycle if cycle is None else cycle)
+    def _send(self, port: Port[Message], payloads: Iterable[bytes]) -> None:
+        for payload in payloads:
+            self._bus.put(port, payload)
+            self.reference.hear(port, payload)
 
     def _collect(
         self, wanted: Sequence[Port[Message]], cycle: int, limit_ns: int, least_ns: int
