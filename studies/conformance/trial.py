@@ -15,7 +15,6 @@ from agents.agent import Stage
 from agents.loop import AgentLoop
 from agents.plan import RunPlan
 from agents.team import controller
-from bus_schemas.bus import Delivery
 from bus_schemas.codec import decode, encode
 from bus_schemas.errors import FailureError
 from bus_schemas.messages import Message
@@ -44,27 +43,6 @@ Edit: TypeAlias = Mapping[Port[Message], Sequence[bytes]]
 """What is sent in a cycle in place of the messages of some ports."""
 
 
-class Reference:
-    """Our own agent, with the same inputs: from a cycle of the run on, or in an arming round."""
-
-    def __init__(self, plan: RunPlan, agent: str, cycle: int = 0) -> None:
-        self.loop: AgentLoop[Any] = AgentLoop(controller(plan, agent), plan)
-        if cycle < 0:
-            self.loop.enter(cycle, 0)
-        else:
-            self.loop.begin(0, 0, cycle)
-
-    def hear(self, port: Port[Message], payload: bytes) -> None:
-        """Take in a payload, if it is a message."""
-        with suppress(msgspec.DecodeError):
-            self.loop.hear(port, decode(port.signal, payload), 0)
-
-    def close(self, stage: str, cycle: int) -> list[Delivery]:
-        """Close a stage with what it has, as at its deadline."""
-        is_there = (self.loop.cycle, self.loop.stage) == (cycle, stage)
-        return self.loop.close_stage(0) if is_there else []
-
-
 class Trial:
     """One run around a device that is in an agent's place.
 
@@ -84,7 +62,6 @@ class Trial:
         self.cycle = 0
         self.start_ns = 0
         self.incarnations: dict[str, int] = {}
-        self.reference = Reference(plan, agent)
         self._inputs, self._bus, self._comparison = inputs, neighbours, comparison
         self._published = [port for port in plan.wiring.published[agent] if port.signal.is_cyclic]
         self._outputs: dict[tuple[Port[Message], int], Message] = {}
@@ -92,6 +69,15 @@ class Trial:
         self._sequence: Counter[Port[Message]] = Counter()
         self._incarnation: int | None = 0
         self._unanswered: list[str] = []
+        self._begin_ours()
+
+    def _begin_ours(self, cycle: int = 0) -> None:
+        """Let our own agent join in a cycle of the run, or in an arming round."""
+        self._ours: AgentLoop[Any] = AgentLoop(controller(self.plan, self.agent), self.plan)
+        if cycle < 0:
+            self._ours.enter(cycle, 0)
+        else:
+            self._ours.begin(0, 0, cycle)
 
     # The beginning and the end --------------------------------------------------------------------
 
@@ -101,12 +87,12 @@ class Trial:
         self.findings.try_(of)
         give_up_at = time.monotonic() + _ARMING_S
         for number in count(FIRST_ROUND + 1):
-            self.reference = Reference(self.plan, self.agent, number)
+            self._begin_ours(number)
             if self._play(number, {}, of):
                 break
             if time.monotonic() > give_up_at:
                 self._give_up(of, f"in arming rounds nothing came on {some_of(self._unanswered)}")
-        self.reference = Reference(self.plan, self.agent)
+        self._begin_ours()
         self.findings.doubt = ""
         self.start_ns = time.monotonic_ns() + 200_000_000
         self._say("start")
@@ -154,7 +140,7 @@ class Trial:
             self._incarnation = None
             self._sequence.clear()
         cycle = self.cycle
-        self.reference = Reference(self.plan, self.agent, cycle)
+        self._begin_ours(cycle)
         edit: Edit = dict.fromkeys(self.ports(), ()) if self._bus.absent else {}
         self.play("restart", edit, is_there=False)
         limit_ns = self._limit_ns(cycle)
@@ -230,7 +216,7 @@ class Trial:
         limit_ns = self._limit_ns(cycle)
         expected: dict[Port[Message], Message] = {}
         sent: set[Port[Message]] = set()
-        stages = self.reference.loop.agent.stages(cycle)
+        stages = self._ours.agent.stages(cycle)
         self._unanswered = []
         for stage, (by_ns, until_ns) in zip(stages, self._times_ns(stages, cycle), strict=True):
             for port in (*stage.awaits, *stage.uses):
@@ -244,8 +230,8 @@ class Trial:
                     f"from cycle {cycle} on the machine was too slow to judge: inputs of the stage "
                     f"{stage.name} went out too late; try a lower --pace"
                 )
-            least_ns = until_ns if self.reference.loop.waiting else 0
-            due = dict(self.reference.close(stage.name, cycle))
+            least_ns = until_ns if self._ours.waiting else 0
+            due = dict(self._ours.close_stage(0))
             expected |= due
             wanted = [port for port in due if port in self._published]
             self._collect(wanted, cycle, limit_ns if stage is stages[-1] else until_ns, least_ns)
@@ -275,7 +261,8 @@ class Trial:
     def _send(self, port: Port[Message], payloads: Iterable[bytes]) -> None:
         for payload in payloads:
             self._bus.put(port, payload)
-            self.reference.hear(port, payload)
+            with suppress(msgspec.DecodeError):
+                self._ours.hear(port, decode(port.signal, payload), 0)
 
     def _collect(
         self, wanted: Sequence[Port[Message]], cycle: int, limit_ns: int, least_ns: int
