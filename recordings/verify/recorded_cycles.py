@@ -98,14 +98,13 @@ class RecordedCycles:
                     yield self._pop()
             if self._waiting_messages >= self._most_waiting:
                 yield self._pop()
-        complete = self._first_incomplete() if self._broke_off else self._end
+        complete = self._end
+        if self._broke_off:  # Then no agent may have completed the cycle that it came to.
+            own = self._newest.keys() - self._external
+            complete = min(self._newest[agent] for agent in own)
         while self._next < complete and self._waiting:
             yield self._pop()
         self.cut_off += self._waiting_messages
-
-    def _first_incomplete(self) -> int:
-        """Return the first cycle that a run that broke off may not have completed."""
-        return min(cycle for agent, cycle in self._newest.items() if agent not in self._external)
 
     def _add(self, port: Port[Message], message: Message) -> bool:
         """Keep a message; return whether its agent has gone on to another cycle."""

@@ -109,7 +109,7 @@ def verify(
         away = {cycle for name, absence in absences if name == PLANT for cycle in absence}
         cycles = unrecorded = 0
         for cycle in recorded:
-            if end is not None and cycle.number >= wanted.stop:
+            if cycle.number >= wanted.stop:
                 break
             for rerun in reruns:
                 rerun.take(cycle.number)

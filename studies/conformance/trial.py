@@ -141,32 +141,21 @@ class Trial:
             self._sequence.clear()
         cycle = self.cycle
         self._begin_ours(cycle)
-        edit: Edit = dict.fromkeys(self.ports(), ()) if self._bus.absent else {}
-        self.play("restart", edit, is_there=False)
+        self._play(cycle, dict.fromkeys(self.ports(), ()) if self._bus.absent else {}, None)
         limit_ns = self._limit_ns(cycle)
         while (heard := self._bus.next((limit_ns - time.monotonic_ns()) / 1e9)) is not None:
             self._take(heard)
+        self.cycle += 1
         return any(place[1] == cycle for place in self._outputs)
 
-    def play(
-        self,
-        requirement: str,
-        edit: Edit | None = None,
-        *,
-        late: Edit | None = None,
-        is_there: bool = True,
-    ) -> None:
+    def play(self, requirement: str, edit: Edit | None = None, late: Edit | None = None) -> None:
         """Play the next cycle; its answers show a requirement.
 
-        `edit` is sent in place of the undisturbed messages, `late` after the last answer. If the
-        device `is_there`, it has to answer.
+        `edit` is sent in place of the undisturbed messages, `late` after the last answer.
         """
-        cycle, wall_ns = self.cycle, self.plan.cycle_wall_ns
-        if wall_ns:
-            time.sleep(max(self.start_ns + cycle * wall_ns - time.monotonic_ns(), 0) / 1e9)
-        if is_there:
-            self.findings.try_(requirement)
-        if not self._play(cycle, edit or {}, requirement, is_there=is_there) and is_there:
+        cycle = self.cycle
+        self.findings.try_(requirement)
+        if not self._play(cycle, edit or {}, requirement):
             # The trial ends if the device has gone, or has been silent for some cycles.
             last = max((of for _, of in self._outputs), default=-1)
             if self._bus.absent or cycle - last >= _SILENT_CYCLES:
@@ -210,8 +199,13 @@ class Trial:
             return self._begin_ns(cycle) + round(0.97 * self.plan.cycle_wall_ns)
         return time.monotonic_ns() + round((_PATIENCE_S if cycle >= 0 else _ROUND_S) * 1e9)
 
-    def _play(self, cycle: int, edit: Edit, requirement: str, *, is_there: bool = True) -> bool:
-        """Play a cycle stage by stage; return whether all answers came in time."""
+    def _play(self, cycle: int, edit: Edit, requirement: str | None) -> bool:
+        """Play a cycle stage by stage; return whether all answers came in time.
+
+        Without a requirement the device need not be there, and nothing is judged.
+        """
+        if self._in_real_time(cycle):
+            time.sleep(max(self._begin_ns(cycle) - time.monotonic_ns(), 0) / 1e9)
         inputs = self._inputs[max(cycle, 0)]
         limit_ns = self._limit_ns(cycle)
         expected: dict[Port[Message], Message] = {}
@@ -225,7 +219,7 @@ class Trial:
                     whole = (encode(self._retimed(inputs[port], cycle, {})),)
                     self._send(port, edit.get(port, whole))
             is_late = self._in_real_time(cycle) and time.monotonic_ns() > by_ns
-            if is_there and is_late and not self.findings.doubt:
+            if requirement and is_late and not self.findings.doubt:
                 self.findings.doubt = (
                     f"from cycle {cycle} on the machine was too slow to judge: inputs of the stage "
                     f"{stage.name} went out too late; try a lower --pace"
@@ -237,7 +231,7 @@ class Trial:
             self._collect(wanted, cycle, limit_ns if stage is stages[-1] else until_ns, least_ns)
         # A device without a clock is silent in a cycle of whose beginning it hears nothing.
         heard_nothing = not any(edit.get(port, True) for port in stages[0].awaits)
-        if is_there and not (self._unanswered and (heard_nothing or cycle < 0)):
+        if requirement and not (self._unanswered and (heard_nothing or cycle < 0)):
             self._judge(expected, cycle, requirement)
         return not self._unanswered
 
