@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from itertools import count
 from typing import Any, Final, Literal, NoReturn, TypeAlias
 
@@ -43,27 +44,26 @@ Edit: TypeAlias = Mapping[Port[Message], Sequence[bytes]]
 """What is sent in a cycle in place of the messages of some ports."""
 
 
+@dataclass(eq=False)
 class Trial:
     """One run around a device that is in an agent's place.
 
     `inputs` is what the agent hears in it; `comparison` says what counts as equal.
     """
 
-    def __init__(
-        self,
-        plan: RunPlan,
-        agent: str,
-        inputs: Inputs,
-        neighbours: Neighbours,
-        findings: Findings,
-        comparison: Comparison,
-    ) -> None:
-        self.plan, self.agent, self.findings = plan, agent, findings
+    plan: RunPlan
+    agent: str
+    inputs: Inputs
+    bus: Neighbours
+    findings: Findings
+    comparison: Comparison
+
+    def __post_init__(self) -> None:
         self.cycle = 0
         self.start_ns = 0
         self.incarnations: dict[str, int] = {}
-        self._inputs, self._bus, self._comparison = inputs, neighbours, comparison
-        self._published = [port for port in plan.wiring.published[agent] if port.signal.is_cyclic]
+        published = self.plan.wiring.published[self.agent]
+        self._published = [port for port in published if port.signal.is_cyclic]
         self._outputs: dict[tuple[Port[Message], int], Message] = {}
         self._arrived: Counter[tuple[str, Port[Message], int]] = Counter()
         self._sequence: Counter[Port[Message]] = Counter()
@@ -102,22 +102,22 @@ class Trial:
         self.findings.try_("stop")
         # A device with a clock goes on to the next cycle by itself.
         quiet_s = min(_QUIET_S, 0.2 * self.plan.cycle_wall_ns / 1e9 or _QUIET_S)
-        while (heard := self._bus.next(quiet_s)) is not None:
+        while (heard := self.bus.next(quiet_s)) is not None:
             self._take(heard)
         self._say("stop")
-        while (heard := self._bus.next(_QUIET_S)) is not None:
+        while (heard := self.bus.next(_QUIET_S)) is not None:
             self.findings.fail("stop", f"{heard.key} was published after the run had stopped")
 
     def _say(self, state: Literal["start", "stop"]) -> None:
         """Say that the run begins, or that the next cycle does not take place."""
         run = self.plan.run_message(state, self.cycle, self.start_ns)
-        self._bus.put(RUN.of(ROOT), encode(run))
+        self.bus.put(RUN.of(ROOT), encode(run))
 
     def _await(self, device: Device, wait_s: float) -> None:
         """Wait until each neighbour sees the device's token."""
         self.findings.try_("token")
         give_up_at = time.monotonic() + wait_s
-        while absent := self._bus.absent:
+        while absent := self.bus.absent:
             if device.end_text:
                 self._give_up("token", device.end_text)
             if time.monotonic() > give_up_at:
@@ -141,9 +141,9 @@ class Trial:
             self._sequence.clear()
         cycle = self.cycle
         self._begin_ours(cycle)
-        self._play(cycle, dict.fromkeys(self.ports(), ()) if self._bus.absent else {}, None)
+        self._play(cycle, dict.fromkeys(self.ports(), ()) if self.bus.absent else {}, None)
         limit_ns = self._limit_ns(cycle)
-        while (heard := self._bus.next((limit_ns - time.monotonic_ns()) / 1e9)) is not None:
+        while (heard := self.bus.next((limit_ns - time.monotonic_ns()) / 1e9)) is not None:
             self._take(heard)
         self.cycle += 1
         return any(place[1] == cycle for place in self._outputs)
@@ -158,8 +158,8 @@ class Trial:
         if not self._play(cycle, edit or {}, requirement):
             # The trial ends if the device has gone, or has been silent for some cycles.
             last = max((of for _, of in self._outputs), default=-1)
-            if self._bus.absent or cycle - last >= _SILENT_CYCLES:
-                why = "it has gone" if self._bus.absent else "it is silent"
+            if self.bus.absent or cycle - last >= _SILENT_CYCLES:
+                why = "it has gone" if self.bus.absent else "it is silent"
                 self._give_up(requirement, f"cycle {cycle}: {why}")
         for port, payloads in (late or {}).items():
             self._send(port, payloads)
@@ -167,11 +167,11 @@ class Trial:
 
     def message(self, port: Port[Message], **changes: object) -> Message:
         """Return the undisturbed message of a port in the next cycle, with changes."""
-        return self._retimed(self._inputs[self.cycle][port], self.cycle, changes)
+        return self._retimed(self.inputs[self.cycle][port], self.cycle, changes)
 
     def ports(self, cycle: int | None = None) -> list[Port[Message]]:
         """Return the ports of which a message is due in a cycle, the next one by default."""
-        return list(self._inputs[self.cycle if cycle is None else cycle])
+        return list(self.inputs[self.cycle if cycle is None else cycle])
 
     def _retimed(self, message: Message, cycle: int, changes: Mapping[str, object]) -> Message:
         now_ns = time.monotonic_ns()
@@ -206,7 +206,7 @@ class Trial:
         """
         if self._in_real_time(cycle):
             time.sleep(max(self._begin_ns(cycle) - time.monotonic_ns(), 0) / 1e9)
-        inputs = self._inputs[max(cycle, 0)]
+        inputs = self.inputs[max(cycle, 0)]
         limit_ns = self._limit_ns(cycle)
         expected: dict[Port[Message], Message] = {}
         sent: set[Port[Message]] = set()
@@ -254,7 +254,7 @@ class Trial:
 
     def _send(self, port: Port[Message], payloads: Iterable[bytes]) -> None:
         for payload in payloads:
-            self._bus.put(port, payload)
+            self.bus.put(port, payload)
             with suppress(msgspec.DecodeError):
                 self._ours.hear(port, decode(port.signal, payload), 0)
 
@@ -274,7 +274,7 @@ class Trial:
             due := {place for place in due if not self._arrived[place]}
         ) or time.monotonic_ns() < least_ns:
             until_ns = limit_ns if due else least_ns
-            heard = self._bus.next((until_ns - time.monotonic_ns()) / 1e9)
+            heard = self.bus.next((until_ns - time.monotonic_ns()) / 1e9)
             if heard is None:
                 self._unanswered += sorted({str(port) for _, port, _ in due})
                 return
@@ -351,7 +351,7 @@ class Trial:
         ignored = {"source", "sim_time_ns", "incarnation"}
         if not its.missing:
             ignored.add("missing")
-        comparison = Comparison(self._comparison.tolerance, frozenset(ignored))
+        comparison = Comparison(self.comparison.tolerance, frozenset(ignored))
         for found in comparison.differences(port, its, own):
             text = f"{found.field}: expected {found.new}, got {found.recorded}"
             self.findings.fail(of, f"cycle {its.cycle}, {port}, {text}")
