@@ -111,6 +111,7 @@ class LiveBus(ReplayBus):
         interruption: Interruption,
     ) -> None:
         keys = plan.keys
+        of_live = [port for port in keys.ports if port.publisher in live]
         others = [port for port in keys.ports if port.publisher not in {REPLAYER, *live}]
         super().__init__(plan, others, f"tcp/127.0.0.1:{tcp_port}")
         self.comparison = LiveComparison(plan, live)
@@ -126,10 +127,9 @@ class LiveBus(ReplayBus):
                 zenoh.handlers.Callback(self._inbox.callback(port), indirect=False),
                 allowed_origin=zenoh.Locality.REMOTE,
             )
-            for port in keys.ports
-            if port.publisher in live
+            for port in of_live
         ]
-        self._steps = {port: step for port in keys.ports if (step := due_step(plan, port))}
+        self._steps = {port: step for port in of_live if (step := due_step(plan, port))}
         self._newest: dict[Port[Message], int] = {}
         self._received = 0
         self._look_at = 0.0
@@ -190,7 +190,8 @@ class LiveBus(ReplayBus):
 
     def _first_messages(self, reader: RunReader) -> dict[Port[Message], Message]:
         """Return the first message of each port on which the others publish in every cycle."""
-        wanted = {port for port in self._steps if port.publisher not in self._live}
+        others = (port for port in self._plan.keys.ports if port.publisher not in self._live)
+        wanted = {port for port in others if due_step(self._plan, port)}
         first: dict[Port[Message], Message] = {}
         for record in in_publish_order(reader, wanted, before_cycle=_EARLY_CYCLES):
             if record.port not in first:
@@ -207,7 +208,11 @@ class LiveBus(ReplayBus):
             if self._plan.lockstep and (silent := self._await(self.cycles, patience_s)):
                 if self._interruption:
                     return
-                waiting = {one.agent: one.waiting for one in self._children if one.waiting}
+                waiting = {
+                    child.agent: child.waiting
+                    for child in self._children
+                    if child.waiting is not None and child.waiting.cycle >= self.cycles
+                }
                 stall = f"stalled in cycle {self.cycles}: nothing came on {_names(silent)}"
                 raise RunFailure(who_waits(waiting)[0] if waiting else stall)
             self.cycles += 1
@@ -217,11 +222,7 @@ class LiveBus(ReplayBus):
 
         Returns the ports on which nothing came, though nothing else came for a time either.
         """
-        awaited = {
-            port
-            for port, step in self._steps.items()
-            if port.publisher in self._live and (cycle < 0 or cycle % step == 0)
-        }
+        awaited = {port for port, step in self._steps.items() if cycle < 0 or cycle % step == 0}
         until = time.monotonic() + patience_s
         while awaited := {p for p in awaited if self._newest.get(p, FIRST_ROUND) < cycle}:
             if self._receive(len(awaited), _LOOK_S):
