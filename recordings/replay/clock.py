@@ -121,5 +121,7 @@ class TimingErrors:
         found, count = self._histogram, self._histogram.get_total_count()
         if not count:
             return None
-        late_us = (found.get_value_at_percentile(percent) / 1e3 for percent in (50.0, 99.0, 99.9))
-        return TimingFigures(count, *late_us, found.get_max_value() / 1e3)
+        p50_us, p99_us, p99_9_us = (
+            found.get_value_at_percentile(percent) / 1e3 for percent in (50.0, 99.0, 99.9)
+        )
+        return TimingFigures(count, p50_us, p99_us, p99_9_us, found.get_max_value() / 1e3)
