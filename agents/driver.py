@@ -1,7 +1,8 @@
 """The one driver: takes agents through a run over a bus and by a clock.
 
 The bus is Zenoh, memory or a recording; the clock is the wall's, a virtual one, or none at all in
-lockstep. Launch, simulate, verify and replay are combinations of these.
+lockstep. Launch, simulate and `replay --live` are combinations of these. Verify needs no driver:
+the recording says which messages each stage used.
 """
 
 from __future__ import annotations

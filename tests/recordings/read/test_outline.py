@@ -51,7 +51,7 @@ def test_walking_finds_what_the_index_says(content: bytes) -> None:
     by_index, by_walking = outline_of(content), outline_of(bytes(cut(content)))
     assert (by_index.closed, by_walking.closed) == (True, False)
     assert [entry.name for entry in by_index.attachments] == ["scenario.toml", "plan.json"]
-    assert [entry.name for entry in by_index.metadata] == ["run", "clock_anchor"]
+    assert list(by_index.metadata) == ["run", "clock_anchor"]
     assert len(by_index.chunks) > 4
     assert parts(by_walking) == parts(by_index)
 
