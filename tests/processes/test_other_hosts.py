@@ -99,26 +99,22 @@ def test_a_process_that_freezes_on_another_host_is_killed_and_started_again_ther
     assert_none_left(other.folder)
 
 
-def test_a_node_ends_when_the_plant_disappears(heliarch: Start, plant: str) -> None:
-    run = heliarch("launch", plant, "--duration", "1h", "--pace", "10", "--on", f"{SECOND}=c2/*")
-    other = node(heliarch, run, SECOND)
-    run.until_running()
-    run.process.kill()
-    assert other.wait() == 1
-    assert "the plant is gone" in other.error_text()
-    assert_none_left(other.folder)
-
-
-def test_a_node_that_was_frozen_meanwhile_ends_too(heliarch: Start, plant: str) -> None:
+@pytest.mark.parametrize("is_frozen", [False, True])
+def test_a_node_ends_when_the_plant_disappears(
+    heliarch: Start, plant: str, is_frozen: bool
+) -> None:
     run = heliarch("launch", plant, "--duration", "1h", "--pace", "10", "--on", f"{SECOND}=c2/*")
     other = node(heliarch, run, SECOND)
     run.until_running()
     agents = [other.process_of(name) for name in ("c2", "c2/inv03", "c2/inv04")]
-    other.process.send_signal(signal.SIGSTOP)
+    if is_frozen:
+        other.process.send_signal(signal.SIGSTOP)
     run.process.kill()
-    psutil.wait_procs(agents, timeout=60)
-    other.process.send_signal(signal.SIGCONT)
+    if is_frozen:
+        psutil.wait_procs(agents, timeout=60)
+        other.process.send_signal(signal.SIGCONT)
     assert other.wait() == 1
+    assert is_frozen or "the plant is gone" in other.error_text()
     assert_none_left(other.folder)
 
 
