@@ -20,7 +20,7 @@ import pytest
 import launch_scripts.commands.run
 import launch_scripts.launcher.launch  # noqa: F401
 from bus_schemas.errors import InputError
-from bus_schemas.signals import PRODUCTION
+from bus_schemas.signals import IMPP, PRODUCTION
 from launch_scripts.cli import main
 from recordings.read.reader import RunReader
 from recordings.read.run_file import log_name
@@ -186,6 +186,15 @@ class Heliarch:
                 return sum(1 for _ in reader.messages(PRODUCTION))
         except InputError:
             return 0
+
+    def incarnations(self, agent: str) -> set[int]:
+        """The cycles in which the processes of an agent joined, by its messages on disk."""
+        with RunReader(self.folder) as reader:
+            return {message.incarnation for _, message in reader.messages(IMPP, nodes=agent)}
+
+    def until_back(self, agent: str) -> None:
+        """Wait until messages of an agent's second process are on disk."""
+        self.until(lambda: len(self.incarnations(agent)) == 2, f"messages of a new {agent}")
 
     def until_recorded(self, cycles: int = 1) -> None:
         """Wait until so many cycles can be read on disk."""

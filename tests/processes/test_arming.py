@@ -21,6 +21,11 @@ pytestmark = pytest.mark.processes
 LATE = "c1/inv01"
 
 
+def see_through(children: Children) -> None:
+    while children[PLANT].finished is None:
+        children.events(0.1)
+
+
 def missed_by_the_plant(patience_s: float, folder: Path) -> set[str]:
     """Whom the plant names when one of them never comes and it gives up after a time."""
     preparation = prepare(load_scenario(small_plant(folder)), RunOptions(duration="5"), "arming")
@@ -28,13 +33,10 @@ def missed_by_the_plant(patience_s: float, folder: Path) -> set[str]:
     with reserved_ports(preparation.plan.links.listening) as tcp_ports:
         plan = run.fill(preparation, tcp_ports)
         agents = tuple(agent for agent in plan.tree.agents() if agent != LATE)
-        with (
-            Children(server, plan, agents, run.logs) as children,
-            pytest.raises(RunFailure, match="plant gave up: no sign of life from") as failure,
-        ):
+        with Children(server, plan, agents, run.logs) as children:
             server.ask(Start(str(run.plan), agents, str(run.logs), patience_s))
-            while children[PLANT].finished is None:
-                children.events(0.1)
+            with pytest.raises(RunFailure, match="plant gave up: no sign of life from") as failure:
+                see_through(children)
     assert_none_left(run.path)
     named = re.search(r"no sign of life from ([^;\n]*)", str(failure.value))
     assert named is not None

@@ -12,7 +12,6 @@ from running import Heliarch, assert_none_left, small_plant
 from test_launch import summary_of
 from verifying import assert_equal_as_far_as_recorded, verified
 
-from bus_schemas.signals import SETPOINT
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
 from recordings.read.run_file import log_name
@@ -34,19 +33,6 @@ def ended(run: Heliarch) -> None:
     assert run.wait() == 130, run.error_text()
 
 
-def until_heard_of(run: Heliarch, parent: str) -> None:
-    """Wait until a parent's setpoints say that they are of its second process."""
-    run.until(lambda: len(incarnations(run, parent)) == 2, f"setpoints of {parent}")
-    assert min(incarnations(run, parent)) == 0
-
-
-def incarnations(run: Heliarch, parent: str) -> set[int]:
-    """The cycles in which processes of a parent joined, by its setpoints."""
-    with RunReader(run.folder) as reader:
-        messages = [one for _, one in reader.messages(SETPOINT)]
-    return {message.incarnation for message in messages if message.source == parent}
-
-
 REAL_TIME = ("--duration", "1h", "--pace", "10")
 LOCKSTEP = ("--duration", "2h", "--set", "restart.when=on-failure")
 VICTIMS = ("c2/inv03", "c2", "central")
@@ -64,8 +50,8 @@ def test_killed_controllers_are_started_again_and_the_run_goes_on(
         until_joined(run, victim)
         assert f"{victim} (process {process.pid}) was killed by signal 9" in run.output.read_text()
         run.until_recorded(run.recorded_cycles() + 1)
-    for parent in VICTIMS[1:]:
-        until_heard_of(run, parent)
+    for victim in VICTIMS:
+        run.until_back(victim)
     ended(run)
     assert summary_of(run.folder).restarts == dict.fromkeys(VICTIMS, 1)
     assert_none_left(run.folder)

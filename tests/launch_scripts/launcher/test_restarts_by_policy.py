@@ -16,7 +16,6 @@ from agents.plan import RunPlan
 from launch_scripts.launcher.restarts import Restarts
 from launch_scripts.launcher.supervision import Child
 
-
 PLAN = plan_at_noon(cycle_wall_ns=REAL_TIME, standby=("c1",))
 """Cycles of 1 s in real time; who says nothing for 5 s is killed."""
 
