@@ -98,7 +98,7 @@ def test_garbage_of_a_stranger_beside_a_device_is_named_and_takes_no_memory(
             attacker.put_bytes(f"{plan.plant}/{DEVICE}/impp", payload)
             attacker.put_bytes(f"{plan.plant}/garbage{number}", payload)
         # Heard by none: it is larger than a message can be.
-        attacker.put_bytes(f"{plan.plant}/{DEVICE}/impp", bytes(100_000_000))
+        attacker.put_bytes(f"{plan.plant}/{DEVICE}/impp", bytes(10_000_000))
         last = f"garbage{len(GARBAGE) - 1}"
         run.until(named(run, plan, last), "news of the last key that the run does not have")
         run.until(named(run, plan, f"{DEVICE}/impp"), "news of what does not decode")
