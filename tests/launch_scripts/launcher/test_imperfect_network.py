@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 from command_line import done
-from memory_runs import Sent, timeless
-from sent_messages import run_with
+from memory_runs import Sent, run_with, timeless
 
 from bus_schemas.codec import encode
 from bus_schemas.faults import FaultRule

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from command_line import done
-from sent_messages import run_with
+from memory_runs import run_with
 
 from bus_schemas.messages import Takeover
 from bus_schemas.signals import SETPOINT

@@ -11,9 +11,8 @@ from typing import Literal
 import numpy as np
 import pytest
 from command_line import heliarch
-from memory_runs import Sent
+from memory_runs import Sent, run_with
 from numpy.typing import NDArray
-from sent_messages import run_with
 
 from agents.settings import RestartPolicy, Revert
 from bus_schemas.errors import InputError
