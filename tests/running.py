@@ -152,6 +152,11 @@ class Heliarch:
     def wait(self) -> int:
         return self.process.wait(timeout=170)
 
+    def interrupt(self) -> int:
+        """End it with Ctrl-C; return its exit status."""
+        self.process.send_signal(signal.SIGINT)
+        return self.wait()
+
     def error_text(self) -> str:
         """Standard error so far."""
         return self.errors.read_text(encoding="utf-8")
@@ -175,9 +180,13 @@ class Heliarch:
         assert found is not None
         return found[1].strip()
 
+    def until_shown(self, text: str) -> None:
+        """Wait until its output has a text."""
+        self.until(lambda: text in self.output.read_text(), repr(text))
+
     def until_running(self) -> None:
         """Wait until cycles go by."""
-        self.until(lambda: "desired" in self.output.read_text(), "its first cycles")
+        self.until_shown("desired")
 
     def recorded_cycles(self) -> int:
         """Cycles that can be read from the recording: none before its first flush."""
@@ -216,9 +225,16 @@ class Heliarch:
         return found
 
 
+Start = Callable[..., Heliarch]
+"""Starts a command from its words."""
+
+
 @contextmanager
-def commands_in(folder: Path) -> Iterator[Callable[..., Heliarch]]:
-    """Start `heliarch` commands, each with a folder of its own; nothing outlives the context."""
+def commands_in(folder: Path) -> Iterator[Start]:
+    """Start `heliarch` commands, each with a folder of its own; nothing outlives the context.
+
+    Fail if a command that has ended has left a process behind.
+    """
     started: list[Heliarch] = []
 
     def start(*words: str | Path) -> Heliarch:
@@ -228,6 +244,9 @@ def commands_in(folder: Path) -> Iterator[Callable[..., Heliarch]]:
 
     try:
         yield start
+        for command in started:
+            if command.process.poll() is not None:
+                assert_none_left(command.folder)
     finally:
         for command in started:
             command.process.kill()

@@ -6,12 +6,11 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import command_line
 import pytest
-from running import Heliarch, small_plant
+from running import Start, small_plant
 from split_links import free_ports, split_links
 from test_external import our_decisions
 from test_launch import decisions
@@ -20,7 +19,6 @@ from studies.conformance.requirements import OF_PLANT, REQUIREMENTS
 
 pytestmark = pytest.mark.processes
 
-Start = Callable[..., Heliarch]
 
 REPOSITORY = Path(__file__).parents[2]
 EXAMPLES = REPOSITORY / "examples"

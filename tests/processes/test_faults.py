@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 import signal
-from collections.abc import Callable
 from pathlib import Path
 
 import psutil
 import pytest
 from command_line import python
-from running import Heliarch, assert_none_left, small_plant
+from running import Heliarch, Start, assert_none_left, small_plant
 from verifying import assert_equal_as_far_as_recorded, verified
 
 from bus_schemas.signals import IMPP, SETPOINT
@@ -24,16 +23,15 @@ from recordings.read.reader import RunReader
 
 pytestmark = pytest.mark.processes
 
-Start = Callable[..., Heliarch]
 
 INVERTER = "c2/inv03"
 
 
 @pytest.fixture
-def run(heliarch: Start, tmp_path: Path) -> Heliarch:
+def run(heliarch: Start, plant: str) -> Heliarch:
     """A run that would go on for long, in its first cycles, of which some are on disk."""
     words = ("--duration", "1h", "--pace", "20", "--set", "restart.when=never")
-    command = heliarch("launch", small_plant(tmp_path / "plant"), *words)
+    command = heliarch("launch", plant, *words)
     command.until_recorded()
     return command
 
@@ -57,7 +55,6 @@ def test_a_process_that_a_signal_ends_ends_the_run_and_is_named(
     process.send_signal(number)
     assert run.wait() == 1
     assert f"{victim} (process {process.pid})" in run.error_text()
-    assert_none_left(run.folder)
     assert run.recorded_cycles() > 0
 
 
@@ -90,9 +87,9 @@ def is_whole(run: Heliarch) -> bool:
 
 @pytest.mark.parametrize("processes", [1, 6])
 def test_a_launcher_killed_while_it_starts_processes_leaves_none(
-    heliarch: Start, tmp_path: Path, processes: int
+    heliarch: Start, plant: str, processes: int
 ) -> None:
-    run = heliarch("launch", small_plant(tmp_path / "plant"))
+    run = heliarch("launch", plant)
     run.until(lambda: len(run.processes()) >= processes, "its processes")
     run.process.send_signal(signal.SIGKILL)
     run.wait()
@@ -103,10 +100,8 @@ def test_a_launcher_killed_while_it_starts_processes_leaves_none(
 
 
 def test_ctrl_c_completes_the_cycle_and_ends_with_130(run: Heliarch) -> None:
-    run.process.send_signal(signal.SIGINT)
-    assert run.wait() == 130, run.error_text()
+    assert run.interrupt() == 130, run.error_text()
     assert "satisfied commitment" in run.output.read_text().lower()
-    assert_none_left(run.folder)
     assert is_whole(run)
 
 
@@ -124,18 +119,16 @@ def test_in_lockstep_a_frozen_controller_is_named_with_those_who_wait_for_it(
     assert re.search(rf"stopped by a signal: {INVERTER}", run.error_text()), run.error_text()
     # Where in its cycle it froze decides whether its parent or the plant misses it first.
     assert re.search(rf"(c2|plant) waits for {INVERTER}/", run.error_text())
-    assert_none_left(run.folder)
 
 
 def test_in_lockstep_a_frozen_recorder_ends_the_run_and_is_named(
-    heliarch: Start, tmp_path: Path
+    heliarch: Start, plant: str
 ) -> None:
-    run = heliarch("launch", small_plant(tmp_path / "plant"))
+    run = heliarch("launch", plant)
     run.until_recorded()
     run.process_of("recorder").send_signal(signal.SIGSTOP)
     assert run.wait() == 1
     assert "recorder has not been heard of" in run.error_text()
-    assert_none_left(run.folder)
 
 
 FIRST, LAST, CYCLES = 13, 33, 48
@@ -161,7 +154,6 @@ def test_by_the_clock_a_supervisor_that_stood_still_goes_to_the_cycle_under_way_
     assert len(set(range(FIRST, LAST)) - set(reports)) >= 10
     assert set(turns) <= {*range(0, CYCLES, 5)}
     assert max(turns) > LAST, "it has its turns again"
-    assert_none_left(run.folder)
     found = verified(run.folder)
     assert found.total("missing_inputs") > 0
     assert found.total("compared") > 0
@@ -181,9 +173,10 @@ def test_what_the_fork_server_imports_starts_no_thread() -> None:
 
 
 def test_after_a_run_the_launcher_has_no_more_files_and_processes_than_before(
+    plant: str,
     tmp_path: Path,
 ) -> None:
-    scenario = load_scenario(small_plant(tmp_path / "plant"))
+    scenario = load_scenario(plant)
 
     def run(number: int) -> tuple[int, int, int]:
         preparation = prepare(scenario, RunOptions(duration="5"), f"run{number}")

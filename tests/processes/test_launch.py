@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import msgspec
 import pytest
 from command_line import done
 from memory_runs import timeless
-from running import Heliarch, assert_none_left, small_plant
+from running import Start, assert_none_left, small_plant
 from typer.testing import Result
 
 from agents.plan import load_plan
@@ -127,7 +126,7 @@ def test_the_summary_goes_to_standard_output_alone_if_asked_for(
 
 
 def test_two_plants_side_by_side_do_not_hear_each_other(
-    plant: str, heliarch: Callable[..., Heliarch], tmp_path: Path
+    plant: str, heliarch: Start, tmp_path: Path
 ) -> None:
     words = ("launch", plant, "--duration", str(CYCLES))
     other = heliarch(*words, "--seed", "2")

@@ -7,7 +7,6 @@ import random
 import re
 import signal
 from collections import Counter
-from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +14,7 @@ from typing import NamedTuple
 import msgspec
 import psutil
 import pytest
-from running import Heliarch, assert_none_left, small_plant
+from running import Heliarch, Start, small_plant
 from verifying import findings, verified
 
 from agents.plan import load_plan
@@ -49,7 +48,7 @@ def until_cycle(run: Heliarch, cycle: int) -> None:
 
 @pytest.mark.timeout(SOAK_S + 900)
 def test_a_kill_every_ten_seconds_leaves_no_orphan_no_leak_and_nothing_unaccounted_for(
-    heliarch: Callable[..., Heliarch], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    heliarch: Start, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     seed = random.randrange(2**32)
     drawn, cycles = random.Random(seed), SOAK_S * RATE
@@ -80,7 +79,6 @@ def test_a_kill_every_ten_seconds_leaves_no_orphan_no_leak_and_nothing_unaccount
         run.process_of(victim).send_signal(signal.SIGKILL)
         kills[victim] += 1
     assert run.wait() == 0, run.error_text()
-    assert_none_left(run.folder)
     summary = msgspec.json.decode((run.folder / "summary.json").read_bytes())
     with capsys.disabled():
         print(f"\nseed {seed}: {kills.total()} kills in {cycles:,} cycles, {dict(kills)}")

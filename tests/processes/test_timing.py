@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import command_line
 import msgspec
 import pytest
-from running import Heliarch, assert_none_left, small_plant
+from running import Start, assert_none_left, small_plant
 
 from bus_schemas.signals import PRODUCTION
 from launch_scripts.launcher.summary import RunSummary
@@ -21,7 +19,6 @@ from studies.timing.report import report_on
 
 pytestmark = pytest.mark.processes
 
-Start = Callable[..., Heliarch]
 
 STAGES = {
     "plant": {"sense", "apply"},
@@ -91,13 +88,10 @@ def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(tmp_path: Path) -
     assert missing == {process.agent: process.missing_inputs for process in summary.processes}
 
 
-def test_what_was_measured_up_to_an_interruption_is_told(heliarch: Start, tmp_path: Path) -> None:
-    plant = small_plant(tmp_path / "plant")
+def test_what_was_measured_up_to_an_interruption_is_told(heliarch: Start, plant: str) -> None:
     run = heliarch("timing", plant, "--rate", "10", "--duration", "10m")
     run.until_running()
-    run.process.send_signal(signal.SIGINT)
-    assert run.wait() == 130, run.error_text()
+    assert run.interrupt() == 130, run.error_text()
     printed = run.output.read_text(encoding="utf-8")
     assert "interrupted" in printed
     assert "Decision [" in printed
-    assert_none_left(run.folder)
