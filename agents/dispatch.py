@@ -12,7 +12,7 @@ def usable_kw(dispatch: Dispatch) -> float:
 
 
 def own_request_kw(dispatch: Dispatch | None, rating_kw: float) -> float | None:
-    """Return a node's request (eq. 3) [kW], None where no dispatch is heard."""
-    if dispatch is None:
+    """Return a node's request (eq. 3) [kW], None where no dispatch is heard or it has no rating."""
+    if dispatch is None or dispatch.plant_rating_kw == 0.0:
         return None
     return request_kw(usable_kw(dispatch), rating_kw, dispatch.plant_rating_kw)

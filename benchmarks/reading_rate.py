@@ -14,7 +14,7 @@ from pathlib import Path
 from mcap.reader import make_reader
 
 from recordings import open_run
-from recordings.read.chunks import messages_in, unpack_chunk
+from recordings.read.chunks import messages_in
 
 
 def measure(what: str, messages: Callable[[], Iterable[object]]) -> None:
@@ -40,7 +40,7 @@ def main() -> None:
             lambda: (
                 raw
                 for place in run.outline.chunks
-                for raw in messages_in(unpack_chunk(run.file, place), run.outline.channels)
+                for raw in messages_in(run.unpack(place), run.outline.channels)
             ),
         )
         measure("all, with their cycles", run.records)

@@ -20,8 +20,9 @@ from msgspec import NODEFAULT, inspect
 from msgspec.structs import replace
 
 from agents.agent import Agent, Stage, Turn
+from agents.loop import AgentLoop
 from agents.plan import RunPlan
-from agents.team import controllers
+from agents.team import controller, controllers
 from bus_schemas import messages
 from bus_schemas.bounds import BOUNDS, LARGEST, Bound
 from bus_schemas.bus import Delivery
@@ -33,7 +34,6 @@ from launch_scripts.scenarios.fields import members, takes
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import Scenario, load_scenario
 from sim_plant.plant import Plant
-from studies.conformance.trial import Reference
 
 DOCUMENTS: Final = ("docs/scenarios.md", "docs/own-device.md", "docs/wire.md")
 INVERTER: Final = "c2/inv07"
@@ -364,15 +364,15 @@ _VECTOR: Final[tuple[tuple[dict[str, float] | None, ...], ...]] = (
 def _cycles() -> list[list[tuple[Port[Message], Message]]]:
     """Return what a direct controller hears and says in each cycle of the test vector."""
     plan = replace(_example().plan, scheme="paper", hold_cycles=2, revert=None, cycles=len(_VECTOR))
-    ours = Reference(plan, INVERTER)
-    ours.loop.begin(0, 0)
+    ours = AgentLoop(controller(plan, INVERTER), plan)
+    ours.begin(0, 0)
     found = []
     for cycle, of_inputs in enumerate(_VECTOR):
         one = list(_heard(plan, cycle, of_inputs))
         for port, message in one:
-            ours.hear(port, encode(message), cycle)
-        for stage in ("estimate", "actuate"):
-            for port, message in ours.close(stage, cycle):
+            ours.hear(port, message, 0)
+        for _ in ("estimate", "actuate"):
+            for port, message in ours.close_stage(0):
                 message.ready_time_ns = message.publish_time_ns = 0
                 message.sequence = cycle
                 one.append((port, message))

@@ -29,8 +29,7 @@ async def _serve(settings: PageSettings, over: asyncio.StreamReader) -> None:
         gone = asyncio.create_task(over.read())
         clock = asyncio.get_running_loop().time
         while not gone.done():
-            audience = server.audience
-            if not audience.streams and clock() > audience.left_at + _RELOAD_S:
+            if not server.streams and clock() > server.left_at + _RELOAD_S:
                 break
             await asyncio.sleep(0.1)
         gone.cancel()

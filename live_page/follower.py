@@ -18,7 +18,6 @@ from typing import Final, Literal, TypeAlias
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from bus_schemas.codec import decode
 from bus_schemas.messages import Dispatch, Message, Notice, Production, Run
@@ -26,9 +25,9 @@ from bus_schemas.signals import DISPATCH, IMPP, NOTICE, PRODUCTION, RUN, TELEMET
 from bus_schemas.tree import PLANT, RECORDER, agent_name
 from live_page.event_log import EventLog
 from recordings.inspect.health import FAILURE_NAME
-from recordings.read.chunks import ChunkPlace, DamagedChunkError, messages_in, unpack_chunk
+from recordings.read.chunks import ChunkPlace
 from recordings.read.outline import walk_on
-from recordings.read.reader import RunReader, cycle_of
+from recordings.read.reader import RunReader, head_of
 from recordings.read.series import RunSeries
 from studies.metrics import RunMetrics, run_metrics
 from studies.report.decimation import extremes
@@ -46,15 +45,12 @@ _LATEST_S: Final = 1.0
 """So late a message may come in real time and still be found. In lockstep it may come among those
 of the next cycle."""
 
-_POWERS: Final = ("commitment", "regulation", "possible", "delivered")
-
 
 class RunFollower:
     """A recording, as far as it has been read.
 
     `cycles` are those that the plant has completed, `restarts` says how often each agent began
-    again. `start_time_ns` is that of the run on its own clock, None until it is recorded. `ports`
-    are by the number of their channel.
+    again. `start_time_ns` is that of the run on its own clock, None until it is recorded.
     """
 
     def __init__(self, path: Path) -> None:
@@ -70,7 +66,6 @@ class RunFollower:
         self._disorder = ceil(_LATEST_S / wall_s) if wall_s else 1
         self._firsts: list[int] = []
         self._lasts: list[int] = []
-        self.ports: dict[int, Port[Message]] = {}
         self._next_sequence: dict[int, int] = {}
         # Each node states its IMPP in each cycle; a real inverter that is gone has no telemetry.
         self._names: dict[Port[Message], str] = {
@@ -79,7 +74,16 @@ class RunFollower:
         }
         self._heard = dict.fromkeys(self._names, -1)
         self._silent: set[Port[Message]] = set()
-        self._power_kw = {name: np.full(self.plan.cycles, np.nan) for name in _POWERS}
+        # One column stands for all inverters: figures of merit need no more.
+        shape = (self.plan.cycles, 1)
+        self._series = RunSeries.of(
+            self.plan,
+            self.plan.run_id,
+            commitment_kw=np.full(self.plan.cycles, np.nan),
+            regulation_kw=np.full(self.plan.cycles, np.nan),
+            mpp_kw=np.full(shape, np.nan),
+            power_kw=np.full(shape, np.nan),
+        )
         for rule in self.plan.faults:
             self.events.add("fault", 0, "network", f"fault rule: {rule}")
 
@@ -88,7 +92,7 @@ class RunFollower:
         outline = self.run.outline
         if not outline.closed and self._next_chunk() is None:
             self.run.join()
-            walk_on(outline, self.run.file)
+            walk_on(outline, self.run.files[-1])
         until = time.monotonic() + budget_s
         while (place := self._next_chunk()) is not None:
             self._read(place)
@@ -109,7 +113,7 @@ class RunFollower:
         if not self.cycles:
             return "waiting"
         longest_s = max(_SILENT_S, 3.0 * self.plan.cycle_wall_ns / 1e9)
-        age_s = time.time() - os.fstat(self.run.file.fileno()).st_mtime
+        age_s = time.time() - os.fstat(self.run.files[-1].fileno()).st_mtime
         return "silent" if age_s > longest_s else "running"
 
     @property
@@ -127,56 +131,29 @@ class RunFollower:
 
     def powers(self, cycles: range, points: int) -> dict[str, list[float]]:
         """Return the plant's powers [kW] of some cycles, thinned out to about so many points."""
-        part = slice(max(cycles.start, 0), min(cycles.stop, self.cycles))
-        desired, possible, delivered = (
-            self._desired_kw[part],
-            *(self._power_kw[name][part] for name in ("possible", "delivered")),
-        )
+        begin, end = max(cycles.start, 0), min(cycles.stop, self.cycles)
+        part = self._series.between(begin, end)
+        desired, possible, delivered = part.desired_kw, part.possible_kw, part.delivered_kw
         rows = np.arange(len(desired))
         if len(rows) > points:
             buckets = max(points // 6, 1)
             kept = [extremes(values, buckets) for values in (desired, possible, delivered)]
             rows = np.unique(np.concatenate(kept))
         unavoidable = np.maximum(desired - possible, 0.0)
-        shortfall = np.maximum(desired - delivered, 0.0)
         columns = {
-            "cycle": rows + part.start,
+            "cycle": rows + begin,
             "desired": desired[rows],
             "possible": possible[rows],
             "delivered": delivered[rows],
             "unavoidable": unavoidable[rows],
-            "control_caused": np.maximum(shortfall - unavoidable, 0.0)[rows],
+            "control_caused": np.maximum(part.support_kw - unavoidable, 0.0)[rows],
         }
         return {name: values.round(2).tolist() for name, values in columns.items()}
 
     def metrics(self) -> RunMetrics | None:
         """Return the figures of merit so far; None before the first cycle."""
-        part = slice(0, self.cycles)
-        powers = {name: values[part] for name, values in self._power_kw.items()}
-        unknown = np.full((self.cycles, 1), np.nan)
-        plan = self.plan
-        series = RunSeries(
-            label=plan.run_id,
-            inverters=("plant",),
-            rating_kw=np.array([plan.tree.rating_kw("")]),
-            timezone=plan.timezone,
-            start_time_ns=plan.start_time_ns,
-            cycle_s=plan.cycle_ns / 1e9,
-            commitment_kw=powers["commitment"],
-            regulation_kw=powers["regulation"],
-            regulation_capacity_kw=plan.regulation_capacity_kw,
-            mpp_kw=powers["possible"][:, None],
-            power_kw=powers["delivered"][:, None],
-            impp_kw=unknown,
-            residual_kw=unknown,
-            alpha=unknown,
-            ramp_limit_percent_per_min=plan.ramp_limit_percent_per_min,
-        )
+        series = self._series.between(0, self.cycles)
         return run_metrics(series) if series.known.any() else None
-
-    @property
-    def _desired_kw(self) -> NDArray[np.float64]:
-        return np.asarray(self._power_kw["commitment"] + self._power_kw["regulation"])
 
     def _next_chunk(self) -> ChunkPlace | None:
         """Return the next chunk that is there as a whole."""
@@ -185,30 +162,24 @@ class RunFollower:
         return chunks[number] if number < len(chunks) and not chunks[number].cut else None
 
     def _read(self, place: ChunkPlace) -> None:
-        if not self.ports:
-            topics = {number: entry.topic for number, entry in self.run.outline.channels.items()}
-            found = {number: self.plan.keys.port(topic) for number, topic in topics.items()}
-            self.ports = {number: port for number, port in found.items() if port is not None}
+        ports = self.run.channels
         first = last = max(self.cycles - 1, 0)
-        try:
-            records = unpack_chunk(self.run.file, place)
-        except DamagedChunkError as error:
-            records = b""
-            self.events.add("damage", self.cycles, RECORDER, f"a part of the file: {error}")
         begin = end = b""
-        for channel, sequence, _, _, payload in messages_in(records, self.ports):
-            port = self.ports[channel]
+        for channel, sequence, _, _, payload in self.run.messages_of(place, ports):
+            port = ports[channel]
             if sequence != self._next_sequence.get(channel, 0):
-                self._note_jump(channel, port, sequence, cycle_of(payload))
+                self._note_jump(channel, port, sequence, head_of(payload).cycle)
             self._next_sequence[channel] = sequence + 1
             with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
                 if port in self._names:
-                    self._hear(port, cycle_of(payload))
+                    self._hear(port, head_of(payload).cycle)
                 elif port.signal in _FOLLOWED:
                     self._see(port, payload)
             begin, end = begin or payload, payload
+        if place in self.run.damage:
+            self.events.add("damage", self.cycles, RECORDER, "a part of the file is damaged")
         if begin:
-            first, last = sorted((cycle_of(begin), cycle_of(end)))
+            first, last = sorted((head_of(begin).cycle, head_of(end).cycle))
         self._firsts.append(max(first, self._firsts[-1] if self._firsts else 0))
         self._lasts.append(last)
         self._note_silence()
@@ -221,11 +192,11 @@ class RunFollower:
                 if self._stop_cycle is not None and self._stop_cycle <= cycle:
                     self._note_false_stop(self._stop_cycle)
                     self._stop_cycle = None
-                self._power_kw["commitment"][cycle] = message.commitment_kw
-                self._power_kw["regulation"][cycle] = message.regulation_kw
+                self._series.commitment_kw[cycle] = message.commitment_kw
+                self._series.regulation_kw[cycle] = message.regulation_kw
             case Production() if 0 <= cycle < self.plan.cycles:
-                self._power_kw["possible"][cycle] = message.possible_kw
-                self._power_kw["delivered"][cycle] = message.delivered_kw
+                self._series.mpp_kw[cycle] = message.possible_kw
+                self._series.power_kw[cycle] = message.delivered_kw
                 self.cycles = max(self.cycles, cycle + 1)
             case Notice():
                 self.events.add("notice", cycle, message.source, message.text)

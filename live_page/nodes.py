@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from contextlib import suppress
 from functools import lru_cache
+from itertools import chain
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import msgspec
 
 from agents.cycle import kind_of, stage_of, stage_place
+from agents.dispatch import own_request_kw
 from bus_schemas.codec import decode
-from bus_schemas.messages import Message, Production, Setpoint
+from bus_schemas.messages import Dispatch, Impp, Message, Production, Setpoint
 from bus_schemas.missing import parse_missing
 from bus_schemas.signals import DISPATCH, IMPP, PRODUCTION, RUN, SETPOINT, TELEMETRY, Port
 from bus_schemas.tree import PLANT, ROOT, agent_name, depth
 from live_page.follower import MOST_CHUNKS, RunFollower
-from recordings.read.chunks import ChunkPlace, DamagedChunkError, messages_in, unpack_chunk
-from recordings.read.reader import cycle_of
+from recordings.read.chunks import ChunkPlace
+from recordings.read.reader import head_of
 
 Column: TypeAlias = list[float | None]
 Messages: TypeAlias = dict[Port[Message], Message]
@@ -67,35 +70,30 @@ class NodeStates:
     def _frame(self, cycle: int) -> dict[str, Any]:
         """Return the state of all nodes in a cycle, a list for each quantity."""
         found, newest = self._messages_at(cycle, None)
+        devices = [node for node, _ in self._plan.devices]
         return {
             "cycle": cycle,
             "nodes": self._powers(found, self._tree.nodes),
             "help": self._help(found),
             "agents": self._agents(cycle, found, newest),
-            "unread": [
-                self._place[node]
-                for node, _ in self._plan.devices
-                if TELEMETRY.of(node) not in found
-            ],
+            "unread": [self._place[node] for node in devices if TELEMETRY.of(node) not in found],
             "timing": self._timing(cycle, found),
         }
 
     def _powers(self, found: Messages, nodes: Collection[str]) -> dict[str, Column]:
         """Return the powers of nodes [kW]; what no message says is None."""
-        dispatch = found.get(DISPATCH.of(ROOT))
-        made = found.get(PRODUCTION.of(ROOT))
+        dispatch, made = found.get(DISPATCH.of(ROOT)), found.get(PRODUCTION.of(ROOT))
+        assert dispatch is None or isinstance(dispatch, Dispatch)
         columns: dict[str, Column] = {name: [] for name in _POWERS}
-        rating_kw = _value(dispatch, "plant_rating_kw") or self._tree.rating_kw(ROOT)
-        share = _value(dispatch, "power_kw", 0.0) / rating_kw
         for node in nodes:
-            setpoint = found.get(SETPOINT.of(node)) if node != ROOT else None
-            given = _value(setpoint, "power_kw"), _value(setpoint, "share_kw")
+            impp = found.get(IMPP.of(node))
+            setpoint = found.get(SETPOINT.of(node)) if node != ROOT else dispatch
             below = self._below[self._place[node]]
             row = (
-                _value(found.get(IMPP.of(node)), "power_kw"),
-                None if dispatch is None else share * self._tree.rating_kw(node),
-                _value(dispatch, "power_kw") if node == ROOT else given[0],
-                None if given[0] is None or given[1] is None else given[0] - given[1],
+                impp.power_kw if isinstance(impp, Impp) else None,
+                own_request_kw(dispatch, self._tree.rating_kw(node)),
+                setpoint.power_kw if isinstance(setpoint, Setpoint | Dispatch) else None,
+                setpoint.power_kw - setpoint.share_kw if isinstance(setpoint, Setpoint) else None,
                 _total(made, "inverter_power_kw", below),
                 _total(made, "inverter_mpp_kw", below),
             )
@@ -204,7 +202,7 @@ class NodeStates:
         payloads: dict[Port[Message], bytes] = {}
         newest: dict[str, int] = {}
         for back in range(max(longest, _FURTHEST_BACK if ports is None else 1)):
-            for port, payload in _of_cycle(parsed, cycle - back):
+            for port, payload in chain.from_iterable(one.get(cycle - back, ()) for one in parsed):
                 newest.setdefault(port.publisher, cycle - back)
                 wanted = back == 0 or (port.signal is SETPOINT and back < longest)
                 if wanted and (ports is None or port in ports):
@@ -213,40 +211,24 @@ class NodeStates:
                 break
         found: Messages = {}
         for port, payload in payloads.items():
-            try:
+            with suppress(msgspec.DecodeError):  # A device of the user's may send anything.
                 found[port] = decode(port.signal, payload)
-            except msgspec.DecodeError:  # A device of the user's may send anything: as if missing.
-                continue
         return found, newest
 
     def _parse(self, place: ChunkPlace) -> dict[int, list[tuple[Port[Message], bytes]]]:
         """Return the messages in a chunk by their cycle."""
         found: dict[int, list[tuple[Port[Message], bytes]]] = {}
-        ports = self.follower.ports
-        try:
-            records = unpack_chunk(self.follower.run.file, place)
-        except DamagedChunkError:
-            return found
-        for channel, _, _, _, payload in messages_in(records, ports):
-            port = ports[channel]
+        run = self.follower.run
+        for channel, _, _, _, payload in run.messages_of(place, run.channels):
+            port = run.channels[channel]
             if port.signal is not RUN:
-                found.setdefault(cycle_of(payload), []).append((port, payload))
+                found.setdefault(head_of(payload).cycle, []).append((port, payload))
         return found
 
 
 _POWERS: Final = ("impp", "request", "setpoint", "help", "power", "mpp")
 """Powers of a node. `help` is what it gives beyond its share of its parent's target, and negative
 where it gets some. The central controller's setpoint is the dispatch."""
-
-
-def _of_cycle(
-    parsed: Iterable[dict[int, list[tuple[Port[Message], bytes]]]], cycle: int
-) -> Iterable[tuple[Port[Message], bytes]]:
-    return (entry for chunk in parsed for entry in chunk.get(cycle, ()))
-
-
-def _value(message: Message | None, field: str, default: Any = None) -> Any:  # noqa: ANN401
-    return default if message is None else getattr(message, field)
 
 
 def _total(made: Message | None, field: str, below: tuple[int, ...]) -> float | None:

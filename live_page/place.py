@@ -21,11 +21,7 @@ class Place:
     socket: socket.socket
     token: str
 
-    @property
-    def address(self) -> str:
-        return self.address_of("")
-
-    def address_of(self, path: str) -> str:
+    def address(self, path: str = "") -> str:
         host, port = self.socket.getsockname()[:2]
         if ipaddress.ip_address(host).is_unspecified:
             host = socket.gethostname()

@@ -55,7 +55,7 @@ class PageProcess(SideProcess):
         number, token = self._place.socket.fileno(), self._place.token
         settings = PageSettings(str(path.absolute()), several, number, token)
         self.tell(msgspec.json.encode(settings))
-        return self._place.address
+        return self._place.address()
 
     def let_end(self, say: Callable[[str], None]) -> None:
         """Wait until nobody looks at the page any more, or until Ctrl-C."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from bus_schemas.errors import InputError
 from recordings.inspect.health import FAILURE_NAME, SUMMARY_NAME
 from recordings.read.run_file import RECORDING_NAME
 from studies.metrics.figures_of_merit import shown_in
@@ -19,54 +19,45 @@ class _Summary(msgspec.Struct):
     sim_start: str = ""
     cycles: int = 0
     cycle_s: float = 0.0
-    wall_s: float = 0.0
     figures: dict[str, float | None] = {}
 
 
-class RunList:
-    """The runs in a folder and the folders in it."""
+def recordings_in(folder: Path) -> dict[str, Path]:
+    """Return the recordings in a folder and the folders in it, by the names of their runs.
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    A name is a path in the folder, with ~ in place of /.
+    """
+    patterns = (f"*/{RECORDING_NAME}", f"*/*/{RECORDING_NAME}")
+    found = [path for pattern in patterns for path in folder.glob(pattern)]
+    found.sort(key=lambda path: path.stat().st_mtime, reverse=True)
+    return {path.parent.relative_to(folder).as_posix().replace("/", "~"): path for path in found}
 
-    def recordings(self) -> dict[str, Path]:
-        """Return the recordings by the names of their runs: their paths, with ~ in place of /."""
-        patterns = (f"*/{RECORDING_NAME}", f"*/*/{RECORDING_NAME}")
-        found = [path for pattern in patterns for path in self._folder.glob(pattern)]
-        found.sort(key=lambda path: path.stat().st_mtime, reverse=True)
-        names = (path.parent.relative_to(self._folder).as_posix() for path in found)
-        return dict(zip((name.replace("/", "~") for name in names), found, strict=True))
 
-    def path(self, name: str) -> Path:
-        found = self.recordings().get(name)
-        if found is None:
-            raise InputError(f"{name}: no run of that name in {self._folder}")
-        return found.parent
+def run_list(folder: Path) -> dict[str, Any]:
+    """Return the runs in a folder, the newest first, and the figures that are shown of them."""
+    figures = shown_in("compare", "commitment")
+    return {
+        "folder": str(folder),
+        "figures": [{"heading": one.heading, "decimals": one.decimals} for one in figures],
+        "runs": [
+            _row(name, recording, [figure.name for figure in figures])
+            for name, recording in recordings_in(folder).items()
+        ],
+    }
 
-    def rows(self) -> dict[str, Any]:
-        """Return the runs, the newest first, and the figures that are shown of them."""
-        figures = shown_in("compare", "commitment")
-        return {
-            "folder": str(self._folder),
-            "figures": [{"heading": one.heading, "decimals": one.decimals} for one in figures],
-            "runs": [
-                self._row(name, recording, [figure.name for figure in figures])
-                for name, recording in self.recordings().items()
-            ],
-        }
 
-    def _row(self, name: str, recording: Path, figures: list[str]) -> dict[str, Any]:
-        folder, written = recording.parent, recording.stat()
-        try:
-            summary = msgspec.json.decode((folder / SUMMARY_NAME).read_bytes(), type=_Summary)
-        except (OSError, msgspec.DecodeError):
-            summary = None
-        return {
-            "name": name,
-            "state": "over" if summary else "failed" if (folder / FAILURE_NAME).exists() else "",
-            "recorded_ms": written.st_mtime * 1e3,
-            "size_mb": written.st_size / 1e6,
-            "start": summary.sim_start if summary else "",
-            "simulated_s": summary.cycles * summary.cycle_s if summary else None,
-            "figures": [summary.figures.get(figure) if summary else None for figure in figures],
-        }
+def _row(name: str, recording: Path, figures: list[str]) -> dict[str, Any]:
+    folder, written = recording.parent, recording.stat()
+    summary, state = _Summary(), "failed" if (folder / FAILURE_NAME).exists() else ""
+    with suppress(OSError, msgspec.DecodeError):
+        document = (folder / SUMMARY_NAME).read_bytes()
+        summary, state = msgspec.json.decode(document, type=_Summary), "over"
+    return {
+        "name": name,
+        "state": state,
+        "recorded_ms": written.st_mtime * 1e3,
+        "size_mb": written.st_size / 1e6,
+        "start": summary.sim_start,
+        "simulated_s": summary.cycles * summary.cycle_s,
+        "figures": [summary.figures.get(figure) for figure in figures],
+    }

@@ -33,9 +33,8 @@ _CATCH_UP: Final = 5
 """The page shows a fifth of what is new with each update: a recording grows in steps."""
 
 _SLOW_S: Final = 2.0
-"""Between two looks at the figures of merit and the processes."""
+"""Between two looks at the figures of merit and the processes, and at most between two updates."""
 
-_HEARTBEAT_S: Final = 2.0
 _WAITING_S: Final = 0.5
 _UPDATE_POINTS: Final = 60
 _MOST_POINTS: Final = 2000
@@ -46,13 +45,13 @@ _NODE_MESSAGES: Final = 300_000
 
 @dataclass
 class _Sent:
-    """What a browser has been told, and when."""
+    """What a browser has been told: the figures of so many cycles at the time `slow_at`."""
 
     state: dict[str, Any] = field(default_factory=dict)
     cycle: int = -1
     revision: int = 0
-    slow_at: float = 0.0
-    at: float = 0.0
+    slow_at: float = float("-inf")
+    slow_cycles: int = 0
 
 
 class Moment(NamedTuple):
@@ -74,9 +73,6 @@ class RunView:
         self.watched = 0
         self._states: NodeStates | None = None
         self._processes: RunProcesses | None = None
-        self._slow: dict[str, Any] = {}
-        self._slow_at = 0.0
-        self._slow_cycles = 0
 
     def close(self) -> None:
         if self._states is not None:
@@ -95,8 +91,14 @@ class RunView:
                 return None
         return self._states
 
+    def _begun(self) -> NodeStates:
+        states = self.open()
+        if states is None:
+            raise InputError(f"{self.path}: the run has not begun")
+        return states
+
     def plan(self) -> dict[str, Any] | None:
-        """Return what stays the same throughout the run."""
+        """Return what stays the same throughout the run; None while it has not begun."""
         states = self.open()
         if states is None:
             return None
@@ -127,22 +129,19 @@ class RunView:
             "timezone": plan.timezone,
         }
 
-    def layout(self) -> dict[str, object] | None:
+    def layout(self) -> dict[str, object]:
         """Return a layout of the run for Foxglove and Lichtblick."""
-        states = self.open()
-        return None if states is None else viewer_layout(states.follower.plan)
+        return viewer_layout(self._begun().follower.plan)
 
     def window(self, cycles: range, points: int) -> dict[str, Any]:
         """Return the plant's powers over some cycles."""
-        states = self.open()
-        points = min(points, _MOST_POINTS)
-        return {} if states is None else states.follower.powers(cycles, points)
+        return self._begun().follower.powers(cycles, min(points, _MOST_POINTS))
 
     async def node(self, node: str, cycles: range) -> dict[str, list[float | None]]:
         """Return the powers of a node over some cycles, at most so many that it takes a second."""
-        states = self.open()
-        nodes = states.follower.plan.tree.nodes if states is not None else ()
-        if states is None or node not in nodes:
+        states = self._begun()
+        nodes = states.follower.plan.tree.nodes
+        if node not in nodes:
             raise InputError(f"{node}: the run has no such node")
         cycles = range(max(cycles.start, 0), min(cycles.stop, states.follower.cycles))
         most = max(_NODE_MESSAGES // (8 * len(nodes)), 20)
@@ -165,10 +164,7 @@ class RunView:
         sent = _Sent()
         try:
             async for moment in self.moments(position, speed):
-                news: dict[str, Any] = {"state": "waiting"}
-                if moment is not None:
-                    self._look_at_slow(moment.states)
-                    news = self._news(moment, sent)
+                news = {"state": "waiting"} if moment is None else self._news(moment, sent)
                 if news:
                     yield msgspec.json.encode(news)
         finally:
@@ -205,45 +201,35 @@ class RunView:
         """Return what a browser does not know yet; nothing if it was told all and recently."""
         states, cycle, reading = moment
         follower = states.follower
-        state: dict[str, Any] = {
-            "state": follower.state,
-            "cycles": follower.cycles,
-            "reading": reading,
-        }
-        is_new = (
-            (state, cycle) != (sent.state, sent.cycle)
-            or self._slow_at > sent.slow_at
-            or follower.events.revision > sent.revision
-            or time.monotonic() > sent.at + _HEARTBEAT_S
-        )
-        if not is_new:
+        now, revision = time.monotonic(), follower.events.revision
+        state = {"state": follower.state, "cycles": follower.cycles, "reading": reading}
+        is_slow_due = now > sent.slow_at + _SLOW_S
+        if not is_slow_due and (state, cycle, revision) == (sent.state, sent.cycle, sent.revision):
             return {}
-        message = {**state, "cycle": cycle, "events": follower.events.since(sent.revision)}
+        events = follower.events.since(sent.revision)
+        message: dict[str, Any] = {**state, "cycle": cycle, "events": events}
         if cycle >= 0 and cycle != sent.cycle:
             begin = sent.cycle + 1 if 0 <= sent.cycle < cycle else cycle
             message["frame"] = states.frame(cycle)
             message["plant"] = follower.powers(range(begin, cycle + 1), _UPDATE_POINTS)
-        if self._slow_at > sent.slow_at:
-            message |= self._slow
-        sent.state, sent.cycle, sent.at = state, cycle, time.monotonic()
-        sent.revision, sent.slow_at = follower.events.revision, self._slow_at
+        if is_slow_due:
+            message |= self._slow_news(states, sent.slow_cycles)
+            sent.slow_at, sent.slow_cycles = now, follower.cycles
+        sent.state, sent.cycle, sent.revision = state, cycle, revision
         return message
 
-    def _look_at_slow(self, states: NodeStates) -> None:
-        """Work out the figures of merit so far and what the processes take, if that is due."""
+    def _slow_news(self, states: NodeStates, cycles: int) -> dict[str, Any]:
+        """Return the figures of merit if there are more cycles, and what the processes take."""
         follower = states.follower
-        now, is_over = time.monotonic(), follower.run.outline.closed
-        is_new = follower.cycles > self._slow_cycles
-        if now < self._slow_at + _SLOW_S or (is_over and not is_new):
-            return
-        self._slow_at, self._slow_cycles = now, follower.cycles
-        if is_new:
-            self._slow["figures"] = _figures(follower.metrics())
+        news: dict[str, Any] = {}
+        if follower.cycles > cycles:
+            news["figures"] = _figures(follower.metrics())
             accounts = read_accounts(self.path.parent)
-            self._slow["devices"] = {account.node: account for account in accounts}
-        if not is_over:
+            news["devices"] = {account.node: account for account in accounts}
+        if not follower.run.outline.closed:
             self._processes = self._processes or RunProcesses(self.path.parent, states.agents)
-            self._slow["processes"] = self._processes.use()
+            news["processes"] = self._processes.use()
+        return news
 
 
 def _figures(metrics: RunMetrics | None) -> list[dict[str, str]]:

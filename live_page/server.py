@@ -11,7 +11,6 @@ import secrets
 from collections import OrderedDict
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,7 +27,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from bus_schemas.errors import InputError
 from live_page.place import Place
-from live_page.run_list import RunList
+from live_page.run_list import recordings_in, run_list
 from live_page.run_view import RunView
 
 _STATIC: Final = Path(__file__).with_name("static")
@@ -45,14 +44,6 @@ _HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",
 }
 _COOKIE: Final = "heliarch-page"
-
-
-@dataclass
-class Audience:
-    """The browsers that look on, and when the last one left."""
-
-    streams: int = 0
-    left_at: float = float("-inf")
 
 
 class EventStream(StreamingResponse):
@@ -79,13 +70,17 @@ class _Server(uvicorn.Server):
 
 
 class PageServer:
-    """The server of one run, or of the `several` runs in a folder."""
+    """The server of one run, or of the `several` runs in a folder.
+
+    `streams` counts the browsers that look on; `left_at` is when the last one left.
+    """
 
     def __init__(self, path: Path, place: Place, *, several: bool) -> None:
-        self.audience = Audience()
+        self.streams = 0
+        self.left_at = float("-inf")
         self._place = place
-        self._list = RunList(path) if several else None
         self._path = path
+        self._several = several
         self._views: OrderedDict[str, RunView] = OrderedDict()
         self._server = _Server(
             uvicorn.Config(
@@ -117,7 +112,7 @@ class PageServer:
             Route("/stream", self._stream),
         ]
         routes: list[BaseRoute] = [Mount("/static", StaticFiles(directory=_STATIC))]
-        if self._list is None:
+        if not self._several:
             routes += of_run
         else:
             routes += [
@@ -137,7 +132,9 @@ class PageServer:
         """Return the run that a request is about. Of several runs a few stay open."""
         name = request.path_params.get("run", "")
         if name not in self._views:
-            path = self._path if self._list is None else self._list.path(name)
+            path = recordings_in(self._path).get(name) if self._several else self._path
+            if path is None:
+                raise InputError(f"{name}: no run of that name in {self._path}")
             self._views[name] = RunView(path)
         self._views.move_to_end(name)
         for other, view in list(self._views.items())[:-_OPEN_RUNS]:
@@ -147,8 +144,7 @@ class PageServer:
         return self._views[name]
 
     async def _runs(self, request: Request) -> Response:
-        assert self._list is not None
-        return _json(self._list.rows())
+        return _json(run_list(self._path))
 
     async def _plan(self, request: Request) -> Response:
         return _json(self._view(request).plan())
@@ -166,7 +162,7 @@ class PageServer:
 
     async def _stream(self, request: Request) -> Response:
         """Follow the newest cycle, or play from the cycle `from` at a `speed`."""
-        if self.audience.streams >= _MOST_STREAMS:
+        if self.streams >= _MOST_STREAMS:
             return PlainTextResponse("too many browsers look on", 503)
         begin = _number(request, "from", -1.0)
         speed = min(max(_number(request, "speed", 0.0), 0.0), _FASTEST)
@@ -174,15 +170,15 @@ class PageServer:
         return EventStream(self._events(updates))
 
     async def _events(self, updates: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
-        self.audience.streams += 1
+        self.streams += 1
         try:
             async for update in updates:
                 yield b"data: " + update + b"\n\n"
                 if self._server.should_exit:
                     return
         finally:
-            self.audience.streams -= 1
-            self.audience.left_at = asyncio.get_running_loop().time()
+            self.streams -= 1
+            self.left_at = asyncio.get_running_loop().time()
 
 
 class _Guard:

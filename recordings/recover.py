@@ -16,11 +16,10 @@ from recordings.read.chunks import (
     DamagedChunkError,
     RawMessage,
     messages_in,
-    unpack_chunk,
 )
 from recordings.read.gaps import RunGaps
 from recordings.read.outline import Outline
-from recordings.read.reader import RunReader, cycle_of, end_of_run, head_of
+from recordings.read.reader import Head, RunReader, end_of_run, head_of
 from recordings.read.whole_file import new_path
 
 RECOVERY_METADATA: Final = "recovery"
@@ -79,10 +78,10 @@ def is_sound(run: RunReader, follow: _Follow = lambda share: None) -> bool:
     """
     if not run.whole or run.outline.damaged_attachments:
         return False
-    for place in run.outline.chunks:
-        follow(place.offset / run.outline.size)
+    for number, place in enumerate(run.outline.chunks):
+        follow(number / len(run.outline.chunks))
         try:
-            unpack_chunk(run.file, place)
+            run.unpack(place)
         except DamagedChunkError:
             return False
     return True
@@ -96,8 +95,8 @@ def recover_run(run: RunReader, out: Path, follow: _Follow = lambda share: None)
     """
     with new_path(out) as beside, beside.open("xb") as file:
         copy = _Copy(run, out, file)
-        for place in run.outline.chunks:
-            follow(place.offset / run.outline.size)
+        for number, place in enumerate(run.outline.chunks):
+            follow(number / len(run.outline.chunks))
             copy.add_chunk(place)
         copy.finish()
         return copy.found
@@ -120,19 +119,17 @@ class _Copy:
         self._stops: set[int] = set()
         self._gaps = RunGaps(run.plan)
         self._writer = Writer(file, compression=CompressionType.LZ4)
-        self._write_origin(outline)
-        self._channel_of = self._register(outline)
-        port_at = run.plan.keys.port
-        self._port_of = {n: port_at(channel.topic) for n, channel in outline.channels.items()}
+        self._channel_of = _begin(self._writer, outline)
 
     def add_chunk(self, place: ChunkPlace) -> None:
         """Copy the messages of a chunk; note it if it cannot be read."""
         try:
-            records = unpack_chunk(self._run.file, place)
+            records = self._run.unpack(place)
             for raw in messages_in(records, self._channel_of):
-                if place.cut and cycle_of(raw[4]) > self._run.plan.cycles:
+                head = head_of(raw[4])
+                if place.cut and head.cycle > self._run.plan.cycles:
                     return
-                self._add(raw)
+                self._add(raw, head)
                 self.found.cut_messages += place.cut
         except (DamagedChunkError, msgspec.DecodeError) as error:
             # A cut chunk has no checksum: it is read for as long as it decodes.
@@ -162,10 +159,9 @@ class _Copy:
         self._writer.add_metadata(RECOVERY_METADATA, metadata)
         self._writer.finish()
 
-    def _add(self, raw: RawMessage) -> None:
+    def _add(self, raw: RawMessage, head: Head) -> None:
         channel, sequence, log_time_ns, publish_time_ns, payload = raw
-        head = head_of(payload)
-        cycle, port, found = head.cycle, self._port_of[channel], self.found
+        cycle, port, found = head.cycle, self._run.channels.get(channel), self.found
         if port is not None and port.signal is RUN:
             message = decode(RUN, payload)
             if message.state == "stop":
@@ -181,29 +177,26 @@ class _Copy:
         found.messages += 1
         found.last_ns = log_time_ns
 
-    def _write_origin(self, outline: Outline) -> None:
-        header = outline.header
-        self._writer.start(header.profile if header else "", header.library if header else "")
-        for entry in outline.attachments:
-            self._writer.add_attachment(
-                entry.create_time, entry.log_time, entry.name, entry.media_type, entry.data
-            )
-        for record in outline.metadata:
-            self._writer.add_metadata(record.name, record.metadata)
 
-    def _register(self, outline: Outline) -> dict[int, int]:
-        """Declare schemas and channels anew; return the channels' new numbers by their old ones."""
-        schema_of = {0: 0}
-        for number, schema in sorted(outline.schemas.items()):
-            schema_of[number] = self._writer.register_schema(
-                schema.name, schema.encoding, schema.data
-            )
-        return {
-            number: self._writer.register_channel(
-                channel.topic,
-                channel.message_encoding,
-                schema_of[channel.schema_id],
-                channel.metadata,
-            )
-            for number, channel in sorted(outline.channels.items())
-        }
+def _begin(writer: Writer, outline: Outline) -> dict[int, int]:
+    """Copy all but the messages; return the channels' new numbers by their old ones."""
+    header = outline.header
+    writer.start(header.profile if header else "", header.library if header else "")
+    for entry in outline.attachments:
+        writer.add_attachment(
+            entry.create_time, entry.log_time, entry.name, entry.media_type, entry.data
+        )
+    for name, entries in outline.metadata.items():
+        writer.add_metadata(name, entries)
+    schema_of = {0: 0}
+    for number, schema in sorted(outline.schemas.items()):
+        schema_of[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
+    return {
+        number: writer.register_channel(
+            channel.topic,
+            channel.message_encoding,
+            schema_of[channel.schema_id],
+            channel.metadata,
+        )
+        for number, channel in sorted(outline.channels.items())
+    }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Final
 
 from rich.text import Text
@@ -13,15 +13,27 @@ from bus_schemas.tree import agent_name
 from launch_scripts.commands.boundary import OK, complain
 from launch_scripts.commands.options import FirstOption, JsonOption, LastOption, RunArgument
 from launch_scripts.commands.output import json_rows, progress_bar, write_json
-from studies.tables import console_for
+from studies.tables import (
+    Column,
+    Table,
+    attributes,
+    console_for,
+    key_column,
+    print_table,
+    texts_table,
+    word_column,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from recordings.inspect.overview import Overview
     from recordings.inspect.timeline import NodeCycle
     from recordings.read.reader import RunReader
+    from recordings.read.run_clock import RunClock
 
 EXAMPLE: Final = "heliarch inspect RUN --nodes c2/inv07 --from 13:49:00 --to 13:50:30"
+_SHOWN_GAPS: Final = 10
 
 
 def inspect(
@@ -71,13 +83,13 @@ def _width(console: Console) -> int:
 def _show_nodes(
     run: RunReader, nodes: Sequence[str], cycles: range, json: str | None, console: Console
 ) -> None:
-    from recordings.inspect.timeline import TimelineTable, timeline
+    from recordings.inspect.timeline import node_table, timeline
 
     with json_rows(json) as write:
         for node in nodes:
             if len(nodes) > 1:
                 _print_lines(console, [agent_name(node)], "bold")
-            table = TimelineTable(run.plan.tree, node, len(run.clock.text(0)), _width(console))
+            table = node_table(run.plan.tree, node, len(run.clock.text(0)), _width(console))
             _print_lines(console, table.heading(), "bold")
             for rows in timeline(run, [node], cycles):
                 for row in rows:
@@ -134,13 +146,45 @@ def _print_lines(console: Console, lines: Iterable[str], style: str = "") -> Non
 def _show_overview(
     run: RunReader, cycles: range | None, json: str | None, console: Console
 ) -> None:
-    from recordings.inspect.overview import overview_lines, read_overview
+    from recordings.inspect.overview import read_overview
 
     with progress_bar("reading") as follow:
         overview = read_overview(run, cycles, follow)
-    _print_lines(console, overview_lines(overview, run.clock, _width(console)))
+    for table in _overview_tables(overview, run.clock):
+        print_table(console, table)
     _warn_if_cut(run, console)
     write_json(overview, json)
+
+
+def _overview_tables(overview: Overview, clock: RunClock) -> Iterator[Table]:
+    from recordings.inspect.health import health_lines
+    from recordings.inspect.overview import facts
+
+    yield texts_table(f"{overview.run_id}, heliarch {overview.driver}", facts(overview))
+    columns = (
+        key_column("signal"),
+        Column("nodes"),
+        Column("messages"),
+        Column("per cycle", decimals=2, name="per_cycle"),
+        Column("per s", decimals=1, name="per_s"),
+        Column("lost"),
+        Column("repeated"),
+        Column("cycles without", name="missing_cycles"),
+    )
+    yield Table("Signals", columns, attributes(overview.signals, columns))
+    yield texts_table("Health of the run", health_lines(overview.health, clock))
+    shown = overview.gaps[:_SHOWN_GAPS]
+    rest = len(overview.gaps) - len(shown) + overview.more_gaps
+    if shown:
+        yield Table(
+            "Cycles without a message that was due",
+            (key_column("key"), Column("cycles"), word_column("when")),
+            tuple(
+                (gap.port, gap.cycles, clock.span_text(gap.first_cycle, gap.last_cycle))
+                for gap in shown
+            ),
+            (f"and {rest:,} more gaps (--json has the first 100)",) if rest else (),
+        )
 
 
 def _warn_if_cut(run: RunReader, console: Console) -> None:

@@ -84,7 +84,7 @@ def replay(
                 reader, out, live, plan_file=plan, end=end, wait=wait, listen=listen
             )
         write_json(found, json)
-        return INTERRUPTED if found.interrupted else FAILED if found.differing else OK
+        return INTERRUPTED if found["interrupted"] else FAILED if found["differing"] else OK
     speed = parse_pace(pace)
     with RunReader(run) as reader:
         figures = replay_recording(
@@ -101,4 +101,4 @@ def replay(
             listen=listen,
         )
     write_json(figures, json)
-    return INTERRUPTED if figures.interrupted else OK
+    return INTERRUPTED if figures["interrupted"] else OK

@@ -52,24 +52,24 @@ def view(
         raise InputError(f"--foxglove: expected one run with it, got the runs in {path}")
     place = open_place(page_address, page_port)
     stream = None if foxglove is None else _foxglove_stream(path, foxglove)
-    typer.echo(f"page: {place.address}   (Ctrl-C ends it)")
+    typer.echo(f"page: {place.address()}   (Ctrl-C ends it)")
     if not several and not (path if path.is_dir() else path.parent).joinpath(SUMMARY_NAME).exists():
         get_behind_others()  # Its run may go on.
     if stream is not None:
-        layout = place.address_of("layout.json")
+        layout = place.address("layout.json")
         typer.echo(f"foxglove: ws://127.0.0.1:{foxglove}   (layout: {layout})")
     return asyncio.run(_serve(PageServer(path, place, several=several), stream))
 
 
 def _holds_several(path: Path) -> bool:
     """Tell a folder of runs from a run, which may not have begun yet."""
-    from live_page.run_list import RunList
+    from live_page.run_list import recordings_in
     from recordings.read.reader import RunReader
     from recordings.read.run_file import RECORDING_NAME, NothingRecordedError
 
     recording, begun = path / RECORDING_NAME, (path / "plan.json").exists()
     if path.is_dir() and not recording.exists() and not begun:
-        if not RunList(path).recordings():
+        if not recordings_in(path):
             raise InputError(f"{path}: expected a run or a folder with runs, got neither")
         return True
     if recording.exists() or not begun:

@@ -7,9 +7,9 @@ from contextlib import nullcontext
 from typing import Final
 
 from agents.events import (
-    AnyEvent,
     Armed,
     Complaint,
+    Event,
     Over,
     Presence,
     Recorded,
@@ -172,7 +172,7 @@ class _Launch:
         left = [child for child in children.controllers() if child.finished is None]
         return self._over or (self._asked_at is not None and not left)
 
-    def _hear(self, event: AnyEvent) -> None:
+    def _hear(self, event: Event) -> None:
         now = time.monotonic()
         match event:
             case Armed():

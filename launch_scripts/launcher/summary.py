@@ -186,7 +186,7 @@ def count_lost(recording: Path, external: Collection[str]) -> Counter[str]:
             gaps.see(record.port, record.cycle, record.sequence, record.incarnation)
     lost: Counter[str] = Counter()
     for port, found in gaps.ports.items():
-        lost[port.signal.name] += found.sequence.lost * (port.publisher not in external)
+        lost[port.signal.name] += found.lost * (port.publisher not in external)
     return lost
 
 

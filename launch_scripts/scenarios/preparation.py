@@ -85,6 +85,12 @@ class Preparation:
         moment = pd.Timestamp(self.plan.start_time_ns, tz="UTC")
         return f"{moment.tz_convert(self.scenario.scenario.time.timezone):%Y-%m-%d %H:%M:%S %Z}"
 
+    def title(self) -> str:
+        """Return which part of which scenario is run, to be read."""
+        plan = self.plan
+        length = f"{plan.cycles:,} cycles of {plan.cycle_ns / 1e9:g} s"
+        return f"{plan.plant} from {self.local_start()}, {length}"
+
 
 @dataclass(frozen=True, slots=True)
 class _Day:
@@ -176,8 +182,8 @@ def _day(scenario_file: ScenarioFile, scenario: Scenario, options: RunOptions) -
     covariance = _covariance(own, source, times)
     of_scenario = _local_hours(_times(own, RunOptions()), own.time.timezone)
     # Hours without a past cannot decide on clusters, unless there are no others.
-    hours = sorted(set(of_scenario.tolist()).intersection(covariance.hours))
-    tree = control_tree(scenario.control, source.sites, covariance, hours or list(covariance.hours))
+    hours = sorted(set(of_scenario.tolist()).intersection(covariance))
+    tree = control_tree(scenario.control, source.sites, covariance, hours or list(covariance))
     return _Day(times, source, possible_kw, commitment, covariance, tree)
 
 

@@ -23,7 +23,7 @@ async function refresh() {
     const recorded = new Date(run.recorded_ms), when = {day: "numeric", month: "short", hour: "2-digit", minute: "2-digit"};
     cell(row, recorded.toLocaleString("en-GB", when)).title = recorded.toLocaleString("en-GB");
     cell(row, run.start || null);
-    cell(row, run.simulated_s === null ? null : `${Math.round(run.simulated_s).toLocaleString("en")} s`, true);
+    cell(row, run.simulated_s ? `${Math.round(run.simulated_s).toLocaleString("en")} s` : null, true);
     cell(row, run.size_mb.toFixed(1), true);
     run.figures.forEach((value, place) => {
       const digits = list.figures[place].decimals;

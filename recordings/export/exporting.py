@@ -93,7 +93,6 @@ def export(
             parts = [Part(signal.name, counts[signal.name], 0) for signal in signals]
         else:
             parts = [Part(name, f.rows, f.path.stat().st_size) for name, f in out.files.items()]
-    progress(1.0)
     return ExportSummary(
         run_id=reader.plan.run_id,
         form=form,

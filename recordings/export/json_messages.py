@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from inspect import getdoc
 from math import isfinite
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 import msgspec
 from msgspec import inspect
@@ -19,9 +19,6 @@ from bus_schemas.messages import Message
 from bus_schemas.signals import Signal
 
 JsonObject: TypeAlias = dict[str, object]
-
-_NULL: Final = b"null"
-"""What msgspec writes for a number that JSON does not have."""
 
 
 def object_schema(signal: Signal[Message]) -> JsonObject:
@@ -42,38 +39,24 @@ class JsonEncoder:
 
     def encode(self, message: Message) -> bytes:
         """Return a message as a JSON object."""
-        fields = _plain(message)
-        text = self._encoder.encode(fields)
-        if _NULL in text:  # Or the word stands in a text: then nothing is left out.
-            text = self._encoder.encode(self._finite(fields))
-        return text
+        return self._encoder.encode(self._object(message))
 
-    def _finite(self, fields: JsonObject) -> JsonObject:
-        kept: JsonObject = {}
-        for name, value in fields.items():
-            if isinstance(value, list):
-                kept[name] = [self._finite(item) for item in value]
-            elif _all_finite(value):
-                kept[name] = value
-            else:
+    def _object(self, value: msgspec.Struct) -> JsonObject:
+        """Return a struct as a dictionary, those in its lists too, without what JSON cannot say."""
+        found: JsonObject = {}
+        for name, entry in msgspec.structs.asdict(value).items():
+            if isinstance(entry, tuple) and entry and isinstance(entry[0], msgspec.Struct):
+                found[name] = [self._object(item) for item in entry]
+            elif not _is_finite(entry):
                 self.left_out += 1
-        return kept
+            elif entry is not None:
+                found[name] = entry
+        return found
 
 
-def _plain(value: msgspec.Struct) -> JsonObject:
-    """Return a struct as a dictionary, those inside it in lists too, without what is nil."""
-    found: JsonObject = {}
-    for name, entry in msgspec.structs.asdict(value).items():
-        if isinstance(entry, tuple) and entry and isinstance(entry[0], msgspec.Struct):
-            found[name] = [_plain(item) for item in entry]
-        elif entry is not None:
-            found[name] = entry
-    return found
-
-
-def _all_finite(value: object) -> bool:
+def _is_finite(value: object) -> bool:
     if isinstance(value, tuple):
-        return all(map(_all_finite, value))
+        return all(map(_is_finite, value))
     return not isinstance(value, float) or isfinite(value)
 
 

@@ -7,9 +7,8 @@ pyarrow, a batch of rows at a time, so memory does not grow with the recording.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias
@@ -32,7 +31,9 @@ from recordings.record.writer import ClockAnchor
 
 TableForm: TypeAlias = Literal["csv", "parquet"]
 Row: TypeAlias = tuple[int | float | str | None, ...]
-Rows: TypeAlias = Callable[[RecordedMessage, Message], Iterable[Row]]
+Columns: TypeAlias = tuple[tuple[str, pa.DataType], ...]
+"""Names, with the unit in them, and types. `time` [ns since 1970-01-01 UTC] and `cycle` come before
+them in every table."""
 
 BATCH_ROWS: Final = 65_536
 """Rows that are written at once: a row group of some megabytes in Parquet."""
@@ -48,113 +49,41 @@ _TYPE_OF: Final = {
 }
 _HEAD: Final = frozenset(Message.__struct_fields__)
 
+_OF_MESSAGES: Final[Columns] = (
+    ("source", _TEXT),
+    ("sequence", _INT),
+    ("incarnation", _INT),
+    ("ready_time_ns", _INT),
+    ("publish_time_ns", _INT),
+    ("log_time_ns", _INT),
+)
+"""Last columns of the table of every signal."""
 
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A tidy table, named like its file.
-
-    The names of columns have the unit in them; `time` [ns since 1970-01-01 UTC] and `cycle` come
-    first in every table. `rows` gives the rows of this table that a message adds, none or more.
-    """
-
-    name: str
-    columns: tuple[tuple[str, pa.DataType], ...]
-    rows: Rows
-
-    def schema(self, plan: RunPlan) -> pa.Schema:
-        """Return the types of all columns, with the names of the run."""
-        columns = [("time", pa.timestamp("ns", tz=plan.timezone)), ("cycle", _INT), *self.columns]
-        metadata = {"heliarch.run_id": plan.run_id, "heliarch.plant": plan.plant}
-        return pa.schema(columns, metadata=metadata)
-
-
-def tables_of(
-    signals: Sequence[Signal[Message]], plan: RunPlan, anchor: ClockAnchor
-) -> dict[Signal[Message], tuple[Table, ...]]:
-    """Return by signal the tables that its messages have rows in; the last is common to all."""
-    missing = missing_inputs_table()
-    details = {SETPOINT: (help_given_table(),), PRODUCTION: (inverters_table(plan),)}
-    return {
-        signal: (signal_table(signal, anchor), *details.get(signal, ()), missing)
-        for signal in signals
-    }
-
-
-def signal_table(signal: Signal[Message], anchor: ClockAnchor) -> Table:
-    """Return the table of a signal: a row for each message, a column for each plain field.
-
-    `ready_time_ns`, `publish_time_ns` and `log_time_ns` are of the host's monotonic clock: the
-    decision took the time between the first two, the way to the recorder that between the last two.
-    """
-    own = _own_columns(signal)
-    when = attrgetter("sim_time_ns", "cycle")
-    head = ("source", "sequence", "incarnation", "ready_time_ns", "publish_time_ns")
-    rest = attrgetter(*(name for name, _ in own), *head)
-    monotonic_less_wall_ns = anchor.monotonic_ns - anchor.wall_ns
-
-    def rows(record: RecordedMessage, message: Message) -> Iterable[Row]:
-        logged_ns = record.log_time_ns + monotonic_less_wall_ns
-        return ((*when(message), agent_name(record.port.node), *rest(message), logged_ns),)
-
-    numbers = [(name, _INT) for name in (*head[1:], "log_time_ns")]
-    return Table(signal.name, (("node", _TEXT), *own, ("source", _TEXT), *numbers), rows)
+_DETAILS: Final[dict[str, tuple[Signal[Message] | None, Columns]]] = {
+    "help_given": (
+        SETPOINT,
+        (("donor", _TEXT), ("needy", _TEXT), ("power_kw", _NUMBER), ("sequence", _INT)),
+    ),
+    "production_inverters": (
+        PRODUCTION,
+        (("inverter", _TEXT), ("mpp_kw", _NUMBER), ("power_kw", _NUMBER), ("sequence", _INT)),
+    ),
+    # `used_cycle` is that of the older message that the sender used; empty if it used none.
+    "missing_inputs": (
+        None,
+        (
+            ("node", _TEXT),
+            ("signal", _TEXT),
+            ("sequence", _INT),
+            ("input", _TEXT),
+            ("used_cycle", _INT),
+        ),
+    ),
+}
+"""Tables for lists inside messages: of which signal (None: of all), and their columns."""
 
 
-def help_given_table() -> Table:
-    """Return the table of help: a row for each entry of the setpoint of a donor."""
-
-    def rows(record: RecordedMessage, message: Message) -> Iterable[Row]:
-        assert isinstance(message, Setpoint)
-        when = (message.sim_time_ns, message.cycle, agent_name(record.port.node))
-        return (
-            (*when, agent_name(line.needy), line.power_kw, message.sequence)
-            for line in message.help_given
-        )
-
-    columns = (("donor", _TEXT), ("needy", _TEXT), ("power_kw", _NUMBER), ("sequence", _INT))
-    return Table("help_given", columns, rows)
-
-
-def inverters_table(plan: RunPlan) -> Table:
-    """Return the table of what each inverter could produce and did: a row for each, each cycle."""
-    leaves = plan.tree.leaves
-
-    def rows(_: RecordedMessage, message: Message) -> Iterable[Row]:
-        assert isinstance(message, Production)
-        mpp_kw, power_kw = message.inverter_mpp_kw, message.inverter_power_kw
-        if not len(mpp_kw) == len(power_kw) == len(leaves):
-            raise InputError(
-                f"production of cycle {message.cycle}: expected {len(leaves)} inverters, got "
-                f"{len(mpp_kw)} maxima and {len(power_kw)} powers"
-            )
-        when = (message.sim_time_ns, message.cycle)
-        powers = zip(leaves, mpp_kw, power_kw, strict=True)
-        return ((*when, *power, message.sequence) for power in powers)
-
-    powers = (("mpp_kw", _NUMBER), ("power_kw", _NUMBER))
-    columns = (("inverter", _TEXT), *powers, ("sequence", _INT))
-    return Table("production_inverters", columns, rows)
-
-
-def missing_inputs_table() -> Table:
-    """Return the table of inputs that were not due: a row for each of each message.
-
-    `used_cycle` is the cycle of the older message that the sender used; empty if it used none.
-    """
-
-    def rows(record: RecordedMessage, message: Message) -> Iterable[Row]:
-        if not message.missing:
-            return ()
-        port = record.port
-        when = (message.sim_time_ns, message.cycle)
-        which = (agent_name(port.node), port.signal.name, message.sequence)
-        return ((*when, *which, *parse_missing(entry)) for entry in message.missing)
-
-    which = (("node", _TEXT), ("signal", _TEXT), ("sequence", _INT))
-    return Table("missing_inputs", (*which, ("input", _TEXT), ("used_cycle", _INT)), rows)
-
-
-def _own_columns(signal: Signal[Message]) -> tuple[tuple[str, pa.DataType], ...]:
+def _own_columns(signal: Signal[Message]) -> Columns:
     """Columns for the fields of a signal's own kind, those that hold a list left out.
 
     A field that may be nil leaves its cell empty.
@@ -171,28 +100,28 @@ def _own_columns(signal: Signal[Message]) -> tuple[tuple[str, pa.DataType], ...]
 class TableFile:
     """A table that is being written."""
 
-    def __init__(
-        self, path: Path, table: Table, form: TableForm, plan: RunPlan, batch_rows: int
-    ) -> None:
-        self.path = path.with_name(f"{path.name}.{form}")
+    def __init__(self, path: Path, columns: Columns, plan: RunPlan, batch_rows: int) -> None:
+        self.path = path
         self.rows = 0
-        self._schema = table.schema(plan)
+        time_and_cycle = (("time", pa.timestamp("ns", tz=plan.timezone)), ("cycle", _INT))
+        metadata = {"heliarch.run_id": plan.run_id, "heliarch.plant": plan.plant}
+        self._schema = pa.schema([*time_and_cycle, *columns], metadata=metadata)
         self._waiting: list[Row] = []
         self._batch_rows = batch_rows
-        self._is_csv = form == "csv"
+        self._is_csv = path.suffix == ".csv"
         self._writer: Any
         if self._is_csv:
             self._time_unit = _time_unit(plan)
-            self._writer = CSVWriter(self.path, self._schema.set(0, pa.field("time", _TEXT)))
+            self._writer = CSVWriter(path, self._schema.set(0, pa.field("time", _TEXT)))
         else:
             texts = [field.name for field in self._schema if field.type == _TEXT]
             # Names repeat, numbers hardly do: a dictionary of them would cost size and time.
             self._writer = ParquetWriter(
-                self.path, self._schema, compression="zstd", use_dictionary=texts
+                path, self._schema, compression="zstd", use_dictionary=texts
             )
 
-    def add(self, rows: Iterable[Row]) -> None:
-        self._waiting.extend(rows)
+    def add(self, row: Row) -> None:
+        self._waiting.append(row)
         if len(self._waiting) >= self._batch_rows:
             self.flush()
 
@@ -232,7 +161,11 @@ def _iso_times(times: pa.Array, unit: str) -> pa.Array:
 
 
 class TableFolder:
-    """A folder of tables that is being written."""
+    """A folder of tables that is being written.
+
+    `ready_time_ns`, `publish_time_ns` and `log_time_ns` are of the host's monotonic clock: the
+    decision took the time between the first two, the way to the recorder that between the last two.
+    """
 
     def __init__(
         self,
@@ -244,17 +177,49 @@ class TableFolder:
         batch_rows: int = BATCH_ROWS,
     ) -> None:
         folder.mkdir()
-        self._tables = tables_of(signals, plan, anchor)
-        every = {table.name: table for tables in self._tables.values() for table in tables}
-        # Tables of signals first, the one that they share at the end.
-        names = [name for name in every if name != "missing_inputs"] + ["missing_inputs"]
+        self._leaves = plan.tree.leaves
+        self._monotonic_less_wall_ns = anchor.monotonic_ns - anchor.wall_ns
+        columns = {signal.name: (*_own_columns(signal), *_OF_MESSAGES) for signal in signals}
+        self._cells = {
+            name: attrgetter(*(column for column, _ in entries[:-1]))
+            for name, entries in columns.items()
+        }
+        tables: dict[str, Columns] = {
+            name: (("node", _TEXT), *entries) for name, entries in columns.items()
+        }
+        tables |= {
+            name: entries for name, (of, entries) in _DETAILS.items() if of is None or of in signals
+        }
         self.files = {
-            name: TableFile(folder / name, every[name], form, plan, batch_rows) for name in names
+            name: TableFile(folder / f"{name}.{form}", entries, plan, batch_rows)
+            for name, entries in tables.items()
         }
 
     def add(self, record: RecordedMessage, message: Message) -> None:
-        for table in self._tables[record.port.signal]:
-            self.files[table.name].add(table.rows(record, message))
+        """Add the rows of a message to the table of its signal, and to those of its lists."""
+        signal, files, sequence = record.port.signal.name, self.files, message.sequence
+        node, when = agent_name(record.port.node), (message.sim_time_ns, message.cycle)
+        logged_ns = record.log_time_ns + self._monotonic_less_wall_ns
+        files[signal].add((*when, node, *self._cells[signal](message), logged_ns))
+        if isinstance(message, Setpoint):
+            for line in message.help_given:
+                needy = agent_name(line.needy)
+                files["help_given"].add((*when, node, needy, line.power_kw, sequence))
+        elif isinstance(message, Production):
+            for powers in self._powers(message):
+                files["production_inverters"].add((*when, *powers, sequence))
+        for entry in message.missing:
+            files["missing_inputs"].add((*when, node, signal, sequence, *parse_missing(entry)))
+
+    def _powers(self, message: Production) -> Iterator[tuple[str, float, float]]:
+        """Return what each inverter could produce and did."""
+        mpp_kw, power_kw = message.inverter_mpp_kw, message.inverter_power_kw
+        if not len(mpp_kw) == len(power_kw) == len(self._leaves):
+            raise InputError(
+                f"production of cycle {message.cycle}: expected {len(self._leaves)} inverters, got "
+                f"{len(mpp_kw)} maxima and {len(power_kw)} powers"
+            )
+        return zip(self._leaves, mpp_kw, power_kw, strict=True)
 
     def __enter__(self) -> TableFolder:
         return self

@@ -154,14 +154,14 @@ class HealthWatch:
 
     def see(self, record: RecordedMessage) -> None:
         port, cycle = record.port, record.cycle
-        sequence = self.gaps.ports[port].sequence
-        restarts, lost = sequence.restarts, sequence.lost
+        found = self.gaps.ports[port]
+        restarts, lost = found.restarts, found.lost
         self.gaps.see(port, cycle, record.sequence, record.incarnation)
         agent = port.publisher
         if agent in self._last_cycle:
-            if sequence.lost > lost:  # It was there: its messages are not.
+            if found.lost > lost:  # It was there: its messages are not.
                 self._last_cycle[agent] = max(self._last_cycle[agent], cycle - 1)
-            joined = self._newly_joined(record, numbered_anew=sequence.restarts > restarts)
+            joined = self._newly_joined(record, numbered_anew=found.restarts > restarts)
             self._see_agent(agent, cycle, joined)
         if port in self._devices:
             self._see_agent(self._devices[port], cycle, None)
@@ -179,8 +179,12 @@ class HealthWatch:
 
     def health(self, run: RunReader) -> Health:
         """Return how the run fared, with what lies beside its recording."""
-        sequences = {str(port): found.sequence for port, found in self.gaps.ports.items()}
-        lost = Counter({port: found.lost for port, found in sequences.items() if found.lost})
+        ports, missed, external = self.gaps.ports, self._missed, self._plan.external
+        misses = [
+            Misses(agent, missed.missing[agent].total(), missed.old[agent], *at, agent in external)
+            for agent, at in missed.cycles.items()
+        ]
+        lost = Counter({str(port): found.lost for port, found in ports.items() if found.lost})
         return Health(
             fault_acts=tuple(
                 self._stop_act(rule, run)
@@ -190,8 +194,8 @@ class HealthWatch:
             ),
             faults=self._tally.as_counts(),
             lost=dict(lost.most_common()),
-            repeated=sum(found.repeated for found in sequences.values()),
-            misses=tuple(sorted(self._misses(), key=lambda one: one.inputs, reverse=True)),
+            repeated=sum(found.repeated for found in ports.values()),
+            misses=tuple(sorted(misses, key=lambda one: one.inputs, reverse=True)),
             absences=tuple(self._absences),
             ended=run.stop_cycle is not None,
             failure=_failure(run.path.parent),
@@ -247,13 +251,6 @@ class HealthWatch:
         if len(self._absences) > LISTED_GAPS:
             self._absences.remove(min(self._absences, key=lambda one: one.weight))
             self._more_absences += 1
-
-    def _misses(self) -> Iterator[Misses]:
-        missed = self._missed
-        for agent, cycles in missed.cycles.items():
-            is_external = agent in self._plan.external
-            count = missed.missing[agent].total()
-            yield Misses(agent, count, missed.old[agent], *cycles, is_external)
 
 
 def health_lines(health: Health, clock: RunClock) -> Iterator[tuple[str, str]]:

@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
-import textwrap
+import os
 import tomllib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from typing import Final
 
 import msgspec
 
 from bus_schemas.messages import Message
 from bus_schemas.signals import PRODUCTION, SIGNALS, Signal
-from recordings.inspect.health import Health, HealthWatch, health_lines
+from recordings.inspect.health import Health, HealthWatch
 from recordings.read.gaps import Gap, RunGaps
 from recordings.read.reader import RunReader
-from recordings.read.run_clock import RunClock
 from recordings.recover import RECOVERY_METADATA
 
 _FOLLOW_EVERY: Final = 10_000
 """Messages between two calls of `follow`."""
-
-_NAME_WIDTH: Final = 11
-_SHOWN_GAPS: Final = 10
-
-_COLUMNS: Final = ("signal", "nodes", "messages", "cycle", "s", "lost", "repeated", "without")
-_HEADING: Final = "{:11} {:>5} {:>11} {:>8} {:>9} {:>7} {:>8} {:>8}"
-_ROW: Final = "{:11} {:5,} {:11,} {:8,.2f} {:9,.1f} {:7,} {:8,} {:8,}"
 
 
 class SignalCount(msgspec.Struct, frozen=True):
@@ -111,8 +103,8 @@ def read_overview(
         title=_title(run),
         driver=origin.get("driver", ""),
         whole=run.whole,
-        files=run.files,
-        size_mb=run.outline.size / 1e6,
+        files=len(run.files),
+        size_mb=sum(os.fstat(file.fileno()).st_size for file in run.files) / 1e6,
         chunks=len(run.outline.chunks),
         start=run.clock.local(wanted.start).isoformat(),
         end=run.clock.local(max(wanted.stop - 1, wanted.start)).isoformat(),
@@ -154,8 +146,8 @@ def _count(signal: Signal[Message], gaps: RunGaps, cycles: int, wall_s: float) -
         messages=messages,
         per_cycle=messages / cycles if cycles else 0.0,
         per_s=messages / wall_s if wall_s else 0.0,
-        lost=sum(found.sequence.lost for found in own),
-        repeated=sum(found.sequence.repeated for found in own),
+        lost=sum(found.lost for found in own),
+        repeated=sum(found.repeated for found in own),
         missing_cycles=sum(found.missing for found in own),
     )
 
@@ -168,51 +160,11 @@ def _title(run: RunReader) -> str:
         return ""
 
 
-# As text, for a terminal of 80 columns ------------------------------------------------------------
-
-
-def overview_lines(overview: Overview, clock: RunClock, width: int) -> Iterator[str]:
-    """Yield the lines of an overview: facts, the table of signals, health, gaps."""
-    yield from _named(_facts(overview), width)
-    yield ""
-    yield _HEADING.format("", "", "", "per", "per", "", "", "cycles")
-    yield _HEADING.format(*_COLUMNS)
-    yield from (_ROW.format(*msgspec.structs.astuple(count)) for count in overview.signals)
-    yield ""
-    yield "health"
-    yield from _named(health_lines(overview.health, clock), width)
-    if overview.gaps:
-        yield ""
-        yield "cycles without a message that was due"
-    for gap in overview.gaps[:_SHOWN_GAPS]:
-        begin, end = clock.text(gap.first_cycle), clock.text(gap.last_cycle)
-        if gap.first_cycle == gap.last_cycle:
-            yield f"{gap.port}: cycle {gap.first_cycle:,} ({begin})"
-        else:
-            yield (
-                f"{gap.port}: {gap.cycles:,} from cycle {gap.first_cycle:,} to {gap.last_cycle:,} "
-                f"({begin} to {end})"
-            )
-    rest = len(overview.gaps) - _SHOWN_GAPS + overview.more_gaps
-    if rest > 0:
-        yield f"and {rest:,} more gaps (--json has the first 100)"
-
-
-def _named(facts: Iterable[tuple[str, str]], width: int) -> Iterator[str]:
-    """Put names before texts, each once, and wrap the texts."""
-    last = ""
-    for name, value in facts:
-        lines = textwrap.wrap(value, width - _NAME_WIDTH, break_long_words=False) or [""]
-        lines[0] = ("" if name == last else name).ljust(_NAME_WIDTH) + lines[0]
-        last = name
-        yield from (lines[0], *(" " * _NAME_WIDTH + line for line in lines[1:]))
-
-
-def _facts(overview: Overview) -> Iterator[tuple[str, str]]:
+def facts(overview: Overview) -> Iterator[tuple[str, str]]:
+    """Yield what the recording is as text: names and facts."""
     chunks = f"{overview.chunks:,} chunk{'s' if overview.chunks != 1 else ''}"
     yield "recording", f"{overview.path} ({overview.size_mb:,.1f} MB, {chunks})"
     yield "scenario", overview.title or overview.plant
-    yield "run", f"{overview.run_id}, heliarch {overview.driver}"
     pace = "lockstep" if overview.lockstep else f"pace {overview.pace:g}"
     yield "control", f"scheme {overview.scheme}, actuator {overview.actuator}, {pace}"
     begin, end = (text.replace("T", " ")[:19] for text in (overview.start, overview.end))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import msgspec
+from msgspec.structs import replace
 
 from agents.dispatch import own_request_kw
 from bus_schemas import messages
@@ -216,35 +217,49 @@ _CENTRAL: Final = (
 )
 
 
-class TimelineTable:
-    """The lines of one node's timeline."""
+_HELP_GIVEN: Final = ("help given", "from or for whom, kW")
 
-    def __init__(
-        self, tree: ControlTree, node: str, time_width: int, width: int = NARROWEST
-    ) -> None:
-        powers: tuple[Column, ...]
-        if node == ROOT:
-            powers, last = _CENTRAL, ("children in need", "")
-        elif tree.is_leaf(node):
-            powers, last = _DIRECT, ("help given", "from or for whom, kW")
-        else:
-            powers, last = _SUPERVISOR, ("help given, children in need", "from or for whom, kW")
-        self._columns = (
-            Column("cycle", "", "cycle", 6, "d"),
-            Column("time", "local", "time", time_width, ""),
-            *powers,
-        )
-        self._last = last
-        self._width = width
+
+@dataclass(frozen=True, slots=True)
+class TimelineTable:
+    """Lines of nodes in columns; `last` is the heading above their remarks, in two lines."""
+
+    columns: tuple[Column, ...]
+    last: tuple[str, str]
+    width: int
 
     def heading(self) -> list[str]:
         """Return the two lines above the columns."""
-        return _heading(self._columns, self._last, self._width)
+        names = " ".join(column.name.rjust(column.width) for column in self.columns)
+        units = " ".join(column.unit.rjust(column.width) for column in self.columns)
+        if self.width - len(names) - len(_GAP) < _LEAST_REMARK:
+            return [names.rstrip(), units.rstrip()]
+        return [f"{names}{_GAP}{self.last[0]}".rstrip(), f"{units}{_GAP}{self.last[1]}".rstrip()]
 
     def row(self, node: NodeCycle) -> list[str]:
-        """Return the lines of one cycle: its columns, and its remarks."""
-        cells = " ".join(column.text(node) for column in self._columns)
-        return _with_remarks(cells, _remarks(node), self._width)
+        """Return the lines of a node in one cycle: its columns, and its remarks."""
+        cells, remarks = " ".join(column.text(node) for column in self.columns), _remarks(node)
+        begin = len(cells) + len(_GAP)
+        if self.width - begin < _LEAST_REMARK:
+            lines = textwrap.wrap(remarks, self.width - _INDENT)
+            return [cells.rstrip(), *(" " * _INDENT + line for line in lines)]
+        first, *rest = textwrap.wrap(remarks, self.width - begin) or [""]
+        return [f"{cells}{_GAP}{first}".rstrip(), *(" " * begin + line for line in rest)]
+
+
+def node_table(
+    tree: ControlTree, node: str, time_width: int, width: int = NARROWEST
+) -> TimelineTable:
+    """Return the table of one node's timeline."""
+    powers: tuple[Column, ...]
+    if node == ROOT:
+        powers, last = _CENTRAL, ("children in need", "")
+    elif tree.is_leaf(node):
+        powers, last = _DIRECT, _HELP_GIVEN
+    else:
+        powers, last = _SUPERVISOR, ("help given, children in need", "from or for whom, kW")
+    when = Column("cycle", "", "cycle", 6, "d"), Column("time", "local", "time", time_width, "")
+    return TimelineTable((*when, *powers), last, width)
 
 
 def plant_lines(
@@ -253,13 +268,12 @@ def plant_lines(
     """Yield the plant in one cycle: its nodes as a tree, with the columns of a timeline."""
     branches = dict(_branches(tree, ROOT, ""))
     longest = max(len(branch) for branch in branches.values())
-    columns = (Column("node".ljust(longest), "", "node", longest, ""), *_DIRECT)
-    yield from _heading(columns, ("help given", "from or for whom, kW"), width)
+    first = Column("node".ljust(longest), "", "node", longest, f"<{longest}")
+    table = TimelineTable((first, *_DIRECT), _HELP_GIVEN, width)
+    yield from table.heading()
     by_path = dict(zip(tree.nodes, nodes, strict=True))
     for path, branch in branches.items():
-        node = by_path[path]
-        cells = " ".join([branch.ljust(longest), *(column.text(node) for column in _DIRECT)])
-        yield from _with_remarks(cells, _remarks(node), width)
+        yield from table.row(replace(by_path[path], node=branch))
 
 
 def _branches(tree: ControlTree, node: str, indent: str) -> Iterator[tuple[str, str]]:
@@ -271,23 +285,6 @@ def _branches(tree: ControlTree, node: str, indent: str) -> Iterator[tuple[str, 
         last = child == children[-1]
         yield child, f"{indent}{'└─' if last else '├─'} {child.rpartition('/')[2]}"
         yield from _branches(tree, child, indent + ("   " if last else "│  "))
-
-
-def _heading(columns: Sequence[Column], last: tuple[str, str], width: int) -> list[str]:
-    names = " ".join(column.name.rjust(column.width) for column in columns)
-    units = " ".join(column.unit.rjust(column.width) for column in columns)
-    if width - len(names) - len(_GAP) < _LEAST_REMARK:
-        return [names.rstrip(), units.rstrip()]
-    return [f"{names}{_GAP}{last[0]}".rstrip(), f"{units}{_GAP}{last[1]}".rstrip()]
-
-
-def _with_remarks(cells: str, remarks: str, width: int) -> list[str]:
-    begin = len(cells) + len(_GAP)
-    if width - begin < _LEAST_REMARK:
-        lines = textwrap.wrap(remarks, width - _INDENT)
-        return [cells.rstrip(), *(" " * _INDENT + line for line in lines)]
-    first, *rest = textwrap.wrap(remarks, width - begin) or [""]
-    return [f"{cells}{_GAP}{first}".rstrip(), *(" " * begin + line for line in rest)]
 
 
 def _remarks(node: NodeCycle) -> str:

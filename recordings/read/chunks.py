@@ -56,7 +56,8 @@ class DamagedChunkError(ValueError):
 class ChunkPlace(NamedTuple):
     """Where a chunk's record begins, the length of its body, and its first and last log time.
 
-    It is cut if the file ends before it does, or if its length is damaged.
+    It is cut if the file ends before it does, or if its length is damaged. `file` is which of a
+    recording's files it is in, from 0 on.
     """
 
     offset: int
@@ -64,6 +65,7 @@ class ChunkPlace(NamedTuple):
     first_ns: int
     last_ns: int
     cut: bool = False
+    file: int = 0
 
 
 def chunk_at(file: BinaryIO, offset: int, length: int, size: int) -> ChunkPlace:
@@ -73,7 +75,7 @@ def chunk_at(file: BinaryIO, offset: int, length: int, size: int) -> ChunkPlace:
     cut = offset + RECORD_HEAD.size + length > size
     if not cut:
         # Nothing verifies a record's length but the length of what is packed in the chunk.
-        file.seek(name_length, 1)
+        file.seek(offset + RECORD_HEAD.size + _CHUNK_HEAD.size + name_length)
         (packed_length,) = _LENGTH.unpack(file.read(_LENGTH.size))
         cut = length != _CHUNK_HEAD.size + name_length + _LENGTH.size + packed_length
     return ChunkPlace(offset, length, first_ns, last_ns, cut)

@@ -22,45 +22,6 @@ LISTED_GAPS: Final = 100
 """So many gaps are kept with their place; the rest is counted."""
 
 
-class SequenceGaps:
-    """Counts the messages that the numbers on one key leave out.
-
-    The messages of each incarnation are numbered from 0. What a process that was replaced still
-    sends is not counted. Of one incarnation, a lower number than expected in a newer cycle is that
-    of a device that has restarted. In the same or an older cycle it is a message that came again.
-    """
-
-    __slots__ = ("_cycle", "_expected", "_incarnation", "lost", "repeated", "restarts")
-
-    def __init__(self, expected: int | None = 0) -> None:
-        self._expected = expected
-        self._incarnation = 0 if expected == 0 else None
-        self._cycle = -1
-        self.lost = self.repeated = self.restarts = 0
-
-    def see(self, cycle: int, sequence: int, incarnation: int = 0) -> int:
-        """Take in a message; return how many were lost before it, -1 if it came before."""
-        expected = sequence if self._expected is None else self._expected
-        known = incarnation if self._incarnation is None else self._incarnation
-        if incarnation < known:
-            return 0
-        self._incarnation = incarnation
-        if incarnation > known:
-            self.restarts += 1
-            expected = 0
-        elif sequence < expected:
-            if cycle <= self._cycle:
-                self.repeated += 1
-                return -1
-            self.restarts += 1
-            expected = 0
-        lost = sequence - expected
-        self.lost += lost
-        self._expected = sequence + 1
-        self._cycle = max(cycle, self._cycle)
-        return lost
-
-
 class Gap(msgspec.Struct, frozen=True):
     """Cycles without the message that was due in them."""
 
@@ -77,29 +38,57 @@ def due_step(plan: RunPlan, port: Port[Message]) -> int:
 
 
 class PortGaps:
-    """The messages of one port, and what is missing between them."""
+    """The messages of one port, and what is missing between them.
 
-    __slots__ = ("_cycle", "_step", "messages", "missing", "sequence")
+    The messages of each incarnation are numbered from 0. What a process that was replaced still
+    sends is not counted. Of one incarnation, a lower number than expected in a newer cycle is that
+    of a device that has restarted. In the same or an older cycle it is a message that came again.
 
-    def __init__(self, step: int, first_cycle: int) -> None:
-        self.sequence = SequenceGaps(0 if first_cycle == 0 else None)
-        self.messages = self.missing = 0
+    step: In every how many cycles a message is due; 0: it comes when it is needed.
+    first_cycle: Messages of earlier cycles are not missing.
+
+    messages, lost, repeated, restarts: Messages that came, those that the numbers leave out, those
+        that came again, and how often the numbers began anew.
+    missing: Cycles in which a message was due and none came.
+    """
+
+    __slots__ = (
+        *("_due", "_expected", "_incarnation", "_newest", "_step"),
+        *("lost", "messages", "missing", "repeated", "restarts"),
+    )
+
+    def __init__(self, step: int = 0, first_cycle: int = 0) -> None:
+        self.messages = self.missing = self.lost = self.repeated = self.restarts = 0
         self._step = step
-        self._cycle = -(-first_cycle // step) * step - step if step else 0
+        self._due = -(-first_cycle // step) * step - step if step else 0
+        self._newest = -1
+        self._incarnation = 0
+        self._expected: int | None = None if first_cycle else 0
 
     def see(self, cycle: int, sequence: int, incarnation: int = 0) -> range:
         """Take in a message; return the cycles before it in which one was due and none came."""
         self.messages += 1
-        if self.sequence.see(cycle, sequence, incarnation) < 0:
-            return range(0)
+        if self._expected is None:
+            self._expected, self._incarnation = sequence, incarnation
+        if incarnation < self._incarnation:
+            return self.end(cycle)
+        if incarnation > self._incarnation or sequence < self._expected:
+            if incarnation == self._incarnation and cycle <= self._newest:
+                self.repeated += 1
+                return range(0)
+            self.restarts += 1
+            self._expected = 0
+        self.lost += sequence - self._expected
+        self._expected, self._incarnation = sequence + 1, incarnation
+        self._newest = max(cycle, self._newest)
         return self.end(cycle)
 
     def end(self, cycle: int) -> range:
         """Return the cycles up to just before one in which a message was due and none came."""
-        if not self._step or cycle <= self._cycle:
+        if not self._step or cycle <= self._due:
             return range(0)
-        gap = range(self._cycle + self._step, cycle, self._step)
-        self._cycle = cycle
+        gap = range(self._due + self._step, cycle, self._step)
+        self._due = cycle
         self.missing += len(gap)
         return gap
 
@@ -114,22 +103,22 @@ class RunGaps:
         self.more_gaps = 0
 
     def see(self, port: Port[Message], cycle: int, sequence: int, incarnation: int = 0) -> None:
-        gap = self.ports[port].see(cycle, sequence, incarnation)
-        if gap:
+        if gap := self.ports[port].see(cycle, sequence, incarnation):
             self._note(port, gap)
 
     def end(self, cycle: int) -> dict[Port[Message], range]:
         """Note what was due before the cycle that the run ended with; return it by port."""
-        missing = {port: found.end(cycle) for port, found in self.ports.items()}
-        for port, gap in missing.items():
-            if gap:
+        missing = {}
+        for port, found in self.ports.items():
+            if gap := found.end(cycle):
                 self._note(port, gap)
-        return {port: gap for port, gap in missing.items() if gap}
+                missing[port] = gap
+        return missing
 
     @property
     def lost(self) -> int:
         """Messages that the numbers leave out."""
-        return sum(found.sequence.lost for found in self.ports.values())
+        return sum(found.lost for found in self.ports.values())
 
     def _note(self, port: Port[Message], gap: range) -> None:
         if len(self.gaps) < LISTED_GAPS:
@@ -143,7 +132,7 @@ def recorder_absences(run: RunReader) -> Iterator[tuple[str, range]]:
 
     The first and the last of them may be recorded in part, or as a whole.
     """
-    if run.files == 1:
+    if len(run.files) == 1:
         return
     newest: dict[Port[Message], int] = {}
     seen_in: dict[Port[Message], int] = {}

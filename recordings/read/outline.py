@@ -7,12 +7,11 @@ a cut recording is read like a whole one, up to the cut.
 from __future__ import annotations
 
 import zlib
-from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
-from os import SEEK_CUR, SEEK_END
+from os import SEEK_END
 from struct import Struct
 from typing import BinaryIO, Final, NamedTuple, TypeVar
 
@@ -42,7 +41,7 @@ R = TypeVar("R", bound=records.McapRecord)
 
 
 class NoMcapError(ValueError):
-    """The file is no MCAP file at all; says what it is instead."""
+    """The file is no MCAP file at all; says how it begins instead."""
 
 
 class _Place(NamedTuple):
@@ -58,51 +57,18 @@ class _Place(NamedTuple):
         return self.offset + RECORD_HEAD.size + self.length
 
 
-class JoinedFile:
-    """The files of one recording as one, each behind the one before as far as that reaches."""
-
-    def __init__(self, first: BinaryIO) -> None:
-        self._files = [first]
-        self._begins = [0]
-        self._file = first
-
-    def add(self, file: BinaryIO) -> int:
-        """Add a file; return where it begins."""
-        self._begins.append(self.seek(0, SEEK_END))
-        self._files.append(file)
-        return self._begins[-1]
-
-    def seek(self, offset: int, whence: int = 0) -> int:
-        """Go to a byte; from there on no more is read than the rest of its file."""
-        if whence == SEEK_CUR:
-            return self._file.seek(offset, SEEK_CUR)
-        last = len(self._files) - 1
-        number = last if whence == SEEK_END else bisect_right(self._begins, offset) - 1
-        self._file, begin = self._files[number], self._begins[number]
-        return begin + self._file.seek(offset - (0 if whence else begin), whence)
-
-    def read(self, size: int = -1) -> bytes:
-        """Read on in the file that is open there."""
-        return self._file.read(size)
-
-    def fileno(self) -> int:
-        """Return the descriptor of the last file."""
-        return self._files[-1].fileno()
-
-    def close(self) -> None:
-        for file in self._files:
-            file.close()
-
-
 @dataclass
 class Outline:
-    """What a file consists of, in its order; schemas and channels by their id.
+    """What a file consists of, in its order; metadata by name, schemas and channels by their id.
 
     It is `closed` if its writer came to the end of the messages. Otherwise it was cut, is damaged
     at `readable_end`, behind the last readable record of the data section, or is still being
-    written. It is `indexed` if it has its index too, and all files that it goes on in, which begin
-    at the bytes `further_files`. The last chunk may be cut. `damaged_attachments` are the names of
-    those whose checksum is wrong; of one that cannot be read, where it is.
+    written. It is `indexed` if it has its index too. The last chunk may be cut.
+    `damaged_attachments` are the names of those whose checksum is wrong; of one that cannot be
+    read, where it is.
+
+    A recording may go on in further files. Then `size`, `closed` and `readable_end` are those of
+    the last one, of the number `file`, and it is `indexed` if all of them are.
     """
 
     size: int
@@ -111,37 +77,36 @@ class Outline:
     readable_end: int = len(MAGIC)
     header: records.Header | None = None
     attachments: list[records.Attachment] = field(default_factory=list)
-    metadata: list[records.Metadata] = field(default_factory=list)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     schemas: dict[int, records.Schema] = field(default_factory=dict)
     channels: dict[int, records.Channel] = field(default_factory=dict)
     chunks: list[ChunkPlace] = field(default_factory=list)
     damaged_attachments: list[str] = field(default_factory=list)
-    further_files: list[int] = field(default_factory=list)
+    file: int = 0
 
     @property
     def cut_early(self) -> bool:
         """Whether it was cut before its first message."""
         return not self.closed and not self.chunks
 
-    def go_on(self, other: Outline, begin: int) -> None:
-        """Go on with the outline of a further file, which begins at a byte."""
+    def go_on(self, other: Outline) -> None:
+        """Go on with the outline of a further file."""
         if self.chunks and self.chunks[-1].cut:
             self.chunks.pop()
-        self.further_files.append(begin)
-        self.chunks += [one._replace(offset=one.offset + begin) for one in other.chunks]
+        self.file += 1
+        self.chunks += [place._replace(file=self.file) for place in other.chunks]
         self.channels, self.schemas = self.channels or other.channels, self.schemas or other.schemas
-        self.size, self.readable_end = begin + other.size, begin + other.readable_end
-        self.closed = other.closed
+        self.size, self.readable_end, self.closed = other.size, other.readable_end, other.closed
         self.indexed &= other.indexed
 
 
 def read_outline(file: BinaryIO) -> Outline:
-    """Find out what an MCAP file consists of."""
+    """Find out what an MCAP file consists of. An empty one was cut before its first byte."""
     size = file.seek(0, SEEK_END)
     file.seek(0)
     magic = file.read(len(MAGIC))
-    if magic != MAGIC:
-        raise NoMcapError(f"it begins with {magic!r}" if magic else "it is empty")
+    if not MAGIC.startswith(magic):
+        raise NoMcapError(f"it begins with {magic!r}")
     try:
         outline = _by_index(file, size)
     except BROKEN:
@@ -218,6 +183,7 @@ def _take(outline: Outline, file: BinaryIO, place: _Place) -> None:
     """Enter a record into the outline."""
     if place.opcode == Opcode.CHUNK:
         chunk = chunk_at(file, place.offset, place.length, outline.size)
+        chunk = chunk._replace(file=outline.file)
         outline.chunks.append(chunk)
         if len(outline.chunks) == 1:
             # A recording declares all its channels before its first message.
@@ -230,7 +196,8 @@ def _take(outline: Outline, file: BinaryIO, place: _Place) -> None:
         case Opcode.ATTACHMENT:
             _take_attachment(outline, place.offset, _body(file, place, outline.size))
         case Opcode.METADATA:
-            outline.metadata.append(_parse(records.Metadata.read, _body(file, place, outline.size)))
+            found = _parse(records.Metadata.read, _body(file, place, outline.size))
+            outline.metadata[found.name] = found.metadata
 
 
 def _take_attachment(outline: Outline, offset: int, body: bytes) -> None:

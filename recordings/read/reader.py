@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
-from collections.abc import Collection, Container, Iterable, Iterator, Mapping
+from bisect import bisect_left
+from collections.abc import Collection, Container, Iterator, Mapping
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, BinaryIO, Final, NamedTuple, cast
+from typing import TYPE_CHECKING, Annotated, BinaryIO, Final, NamedTuple
 
 import msgspec
 
 from bus_schemas.bus import Delivery
 from bus_schemas.codec import decode
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Message
+from bus_schemas.messages import Message, Run
 from bus_schemas.signals import RUN, SIGNALS, Port, Signal
 from bus_schemas.tree import ROOT, agent_name
 from recordings.read.chunks import (
@@ -23,11 +24,10 @@ from recordings.read.chunks import (
     messages_in,
     unpack_chunk,
 )
-from recordings.read.outline import JoinedFile, NoMcapError, Outline, read_outline
+from recordings.read.outline import NoMcapError, Outline, read_outline
 from recordings.read.run_clock import RunClock
 from recordings.read.run_file import (
     RECORDING_NAME,
-    NothingRecordedError,
     declare,
     further_file,
     read_origin,
@@ -60,11 +60,6 @@ class Head(msgspec.Struct, gc=False):
 
 
 _head = msgspec.msgpack.Decoder(Head).decode
-
-
-def cycle_of(payload: bytes) -> int:
-    """Return the cycle of a payload without decoding the rest; DecodeError if it has none."""
-    return head_of(payload).cycle
 
 
 def head_of(payload: bytes) -> Head:
@@ -109,8 +104,9 @@ class RunReader:
 
     Where the recorder was started again, `run-2.mcap` and further files are taken as one with it.
 
-    It is `whole` if each file was closed in order and has its index. Of a file that is damaged,
-    `damage` says which chunks were skipped so far, by their first byte, and why.
+    It is `whole` if each file was closed in order and has its index. `damage` are the damaged
+    chunks that were skipped so far, `read_share` is how far the reading has come, 0 to 1, and
+    `file_number` in which of the `files`.
 
     Memory is bounded by the largest chunk, and some 300 bytes for each chunk of the file.
     """
@@ -118,47 +114,38 @@ class RunReader:
     def __init__(self, path: Path, *, skip_damaged: bool = False) -> None:
         self.path = path / RECORDING_NAME if path.is_dir() else path
         try:
-            first = self.path.open("rb")
+            self.files = [self.path.open("rb")]
         except FileNotFoundError:
             raise InputError(
                 f"{self.path}: no such file, expected a run's folder or its {RECORDING_NAME}"
             ) from None
-        except OSError as error:
-            raise InputError(f"{self.path}: {error.strerror}, expected an MCAP file") from None
-        self.file = cast("BinaryIO", JoinedFile(first))
-        self.files = 1
-        self.damage: dict[int, str] = {}
+        self.damage: set[ChunkPlace] = set()
+        self.file_number = 0
+        self.read_share = 0.0
         self._skip_damaged = skip_damaged
-        self._position = 0
         self._first_cycles: dict[ChunkPlace, int | None] = {}
         try:
-            self.outline = self._read_outline()
-            self.metadata = {entry.name: entry.metadata for entry in self.outline.metadata}
+            self.outline = _outline_of(self.path, self.files[0])
+            self.metadata = self.outline.metadata
             self.scenario, self.plan = read_origin(self.outline, self.path)
             self.join()
             if self.outline.chunks and not self.outline.channels:
                 declare(self.outline, self.plan)  # The first chunk had them, and is damaged.
         except BaseException:
-            self.file.close()
+            self.close()
             raise
         self.whole = self.outline.indexed
 
-    def join(self) -> bool:
-        """Take in the files of recorders that were started again; return whether there was one."""
-        files = self.files
-        while (path := further_file(self.path, self.files + 1)).exists():
+    def join(self) -> None:
+        """Take in the files of recorders that were started again."""
+        while (path := further_file(self.path, len(self.files) + 1)).exists():
             file = path.open("rb")
-            try:
-                outline = read_outline(file)
-            except NoMcapError:  # It has just been opened.
-                outline = Outline(0)
-            run_ids = [one.metadata.get("run_id") for one in outline.metadata if one.name == "run"]
-            if run_ids != [self.plan.run_id]:
+            outline = _outline_of(path, file)
+            if outline.metadata.get("run", {}).get("run_id") != self.plan.run_id:
                 file.close()
                 break
-            self.outline.go_on(outline, cast("JoinedFile", self.file).add(file))
-            self.files += 1
-        return self.files > files
+            self.outline.go_on(outline)
+            self.files.append(file)
 
     def messages(
         self,
@@ -237,17 +224,20 @@ class RunReader:
 
         (found,) = find_signals([signal])
         own = [name for name in found.type.__struct_fields__ if name not in _HEAD_FIELDS]
-        times: list[int] = []
-        columns: dict[str, list[Any]] = {name: [] for name in ("cycle", "node", *own)}
-        for port, message in self.messages(found, nodes=nodes, start=start, end=end):
-            times.append(message.sim_time_ns)
-            columns["cycle"].append(message.cycle)
-            columns["node"].append(agent_name(port.node))
-            for name in own:
-                columns[name].append(getattr(message, name))
-        utc = pd.to_datetime(pd.Series(times, dtype="int64"), unit="ns", utc=True)
-        index = pd.DatetimeIndex(utc, name="time").tz_convert(self.plan.timezone)
-        return pd.DataFrame(columns, index=index)
+        rows = [
+            (m.sim_time_ns, m.cycle, agent_name(port.node), *(getattr(m, name) for name in own))
+            for port, m in self.messages(found, nodes=nodes, start=start, end=end)
+        ]
+        frame = pd.DataFrame(rows, columns=["time", "cycle", "node", *own]).set_index("time")
+        utc = pd.to_datetime(frame.index, unit="ns", utc=True)
+        return frame.set_index(utc.tz_convert(self.plan.timezone))
+
+    @cached_property
+    def channels(self) -> dict[int, Port[Message]]:
+        """Ports by the numbers of their channels, which are known from the first chunk on."""
+        port_at = self.plan.keys.port
+        found = {number: port_at(entry.topic) for number, entry in self.outline.channels.items()}
+        return {number: port for number, port in found.items() if port is not None}
 
     @cached_property
     def clock(self) -> RunClock:
@@ -261,7 +251,7 @@ class RunReader:
         ports = {port for port in self.ports() if port.signal.name != "run"}
         port_of = self._channels_of(ports)
         for place in reversed(self.outline.chunks):
-            cycles = [self._head_of(raw).cycle for raw in self._messages_of(place, port_of)]
+            cycles = [self._head_of(raw).cycle for raw in self.messages_of(place, port_of)]
             if cycles:
                 return max(cycles)
         return -1
@@ -269,25 +259,40 @@ class RunReader:
     @cached_property
     def stop_cycle(self) -> int | None:
         """The cycle before which the plant ended the run; None: the recording does not tell."""
-        last = max(self.last_cycle, 0)
-        records = self.records([RUN.of(ROOT)], range(last, _MOST_CYCLES))
-        runs = (decode(RUN, record.payload) for record in records)
-        return end_of_run([run.cycle for run in runs if run.state == "stop"], self.last_cycle)
+        runs = self.on([RUN.of(ROOT)], range(max(self.last_cycle, 0), _MOST_CYCLES))
+        stops = [run.cycle for _, run in runs if isinstance(run, Run) and run.state == "stop"]
+        return end_of_run(stops, self.last_cycle)
+
+    def unpack(self, place: ChunkPlace) -> bytes:
+        """Return the records in a chunk; DamagedChunkError if it is damaged."""
+        return unpack_chunk(self.files[place.file], place)
+
+    def messages_of(self, place: ChunkPlace, channels: Container[int]) -> Iterator[RawMessage]:
+        """Return the messages of some channels in a chunk, none if it is damaged and skipped."""
+        self.file_number = place.file
+        try:
+            records = self.unpack(place)
+        except DamagedChunkError as error:
+            if self._skip_damaged:
+                self.damage.add(place)
+                return iter(())
+            raise InputError(
+                f"{self.path}: chunk at byte {place.offset:,}: {error}; `heliarch recover` keeps "
+                "what is sound"
+            ) from None
+        return messages_in(records, channels)
 
     def cycles_in(self, place: ChunkPlace) -> range:
         """Return the cycles that a chunk has messages of; empty if none can be read."""
-        cycles = [
-            self._head_of(raw).cycle for raw in messages_in(self._try_unpack(place), self._every)
-        ]
+        cycles = [self._head_of(raw).cycle for raw in self._readable(place)]
         return range(min(cycles), max(cycles) + 1) if cycles else range(0)
 
     def damage_text(self) -> str:
         """Say what is missing: the damaged chunks that were skipped, and damaged attachments."""
-        chunks = self.outline.chunks
         parts = [
-            f"chunk at byte {place.offset:,}, {self._missing_text(chunks[:n], chunks[n + 1 :])}"
-            for n, place in enumerate(chunks)
-            if place.offset in self.damage
+            f"chunk at byte {place.offset:,}, {self._missing_text(number)}"
+            for number, place in enumerate(self.outline.chunks)
+            if place in self.damage
         ]
         if len(parts) > _NAMED:
             parts[_NAMED:] = [f"and {len(parts) - _NAMED:,} more chunks"]
@@ -295,30 +300,19 @@ class RunReader:
         what = f"a part of the file is damaged ({'; '.join(parts)}): see heliarch recover"
         return f"{self.path}: {what}" if parts else ""
 
-    def _missing_text(self, before: list[ChunkPlace], behind: list[ChunkPlace]) -> str:
-        """Say of which cycles messages are missing between some chunks and others."""
-        last, first = self._nearest(reversed(before)), self._nearest(behind)
-        begin = last.stop - 1 if last else 0
-        if not first:
+    def _missing_text(self, number: int) -> str:
+        """Say of which cycles messages are missing, between the chunks around a damaged one."""
+        chunks = self.outline.chunks
+        before = next(filter(None, map(self.cycles_in, reversed(chunks[:number]))), range(1))
+        behind = next(filter(None, map(self.cycles_in, chunks[number + 1 :])), None)
+        begin = before.stop - 1
+        if behind is None:
             return f"messages from cycle {begin:,} on are missing"
-        return f"cycles {begin:,} to {max(begin, first.start):,} missing"
-
-    def _nearest(self, places: Iterable[ChunkPlace]) -> range:
-        """Return the cycles of the first readable chunk."""
-        return next(filter(None, map(self.cycles_in, places)), range(0))
-
-    @property
-    def file_number(self) -> int:
-        """Which of its files the reading has come to, from 0 on."""
-        return bisect_right(self.outline.further_files, self._position)
-
-    @property
-    def read_share(self) -> float:
-        """How far into the file the reading has come, 0 to 1."""
-        return self._position / max(self.outline.size, 1)
+        return f"cycles {begin:,} to {max(begin, behind.start):,} missing"
 
     def close(self) -> None:
-        self.file.close()
+        for file in self.files:
+            file.close()
 
     def __enter__(self) -> RunReader:
         return self
@@ -327,25 +321,20 @@ class RunReader:
         self.close()
 
     def _channels_of(self, ports: Collection[Port[Message]]) -> dict[int, Port[Message]]:
-        """Return the ports by the numbers of their channels."""
-        found = {}
-        for number, channel in self.outline.channels.items():
-            port = self.plan.keys.port(channel.topic)
-            if port is not None and port in ports:
-                found[number] = port
-        return found
+        return {number: port for number, port in self.channels.items() if port in ports}
 
     def _raw(
         self, channels: Mapping[int, Port[Message]], cycles: range | None
     ) -> Iterator[RawMessage]:
         """Yield the messages of the chunks that can hold some cycles."""
         begin = 0 if cycles is None else self._search(cycles.start)
-        for place in self.outline.chunks[begin:]:
+        for number, place in enumerate(self.outline.chunks[begin:], start=begin):
+            self.read_share = number / len(self.outline.chunks)
             if cycles is not None:
                 first = self._first_cycle(place)
                 if first is not None and first >= cycles.stop + self._slack:
                     return
-            yield from self._messages_of(place, channels)
+            yield from self.messages_of(place, channels)
 
     def _search(self, cycle: int) -> int:
         """Return the number of a chunk before which there is no message of a cycle.
@@ -364,15 +353,15 @@ class RunReader:
     def _first_cycle(self, place: ChunkPlace) -> int | None:
         """Return the cycle of a chunk's first message; None: nothing can be read of it."""
         if place not in self._first_cycles:
-            raw = next(messages_in(self._try_unpack(place), self._every), None)
+            raw = next(self._readable(place), None)
             self._first_cycles[place] = None if raw is None else self._head_of(raw).cycle
         return self._first_cycles[place]
 
-    def _try_unpack(self, place: ChunkPlace) -> bytes:
-        try:
-            return unpack_chunk(self.file, place)
-        except DamagedChunkError:
-            return b""  # An error only for whoever reads its messages.
+    def _readable(self, place: ChunkPlace) -> Iterator[RawMessage]:
+        """Return all messages of a chunk, to search in; a damaged one has none."""
+        with suppress(DamagedChunkError):
+            return messages_in(self.unpack(place), self.channels)
+        return iter(())
 
     def _head_of(self, raw: RawMessage) -> Head:
         try:
@@ -385,10 +374,6 @@ class RunReader:
             ) from None
 
     @cached_property
-    def _every(self) -> dict[int, Port[Message]]:
-        return self._channels_of(self.ports())
-
-    @cached_property
     def _slack(self) -> int:
         """How many cycles behind the newest one a message can be in the file."""
         if self.metadata["run"].get("driver") == "simulate":
@@ -397,29 +382,12 @@ class RunReader:
             return _FURTHEST_CYCLES
         return max(round(_LATEST_S * 1e9 / self.plan.cycle_wall_ns), self.plan.periods.longest) + 1
 
-    def _messages_of(self, place: ChunkPlace, channels: Container[int]) -> Iterator[RawMessage]:
-        self._position = place.offset
-        try:
-            records = unpack_chunk(self.file, place)
-        except DamagedChunkError as error:
-            if self._skip_damaged:
-                self.damage[place.offset] = str(error)
-                return iter(())
-            raise InputError(
-                f"{self.path}: chunk at byte {place.offset:,}: {error}; `heliarch recover` keeps "
-                "what is sound"
-            ) from None
-        return messages_in(records, channels)
 
-    def _read_outline(self) -> Outline:
-        try:
-            return read_outline(self.file)
-        except NoMcapError as error:
-            if not self.path.stat().st_size:
-                raise NothingRecordedError(f"{self.path}: it is empty") from None
-            raise InputError(f"{self.path}: not an MCAP file, {error}") from None
-        except OSError as error:
-            raise InputError(f"{self.path}: {error.strerror}, expected an MCAP file") from None
+def _outline_of(path: Path, file: BinaryIO) -> Outline:
+    try:
+        return read_outline(file)
+    except NoMcapError as error:
+        raise InputError(f"{path}: not an MCAP file, {error}") from None
 
 
 def end_of_run(stops: Collection[int], last_cycle: int) -> int | None:

@@ -13,7 +13,8 @@ from mcap.records import Channel, Schema
 from agents.plan import RunPlan, check_plan
 from bus_schemas.codec import json_schema
 from bus_schemas.errors import InputError
-from bus_schemas.signals import SIGNALS, ports
+from bus_schemas.messages import Message
+from bus_schemas.signals import SIGNALS, Port, ports
 from bus_schemas.times import FIRST_YEAR, LAST_YEAR
 from recordings.read.outline import Outline
 from recordings.read.run_clock import RunClock
@@ -47,11 +48,11 @@ def schemas() -> list[Schema]:
     ]
 
 
-def channels(plan: RunPlan) -> list[Channel]:
+def channels(plan: RunPlan) -> dict[Port[Message], Channel]:
     """Return the channels of a run's recording, numbered from 1 in the order of its ports."""
     logged = (port for port in ports(plan.tree) if port.signal.logged)
-    return [
-        Channel(
+    return {
+        port: Channel(
             id=number,
             topic=plan.keys.key(port),
             message_encoding="msgpack",
@@ -59,13 +60,13 @@ def channels(plan: RunPlan) -> list[Channel]:
             metadata={"signal": port.signal.name, "node": port.node},
         )
         for number, port in enumerate(logged, start=1)
-    ]
+    }
 
 
 def declare(outline: Outline, plan: RunPlan) -> None:
     """Give the outline of a file the schemas and channels that its plan leads to."""
     outline.schemas = {schema.id: schema for schema in schemas()}
-    outline.channels = {channel.id: channel for channel in channels(plan)}
+    outline.channels = {channel.id: channel for channel in channels(plan).values()}
 
 
 class NothingRecordedError(InputError):
@@ -87,8 +88,6 @@ def read_origin(outline: Outline, path: Path) -> tuple[str, RunPlan]:
         scenario = attachments["scenario.toml"].decode(errors="replace")
         plan = msgspec.json.decode(attachments["plan.json"], type=RunPlan)
     except KeyError as error:
-        if outline.cut_early and not damaged:
-            raise NothingRecordedError(f"{path}: cut before the plan of its run") from None
         note = f"; damaged are {', '.join(damaged)}" if damaged else ""
         raise InputError(f"{path}: recording without its attachment {error}{note}") from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -102,8 +101,7 @@ def read_origin(outline: Outline, path: Path) -> tuple[str, RunPlan]:
 
 
 def _check_version(outline: Outline, path: Path) -> None:
-    metadata = {entry.name: entry.metadata for entry in outline.metadata}
-    found = metadata.get("run", {}).get("schema_version")
+    found = outline.metadata.get("run", {}).get("schema_version")
     if found is None and outline.cut_early:
         raise NothingRecordedError(f"{path}: cut before the plan of its run")
     if found is None:

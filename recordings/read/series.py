@@ -7,7 +7,6 @@ the figures of merit.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from math import nan
 from pathlib import Path
@@ -19,14 +18,16 @@ from numpy.typing import NDArray
 
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
-from bus_schemas.messages import Dispatch, Message, Production
+from bus_schemas.messages import Command, Dispatch, Impp, Message, Production, Residual
 from bus_schemas.signals import COMMAND, DISPATCH, IMPP, PRODUCTION, RESIDUAL, Port, Signal
 from recordings.read.reader import RunReader
 
 _MOST_APART: Final = 1000
 """A series has at least one cycle of so many; the rest would be gaps alone."""
 
-_OF_INVERTERS: Final[tuple[Signal[Message], ...]] = (IMPP, RESIDUAL, COMMAND)
+_OF_PLANT: Final = ("commitment_kw", "regulation_kw")
+_OF_INVERTERS: Final = ("mpp_kw", "power_kw", "impp_kw", "residual_kw", "alpha")
+"""Fields of a `RunSeries` with a row for each cycle, and those that have columns too."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,6 +68,26 @@ class RunSeries:
     alpha: NDArray[np.float64]
     ramp_limit_percent_per_min: float | None = None
 
+    @classmethod
+    def of(cls, plan: RunPlan, label: str, **values: NDArray[np.float64]) -> RunSeries:
+        """Return the series of a plan's run; `values` are the fields with a row for each cycle.
+
+        Those of inverters that are not given are unknown.
+        """
+        leaves = plan.tree.leaves
+        unknown = dict.fromkeys(_OF_INVERTERS, np.full_like(values["mpp_kw"], nan))
+        return cls(
+            label=label,
+            inverters=leaves,
+            rating_kw=np.array([plan.tree.rating_kw(leaf) for leaf in leaves]),
+            timezone=plan.timezone,
+            start_time_ns=plan.start_time_ns,
+            cycle_s=plan.cycle_ns / 1e9,
+            regulation_capacity_kw=plan.regulation_capacity_kw,
+            ramp_limit_percent_per_min=plan.ramp_limit_percent_per_min,
+            **(unknown | values),
+        )
+
     @property
     def cycles(self) -> int:
         return len(self.mpp_kw)
@@ -104,17 +125,9 @@ class RunSeries:
 
     def between(self, first: int, end: int) -> RunSeries:
         """Return the cycles from the first one on to before the end alone."""
-        return replace(
-            self,
-            start_time_ns=self.start_time_ns + round(first * self.cycle_s * 1e9),
-            commitment_kw=self.commitment_kw[first:end],
-            regulation_kw=self.regulation_kw[first:end],
-            mpp_kw=self.mpp_kw[first:end],
-            power_kw=self.power_kw[first:end],
-            impp_kw=self.impp_kw[first:end],
-            residual_kw=self.residual_kw[first:end],
-            alpha=self.alpha[first:end],
-        )
+        part = {name: getattr(self, name)[first:end] for name in (*_OF_PLANT, *_OF_INVERTERS)}
+        begin_ns = self.start_time_ns + round(first * self.cycle_s * 1e9)
+        return replace(self, start_time_ns=begin_ns, **part)
 
 
 class _Values:
@@ -141,31 +154,32 @@ class SeriesCollector:
 
     def __init__(self, plan: RunPlan) -> None:
         self._plan = plan
-        leaves = plan.tree.leaves
-        self._of_inverters = {
-            signal.of(leaf): _Values() for signal in _OF_INVERTERS for leaf in leaves
-        }
-        self._commitment_kw, self._regulation_kw = _Values(), _Values()
-        self._mpp_kw, self._power_kw = [_Values() for _ in leaves], [_Values() for _ in leaves]
+        self._of_plant = {name: _Values() for name in _OF_PLANT}
+        self._of_inverters = {name: [_Values() for _ in plan.tree.leaves] for name in _OF_INVERTERS}
+        self._column = {leaf: column for column, leaf in enumerate(plan.tree.leaves)}
         self._cycles = self._productions = 0
 
     def see(self, port: Port[Message], message: Message) -> None:
         """Take in a message; those that the series does not need are ignored."""
-        cycle = message.cycle
-        values = self._of_inverters.get(port)
-        if values is not None:
-            values.add(cycle, message.alpha if port.signal is COMMAND else message.power_kw)  # type: ignore[attr-defined]
-        elif isinstance(message, Dispatch):
-            self._commitment_kw.add(cycle, message.commitment_kw)
-            self._regulation_kw.add(cycle, message.regulation_kw)
-        elif isinstance(message, Production) and 0 <= cycle < self._plan.cycles:
-            self._cycles = max(self._cycles, cycle + 1)
-            self._productions += 1
-            # An external plant may list too few or too many inverters.
-            for column, value in zip(self._mpp_kw, message.inverter_mpp_kw, strict=False):
-                column.add(cycle, value)
-            for column, value in zip(self._power_kw, message.inverter_power_kw, strict=False):
-                column.add(cycle, value)
+        cycle, of_inverters = message.cycle, self._of_inverters
+        match message:
+            case Dispatch():
+                for name, values in self._of_plant.items():
+                    values.add(cycle, getattr(message, name))
+            case Production() if 0 <= cycle < self._plan.cycles:
+                self._cycles = max(self._cycles, cycle + 1)
+                self._productions += 1
+                made = {"mpp_kw": message.inverter_mpp_kw, "power_kw": message.inverter_power_kw}
+                for name, listed in made.items():
+                    # An external plant may list too few or too many inverters.
+                    for column, value in zip(of_inverters[name], listed, strict=False):
+                        column.add(cycle, value)
+            case Impp() if port.node in self._column:
+                of_inverters["impp_kw"][self._column[port.node]].add(cycle, message.power_kw)
+            case Residual() if port.node in self._column:
+                of_inverters["residual_kw"][self._column[port.node]].add(cycle, message.power_kw)
+            case Command():
+                of_inverters["alpha"][self._column[port.node]].add(cycle, message.alpha)
 
     def series(self, label: str) -> RunSeries:
         """Return the cycles up to the last one that the plant completed."""
@@ -177,31 +191,12 @@ class SeriesCollector:
                 f"expected production of most cycles up to {cycles - 1:,}, got that of "
                 f"{self._productions:,}"
             )
-        tree = self._plan.tree
-
-        def stacked(columns: Iterable[_Values]) -> NDArray[np.float64]:
-            return np.column_stack([column.by_cycle(cycles) for column in columns])
-
-        def of_inverters(signal: Signal[Message]) -> NDArray[np.float64]:
-            return stacked(self._of_inverters[signal.of(leaf)] for leaf in tree.leaves)
-
-        series = RunSeries(
-            label=label,
-            inverters=tree.leaves,
-            rating_kw=np.array([tree.rating_kw(leaf) for leaf in tree.leaves]),
-            timezone=self._plan.timezone,
-            start_time_ns=self._plan.start_time_ns,
-            cycle_s=self._plan.cycle_ns / 1e9,
-            commitment_kw=self._commitment_kw.by_cycle(cycles),
-            regulation_kw=self._regulation_kw.by_cycle(cycles),
-            regulation_capacity_kw=self._plan.regulation_capacity_kw,
-            mpp_kw=stacked(self._mpp_kw),
-            power_kw=stacked(self._power_kw),
-            impp_kw=of_inverters(IMPP),
-            residual_kw=of_inverters(RESIDUAL),
-            alpha=of_inverters(COMMAND),
-            ramp_limit_percent_per_min=self._plan.ramp_limit_percent_per_min,
-        )
+        of_plant = {name: values.by_cycle(cycles) for name, values in self._of_plant.items()}
+        of_inverters = {
+            name: np.column_stack([values.by_cycle(cycles) for values in columns])
+            for name, columns in self._of_inverters.items()
+        }
+        series = RunSeries.of(self._plan, label, **of_plant, **of_inverters)
         if not series.known.any():
             raise InputError("expected a cycle with dispatch and production, got none")
         return series

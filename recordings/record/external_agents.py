@@ -8,7 +8,7 @@ from agents.events import ExternalAccount
 from agents.plan import RunPlan
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port, ports
-from recordings.read.gaps import SequenceGaps, due_step
+from recordings.read.gaps import PortGaps, due_step
 
 
 class ExternalAgents:
@@ -20,7 +20,7 @@ class ExternalAgents:
         self._agent_of = {plan.keys.alive_key(agent): agent for agent in plan.elsewhere}
         self._recorded: dict[str, Counter[str]] = {agent: Counter() for agent in plan.elsewhere}
         theirs = [port for port in ports(plan.tree) if port.publisher in plan.elsewhere]
-        self._gaps = {port: SequenceGaps() for port in theirs}
+        self._gaps = {port: PortGaps() for port in theirs}
         self._last_cycle = dict.fromkeys(theirs, -1)
         self._answers: Counter[Port[Message]] = Counter()
         self._outages: dict[str, list[tuple[int, int | None]]] = {}

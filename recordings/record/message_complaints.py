@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from typing import Final
+
+from msgspec.structs import replace
 
 from agents.events import Complaint
 from bus_schemas.printable import printable
@@ -33,28 +34,25 @@ class Complaints:
     def __init__(self, log: Callable[[str], None], tell: Callable[[Complaint], None]) -> None:
         self._log = log
         self._tell = tell
-        self._counts: Counter[tuple[str, str]] = Counter()
-        self._examples: dict[tuple[str, str], str] = {}
+        self._found: dict[tuple[str, str], Complaint] = {}
 
     def add(self, key: str, cause: str, example: str) -> None:
         key, example = printable(key[:_LONGEST]), printable(example[:_LONGEST])
         self._log(f"{key}: {example}")
-        place = (key, cause)
-        if place not in self._counts and len(self._counts) >= _MOST_PLACES:
-            place = ("other keys", cause)
-        self._counts[place] += 1
-        if place not in self._examples:
-            self._examples[place] = example
-            self._tell(Complaint(*place, 1, example))
+        if (key, cause) not in self._found and len(self._found) >= _MOST_PLACES:
+            key = "other keys"
+        before = self._found.get((key, cause))
+        if before is None:
+            self._found[key, cause] = Complaint(key, cause, 1, example)
+            self._tell(self._found[key, cause])
+        else:
+            self._found[key, cause] = replace(before, count=before.count + 1)
 
     @property
     def set_aside(self) -> int:
         """Wrong messages that are not in the recording."""
-        return sum(n for (_, cause), n in self._counts.items() if cause not in _RECORDED)
+        return sum(one.count for one in self._found.values() if one.cause not in _RECORDED)
 
     def all(self) -> tuple[Complaint, ...]:
         """Return each complaint with its count, sorted by key."""
-        return tuple(
-            Complaint(*place, self._counts[place], example)
-            for place, example in sorted(self._examples.items())
-        )
+        return tuple(self._found[place] for place in sorted(self._found))

@@ -5,14 +5,12 @@ Agents treat such a message as missing and do not complain, so the recorder name
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from math import inf
 
 from agents.plan import START_WITHIN_NS, RunPlan
 from bus_schemas.bounds import METER_TOLERANCE, Bound, bounds_of
 from bus_schemas.messages import Dispatch, Message, Production, Run, Telemetry
 from bus_schemas.signals import Port
-from bus_schemas.tree import ROOT
 
 _SMALLEST = 5e-324
 _LARGEST = 1.7976931348623157e308
@@ -31,34 +29,27 @@ def absurdity(plan: RunPlan, port: Port[Message], message: Message, heard_ns: in
         lengths = {len(message.inverter_mpp_kw), len(message.inverter_power_kw)}
         if lengths != {inverters}:
             return f"inverter_mpp_kw, inverter_power_kw: expected {inverters} entries in each"
-    for field, values, low, high in _bounded(plan, port, message):
-        for value in values:
-            if not low <= value <= high:
+    for field, low, high in _bounds(plan, port, message):
+        entry = getattr(message, field)
+        for value in entry if isinstance(entry, tuple) else (entry,):
+            if value is not None and not low <= value <= high:
                 least = {_SMALLEST: "above 0", -_LARGEST: "a finite number"}.get(low, f"{low:.10g}")
                 most = f" to {high:.10g}" if high < _LARGEST else ""
                 return f"{field}: expected {least}{most}, got {value:.10g}"
     return ""
 
 
-def _bounded(
-    plan: RunPlan, port: Port[Message], message: Message
-) -> Iterator[tuple[str, tuple[float, ...], float, float]]:
-    """Yield fields with their numbers, and the lowest and highest that they can be."""
+def _bounds(plan: RunPlan, port: Port[Message], message: Message) -> tuple[Bound, ...]:
+    """Return the lowest and highest numbers that the fields of a message can hold."""
     if isinstance(message, Dispatch | Production):
         # A dispatch beyond the ratings is an operator's mistake: it is limited and acted on.
-        for field in message.__struct_fields__:
-            value = getattr(message, field)
-            values = value if isinstance(value, tuple) else (value,)
-            yield field, tuple(v for v in values if isinstance(v, float)), -_LARGEST, _LARGEST
-        return
-    rating_kw = plan.tree.rating_kw(port.node or ROOT)
-    bounds = bounds_of(type(message), rating_kw)
+        own = set(message.__struct_fields__).difference(Message.__struct_fields__)
+        return tuple(Bound(field, -_LARGEST, _LARGEST) for field in sorted(own))
+    rating_kw = plan.tree.rating_kw(port.node)
     if isinstance(message, Telemetry):  # The bounds that the IMPP estimate applies.
         most_kw = rating_kw * (1.0 + METER_TOLERANCE)
-        bounds = (Bound("power_kw", 0.0, most_kw), Bound("alpha", 0.0, 1.0))
-    for field, low, high in bounds:
-        value = getattr(message, field)
-        yield field, () if value is None else (value,), low, high
+        return Bound("power_kw", 0.0, most_kw), Bound("alpha", 0.0, 1.0)
+    return bounds_of(type(message), rating_kw)
 
 
 def _absurd_start(plan: RunPlan, run: Run, heard_ns: int) -> str:

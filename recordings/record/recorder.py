@@ -12,6 +12,7 @@ import signal
 import time
 from collections import Counter
 from collections.abc import Callable, Collection
+from itertools import islice
 from math import inf
 from pathlib import Path
 from typing import Final
@@ -107,10 +108,8 @@ def run_recorder(plan: RunPlan, folder: Path, link: LauncherLink) -> int:
             link.tell(Joined())
             if not plan.lockstep:
                 stand_back()
-            recorder = Recorder(plan, tap, writer, link, end, DropLog())
-            if path != first:
-                recorder.go_on(first, last_cycle)
-            recorder.run()
+            so_far = first if path != first else None
+            Recorder(plan, tap, writer, link, end, DropLog(), so_far, last_cycle).run()
 
     return run_guarded(RECORDER, link, run)
 
@@ -133,7 +132,10 @@ class RecordingEnd:
 
 
 class Recorder:
-    """Writes down a run."""
+    """Writes down a run.
+
+    Of a run that is under way, `first` is the recording so far, up to `last_cycle`.
+    """
 
     def __init__(
         self,
@@ -143,6 +145,8 @@ class Recorder:
         link: LauncherLink,
         end: RecordingEnd,
         on_wrong: Callable[[str], None],
+        first: Path | None = None,
+        last_cycle: int = -1,
     ) -> None:
         self.monitor = RunMonitor()
         self.complaints = Complaints(on_wrong, link.tell)
@@ -152,7 +156,7 @@ class Recorder:
         self._link = link
         self._end = end
         self._external = ExternalAgents(plan)
-        self._newest_cycle = -1
+        self._newest_cycle = last_cycle
         now_ns = time.monotonic_ns()
         nodes = () if plan.lockstep else plan.tree.nodes
         self._heard_ns = {agent_name(node): now_ns for node in nodes}
@@ -163,8 +167,9 @@ class Recorder:
             plan.standbys,
         )
         self._extra: Counter[str] = Counter()
-        self._first: Path | None = None
+        self._first = first
         self._round = Round(plan)
+        self._round.answered = first is not None
         self._port_of = {plan.keys.key(port): port for port in plan.keys.ports}
         # These are decoded, the others are only written down.
         self._read = {
@@ -172,12 +177,6 @@ class Recorder:
             for port in plan.keys.ports
             if port.signal in {DISPATCH, PRODUCTION, RUN} or port.publisher in plan.elsewhere
         }
-
-    def go_on(self, first: Path, last_cycle: int) -> None:
-        """Record a run that is under way, of which there is a recording up to a cycle."""
-        self._first = first
-        self._newest_cycle = last_cycle
-        self._round.answered = True
 
     def run(self) -> None:
         """Record until told to end, then close the file and report."""
@@ -220,14 +219,12 @@ class Recorder:
         heard = self._writer.heard - self._external.heard - self._extra.total()
         return heard >= expected or quiet_s > _QUIET_S
 
-    def _drain(self) -> int:
-        heard = 0
-        for key, payload in self._tap.drain():
+    def _drain(self) -> bool:
+        # Flush and status must have their turn, however much comes.
+        waiting = list(islice(self._tap.drain(), _MOST_AT_ONCE))
+        for key, payload in waiting:
             self._hear(key, payload)
-            heard += 1
-            if heard == _MOST_AT_ONCE:
-                break  # Flush and status must have their turn, however much comes.
-        return heard
+        return bool(waiting)
 
     def _hear(self, key: str, payload: bytes) -> None:
         port = self._port_of.get(key)

@@ -21,47 +21,39 @@ _MOST_KEPT = 4
 _UNDECIDED = ("ready_time_ns", "publish_time_ns", "sequence", "incarnation", "missing")
 
 
-class _Key:
-    """The newest messages of one key, by cycle, and the newest incarnation of its publisher."""
-
-    __slots__ = ("incarnation", "payloads")
-
-    def __init__(self) -> None:
-        self.payloads: dict[int, bytes] = {}
-        self.incarnation = 0
-
-
 class SecondSenders:
-    """The newest messages of all keys on which each cycle has one message.
+    """The newest messages, by cycle, and the newest incarnations of keys with one in each cycle.
 
     Of agents with a standby two processes may speak, until one has heard the other.
     """
 
     def __init__(self, ports: Iterable[Port[Message]], standbys: Collection[str] = ()) -> None:
-        self._keys = {port: _Key() for port in ports}
+        self._payloads: dict[Port[Message], dict[int, bytes]] = {port: {} for port in ports}
+        self._newest = dict.fromkeys(self._payloads, 0)
         self._standbys = standbys
 
     def see(
         self, port: Port[Message], cycle: int, incarnation: int, payload: bytes
     ) -> tuple[str, str] | None:
         """Return the cause and text of a complaint, if a message does not go with earlier ones."""
-        key = self._keys.get(port)
-        if key is None:
+        payloads = self._payloads.get(port)
+        if payloads is None:
             return None
-        if incarnation < key.incarnation:
-            if cycle <= key.incarnation or port.publisher in self._standbys:  # It was on its way.
+        newest = self._newest[port]
+        if incarnation < newest:
+            if cycle <= newest or port.publisher in self._standbys:  # It was on its way.
                 return None
-            joined = f"one joined in cycle {key.incarnation}, another in {incarnation}"
+            joined = f"one joined in cycle {newest}, another in {incarnation}"
             return TWO_SENDERS, f"{joined}, and both sent after that"
-        if incarnation > key.incarnation:
-            key.incarnation = incarnation
-            key.payloads.clear()
-        first = key.payloads.setdefault(cycle, payload)
+        if incarnation > newest:
+            self._newest[port] = incarnation
+            payloads.clear()
+        first = payloads.setdefault(cycle, payload)
         if first is not payload:
             return _compare(port, first, payload)
-        if len(key.payloads) > _MOST_KEPT:
-            oldest = min(key.payloads)
-            del key.payloads[oldest if oldest != cycle else max(key.payloads)]
+        if len(payloads) > _MOST_KEPT:
+            oldest = min(payloads)
+            del payloads[oldest if oldest != cycle else max(payloads)]
         return None
 
 

@@ -22,7 +22,7 @@ from mcap.writer import CompressionType, Writer
 from agents.plan import RunPlan
 from bus_schemas.errors import InputError
 from bus_schemas.messages import Message
-from bus_schemas.signals import Port, ports
+from bus_schemas.signals import Port
 from recordings.read.reader import RunReader
 from recordings.read.run_file import SCHEMA_VERSION, channels, schemas
 
@@ -176,12 +176,12 @@ class RunWriter:
         # The file gives them the same numbers: a reader can do without its first chunk.
         for schema in schemas():
             self._writer.register_schema(schema.name, schema.encoding, schema.data)
-        for channel in channels(plan):
-            self._writer.register_channel(
+        return {
+            port: self._writer.register_channel(
                 channel.topic, channel.message_encoding, channel.schema_id, channel.metadata
             )
-        logged = (port for port in ports(plan.tree) if port.signal.logged)
-        return {port: number for number, port in enumerate(logged, start=1)}
+            for port, channel in channels(plan).items()
+        }
 
 
 def _count(path: Path) -> Counter[str]:

@@ -50,11 +50,12 @@ class ReplayBus:
             for port in ports
         }
 
-    def put(self, port: Port[Message], payload: bytes) -> None:
-        """Publish bytes, if the port is among those that are published."""
+    def put(self, port: Port[Message], payload: bytes) -> bool:
+        """Publish bytes, if the port is among those that are published; return whether it is."""
         publisher = self._publishers.get(port)
         if publisher is not None:
             publisher.put(payload)
+        return publisher is not None
 
     def announce(self, cycle: int, *, rate: float, paused: bool) -> None:
         """Publish where the replay stands."""

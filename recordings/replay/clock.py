@@ -118,11 +118,10 @@ class TimingErrors:
 
     def figures(self) -> TimingFigures | None:
         """Return the distribution; None if no message had a due time."""
-        found = self._histogram
-        if not found.get_total_count():
+        found, count = self._histogram, self._histogram.get_total_count()
+        if not count:
             return None
         p50_us, p99_us, p99_9_us = (
             found.get_value_at_percentile(percent) / 1e3 for percent in (50.0, 99.0, 99.9)
         )
-        count, max_us = found.get_total_count(), found.get_max_value() / 1e3
-        return TimingFigures(count, p50_us, p99_us, p99_9_us, max_us)
+        return TimingFigures(count, p50_us, p99_us, p99_9_us, found.get_max_value() / 1e3)

@@ -53,7 +53,7 @@ Keyboard: TypeAlias = Callable[[float], list[Key]]
 """Returns all keys that were pressed, at once if there are any, else after a time [s]."""
 
 
-def _nobody(seconds: float) -> list[Key]:
+def no_keyboard(seconds: float) -> list[Key]:
     """Wait for the time: standard input is no terminal."""
     time.sleep(max(seconds, 0.0))
     return []
@@ -95,7 +95,7 @@ def has_keyboard() -> bool:
 def keyboard() -> Iterator[Keyboard]:
     """Read the terminal key by key, without echo, as long as the context lasts."""
     if not has_keyboard():
-        yield _nobody
+        yield no_keyboard
         return
     descriptor = sys.stdin.fileno()
     before = termios.tcgetattr(descriptor)

@@ -1,37 +1,34 @@
 """Live controllers among recorded agents: gives them their inputs, compares what they publish.
 
-The other agents do what they did, whatever the live ones publish: the loop is open. In lockstep the
-inputs of a cycle are sent when the live controllers have published all of the last one. In real
-time every message is sent when it was, and the live controllers have their deadlines.
+The other agents do what they did, whatever the live ones publish: the loop is open. In lockstep a
+cycle begins when the live controllers have published all of the earlier ones. In real time every
+message is sent when it was, and the live controllers have their deadlines.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
-from typing import Final, Literal
+from collections.abc import Collection, Iterable
+from itertools import count
+from typing import Final
 
 import msgspec
 import zenoh
 from msgspec.structs import replace
 
 from agents.cycle import stage_of
-from agents.machine import MachineSettings, wake_precisely
+from agents.machine import MachineSettings
 from agents.plan import RunPlan
 from bus_schemas.codec import decode, encode
-from bus_schemas.messages import Message
+from bus_schemas.messages import Message, Run
 from bus_schemas.signals import RUN, Port
-from bus_schemas.tree import REPLAYER, ROOT
+from bus_schemas.tree import REPLAYER, ROOT, some_of
 from bus_schemas.zenoh_bus import Inbox
 from launch_scripts.launcher.interruption import Interruption
-from launch_scripts.launcher.live_view import StatusLine
-from launch_scripts.launcher.supervision import Children, RunFailure, with_log
+from launch_scripts.launcher.supervision import Children, RunFailure, who_waits, with_log
 from recordings.read.gaps import due_step
-from recordings.read.reader import RecordedMessage, RunReader
+from recordings.read.reader import RunReader
 from recordings.replay.bus import ReplayBus
-from recordings.replay.clock import TimingErrors
-from recordings.replay.playback import cycle_text
 from recordings.replay.publish_order import in_publish_order
 from recordings.verify.comparison import Comparison
 from recordings.verify.findings import Findings
@@ -41,52 +38,11 @@ _ARMING_S: Final = 30.0
 _EARLY_CYCLES: Final = 100
 """In so many first cycles everybody has published, even if messages were lost."""
 
-_LEAD_S: Final = 0.2
-"""In real time: how long before cycle 0 the live controllers learn when it begins."""
-
 _LOOK_S: Final = 0.1
 """How often the processes are checked."""
 
 _END_S: Final = 5.0
 """How long the live controllers may take to end after the run."""
-
-
-class LiveBus(ReplayBus):
-    """Publishes for all agents but the live ones, and receives what the live ones publish.
-
-    The live ones run by `live_plan`, and connect to the TCP port.
-    """
-
-    def __init__(self, plan: RunPlan, live: Collection[str], tcp_port: int) -> None:
-        keys = plan.keys
-        others = [port for port in keys.ports if port.publisher not in {REPLAYER, *live}]
-        super().__init__(plan, others, f"tcp/127.0.0.1:{tcp_port}")
-        self._inbox = Inbox()
-        self._subscribers = [
-            self.session.declare_subscriber(
-                keys.key(port),
-                zenoh.handlers.Callback(self._inbox.callback(port), indirect=False),
-                allowed_origin=zenoh.Locality.REMOTE,
-            )
-            for port in keys.ports
-            if port.publisher in live
-        ]
-
-    def receive(self, wanted: int, timeout_s: float) -> list[tuple[Port[Message], Message, bytes]]:
-        """Return what the live controllers have sent, once there is enough or at the time-out.
-
-        Each message comes with its port, and as bytes.
-        """
-        received = []
-        for port, payload, _ in self._inbox.take(wanted, timeout_s):
-            data = payload.to_bytes()
-            try:
-                received.append((port, decode(port.signal, data), data))
-            except msgspec.DecodeError as error:
-                raise RunFailure(
-                    f"{port}: expected a {port.signal.type.__name__}, got: {error}"
-                ) from None
-        return received
 
 
 def live_plan(plan: RunPlan, live: Iterable[str], tcp_ports: dict[str, int], port: int) -> RunPlan:
@@ -106,15 +62,6 @@ def live_plan(plan: RunPlan, live: Iterable[str], tcp_ports: dict[str, int], por
         faults=(),
         machine=MachineSettings(),
     )
-
-
-def steady_ports(plan: RunPlan, agents: Collection[str], cycle: int) -> set[Port[Message]]:
-    """Return the ports on which agents publish in a cycle, whatever they decide.
-
-    In arming rounds, which have negative numbers, those are all that publish regularly.
-    """
-    steps = {port: due_step(plan, port) for port in plan.keys.ports if port.publisher in agents}
-    return {port for port, step in steps.items() if step and (cycle < 0 or cycle % step == 0)}
 
 
 class LiveComparison:
@@ -146,214 +93,183 @@ class LiveComparison:
         self.findings[port.publisher].compare(self._comparison, port, recorded, new, stage)
 
 
-@dataclass(eq=False)
-class LiveReplay:
-    """A recording with live controllers in it.
+class LiveBus(ReplayBus):
+    """Gives live controllers what the others said, observers what all say, and compares.
 
-    The plan is that of the live controllers; its cycles are those to run. In real time, `timing`
-    says how late recorded messages were sent.
+    The plan is that of the live controllers, see `live_plan`; its cycles are those to run.
+
+    cycles: How many are over.
     """
 
-    reader: RunReader
-    plan: RunPlan
-    live: Collection[str]
-    children: Children
-    bus: LiveBus
-    observers: ReplayBus
-    interruption: Interruption
-    line: StatusLine
-
-    def __post_init__(self) -> None:
-        self.comparison = LiveComparison(self.plan, self.live)
-        self.timing = TimingErrors()
+    def __init__(
+        self,
+        plan: RunPlan,
+        live: Collection[str],
+        tcp_port: int,
+        observers: ReplayBus,
+        children: Children,
+        interruption: Interruption,
+    ) -> None:
+        keys = plan.keys
+        of_live = [port for port in keys.ports if port.publisher in live]
+        others = [port for port in keys.ports if port.publisher not in {REPLAYER, *live}]
+        super().__init__(plan, others, f"tcp/127.0.0.1:{tcp_port}")
+        self.comparison = LiveComparison(plan, live)
         self.cycles = 0
-        self._received = 0
+        self._observers = observers
+        self._children = children
+        self._interruption = interruption
+        self._live = live
+        self._inbox = Inbox()
+        self._subscribers = [
+            self.session.declare_subscriber(
+                keys.key(port),
+                zenoh.handlers.Callback(self._inbox.callback(port), indirect=False),
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+            for port in of_live
+        ]
+        self._steps = {port: step for port in of_live if (step := due_step(plan, port))}
         self._newest: dict[Port[Message], int] = {}
-        self._announced = -1
+        self._received = 0
         self._look_at = 0.0
 
-    def arm(self) -> None:
+    def arm(self, reader: RunReader) -> None:
         """Send arming rounds until the live controllers are there and answer a whole one.
 
         In a round the other agents publish what they published first in the run.
         """
+        first = self._first_messages(reader)
         give_up_at = time.monotonic() + _ARMING_S
-        first = self._first_messages()
-        number = 0
-        while silent := self._run_round(number, first):
-            number += 1
+        for number in count(1):
+            cycle = FIRST_ROUND + number
+            sim_time_ns = self._plan.sim_time_ns(cycle)
+            for port, message in first.items():
+                stamped = replace(message, cycle=cycle, sim_time_ns=sim_time_ns, missing=())
+                super().put(port, encode(stamped))
+            silent = self._await(cycle, longest_round_s(number))
+            if not silent:
+                return
+            if self._interruption:
+                raise KeyboardInterrupt
             if time.monotonic() > give_up_at:
-                names = ", ".join(sorted(map(str, silent)))
-                raise RunFailure(f"no arming round closed: nothing came on {names}")
+                raise RunFailure(f"no arming round closed: nothing came on {_names(silent)}")
 
-    def run(self) -> None:
-        """Take the live controllers through the run, and compare."""
-        wake_precisely()
-        if self.plan.lockstep:
-            self._run_in_lockstep()
-        else:
-            self._run_in_real_time()
-        self._publish_run("stop", self.cycles, 0)
-        self._receive_the_last()
-        if self.cycles:
-            self._show(self.cycles - 1)
-        self.line.end()
+    def put(self, port: Port[Message], payload: bytes) -> bool:
+        """Take in a recorded message; return whether it was sent as it is."""
+        if port.signal is RUN:
+            run = decode(RUN, payload)
+            if run.state == "start":
+                lead_ns = run.start_time_ns - run.publish_time_ns
+                self._say(replace(run, start_time_ns=time.monotonic_ns() + lead_ns))
+            return False
+        if port.publisher in self._live:
+            message = decode(port.signal, payload)
+            self.comparison.take(port, message, is_recorded=True)
+            return False
+        self._observers.put(port, payload)
+        return super().put(port, payload)
+
+    def announce(self, cycle: int, *, rate: float, paused: bool) -> None:
+        """Let a cycle begin: in lockstep, once the live controllers have come near."""
+        # One agent may be some cycles ahead of another.
+        self._complete(cycle - self._plan.periods.longest)
+        self._observers.announce(cycle, rate=rate, paused=paused)
+
+    def listen(self, seconds: float) -> None:
+        """Take in what the live controllers publish, until something has come or a time is over."""
+        self._receive(1, seconds)
+
+    def finish(self) -> None:
+        """End the run, unless the user did, and compare what is left."""
+        self._complete(self._plan.cycles)
+        if not self._interruption:
+            self._say(self._plan.run_message("stop", self.cycles, 0))
+            self._receive_the_last()
         self.comparison.finish(self.cycles)
 
-    def _first_messages(self) -> dict[Port[Message], Message]:
+    def _first_messages(self, reader: RunReader) -> dict[Port[Message], Message]:
         """Return the first message of each port on which the others publish in every cycle."""
-        others = set(self.plan.tree.agents()).difference(self.live)
-        wanted = steady_ports(self.plan, others, FIRST_ROUND)
+        others = (port for port in self._plan.keys.ports if port.publisher not in self._live)
+        wanted = {port for port in others if due_step(self._plan, port)}
         first: dict[Port[Message], Message] = {}
-        for record in in_publish_order(self.reader, wanted, before_cycle=_EARLY_CYCLES):
+        for record in in_publish_order(reader, wanted, before_cycle=_EARLY_CYCLES):
             if record.port not in first:
-                first[record.port] = decode(record.port.signal, record.payload)
+                first[record.port] = record.message()
                 if len(first) == len(wanted):
                     break
         return first
 
-    def _run_round(self, number: int, first: dict[Port[Message], Message]) -> set[Port[Message]]:
-        """Send an arming round; return the ports of the live controllers without an answer."""
-        cycle = FIRST_ROUND + number
-        for port, message in first.items():
-            sim_time_ns = self.plan.sim_time_ns(cycle)
-            stamped = replace(message, cycle=cycle, sim_time_ns=sim_time_ns, missing=())
-            self.bus.put(port, encode(stamped))
-        silent = steady_ports(self.plan, self.live, cycle)
-        until = time.monotonic() + longest_round_s(number + 1)
-        while silent and time.monotonic() < until:
-            received = self.bus.receive(len(silent), _LOOK_S)
-            silent -= {port for port, message, _ in received if message.cycle == cycle}
-            self.children.events(0.0)
-            if self.interruption:
-                raise KeyboardInterrupt
-        return silent
+    def _complete(self, cycles: int) -> None:
+        """Go on to some number of cycles: in lockstep, wait until they are over."""
+        while self.cycles < cycles and not self._interruption:
+            # The live controllers themselves report what they wait for.
+            patience_s = self._plan.stall_timeout_s + 1.0
+            if self._plan.lockstep and (silent := self._await(self.cycles, patience_s)):
+                if self._interruption:
+                    return
+                waiting = {
+                    child.agent: child.waiting
+                    for child in self._children
+                    if child.waiting is not None and child.waiting.cycle >= self.cycles
+                }
+                stall = f"stalled in cycle {self.cycles}: nothing came on {_names(silent)}"
+                raise RunFailure(who_waits(waiting)[0] if waiting else stall)
+            self.cycles += 1
 
-    def _run_in_lockstep(self) -> None:
-        self._publish_run("start", 0, time.monotonic_ns())
-        records = in_publish_order(self.reader, before_cycle=self.plan.cycles)
-        for cycle, group in by_cycle(records, self.plan.periods.longest):
-            for record in group:
-                self._forward(record)
-            self._await(cycle)
-            if self.interruption:
-                return
-            self.cycles = cycle + 1
-            if self.line.is_due():
-                self._show(cycle)
+    def _await(self, cycle: int, patience_s: float) -> set[Port[Message]]:
+        """Wait for all that the live controllers publish in a cycle, or in an arming round.
 
-    def _run_in_real_time(self) -> None:
-        start_ns = time.monotonic_ns() + round(_LEAD_S * 1e9)
-        shift_ns = start_ns - self._recorded_start_ns()
-        self._publish_run("start", 0, start_ns)
-        for record in in_publish_order(self.reader, before_cycle=self.plan.cycles):
-            due_ns = record.publish_time_ns + shift_ns
-            while (left_ns := due_ns - time.monotonic_ns()) > 0:
-                self._receive(1, min(left_ns / 1e9, _LOOK_S))
-            if self._forward(record):
-                self.timing.add(time.monotonic_ns() - due_ns)
-            self.cycles = max(self.cycles, record.cycle + 1)
-            if self.line.is_due():
-                self._show(record.cycle)
-            if self.interruption:
-                return
-
-    def _recorded_start_ns(self) -> int:
-        """Return the wall time at which cycle 0 of the recorded run began [ns]."""
-        for record in in_publish_order(self.reader, [RUN.of(ROOT)]):
-            message = decode(RUN, record.payload)
-            if message.state == "start":
-                return record.publish_time_ns + message.start_time_ns - message.publish_time_ns
-        raise RunFailure(f"{self.reader.path}: expected the message that starts the run, got none")
-
-    def _forward(self, record: RecordedMessage) -> bool:
-        """Send a recorded message, or keep it for comparison. Return whether it was sent."""
-        port = record.port
-        if port.signal is RUN:
-            return False
-        if record.cycle > self._announced:
-            self._announced = record.cycle
-            rate = 0.0 if self.plan.lockstep else 1.0
-            self.observers.announce(record.cycle, rate=rate, paused=False)
-        if port.publisher in self.live:
-            message = decode(port.signal, record.payload)
-            self.comparison.take(port, message, is_recorded=True)
-            return False
-        self.bus.put(port, record.payload)
-        self.observers.put(port, record.payload)
-        return True
-
-    def _await(self, cycle: int) -> None:
-        """Wait for all that the live controllers must publish in a cycle."""
-        steady = steady_ports(self.plan, self.live, cycle)
-        patience_s = self.plan.stall_timeout_s + 1.0  # They report themselves what they wait for.
-        give_up_at = time.monotonic() + patience_s
-        while awaited := {port for port in steady if self._newest.get(port, -1) < cycle}:
+        Returns the ports on which nothing came, though nothing else came for a time either.
+        """
+        awaited = {port for port, step in self._steps.items() if cycle < 0 or cycle % step == 0}
+        until = time.monotonic() + patience_s
+        while awaited := {p for p in awaited if self._newest.get(p, FIRST_ROUND) < cycle}:
             if self._receive(len(awaited), _LOOK_S):
-                give_up_at = time.monotonic() + patience_s
-            elif time.monotonic() > give_up_at:
-                raise RunFailure(self._explain_stall(cycle, awaited))
-            if self.interruption:
-                return
+                until = time.monotonic() + patience_s
+            if self._interruption or time.monotonic() > until:
+                break
+        return awaited
 
     def _receive(self, wanted: int, timeout_s: float) -> int:
         """Compare what the live controllers publish within a time; return how much it was."""
-        received = self.bus.receive(wanted, timeout_s)
-        for port, message, payload in received:
+        taken = self._inbox.take(wanted, timeout_s)
+        for port, received, _ in taken:
+            payload = received.to_bytes()
+            try:
+                message = decode(port.signal, payload)
+            except msgspec.DecodeError as error:
+                expected = port.signal.type.__name__
+                raise RunFailure(f"{port}: expected a {expected}, got: {error}") from None
+            self._newest[port] = message.cycle
             if message.cycle >= 0:
                 self._received += 1
-                self._newest[port] = message.cycle
-                self.observers.put(port, payload)
+                self._observers.put(port, payload)
                 self.comparison.take(port, message, is_recorded=False)
         if time.monotonic() >= self._look_at:
             self._look_at = time.monotonic() + _LOOK_S
-            self.children.events(0.0)
-        return len(received)
+            self._children.events(0.0)
+        return len(taken)
 
     def _receive_the_last(self) -> None:
         """Let the live controllers end, and receive all that they have sent."""
-        late = self.children.await_exit(list(self.children), _END_S)
+        late = self._children.await_exit(list(self._children), _END_S)
         if late:
             names = ", ".join(child.agent for child in late)
             raise RunFailure(with_log(late[0], f"{names} did not end with the run"))
-        ended = [child.finished for child in self.children if child.finished is not None]
+        ended = [child.finished for child in self._children if child.finished is not None]
         sent = sum(sum(finished.published.values()) for finished in ended)
         until = time.monotonic() + _END_S
         while self._received < sent and time.monotonic() < until:
             self._receive(sent - self._received, _LOOK_S)
 
-    def _publish_run(self, state: Literal["start", "stop"], cycle: int, start_ns: int) -> None:
-        message = self.plan.run_message(state, cycle, start_ns)
-        message.publish_time_ns = time.monotonic_ns()
-        message.sequence = int(state == "stop")
-        for bus in (self.bus, self.observers):
-            bus.put(RUN.of(ROOT), encode(message))
-
-    def _show(self, cycle: int) -> None:
-        self.line.show(cycle_text(self.reader, cycle, self.plan.cycles - 1))
-
-    def _explain_stall(self, cycle: int, awaited: Iterable[Port[Message]]) -> str:
-        silent = sorted(awaited, key=str)
-        lines = [f"stalled in cycle {cycle}: nothing came on {', '.join(map(str, silent))}"]
-        for agent in dict.fromkeys(port.publisher for port in silent):
-            waiting = self.children[agent].waiting
-            if waiting is not None:
-                needs = ", ".join(f"{key} from {publisher}" for key, publisher in waiting.needs)
-                lines.append(f"{agent} waits for {needs}")
-        return "\n  ".join(lines)
+    def _say(self, run: Run) -> None:
+        """Tell all that the run begins or ends."""
+        port = RUN.of(ROOT)
+        self._outbox.stamp(port, run, time.monotonic_ns())
+        for put in (super().put, self._observers.put):
+            put(port, encode(run))
 
 
-def by_cycle(
-    records: Iterable[RecordedMessage], ahead: int
-) -> Iterator[tuple[int, list[RecordedMessage]]]:
-    """Yield each cycle with its messages; one agent may be some cycles ahead of another."""
-    waiting: dict[int, list[RecordedMessage]] = {}
-    cycle = 0
-    for record in records:
-        waiting.setdefault(max(record.cycle, cycle), []).append(record)
-        while record.cycle > cycle + ahead:
-            yield cycle, waiting.pop(cycle, [])
-            cycle += 1
-    while waiting:
-        yield cycle, waiting.pop(cycle, [])
-        cycle += 1
+def _names(ports: Iterable[Port[Message]]) -> str:
+    return some_of(sorted(map(str, ports)))

@@ -24,8 +24,10 @@ from recordings.read.reader import RunReader
 from recordings.read.run_clock import RunClock
 from recordings.read.selection import find_nodes
 from recordings.replay.bus import await_subscriber, replay_bus, say, selected_ports
-from recordings.replay.clock import TimingFigures
-from recordings.replay.live import LiveBus, LiveReplay, live_plan
+from recordings.replay.clock import PlaybackClock
+from recordings.replay.keyboard import no_keyboard
+from recordings.replay.live import LiveBus, live_plan
+from recordings.replay.playback import Playback
 from recordings.replay.publish_order import complete_cycles
 from recordings.verify.report import finding_data, finding_lines, json_ready, wrapped
 
@@ -37,21 +39,6 @@ _SHARED: Final = (
 """Fields in which the plan of the live controllers must be that of the recorded run."""
 
 
-class LiveFigures(msgspec.Struct, frozen=True):
-    """The result of a live replay; `agents` as `heliarch verify --json` has them."""
-
-    run_id: str
-    recording: str
-    live: list[str]
-    cycles: int
-    wall_s: float
-    compared: int
-    differing: dict[str, int]
-    agents: list[dict[str, Any]]
-    timing_error: TimingFigures | None
-    interrupted: bool
-
-
 def replay_live(
     reader: RunReader,
     out: TextIO,
@@ -61,8 +48,8 @@ def replay_live(
     end: str | None,
     wait: bool,
     listen: str | None,
-) -> LiveFigures:
-    """Replay with live controllers, and print in what they differ.
+) -> dict[str, Any]:
+    """Replay with live controllers, and print in what they differ; return the figures for JSON.
 
     The arguments are the options of `heliarch replay`.
     """
@@ -82,45 +69,56 @@ def replay_live(
         path.write_bytes(its_plan.as_json())
         with (
             replay_bus(reader, selected_ports(plan), listen, out) as observers,
-            LiveBus(its_plan, live, tcp_ports[_OTHERS]) as bus,
+            LiveBus(its_plan, live, tcp_ports[_OTHERS], observers, children, interruption) as bus,
         ):
             say(out, f"live: {', '.join(live)}; all others as recorded")
             server.ask(Start(str(path), tuple(live), str(folder), 0.0))
-            line = StatusLine(out, in_place=out.isatty())
-            replay = LiveReplay(
-                reader, its_plan, live, children, bus, observers, interruption, line
+            playback = Playback(
+                reader,
+                0,
+                plan.cycles,
+                reader.ports(),
+                bus,
+                PlaybackClock(0.0 if plan.lockstep else 1.0),
+                "wall",
+                no_keyboard,
+                interruption,
+                StatusLine(out, in_place=out.isatty()),
+                bus.listen,
             )
-            replay.arm()
+            bus.arm(reader)
             if wait:
                 await_subscriber(observers, interruption, out)
-            replay.run()
+            playback.play()
+            bus.finish()
     wall_s = time.monotonic() - began_at
-    findings = replay.comparison.findings
-    figures = LiveFigures(
-        plan.run_id,
-        str(reader.path),
-        list(live),
-        replay.cycles,
-        wall_s,
-        sum(found.compared for found in findings.values()),
-        {name: sum(found.differences.values()) for name, found in findings.items() if found.first},
-        json_ready(finding_data(findings)),
-        replay.timing.figures(),
-        bool(interruption),
-    )
+    findings, timing = bus.comparison.findings, playback.timing.figures()
+    compared = sum(found.compared for found in findings.values())
+    differing = {name: one.differences.total() for name, one in findings.items() if one.first}
     say(
         out,
-        f"compared {figures.compared:,} messages of {len(live)} live controllers over "
-        f"{figures.cycles:,} cycles in {wall_s:.1f} s",
+        f"compared {compared:,} messages of {len(live)} live controllers over "
+        f"{bus.cycles:,} cycles in {wall_s:.1f} s",
     )
-    if figures.timing_error is not None:
-        say(out, figures.timing_error.text())
-    lines = finding_lines(findings, RunClock(plan, replay.cycles - 1))
+    if timing is not None:
+        say(out, timing.text())
+    lines = finding_lines(findings, RunClock(plan, bus.cycles - 1))
     for text in wrapped(lines, shutil.get_terminal_size((100, 0)).columns):
         say(out, text)
-    counts = [f"{agent} {count:,}" for agent, count in figures.differing.items()]
+    counts = [f"{agent} {count:,}" for agent, count in differing.items()]
     say(out, f"differences: {', '.join(counts) or 'none'}")
-    return figures
+    return {
+        "run_id": plan.run_id,
+        "recording": str(reader.path),
+        "live": live,
+        "cycles": bus.cycles,
+        "wall_s": wall_s,
+        "compared": compared,
+        "differing": differing,
+        "agents": json_ready(finding_data(findings)),
+        "timing_error": timing,
+        "interrupted": bool(interruption),
+    }
 
 
 @contextmanager

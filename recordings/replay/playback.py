@@ -6,9 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
-from typing import Final, Literal, TextIO
-
-import msgspec
+from typing import Any, Final, TextIO
 
 from agents.machine import wake_precisely
 from bus_schemas.messages import Message
@@ -17,14 +15,7 @@ from launch_scripts.launcher.interruption import Interruption, interruptible
 from launch_scripts.launcher.live_view import StatusLine
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.replay.bus import ReplayBus, await_subscriber, replay_bus, say
-from recordings.replay.clock import (
-    CLOCKS,
-    ClockKind,
-    PlaybackClock,
-    Positions,
-    TimingErrors,
-    TimingFigures,
-)
+from recordings.replay.clock import CLOCKS, ClockKind, PlaybackClock, Positions, TimingErrors
 from recordings.replay.keyboard import KEYS_IN_WORDS, Key, Keyboard, has_keyboard, keyboard
 from recordings.replay.publish_order import in_publish_order
 
@@ -36,20 +27,6 @@ _SLOWEST: Final = 1.0 / 1024.0
 
 _SEEK_S: Final = {Key.BACK: -10.0, Key.FORWARD: 10.0, Key.FAR_BACK: -60.0, Key.FAR_FORWARD: 60.0}
 """How far a key seeks, in simulated time."""
-
-
-class ReplayFigures(msgspec.Struct, frozen=True):
-    """The result of a replay."""
-
-    run_id: str
-    recording: str
-    messages: int
-    cycles: int
-    wall_s: float
-    pace: float | Literal["max"]
-    clock: ClockKind
-    timing_error: TimingFigures | None
-    interrupted: bool
 
 
 def replay_recording(
@@ -65,8 +42,10 @@ def replay_recording(
     loop: bool,
     wait: bool,
     listen: str | None,
-) -> ReplayFigures:
-    """Replay a recording, and print the result; the arguments are the options of the command.
+) -> dict[str, Any]:
+    """Replay a recording; print the result, and return it for JSON.
+
+    The arguments are the options of the command.
 
     `rate` is in seconds of the clock per second; 0: as fast as possible.
     """
@@ -97,17 +76,17 @@ def replay_recording(
     say(out, f"replayed {messages:,} messages of {cycles:,} cycles in {wall_s:.1f} s")
     if timing is not None:
         say(out, timing.text())
-    return ReplayFigures(
-        reader.plan.run_id,
-        str(reader.path),
-        messages,
-        cycles,
-        wall_s,
-        rate or "max",
-        kind,
-        timing,
-        bool(interruption),
-    )
+    return {
+        "run_id": reader.plan.run_id,
+        "recording": str(reader.path),
+        "messages": messages,
+        "cycles": cycles,
+        "wall_s": wall_s,
+        "pace": rate or "max",
+        "clock": kind,
+        "timing_error": timing,
+        "interrupted": bool(interruption),
+    }
 
 
 @dataclass(eq=False)
@@ -187,11 +166,11 @@ class Playback:
             # The message that ends the run names the cycle after the last one.
             self.cycles += record.cycle <= self.reader.last_cycle
             self._announce()
-        self.bus.put(record.port, record.payload)
-        self.messages += 1
+        was_sent = self.bus.put(record.port, record.payload)
+        self.messages += was_sent
         if self.clock.paused:
             self.clock.move_to(self._position_ns)
-        elif self.clock.rate:
+        elif self.clock.rate and was_sent:
             late_ns = self.clock.now_ns() - self.clock.due_ns(self._position_ns)
             self.timing.add(late_ns)
 
@@ -251,11 +230,7 @@ class Playback:
         if cycle >= 0:
             rate = f"pace {self.clock.rate:g}" if self.clock.rate else "as fast as possible"
             paused = " paused" if self.clock.paused else ""
-            self.line.show(f"{cycle_text(self.reader, cycle)}, {rate}{paused}")
-
-
-def cycle_text(reader: RunReader, cycle: int, last_cycle: int | None = None) -> str:
-    """Say where a replay stands; the message that ends a run names the cycle after the last."""
-    last_cycle = reader.last_cycle if last_cycle is None else last_cycle
-    cycle = min(cycle, last_cycle)
-    return f"{reader.clock.text(cycle)} cycle {cycle} of 0 to {last_cycle}"
+            last = self.reader.last_cycle  # The message that ends a run names the cycle after it.
+            cycle = min(cycle, last)
+            place = f"{self.reader.clock.text(cycle)} cycle {cycle} of 0 to {last}"
+            self.line.show(f"{place}, {rate}{paused}")

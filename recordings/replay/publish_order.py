@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Collection, Iterable, Iterator
+from heapq import heappop, heappush
+from itertools import takewhile
 from typing import Final
 
 from bus_schemas.messages import Message
@@ -30,10 +31,12 @@ def in_publish_order(
     The cycles go from the first one to just before the other one, or to the end. Messages of one
     key keep their order.
     """
-    margin = reader.plan.periods.longest + _LATE_CYCLES
-    beyond = _ENDLESS if before_cycle is None else before_cycle + margin
+    before = _ENDLESS if before_cycle is None else before_cycle
+    beyond = before + reader.plan.periods.longest + _LATE_CYCLES
     records = reader.records(ports, range(first_cycle, beyond + 1))
-    return _sorted(_until(records, before_cycle or _ENDLESS, beyond))
+    # Nothing of the cycles comes after a message that is far beyond them.
+    near = takewhile(lambda record: record.cycle < beyond, records)
+    return _sorted(record for record in near if record.cycle < before)
 
 
 def complete_cycles(reader: RunReader) -> int:
@@ -45,25 +48,11 @@ def complete_cycles(reader: RunReader) -> int:
 
 def _sorted(records: Iterable[RecordedMessage]) -> Iterator[RecordedMessage]:
     """Sort messages that are nearly sorted: the recorder receives them in batches."""
-    # Insertion from the right: a message is only a few places from where it belongs.
-    waiting: deque[RecordedMessage] = deque()
-    for record in records:
-        settled_ns = record.log_time_ns - _REORDER_NS
-        while waiting and waiting[0].publish_time_ns <= settled_ns:
-            yield waiting.popleft()
-        place = len(waiting)
-        while place and waiting[place - 1].publish_time_ns > record.publish_time_ns:
-            place -= 1
-        waiting.insert(place, record)
-    yield from waiting
-
-
-def _until(
-    records: Iterable[RecordedMessage], before_cycle: int, beyond: int
-) -> Iterator[RecordedMessage]:
-    """Yield the messages of cycles before one; end at the first that is far beyond it."""
-    for record in records:
-        if record.cycle < before_cycle:
-            yield record
-        elif record.cycle >= beyond:
-            return
+    # The numbers keep the order of messages that were published at one moment.
+    waiting: list[tuple[int, int, RecordedMessage]] = []
+    for number, record in enumerate(records):
+        while waiting and waiting[0][0] <= record.log_time_ns - _REORDER_NS:
+            yield heappop(waiting)[2]
+        heappush(waiting, (record.publish_time_ns, number, record))
+    while waiting:
+        yield heappop(waiting)[2]

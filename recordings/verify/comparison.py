@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
@@ -87,10 +86,7 @@ class Comparison:
             yield FieldDifference(name, old, now)
 
     def _equal(self, old: Value, now: Value) -> bool:
-        if isinstance(old, float) and isinstance(now, float):
-            return _bits(old) == _bits(now) or abs(old - now) <= self.tolerance > 0.0
-        return bool(old == now)
-
-
-def _bits(value: float) -> bytes:
-    return struct.pack("<d", value)
+        if msgspec.msgpack.encode(old) == msgspec.msgpack.encode(now):  # All bits of a float.
+            return True
+        are_floats = isinstance(old, float) and isinstance(now, float)
+        return are_floats and abs(old - now) <= self.tolerance > 0.0

@@ -5,25 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final, Literal, TypeAlias
+from typing import Final
 
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from recordings.verify.comparison import Comparison, FieldDifference
 
-Kind: TypeAlias = Literal[
-    "differs",
-    "only recorded",
-    "only new",
-    "recorded twice",
-    "not recorded",
-    "input not recorded",
-    "two senders",
-    "input of two senders",
-    "fails",
-]
-
-KINDS: Final[dict[Kind, tuple[str, str, str]]] = {
+KINDS: Final[dict[str, tuple[str, str, str]]] = {
     "differs": ("differs", "message differs", "messages differ"),
     "only recorded": (
         "recorded, but not sent any more",
@@ -74,7 +62,7 @@ class Difference:
     received in that cycle, by key; `missing` the inputs that were not of that cycle.
     """
 
-    kind: Kind
+    kind: str
     cycle: int
     stage: str
     message: str = ""
@@ -98,7 +86,7 @@ class Findings:
     compared: int = 0
     missing_inputs: int = 0
     old_inputs: int = 0
-    differences: Counter[Kind] = field(default_factory=Counter)
+    differences: Counter[str] = field(default_factory=Counter)
     first: Difference | None = None
     last_cycle: int = -1
     failure: Difference | None = None
@@ -120,7 +108,7 @@ class Findings:
         if message is None or message.cycle < self.from_cycle:
             return
         fields: tuple[FieldDifference, ...] = ()
-        kind: Kind = "only new" if recorded is None else "only recorded"
+        kind: str = "only new" if recorded is None else "only recorded"
         if recorded is not None and new is not None:
             fields = comparison.differences(port, recorded, new)
             self.compared += 1

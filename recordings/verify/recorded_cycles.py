@@ -14,6 +14,7 @@ from bus_schemas.codec import encode
 from bus_schemas.messages import Message, Takeover
 from bus_schemas.signals import Port
 from bus_schemas.tree import RECORDER
+from recordings.verify.comparison import NOT_COMPARED
 
 MOST_WAITING: Final = 200_000
 """Most messages that wait for an agent that is late or has ended: about 100 MB."""
@@ -31,14 +32,6 @@ class RecordedCycle:
     repeated: list[Delivery] = field(default_factory=list)
 
 
-def differ(one: Message, other: Message) -> bool:
-    """Whether two messages of a port and cycle are not of one sender, or of its successor."""
-    if one.incarnation != other.incarnation:
-        return False
-    undecided = {"ready_time_ns": 0, "publish_time_ns": 0, "sequence": 0}
-    return encode(replace(one, **undecided)) != encode(replace(other, **undecided))
-
-
 class RecordedCycles:
     """The cycles of a recording in order, each as soon as it is complete.
 
@@ -52,6 +45,9 @@ class RecordedCycles:
     that belong to no cycle of the run or come long after theirs, and those that are cut off: of
     cycles at the end that did not take place or are incomplete. `takeovers` are what standbys said
     as they took over, by agent and incarnation.
+
+    Of the newest cycles that were yielded, `heard` has what came on each port: as many messages as
+    an agent can still use, the one first that its listeners heard first.
     """
 
     def __init__(
@@ -74,6 +70,20 @@ class RecordedCycles:
         self._next = 0
         self._incarnation: dict[Port[Message], int] = {}
         self.takeovers: dict[tuple[str, int], Takeover] = {}
+        self.heard: dict[Port[Message], dict[int, list[Message]]] = {
+            port: {} for port in plan.keys.ports
+        }
+        self._most_heard = plan.hold_cycles + 2
+
+    def has_two_senders(self, port: Port[Message], cycle: int) -> bool:
+        """Whether two programs said different things on a port in one of the newest cycles.
+
+        Of a device that repeats itself the first message counts.
+        """
+        first, *others = self.heard[port][cycle]
+        return port.publisher not in self._external and any(
+            _of_two_senders(first, other) for other in others
+        )
 
     def __iter__(self) -> Iterator[RecordedCycle]:
         for port, message in self._deliveries:
@@ -88,14 +98,13 @@ class RecordedCycles:
                     yield self._pop()
             if self._waiting_messages >= self._most_waiting:
                 yield self._pop()
-        complete = self._first_incomplete() if self._broke_off else self._end
+        complete = self._end
+        if self._broke_off:  # Then no agent may have completed the cycle that it came to.
+            own = self._newest.keys() - self._external
+            complete = min(self._newest[agent] for agent in own)
         while self._next < complete and self._waiting:
             yield self._pop()
         self.cut_off += self._waiting_messages
-
-    def _first_incomplete(self) -> int:
-        """Return the first cycle that a run that broke off may not have completed."""
-        return min(cycle for agent, cycle in self._newest.items() if agent not in self._external)
 
     def _add(self, port: Port[Message], message: Message) -> bool:
         """Keep a message; return whether its agent has gone on to another cycle."""
@@ -124,45 +133,17 @@ class RecordedCycles:
         cycle = self._waiting.pop(self._next, None) or RecordedCycle(self._next)
         self._waiting_messages -= len(cycle.messages) + len(cycle.repeated)
         self._next += 1
+        for port, message in (*cycle.messages.items(), *cycle.repeated):
+            heard = self.heard[port]
+            heard.setdefault(cycle.number, []).append(message)
+            if len(heard) > self._most_heard:
+                del heard[next(iter(heard))]
         return cycle
 
 
-class RecentMessages:
-    """The newest messages of each port, by cycle: as many as an agent can still use.
-
-    `others` are what another process of the same publisher sent in the same cycle: which of them
-    came first may be different for each listener. `contested` are the ports on which two senders
-    said different things, by cycle. Of a device that repeats itself the first message counts.
-    """
-
-    def __init__(self, plan: RunPlan) -> None:
-        self.others: dict[tuple[Port[Message], int], list[Message]] = {}
-        self.of_port: dict[Port[Message], dict[int, Message]] = {
-            port: {} for port in plan.keys.ports
-        }
-        self.contested: dict[int, set[Port[Message]]] = {}
-        self._external = plan.external
-        self._most = plan.hold_cycles + 2
-
-    def add(self, cycle: RecordedCycle) -> None:
-        """Take in the messages of the next cycle."""
-        contested = {
-            port
-            for port, second in cycle.repeated
-            if port.publisher not in self._external
-            and port in cycle.messages
-            and differ(cycle.messages[port], second)
-        }
-        if contested:
-            self.contested[cycle.number] = contested
-        for port, message in cycle.messages.items():
-            kept = self.of_port[port]
-            kept[cycle.number] = message
-            if len(kept) > self._most:
-                del kept[next(iter(kept))]
-        for port, message in cycle.repeated:
-            first = self.of_port[port].setdefault(cycle.number, message)
-            if message.incarnation != first.incarnation:
-                self.others.setdefault((port, cycle.number), []).append(message)
-        for place in [place for place in self.others if place[1] < cycle.number - self._most]:
-            del self.others[place]
+def _of_two_senders(one: Message, other: Message) -> bool:
+    """Whether two messages of a port and cycle are not of one sender, or of its successor."""
+    if one.incarnation != other.incarnation:
+        return False
+    undecided = dict.fromkeys(NOT_COMPARED, 0)
+    return encode(replace(one, **undecided)) != encode(replace(other, **undecided))

@@ -14,7 +14,7 @@ from bus_schemas.messages import Message
 from bus_schemas.missing import in_words
 from recordings.read.run_clock import RunClock
 from recordings.verify.comparison import NOT_COMPARED, Comparison, Value
-from recordings.verify.findings import KINDS, Difference, Findings, Kind
+from recordings.verify.findings import KINDS, Difference, Findings
 from recordings.verify.verification import Verification
 
 _HEAD: Final = frozenset(Message.__struct_fields__)
@@ -66,7 +66,7 @@ def _group_lines(group: Mapping[str, Findings], clock: RunClock) -> Iterator[str
     names, every = list(group), list(group.values())
     first, failure = every[0].first, every[0].failure
     assert first is not None
-    counts = sum((findings.differences for findings in every), Counter[Kind]())
+    counts = sum((findings.differences for findings in every), Counter[str]())
     texts = [f"{count:,} {KINDS[kind][1 if count == 1 else 2]}" for kind, count in counts.items()]
     last_cycle = max(findings.last_cycle for findings in every)
     agents = ", ".join(names)

@@ -15,7 +15,7 @@ cycles is not compared after that, until another process takes its place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from itertools import islice, product
@@ -26,12 +26,12 @@ from agents.cycle import stage_of
 from agents.loop import AgentLoop
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
-from bus_schemas.messages import Message, Takeover
+from bus_schemas.messages import Message
 from bus_schemas.missing import parse_missing
 from bus_schemas.signals import Port
 from recordings.verify.comparison import Comparison
-from recordings.verify.findings import Difference, Findings, Kind, by_key
-from recordings.verify.recorded_cycles import RecentMessages, RecordedCycle
+from recordings.verify.findings import Difference, Findings, by_key
+from recordings.verify.recorded_cycles import RecordedCycles
 
 Messages: TypeAlias = dict[Port[Message], Message]
 
@@ -49,23 +49,26 @@ class _Process:
     """
 
     loop: AgentLoop[Any]
+    remembers: bool  # earlier cycles
     began_in: int
+    is_over: bool
     heard: dict[Port[Message], int]  # newest cycle of each input
     sequence: dict[Port[Message], int] = field(default_factory=dict)  # number of the next message
     spoke: dict[Port[Message], int] = field(default_factory=dict)  # cycle of the last recorded one
-    is_over: bool = False
     unsent: list[tuple[Port[Message], Message, str, Messages]] = field(default_factory=list)
 
 
 @dataclass(eq=False)
 class AgentRerun:
-    """One agent on its way through a recording. It is made from the present code."""
+    """One agent on its way through a recording. It is made from the present code.
+
+    absences: Of the recorder, see `recorder_absences`.
+    """
 
     name: str
     make: Callable[[], Agent[Any]]
     plan: RunPlan
-    recent: RecentMessages
-    takeovers: Mapping[tuple[str, int], Takeover]
+    recorded: RecordedCycles
     absences: Sequence[tuple[str, range]]
     comparison: Comparison
     from_cycle: int
@@ -73,197 +76,189 @@ class AgentRerun:
     def __post_init__(self) -> None:
         plan, name = self.plan, self.name
         self.findings = Findings(from_cycle=self.from_cycle)
-        self._rivals: dict[Port[Message], list[Message]] = {}
         self._stage_of = {
             port: stage_of(port, plan.tree)
             for port in plan.wiring.published[name]
             if port.signal.logged and port.signal.decided
         }
         self._period = {port: plan.period(port) for port in plan.wiring.heard.get(name, ())}
-        self._inputs: Messages = {}
-        self._lost: dict[Port[Message], int] = {}
-        self._stage = ""
-        self._failed = False
         self._processes: dict[int, _Process] = {}
-        try:
-            self._agent = self.make()
-            self._remembers = self._agent.initial_state() is not None
-            self._process = self._begin(0)
-        except (Exception, SystemExit) as error:  # Every error of the tested code is a finding.
-            self._fail(0, "", error)
+        self._incarnation = 0
+        self._lost: dict[Port[Message], int] = {}
+        # Of the cycle under way, and of the process that is run in it:
+        self._rivals: dict[Port[Message], list[Message]] = {}
+        self._inputs: Messages = {}
+        self._choices: dict[Port[Message], list[Message]] = {}
+        self._stage = ""
 
-    def take(self, cycle: RecordedCycle) -> None:
+    def take(self, cycle: int) -> None:
         """Run a cycle again and compare what the agent publishes in it."""
-        processes: dict[int, Messages] = {}
-        self._rivals = {}
-        for port in self._stage_of:
-            if (message := cycle.messages.get(port)) is not None:
-                processes.setdefault(message.incarnation, {})[port] = message
-        for port, message in cycle.repeated:
-            if port in self._stage_of:
-                published = processes.setdefault(message.incarnation, {})
-                if published.setdefault(port, message) is not message:
-                    self._note_repeated(cycle.number, port, message)
-        if not processes:
-            self._take(cycle.number, {}, is_last=True)
-        for incarnation, messages in sorted(processes.items()):
-            if not self._failed:
-                try:
-                    self._process = self._processes.get(incarnation) or self._begin(incarnation)
-                except (Exception, SystemExit) as error:
-                    self._fail(cycle.number, "", error)
-            self._take(cycle.number, messages, is_last=incarnation == max(processes))
+        outputs = self._outputs(cycle)
+        if self.findings.failure is None:
+            try:
+                for self._incarnation, of_stages in sorted(outputs.items()):
+                    self._inputs, self._choices, self._stage = {}, {}, ""
+                    if self._incarnation not in self._processes:
+                        self._processes[self._incarnation] = self._begin(self._incarnation)
+                    self._run(cycle, of_stages, is_last=self._incarnation == max(outputs))
+            except (Exception, SystemExit) as error:  # Every error of the tested code is a finding.
+                text = f"{type(error).__name__}: {error}"
+                self._add("fails", cycle, self._stage, inputs=self._inputs, text=text)
+        left = sum(len(messages) for one in outputs.values() for messages in one.values())
+        self.findings.leave_out(cycle, left)
 
     def end(self) -> None:
         """Take the end of the run for what it is: nobody was killed there and replaced."""
         if self._processes:
-            self._process = self._processes[max(self._processes)]
+            self._incarnation = max(self._processes)
             self._compare_unsent()
+
+    @property
+    def _process(self) -> _Process:
+        return self._processes[self._incarnation]
+
+    def _outputs(self, cycle: int) -> dict[int, dict[str, Messages]]:
+        """Return what each process of the agent published in a cycle, by stage.
+
+        If it published nothing, the one that did so last is there.
+        """
+        found: dict[int, dict[str, Messages]] = {}
+        self._rivals = {}
+        for port, stage in self._stage_of.items():
+            for message in self.recorded.heard[port].get(cycle, ()):
+                self.findings.recorded += cycle >= self.findings.from_cycle
+                messages = found.setdefault(message.incarnation, {}).setdefault(stage, {})
+                if messages.setdefault(port, message) is message:
+                    continue
+                kind: str = "recorded twice"
+                if self.recorded.has_two_senders(port, cycle):
+                    self._rivals.setdefault(port, []).append(message)
+                    kind = "two senders"
+                if cycle >= self.findings.from_cycle:
+                    self._add(kind, cycle, stage, port, message)
+        return found or {self._incarnation: {}}
 
     def _begin(self, cycle: int) -> _Process:
         """Let a process of the agent join the run in a cycle."""
-        loop = AgentLoop(self._agent, self.plan)
+        agent = self.make()
+        remembers = agent.initial_state() is not None
+        loop = AgentLoop(agent, self.plan)
         loop.begin(0, 0, cycle)
-        takeover = self.takeovers.get((self.name, cycle))
+        takeover = self.recorded.takeovers.get((self.name, cycle))
         if takeover is not None:
             loop.resume(takeover)
         began_in = -1 if takeover is None else cycle
-        process = _Process(loop, began_in, dict.fromkeys(self._period, -1))
         # A takeover may be what was not recorded.
         is_certain = takeover is not None or not cycle or not self._was_away(self.name, cycle)
-        process.is_over = self._remembers and not is_certain
-        self._processes[cycle] = process
-        return process
-
-    def _note_repeated(self, cycle: int, port: Port[Message], message: Message) -> None:
-        kind: Kind = "recorded twice"
-        if port in self.recent.contested.get(cycle, ()):
-            self._rivals.setdefault(port, []).append(message)
-            kind = "two senders"
-        if cycle >= self.findings.from_cycle:
-            self.findings.recorded += 1
-            self._add(kind, cycle, self._stage_of[port], port, message)
-
-    def _take(self, number: int, messages: Messages, *, is_last: bool) -> None:
-        """Run a cycle of one process again; `is_last`: no newer process sent anything in it."""
-        findings = self.findings
-        recorded: dict[str, Messages] = {}
-        for port, message in messages.items():
-            recorded.setdefault(self._stage_of[port], {})[port] = message
-        if number >= findings.from_cycle:
-            findings.recorded += len(messages)
-        if not self._is_over and messages:
-            self._compare_unsent()
-            self._find_lost_outputs(number, recorded)
-        if not self._is_over:
-            try:
-                self._run(number, recorded, is_last=is_last)
-            except (Exception, SystemExit) as error:
-                self._fail(number, self._stage, error)
-        findings.leave_out(number, sum(map(len, recorded.values())))
-
-    @property
-    def _is_over(self) -> bool:
-        return self._failed or self._process.is_over
+        is_over = remembers and not is_certain
+        return _Process(loop, remembers, began_in, is_over, dict.fromkeys(self._period, -1))
 
     def _run(self, cycle: int, recorded: dict[str, Messages], *, is_last: bool) -> None:
-        stages = list(self._agent.stages(cycle))
-        self._inputs, self._stage = {}, ""
-        loop = self._process.loop
+        """Run a cycle of one process again; `is_last`: no newer process sent anything in it.
+
+        What has been compared is removed from `recorded`.
+        """
+        process = self._process
+        if recorded and not process.is_over:
+            self._compare_unsent()
+            self._find_lost_outputs(cycle, recorded)
+        if process.is_over:
+            return
+        loop = process.loop
+        stages = list(loop.agent.stages(cycle))
+        unknown = recorded.keys() - {stage.name for stage in stages}
         if not (self.plan.lockstep and is_last):
             while stages and stages[-1].name not in recorded:
                 stages.pop()
             if stages:
                 loop.catch_up(cycle * self.plan.cycle_wall_ns)
-        while stages and cycle == self._process.began_in and stages[0].name not in recorded:
+        while stages and cycle == process.began_in and stages[0].name not in recorded:
             loop.close_stage(0)
             del stages[0]
         for stage in stages:
             self._run_stage(cycle, stage, recorded.get(stage.name, {}))
-            if self._is_over:
+            if process.is_over:
                 return
-        for name, left in recorded.items():  # Of stages that the agent does not have any more.
-            self._compare(cycle, name, left, [])
+        for name in unknown:
+            self._compare(name, recorded[name], [])
 
     def _run_stage(self, cycle: int, stage: Stage, recorded: Messages) -> None:
+        process = self._process
         missing = next(iter(recorded.values())).missing if recorded else ()
         self._stage = stage.name
         lost = self._hear_inputs(stage, cycle, missing)
-        if recorded and self.recent.others:
-            self._choose_inputs(recorded)
-        outputs = self._process.loop.close_stage(0)
+        if recorded and self._choices:
+            self._choose_inputs(process.loop, recorded)
+        outputs = process.loop.close_stage(0)
         if not lost and (recorded or self.plan.lockstep):
-            self._compare(cycle, stage.name, recorded, outputs)
+            self._compare(stage.name, recorded, outputs)
             return
         # What the agent knows from here on is not certain.
         for port, kind in lost.items():
             if kind and self._lost.get(port) != cycle:  # Both stages of a cycle may use it.
                 self._lost[port] = cycle
-                self._add(kind, cycle, stage.name, port)
+                self._add(kind, cycle, stage.name, port, inputs=self._inputs)
         if not lost and not self._was_away(self.name, cycle):
             self._add("not recorded", cycle, stage.name)
-        self.findings.leave_out(cycle, len(recorded))
-        recorded.clear()
-        self._process.is_over = self._remembers
+        process.is_over = process.remembers
 
     def _hear_inputs(
         self, stage: Stage, cycle: int, missing: Sequence[str]
-    ) -> dict[Port[Message], Kind | None]:
+    ) -> dict[Port[Message], str]:
         """Give the agent the messages that a stage used; return the ports where it is not known.
 
-        None in place of a kind: the recorder was away.
+        Each with what is wrong; empty: nothing, the recorder was away.
         """
+        process = self._process
         used_of = dict(map(parse_missing, missing))
-        lost: dict[Port[Message], Kind | None] = {}
+        lost: dict[Port[Message], str] = {}
         for port in (*stage.awaits, *stage.uses):
             due = cycle - cycle % self._period[port]
             used = used_of.get(str(port), due) if used_of else due
-            if used is None or used <= self._process.heard[port]:
+            if used is None or used <= process.heard[port]:
                 continue
-            message = self.recent.of_port[port].get(used)
-            if message is None:
+            messages = self.recorded.heard[port].get(used)
+            if messages is None:
                 was_away = self._was_away(port.publisher, used)
-                lost[port] = None if was_away else "input not recorded"
+                lost[port] = "" if was_away else "input not recorded"
                 continue
-            if port in self.recent.contested.get(used, ()):
-                lost[port] = "input of two senders"
-            self._process.heard[port] = used
-            self._inputs[port] = message
-            self._process.loop.hear(port, message, 0)
+            first = messages[0]
+            if len(messages) > 1:
+                if self.recorded.has_two_senders(port, used):
+                    lost[port] = "input of two senders"
+                others = [one for one in messages if one.incarnation != first.incarnation]
+                if others:
+                    self._choices[port] = [first, *others]
+            process.heard[port] = used
+            self._inputs[port] = first
+            process.loop.hear(port, first, 0)
         return lost
 
-    def _choose_inputs(self, recorded: Messages) -> None:
+    def _choose_inputs(self, loop: AgentLoop[Any], recorded: Messages) -> None:
         """Of inputs that two processes of an agent sent, use those that the outputs show."""
-        loop = self._process.loop
-        choices = {
-            port: [message, *others]
-            for port, message in self._inputs.items()
-            if (others := self.recent.others.get((port, message.cycle)))
-        }
-        for chosen in islice(product(*choices.values()), _MOST_CHOICES) if choices else ():
-            for message, port in zip(chosen, choices, strict=True):
-                loop.use_instead(port, message)
+        for chosen in islice(product(*self._choices.values()), _MOST_CHOICES):
+            self._inputs |= dict(zip(self._choices, chosen, strict=True))
+            for port in self._choices:
+                loop.use_instead(port, self._inputs[port])
             outputs = copy(loop).close_stage(0)
             compared = [(port, recorded[port], new) for port, new in outputs if port in recorded]
             if not any(self.comparison.differences(*pair) for pair in compared):
-                self._inputs |= dict(zip(choices, chosen, strict=True))
                 return
-        for port, messages in choices.items():
-            loop.use_instead(port, messages[0])
+        for port, (first, *_) in self._choices.items():
+            self._inputs[port] = first
+            loop.use_instead(port, first)
 
-    def _compare(
-        self, cycle: int, stage: str, recorded: Messages, outputs: Sequence[Delivery]
-    ) -> None:
+    def _compare(self, stage: str, recorded: Messages, outputs: Sequence[Delivery]) -> None:
         """Compare the outputs of a stage, and remove from `recorded` what has been compared."""
-        sequence = self._process.sequence
+        process = self._process
         for port, new in outputs:
             old = recorded.pop(port, None)
             for rival in self._rivals.get(port, ()):
                 if not self.comparison.differences(port, rival, new):
                     old = rival
             if old is None:  # If the recording lost it, its number is known to be missing.
-                self._process.unsent.append((port, new, stage, dict(self._inputs)))
-                sequence[port] = sequence.get(port, 0) + 1
+                process.unsent.append((port, new, stage, dict(self._inputs)))
+                process.sequence[port] = process.sequence.get(port, 0) + 1
             else:
                 self.findings.compare(self.comparison, port, old, new, stage, self._inputs)
         for port, old in recorded.items():
@@ -281,18 +276,19 @@ class AgentRerun:
         """In real time, find gaps in the sequence numbers: the recording lost messages there."""
         if self.plan.lockstep:
             return
+        process = self._process
         for stage, outputs in recorded.items():
             for port, message in outputs.items():
-                sequence, expected = message.sequence, self._process.sequence.get(port, 0)
+                sequence, expected = message.sequence, process.sequence.get(port, 0)
                 if any(rival.sequence == expected for rival in self._rivals.get(port, ())):
                     sequence = expected
                 if sequence > expected:
-                    since = self._process.spoke.get(port, message.incarnation)
+                    since = process.spoke.get(port, message.incarnation)
                     if not self._was_away(self.name, since, cycle):
                         self._add("not recorded", cycle, stage, port, message)
-                    self._process.is_over = self._remembers
-                self._process.sequence[port] = sequence + 1
-                self._process.spoke[port] = cycle
+                    process.is_over = process.remembers
+                process.sequence[port] = sequence + 1
+                process.spoke[port] = cycle
 
     def _was_away(self, publisher: str, first: int, last: int | None = None) -> bool:
         """Whether the recorder may have missed a publisher in a cycle, or in one of several."""
@@ -302,20 +298,17 @@ class AgentRerun:
             for name, absence in self.absences
         )
 
-    def _fail(self, cycle: int, stage: str, error: BaseException) -> None:
-        text = f"{type(error).__name__}: {error}"
-        inputs = by_key(self._inputs)
-        self.findings.add(Difference("fails", cycle, stage, inputs=inputs, text=text))
-        self._failed = True
-
     def _add(
         self,
-        kind: Kind,
+        kind: str,
         cycle: int,
         stage: str,
         port: Port[Message] | None = None,
         message: Message | None = None,
+        inputs: Messages | None = None,
+        text: str = "",
     ) -> None:
-        inputs = by_key(self._inputs) if kind.startswith("input") else {}
         key = "" if port is None else str(port)
-        self.findings.add(Difference(kind, cycle, stage, key, content=message, inputs=inputs))
+        used = by_key(inputs or {})
+        found = Difference(kind, cycle, stage, key, content=message, inputs=used, text=text)
+        self.findings.add(found)

@@ -22,7 +22,7 @@ from recordings.read.reader import RunReader
 from recordings.read.selection import find_agents
 from recordings.verify.comparison import Comparison
 from recordings.verify.findings import Difference, Findings
-from recordings.verify.recorded_cycles import RecentMessages, RecordedCycles
+from recordings.verify.recorded_cycles import RecordedCycles
 from recordings.verify.rerun import AgentRerun
 from sim_plant.plant import Plant
 from sim_plant.profile import Profile, load_profile
@@ -101,22 +101,18 @@ def verify(
         team, left_out = _team(plan, nodes, reader.path)
         missed = _missed_inputs(plan)
         recorded = RecordedCycles(_counted(reader.messages(), missed), plan, stop_cycle)
-        recent = RecentMessages(plan)
         absences = list(recorder_absences(reader))
         reruns = [
-            AgentRerun(
-                name, make, plan, recent, recorded.takeovers, absences, comparison, wanted.start
-            )
+            AgentRerun(name, make, plan, recorded, absences, comparison, wanted.start)
             for name, make in team.items()
         ]
         away = {cycle for name, absence in absences if name == PLANT for cycle in absence}
         cycles = unrecorded = 0
         for cycle in recorded:
-            if end is not None and cycle.number >= wanted.stop:
+            if cycle.number >= wanted.stop:
                 break
-            recent.add(cycle)
             for rerun in reruns:
-                rerun.take(cycle)
+                rerun.take(cycle.number)
             if cycle.number >= wanted.start:
                 cycles += bool(cycle.messages)
                 unrecorded += cycle.number in away and PRODUCTION.of(ROOT) not in cycle.messages

@@ -127,22 +127,16 @@ def _result(profile: Profile, power_kw: NDArray[np.float64]) -> LoopResult:
 
 
 def _series(label: str, plan: RunPlan, profile: Profile, result: LoopResult) -> RunSeries:
-    return RunSeries(
-        label=label,
-        inverters=plan.tree.leaves,
-        rating_kw=_rating_kw(plan),
-        timezone=plan.timezone,
-        start_time_ns=plan.start_time_ns,
-        cycle_s=plan.cycle_ns / 1e9,
+    return RunSeries.of(
+        plan,
+        label,
         commitment_kw=profile.commitment_kw,
         regulation_kw=profile.regulation_kw,
-        regulation_capacity_kw=profile.regulation_capacity_kw,
         mpp_kw=profile.mpp_kw,
         power_kw=result.power_kw,
         impp_kw=result.impp_kw,
         residual_kw=result.residual_kw,
         alpha=result.alpha,
-        ramp_limit_percent_per_min=plan.ramp_limit_percent_per_min,
     )
 
 

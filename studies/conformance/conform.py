@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Final
 
 from msgspec.structs import replace
@@ -31,86 +32,84 @@ CYCLES: Final = 240
 _REJOIN_CYCLES: Final = 30
 
 
+@dataclass(eq=False)
 class Conformance:
     """The trials of one controller's device, in a run of `CYCLES` cycles.
 
     The folder has a folder for each trial; `say` is called with lines for the user.
     """
 
-    def __init__(
-        self,
-        preparation: Preparation,
-        folder: RunFolder,
-        device: Device,
-        comparison: Comparison,
-        say: Callable[[str], None],
-    ) -> None:
-        (self._agent,) = preparation.plan.external
+    preparation: Preparation
+    folder: RunFolder
+    device: Device
+    comparison: Comparison
+    say: Callable[[str], None]
+
+    def __post_init__(self) -> None:
+        (self._agent,) = self.preparation.plan.external
         self.findings = Findings(REQUIREMENTS)
-        plan = replace(preparation.plan, faults=(), standby=())
-        self._preparation = dataclasses.replace(preparation, plan=plan)
-        self._folder, self._device = folder, device
-        self._comparison, self._say = comparison, say
+        plan = replace(self.preparation.plan, faults=(), standby=())
+        self.preparation = dataclasses.replace(self.preparation, plan=plan)
         self._inputs = self._undisturbed()
 
     def run(self, seed: int) -> Findings:
         """Take the device through all trials; the first that cannot go on is the last."""
-        plan = self._preparation.plan
+        plan = self.preparation.plan
         try:
             self._try("lockstep", replace(plan, cycle_wall_ns=0), situations.in_lockstep, seed)
             if not plan.lockstep:
                 self._try("real-time", plan, situations.in_real_time, seed)
         except FailureError as failure:
-            self._say(str(failure))
+            self.say(str(failure))
         return self.findings
 
     def _try(
         self, name: str, plan: RunPlan, situation: Callable[[Trial, int], None], seed: int
     ) -> None:
-        options = self._preparation.options
+        options = self.preparation.options
         wait_s = options.external_timeout_s
         with reserved_ports(plan.links.listening, options.base_port) as tcp_ports:
-            folder = RunFolder(self._folder.path / name)
+            folder = RunFolder(self.folder.path / name)
             its_plan = replace(plan, run_id=f"{plan.run_id}-{name}")
-            own_plan = folder.fill(dataclasses.replace(self._preparation, plan=its_plan), tcp_ports)
+            own_plan = folder.fill(dataclasses.replace(self.preparation, plan=its_plan), tcp_ports)
             for line in ExternalWatch(own_plan, folder.plan, wait_s, 0.0).directions():
-                self._say(line)
-            trial = Trial(own_plan, self._agent, self._inputs, self.findings, self._comparison)
-            with self._around(trial, folder, wait_s):
+                self.say(line)
+            with self._trial(own_plan, folder, "arming") as trial:
                 situation(trial, seed)
                 if not own_plan.lockstep:
-                    if self._device.can_restart:
+                    if self.device.can_restart:
                         self._restart(trial, folder)
                     trial.stop()
             if own_plan.lockstep:
-                self._close_links(trial, folder, wait_s)
-        self._device.end()
+                self._close_links(own_plan, folder)
+        self.device.end()
 
     @contextmanager
-    def _around(
-        self, trial: Trial, folder: RunFolder, wait_s: float, of: str = "arming"
-    ) -> Iterator[None]:
-        with Neighbours(trial.plan, self._agent) as neighbours:
-            self._device.start(folder.plan)
-            trial.begin(neighbours, self._device, wait_s, of)
-            yield
+    def _trial(self, plan: RunPlan, folder: RunFolder, of: str) -> Iterator[Trial]:
+        """Begin a run; `of` is the requirement that its beginning shows."""
+        findings, comparison = self.findings, self.comparison
+        with Neighbours(plan, self._agent) as neighbours:
+            self.device.start(folder.plan)
+            trial = Trial(plan, self._agent, self._inputs, neighbours, findings, comparison)
+            trial.begin(self.device, self.preparation.options.external_timeout_s, of)
+            yield trial
 
-    def _close_links(self, trial: Trial, folder: RunFolder, wait_s: float) -> None:
+    def _close_links(self, plan: RunPlan, folder: RunFolder) -> None:
         """Run once more, now that the links have closed."""
         try:
-            with self._around(trial, folder, wait_s, "links closed"):
+            with self._trial(plan, folder, "links closed") as trial:
                 for _ in range(situations.UNDISTURBED):
                     trial.play("links closed")
                 trial.stop()
         except FailureError as failure:
             self.findings.fail("links closed", str(failure))
-            self._device.kill()  # The next trial begins with a new process.
+            self.device.kill()  # The next trial begins with a new process.
 
     def _restart(self, trial: Trial, folder: RunFolder) -> None:
-        self._device.kill()
+        self.device.kill()
         trial.skip()
         trial.skip()
-        self._device.start(folder.plan)
+        self.device.start(folder.plan)
         self.findings.try_("restart")
         if not any(trial.skip() for _ in range(_REJOIN_CYCLES)):
             self.findings.fail("restart", f"no answer in {_REJOIN_CYCLES} cycles")
@@ -121,12 +120,12 @@ class Conformance:
     def _undisturbed(self) -> dict[int, dict[Port[Message], Message]]:
         """Return what our own agent hears in the run, cycle by cycle."""
         inputs: dict[int, dict[Port[Message], Message]] = {}
-        heard = set(self._preparation.plan.wiring.heard[self._agent])
+        heard = set(self.preparation.plan.wiring.heard[self._agent])
 
         def hear(port: Port[Message], message: Message) -> None:
             if port in heard and port.signal.occurrence is not Occurrence.EVENT:
                 inputs.setdefault(message.cycle, {})[port] = message
 
-        for _ in MemoryRun(self._preparation.plan, self._preparation.profile, hear).cycles():
+        for _ in MemoryRun(self.preparation.plan, self.preparation.profile, hear).cycles():
             pass
         return inputs

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
 from dataclasses import replace
 from queue import Empty, SimpleQueue
 from typing import NamedTuple
@@ -15,7 +14,7 @@ from agents.session import session_settings
 from bus_schemas.messages import Message
 from bus_schemas.signals import Port
 from bus_schemas.tree import RECORDER
-from bus_schemas.zenoh_bus import ENCODING, SessionSettings, open_session
+from bus_schemas.zenoh_bus import ENCODING, open_session
 
 
 class Heard(NamedTuple):
@@ -33,38 +32,29 @@ class Neighbours:
     def __init__(self, plan: RunPlan, agent: str) -> None:
         self._plan = plan
         self._agent = agent
-        self._names = [
-            *(top for top, below in plan.links.pairs if below == agent),
-            *(below for top, below in plan.links.pairs if top == agent),
-        ]
-        self._sessions: dict[str, zenoh.Session] = {}
         self._kept: list[object] = []
         self._arrived: SimpleQueue[Heard] = SimpleQueue()
         self._seen_by: set[str] = set()
-        self._stack = ExitStack()
+        self._sessions = {name: self._join(name) for name in plan.links.peers(agent)}
 
     def __enter__(self) -> Neighbours:
-        for name in self._names:
-            self._sessions[name] = self._stack.enter_context(open_session(self._settings(name)))
-            self._join(name)
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._stack.close()
+        for session in self._sessions.values():
+            session.close()
 
-    def _settings(self, name: str) -> SessionSettings:
-        """Return how a neighbour joins: it is linked with the device alone."""
-        settings = session_settings(self._plan, name).devices
+    def _join(self, name: str) -> zenoh.Session:
+        """Put a neighbour on the bus: it is linked with the device alone."""
+        plan, keys, agent = self._plan, self._plan.keys, self._agent
+        settings = session_settings(plan, name).devices
         assert settings is not None  # The plan has no keys, and the device is external.
-        own, _ = self._plan.links.endpoints(self._agent, self._plan.tcp_ports)
-        connect = [endpoint for endpoint in settings.connect if endpoint in own]
-        return replace(settings, connect=connect)
-
-    def _join(self, name: str) -> None:
-        session, keys, agent = self._sessions[name], self._plan.keys, self._agent
+        of_device, _ = plan.links.endpoints(agent, plan.tcp_ports)
+        connect = [endpoint for endpoint in settings.connect if endpoint in of_device]
+        session = open_session(replace(settings, connect=connect))
         heard = [f"{keys.plant}/**"]
         if name != RECORDER:
-            ports = self._plan.wiring.heard.get(name, ())
+            ports = plan.wiring.heard.get(name, ())
             heard = [keys.key(port) for port in ports if port.publisher == agent]
 
         def hear(sample: zenoh.Sample) -> None:
@@ -81,11 +71,12 @@ class Neighbours:
             liveliness.declare_subscriber(keys.alive_key(agent), watch, history=True),
             liveliness.declare_token(keys.alive_key(name)),
         ]
+        return session
 
     @property
     def absent(self) -> list[str]:
         """Neighbours that do not see the device's token."""
-        return [name for name in self._names if name not in self._seen_by]
+        return [name for name in self._sessions if name not in self._seen_by]
 
     def put(self, port: Port[Message], payload: bytes) -> None:
         """Send a payload to the device, as the publisher of a port."""

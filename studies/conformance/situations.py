@@ -19,7 +19,7 @@ from bus_schemas.messages import (
 )
 from bus_schemas.signals import Port
 from bus_schemas.tree import PLANT
-from studies.conformance.trial import Edit, Trial
+from studies.conformance.trial import Trial
 
 UNDISTURBED: Final = 5
 RANDOM: Final = 10
@@ -43,16 +43,20 @@ def in_lockstep(trial: Trial, seed: int) -> None:
     """Take a device through all that needs no clock."""
     for _ in range(UNDISTURBED):
         trial.play("decisions")
-    for edit in _limits(trial):
-        trial.play("limits", edit)
-    for edit in _wrong_messages(trial):
-        trial.play("wrong messages", edit)
-        trial.play("wrong messages")
+    for port in _one_of_each(trial):
+        for values in _extremes(trial, port):
+            if port in trial.ports():
+                trial.play("limits", {port: (encode(trial.message(port, **values)),)})
+    for kind in ("bytes", "fields", "source", "ahead", "again", "before"):
+        for port in _one_of_each(trial):
+            if port in trial.ports():
+                trial.play("wrong messages", {port: tuple(_wrong(trial, port, kind))})
+                trial.play("wrong messages")
     _replace_neighbours(trial)
     draw = random.Random(seed)
     for _ in range(RANDOM):
-        values = {port: _random(trial, port, draw) for port in trial.ports()}
-        trial.play("decisions", {port: (encode(message),) for port, message in values.items()})
+        edit = {port: (encode(_random(trial, port, draw)),) for port in trial.ports()}
+        trial.play("decisions", edit)
 
 
 def in_real_time(trial: Trial, seed: int) -> None:
@@ -104,26 +108,19 @@ def _units(trial: Trial) -> list[list[Port[Message]]]:
     Of several children the first one stands for all.
     """
     found: dict[str, list[Port[Message]]] = {}
-    for port in _one_of_each(trial, 0):
+    for port in _one_of_each(trial):
         name = str(port) if port.publisher == PLANT else port.publisher
         found.setdefault(name, []).append(port)
     return list(found.values())
 
 
-def _one_of_each(trial: Trial, cycle: int | None = None) -> list[Port[Message]]:
-    """Return the first port of each signal that is due."""
-    return list({port.signal: port for port in reversed(trial.ports(cycle))}.values())
-
-
-def _limits(trial: Trial) -> Iterator[Edit]:
-    """Yield inputs at and beyond what they can be, one field after the other."""
-    for port in _one_of_each(trial, 0):
-        for values in _extremes(trial, port):
-            if port in trial.ports():
-                yield {port: (encode(trial.message(port, **values)),)}
+def _one_of_each(trial: Trial) -> list[Port[Message]]:
+    """Return the first port of each signal that is heard."""
+    return list({port.signal: port for port in reversed(trial.ports(0))}.values())
 
 
 def _extremes(trial: Trial, port: Port[Message]) -> list[dict[str, float]]:
+    """Return fields of an input at and beyond what they can be."""
     rating_kw = trial.plan.tree.rating_kw(port.node)
     above_kw = 1.5 * rating_kw
     if port.signal.type is Telemetry:
@@ -146,16 +143,8 @@ def _extremes(trial: Trial, port: Port[Message]) -> list[dict[str, float]]:
     return [{"power_kw": value} for value in (low_kw, rating_kw, wrong_low_kw, above_kw, nan)]
 
 
-def _wrong_messages(trial: Trial) -> Iterator[Edit]:
-    """Yield what no sender should send, each time beside the right message."""
-    for kind in ("bytes", "fields", "source", "ahead", "again", "before"):
-        for port in _one_of_each(trial, 0):
-            if port in trial.ports():
-                yield {port: tuple(_wrong(trial, port, kind))}
-
-
 def _wrong(trial: Trial, port: Port[Message], kind: str) -> Iterator[bytes]:
-    """Yield the messages of a cycle, the right one among them."""
+    """Yield what no sender should send in a cycle, beside the right message."""
     right = encode(trial.message(port))
     other: dict[str, Any] = {"power_kw": 0.25 * trial.plan.tree.rating_kw(port.node)}
     cycle = trial.cycle
@@ -180,7 +169,7 @@ def _wrong(trial: Trial, port: Port[Message], kind: str) -> Iterator[bytes]:
 
 def _replace_neighbours(trial: Trial) -> None:
     """Let each controller among the publishers be replaced, and its predecessor speak again."""
-    for publisher in {port.publisher for port in _one_of_each(trial, 0)} - {PLANT}:
+    for publisher in {port.publisher for port in _one_of_each(trial)} - {PLANT}:
         trial.incarnations[publisher] = trial.cycle
         trial.play("replaced")
         edit = {}

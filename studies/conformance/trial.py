@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from itertools import count
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, Literal, NoReturn, TypeAlias
 
 import msgspec
 
@@ -14,7 +16,6 @@ from agents.agent import Stage
 from agents.loop import AgentLoop
 from agents.plan import RunPlan
 from agents.team import controller
-from bus_schemas.bus import Delivery
 from bus_schemas.codec import decode, encode
 from bus_schemas.errors import FailureError
 from bus_schemas.messages import Message
@@ -22,11 +23,11 @@ from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import PLANT, RECORDER, ROOT, some_of
 from recordings.record.plausibility import absurdity
 from recordings.verify.comparison import Comparison
+from sim_plant.plant_run import FIRST_ROUND
 from studies.conformance.device import Device
 from studies.conformance.neighbours import Heard, Neighbours
 from studies.conformance.requirements import Findings
 
-FIRST_ROUND: Final = -999_999
 _ROUND_S: Final = 1.0
 _ARMING_S: Final = 10.0
 _PATIENCE_S: Final = 5.0
@@ -43,117 +44,89 @@ Edit: TypeAlias = Mapping[Port[Message], Sequence[bytes]]
 """What is sent in a cycle in place of the messages of some ports."""
 
 
-class Reference:
-    """Our own agent, with the same inputs. Its clock counts from the beginning of cycle 0."""
-
-    def __init__(self, plan: RunPlan, agent: str) -> None:
-        self._plan = plan
-        self.loop: AgentLoop[Any] = AgentLoop(controller(plan, agent), plan)
-
-    def begin_ns(self, cycle: int) -> int:
-        return max(cycle, 0) * self._plan.cycle_wall_ns
-
-    def hear(self, port: Port[Message], payload: bytes, cycle: int) -> None:
-        """Take in a payload, if it is a message."""
-        try:
-            message = decode(port.signal, payload)
-        except msgspec.DecodeError:
-            return
-        self.loop.hear(port, message, self.begin_ns(cycle))
-
-    def close(self, stage: str, cycle: int) -> list[Delivery]:
-        """Close a stage: now if it has what it awaits, else at its deadline."""
-        loop = self.loop
-        if loop.cycle != cycle or loop.stage != stage:
-            return []
-        at_ns = self.begin_ns(cycle) if loop.deadline_ns is None else loop.deadline_ns
-        if loop.waiting and loop.deadline_ns is None:
-            raise FailureError(
-                f"cycle {cycle}: {loop.needs} were not sent, and there is no deadline"
-            )
-        return loop.close_stage(at_ns)
-
-
+@dataclass(eq=False)
 class Trial:
     """One run around a device that is in an agent's place.
 
     `inputs` is what the agent hears in it; `comparison` says what counts as equal.
     """
 
-    def __init__(
-        self,
-        plan: RunPlan,
-        agent: str,
-        inputs: Inputs,
-        findings: Findings,
-        comparison: Comparison,
-    ) -> None:
-        self.plan, self.agent, self.findings = plan, agent, findings
+    plan: RunPlan
+    agent: str
+    inputs: Inputs
+    bus: Neighbours
+    findings: Findings
+    comparison: Comparison
+
+    def __post_init__(self) -> None:
         self.cycle = 0
+        self.start_ns = 0
         self.incarnations: dict[str, int] = {}
-        self._inputs, self._comparison = inputs, comparison
-        self._ours = controller(plan, agent)
-        self._published = [port for port in plan.wiring.published[agent] if port.signal.is_cyclic]
-        self._run = RUN.of(ROOT)
-
-    # The beginning and the end --------------------------------------------------------------------
-
-    def begin(
-        self, neighbours: Neighbours, device: Device, wait_s: float, of: str = "arming"
-    ) -> None:
-        """Wait for the device, arm it, and start the run; `of` is the requirement that it shows."""
-        self._bus = neighbours
+        published = self.plan.wiring.published[self.agent]
+        self._published = [port for port in published if port.signal.is_cyclic]
         self._outputs: dict[tuple[Port[Message], int], Message] = {}
         self._arrived: Counter[tuple[str, Port[Message], int]] = Counter()
         self._sequence: Counter[Port[Message]] = Counter()
         self._incarnation: int | None = 0
         self._unanswered: list[str] = []
-        self._await(neighbours, device, wait_s)
+        self._begin_ours()
+
+    def _begin_ours(self, cycle: int = 0) -> None:
+        """Let our own agent join in a cycle of the run, or in an arming round."""
+        self._ours: AgentLoop[Any] = AgentLoop(controller(self.plan, self.agent), self.plan)
+        if cycle < 0:
+            self._ours.enter(cycle, 0)
+        else:
+            self._ours.begin(0, 0, cycle)
+
+    # The beginning and the end --------------------------------------------------------------------
+
+    def begin(self, device: Device, wait_s: float, of: str) -> None:
+        """Wait for the device, arm it, and start the run; `of` is the requirement that it shows."""
+        self._await(device, wait_s)
         self.findings.try_(of)
         give_up_at = time.monotonic() + _ARMING_S
-        for number in count(FIRST_ROUND):
-            self.reference = Reference(self.plan, self.agent)
-            self.reference.loop.enter(number, 0)
+        for number in count(FIRST_ROUND + 1):
+            self._begin_ours(number)
             if self._play(number, {}, of):
                 break
             if time.monotonic() > give_up_at:
-                text = f"in arming rounds nothing came on {some_of(self._unanswered)}"
-                self.findings.fail(of, text)
-                raise FailureError(f"{self.agent}: {text}")
-        self.reference = Reference(self.plan, self.agent)
+                self._give_up(of, f"in arming rounds nothing came on {some_of(self._unanswered)}")
+        self._begin_ours()
         self.findings.doubt = ""
         self.start_ns = time.monotonic_ns() + 200_000_000
-        start = self.plan.run_message("start", 0, self.start_ns)
-        self.reference.loop.begin(0, 0)
-        self.cycle = 0
-        self._sequence.clear()
-        if self._run in self.plan.wiring.heard[self.agent]:
-            self._bus.put(self._run, encode(start))
+        self._say("start")
 
     def stop(self) -> None:
         """Say that the run is over; nothing may come after that."""
         self.findings.try_("stop")
         # A device with a clock goes on to the next cycle by itself.
         quiet_s = min(_QUIET_S, 0.2 * self.plan.cycle_wall_ns / 1e9 or _QUIET_S)
-        while (heard := self._bus.next(quiet_s)) is not None:
+        while (heard := self.bus.next(quiet_s)) is not None:
             self._take(heard)
-        stop = self.plan.run_message("stop", self.cycle, self.start_ns)
-        self._bus.put(self._run, encode(stop))
-        while (heard := self._bus.next(_QUIET_S)) is not None:
+        self._say("stop")
+        while (heard := self.bus.next(_QUIET_S)) is not None:
             self.findings.fail("stop", f"{heard.key} was published after the run had stopped")
 
-    def _await(self, neighbours: Neighbours, device: Device, wait_s: float) -> None:
+    def _say(self, state: Literal["start", "stop"]) -> None:
+        """Say that the run begins, or that the next cycle does not take place."""
+        run = self.plan.run_message(state, self.cycle, self.start_ns)
+        self.bus.put(RUN.of(ROOT), encode(run))
+
+    def _await(self, device: Device, wait_s: float) -> None:
         """Wait until each neighbour sees the device's token."""
         self.findings.try_("token")
         give_up_at = time.monotonic() + wait_s
-        while absent := neighbours.absent:
-            text = device.end_text
-            if not text and time.monotonic() > give_up_at:
-                text = f"{some_of(absent)} saw no liveliness token in {wait_s:g} s"
-            if text:
-                self.findings.fail("token", text)
-                raise FailureError(f"{self.agent}: {text}")
+        while absent := self.bus.absent:
+            if device.end_text:
+                self._give_up("token", device.end_text)
+            if time.monotonic() > give_up_at:
+                self._give_up("token", f"{some_of(absent)} saw no liveliness token in {wait_s:g} s")
             time.sleep(0.02)
+
+    def _give_up(self, requirement: str, text: str) -> NoReturn:
+        self.findings.fail(requirement, text)
+        raise FailureError(f"{self.agent}: {text}")
 
     # Cycles ---------------------------------------------------------------------------------------
 
@@ -167,52 +140,38 @@ class Trial:
             self._incarnation = None
             self._sequence.clear()
         cycle = self.cycle
-        self.reference = Reference(self.plan, self.agent)
-        self.reference.loop.begin(0, self.reference.begin_ns(cycle), cycle)
-        edit: Edit = dict.fromkeys(self.ports(), ()) if self._bus.absent else {}
-        self.play("restart", edit, is_there=False)
+        self._begin_ours(cycle)
+        self._play(cycle, dict.fromkeys(self.ports(), ()) if self.bus.absent else {}, None)
         limit_ns = self._limit_ns(cycle)
-        while (heard := self._bus.next((limit_ns - time.monotonic_ns()) / 1e9)) is not None:
+        while (heard := self.bus.next((limit_ns - time.monotonic_ns()) / 1e9)) is not None:
             self._take(heard)
+        self.cycle += 1
         return any(place[1] == cycle for place in self._outputs)
 
-    def play(
-        self,
-        requirement: str,
-        edit: Edit | None = None,
-        *,
-        late: Edit | None = None,
-        is_there: bool = True,
-    ) -> None:
+    def play(self, requirement: str, edit: Edit | None = None, late: Edit | None = None) -> None:
         """Play the next cycle; its answers show a requirement.
 
-        `edit` is sent in place of the undisturbed messages, `late` after the last answer. If the
-        device `is_there`, it has to answer.
+        `edit` is sent in place of the undisturbed messages, `late` after the last answer.
         """
-        cycle, wall_ns = self.cycle, self.plan.cycle_wall_ns
-        if wall_ns:
-            time.sleep(max(self.start_ns + cycle * wall_ns - time.monotonic_ns(), 0) / 1e9)
-        if is_there:
-            self.findings.try_(requirement)
-        if not self._play(cycle, edit or {}, requirement, is_there=is_there) and is_there:
+        cycle = self.cycle
+        self.findings.try_(requirement)
+        if not self._play(cycle, edit or {}, requirement):
             # The trial ends if the device has gone, or has been silent for some cycles.
             last = max((of for _, of in self._outputs), default=-1)
-            if self._bus.absent or cycle - last >= _SILENT_CYCLES:
-                text = f"cycle {cycle}: {'it has gone' if self._bus.absent else 'it is silent'}"
-                self.findings.fail(requirement, text)
-                raise FailureError(f"{self.agent}: {text}")
+            if self.bus.absent or cycle - last >= _SILENT_CYCLES:
+                why = "it has gone" if self.bus.absent else "it is silent"
+                self._give_up(requirement, f"cycle {cycle}: {why}")
         for port, payloads in (late or {}).items():
-            for payload in payloads:
-                self._send(port, payload)
+            self._send(port, payloads)
         self.cycle += 1
 
     def message(self, port: Port[Message], **changes: object) -> Message:
         """Return the undisturbed message of a port in the next cycle, with changes."""
-        return self._retimed(self._inputs[self.cycle][port], self.cycle, changes)
+        return self._retimed(self.inputs[self.cycle][port], self.cycle, changes)
 
     def ports(self, cycle: int | None = None) -> list[Port[Message]]:
         """Return the ports of which a message is due in a cycle, the next one by default."""
-        return list(self._inputs[self.cycle if cycle is None else cycle])
+        return list(self.inputs[self.cycle if cycle is None else cycle])
 
     def _retimed(self, message: Message, cycle: int, changes: Mapping[str, object]) -> Message:
         now_ns = time.monotonic_ns()
@@ -240,35 +199,39 @@ class Trial:
             return self._begin_ns(cycle) + round(0.97 * self.plan.cycle_wall_ns)
         return time.monotonic_ns() + round((_PATIENCE_S if cycle >= 0 else _ROUND_S) * 1e9)
 
-    def _play(self, cycle: int, edit: Edit, requirement: str, *, is_there: bool = True) -> bool:
-        """Play a cycle stage by stage; return whether all answers came in time."""
-        inputs = self._inputs[max(cycle, 0)]
+    def _play(self, cycle: int, edit: Edit, requirement: str | None) -> bool:
+        """Play a cycle stage by stage; return whether all answers came in time.
+
+        Without a requirement the device need not be there, and nothing is judged.
+        """
+        if self._in_real_time(cycle):
+            time.sleep(max(self._begin_ns(cycle) - time.monotonic_ns(), 0) / 1e9)
+        inputs = self.inputs[max(cycle, 0)]
         limit_ns = self._limit_ns(cycle)
         expected: dict[Port[Message], Message] = {}
         sent: set[Port[Message]] = set()
-        stages = self._ours.stages(cycle)
+        stages = self._ours.agent.stages(cycle)
         self._unanswered = []
         for stage, (by_ns, until_ns) in zip(stages, self._times_ns(stages, cycle), strict=True):
             for port in (*stage.awaits, *stage.uses):
                 if port in inputs and port not in sent:
                     sent.add(port)
                     whole = (encode(self._retimed(inputs[port], cycle, {})),)
-                    for payload in edit.get(port, whole):
-                        self._send(port, payload, cycle)
+                    self._send(port, edit.get(port, whole))
             is_late = self._in_real_time(cycle) and time.monotonic_ns() > by_ns
-            if is_there and is_late and not self.findings.doubt:
+            if requirement and is_late and not self.findings.doubt:
                 self.findings.doubt = (
                     f"from cycle {cycle} on the machine was too slow to judge: inputs of the stage "
                     f"{stage.name} went out too late; try a lower --pace"
                 )
-            least_ns = until_ns if self.reference.loop.waiting else 0
-            due = dict(self.reference.close(stage.name, cycle))
+            least_ns = until_ns if self._ours.waiting else 0
+            due = dict(self._ours.close_stage(0))
             expected |= due
             wanted = [port for port in due if port in self._published]
             self._collect(wanted, cycle, limit_ns if stage is stages[-1] else until_ns, least_ns)
         # A device without a clock is silent in a cycle of whose beginning it hears nothing.
         heard_nothing = not any(edit.get(port, True) for port in stages[0].awaits)
-        if is_there and not (self._unanswered and (heard_nothing or cycle < 0)):
+        if requirement and not (self._unanswered and (heard_nothing or cycle < 0)):
             self._judge(expected, cycle, requirement)
         return not self._unanswered
 
@@ -289,9 +252,11 @@ class Trial:
             from_ns = until_ns
         return times
 
-    def _send(self, port: Port[Message], payload: bytes, cycle: int | None = None) -> None:
-        self._bus.put(port, payload)
-        self.reference.hear(port, payload, self.cycle if cycle is None else cycle)
+    def _send(self, port: Port[Message], payloads: Iterable[bytes]) -> None:
+        for payload in payloads:
+            self.bus.put(port, payload)
+            with suppress(msgspec.DecodeError):
+                self._ours.hear(port, decode(port.signal, payload), 0)
 
     def _collect(
         self, wanted: Sequence[Port[Message]], cycle: int, limit_ns: int, least_ns: int
@@ -309,7 +274,7 @@ class Trial:
             due := {place for place in due if not self._arrived[place]}
         ) or time.monotonic_ns() < least_ns:
             until_ns = limit_ns if due else least_ns
-            heard = self._bus.next((until_ns - time.monotonic_ns()) / 1e9)
+            heard = self.bus.next((until_ns - time.monotonic_ns()) / 1e9)
             if heard is None:
                 self._unanswered += sorted({str(port) for _, port, _ in due})
                 return
@@ -386,7 +351,7 @@ class Trial:
         ignored = {"source", "sim_time_ns", "incarnation"}
         if not its.missing:
             ignored.add("missing")
-        comparison = Comparison(self._comparison.tolerance, frozenset(ignored))
+        comparison = Comparison(self.comparison.tolerance, frozenset(ignored))
         for found in comparison.differences(port, its, own):
             text = f"{found.field}: expected {found.new}, got {found.recorded}"
             self.findings.fail(of, f"cycle {its.cycle}, {port}, {text}")

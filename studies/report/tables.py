@@ -8,11 +8,10 @@ from typing import Final
 from recordings.inspect.health import health_lines
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
-from recordings.read.run_clock import RunClock
 from recordings.read.series import RunSeries
 from studies.metrics import run_metrics
 from studies.metrics.figures_of_merit import runs_as_columns, shown_in
-from studies.tables import Column, Table, key_column, word_column
+from studies.tables import Column, Table, attributes, key_column, texts_table
 from sunspec.process import DeviceAccount
 
 _COMMITMENT_NOTE: Final = (
@@ -41,34 +40,25 @@ def metrics_tables(series: Sequence[RunSeries]) -> list[Table]:
 
 def health_table(run: RunReader) -> Table:
     """Go through a recording and return how its run fared, a line for each thing looked at."""
-    lines = health_lines(read_overview(run).health, RunClock(run.plan, run.last_cycle))
-    rows = tuple((name.capitalize(), text) for name, text in lines)
-    return Table("Health of the run", (key_column("", "what"), word_column("", "found")), rows)
+    return texts_table("Health of the run", health_lines(read_overview(run).health, run.clock))
 
 
 def devices_tables(devices: Iterable[DeviceAccount]) -> list[Table]:
     """Return the table of how fast a run's real inverters answered; none where it had none."""
     columns = (
-        key_column("device"),
-        *(
-            Column(f"{what}{figure}", unit, decimals)
-            for what in ("reads", "writes")
-            for figure, unit, decimals in (("", "", 0), (" p50", "ms", 1), (" p99", "ms", 1))
-        ),
+        key_column("device", "node"),
+        Column("reads", name="reads.count"),
+        Column("reads p50", "ms", 1, name="reads.p50_ms"),
+        Column("reads p99", "ms", 1, name="reads.p99_ms"),
+        Column("writes", name="writes.count"),
+        Column("writes p50", "ms", 1, name="writes.p50_ms"),
+        Column("writes p99", "ms", 1, name="writes.p99_ms"),
         Column("late"),
         Column("refused"),
         Column("breaks"),
-        Column("gone for", "s", 1),
+        Column("gone for", "s", 1, name="gone_s"),
     )
-    rows = tuple(
-        (
-            device.node,
-            *(device.reads.count, device.reads.p50_ms, device.reads.p99_ms),
-            *(device.writes.count, device.writes.p50_ms, device.writes.p99_ms),
-            *(device.late, device.refused, device.breaks, device.gone_s),
-        )
-        for device in devices
-    )
+    rows = attributes(devices, columns)
     notes = (
         "how long it takes over Modbus to read all that is needed, and to write a limit",
         "late: readings that came after the end of their cycle",

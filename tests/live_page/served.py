@@ -26,8 +26,8 @@ class Served:
 
     def __init__(self, server: PageServer, place: Place) -> None:
         self.server = server
-        self.address = place.address
-        self.root = place.address.partition("?")[0]
+        self.address = place.address()
+        self.root = place.address().partition("?")[0]
 
     def get(self, path: str) -> Any:  # noqa: ANN401 - JSON
         """Return the document at a path."""

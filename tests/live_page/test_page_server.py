@@ -31,8 +31,8 @@ def test_a_browser_is_told_the_plan_and_then_the_state(run: Path) -> None:
     with served(run) as page:
         plan = page.get("plan")
         assert [node["path"] for node in plan["nodes"]] == list(PLAN.tree.nodes)
-        over = (news for news in page.updates() if news["state"] == "over")
-        last = next(news for news in over if news["cycle"] == CYCLES - 1)
+        last = next(news for news in page.updates() if news["cycle"] == CYCLES - 1)
+        assert last["state"] == "over"
         assert last["frame"]["nodes"]["power"][0] == 239.0
 
 
@@ -132,7 +132,7 @@ def test_a_browser_that_stalls_or_vanishes_does_not_hold_up_others(run: Path) ->
         for one in stalled:
             one.close()
         give_up_at = time.monotonic() + 20.0
-        while page.server.audience.streams:
+        while page.server.streams:
             assert time.monotonic() < give_up_at
             time.sleep(0.05)
 

@@ -117,6 +117,22 @@ def test_ctrl_c_ends_a_replay_that_waits_and_one_that_plays(
         assert "replayed " in replay.output.read_text()
 
 
+def test_ctrl_c_in_the_middle_of_a_live_replay_leaves_what_was_compared_so_far(
+    heliarch: Start, plan: RunPlan, plant: str, tmp_path: Path
+) -> None:
+    words = ("--duration", "60", "--pace", "1", "--fault", "delay=1ms", "--out", tmp_path / "slow")
+    done("simulate", plant, *words)
+    leaf, _ = some_live(plan)
+    file = tmp_path / "figures.json"
+    replay = heliarch("replay", tmp_path / "slow", "--live", leaf, "--json", file)
+    replay.until(lambda: replay.output.read_text().count("12:00:") > 3, "some cycles")
+    assert replay.interrupt() == 130, replay.error_text()
+    figures = json.loads(file.read_bytes())
+    assert figures["interrupted"]
+    assert 0 < figures["cycles"] < 60
+    assert figures["compared"] >= figures["cycles"]
+
+
 def test_keys_steer_a_replay_and_the_terminal_is_left_as_it_was(recorded: Path) -> None:
     typing, terminal = pty.openpty()
     before = termios.tcgetattr(terminal)
@@ -215,7 +231,8 @@ def test_who_waits_for_what_the_recording_lacks_is_named(
     assert replay.wait() == 1
     complaint = replay.error_text()
     assert "stalled in cycle 7" in complaint
-    assert f"{leaf} waits for {leaf}/telemetry from plant" in complaint
+    assert "from plant" in complaint
+    assert f"{leaf} waits for {leaf}/telemetry" in complaint
     assert str(replay.folder) in complaint, "the logs stay"
     assert replay.processes() == []
 

@@ -64,7 +64,7 @@ def test_a_recording_with_a_cut_file_among_others_is_not_whole(
     ):
         write_run(tmp_path / name, whole_run(100), is_kept=is_of(cycles), close=close)
     with open_run(tmp_path) as run:
-        assert (run.files, run.whole) == (3, False)
+        assert (len(run.files), run.whole) == (3, False)
         kept = sum(1 for _ in run.records())
     assert "cut" in heliarch("inspect", tmp_path).stdout
     result = heliarch("recover", tmp_path, "--json", "-")
@@ -73,7 +73,7 @@ def test_a_recording_with_a_cut_file_among_others_is_not_whole(
     assert found["messages"] == kept
     assert found["lost"] > 0
     with open_run(tmp_path / "run.recovered.mcap") as run:
-        assert (run.files, run.whole) == (1, True)
+        assert (len(run.files), run.whole) == (1, True)
 
 
 def test_a_recording_that_lacks_its_index_alone_has_lost_nothing(

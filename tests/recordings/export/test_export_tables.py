@@ -22,7 +22,7 @@ from bus_schemas.messages import HelpGiven, Message, Production
 from bus_schemas.missing import Missing
 from bus_schemas.signals import PRODUCTION, SIGNALS
 from bus_schemas.tree import ROOT, agent_name
-from recordings.export.tables import TableFolder, TableForm, inverters_table
+from recordings.export.tables import TableFolder, TableForm
 from recordings.read.reader import RecordedMessage, RunReader
 from recordings.record.writer import ClockAnchor
 
@@ -135,7 +135,7 @@ def test_csv_has_local_times(tmp_path: Path, changes: dict[str, Any], first: str
     assert lines[2].startswith(f'"{first}",1,"central",')
 
 
-def test_a_production_of_another_plant_is_refused() -> None:
+def test_a_production_of_another_plant_is_refused(tmp_path: Path) -> None:
     production = Production(
         7,
         0,
@@ -148,5 +148,8 @@ def test_a_production_of_another_plant_is_refused() -> None:
         inverter_power_kw=(1.0, 2.0),
     )
     record = RecordedMessage(PRODUCTION.of(ROOT), 7, 0, 0, 0, b"")
-    with pytest.raises(InputError, match="production of cycle 7: expected 3 inverters"):
-        list(inverters_table(PLAN).rows(record, production))
+    with (
+        pytest.raises(InputError, match="production of cycle 7: expected 3 inverters"),
+        TableFolder(tmp_path / "csv", PLAN, RECORDED, ClockAnchor(0, 0), "csv") as tables,
+    ):
+        tables.add(record, production)

@@ -18,7 +18,7 @@ from recordings.inspect.timeline import (
     NARROWEST,
     HelpLine,
     NodeCycle,
-    TimelineTable,
+    node_table,
     plant_lines,
     timeline,
 )
@@ -101,7 +101,7 @@ def test_what_a_node_had_to_do_without_and_said_in_words_is_rows_of(tmp_path: Pa
     (row,) = rows_of(path, "c1/a", range(1))
     assert (row.power_kw, row.stale_cycles) == (None, 2)
     assert (row.missing, row.notices) == (["c1/a/telemetry"], ["no usable measurement"])
-    line = " ".join(TimelineTable(PLAN.tree, "c1/a", 8, 120).row(row)[0].split())
+    line = " ".join(node_table(PLAN.tree, "c1/a", 8, 120).row(row)[0].split())
     assert line.startswith("0 12:00:00 - 40.00 60.00 -20.00 20.00 40.00 0.8000 from b 20.00;")
 
 
@@ -111,7 +111,7 @@ def test_what_a_node_had_to_do_without_and_said_in_words_is_rows_of(tmp_path: Pa
 @pytest.mark.parametrize("node", ["c1/a", "c1/b", "c1", ROOT])
 @pytest.mark.parametrize("width", [NARROWEST, 120])
 def test_columns_keep_their_places_and_their_width(recording: Path, node: str, width: int) -> None:
-    table = TimelineTable(PLAN.tree, node, 12, width)
+    table = node_table(PLAN.tree, node, 12, width)
     names, units = table.heading()
     assert max(len(names), len(units)) <= width
     for row in rows_of(recording, node, range(20)):
@@ -129,7 +129,7 @@ _FIELD = {"IMPP": "impp_kw", "residual": "residual_kw"}
 def test_much_help_goes_on_in_the_next_line() -> None:
     givers = [HelpLine(f"c1/inv{n:02}", 10.0 + n) for n in range(9)]
     row = NodeCycle(3, "12:00:03", "c1/a", impp_kw=1.0, help_from=givers)
-    lines = TimelineTable(PLAN.tree, "c1/a", 8).row(row)
+    lines = node_table(PLAN.tree, "c1/a", 8).row(row)
     assert len(lines) > 2
     assert all(len(line) <= NARROWEST for line in lines)
     told_text = " ".join(" ".join(lines).split())

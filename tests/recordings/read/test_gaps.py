@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from recordings.read.gaps import SequenceGaps
+from recordings.read.gaps import PortGaps
 
 
 @pytest.mark.parametrize(
@@ -20,14 +20,14 @@ from recordings.read.gaps import SequenceGaps
     ids=["all", "lost", "several a cycle", "copies", "restarted", "silent and back"],
 )
 def test_gaps(seen: list[tuple[int, int]], lost: int, repeated: int, restarts: int) -> None:
-    gaps = SequenceGaps()
+    gaps = PortGaps()
     for cycle, sequence in seen:
         gaps.see(cycle, sequence)
     assert (gaps.lost, gaps.repeated, gaps.restarts) == (lost, repeated, restarts)
 
 
 def test_in_a_part_of_a_run_the_numbers_before_it_are_not_lost() -> None:
-    gaps = SequenceGaps(None)
+    gaps = PortGaps(first_cycle=50)
     for cycle, sequence in ((50, 50), (51, 51), (53, 53)):
         gaps.see(cycle, sequence)
     assert gaps.lost == 1

@@ -51,7 +51,7 @@ def test_walking_finds_what_the_index_says(content: bytes) -> None:
     by_index, by_walking = outline_of(content), outline_of(bytes(cut(content)))
     assert (by_index.closed, by_walking.closed) == (True, False)
     assert [entry.name for entry in by_index.attachments] == ["scenario.toml", "plan.json"]
-    assert [entry.name for entry in by_index.metadata] == ["run", "clock_anchor"]
+    assert list(by_index.metadata) == ["run", "clock_anchor"]
     assert len(by_index.chunks) > 4
     assert parts(by_walking) == parts(by_index)
 
@@ -72,7 +72,7 @@ def test_a_torn_file_never_breaks_the_reading(content: bytes, data: st.DataObjec
     assert outline_of(bytes(torn)).size == len(content)
 
 
-@pytest.mark.parametrize("content", [b"", b"x", b"cycle,power\n0,1\n"])
+@pytest.mark.parametrize("content", [b"x", b"cycle,power\n0,1\n"])
 def test_what_does_not_begin_as_an_mcap_file_is_none(content: bytes) -> None:
     with pytest.raises(NoMcapError):
         outline_of(content)

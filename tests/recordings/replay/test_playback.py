@@ -37,11 +37,12 @@ class Heard(ReplayBus):
         self.states: list[tuple[int, float, bool]] = []
         self._on_put = on_put
 
-    def put(self, port: Port[Message], payload: bytes) -> None:
+    def put(self, port: Port[Message], payload: bytes) -> bool:
         self.ports.append(port)
         self.payloads.append(payload)
         self.moments_ns.append(self.clock.now_ns)
         self._on_put(self)
+        return True
 
     def announce(self, cycle: int, *, rate: float, paused: bool) -> None:
         self.states.append((cycle, rate, paused))
