@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import shutil
 import subprocess
@@ -80,12 +79,6 @@ class Browser:
     def resize(self, width: int, height: int) -> None:
         """Give the window another size."""
         self._ask(f"{self._session}/window/rect", {"width": width, "height": height})
-
-    def screenshot(self, path: Path) -> None:
-        """Write what is seen as a PNG file."""
-        request = urllib.request.Request(f"{self._driver}/{self._session}/screenshot")
-        with urllib.request.urlopen(request, timeout=60) as answer:
-            path.write_bytes(base64.b64decode(json.load(answer)["value"]))
 
     def close(self) -> None:
         request = urllib.request.Request(f"{self._driver}/{self._session}", method="DELETE")

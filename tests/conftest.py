@@ -5,12 +5,12 @@ from __future__ import annotations
 import gc
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
-from running import Heliarch, commands_in
+from running import Start, commands_in, small_plant
 
 REPOSITORY = Path(__file__).parent.parent
 
@@ -51,7 +51,13 @@ def data_folder() -> Path:
 
 
 @pytest.fixture
-def heliarch(tmp_path: Path) -> Iterator[Callable[..., Heliarch]]:
+def heliarch(tmp_path: Path) -> Iterator[Start]:
     """Start `heliarch` commands, each with a folder of its own; nothing outlives the test."""
     with commands_in(tmp_path) as start:
         yield start
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> str:
+    """A scenario of four inverters in two clusters."""
+    return small_plant(tmp_path / "plant")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -11,9 +12,12 @@ from numpy.typing import NDArray
 
 from agents.plan import RunPlan
 from bus_schemas.bus import Delivery
+from bus_schemas.faults import FaultRule
 from bus_schemas.messages import Message, Production
 from bus_schemas.signals import Port
-from launch_scripts.launcher.simulation import RESTART_TAKES_S, MemoryRun
+from launch_scripts.launcher.simulation import RESTART_TAKES_S, MemoryRun, on_the_clock
+from launch_scripts.scenarios.fault_rules import parse_fault
+from launch_scripts.scenarios.preparation import Preparation
 from sim_plant.profile import Profile
 
 
@@ -62,3 +66,15 @@ def run_in_memory(
     assert list(run.cycles()) == list(range(plan.cycles))
     run.close()
     return run, sent
+
+
+def run_with(
+    prepared: Preparation,
+    rules: Sequence[FaultRule | str] = (),
+    restart_takes_s: float = RESTART_TAKES_S,
+    **changes: object,
+) -> tuple[MemoryRun, Sent]:
+    """Run through by a virtual clock if there are fault rules, also as `--fault` has them."""
+    faults = tuple(parse_fault(rule) if isinstance(rule, str) else rule for rule in rules)
+    plan = msgspec.structs.replace(prepared.plan, faults=faults, **changes)
+    return run_in_memory(on_the_clock(plan) if faults else plan, prepared.profile, restart_takes_s)

@@ -20,7 +20,7 @@ import pytest
 import launch_scripts.commands.run
 import launch_scripts.launcher.launch  # noqa: F401
 from bus_schemas.errors import InputError
-from bus_schemas.signals import PRODUCTION
+from bus_schemas.signals import IMPP, PRODUCTION
 from launch_scripts.cli import main
 from recordings.read.reader import RunReader
 from recordings.read.run_file import log_name
@@ -152,6 +152,11 @@ class Heliarch:
     def wait(self) -> int:
         return self.process.wait(timeout=170)
 
+    def interrupt(self) -> int:
+        """End it with Ctrl-C; return its exit status."""
+        self.process.send_signal(signal.SIGINT)
+        return self.wait()
+
     def error_text(self) -> str:
         """Standard error so far."""
         return self.errors.read_text(encoding="utf-8")
@@ -175,9 +180,13 @@ class Heliarch:
         assert found is not None
         return found[1].strip()
 
+    def until_shown(self, text: str) -> None:
+        """Wait until its output has a text."""
+        self.until(lambda: text in self.output.read_text(), repr(text))
+
     def until_running(self) -> None:
         """Wait until cycles go by."""
-        self.until(lambda: "desired" in self.output.read_text(), "its first cycles")
+        self.until_shown("desired")
 
     def recorded_cycles(self) -> int:
         """Cycles that can be read from the recording: none before its first flush."""
@@ -186,6 +195,15 @@ class Heliarch:
                 return sum(1 for _ in reader.messages(PRODUCTION))
         except InputError:
             return 0
+
+    def incarnations(self, agent: str) -> set[int]:
+        """The cycles in which the processes of an agent joined, by its messages on disk."""
+        with RunReader(self.folder) as reader:
+            return {message.incarnation for _, message in reader.messages(IMPP, nodes=agent)}
+
+    def until_back(self, agent: str) -> None:
+        """Wait until messages of an agent's second process are on disk."""
+        self.until(lambda: len(self.incarnations(agent)) == 2, f"messages of a new {agent}")
 
     def until_recorded(self, cycles: int = 1) -> None:
         """Wait until so many cycles can be read on disk."""
@@ -207,9 +225,16 @@ class Heliarch:
         return found
 
 
+Start = Callable[..., Heliarch]
+"""Starts a command from its words."""
+
+
 @contextmanager
-def commands_in(folder: Path) -> Iterator[Callable[..., Heliarch]]:
-    """Start `heliarch` commands, each with a folder of its own; nothing outlives the context."""
+def commands_in(folder: Path) -> Iterator[Start]:
+    """Start `heliarch` commands, each with a folder of its own; nothing outlives the context.
+
+    Fail if a command that has ended has left a process behind.
+    """
     started: list[Heliarch] = []
 
     def start(*words: str | Path) -> Heliarch:
@@ -219,6 +244,9 @@ def commands_in(folder: Path) -> Iterator[Callable[..., Heliarch]]:
 
     try:
         yield start
+        for command in started:
+            if command.process.poll() is not None:
+                assert_none_left(command.folder)
     finally:
         for command in started:
             command.process.kill()

@@ -16,29 +16,6 @@ from studies.delays.study import run_in_memory
 from studies.metrics import commitment_metrics
 
 
-def test_under_a_steady_sky_the_plant_delivers_the_least_of_asked_and_possible() -> None:
-    plan = prepare(load_scenario("oahu"), RunOptions(duration="40", scheme="paper"), "steady").plan
-    rng = np.random.default_rng(5)
-    steady_kw = np.repeat(rng.uniform(0.0, 470.0, (1, 17)), 40, axis=0)
-    commitment_kw = np.linspace(400.0, 1.2 * steady_kw[0].sum(), 40)
-    profile = Profile(steady_kw, commitment_kw)
-    delivered_kw = run_in_memory(plan, profile)[1].delivered_kw
-    # The smallest alpha is 0.05: no commitment here is small enough to be held up by it.
-    least_kw = np.minimum(steady_kw.sum(axis=1), commitment_kw)
-    np.testing.assert_allclose(delivered_kw, least_kw, rtol=0, atol=1e-6)
-
-
-def test_a_shortfall_caused_by_control_is_the_change_of_the_sky_within_a_cycle() -> None:
-    """With one inverter the rule is P(k) = MPP(k) min(1, T / MPP(k-1)): worked out by hand."""
-    scenario = load_scenario("oahu")
-    plan = prepare(scenario, RunOptions(duration="4", scheme="paper"), "one").plan
-    sky_kw = np.array([400.0, 200.0, 300.0, 300.0])
-    profile = Profile(np.repeat(sky_kw[:, None], 17, axis=1), np.full(4, 17 * 250.0))
-    delivered_kw = np.array(run_in_memory(plan, profile)[1].delivered_kw) / 17
-    by_hand_kw = [400 * 250 / 400, 200 * 250 / 400, 300 * 1.0, 300 * 250 / 300]
-    np.testing.assert_allclose(delivered_kw, by_hand_kw, rtol=1e-12)
-
-
 def hope_hour(folder: Path, share: float) -> tuple[RunPlan, Profile]:
     """The HOPE hour with P = GHI / 1000 x 470 kW x 0.96 in place of the PV model."""
     plan = prepare(load_scenario("hope-melpitz", folder), RunOptions(scheme="paper"), "hope").plan

@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 from command_line import python
-from running import small_plant
 
 import heliarch
 from bus_schemas.errors import InputError
@@ -16,14 +15,9 @@ from bus_schemas.errors import InputError
 REPOSITORY = Path(__file__).parents[2]
 
 
-@pytest.fixture
-def small(tmp_path: Path) -> str:
-    return small_plant(tmp_path)
-
-
-def test_a_simulation_returns_its_summary_and_its_recording(small: str, tmp_path: Path) -> None:
+def test_a_simulation_returns_its_summary_and_its_recording(plant: str, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    run = heliarch.simulate(small, duration="20s", settings={"commitment.share": 0.4}, out=out)
+    run = heliarch.simulate(plant, duration="20s", settings={"commitment.share": 0.4}, out=out)
     assert (run.summary.cycles, run.folder) == (20, out)
     assert run.summary.metrics is not None
     with heliarch.open_run(run.folder) as recording:
@@ -32,15 +26,15 @@ def test_a_simulation_returns_its_summary_and_its_recording(small: str, tmp_path
 
 
 def test_a_simulation_prints_nothing(
-    small: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    plant: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    heliarch.simulate(small, start="12:00", end="12:00:05", out=tmp_path / "run")
+    heliarch.simulate(plant, start="12:00", end="12:00:05", out=tmp_path / "run")
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_comparison_is_a_table_with_a_row_for_each_case_and_scheme(small: str) -> None:
+def test_a_comparison_is_a_table_with_a_row_for_each_case_and_scheme(plant: str) -> None:
     table = heliarch.compare(
-        heliarch.load_scenario(small),
+        heliarch.load_scenario(plant),
         schemes=["paper", "uniform-cap"],
         duration="30s",
         days=[date(2010, 4, 1)],
@@ -52,9 +46,9 @@ def test_a_comparison_is_a_table_with_a_row_for_each_case_and_scheme(small: str)
     assert table["control-caused"].ge(0.0).all()
 
 
-def test_schemes_are_compared_with_matching_actuators(small: str) -> None:
+def test_schemes_are_compared_with_matching_actuators(plant: str) -> None:
     table = heliarch.compare(
-        small,
+        plant,
         schemes=["paper", "physical-limit"],
         actuators=["fraction", "limit"],
         duration="30s",
@@ -62,14 +56,14 @@ def test_schemes_are_compared_with_matching_actuators(small: str) -> None:
     assert list(table["scheme"]) == ["paper", "paper", "physical-limit"]
     assert list(table["actuator"].fillna("none")) == ["fraction", "limit", "none"]
     with pytest.raises(InputError, match="actuators"):
-        heliarch.compare(small, actuators=["magic"])  # type: ignore[list-item]
+        heliarch.compare(plant, actuators=["magic"])  # type: ignore[list-item]
 
 
 def test_two_recordings_are_compared_with_their_first_difference(
-    small: str, tmp_path: Path
+    plant: str, tmp_path: Path
 ) -> None:
     runs = [
-        heliarch.simulate(small, duration="20s", settings=settings, out=tmp_path / name).folder
+        heliarch.simulate(plant, duration="20s", settings=settings, out=tmp_path / name).folder
         for name, settings in (("a", None), ("b", {"commitment.share": 0.4}))
     ]
     found = heliarch.compare_runs(*runs)
@@ -92,36 +86,22 @@ def test_two_recordings_are_compared_with_their_first_difference(
         ({"actuator": "magic"}, "actuator"),
     ],
 )
-def test_bad_input_is_an_input_error(small: str, bad: dict[str, Any], named: str) -> None:
+def test_bad_input_is_an_input_error(plant: str, bad: dict[str, Any], named: str) -> None:
     with pytest.raises(InputError, match=named):
-        heliarch.simulate(small, **bad)
+        heliarch.simulate(plant, **bad)
 
 
 def test_runs_in_quick_succession_have_folders_of_their_own(
-    small: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    plant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    folders = {heliarch.simulate(small, duration="1s").folder for _ in range(3)}
+    folders = {heliarch.simulate(plant, duration="1s").folder for _ in range(3)}
     assert len(folders) == 3
 
 
 def test_what_is_not_there_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="nonsense"):
         heliarch.nonsense  # noqa: B018
-
-
-def test_recordings_can_be_opened_where_there_has_been_a_first_run(
-    small: str, tmp_path: Path
-) -> None:
-    empty = tmp_path / "empty"
-    empty.mkdir()
-    python(f"import heliarch; heliarch.simulate({small!r}, duration='5s')", cwd=empty)
-    assert [path.name for path in empty.iterdir()] == ["runs"]
-    code = (
-        "from pathlib import Path\nfrom heliarch import open_run\n"
-        "with open_run(next(Path('runs').iterdir())) as run:\n    print(run.plan.plant)"
-    )
-    assert python(code, cwd=empty).stdout == "small\n"
 
 
 def test_importing_it_loads_nothing_heavy() -> None:

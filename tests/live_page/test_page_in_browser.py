@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from browser import MISSING, Browser, browser
 from replayed_runs import run_in_memory, write
-from running import Heliarch, assert_none_left, small_plant
+from running import Start
 from served import page_of, served
 
 pytestmark = [
@@ -48,9 +48,8 @@ def curve(chart: str) -> str:
 
 
 def test_a_launched_run_moves_and_stays_when_it_is_over(
-    window: Browser, heliarch: Callable[..., Heliarch], tmp_path: Path
+    window: Browser, heliarch: Start, plant: str
 ) -> None:
-    plant = small_plant(tmp_path / "plant")
     run = heliarch("launch", plant, "--pace", "10", "--page")
     window.open(page_of(run))
     window.until("return document.querySelector('#state').textContent == 'running'", "its run")
@@ -69,13 +68,9 @@ def test_a_launched_run_moves_and_stays_when_it_is_over(
     assert run.process.poll() is None  # It is still looked at.
     window.open("about:blank")
     assert run.wait() == 130, run.error_text()
-    assert_none_left(run.folder)
 
 
-def test_a_run_that_fails_says_so(
-    window: Browser, heliarch: Callable[..., Heliarch], tmp_path: Path
-) -> None:
-    plant = small_plant(tmp_path / "plant")
+def test_a_run_that_fails_says_so(window: Browser, heliarch: Start, plant: str) -> None:
     run = heliarch("launch", plant, "--pace", "10", "--page")
     window.open(page_of(run))
     window.until("return document.querySelector('#state').textContent == 'running'", "its run")
@@ -84,7 +79,6 @@ def test_a_run_that_fails_says_so(
     window.until("return document.querySelector('#events .failure')", "the failure")
     assert "plant" in window.text("#events .failure")
     window.until("return !document.querySelector('#banner').hidden", "the banner")
-    assert_none_left(run.folder)
 
 
 def test_a_recording_is_played_stepped_and_scrubbed(window: Browser, run: Path) -> None:

@@ -6,11 +6,9 @@ import json
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
-from running import Heliarch, small_plant
+from running import Start
 from served import page_of
 
 pytestmark = pytest.mark.processes
@@ -26,9 +24,8 @@ def answers(page: str) -> bool:
 
 @pytest.mark.parametrize("command", ["launch", "simulate"])
 def test_a_run_that_nobody_looks_at_ends_as_without_a_page(
-    command: str, heliarch: Callable[..., Heliarch], tmp_path: Path
+    command: str, heliarch: Start, plant: str
 ) -> None:
-    plant = small_plant(tmp_path / "plant")
     run = heliarch(command, plant, "--duration", "20", "--pace", "10", "--page")
     page = page_of(run)
     with urllib.request.urlopen(f"{page}stream", timeout=60) as updates:
@@ -38,10 +35,8 @@ def test_a_run_that_nobody_looks_at_ends_as_without_a_page(
     assert not answers(page)
 
 
-def test_the_page_ends_with_a_launcher_that_is_killed(
-    heliarch: Callable[..., Heliarch], tmp_path: Path
-) -> None:
-    run = heliarch("launch", small_plant(tmp_path / "plant"), "--pace", "10", "--page")
+def test_the_page_ends_with_a_launcher_that_is_killed(heliarch: Start, plant: str) -> None:
+    run = heliarch("launch", plant, "--pace", "10", "--page")
     page = page_of(run)
     assert answers(page)
     run.process.kill()

@@ -5,11 +5,13 @@ from __future__ import annotations
 import itertools
 import json
 import socket
+import sys
 import time
 import urllib.request
 from pathlib import Path
 
 import pytest
+from command_line import refusal
 from recordings_by_hand import PLAN, whole_run, write_run
 from served import served
 
@@ -133,3 +135,18 @@ def test_a_browser_that_stalls_or_vanishes_does_not_hold_up_others(run: Path) ->
         while page.server.streams:
             assert time.monotonic() < give_up_at
             time.sleep(0.05)
+
+
+def test_a_port_in_use_is_refused_in_one_line(run: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        assert port in refusal("view", run, "--page-port", port)
+
+
+def test_a_stream_for_viewers_is_of_one_run_and_takes_its_library(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "one run" in refusal("view", run.parent, "--foxglove", "8765")
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    monkeypatch.delitem(sys.modules, "live_page.foxglove_stream", raising=False)
+    assert "heliarch[foxglove]" in refusal("view", run, "--foxglove", "8765")

@@ -12,11 +12,21 @@ from msgspec.structs import replace
 from agents.plan import RunPlan
 from bus_schemas.codec import encode
 from bus_schemas.messages import Command, Dispatch, Impp, Message, Setpoint, Telemetry
-from bus_schemas.signals import COMMAND, DISPATCH, IMPP, RUN, SETPOINT, TELEMETRY, Port
+from bus_schemas.signals import RUN, Port
 from bus_schemas.tree import ROOT
 from bus_schemas.zenoh_bus import SessionSettings
 
-FORGED_KW = 123.0
+HEAD = (0, 0, "", ())
+FORGED: dict[str, Message] = {
+    "command": Command(*HEAD, alpha=1.0, power_kw=123.0),
+    "impp": Impp(*HEAD, power_kw=123.0, stale_cycles=0),
+    "telemetry": Telemetry(*HEAD, power_kw=123.0, alpha=1.0, limit_kw=123.0),
+    "setpoint": Setpoint(*HEAD, power_kw=123.0, share_kw=0.0, help_given=()),
+    "dispatch": Dispatch(
+        *HEAD, power_kw=123.0, plant_rating_kw=1900.0, commitment_kw=0.0, regulation_kw=0.0
+    ),
+}
+"""What decides of power."""
 
 
 class Attacker:
@@ -48,30 +58,11 @@ class Attacker:
 
     def forge(self, cycle: int, spared: str = "") -> None:
         """Forge what decides of power in a cycle, but for one agent's."""
-        head = {"cycle": cycle, "sim_time_ns": self.plan.sim_time_ns(cycle), "missing": ()}
-        for port, message in self._forgeries():
-            if port.publisher != spared:
-                self.put(port, replace(message, **head, source=port.publisher))
-
-    def _forgeries(self) -> Iterator[tuple[Port[Message], Message]]:
-        for node in self.plan.tree.leaves:
-            yield COMMAND.of(node), Command(0, 0, "", (), alpha=1.0, power_kw=FORGED_KW)
-            yield IMPP.of(node), Impp(0, 0, "", (), power_kw=FORGED_KW, stale_cycles=0)
-            yield (
-                TELEMETRY.of(node),
-                Telemetry(0, 0, "", (), power_kw=FORGED_KW, alpha=1.0, limit_kw=FORGED_KW),
-            )
-        for node in self.plan.tree.nodes:
-            if node != ROOT:
-                forged = Setpoint(0, 0, "", (), power_kw=FORGED_KW, share_kw=0.0, help_given=())
-                yield SETPOINT.of(node), forged
-        yield (
-            DISPATCH.of(ROOT),
-            Dispatch(
-                0, 0, "", (),
-                power_kw=FORGED_KW, plant_rating_kw=1900.0, commitment_kw=0.0, regulation_kw=0.0,
-            ),
-        )  # fmt: skip
+        head = {"cycle": cycle, "sim_time_ns": self.plan.sim_time_ns(cycle)}
+        for port in self.plan.keys.ports:
+            forged = FORGED.get(port.signal.name)
+            if forged is not None and port.publisher != spared:
+                self.put(port, replace(forged, **head, source=port.publisher))
 
     def stop_run(self, cycle: int) -> None:
         """Say in the plant's name that the run ends before a cycle."""

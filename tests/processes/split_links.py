@@ -6,71 +6,58 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from socketserver import BaseRequestHandler, ThreadingTCPServer
 
 _PAUSE_S = 0.002
 
 
-class SplitLink:
+class SplitLink(ThreadingTCPServer):
     """Listens on a port of its own and forwards to a target, for as long as the test goes on."""
 
+    daemon_threads = True
+
     def __init__(self, target: int) -> None:
+        super().__init__(("127.0.0.1", 0), _Connection)
+        self.target = target
         self.received = 0
-        self._target = target
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
-        threading.Thread(target=self._accept, daemon=True).start()
+        self.endpoint = f"tcp/127.0.0.1:{self.server_address[1]}"
+        threading.Thread(target=self.serve_forever, daemon=True).start()
 
-    def close(self) -> None:
-        self._listener.close()
 
-    def _accept(self) -> None:
-        with suppress(OSError):
-            while True:
-                near, _ = self._listener.accept()
-                near.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                try:
-                    far = socket.create_connection(("127.0.0.1", self._target))
-                except OSError:  # It does not listen yet.
-                    near.close()
-                    continue
-                for run, one, other in ((self._up, near, far), (self._down, far, near)):
-                    threading.Thread(target=run, args=(one, other), daemon=True).start()
+class _Connection(BaseRequestHandler):
+    """One connection; it is closed where the target does not listen yet."""
 
-    def _up(self, near: socket.socket, far: socket.socket) -> None:
-        with suppress(OSError), far:
-            while data := near.recv(65_536):
-                far.sendall(data)
+    server: SplitLink
 
-    def _down(self, far: socket.socket, near: socket.socket) -> None:
-        with suppress(OSError, EOFError), near:
-            while True:
-                length = _exactly(far, 2)
-                batch = _exactly(far, length[0] | length[1] << 8)
-                self.received += len(batch)
+    def handle(self) -> None:
+        near: socket.socket = self.request
+        near.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with suppress(OSError), socket.create_connection(("127.0.0.1", self.server.target)) as far:
+            threading.Thread(target=self._up, args=(near, far), daemon=True).start()
+            batches = far.makefile("rb")
+            while length := batches.read(2):
+                batch = batches.read(int.from_bytes(length, "little"))
+                self.server.received += len(batch)
                 near.sendall(length[:1])
                 time.sleep(_PAUSE_S)
                 near.sendall(length[1:] + batch)
 
-
-def _exactly(source: socket.socket, size: int) -> bytes:
-    data = b""
-    while len(data) < size:
-        if not (more := source.recv(size - len(data))):
-            raise EOFError
-        data += more
-    return data
+    def _up(self, near: socket.socket, far: socket.socket) -> None:
+        with suppress(OSError):
+            while data := near.recv(65_536):
+                far.sendall(data)
+            far.shutdown(socket.SHUT_RDWR)
 
 
 @contextmanager
 def split_links(*targets: int) -> Iterator[list[SplitLink]]:
     """Open a proxy to each of some ports."""
-    links = [SplitLink(target) for target in targets]
-    try:
-        yield links
-    finally:
+    with ExitStack() as stack:
+        links = [stack.enter_context(SplitLink(target)) for target in targets]
         for link in links:
-            link.close()
+            stack.callback(link.shutdown)
+        yield links
 
 
 def free_ports(count: int) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import command_line
@@ -13,7 +13,7 @@ import msgspec
 import pytest
 from command_line import done
 from memory_runs import timeless
-from running import Heliarch, assert_none_left, small_plant
+from running import Start, assert_none_left, small_plant
 from typer.testing import Result
 
 from agents.plan import load_plan
@@ -26,7 +26,6 @@ from recordings.read.reader import RunReader
 pytestmark = pytest.mark.processes
 
 PATIENCE_S = 120.0
-PROCESS = "launch_scripts.launcher.process"
 DECIDED = tuple(signal for signal in SIGNALS if signal.decided)
 
 
@@ -127,7 +126,7 @@ def test_the_summary_goes_to_standard_output_alone_if_asked_for(
 
 
 def test_two_plants_side_by_side_do_not_hear_each_other(
-    plant: str, heliarch: Callable[..., Heliarch], tmp_path: Path
+    plant: str, heliarch: Start, tmp_path: Path
 ) -> None:
     words = ("launch", plant, "--duration", str(CYCLES))
     other = heliarch(*words, "--seed", "2")
@@ -139,49 +138,30 @@ def test_two_plants_side_by_side_do_not_hear_each_other(
     assert decisions(other.folder) != decisions(tmp_path / "run")
 
 
-def test_the_default_plant_runs_as_23_processes_of_99_messages_a_cycle_and_help(
-    tmp_path: Path,
-) -> None:
-    done("launch", "oahu", "--duration", "10", "--out", tmp_path / "run")
-    summary = summary_of(tmp_path / "run")
-    assert len(summary.processes) == 23
-    counts = {count.signal: count.recorded for count in summary.messages}
-    for other in ("help", "run", "notice"):
-        counts.pop(other, None)
-    # Telemetry and command of 17, dispatch, meter, production; impp and residual of 21; setpoint
-    # of 20.
-    assert sum(counts.values()) == 10 * (2 * 17 + 3 + 2 * 21 + 20) == 10 * 99
-
-
-def test_a_run_can_be_repeated_with_every_process_started_by_hand(
+def test_a_run_can_be_repeated_with_every_process_started_by_hand_and_waits_for_the_last_one(
     launched: tuple[Path, Result], tmp_path: Path
 ) -> None:
     folder, _ = launched
     for name in ("profile.npz", "scenario.toml"):
         shutil.copy(folder / name, tmp_path)
     plan = load_plan(folder / "plan.json")
-    with reserved_ports(plan.links.listening) as ports:
+    with reserved_ports(plan.links.listening) as ports, ExitStack() as stack:
         plan = msgspec.structs.replace(plan, tcp_ports=ports)
         (tmp_path / "plan.json").write_bytes(plan.as_json())
-        processes = [
-            subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    "launch_scripts.launcher.process",
-                    agent,
-                    "--plan",
-                    "plan.json",
-                ],
-                cwd=tmp_path,
-                stdout=subprocess.DEVNULL,
+
+        def start(agent: str) -> subprocess.Popen[str]:
+            words = ["-m", "launch_scripts.launcher.process", agent, "--plan", "plan.json"]
+            process = subprocess.Popen(
+                [sys.executable, *words], cwd=tmp_path, stdout=subprocess.PIPE, text=True
             )
-            for agent in plan.processes
-        ]
-        try:
-            assert {process.wait(PATIENCE_S) for process in processes} == {0}
-        finally:
-            for process in processes:
-                process.kill()
-                process.wait()
+            stack.enter_context(process)
+            stack.callback(process.kill)
+            return process
+
+        *others, last = plan.processes
+        processes = [start(agent) for agent in others]
+        for process in processes:
+            assert any('"joined"' in line for line in process.stdout or ())
+        processes.append(start(last))
+        assert {process.wait(PATIENCE_S) for process in processes} == {0}
     assert decisions(tmp_path) == decisions(folder)

@@ -21,7 +21,7 @@ import zenoh
 from command_line import done
 from mcap.reader import make_reader
 from recordings_by_hand import write_messages
-from running import Heliarch, assert_none_left, small_plant
+from running import Start, assert_none_left, small_plant
 
 from agents.plan import RunPlan, load_plan
 from bus_schemas.signals import RUN, TELEMETRY
@@ -29,7 +29,6 @@ from recordings.read.reader import RunReader
 
 pytestmark = pytest.mark.processes
 
-Start = Callable[..., Heliarch]
 
 CYCLES = 30
 PATIENCE_S = 120.0
@@ -114,22 +113,20 @@ def test_ctrl_c_ends_a_replay_that_waits_and_one_that_plays(
     for words, sign in (("--wait", "waiting for a subscriber"), ("--loop", "12:00:")):
         replay = heliarch("replay", recorded, words)
         replay.until_said(sign)
-        replay.process.send_signal(signal.SIGINT)
-        assert replay.wait() == 130
+        assert replay.interrupt() == 130
         assert "replayed " in replay.output.read_text()
 
 
 def test_ctrl_c_in_the_middle_of_a_live_replay_leaves_what_was_compared_so_far(
-    heliarch: Start, plan: RunPlan, tmp_path: Path
+    heliarch: Start, plan: RunPlan, plant: str, tmp_path: Path
 ) -> None:
     words = ("--duration", "60", "--pace", "1", "--fault", "delay=1ms", "--out", tmp_path / "slow")
-    done("simulate", small_plant(tmp_path), *words)
+    done("simulate", plant, *words)
     leaf, _ = some_live(plan)
     file = tmp_path / "figures.json"
     replay = heliarch("replay", tmp_path / "slow", "--live", leaf, "--json", file)
     replay.until(lambda: replay.output.read_text().count("12:00:") > 3, "some cycles")
-    replay.process.send_signal(signal.SIGINT)
-    assert replay.wait() == 130, replay.error_text()
+    assert replay.interrupt() == 130, replay.error_text()
     figures = json.loads(file.read_bytes())
     assert figures["interrupted"]
     assert 0 < figures["cycles"] < 60
@@ -252,9 +249,8 @@ def test_no_live_agent_outlives_its_replay(
 
 
 def test_in_real_time_live_agents_have_the_inputs_and_deadlines_of_the_run(
-    heliarch: Start, tmp_path: Path
+    heliarch: Start, plant: str
 ) -> None:
-    plant = small_plant(tmp_path / "plant")
     launched = heliarch("launch", plant, "--duration", "10", "--pace", "5")
     launched.wait()  # On a slow machine messages may get lost: then the run says so.
     plan = load_plan(launched.folder / "plan.json")

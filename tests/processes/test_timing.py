@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import command_line
 import msgspec
 import pytest
-from running import Heliarch, assert_none_left, small_plant
+from running import Start, assert_none_left, small_plant
 
 from bus_schemas.signals import PRODUCTION
 from launch_scripts.launcher.summary import RunSummary
-from launch_scripts.scenarios.scenario import load_scenario
 from recordings.read.reader import RunReader
 from studies.timing.report import report_on
 
 pytestmark = pytest.mark.processes
 
-Start = Callable[..., Heliarch]
 
 STAGES = {
     "plant": {"sense", "apply"},
@@ -35,7 +31,7 @@ SIGNALS = {"telemetry", "residual", "setpoint", "command"}
 
 CYCLES = 20
 
-IMPOSSIBLE = """
+IMPOSSIBLE = """\
 [timing.budgets]
 loop_p99_ms = 0.001
 missed_deadlines = 1_000_000
@@ -43,11 +39,8 @@ overruns = 1_000_000
 """
 
 
-def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(
-    tmp_path: Path,
-) -> None:
-    scenario = tmp_path / "oahu.toml"
-    scenario.write_text(load_scenario("oahu").text + IMPOSSIBLE)
+def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(tmp_path: Path) -> None:
+    scenario = small_plant(tmp_path / "plant", ("[neighbours]", f"{IMPOSSIBLE}\n[neighbours]"))
     folder = tmp_path / "run"
     words = ("--rate", "10", "--duration", f"{CYCLES / 10:g}s", "--json", "-", "--report")
     result = command_line.heliarch("timing", scenario, *words, "--out", folder)
@@ -60,21 +53,16 @@ def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(
     assert {of for measure, of in rows if measure == "hop"} >= SIGNALS
     assert {measure for measure, _ in rows} >= {"loop", "lateness", "jitter", "age"}
     assert rows["loop", "all commands"]["count"] == CYCLES
-    assert rows["loop", "each command"]["count"] <= CYCLES * 17
+    assert rows["loop", "each command"]["count"] <= CYCLES * 4
     assert {row["times"]["min_us"] >= 0.0 for row in report["times"]} == {True}
 
-    assert {tier["tier"]: tier["processes"] for tier in report["tiers"]} == {
-        "plant": 1,
-        "central": 1,
-        "supervisor": 3,
-        "direct": 17,
-        "recorder": 1,
-    }
+    counts = {tier["tier"]: tier["processes"] for tier in report["tiers"]}
+    assert counts == {"plant": 1, "central": 1, "supervisor": 2, "direct": 4, "recorder": 1}
     (recorder,) = [tier for tier in report["tiers"] if tier["tier"] == "recorder"]
     assert 0.0 < recorder["cpu_percent"] < 100.0 * (os.cpu_count() or 1)
     assert recorder["resident_mb"] > 10.0
     assert report["host"]["kernel"]
-    assert [len(report["slowest_cycles"]), len(report["processes"])] == [3, 23]
+    assert [len(report["slowest_cycles"]), len(report["processes"])] == [3, 9]
 
     (failed,) = [v for v in report["verdicts"] if v["line"] == "loop all commands p99"]
     assert (failed["passed"], report["passed"]) == (False, False)
@@ -100,13 +88,10 @@ def test_a_timed_run_has_all_rows_and_the_budget_that_it_broke(
     assert missing == {process.agent: process.missing_inputs for process in summary.processes}
 
 
-def test_what_was_measured_up_to_an_interruption_is_told(heliarch: Start, tmp_path: Path) -> None:
-    plant = small_plant(tmp_path / "plant")
+def test_what_was_measured_up_to_an_interruption_is_told(heliarch: Start, plant: str) -> None:
     run = heliarch("timing", plant, "--rate", "10", "--duration", "10m")
     run.until_running()
-    run.process.send_signal(signal.SIGINT)
-    assert run.wait() == 130, run.error_text()
+    assert run.interrupt() == 130, run.error_text()
     printed = run.output.read_text(encoding="utf-8")
     assert "interrupted" in printed
     assert "Decision [" in printed
-    assert_none_left(run.folder)

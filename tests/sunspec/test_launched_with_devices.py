@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import command_line
 import psutil
 import pytest
 from command_line import done, refusal
-from running import REPOSITORY, Heliarch, small_plant
+from running import REPOSITORY, Start, small_plant
 
 from recordings.inspect.overview import read_overview
 from recordings.read.reader import RunReader
@@ -59,7 +58,7 @@ def served_inverters(scenario: str) -> Iterator[list[str]]:
 
 
 def test_energies_are_those_of_simulated_inverters(
-    scenario: str, served_inverters: list[str], heliarch: Callable[..., Heliarch]
+    scenario: str, served_inverters: list[str], heliarch: Start
 ) -> None:
     span = ("launch", scenario, "--pace", "1", "--duration", "8s")
     plain, real = heliarch(*span), heliarch(*span, *served_inverters)
@@ -83,7 +82,7 @@ def test_energies_are_those_of_simulated_inverters(
 
 
 def test_the_health_names_a_device_that_was_gone_for_a_while(
-    scenario: str, heliarch: Callable[..., Heliarch]
+    scenario: str, heliarch: Start
 ) -> None:
     with inverters(scenario) as options:
         address = options[1].partition("=")[2]
@@ -92,11 +91,10 @@ def test_the_health_names_a_device_that_was_gone_for_a_while(
         run.until_running()
     run.until(lambda: _gone_s(run.folder) > 2.0, "the loss of the device")
     with inverters(scenario, str(parse_address(address, "")[1])):
-        run.until(lambda: "connected again" in run.output.read_text(), "its return")
+        run.until_shown("connected again")
         cycles = run.recorded_cycles()
         run.until_recorded(cycles + 8)
-        run.process.send_signal(signal.SIGINT)
-        assert run.wait() == 130
+        assert run.interrupt() == 130
     with RunReader(run.folder) as reader:
         health = read_overview(reader).health
     (absence,) = [found for found in health.absences if found.agent == "device c1/inv01"]
@@ -110,7 +108,7 @@ def _gone_s(folder: Path) -> float:
 
 
 def test_a_run_names_its_gateway_that_was_killed(
-    scenario: str, served_inverters: list[str], heliarch: Callable[..., Heliarch]
+    scenario: str, served_inverters: list[str], heliarch: Start
 ) -> None:
     run = heliarch("launch", scenario, "--pace", "1", "--duration", "5m", *served_inverters)
     run.until_running()

@@ -39,7 +39,7 @@ QUICK: Final = {
     "inverters": "small.toml --duration 1 --port 0",
     "conform": "c1/inv01 --scenario small.toml --pace max --external-timeout 0.1 --command true",
     "scenarios": "",
-    "view": "run",
+    "view": "RUN",
     "report": "RUN",
     "inspect": "RUN --nodes c1",
     "verify": "RUN",
@@ -56,9 +56,9 @@ QUICK: Final = {
 """For each command words with which it has done its work in seconds; `view` serves until Ctrl-C."""
 
 LONG: Final = {
-    "launch": (SIGINT, "small.toml --pace 1"),
+    "launch": (SIGTERM, "small.toml --pace 1"),
     "node": (SIGTERM, "--plan there.json --host 127.0.0.2"),
-    "simulate": (SIGTERM, "small.toml --pace 1"),
+    "simulate": (SIGINT, "small.toml --pace 1"),
     "timing": (SIGTERM, "small.toml --duration 10m"),
     "conform": (SIGINT, "c1/inv01 --scenario small.toml --command 'sleep 100'"),
     "report": (SIGINT, "long.mcap"),
@@ -135,7 +135,8 @@ def test_an_unknown_option_is_refused(name: str, folder: Path) -> None:
 @pytest.mark.parametrize("name", [name for name in NAMES if "RUN" in QUICK[name]])
 def test_what_is_no_recording_is_refused(name: str, folder: Path) -> None:
     (folder / "text.mcap").write_text("cycle,power_kw\n")
-    for bad in ("nowhere", "text.mcap", "."):
+    (folder / "empty").mkdir()
+    for bad in ("nowhere", "text.mcap", "empty"):
         line = refusal(name, *QUICK[name].replace("RUN", bad).split())
         assert bad in line or "run.mcap" in line
 
@@ -145,8 +146,10 @@ BAD: Final = {
     "--seed x, --scheme magic, --actuator magic, --set commitment.share, --set no.such=1, "
     "--set commitment.share=[0.1], --fault loss=2, --out run, --out /dev/null/run, --data nowhere, "
     "--page-port 8000, --page-address 0.0.0.0",
-    "launch": "--from noon, --out run, --external c9, --cpus x, --device c9=modbus://10.0.0.7/1, "
-    "--on c2/*",
+    "launch": "--from noon, --out run, --external c9, --external recorder, --external c1/inv1, "
+    "--external-timeout 0, --external-timeout nan, --external-timeout 1e9, --base-port 80, "
+    "--base-port 65533, --cpus x, --device c9=modbus://10.0.0.7/1, --on c2/*, --on 127.0.0.2, "
+    "--on 127.0.0.2=c9, --on 127.0.0.2=plant, --on lab=c2, --on 10.0.0.2=c2/*",
     "node": "--plan nowhere.json, --host 127.0.0.3, --keys run",
     "inverters": "--port -1, --from noon",
     "timing": "--rate 20, --priority 20, --page-port 8000",
@@ -165,7 +168,7 @@ BAD: Final = {
     "export": "--format xlsx, --signals residuals, --nodes c1/inv99, --from 18:00, --clock sim, "
     "--out run",
     "recover": "--out run",
-    "keys": "--days -1, --address moon",
+    "keys": "--days -1, --days 0, --days nan, --days 4000, --address moon",
     "doctor": "--out nowhere",
 }
 """Options of each command with a value that is refused."""
@@ -194,6 +197,10 @@ def test_bad_input_is_one_line_and_leaves_nothing(
         "simulate small.toml --set commitment.share=0.1,0.2",
         "launch small.toml --fault loss=1%",
         "launch small.toml --device c1/inv01=modbus://127.0.0.1/1",
+        "launch small.toml --external c1/inv01 --on 127.0.0.2=c1/*",
+        "launch small.toml --on 127.0.0.2=c2 --on 127.0.0.3=c2/*",
+        "launch small.toml --pace 1 --on 127.0.0.2=c1 --fault kill=c1,at=2s",
+        "launch small.toml --external c1/inv01 --base-port 65529",
         "inspect run --cycle 3 --nodes c1",
         "export run",
         "report run --report page",

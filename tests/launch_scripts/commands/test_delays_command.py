@@ -6,14 +6,12 @@ import json
 from pathlib import Path
 
 from command_line import done
-from running import small_plant
 
 
-def test_tables_json_and_page_have_every_run(tmp_path: Path) -> None:
+def test_tables_json_and_page_have_every_run(plant: str, tmp_path: Path) -> None:
     document, page = tmp_path / "delays.json", tmp_path / "delays.html"
-    scenario = small_plant(tmp_path / "plant")
     words = ("--duration", "124", "--workers", "2", "--json", document, "--report", page)
-    text = done("delays", scenario, *words)
+    text = done("delays", plant, *words)
     found = json.loads(document.read_bytes())
     outcomes = found["outcomes"]
     # 4 s count: of the central periods they hold two of 1 and two of 2 s.

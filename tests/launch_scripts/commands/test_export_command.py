@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import pandas as pd
@@ -18,17 +17,13 @@ CYCLES = 30
 FORMS = ("json-mcap", "parquet", "csv")
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a run of 30 cycles."""
-    folder = tmp_path_factory.mktemp("recorded") / "run"
-    done("simulate", "oahu", "--duration", f"{CYCLES}s", "--out", folder)
-    return folder
-
-
 @pytest.fixture
-def run(recorded: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(recorded, tmp_path / "run"))
+def run(tmp_path: Path) -> Path:
+    """Folder of a run of 30 cycles."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    write_run(folder / RECORDING_NAME, whole_run(CYCLES))
+    return folder
 
 
 def test_each_form_has_its_place_beside_the_recording_and_replaces_nothing(run: Path) -> None:
@@ -40,14 +35,14 @@ def test_each_form_has_its_place_beside_the_recording_and_replaces_nothing(run: 
 
 
 def test_a_part_of_the_run_may_be_exported_with_its_figures_as_json(run: Path) -> None:
-    part = ("--nodes", "c1/inv01,central", "--from", "12:00:10", "--to", "20")
+    part = ("--nodes", "c1/a,central", "--from", "12:00:10", "--to", "20")
     words = ("--format", "csv", "--signals", "impp,setpoint", "--json", "-")
     figures = json.loads(done("export", run, *words, *part))
     folder = run / "run-csv"
     names = {"impp", "setpoint", "help_given", "missing_inputs"}
     assert {path.stem for path in folder.iterdir()} == names
     impp = pd.read_csv(folder / "impp.csv")
-    assert set(impp["node"]) == {"c1/inv01", "central"}
+    assert set(impp["node"]) == {"c1/a", "central"}
     assert sorted(impp["cycle"]) == sorted([*range(10, 21)] * 2)
     assert (figures["path"], figures["whole"]) == (str(folder), True)
     assert (figures["first_cycle"], figures["last_cycle"]) == (10, 20)
@@ -69,13 +64,14 @@ def test_of_a_cut_recording_everything_up_to_the_cut_is_exported(run: Path, form
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_a_damaged_part_is_left_out_and_told_in_one_line(tmp_path: Path, form: str) -> None:
-    recording = tmp_path / RECORDING_NAME
-    whole = len(write_run(recording, whole_run(CYCLES)))
+def test_a_damaged_part_is_left_out_and_told_in_one_line(run: Path, form: str) -> None:
+    recording, figures = run / RECORDING_NAME, run / "figures.json"
+    with RunReader(run) as reader:
+        whole = sum(1 for _ in reader.records())
     place = zero_chunk(recording, 2)
-    result = heliarch("export", recording, "--format", form, "--json", tmp_path / "figures.json")
+    result = heliarch("export", recording, "--format", form, "--json", figures)
     assert result.exit_code == 0, result.output
     (line,) = result.stderr.splitlines()
     assert f"a part of the file is damaged (chunk at byte {place.offset:,}, cycles " in line
     assert line.endswith("missing): see heliarch recover")
-    assert json.loads((tmp_path / "figures.json").read_text())["messages"] == whole - 200
+    assert json.loads(figures.read_text())["messages"] == whole - 200

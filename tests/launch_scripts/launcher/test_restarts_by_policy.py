@@ -7,23 +7,17 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, cast
 
-import msgspec
 import pytest
+from msgspec.structs import replace
+from plans_by_hand import REAL_TIME, plan_at_noon
 
 from agents.events import Exited, Standing, Status, TookOver
 from agents.plan import RunPlan
 from launch_scripts.launcher.restarts import Restarts
 from launch_scripts.launcher.supervision import Child
-from launch_scripts.scenarios.preparation import RunOptions, prepare
-from launch_scripts.scenarios.scenario import load_scenario
 
-
-@pytest.fixture(scope="module")
-def plan() -> RunPlan:
-    """Cycles of 1 s in real time; who says nothing for 5 s is killed."""
-    options = RunOptions(duration="100", pace=1.0)
-    made = prepare(load_scenario("oahu"), options, "policy").plan
-    return msgspec.structs.replace(made, standby=("c1",))
+PLAN = plan_at_noon(cycle_wall_ns=REAL_TIME, standby=("c1",))
+"""Cycles of 1 s in real time; who says nothing for 5 s is killed."""
 
 
 class Watched:
@@ -73,31 +67,24 @@ class Watched:
 
 
 @pytest.fixture
-def run(plan: RunPlan) -> Iterator[Watched]:
-    watched = Watched(plan)
+def run() -> Iterator[Watched]:
+    watched = Watched(PLAN)
     yield watched
     watched.end()
 
 
-def test_a_controller_that_says_nothing_is_named_and_killed_after_a_while(run: Watched) -> None:
-    run.pass_by(1.0, "c2")
-    assert run.killed == []
-    assert any(text.startswith("c2 (process") for text in run.said)
-    run.pass_by(5.0, "c2")
-    assert run.killed == ["c2"]
-
-
-def test_a_node_gives_an_agent_the_same_time_however_long_the_cycles_are(plan: RunPlan) -> None:
-    watched = Watched(msgspec.structs.replace(plan, cycle_wall_ns=60_000_000_000))
-    for _ in range(8):
-        watched.now_s += 0.25
-        watched.restarts.note_silence(["c2"], 2.0)
-    assert watched.killed == []
-    for _ in range(8):
-        watched.now_s += 0.25
-        watched.restarts.note_silence(["c2"], 2.0)
+@pytest.mark.parametrize("cycle_s", [1, 60])
+def test_a_controller_that_says_nothing_is_named_and_killed_however_long_cycles_are(
+    cycle_s: int,
+) -> None:
+    watched = Watched(replace(PLAN, cycle_wall_ns=cycle_s * REAL_TIME))
+    for killed in ([], ["c2"]):
+        for _ in range(8):
+            watched.now_s += 0.25
+            watched.restarts.note_silence(["c2"], 2.0)
+        assert watched.killed == killed
     watched.end()
-    assert watched.killed == ["c2"]
+    assert watched.said[0].startswith("c2 (process")
 
 
 def test_one_that_is_heard_in_between_is_not(run: Watched) -> None:

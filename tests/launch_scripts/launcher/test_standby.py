@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sent_messages import run_with
-from typer.testing import CliRunner
+from command_line import done
+from memory_runs import run_with
 
 from bus_schemas.messages import Takeover
 from bus_schemas.signals import SETPOINT
 from bus_schemas.tree import CENTRAL
-from launch_scripts.cli import app
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
 from launch_scripts.scenarios.scenario import load_scenario
 
@@ -103,20 +102,22 @@ def test_an_agent_cut_off_from_others_keeps_its_process(oahu: Preparation) -> No
     assert run.takeovers == []
 
 
-def test_a_recording_with_takeovers_is_repeated_and_says_who_took_over(tmp_path: Path) -> None:
-    faults = ("kill=central,at=10.2s", "freeze=c1,at=15s..17s", "kill=c2,at=20s", "loss=5%")
+def test_a_recording_with_deaths_is_repeated_and_says_who_took_over_or_came_back(
+    tmp_path: Path,
+) -> None:
+    kills = ("central,at=10.2s", "c2,at=20s", "c1/inv01,at=5s", "c1/inv05,at=500s")
+    faults = ("freeze=c1,at=15s..17s", "loss=5%", *(f"kill={kill}" for kill in kills))
     words = [word for fault in faults for word in ("--fault", fault)]
+    words += ["--set", 'standby=["central","supervisors"]']
     run = tmp_path / "run"
-    standby = ["--set", 'standby=["central","supervisors"]']
-    command = ["simulate", "oahu", "--duration", "30s", *standby, *words, "--out", str(run)]
-    simulated = CliRunner().invoke(app, command)
-    assert simulated.exit_code == 0, simulated.output
-    assert json.loads((run / "summary.json").read_bytes())["takeovers"] == {
-        "central": 1,
-        "c1": 1,
-        "c2": 1,
-    }
-    verified = CliRunner().invoke(app, ["verify", str(run)])
-    assert verified.exit_code == 0, verified.output
-    inspected = " ".join(CliRunner().invoke(app, ["inspect", str(run)]).output.split())
-    assert "c1 was taken over by its standby in cycle 15" in inspected
+    done("simulate", "oahu", "--duration", "30s", *words, "--out", run)
+    takeovers = json.loads((run / "summary.json").read_bytes())["takeovers"]
+    assert takeovers == {"central": 1, "c1": 1, "c2": 1}
+    done("verify", run)
+    inspected = " ".join(done("inspect", run).split())
+    for told in (
+        "c1 was taken over by its standby in cycle 15",
+        "c1/inv01: nothing in cycle 5 (12:00:05), then back, with sequence numbers from 0 again",
+        "never acted: the run was over",
+    ):
+        assert told in inspected

@@ -6,17 +6,16 @@ from collections.abc import Callable
 from functools import cache
 from math import inf
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
-from memory_runs import Sent
+from command_line import heliarch
+from memory_runs import Sent, run_with
 from numpy.typing import NDArray
-from sent_messages import run_with
-from typer.testing import CliRunner
 
 from agents.settings import RestartPolicy, Revert
 from bus_schemas.errors import InputError
-from launch_scripts.cli import app
 from launch_scripts.launcher.simulation import MemoryRun
 from launch_scripts.launcher.supervision import RunFailure
 from launch_scripts.scenarios.preparation import Preparation, RunOptions, prepare
@@ -120,8 +119,8 @@ def test_a_controller_that_stays_frozen_is_replaced_and_thaws_no_more(oahu: Prep
 
 
 def test_a_policy_in_the_scenario_holds_in_simulation(tmp_path: Path) -> None:
-    words = ["--duration", "30s", "--fault", "kill=c2,at=5s", "--set", "restart.when=never"]
-    ended = CliRunner().invoke(app, ["simulate", "oahu", *words, "--out", str(tmp_path / "run")])
+    words = ("--duration", "30s", "--fault", "kill=c2,at=5s", "--set", "restart.when=never")
+    ended = heliarch("simulate", "oahu", *words, "--out", tmp_path / "run")
     assert ended.exit_code == 1
     assert "c2 was killed" in ended.output
     with open_run(tmp_path / "run") as run:
@@ -144,40 +143,26 @@ def test_inverters_that_hear_nothing_revert_to_their_share_of_the_last_dispatch(
 ) -> None:
     changes = {"actuator": actuator, "revert": Revert(after_s=60.0)}
     _, trace = run_through(oahu, f"kill=*,at={KILLED_AT}s", restart_takes_s=NEVER, **changes)
-    reverted = slice(KILLED_AT + 62, CYCLES)
     last_desired_kw = trace.produced[KILLED_AT].desired_kw
-    share = np.array([rating for _, rating in oahu.plan.inverters]) / oahu.plan.tree.rating_kw("")
-    expected_kw = np.minimum(oahu.profile.mpp_kw, last_desired_kw * share)
+    limit_kw = last_desired_kw * rating_kw(oahu) / oahu.plan.tree.rating_kw("")
+    expected_kw = np.minimum(oahu.profile.mpp_kw, limit_kw)
+    reverted = slice(KILLED_AT + 62, CYCLES)
     np.testing.assert_allclose(trace.power_kw[reverted], expected_kw[reverted], rtol=2e-3)
 
 
-def test_inverters_may_be_set_to_release_or_to_a_share_of_their_rating(oahu: Preparation) -> None:
-    rating_kw = np.array([rating for _, rating in oahu.plan.inverters])
-    for revert, limit_kw in (
-        (Revert(after_s=5.0, to="release"), rating_kw),
-        (Revert(after_s=5.0, to=0.25), 0.25 * rating_kw),
-    ):
-        killed = f"kill=*,at={KILLED_AT}s"
-        _, trace = run_through(oahu, killed, restart_takes_s=NEVER, revert=revert)
-        expected_kw = np.minimum(oahu.profile.mpp_kw, limit_kw)
-        np.testing.assert_array_equal(
-            trace.power_kw[KILLED_AT + 10 :], expected_kw[KILLED_AT + 10 :]
-        )
+@pytest.mark.parametrize(("to", "share"), [("release", 1.0), (0.25, 0.25)])
+def test_inverters_may_be_set_to_release_or_to_a_share_of_their_rating(
+    oahu: Preparation, to: Literal["release"] | float, share: float
+) -> None:
+    killed, changes = f"kill=*,at={KILLED_AT}s", {"revert": Revert(after_s=5.0, to=to)}
+    _, trace = run_through(oahu, killed, restart_takes_s=NEVER, **changes)
+    expected_kw = np.minimum(oahu.profile.mpp_kw, share * rating_kw(oahu))
+    reverted = slice(KILLED_AT + 10, CYCLES)
+    np.testing.assert_array_equal(trace.power_kw[reverted], expected_kw[reverted])
 
 
-def test_a_recording_with_deaths_is_repeated_and_says_who_came_back(tmp_path: Path) -> None:
-    words = ["--duration", "30s", "--fault", "kill=c2,at=5s", "--fault", "kill=c1/inv01,at=500s"]
-    run = tmp_path / "run"
-    simulated = CliRunner().invoke(app, ["simulate", "oahu", *words, "--out", str(run)])
-    assert simulated.exit_code == 0, simulated.output
-    verified = CliRunner().invoke(app, ["verify", str(run)])
-    assert verified.exit_code == 0, verified.output
-    inspected = " ".join(CliRunner().invoke(app, ["inspect", str(run)]).output.split())
-    assert (
-        "c2: nothing in cycle 5 (12:00:05), then back, with sequence numbers from 0 again"
-        in inspected
-    )
-    assert "never acted: the run was over" in inspected
+def rating_kw(prepared: Preparation) -> NDArray[np.float64]:
+    return np.array([rating for _, rating in prepared.plan.inverters])
 
 
 def test_inverters_that_a_scenario_sets_otherwise_must_exist(oahu: Preparation) -> None:

@@ -39,12 +39,6 @@ def test_renewed_certificates_are_of_the_same_authority_and_keys(plant: str) -> 
     assert same == {"ca.pem", *(name for name in before if name.endswith(".key"))}
 
 
-@pytest.mark.parametrize("days", ["0", "-1", "nan", "4000"])
-def test_certificates_that_are_never_valid_are_not_made(plant: str, days: str) -> None:
-    assert "--days" in refusal("keys", plant, "--days", days, "--out", "never")
-    assert not Path("never").exists()
-
-
 def expired(folder: Path, plant: str) -> None:
     done("keys", plant, "--days", "0.0000001")
 
@@ -110,6 +104,8 @@ def test_an_address_that_others_reach_needs_keys_that_are_for_it(plant: str) -> 
     words = ("launch", plant, *SHORT, "--address", "10.1.2.3")
     assert "--secure" in refusal(*words)
     assert "10.1.2.3" in refusal(*words, "--secure")
+    elsewhere = ("--secure", "--on", "10.0.0.2=c2/*")
+    assert "expected --address" in refusal("launch", plant, *SHORT, *elsewhere)
     assert "--address" in refusal("launch", plant, *SHORT, "--address", "moon")
     assert "--secure" in refusal("launch", plant, *SHORT, "--keys", "keys/small")
 

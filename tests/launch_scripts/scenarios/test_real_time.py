@@ -13,16 +13,6 @@ THREE_LAYERS = ControlTree((("c1/a", 100.0), ("c1/b", 100.0), ("c2/a", 100.0)))
 SECOND_NS = 1_000_000_000
 
 
-@pytest.mark.parametrize(
-    ("cycle_s", "pace", "expected_ns"),
-    [(1.0, 1.0, SECOND_NS), (4.0, 60.0, 66_666_667), (0.05, 1.0, 50_000_000), (1.0, "max", 0)],
-)
-def test_the_pace_says_how_long_a_cycle_is_on_the_wall_clock(
-    cycle_s: float, pace: float, expected_ns: int
-) -> None:
-    assert cycle_wall_ns(cycle_s, pace, "--pace") == expected_ns
-
-
 def test_a_cycle_too_short_for_any_clock_is_refused() -> None:
     assert cycle_wall_ns(1.0, 10_000.0, "--pace") == SHORTEST_CYCLE_NS
     found = complaint_of(cycle_wall_ns, 1.0, 20_000.0, "--pace")
