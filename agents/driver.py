@@ -67,6 +67,9 @@ class Driver:
             self._close_overdue()
         return arrivals
 
+    def stop(self) -> None:
+        """Act on nothing more that comes."""
+
     def go_on(self, loop: AgentLoop[Any]) -> None:
         """Take an agent as far as its inputs go, and publish what it says."""
         while loop.is_complete:

@@ -9,6 +9,7 @@ recorder that falls behind.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from math import inf
 from threading import Lock
 from typing import Any
 
@@ -26,6 +27,7 @@ class EagerDriver(Driver):
         self._loop = loop
         self._zenoh = bus
         self._lock = Lock()
+        self._sleeps_to_ns: float = inf
         self._error: Exception | None = None
 
     def run(self) -> Iterator[Sequence[Arrival]]:
@@ -44,6 +46,7 @@ class EagerDriver(Driver):
         """
         with self._lock:
             until_ns = self._until_ns(longest_ns)
+            self._sleeps_to_ns = inf if until_ns is None else until_ns
         self._zenoh.inbox.sleep(self._zenoh.timeout_s(until_ns))
         with self._lock:
             arrivals = self._act()
@@ -53,14 +56,23 @@ class EagerDriver(Driver):
             raise self._error
         return arrivals
 
+    def stop(self) -> None:
+        """Leave the bus's thread: act on nothing more that comes."""
+        with self._lock:
+            self._zenoh.inbox.on_enough = self._zenoh.inbox.wake
+
     def _act_at_once(self) -> None:
         """Act on the bus's thread, which must outlive a fault of ours."""
+        is_earlier = False
         try:
             with self._lock:
                 self._act()
+                # The first deadline of a run: the agent's own thread sleeps without one.
+                deadline_ns = self._next_deadline_ns()
+                is_earlier = deadline_ns is not None and deadline_ns < self._sleeps_to_ns
         except Exception as error:
             self._error = error
-        if self._error is not None or self.finished:
+        if self._error is not None or is_earlier or self.finished:
             self._zenoh.inbox.wake()
 
     def _act(self) -> list[Arrival]:

@@ -153,7 +153,8 @@ class AgentLoop(Generic[S]):
 
     @property
     def stage(self) -> str:
-        return self._stages[self._place].name if self._place < len(self._stages) else ""
+        stages, place = self._stages, self._place  # Another thread may be at work on them.
+        return stages[place].name if place < len(stages) else ""
 
     @property
     def needs(self) -> list[tuple[str, str]]:

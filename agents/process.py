@@ -229,6 +229,7 @@ class AgentProcess:
 
     def report(self) -> None:
         """Tell the launcher what went out and what was not used."""
+        self.driver.stop()
         loop = self.loop
         causes: dict[str, dict[str, int]] = {}
         for (port, reason), number in loop.dropped.items():

@@ -1,7 +1,8 @@
 """The bus between processes: one Zenoh session for each agent, over TCP on the loopback address.
 
-No multicast, no gossip: the endpoints are given. Zenoh calls us on its own thread, and the callback
-appends to a queue. See docs/decisions for what was measured.
+No multicast, no gossip: the endpoints are given. Zenoh calls us on its own thread: the callback
+appends to a queue, and wakes the agent's thread or acts itself (`agents.eager_driver`). See
+docs/decisions for what was measured.
 """
 
 from __future__ import annotations
@@ -35,10 +36,9 @@ ENCODING: Final = "application/msgpack"
 
 ZENOH_RUNTIME: Final = (
     "(rx: (handover: app), acc: (handover: app), tx: (handover: app), net: (handover: app), "
-    "app: (worker_threads: 2))"
+    "app: (worker_threads: 1))"
 )
-"""Two worker threads for all of Zenoh's work, so that one goes on sending while a controller that
-acts on the other one waits for room: see docs/decisions/0003-zenoh-tuning.md."""
+"""One worker thread for all of Zenoh's work: see docs/decisions/0003-zenoh-tuning.md."""
 
 MOST_LINKS: Final = 10_000
 """Sessions that one agent may be linked with."""

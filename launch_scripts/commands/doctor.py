@@ -200,7 +200,7 @@ def _zenoh() -> Iterator[Finding]:
         yield Finding("Zenoh", f"{error}", "wrong", advice)
         return
     text = f"a session has {threads} thread" + "s" * (threads != 1)
-    advice = "unset ZENOH_RUNTIME: two worker threads for each agent are fastest"
+    advice = "unset ZENOH_RUNTIME: one worker thread for each agent is fastest"
     yield _judged("Zenoh", text, given in {None, ZENOH_RUNTIME}, advice)
 
 

@@ -2,89 +2,114 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import pytest
 import zenoh
-from plans_by_hand import plan_of
-from plants_by_hand import dispatch, telemetry
+from plans_by_hand import REAL_TIME, plan_of
+from plants_by_hand import dispatch, setpoint, telemetry
 
 from agents.eager_driver import EagerDriver
 from agents.loop import AgentLoop
-from agents.team import controller
+from agents.plan import RunPlan
+from agents.team import Controller, controller
 from bus_schemas.bus import Delivery
-from bus_schemas.codec import encode
-from bus_schemas.tree import PLANT
-from bus_schemas.zenoh_bus import SessionSettings, ZenohBus
+from bus_schemas.codec import decode, encode
+from bus_schemas.signals import RESIDUAL, RUN
+from bus_schemas.tree import PLANT, ROOT
+from bus_schemas.zenoh_bus import SessionSettings, ZenohBus, open_session
 from launch_scripts.launcher.tcp_ports import reserved_ports
 
 PLAN = plan_of({"a": 100.0})
+IN_REAL_TIME = plan_of({"a": 100.0}, cycle_wall_ns=REAL_TIME)
 ROUND = -1000
+FOR_EVER_S = 600.0
+"""Longer than a test may take: what it sleeps for if nobody wakes it."""
 
 
 class BrokenError(Exception):
     """A fault of a controller."""
 
 
-class FarEnd:
-    """The plant's end of the link: what it hears, and what it says."""
+class Plant:
+    """The far end of a controller's link, and the controller, whose thread drives it to its end."""
 
-    def __init__(self, session: zenoh.Session) -> None:
+    def __init__(self, session: zenoh.Session, driver: EagerDriver, ended: Future[Any]) -> None:
+        self.ended = ended
+        self.loop = driver.loops["a"]
         self._session = session
-        self.residuals = session.declare_subscriber(PLAN.keys.plant + "/a/residual")
+        self._residuals = session.declare_subscriber(PLAN.keys.key(RESIDUAL.of("a")))
 
     def say(self, *deliveries: Delivery) -> None:
         for port, message in deliveries:
             self._session.put(PLAN.keys.key(port), encode(message))
 
-    def say_until_heard(self, driver: EagerDriver) -> None:
-        """Open arming rounds until the first dispatch gets through."""
+    def arm(self) -> None:
+        """Open arming rounds until the controller has entered one."""
         cycle = ROUND
-        for _ in driver.run():
-            if driver.loops["a"].cycle >= ROUND:
-                return
-            cycle += 1
+        while self.loop.cycle < ROUND:
             self.say(dispatch(cycle, 50.0, 100.0))
+            cycle += 1
+            time.sleep(0.02)
+
+    def begin(self, plan: RunPlan) -> None:
+        self.say((RUN.of(ROOT), plan.run_message("start", 0, time.monotonic_ns())))
+
+    def hear_residual(self) -> int:
+        """Wait for the controller's residual; return its cycle."""
+        return decode(RESIDUAL, next(iter(self._residuals)).payload.to_bytes()).cycle
 
 
-@pytest.fixture
-def linked() -> Iterator[tuple[FarEnd, ZenohBus]]:
+@contextmanager
+def linked(plan: RunPlan, agent: Controller | None = None) -> Iterator[Plant]:
     with ExitStack() as stack:
         (port,) = stack.enter_context(reserved_ports([PLANT])).values()
         endpoint = [f"tcp/127.0.0.1:{port}"]
         settings = SessionSettings("eager-by-hand", endpoint, [])
-        session = stack.enter_context(zenoh.open(settings.config()))
+        session = stack.enter_context(open_session(settings))
         settings = SessionSettings("eager-by-hand", [], endpoint)
-        yield (
-            FarEnd(session),
-            stack.enter_context(ZenohBus("a", PLAN.keys, PLAN.wiring, settings, patience_s=0.05)),
-        )
+        bus = ZenohBus("a", plan.keys, plan.wiring, settings, patience_s=FOR_EVER_S)
+        stack.enter_context(bus)
+        driver = EagerDriver(AgentLoop(agent or controller(plan, "a"), plan), bus)
+        own_thread = stack.enter_context(ThreadPoolExecutor(1))
+        yield Plant(session, driver, own_thread.submit(list, driver.run()))
 
 
-def test_it_answers_while_its_own_thread_does_nothing(linked: tuple[FarEnd, ZenohBus]) -> None:
-    plant, bus = linked
-    driver = EagerDriver(AgentLoop(controller(PLAN, "a"), PLAN), bus)
-    plant.say_until_heard(driver)
-    # Nobody takes a turn of the driver from here on.
-    plant.say(telemetry("a", driver.loops["a"].cycle, 80.0))
-    answer = next(iter(plant.residuals))
-    assert answer.payload.to_bytes()
+def test_it_answers_and_ends_while_its_own_thread_sleeps() -> None:
+    with linked(PLAN) as plant:
+        plant.arm()
+        plant.say(telemetry("a", plant.loop.cycle, 80.0))
+        assert plant.hear_residual() == plant.loop.cycle
+        plant.begin(PLAN)
+        plant.say(dispatch(0, 50.0, 100.0), telemetry("a", 0, 80.0))
+        assert plant.hear_residual() == 0
+        plant.say(setpoint("a", 0, 50.0))
+        plant.ended.result()
+
+
+def test_the_first_deadlines_of_a_run_are_kept() -> None:
+    with linked(IN_REAL_TIME) as plant:
+        plant.arm()
+        plant.begin(IN_REAL_TIME)
+        assert plant.hear_residual() == 0, "without any telemetry"
+        plant.ended.result()
 
 
 def test_a_fault_on_the_bus_s_thread_ends_the_run_of_its_agent(
-    linked: tuple[FarEnd, ZenohBus],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    plant, bus = linked
-    agent: Any = controller(PLAN, "a")
+    agent = controller(PLAN, "a")
 
     def fail(*_: object) -> None:
         raise BrokenError
 
-    agent.step = fail
-    driver = EagerDriver(AgentLoop(agent, PLAN), bus)
-    plant.say_until_heard(driver)
-    plant.say(telemetry("a", driver.loops["a"].cycle, 80.0))
-    with pytest.raises(BrokenError):
-        list(driver.run())
+    monkeypatch.setattr(agent, "step", fail)
+    with linked(PLAN, agent) as plant:
+        plant.arm()
+        plant.say(telemetry("a", plant.loop.cycle, 80.0))
+        with pytest.raises(BrokenError):
+            plant.ended.result()
