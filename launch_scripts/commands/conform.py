@@ -13,6 +13,7 @@ from bus_schemas.tree import PLANT
 from launch_scripts.commands.boundary import FAILED, OK
 from launch_scripts.commands.options import JsonOption, SchemeOption
 from launch_scripts.commands.output import say, write_json
+from launch_scripts.scenarios.run_options import RunOptions
 from studies.tables import console_for, json_rows, print_table
 
 if TYPE_CHECKING:
@@ -67,8 +68,7 @@ def conform(
     --base-port PORT: Listen on this port and those after it, with the plant's name as namespace.
     --out DIR: Folder of the recorded tests; default runs/NAME-TIME.
     """
-    from launch_scripts.launcher.run_request import RunRequest, prepare_run
-    from launch_scripts.scenarios.preparation import RunOptions
+    from launch_scripts.launcher.run_folder import RunRequest, prepare_run
     from launch_scripts.scenarios.scenario import load_scenario
     from studies.conformance import conform as of_controller
     from studies.conformance import plant as of_plant

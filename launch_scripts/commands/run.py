@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,42 +15,28 @@ from rich.console import Console
 from agents.plan import RunPlan
 from bus_schemas.errors import FailureError, InputError
 from launch_scripts.commands.boundary import BEGAN_AT, FAILED, INTERRUPTED, OK, complain
-from launch_scripts.commands.options import (
-    FileOptions,
-    PageOptions,
-    PlantOptions,
-    SpanOptions,
-    changed_scenario,
-)
+from launch_scripts.commands.options import FileOptions, PageOptions, changed_scenario
 from launch_scripts.commands.output import say, write_json
 from launch_scripts.launcher.launch import launch
 from launch_scripts.launcher.live_view import view_for
-from launch_scripts.launcher.run_folder import RunFolder
-from launch_scripts.launcher.run_request import RunRequest, prepare_run
+from launch_scripts.launcher.run_folder import RunFolder, RunRequest, prepare_run
 from launch_scripts.launcher.simulation import simulate
 from launch_scripts.launcher.summary import RunSummary
 from launch_scripts.launcher.summary_table import print_summary
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.launcher.wrong_messages import one_line_each
 from launch_scripts.scenarios.devices import check_devices
-from launch_scripts.scenarios.preparation import RunOptions
-from launch_scripts.scenarios.process_options import ProcessOptions
+from launch_scripts.scenarios.run_options import RunOptions
 from live_page.process import PageProcess
 from studies.tables import console_for
 
 
 def run_request(
-    scenario: str,
-    files: FileOptions,
-    *groups: PlantOptions | SpanOptions | ProcessOptions,
-    **span: str | None,
+    scenario: str, settings: list[str] | None, files: FileOptions, **options: Any
 ) -> RunRequest:
     """Return what the options of a command ask for."""
-    given: dict[str, Any] = dict(span)
-    for group in groups:
-        given |= asdict(group)
-    scenario_file = changed_scenario(scenario, files.data, given.pop("settings"))
-    return RunRequest(scenario_file, RunOptions(**given), files.out)
+    scenario_file = changed_scenario(scenario, files.data, settings)
+    return RunRequest(scenario_file, RunOptions(**options), files.out)
 
 
 @contextmanager

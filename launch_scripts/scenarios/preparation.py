@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from agents.control.correlation import HourlyMatrices, hourly_covariance
 from agents.periods import Periods
 from agents.plan import RunPlan, check_plan, check_size
-from agents.settings import Actuator, Revert, Scheme
+from agents.settings import Revert
 from bus_schemas.errors import InputError
 from bus_schemas.times import FIRST_YEAR, LAST_YEAR, parse_duration_s, read_time
 from bus_schemas.tree import ROOT, ControlTree, agent_name, depth
@@ -29,8 +29,8 @@ from launch_scripts.scenarios.fault_rules import fault_remarks, fault_rules
 from launch_scripts.scenarios.fields import field_names
 from launch_scripts.scenarios.machine_table import machine_settings
 from launch_scripts.scenarios.power_sources import power_source
-from launch_scripts.scenarios.process_options import ProcessOptions
 from launch_scripts.scenarios.real_time import cycle_wall_ns, parse_pace, tier_deadlines_ns
+from launch_scripts.scenarios.run_options import RunOptions
 from launch_scripts.scenarios.scenario import (
     LARGEST_SEED,
     CloudIrradiance,
@@ -45,28 +45,12 @@ from sim_plant.profile import Profile
 from sim_plant.regulation import regulation_kw, regulation_remarks
 from sim_plant.sources import PowerSource
 
+__all__ = ["Preparation", "RunOptions", "prepare"]
+
 _HOUR_NS: Final = 3_600_000_000_000
 
 _LARGEST_INVERTER_KW: Final = 10_000.0
 """Larger than any on the market: a larger rating is probably in W."""
-
-
-@dataclass(frozen=True, slots=True)
-class RunOptions(ProcessOptions):
-    """What the user may change about a scenario, as the options of `heliarch launch` say.
-
-    None and an empty list leave it as it is.
-    """
-
-    start: str | None = None
-    duration: str | None = None
-    end: str | None = None
-    pace: str | float | None = None
-    seed: int | None = None
-    scheme: Scheme | None = None
-    actuator: Actuator | None = None
-    faults: Sequence[str] | None = None
-    cycle_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,7 @@ from bus_schemas.times import parse_duration_s
 from launch_scripts.launcher.interruption import interruptible
 from launch_scripts.launcher.launch import launch
 from launch_scripts.launcher.live_view import view_for
-from launch_scripts.launcher.run_folder import RunFolder
-from launch_scripts.launcher.run_request import RunRequest, prepare_run
+from launch_scripts.launcher.run_folder import RunFolder, RunRequest, prepare_run
 from launch_scripts.launcher.supervision import ForkServerProcess, RunFailure
 from launch_scripts.scenarios.preparation import Preparation
 from studies.timing.report import Reported, report_on
